@@ -1,0 +1,1 @@
+"""Simulated drives, loads and buses for adaptdrive."""

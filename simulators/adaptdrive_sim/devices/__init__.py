@@ -1,0 +1,1 @@
+"""Simulated hardware as nodes on a real bus."""

@@ -1,0 +1,43 @@
+"""Measurement noise on the output: brush noise and spikes.
+
+Random numbers are drawn in blocks and handed out one by one as plain floats: a draw of its own
+for each sample would cost more than the plant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptdrive_sim.parameters import check_quantities, quantity
+
+_BLOCK = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseParameters:
+    """Noise of each fast sample, in the unit of the output."""
+
+    sigma: float = quantity(0.0, "", "standard deviation of every sample", 0.0, 1e6)
+    spike_share: float = quantity(0.0, "", "share of samples that carry a spike", 0.0, 1.0)
+    spike_sigma: float = quantity(0.0, "", "standard deviation of the spikes", 0.0, 1e6)
+
+    def __post_init__(self) -> None:
+        check_quantities(self)
+
+    @property
+    def silent(self) -> bool:
+        """Whether no sample is ever disturbed."""
+        return self.sigma == 0.0 and (self.spike_share == 0.0 or self.spike_sigma == 0.0)
+
+
+def samples(parameters: NoiseParameters, generator: np.random.Generator) -> Iterator[float]:
+    """Yield the disturbance of one sample after the other, for ever."""
+    while True:
+        block = parameters.sigma * generator.standard_normal(_BLOCK)
+        if parameters.spike_share > 0.0:
+            struck = generator.random(_BLOCK) < parameters.spike_share
+            block += struck * parameters.spike_sigma * generator.standard_normal(_BLOCK)
+        yield from block.tolist()

@@ -1,0 +1,88 @@
+"""Parameters that describe themselves: what they mean, their unit and what they may be.
+
+A plant's parameters are a frozen dataclass whose fields are made with `quantity`. Description,
+unit and range travel in the field's metadata, so that help texts and tables need no second list,
+and `check_quantities` holds every value against them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING
+
+from adaptdrive.errors import AdaptdriveError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+
+class ParameterError(AdaptdriveError):
+    """A parameter of a simulated plant lies outside its range."""
+
+    def __init__(self, place: str, value: float, rule: str) -> None:
+        self.place = place
+        self.value = value
+        self.rule = rule
+        super().__init__(f"{place} = {value!r} {rule}")
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """What a parameter means and which values it may take (both ends included)."""
+
+    name: str
+    description: str
+    unit: str
+    default: float
+    low: float
+    high: float
+
+
+def quantity(default: float, unit: str, description: str, low: float, high: float) -> float:
+    """Make a dataclass field that carries its own documentation and range.
+
+    Args:
+        default: Value when none is given, in `unit`.
+        unit: Unit as people write it; empty for a pure number.
+        description: What the parameter means.
+        low: Smallest legal value.
+        high: Largest legal value.
+    """
+    metadata = {
+        "description": description,
+        "unit": unit,
+        "default": default,
+        "low": low,
+        "high": high,
+    }
+    return field(default=default, metadata=metadata)
+
+
+def quantities(parameters: DataclassInstance | type[DataclassInstance]) -> Iterator[Quantity]:
+    """List the quantities of a parameter dataclass (its class or an instance of it)."""
+    for one in fields(parameters):
+        if "unit" in one.metadata:
+            yield Quantity(name=one.name, **one.metadata)
+
+
+def check_quantities(parameters: DataclassInstance) -> None:
+    """Hold every quantity of a parameter dataclass against its range.
+
+    Raises:
+        ParameterError: The first value that is not finite or lies outside its range.
+    """
+    for one in quantities(parameters):
+        place = f"{type(parameters).__name__}.{one.name}"
+        check_range(place, getattr(parameters, one.name), one.low, one.high, one.unit)
+
+
+def check_range(place: str, value: float, low: float, high: float, unit: str) -> None:
+    """Refuse a value that is not finite or lies outside `low`…`high`.
+
+    Raises:
+        ParameterError: Names the place, the value and the range.
+    """
+    if not (math.isfinite(value) and low <= value <= high):
+        raise ParameterError(place, value, f"must lie in {low:g}…{high:g} {unit}".rstrip())

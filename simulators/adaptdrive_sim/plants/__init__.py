@@ -1,0 +1,1 @@
+"""Physics: boost stage, dc/dc stage and loads."""

@@ -1,0 +1,53 @@
+"""The shape that every simulated load shares.
+
+Seen from the secondary of the dc/dc stage a load is an electromotive force behind a resistance;
+what happens behind them (a turning shaft, warming water, a filling battery) is its own affair.
+The boost stage needs only those two numbers, and the load needs only the source that feeds it.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+
+class Load(Protocol):
+    """One simulated load, stepped by whole half line cycles."""
+
+    @property
+    def emf_V(self) -> float:
+        """Terminal voltage without current, at this instant."""
+
+    @property
+    def resistance_Ohm(self) -> float:
+        """Series resistance between the terminals and the electromotive force."""
+
+    @property
+    def output(self) -> float:
+        """The regulated quantity without measurement noise, in its own unit."""
+
+    def drive(self, source_V: float, source_Ohm: float, duration_s: float) -> float:
+        """Advance while a constant voltage behind a resistance feeds the load.
+
+        Returns:
+            Mean current from the source, in ampere.
+        """
+
+    def coast(self, duration_s: float) -> None:
+        """Advance without any current."""
+
+    def settle(self, source_V: float, source_Ohm: float) -> None:
+        """Put the load at rest under a constant source, filters included."""
+
+    def source_for(self, output: float, source_Ohm: float) -> float:
+        """Find the source voltage at which the load rests with the given output."""
+
+    def model(self, ratio: float, source_Ohm: float) -> dict[str, float]:
+        """Parameters of the linear model from boost voltage to output, by name.
+
+        Args:
+            ratio: Load-side volts per volt of boost voltage.
+            source_Ohm: Resistance of the source that feeds the load.
+        """
+
+    def state(self) -> dict[str, float]:
+        """What goes on inside, by name with unit."""

@@ -1,0 +1,230 @@
+"""A permanent-magnet motor that turns a stack of disks, and its filtered tachometer.
+
+With the shaft speed ω, the source V behind R_d and the load torque T:
+
+    J·dω/dt = K·i − f·ω − T,   i = (V − K·ω)/(R_d + R_f)
+    τ_f·dy/dt = c·ω − y
+
+Both are linear, so that one step is exact for a source that stays constant over it. The load
+torque is a brake: it opposes forward rotation and can stop the shaft but not turn it back.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adaptdrive_sim.parameters import check_quantities, check_range, quantity
+
+DISKS_MAX = 10
+TORQUE_MAX_Nm = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class MotorParameters:
+    """Motor, disks and tachometer.
+
+    Attributes:
+        dropped_at_rest: A disk added to the turning shaft is at rest when it lands, so that the
+            speed drops as angular momentum is shared. Otherwise the inertia alone changes and
+            the speed stays, which is the standard experiment. A disk taken away never changes
+            the speed.
+    """
+
+    resistance_Ohm: float = quantity(3.0, "Ω", "armature resistance, R_f", 0.01, 1e3)
+    constant_Vs: float = quantity(0.30, "V s/rad", "back-EMF and torque constant, K", 1e-3, 1e2)
+    friction_Nms: float = quantity(0.0125, "N m s/rad", "viscous friction, f", 0.0, 10.0)
+    disk_kgm2: float = quantity(
+        0.4095, "kg m²", "inertia of one disk (the first includes the shaft), J", 1e-4, 1e3
+    )
+    tachometer_Vs: float = quantity(0.020533, "V s/rad", "tachometer constant, c", 1e-5, 10.0)
+    filter_s: float = quantity(10.0, "s", "time constant of the tachometer filter, τ_f", 1e-2, 1e3)
+    dropped_at_rest: bool = False
+
+    def __post_init__(self) -> None:
+        check_quantities(self)
+
+
+class Motor:
+    """Shaft, disks and tachometer filter.
+
+    Attributes:
+        speed_rad_s: Shaft speed.
+        output: Filtered tachometer voltage.
+    """
+
+    def __init__(self, parameters: MotorParameters, disks: int = 1) -> None:
+        self.parameters = parameters
+        self.resistance_Ohm = parameters.resistance_Ohm
+        self.speed_rad_s = 0.0
+        self.output = 0.0
+        self._torque_Nm = 0.0
+        self._disks = 1
+        self._driven = _NO_STEP
+        self._coasting = _NO_STEP
+        self.disks = disks
+
+    @property
+    def emf_V(self) -> float:
+        """Back-EMF, K·ω."""
+        return self.parameters.constant_Vs * self.speed_rad_s
+
+    @property
+    def disks(self) -> int:
+        """Disks on the shaft."""
+        return self._disks
+
+    @disks.setter
+    def disks(self, disks: int) -> None:
+        check_range("disks", disks, 1, DISKS_MAX, "")
+        if self.parameters.dropped_at_rest and disks > self._disks:
+            self.speed_rad_s *= self._disks / disks
+        self._disks = disks
+        self._driven = self._coasting = _NO_STEP
+
+    @property
+    def inertia_kgm2(self) -> float:
+        """Inertia of the shaft with its disks, J."""
+        return self.parameters.disk_kgm2 * self._disks
+
+    @property
+    def torque_Nm(self) -> float:
+        """Load torque besides friction."""
+        return self._torque_Nm
+
+    @torque_Nm.setter
+    def torque_Nm(self, torque_Nm: float) -> None:
+        check_range("torque_Nm", torque_Nm, 0.0, TORQUE_MAX_Nm, "N m")
+        self._torque_Nm = torque_Nm
+
+    def drive(self, source_V: float, source_Ohm: float, duration_s: float) -> float:
+        """Advance while a constant voltage behind a resistance feeds the armature."""
+        step = self._driven
+        if step.duration_s != duration_s or step.source_Ohm != source_Ohm:
+            step = self._driven = self._step(self._damping(source_Ohm), source_Ohm, duration_s)
+        constant = self.parameters.constant_Vs
+        per_Ohm = 1.0 / (source_Ohm + self.resistance_Ohm)
+        torque_Nm = constant * per_Ohm * source_V - self._torque_Nm
+        return (source_V - constant * self._advance(step, torque_Nm)) * per_Ohm
+
+    def coast(self, duration_s: float) -> None:
+        """Advance with the armature open: friction and load torque alone act."""
+        step = self._coasting
+        if step.duration_s != duration_s:
+            friction = self.parameters.friction_Nms
+            step = self._coasting = self._step(friction, math.inf, duration_s)
+        self._advance(step, -self._torque_Nm)
+
+    def settle(self, source_V: float, source_Ohm: float) -> None:
+        """Put shaft and filter at rest under a constant source."""
+        per_Ohm = 1.0 / (source_Ohm + self.resistance_Ohm)
+        torque_Nm = self.parameters.constant_Vs * per_Ohm * source_V - self._torque_Nm
+        self.speed_rad_s = max(0.0, torque_Nm / self._damping(source_Ohm))
+        self.output = self.parameters.tachometer_Vs * self.speed_rad_s
+
+    def source_for(self, output: float, source_Ohm: float) -> float:
+        """Find the source voltage that holds a tachometer voltage."""
+        speed_rad_s = output / self.parameters.tachometer_Vs
+        torque_Nm = self._damping(source_Ohm) * speed_rad_s + self._torque_Nm
+        return torque_Nm * (source_Ohm + self.resistance_Ohm) / self.parameters.constant_Vs
+
+    def model(self, ratio: float, source_Ohm: float) -> dict[str, float]:
+        """Gain and time constants from boost voltage to filtered tachometer voltage."""
+        own, damping = self.parameters, self._damping(source_Ohm)
+        per_Ohm = 1.0 / (source_Ohm + self.resistance_Ohm)
+        return {
+            "gain": own.tachometer_Vs * ratio * own.constant_Vs * per_Ohm / damping,
+            "tau_motor_s": self.inertia_kgm2 / damping,
+            "tau_filter_s": own.filter_s,
+        }
+
+    def state(self) -> dict[str, float]:
+        """Disks, speed and load torque."""
+        return {
+            "disks": self._disks,
+            "speed_rad_s": self.speed_rad_s,
+            "torque_Nm": self._torque_Nm,
+        }
+
+    def _damping(self, source_Ohm: float) -> float:
+        """Torque per speed, electrical part included: f + K²/(R_d + R_f)."""
+        constant = self.parameters.constant_Vs
+        return self.parameters.friction_Nms + constant * constant / (
+            source_Ohm + self.resistance_Ohm
+        )
+
+    def _step(self, damping: float, source_Ohm: float, duration_s: float) -> _Step:
+        rate = damping / self.inertia_kgm2
+        return _Step.of(rate, damping, self.parameters.filter_s, source_Ohm, duration_s)
+
+    def _advance(self, step: _Step, torque_Nm: float) -> float:
+        """Advance under a constant torque; the mean speed over the step is returned."""
+        speed = self.speed_rad_s
+        if step.damping > 0.0:
+            rest = torque_Nm / step.damping
+            excess = speed - rest
+            mean = rest + excess * step.mean
+            last = rest + excess * step.decay
+        else:
+            gained = torque_Nm / self.inertia_kgm2 * step.duration_s
+            rest, excess = speed + 0.5 * gained, 0.0
+            mean, last = rest, speed + gained
+        if last < 0.0:
+            last = rest = excess = mean = 0.0
+        target = self.parameters.tachometer_Vs * rest
+        self.output = (
+            target
+            + (self.output - target) * step.filter_decay
+            + self.parameters.tachometer_Vs * excess * step.filter_share
+        )
+        self.speed_rad_s = last
+        return mean
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """What one step of given length does to shaft and filter.
+
+    Attributes:
+        duration_s: Length of the step.
+        source_Ohm: Source resistance it was made for.
+        damping: Torque per speed.
+        decay: What is left of a speed excess at the end.
+        mean: Mean of that excess over the step.
+        filter_decay: What is left of an output excess at the end.
+        filter_share: What a speed excess at the start adds to the output at the end.
+    """
+
+    duration_s: float
+    source_Ohm: float
+    damping: float
+    decay: float
+    mean: float
+    filter_decay: float
+    filter_share: float
+
+    @staticmethod
+    def of(
+        rate: float, damping: float, filter_s: float, source_Ohm: float, duration_s: float
+    ) -> _Step:
+        """Work out the step of a shaft that decays at `rate` (1/s)."""
+        angle = rate * duration_s
+        half_gap = 0.5 * (duration_s / filter_s - angle)
+        middle = math.exp(-0.5 * (duration_s / filter_s + angle))
+        return _Step(
+            duration_s=duration_s,
+            source_Ohm=source_Ohm,
+            damping=damping,
+            decay=math.exp(-angle),
+            mean=-math.expm1(-angle) / angle if angle else 1.0,
+            filter_decay=math.exp(-duration_s / filter_s),
+            filter_share=duration_s / filter_s * middle * _sinhc(half_gap),
+        )
+
+
+def _sinhc(z: float) -> float:
+    """sinh(z)/z, also at 0, where shaft and filter have the same time constant."""
+    return math.sinh(z) / z if abs(z) > 1e-4 else 1.0 + z * z / 6.0
+
+
+_NO_STEP = _Step(math.nan, math.nan, 0.0, 0.0, 0.0, 0.0, 0.0)

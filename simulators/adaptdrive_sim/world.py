@@ -1,0 +1,187 @@
+"""The simulated plant as a whole, stepped by one half line cycle at a time.
+
+Between the frames n and n+1 the world runs one interval. `step` takes the command that was
+computed from frame n, runs that interval under the command *before* it, and returns frame n+1:
+the drive latches a command at the end of the half cycle in which it arrives. This is the one
+half cycle of delay between a frame and the command's effect, and it exists nowhere else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from adaptdrive_sim.line import Line, LineParameters
+from adaptdrive_sim.noise import NoiseParameters, samples
+from adaptdrive_sim.parameters import ParameterError
+from adaptdrive_sim.plants.boost import Boost, BoostParameters
+from adaptdrive_sim.plants.coupling import Coupling, CouplingParameters
+from adaptdrive_sim.plants.load import Load
+
+
+@dataclass(frozen=True, slots=True)
+class WorldParameters:
+    """Everything but the load.
+
+    Attributes:
+        line: The ac line.
+        boost: The boost stage.
+        coupling: The dc/dc stage.
+        noise: Measurement noise of the output.
+        sampling_phase_rad: Where in the ripple the boost voltage is sampled, as a phase of the
+            line's double frequency; 0 is the zero crossing, where the ripple vanishes.
+        seed: Seed of the noise.
+    """
+
+    line: LineParameters = field(default_factory=LineParameters)
+    boost: BoostParameters = field(default_factory=BoostParameters)
+    coupling: CouplingParameters = field(default_factory=CouplingParameters)
+    noise: NoiseParameters = field(default_factory=NoiseParameters)
+    sampling_phase_rad: float = 0.0
+    seed: int = 0
+
+
+class Sample(NamedTuple):
+    """What the drive measures at the end of a half cycle.
+
+    Attributes:
+        tick: Half cycles since the start.
+        tick_period_s: Length of the elapsed half cycle.
+        boost_voltage_V: v_bst at the sampling phase, ripple included.
+        line_voltage_V: Line voltage of the elapsed half cycle, rms.
+        load_power_W: Mean power from the boost capacitor over the elapsed half cycle.
+        output: Regulated quantity with measurement noise.
+        load_current_A: Mean load current over the elapsed half cycle.
+    """
+
+    tick: int
+    tick_period_s: float
+    boost_voltage_V: float
+    line_voltage_V: float
+    load_power_W: float
+    output: float
+    load_current_A: float
+
+
+class World:
+    """Line, boost stage, dc/dc stage and load."""
+
+    def __init__(self, load: Load, parameters: WorldParameters | None = None) -> None:
+        """Join a load to a drive whose capacitor is charged to the line's peak.
+
+        Args:
+            load: Any simulated load, in whatever state it is.
+            parameters: The drive; the reference plant when left out.
+        """
+        self.parameters = parameters or WorldParameters()
+        self.load = load
+        self.line = Line(self.parameters.line)
+        self.coupling = Coupling(self.parameters.coupling)
+        self.boost = Boost(self.parameters.boost, self.parameters.line.voltage_V * 2.0**0.5)
+        self.tick = 0
+        self.load_current_A = 0.0
+        self.current_scale_S = 0.0
+        self.bridge = False
+        self._generator = np.random.default_rng(self.parameters.seed)
+        self.noise = self.parameters.noise
+
+    @property
+    def noise(self) -> NoiseParameters:
+        """Measurement noise of the output; may be changed at any time."""
+        return self._noise
+
+    @noise.setter
+    def noise(self, noise: NoiseParameters) -> None:
+        self._noise = noise
+        self._draws = None if noise.silent else samples(noise, self._generator)
+
+    @property
+    def true_output(self) -> float:
+        """The regulated quantity without measurement noise."""
+        return self.load.output
+
+    @property
+    def true_model(self) -> dict[str, float]:
+        """Parameters of the load's linear model, by formula."""
+        return self.load.model(self.coupling.ratio, self.coupling.droop_Ohm)
+
+    def settle(self, boost_voltage_V: float) -> None:
+        """Put everything at rest at a boost voltage, bridge on, with the command that holds it.
+
+        Raises:
+            ParameterError: The line's peak lies above that voltage.
+        """
+        peak_V = self.line.voltage_V * 2.0**0.5
+        if not boost_voltage_V >= peak_V:
+            rule = f"must be at least the line's peak of {peak_V:.1f} V"
+            raise ParameterError("boost_voltage_V", boost_voltage_V, rule)
+        source_V = self.coupling.ratio * boost_voltage_V
+        self.load.settle(source_V, self.coupling.droop_Ohm)
+        conductance_S, offset_A = self.coupling.draw(self.load.emf_V, self.load.resistance_Ohm)
+        primary_A = conductance_S * boost_voltage_V - offset_A
+        self.boost.settle(boost_voltage_V, boost_voltage_V * primary_A)
+        self.load_current_A = primary_A / self.coupling.ratio
+        self.current_scale_S = boost_voltage_V * primary_A / self.line.voltage_V**2
+        self.bridge = True
+
+    def boost_voltage_for(self, output: float) -> float:
+        """Find the boost voltage at which the load rests with the given output."""
+        return self.load.source_for(output, self.coupling.droop_Ohm) / self.coupling.ratio
+
+    def shut(self) -> None:
+        """Bring the drive into its safe state now: k = 0, bridge off, no load current."""
+        self.current_scale_S = 0.0
+        self.bridge = False
+        self.load_current_A = 0.0
+
+    def step(self, current_scale_S: float, bridge: bool) -> Sample:
+        """Run one half cycle under the latched command, then latch the given one.
+
+        Args:
+            current_scale_S: Line-current scale k computed from the last frame.
+            bridge: Whether the bridge may feed the load, likewise.
+
+        Returns:
+            The frame at the end of the half cycle.
+        """
+        line, boost = self.line, self.boost
+        line.advance()
+        duration_s = line.half_cycle_s
+        boost_V = self._run(line.voltage_V, duration_s)
+        if self.parameters.sampling_phase_rad:
+            boost_V += boost.ripple_V(self.parameters.sampling_phase_rad, duration_s)
+        output = self.load.output
+        if self._draws is not None:
+            output += next(self._draws)
+        self.tick += 1
+        self.current_scale_S = current_scale_S
+        self.bridge = bridge
+        return Sample(
+            self.tick,
+            duration_s,
+            boost_V,
+            line.voltage_V,
+            boost.mean_load_W,
+            output,
+            self.load_current_A,
+        )
+
+    def _run(self, line_V: float, duration_s: float) -> float:
+        """Advance boost stage and load under the latched command."""
+        load, boost, scale_S = self.load, self.boost, self.current_scale_S
+        if not self.bridge:
+            load.coast(duration_s)
+            self.load_current_A = 0.0
+            return boost.advance(scale_S, line_V, 0.0, 0.0, duration_s)
+        emf_V = load.emf_V
+        conductance_S, offset_A = self.coupling.draw(emf_V, load.resistance_Ohm)
+        end_V = boost.advance(scale_S, line_V, conductance_S, offset_A, duration_s)
+        source_V = self.coupling.ratio * boost.mean_voltage_V
+        if source_V > emf_V or self.parameters.boost.bidirectional:
+            self.load_current_A = load.drive(source_V, self.coupling.droop_Ohm, duration_s)
+        else:
+            load.coast(duration_s)
+            self.load_current_A = 0.0
+        return end_V

@@ -1,0 +1,211 @@
+"""The plant as a whole: delay, energy, rest, noise, determinism."""
+
+import itertools
+import math
+import statistics
+
+import pytest
+from scipy.integrate import solve_ivp
+
+from adaptdrive_sim.line import LineParameters
+from adaptdrive_sim.noise import NoiseParameters
+from adaptdrive_sim.parameters import ParameterError
+from adaptdrive_sim.plants.boost import BoostParameters
+from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from adaptdrive_sim.world import Sample, World, WorldParameters
+
+ROUGH = WorldParameters(
+    line=LineParameters(drift_Hz=0.1, wander=0.1, drift_period_s=5.0, wander_period_s=3.0),
+    noise=NoiseParameters(sigma=0.01, spike_share=0.02, spike_sigma=0.1),
+    sampling_phase_rad=1.0,
+    seed=7,
+)
+
+
+def world(parameters: WorldParameters | None = None, disks: int = 1) -> World:
+    return World(Motor(MotorParameters(), disks), parameters)
+
+
+def run(plant: World, ticks: int) -> list[Sample]:
+    return [plant.step(0.03 + 0.02 * math.sin(0.01 * n), n % 500 < 400) for n in range(ticks)]
+
+
+def test_the_same_seed_gives_the_same_samples_bit_for_bit() -> None:
+    assert run(world(ROUGH), 6000) == run(world(ROUGH), 6000)
+
+
+def test_samples_are_plain_numbers() -> None:
+    assert {type(value) for value in run(world(ROUGH), 2)[1]} == {int, float}
+
+
+def test_a_command_acts_one_half_cycle_after_its_frame() -> None:
+    plant = world()
+    at_rest_V = plant.boost.voltage_V
+    first = plant.step(0.1, bridge=True)
+    second = plant.step(0.0, bridge=False)
+    third = plant.step(0.0, bridge=False)
+    assert first.boost_voltage_V == pytest.approx(at_rest_V)
+    assert first.load_current_A == 0.0
+    assert second.boost_voltage_V > at_rest_V + 10.0
+    assert second.load_current_A > 0.0
+    assert third.load_current_A == 0.0
+
+
+def test_shutting_acts_at_once() -> None:
+    plant = world()
+    plant.settle(300.0)
+    plant.shut()
+    sample = plant.step(0.0, bridge=False)
+    assert sample.load_current_A == 0.0
+    assert sample.load_power_W == 0.0
+    assert sample.boost_voltage_V == 300.0
+
+
+def test_settled_at_280_V_the_plant_has_its_published_operating_point_and_keeps_it() -> None:
+    plant = world()
+    plant.settle(280.0)
+    scale_S = plant.current_scale_S
+    for _ in range(12_000):
+        sample = plant.step(scale_S, bridge=True)
+    assert sample.boost_voltage_V == pytest.approx(280.0, rel=1e-9)
+    assert sample.load_power_W == pytest.approx(437.5, rel=1e-9)
+    assert plant.load.state()["speed_rad_s"] == pytest.approx(150.0, rel=1e-9)
+
+
+def test_boost_voltage_for_an_output_rests_there() -> None:
+    plant = world(disks=2)
+    plant.settle(plant.boost_voltage_for(3.2))
+    assert plant.true_output == pytest.approx(3.2, rel=1e-12)
+
+
+def test_rest_below_the_peak_of_the_line_is_refused() -> None:
+    with pytest.raises(ParameterError, match=r"boost_voltage_V = 150\.0 .* peak of 169\.7 V"):
+        world().settle(150.0)
+
+
+def test_stage_and_motor_together_agree_with_an_independent_integrator() -> None:
+    plant, own = world(), MotorParameters()
+    plant.settle(273.0)
+    start = [273.0**2, plant.load.emf_V / own.constant_Vs, plant.true_output]
+    scale_S = 0.1
+    plant.current_scale_S = scale_S
+
+    def slope(_: float, state: list[float]) -> list[float]:
+        v = math.sqrt(state[0])
+        current = (0.25 * v - own.constant_Vs * state[1]) / 4.0
+        return [
+            2000.0 * (scale_S * 120.0**2 - v * 0.25 * current),
+            (own.constant_Vs * current - own.friction_Nms * state[1]) / own.disk_kgm2,
+            (own.tachometer_Vs * state[1] - state[2]) / own.filter_s,
+        ]
+
+    true = solve_ivp(slope, (0.0, 1.0), start, rtol=1e-11, atol=1e-9).y[:, -1]
+    for _ in range(120):
+        sample = plant.step(scale_S, bridge=True)
+    assert sample.boost_voltage_V == pytest.approx(math.sqrt(true[0]), abs=0.02)
+    assert plant.load.state()["speed_rad_s"] == pytest.approx(true[1], abs=2e-3)
+    assert sample.output == pytest.approx(true[2], abs=2e-5)
+
+
+def test_energy_from_the_line_ends_in_the_capacitor_or_the_load() -> None:
+    plant = world(ROUGH)
+    stored = plant.boost.squared_V2
+    line_J = load_J = 0.0
+    for n in range(3000):
+        sample = plant.step(0.03 + 0.02 * math.sin(0.01 * n), n % 500 < 400)
+        line_J += plant.boost.mean_line_W * sample.tick_period_s
+        load_J += sample.load_power_W * sample.tick_period_s
+    stored_J = 0.5 * 1e-3 * (plant.boost.squared_V2 - stored)
+    assert line_J == pytest.approx(load_J + stored_J, rel=1e-9)
+
+
+def test_power_into_the_dc_dc_stage_is_power_at_the_load_and_in_the_droop() -> None:
+    plant = world()
+    plant.settle(300.0)
+    for n in range(600):
+        sample = plant.step(0.03 + 0.02 * math.sin(0.05 * n), bridge=True)
+        source_W = 0.25 * plant.boost.mean_voltage_V * sample.load_current_A
+        assert sample.load_power_W == pytest.approx(source_W, rel=2e-3)
+
+
+def test_from_290_to_200_V_the_current_of_the_reference_plant_stays_positive() -> None:
+    plant = world()
+    plant.settle(290.0)
+    ticks, current_A = 0, math.inf
+    while plant.boost.voltage_V > 200.0:
+        current_A = plant.step(0.0, bridge=True).load_current_A
+        ticks += 1
+    assert ticks / 120.0 == pytest.approx(0.17, abs=0.09)
+    assert current_A == pytest.approx(0.9, abs=0.1)
+
+
+def test_a_one_way_drive_does_not_brake_a_shaft_that_turns_too_fast() -> None:
+    plant = world()
+    plant.settle(400.0)
+    plant.boost.settle(180.0, 0.0)
+    plant.step(0.0, bridge=True)
+    assert plant.step(0.0, bridge=True).load_current_A == 0.0
+
+
+def test_a_two_way_drive_does_brake_it() -> None:
+    plant = world(WorldParameters(boost=BoostParameters(bidirectional=True)))
+    plant.settle(400.0)
+    plant.boost.settle(180.0, 0.0)
+    sample = plant.step(0.0, bridge=True)
+    assert sample.load_current_A < 0.0
+    assert sample.boost_voltage_V > 180.0
+
+
+def test_the_noise_has_the_asked_deviation_and_leaves_the_truth_alone() -> None:
+    plant = world(WorldParameters(noise=NoiseParameters(sigma=0.004)))
+    plant.settle(280.0)
+    scale_S = plant.current_scale_S
+    errors = [plant.step(scale_S, bridge=True).output - plant.true_output for _ in range(8000)]
+    assert statistics.fmean(errors) == pytest.approx(0.0, abs=2e-4)
+    assert statistics.stdev(errors) == pytest.approx(0.004, rel=0.05)
+    assert plant.true_output == pytest.approx(280.0 * plant.true_model["gain"], rel=1e-9)
+
+
+def test_spikes_strike_the_asked_share_of_samples() -> None:
+    plant = world(WorldParameters(noise=NoiseParameters(spike_share=0.02, spike_sigma=0.5)))
+    struck = [plant.step(0.0, bridge=False).output != plant.true_output for _ in range(10_000)]
+    assert statistics.fmean(struck) == pytest.approx(0.02, abs=0.006)
+
+
+def test_noise_can_be_silenced_while_it_runs() -> None:
+    plant = world(ROUGH)
+    plant.step(0.0, bridge=False)
+    plant.noise = NoiseParameters()
+    assert plant.step(0.0, bridge=False).output == plant.true_output
+
+
+def test_the_line_drifts_and_wanders_within_its_bounds_and_reaches_them() -> None:
+    samples = run(world(ROUGH), 6000)
+    frequencies = [0.5 / sample.tick_period_s for sample in samples]
+    voltages = [sample.line_voltage_V for sample in samples]
+    assert (min(frequencies), max(frequencies)) == pytest.approx((59.9, 60.1), abs=1e-3)
+    assert (min(voltages), max(voltages)) == pytest.approx((108.0, 132.0), abs=0.1)
+
+
+@pytest.mark.parametrize("line", [LineParameters(), LineParameters(wander=1e-9)])
+def test_a_sag_takes_its_share_for_its_time(line: LineParameters) -> None:
+    plant = world(WorldParameters(line=line))
+    plant.step(0.0, bridge=False)
+    plant.line.sag(0.2, 0.1)
+    voltages = [plant.step(0.0, bridge=False).line_voltage_V for _ in range(40)]
+    runs = [(round(v), len(list(same))) for v, same in itertools.groupby(voltages, round)]
+    assert runs == [(96, 12), (120, 28)]
+
+
+def test_a_sag_can_be_called_off() -> None:
+    plant = world()
+    plant.line.sag(0.5, 10.0)
+    assert plant.step(0.0, bridge=False).line_voltage_V == 60.0
+    plant.line.sag(0.0, 0.0)
+    assert plant.step(0.0, bridge=False).line_voltage_V == 120.0
+
+
+@pytest.mark.parametrize(("fraction", "duration_s"), [(1.1, 1.0), (-0.1, 1.0), (0.2, 61.0)])
+def test_an_impossible_sag_is_refused(fraction: float, duration_s: float) -> None:
+    with pytest.raises(ParameterError, match="must lie in"):
+        world().line.sag(fraction, duration_s)
