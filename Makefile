@@ -1,0 +1,54 @@
+# Everything here runs from a bare checkout with python3 (3.11 or newer) and its venv module.
+# `make` on its own lists the targets.
+
+PYTHON ?= python3
+EXTRAS := sim,panel,dev
+
+venv := .venv
+bin := $(venv)/bin
+# The stamp's name follows the content of both files: an unchanged checkout never reinstalls.
+installed := $(venv)/.installed-$(firstword $(shell cat pyproject.toml constraints.txt | cksum))
+
+.PHONY: help demo test lint docs wheel constraints clean
+
+help:
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 20
+
+demo: $(installed) ## watch the motor being held while disks drop onto its shaft
+	$(bin)/adaptdrive-sim demo motor
+
+test: $(installed) ## run the whole test suite
+	@tests/install-peers
+	$(bin)/python -m pytest -rs
+
+lint: $(installed) ## lint, formatting, types and import layers
+	$(bin)/ruff check
+	$(bin)/ruff format --check
+	$(bin)/mypy
+	$(bin)/lint-imports
+
+docs: $(installed) ## write the pages that are made from the code
+	$(bin)/python -m adaptdrive.config.reference docs/configuration.md
+
+wheel: $(installed) ## build the wheel into dist/
+	rm -rf dist
+	$(bin)/python -m build --wheel --no-isolation
+
+constraints: ## pin the newest versions of all dependencies
+	rm -rf build/constraints
+	$(PYTHON) -m venv build/constraints
+	build/constraints/bin/python -m pip install --quiet --editable '.[$(EXTRAS)]'
+	{ echo '# Made by `make constraints`: every version of the environment that the tests passed in.'; \
+	  build/constraints/bin/python -m pip freeze --exclude-editable; } > build/constraints.txt
+	! grep --invert-match --extended-regexp '^(#.*|[A-Za-z0-9._-]+==[A-Za-z0-9.!+]+)$$' build/constraints.txt
+	mv build/constraints.txt constraints.txt
+
+clean: ## remove what was built and cached; the environment in .venv stays
+	rm -rf build dist .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	find src simulators tests -name __pycache__ -prune -exec rm -rf {} +
+
+$(installed): pyproject.toml constraints.txt
+	test -x $(bin)/python || $(PYTHON) -m venv $(venv)
+	$(bin)/python -m pip install --quiet --constraint constraints.txt --editable '.[$(EXTRAS)]'
+	rm -f $(venv)/.installed-*
+	touch $@

@@ -1,0 +1,91 @@
+"""Fixtures for every test: leaked tasks, free ports, real processes, a real broker."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import os
+import shutil
+import socket
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.support import (
+    Broker,
+    MosquittoLauncher,
+    Process,
+    Spawn,
+    free_port,
+    start_process,
+    stop_process,
+)
+
+
+@pytest.fixture(autouse=True)
+def _no_leaked_task(request: pytest.FixtureRequest) -> None:
+    if request.node.get_closest_marker("asyncio"):
+        request.getfixturevalue("_tasks_of_test")
+
+
+@pytest.fixture
+async def _tasks_of_test() -> AsyncIterator[None]:
+    """Fail the test when a task outlives it and the fixtures that it asked for."""
+    loop = asyncio.get_running_loop()
+    loop.set_debug(True)
+    loop.slow_callback_duration = math.inf  # a busy machine is no failure
+    before = asyncio.all_tasks()
+    yield
+    left = [task for task in asyncio.all_tasks() - before if task is not asyncio.current_task()]
+    cancelled = [task for task in left if task.cancelling()]
+    if cancelled:
+        await asyncio.wait(cancelled, timeout=1.0)
+    pending = [task for task in left if not task.done()]
+    if pending:
+        pytest.fail("the test left tasks pending:\n" + "\n".join(map(repr, pending)))
+
+
+@pytest.fixture
+def free_udp_port() -> int:
+    """A UDP port that nobody held a moment ago."""
+    return free_port(socket.SOCK_DGRAM)
+
+
+@pytest.fixture
+def free_tcp_port() -> int:
+    """A TCP port that nobody held a moment ago."""
+    return free_port(socket.SOCK_STREAM)
+
+
+@pytest.fixture
+def spawn(tmp_path: Path) -> Iterator[Spawn]:
+    """Start processes that end with the test; their output goes to `tmp_path/process-N.log`."""
+    running: list[Process] = []
+
+    def start(*command: str | Path) -> Process:
+        process = start_process(command, tmp_path / f"process-{len(running)}.log")
+        running.append(process)
+        return process
+
+    yield start
+    for process in reversed(running):
+        stop_process(process)
+
+
+@pytest.fixture(scope="session")
+def mosquitto_launcher(tmp_path_factory: pytest.TempPathFactory) -> MosquittoLauncher:
+    """For tests that stop and restart a broker of their own; they end what they start."""
+    program = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
+    if program is None:
+        pytest.skip("mosquitto is not installed")
+    return MosquittoLauncher(program, tmp_path_factory.mktemp("mosquitto"))
+
+
+@pytest.fixture(scope="session")
+def mosquitto(mosquitto_launcher: MosquittoLauncher) -> Iterator[Broker]:
+    """One real broker for all tests: use topics of your own."""
+    port = free_port(socket.SOCK_STREAM)
+    process = mosquitto_launcher.start(port)
+    yield Broker("127.0.0.1", port)
+    stop_process(process)

@@ -1,0 +1,85 @@
+"""What several tests need to talk to the world outside: ports, processes, a broker."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+Process = subprocess.Popen[bytes]
+
+
+class Spawn(Protocol):
+    """Starts a process that ends with the test."""
+
+    def __call__(self, *command: str | Path) -> Process: ...
+
+
+def free_port(kind: socket.SocketKind) -> int:
+    """A port of the loopback interface that nobody held a moment ago."""
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def start_process(command: Sequence[str | Path], log: Path) -> Process:
+    """Start a process without standard input; its output goes to `log`."""
+    with log.open("ab") as output:
+        return subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
+        )
+
+
+def stop_process(process: Process) -> None:
+    """End a process, by force when it does not end within ten seconds."""
+    process.terminate()
+    try:
+        process.wait(timeout=10.0)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+@dataclass(frozen=True, slots=True)
+class Broker:
+    """Where a running broker is."""
+
+    host: str
+    port: int
+
+
+@dataclass(frozen=True, slots=True)
+class MosquittoLauncher:
+    """Starts mosquitto on a port, as often as a test wants."""
+
+    program: str
+    folder: Path
+
+    def start(self, port: int) -> Process:
+        """Start a broker on the loopback interface and wait until it listens."""
+        settings = self.folder / f"mosquitto-{port}.conf"
+        settings.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
+        log = settings.with_suffix(".log")
+        process = start_process([self.program, "-c", settings], log)
+        try:
+            _await_listener(process, port, log)
+        except BaseException:
+            stop_process(process)
+            raise
+        return process
+
+
+def _await_listener(process: Process, port: int, log: Path) -> None:
+    deadline = time.monotonic() + 20.0
+    while time.monotonic() < deadline and process.poll() is None:
+        try:
+            socket.create_connection(("127.0.0.1", port), timeout=1.0).close()
+        except OSError:
+            time.sleep(0.02)
+        else:
+            return
+    raise AssertionError(f"mosquitto does not listen on port {port}: {log.read_text()}")
