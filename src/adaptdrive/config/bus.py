@@ -1,0 +1,71 @@
+"""`[bus]` and `[signals]`: where the drive is reached and which signal is which quantity."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from adaptdrive.config.section import FiniteFloat, Section
+
+
+class FrameIntegrity(Section):
+    """`[bus.integrity.MESSAGE]`: how a message proves that it is alive and whole."""
+
+    counter: str | None = Field(default=None, description="signal with the alive counter")
+    max_jump: int = Field(
+        default=3, ge=1, description="largest accepted advance of the alive counter"
+    )
+    checksum: str | None = Field(default=None, description="signal with the checksum")
+    algorithm: Literal["sae-j1850", "autosar-p01"] = Field(
+        default="sae-j1850", description="CRC-8 form of the checksum"
+    )
+    data_id: int = Field(default=0, ge=0, le=0xFFFF, description="data id of AUTOSAR profile 1")
+
+
+class CanBus(Section):
+    """`[bus]` with `type = "can"`."""
+
+    type: Literal["can"] = Field(default="can", description="kind of bus")
+    interface: Literal["socketcan", "udp_multicast", "virtual"] = Field(
+        description="python-can interface"
+    )
+    channel: str = Field(description="`can0`, a multicast group, or the name of a virtual bus")
+    udp_port: int = Field(default=43113, ge=1, le=65535, description="port of `udp_multicast`")
+    database: Path = Field(description="DBC file, relative to the configuration file")
+    clock: str = Field(description="message whose arrival is the fast tick")
+    integrity: dict[str, FrameIntegrity] = Field(
+        default_factory=dict, description="alive counters and checksums by message"
+    )
+
+
+class SignalSource(Section):
+    """One measured quantity: a signal, and a conversion to SI where its map has none."""
+
+    signal: str = Field(pattern=r"^[^.]+\.[^.]+$", description="`Message.Signal`")
+    scale: FiniteFloat = Field(default=1.0, description="SI units per unit of the signal")
+    offset: FiniteFloat = Field(default=0.0, description="SI value of a zero signal")
+
+
+class CommandSignals(Section):
+    """`[signals.command]`: which signals carry the command; absent ones are not sent."""
+
+    current_scale_S: str | None = Field(default=None, description="line-current scale k")
+    boost_reference_V: str | None = Field(default=None, description="V_c")
+    bridge: str | None = Field(default=None, description="bridge on (1) or off (0)")
+
+
+class Signals(Section):
+    """`[signals]`: which signal is which quantity."""
+
+    boost_voltage_V: SignalSource | str = Field(description="boost capacitor voltage v_bst")
+    line_voltage_V: SignalSource | str = Field(description="line voltage, rms")
+    load_power_W: SignalSource | str = Field(description="power into the load")
+    output: SignalSource | str = Field(description="the regulated quantity")
+    counter: SignalSource | str | None = Field(
+        default=None, description="half-cycle counter of the drive"
+    )
+    fault: SignalSource | str | None = Field(default=None, description="fault word, 0 = healthy")
+    bridge: SignalSource | str | None = Field(default=None, description="bridge is on")
+    command: CommandSignals = Field(default_factory=CommandSignals)

@@ -1,0 +1,66 @@
+"""`[drive]` and `[voltage_loop]`: the power stage and who holds its boost voltage."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from adaptdrive.config.section import PositiveFloat, Section
+
+
+class DriveLimits(Section):
+    """`[drive.limits]`: what the drive may be asked for."""
+
+    boost_reference_min_V: PositiveFloat = Field(
+        default=200.0, description="lowest V_c; must stay above the line's peak"
+    )
+    boost_reference_max_V: PositiveFloat = Field(default=400.0, description="highest V_c")
+    current_scale_max_S: PositiveFloat = Field(
+        default=0.15, description="largest line-current scale k (line current over line voltage)"
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.boost_reference_min_V >= self.boost_reference_max_V:
+            raise ValueError(
+                f"boost_reference_min_V = {self.boost_reference_min_V} must be below "
+                f"boost_reference_max_V = {self.boost_reference_max_V}"
+            )
+        return self
+
+
+class Drive(Section):
+    """`[drive]`: the power-electronic drive."""
+
+    name: str = Field(
+        pattern=r"^[A-Za-z0-9_-]{1,64}$", description="name in topics, sessions and commands"
+    )
+    kind: Literal["unidirectional", "bidirectional"] = Field(
+        default="unidirectional", description="whether load current may be negative"
+    )
+    line_frequency_Hz: Literal[50, 60] = Field(
+        default=60, description="line frequency; two fast ticks fit in one period"
+    )
+    line_voltage_V: PositiveFloat = Field(default=120.0, description="nominal line voltage, rms")
+    boost_capacitance_F: PositiveFloat = Field(default=1.0e-3, description="boost capacitor")
+    limits: DriveLimits = Field(default_factory=DriveLimits)
+
+    @model_validator(mode="after")
+    def _above_line_peak(self) -> Self:
+        peak = self.line_voltage_V * 2**0.5
+        if self.limits.boost_reference_min_V <= peak:
+            raise ValueError(
+                f"limits.boost_reference_min_V = {self.limits.boost_reference_min_V} must be "
+                f"above the line's peak of {peak:.1f} V"
+            )
+        return self
+
+
+class VoltageLoop(Section):
+    """`[voltage_loop]`: the fast loop that makes v_bst follow V_c."""
+
+    where: Literal["daemon", "drive"] = Field(
+        default="daemon", description="who computes the current scale from V_c"
+    )
+    feed_forward: bool = Field(default=True, description="add the measured load power")

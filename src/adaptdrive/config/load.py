@@ -1,0 +1,88 @@
+"""`[load]`, `[estimator]`, `[supervisor]`: the load, what learns it, and who checks that."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from adaptdrive.config.section import FiniteFloat, Fraction, PositiveFloat, Section
+
+
+class MotorModel(Section):
+    """`[load.model]` of a motor: what the fixed controller is designed for."""
+
+    gain: PositiveFloat = Field(description="g_m, output per volt of v_bst")
+    tau_motor_s: PositiveFloat = Field(description="mechanical time constant τ_m")
+    tau_filter_s: PositiveFloat = Field(description="time constant τ_f of the tachometer filter")
+
+
+class Motor(Section):
+    """`[load]` with `type = "motor"`."""
+
+    type: Literal["motor"] = Field(default="motor", description="kind of load")
+    period_s: PositiveFloat = Field(default=1.0, description="slow period T_k")
+    pole: Fraction = Field(default=0.70, description="closed-loop pole of the load loop")
+    pole_min: Fraction = Field(default=0.50, description="fastest pole an operator may ask for")
+    pole_max: Fraction = Field(default=0.98, description="slowest pole an operator may ask for")
+    design: Literal["exact", "paper"] = Field(
+        default="exact",
+        description="`exact`: held input, delays and filter in the model; "
+        "`paper`: impulse-invariant, single sample",
+    )
+    samples: int = Field(
+        default=60, ge=1, description="fast samples averaged for one slow one (`exact` only)"
+    )
+    latency_ticks: int = Field(
+        default=2, ge=1, description="fast ticks from the slow sample to its effect"
+    )
+    reference_min: FiniteFloat = Field(default=0.0, description="lowest set-point")
+    reference_max: FiniteFloat = Field(description="highest set-point")
+    output_name: str = Field(default="speed", description="name of the output for people")
+    output_unit: str = Field(default="V", description="unit of the output for people")
+    model: MotorModel
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.reference_min >= self.reference_max:
+            raise ValueError(
+                f"reference_min = {self.reference_min} must be below "
+                f"reference_max = {self.reference_max}"
+            )
+        if not self.pole_min <= self.pole <= self.pole_max:
+            raise ValueError(
+                f"pole = {self.pole} must lie in pole_min…pole_max = "
+                f"{self.pole_min}…{self.pole_max}"
+            )
+        return self
+
+
+class Estimator(Section):
+    """`[estimator]`: the recursive least squares that learn the load."""
+
+    method: Literal["lm-rls", "rls"] = Field(
+        default="lm-rls", description="λ-filtered or direct recursive least squares"
+    )
+    forgetting: float = Field(default=0.97, gt=0.5, le=1.0, description="forgetting factor ρ")
+    tau_lambda_s: PositiveFloat = Field(default=10.0, description="time constant of the λ filters")
+    dead_band: float = Field(
+        default=0.0, ge=0.0, description="skip updates while the output moves less than this"
+    )
+    initial_covariance: PositiveFloat = Field(default=1.0e4, description="P[0] = this times I")
+    settle_s: float = Field(
+        default=30.0, ge=0.0, description="time after start before the first update"
+    )
+
+
+class Supervisor(Section):
+    """`[supervisor]`: what estimates must satisfy before they reach the gains."""
+
+    warm_up_s: float = Field(
+        default=90.0, ge=0.0, description="time after start before adaptive may take over"
+    )
+    ratio_min: float = Field(
+        default=0.2, gt=0.0, lt=1.0, description="smallest accepted estimate over nominal"
+    )
+    ratio_max: float = Field(
+        default=8.0, gt=1.0, description="largest accepted estimate over nominal"
+    )

@@ -1,0 +1,55 @@
+"""`[interlocks]`, `[mqtt]`, `[recording]`, `[realtime]`: what surrounds the controller."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import Field
+
+from adaptdrive.config.section import FiniteFloat, PositiveFloat, Section
+
+
+class Interlocks(Section):
+    """`[interlocks]`: limits that trip the drive; a trip is latched until `reset`."""
+
+    stale_s: PositiveFloat = Field(default=0.05, description="oldest usable measurement")
+    boost_voltage_max_V: PositiveFloat = Field(default=430.0, description="over-voltage trip")
+    output_max: FiniteFloat = Field(description="over-speed (over-temperature) trip")
+    precharge_timeout_s: PositiveFloat = Field(
+        default=5.0, description="longest time in state `starting`"
+    )
+
+
+class Mqtt(Section):
+    """`[mqtt]`: the broker that carries state, telemetry and commands."""
+
+    host: str = Field(default="127.0.0.1", description="broker")
+    port: int = Field(default=1883, ge=1, le=65535, description="port of the broker")
+    tls: bool = Field(default=False, description="speak TLS")
+    ca_file: Path | None = Field(default=None, description="certificate authority for TLS")
+    username: str | None = Field(default=None, description="user name")
+    password_file: Path | None = Field(default=None, description="file that holds the password")
+    telemetry_Hz: float = Field(
+        default=10.0, gt=0.0, le=10.0, description="rate of `telemetry/drive`"
+    )
+
+
+class Recording(Section):
+    """`[recording]`: what is kept of a session."""
+
+    enabled: bool = Field(default=True, description="record sessions")
+    directory: Path | None = Field(
+        default=None, description="where sessions lie; $STATE_DIRECTORY/sessions or ./sessions"
+    )
+    flush_s: PositiveFloat = Field(default=2.0, description="longest time data stay unwritten")
+
+
+class Realtime(Section):
+    """`[realtime]`: how hard the fast loop is protected from the rest of the machine."""
+
+    timer_standin: bool = Field(
+        default=True, description="run a stand-in tick when the drive's frame is late"
+    )
+    late_fraction: float = Field(
+        default=0.5, gt=0.0, lt=1.0, description="lateness of a frame, in ticks, that calls it in"
+    )

@@ -1,0 +1,221 @@
+"""The whole two-rate controller: one object, `tick(measurement, order)` gives a command.
+
+At tick n = kQ the fast half leaves a `Snapshot`; the slow half makes a `Decision` of it; whoever
+runs the controller applies that decision right before the tick at which it takes effect. The same
+calls in the same order give the same commands bit for bit, live, simulated and replayed.
+"""
+
+from __future__ import annotations
+
+import math
+
+from adaptdrive.control import fast_half as fast
+from adaptdrive.control.estimator import parameter_deviations
+from adaptdrive.control.load import Load, to_input, to_voltage
+from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.control.signals import (
+    SAFE_COMMAND,
+    Command,
+    Decision,
+    Estimate,
+    Measurement,
+    Mode,
+    Order,
+    Snapshot,
+    Stage,
+)
+from adaptdrive.control.slow_half import SlowSample, SlowState, new_slow_state, slow_step
+from adaptdrive.control.supervisor import Verdict
+from adaptdrive.control.voltage_loop import initial_sum
+
+
+class Controller:
+    """Both halves of the controller of one drive and one load."""
+
+    def __init__(self, settings: ControllerSettings, load: Load) -> None:
+        """Build a controller at rest.
+
+        Args:
+            settings: Designs, rates and rules.
+            load: The load and its nominal model.
+        """
+        self._settings = settings
+        self._load = load
+        self._stage = Stage.OFF
+        self._fast = fast.FastState(tick=0, boost_reference_V=0.0, error_sum=0.0)
+        self._bank = self._new_bank(settings.rates.nominal_tick_s, 0.0, 0.0)
+        self._slow = new_slow_state(settings, load, 0.0, 0.0)
+        self._snapshot: Snapshot | None = None
+
+    def tick(self, measurement: Measurement, order: Order) -> Command:
+        """Run the fast half for one half line cycle.
+
+        Args:
+            measurement: What the drive and its sensors say; its values must be finite.
+            order: What is asked for.
+
+        Returns:
+            What the drive is to be told.
+        """
+        if order.stage is not self._stage:
+            self._enter(order.stage, measurement)
+        if order.stage is Stage.OFF:
+            return SAFE_COMMAND
+        if order.stage is Stage.RUN:
+            self._run_filters(measurement, order)
+        return self._drive(measurement, order.stage is Stage.RUN)
+
+    def take_snapshot(self) -> Snapshot | None:
+        """The snapshot made in the last tick, if any; only once."""
+        snapshot, self._snapshot = self._snapshot, None
+        return snapshot
+
+    def decide(self, snapshot: Snapshot) -> Decision:
+        """Run the slow half on a snapshot."""
+        state, settings = self._slow, self._settings
+        load_input = slow_step(settings, self._load, state, self._sample(snapshot))
+        voltage = to_voltage(load_input, self._load.input_gain, self._load.input_exponent)
+        taps = len(state.inputs)
+        gains = state.adaptive_gains if state.adaptive else state.fixed_gains
+        return Decision(
+            k=snapshot.k,
+            boost_reference_V=voltage,
+            controller=Mode.ADAPTIVE if state.adaptive else Mode.FIXED,
+            accepted=state.accepted,
+            reason=self._reason(snapshot.order.mode),
+            estimates=self._estimates(),
+            gains=(*gains, sum(gains[taps:])),
+            innovation=state.estimator.innovation,
+            excitation=state.estimator.excitation,
+            handover_step_V=state.handover_step,
+        )
+
+    def apply(self, decision: Decision) -> None:
+        """Let a decision take effect from the next tick on."""
+        if self._stage is Stage.RUN:
+            self._fast.boost_reference_V = decision.boost_reference_V
+
+    def _enter(self, stage: Stage, measurement: Measurement) -> None:
+        """Start a stage from what is measured now, so that it begins without a bump."""
+        self._stage = stage
+        self._snapshot = None
+        limits = self._settings.stage
+        voltage = measurement.boost_voltage_V
+        reference = min(max(voltage, limits.boost_reference_min_V), limits.boost_reference_max_V)
+        if stage is Stage.PRECHARGE:
+            reference = limits.boost_reference_min_V
+        self._fast = fast.FastState(
+            tick=measurement.tick,
+            boost_reference_V=reference,
+            error_sum=initial_sum(voltage),
+        )
+        if stage is Stage.RUN:
+            output = measurement.output
+            self._bank = self._new_bank(measurement.tick_period_s, output, voltage)
+            self._slow = new_slow_state(self._settings, self._load, output, voltage)
+
+    def _new_bank(self, tick_period_s: float, output: float, voltage: float) -> fast.FilterBank:
+        tau = self._settings.learning.tau_lambda_s
+        return fast.new_filter_bank(self._load, tick_period_s, tau, output, voltage)
+
+    def _run_filters(self, measurement: Measurement, order: Order) -> None:
+        state, bank, rates = self._fast, self._bank, self._settings.rates
+        load = self._load
+        load_input = to_input(measurement.boost_voltage_V, load.input_gain, load.input_exponent)
+        elapsed = measurement.tick - state.tick
+        if elapsed > 0:
+            fast.filter_sample(bank, measurement.output, load_input, elapsed)
+        fast.count_tick(state, measurement.boost_voltage_V, measurement.fresh)
+        into_period = measurement.tick % rates.ticks_per_period
+        if into_period == 0 or into_period > rates.ticks_per_period - rates.samples:
+            fast.accumulate(bank)
+        k = measurement.tick // rates.ticks_per_period
+        if k != (state.tick // rates.ticks_per_period):
+            self._snapshot = self._take(measurement, order, k)
+        state.tick = measurement.tick
+
+    def _take(self, measurement: Measurement, order: Order, k: int) -> Snapshot:
+        rates, learning, order_m = self._settings.rates, self._settings.learning, self._load.order
+        means = fast.take_means(self._bank)
+        applied_V, followed, held = fast.close_period(self._fast, self._settings)
+        fast.tune_filters(self._bank, measurement.tick_period_s, learning.tau_lambda_s)
+        return Snapshot(
+            k=k,
+            tick=measurement.tick,
+            period_s=rates.ticks_per_period * measurement.tick_period_s,
+            order=order,
+            output=means[0],
+            output_filtered=tuple(means[1 : order_m + 1]),
+            input_filtered=tuple(means[order_m + 1 :]),
+            applied_V=applied_V,
+            followed=followed,
+            held_ticks=held,
+        )
+
+    def _drive(self, measurement: Measurement, bridge: bool) -> Command:
+        stage, state = self._settings.stage, self._fast
+        scale = 0.0
+        if not stage.holds_voltage:
+            scale = fast.regulate_voltage(
+                state,
+                stage,
+                measurement.boost_voltage_V,
+                measurement.line_voltage_V,
+                measurement.load_power_W,
+                measurement.tick_period_s,
+            )
+        return Command(scale, state.boost_reference_V, bridge)
+
+    def _sample(self, snapshot: Snapshot) -> SlowSample:
+        load, stage = self._load, self._settings.stage
+        gain, exponent = load.input_gain, load.input_exponent
+        applied = to_input(snapshot.applied_V, gain, exponent)
+        return SlowSample(
+            period_s=snapshot.period_s,
+            output=snapshot.output,
+            output_filtered=list(snapshot.output_filtered),
+            input_filtered=list(snapshot.input_filtered),
+            applied=applied,
+            followed=snapshot.followed,
+            held_share=snapshot.held_ticks / self._settings.rates.ticks_per_period,
+            reference=snapshot.order.reference,
+            adaptive=snapshot.order.mode is Mode.ADAPTIVE,
+            pole=snapshot.order.pole,
+            low=to_input(stage.boost_reference_min_V, gain, exponent),
+            high=to_input(stage.boost_reference_max_V, gain, exponent),
+        )
+
+    def _estimates(self) -> dict[str, Estimate]:
+        state, load, learning = self._slow, self._load, self._settings.learning
+        if not learning.filtered or not math.isfinite(state.values[0]):
+            return {name: Estimate(math.nan, math.nan) for name in load.names}
+        deviations = parameter_deviations(state.estimator, learning, load, state.values)
+        return {
+            name: Estimate(value, deviation)
+            for name, value, deviation in zip(load.names, state.values, deviations, strict=True)
+        }
+
+    def _reason(self, mode: Mode) -> str:
+        state, jacket = self._slow, self._settings.jacket
+        verdict = Verdict(state.supervisor.verdict)
+        if verdict is Verdict.TRUSTED:
+            return "" if mode is Mode.ADAPTIVE else "fixed controller asked for"
+        if verdict is Verdict.WARMING_UP:
+            return f"warming up: {state.estimator.periods} of {jacket.warm_up_periods} periods"
+        if verdict is Verdict.OUT_OF_BOUNDS:
+            return self._out_of_bounds(state)
+        return _REASONS[verdict]
+
+    def _out_of_bounds(self, state: SlowState) -> str:
+        index, jacket = state.supervisor.culprit, self._settings.jacket
+        nominal = state.nominal[index]
+        low, high = jacket.ratio_min * nominal, jacket.ratio_max * nominal
+        name, value = self._load.names[index], state.values[index]
+        return f"estimate {name} = {value:.4g} outside {low:.4g}…{high:.4g}"
+
+
+_REASONS = {
+    Verdict.NOT_FINITE: "estimate is not finite",
+    Verdict.UNSTABLE_LOAD: "estimated load is unstable",
+    Verdict.UNSTABLE_LOOP: "designed loop would be unstable",
+}

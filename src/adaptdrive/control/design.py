@@ -1,0 +1,76 @@
+"""From a load model to the gains of the compensator, for both designs.
+
+`exact`: the held model with every delay of the loop in it: the latency of the decision, the lag
+of the voltage loop, and the averaging of the output. `paper`: the paper's own discretisation of a
+single, undelayed sample.
+"""
+
+from __future__ import annotations
+
+from adaptdrive.control.discretise import held_model, input_taps
+from adaptdrive.control.load import Load
+from adaptdrive.control.pole_placement import desired_polynomial, place_poles
+from adaptdrive.control.settings import ControllerSettings, Rates
+from adaptdrive.control.vectors import Vector
+from adaptdrive.control.voltage_loop import LAG_TICKS
+
+
+def loop_delay_ticks(rates: Rates) -> float:
+    """Fast ticks from a snapshot to the mean effect of its decision.
+
+    A mean over M samples ends half a tick after the last of them, when it is seen as an average
+    over M whole ticks.
+    """
+    delay = rates.latency_ticks + LAG_TICKS
+    return delay - 0.5 if rates.samples > 1 else delay
+
+
+def window_ticks(rates: Rates) -> float:
+    """Length of the averaging window, 0 for a single sample."""
+    return float(rates.samples) if rates.samples > 1 else 0.0
+
+
+def past_inputs(settings: ControllerSettings, load: Load) -> int:
+    """How many past inputs the compensator needs."""
+    if not settings.exact:
+        return load.paper_taps
+    rates = settings.rates
+    ticks = float(rates.ticks_per_period)
+    return input_taps(load.order, ticks, loop_delay_ticks(rates), window_ticks(rates))
+
+
+def discrete_model(
+    settings: ControllerSettings,
+    load: Load,
+    numerator: Vector,
+    denominator: Vector,
+    period_s: float,
+) -> tuple[Vector, Vector]:
+    """The model A, B in q^-1 that the chosen design works with."""
+    if not settings.exact:
+        return load.paper_model(numerator, denominator, period_s)
+    rates = settings.rates
+    tick_s = period_s / rates.ticks_per_period
+    delay_s, window_s = loop_delay_ticks(rates) * tick_s, window_ticks(rates) * tick_s
+    return held_model(numerator, denominator, period_s, delay_s, window_s)
+
+
+def compensator_gains(a: Vector, b: Vector, order: int, pole: float) -> Vector:
+    """The gains of the compensator for 2m equal poles.
+
+    Args:
+        a: A of the model.
+        b: B of the model.
+        order: m.
+        pole: The closed-loop pole.
+
+    Returns:
+        r_1 ... r_n, s_0 ... s_m; NaNs where the model cannot be controlled.
+    """
+    r, s = place_poles(a, b, desired_polynomial(pole, 2 * order))
+    gains = [0.0] * (len(r) - 1 + len(s))
+    for i in range(len(r) - 1):
+        gains[i] = r[i + 1]
+    for i in range(len(s)):
+        gains[len(r) - 1 + i] = s[i]
+    return gains

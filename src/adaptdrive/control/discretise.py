@@ -1,0 +1,251 @@
+"""From a continuous-time load model to the discrete one that the design needs.
+
+All models here are written in the backward shift q^-1:
+
+    y[k] + a_1 y[k-1] + ... + a_m y[k-m] = b_0 u[k] + b_1 u[k-1] + ... + b_n u[k-n]
+
+`held_model` is exact for an input that is held between slow instants, takes effect after a delay,
+and an output that is the mean over a window before the slow instant. It works from the response
+to a unit step, s(t), and its integral S(t): the sampled output after a step is
+
+    s_j = (S(j T - d) - S(j T - d - w)) / w         (s(j T - d) for a window w = 0)
+
+and B follows from A times the differences of s_j. A is the characteristic polynomial of the
+transition matrix over one period (Astrom and Wittenmark, Computer-Controlled Systems, chapter 2).
+"""
+
+from __future__ import annotations
+
+import math
+
+from adaptdrive.control.vectors import Vector
+
+_TAYLOR_TERMS = 18
+
+
+def held_model(
+    numerator: Vector, denominator: Vector, period_s: float, delay_s: float, window_s: float
+) -> tuple[Vector, Vector]:
+    """Exact discrete model of a load with held, delayed input and averaged output.
+
+    Args:
+        numerator: b_0 ... b_m, highest power of s first.
+        denominator: 1, a_1 ... a_m.
+        period_s: Slow period T.
+        delay_s: Delay d from the slow instant to the effect of the input.
+        window_s: Length w of the averaging window, 0 for a single sample.
+
+    Returns:
+        A (m + 1 entries, first one 1) and B (as long as `input_taps` says, plus the leading b_0).
+    """
+    order = len(denominator) - 1
+    count = order + input_taps(0, period_s, delay_s, window_s) + 1
+    system = _step_system(numerator, denominator)
+    size = order + 2
+    if window_s > 0.0:
+        late = _responses(system, size, -delay_s, period_s, count, size - 1)
+        early = _responses(system, size, -delay_s - window_s, period_s, count, size - 1)
+        steps = [(late[j] - early[j]) / window_s for j in range(count)]
+    else:
+        steps = _outputs(system, numerator, denominator, -delay_s, period_s, count)
+    a = _characteristic(system, order, period_s)
+    return a, _numerator_from_steps(a, steps)
+
+
+def input_taps(order: int, period_s: float, delay_s: float, window_s: float) -> int:
+    """How many past inputs the model of `held_model` has: n in the equation above."""
+    return order + math.ceil((delay_s + window_s) / period_s - 1e-9)
+
+
+def _step_system(numerator: Vector, denominator: Vector) -> Vector:
+    """Matrix of z' = M z with z = (x, u, ∫y): companion form, constant input, integral."""
+    order = len(denominator) - 1
+    size = order + 2
+    matrix = [0.0] * (size * size)
+    for i in range(order - 1):
+        matrix[i * size + i + 1] = 1.0
+    for i in range(order):
+        matrix[(order - 1) * size + i] = -denominator[order - i]
+        matrix[(size - 1) * size + i] = numerator[order - i] - denominator[order - i] * numerator[0]
+    if order > 0:
+        matrix[(order - 1) * size + order] = 1.0
+    matrix[(size - 1) * size + order] = numerator[0]
+    return matrix
+
+
+def propagate(matrix: Vector, state: Vector, duration_s: float) -> Vector:
+    """exp(M t) z by a Taylor series over steps short enough for full precision.
+
+    Args:
+        matrix: M, flat, n by n.
+        state: z, n entries.
+        duration_s: t.
+    """
+    size = len(state)
+    steps = max(1, math.ceil(_norm(matrix, size) * duration_s))
+    step_s = duration_s / steps
+    result = state
+    for _ in range(steps):
+        result = _taylor_step(matrix, result, step_s)
+    return result
+
+
+def _taylor_step(matrix: Vector, state: Vector, step_s: float) -> Vector:
+    size = len(state)
+    result = [0.0] * size
+    term = [0.0] * size
+    for i in range(size):
+        result[i] = state[i]
+        term[i] = state[i]
+    for n in range(1, _TAYLOR_TERMS + 1):
+        following = [0.0] * size
+        for i in range(size):
+            derivative = 0.0
+            for j in range(size):
+                derivative += matrix[i * size + j] * term[j]
+            following[i] = derivative * step_s / n
+            result[i] += following[i]
+        term = following
+    return result
+
+
+def _norm(matrix: Vector, size: int) -> float:
+    largest = 0.0
+    for i in range(size):
+        row = 0.0
+        for j in range(size):
+            row += abs(matrix[i * size + j])
+        largest = max(largest, row)
+    return largest
+
+
+def _responses(
+    system: Vector, size: int, start_s: float, period_s: float, count: int, row: int
+) -> Vector:
+    """Entry `row` of the step response at start, start + T, ...; 0 before the step."""
+    responses = [0.0] * count
+    state = [0.0] * size
+    state[size - 2] = 1.0
+    reached_s = 0.0
+    for j in range(count):
+        time_s = start_s + j * period_s
+        if time_s > 0.0:
+            state = propagate(system, state, time_s - reached_s)
+            reached_s = time_s
+            responses[j] = state[row]
+    return responses
+
+
+def _outputs(
+    system: Vector,
+    numerator: Vector,
+    denominator: Vector,
+    start_s: float,
+    period_s: float,
+    count: int,
+) -> Vector:
+    """The step response itself, y = C x + b_0 u, at start, start + T, ..."""
+    order = len(denominator) - 1
+    size = order + 2
+    outputs = [0.0] * count
+    for j in range(count):
+        if start_s + j * period_s >= 0.0:
+            outputs[j] = numerator[0]
+    for i in range(order):
+        weight = system[(size - 1) * size + i]
+        if weight != 0.0:
+            states = _responses(system, size, start_s, period_s, count, i)
+            for j in range(count):
+                outputs[j] += weight * states[j]
+    return outputs
+
+
+def _characteristic(system: Vector, order: int, period_s: float) -> Vector:
+    """Characteristic polynomial of the transition matrix over T (Faddeev and LeVerrier)."""
+    size = order + 2
+    transition = [0.0] * (order * order)
+    for j in range(order):
+        unit = [0.0] * size
+        unit[j] = 1.0
+        column = propagate(system, unit, period_s)
+        for i in range(order):
+            transition[i * order + j] = column[i]
+    return _faddeev(transition, order)
+
+
+def _faddeev(matrix: Vector, order: int) -> Vector:
+    polynomial = [0.0] * (order + 1)
+    polynomial[0] = 1.0
+    auxiliary = [0.0] * (order * order)
+    for degree in range(1, order + 1):
+        following = [0.0] * (order * order)
+        for i in range(order):
+            for j in range(order):
+                shifted = 0.0
+                for m in range(order):
+                    entry = auxiliary[m * order + j]
+                    if m == j:
+                        entry += polynomial[degree - 1]
+                    shifted += matrix[i * order + m] * entry
+                following[i * order + j] = shifted
+        trace = 0.0
+        for i in range(order):
+            trace += following[i * order + i]
+        polynomial[degree] = -trace / degree
+        auxiliary = following
+    return polynomial
+
+
+def _numerator_from_steps(a: Vector, steps: Vector) -> Vector:
+    count = len(steps)
+    b = [0.0] * count
+    for j in range(count):
+        for i in range(min(j, len(a) - 1) + 1):
+            before = steps[j - i - 1] if j - i > 0 else 0.0
+            b[j] += a[i] * (steps[j - i] - before)
+    return b
+
+
+def impulse_invariant_pair(
+    gain: float, tau_sum_s: float, tau_product_s2: float, period_s: float
+) -> tuple[Vector, Vector]:
+    """Impulse-invariant model of g/((τ1 s + 1)(τ2 s + 1)), eq. (24) with (25) corrected.
+
+        a_1 = -(e^(-T/τ1) + e^(-T/τ2))    a_2 = e^(-T/τ1 - T/τ2)
+        b_1 = T g (e^(-T/τ1) - e^(-T/τ2)) / (τ1 - τ2)
+
+    written in the sum and the product of the time constants, so that equal ones and complex
+    pairs need no special case.
+
+    Args:
+        gain: g.
+        tau_sum_s: τ1 + τ2.
+        tau_product_s2: τ1 τ2.
+        period_s: T, the slow period.
+
+    Returns:
+        A and B; B has a trailing zero, so that the design has as many poles as the paper's.
+    """
+    decay = 0.5 * tau_sum_s / tau_product_s2
+    split = decay * decay - 1.0 / tau_product_s2
+    shrink = math.exp(-decay * period_s)
+    a = [1.0, -2.0 * shrink * _cosh_root(split, period_s), shrink * shrink]
+    b1 = period_s * gain / tau_product_s2 * shrink * _sinh_root(split, period_s)
+    return a, [0.0, b1, 0.0]
+
+
+def _cosh_root(square: float, time_s: float) -> float:
+    """cosh(sqrt(q) t), real for either sign of q."""
+    if square >= 0.0:
+        return math.cosh(math.sqrt(square) * time_s)
+    return math.cos(math.sqrt(-square) * time_s)
+
+
+def _sinh_root(square: float, time_s: float) -> float:
+    """sinh(sqrt(q) t)/sqrt(q), real for either sign of q and smooth at q = 0."""
+    angle = math.sqrt(abs(square)) * time_s
+    if angle < 1e-4:
+        return time_s * (1.0 + square * time_s * time_s / 6.0)
+    if square > 0.0:
+        return math.sinh(angle) / angle * time_s
+    return math.sin(angle) / angle * time_s

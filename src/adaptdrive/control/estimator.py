@@ -1,0 +1,205 @@
+"""The on-line estimator: RLS on λ-filtered signals, or on the samples themselves.
+
+λ-method (LM-RLS): the regressor is [-λy ... -λ^m y, λ^i u ...] with the powers i that the load's
+structure leaves; θ holds α and the free β (29). Direct: [-y[k-1] ... -y[k-m], u[k-1] ... u[k-n]];
+θ holds a and b of the discrete model (17).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adaptdrive.control import rls
+from adaptdrive.control.lambda_transform import from_lambda, to_lambda
+from adaptdrive.control.load import Load
+from adaptdrive.control.settings import Learning
+from adaptdrive.control.vectors import Vector, all_finite
+
+
+@dataclass(slots=True)
+class EstimatorState:
+    """What the estimator remembers.
+
+    Attributes:
+        theta: θ in scaled units.
+        upper: U of P = U D Uᵀ.
+        diagonal: D.
+        regressor: r of the last sample, scaled.
+        residual_power: Forgetting sum of squared normalised innovations.
+        residual_weight: Forgetting count of them.
+        innovation: ε of the last sample, in the unit of the output.
+        excitation: rᵀPr of the last sample.
+        periods: Slow periods since start.
+    """
+
+    theta: Vector
+    upper: Vector
+    diagonal: Vector
+    regressor: Vector
+    residual_power: float = 0.0
+    residual_weight: float = 0.0
+    innovation: float = math.nan
+    excitation: float = 0.0
+    periods: int = 0
+
+
+def parameter_count(learning: Learning, load: Load, taps: int) -> int:
+    """Length of θ."""
+    return load.order + (len(load.input_powers) if learning.filtered else taps)
+
+
+def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:
+    """An estimator that knows nothing, or only the nominal model."""
+    count = parameter_count(learning, load, taps)
+    state = EstimatorState([0.0] * count, [0.0] * (count * count), [0.0] * count, [0.0] * count)
+    rls.reset(state.theta, state.upper, state.diagonal, learning.initial_covariance)
+    if learning.start_at_nominal and learning.filtered:
+        _start_at_nominal(state, learning, load)
+    return state
+
+
+def _start_at_nominal(state: EstimatorState, learning: Learning, load: Load) -> None:
+    alpha = to_lambda(list(load.denominator), learning.tau_lambda_s)
+    beta = to_lambda(list(load.numerator), learning.tau_lambda_s)
+    for i in range(load.order):
+        state.theta[i] = alpha[i + 1]
+    for i, power in enumerate(load.input_powers):
+        scale = learning.input_scale / learning.output_scale
+        state.theta[load.order + i] = beta[power] * scale
+
+
+def fill_filtered_regressor(
+    regressor: Vector,
+    learning: Learning,
+    load: Load,
+    output_filtered: Vector,
+    input_filtered: Vector,
+) -> None:
+    """r of the λ-method (29).
+
+    Args:
+        regressor: r, overwritten.
+        learning: Scales.
+        load: Order and structure.
+        output_filtered: λy ... λ^m y.
+        input_filtered: u, λu ... λ^m u.
+    """
+    for i in range(load.order):
+        regressor[i] = -output_filtered[i] / learning.output_scale
+    for i in range(len(load.input_powers)):
+        power = load.input_powers[i]
+        regressor[load.order + i] = input_filtered[power] / learning.input_scale
+
+
+def fill_direct_regressor(
+    regressor: Vector, learning: Learning, load: Load, outputs: Vector, inputs: Vector
+) -> None:
+    """r of direct least squares (17).
+
+    Args:
+        regressor: r, overwritten.
+        learning: Scales.
+        load: Order.
+        outputs: y[k-1] ... y[k-m].
+        inputs: u[k-1] ... u[k-n].
+    """
+    for i in range(load.order):
+        regressor[i] = -outputs[i] / learning.output_scale
+    for i in range(len(regressor) - load.order):
+        regressor[load.order + i] = inputs[i] / learning.input_scale
+
+
+def learn(state: EstimatorState, learning: Learning, output: float, usable: bool) -> None:
+    """Take in one slow sample whose regressor has been filled in.
+
+    Args:
+        state: Overwritten.
+        learning: Forgetting and gates.
+        output: y[k].
+        usable: False for a sample that must not teach: its innovation is still computed.
+    """
+    target = output / learning.output_scale
+    state.periods += 1
+    state.excitation = rls.excitation(state.upper, state.diagonal, state.regressor)
+    innovation = target - rls.predict(state.theta, state.regressor)
+    state.innovation = innovation * learning.output_scale
+    informative = state.excitation > learning.gate * (1.0 - learning.forgetting)
+    if not (usable and informative and state.periods > learning.settle_periods):
+        return
+    if not (all_finite(state.regressor) and math.isfinite(target)):
+        return
+    rls.update(
+        state.theta, state.upper, state.diagonal, state.regressor, target, learning.forgetting
+    )
+    _watch_residual(state, learning.forgetting, innovation)
+
+
+def _watch_residual(state: EstimatorState, forgetting: float, innovation: float) -> None:
+    normalised = innovation * innovation * forgetting / (forgetting + state.excitation)
+    state.residual_power = forgetting * state.residual_power + normalised
+    state.residual_weight = forgetting * state.residual_weight + 1.0
+
+
+def residual_noise(state: EstimatorState) -> float:
+    """σ of the innovations, scaled; NaN before there are more of them than parameters."""
+    freedom = state.residual_weight - len(state.theta)
+    if freedom <= 0.0:
+        return math.nan
+    return math.sqrt(state.residual_power / freedom)
+
+
+def filtered_model(theta: Vector, learning: Learning, load: Load) -> tuple[Vector, Vector]:
+    """H(s) of an estimate of the λ-method: numerator and denominator."""
+    order = load.order
+    alpha = [0.0] * (order + 1)
+    beta = [0.0] * (order + 1)
+    alpha[0] = 1.0
+    for i in range(order):
+        alpha[i + 1] = theta[i]
+    for i in range(len(load.input_powers)):
+        scale = learning.output_scale / learning.input_scale
+        beta[load.input_powers[i]] = theta[order + i] * scale
+    return from_lambda(beta, learning.tau_lambda_s), from_lambda(alpha, learning.tau_lambda_s)
+
+
+def direct_model(theta: Vector, learning: Learning, load: Load) -> tuple[Vector, Vector]:
+    """A, B in q^-1 of a direct estimate."""
+    order = load.order
+    a = [0.0] * (order + 1)
+    b = [0.0] * (len(theta) - order + 1)
+    a[0] = 1.0
+    for i in range(order):
+        a[i + 1] = theta[i]
+    for i in range(len(theta) - order):
+        b[i + 1] = theta[order + i] * learning.output_scale / learning.input_scale
+    return a, b
+
+
+def parameter_deviations(
+    state: EstimatorState, learning: Learning, load: Load, values: Vector
+) -> Vector:
+    """Standard deviations of the physical parameters, to first order.
+
+    Args:
+        state: θ and P.
+        learning: Scales.
+        load: Names and meaning of the parameters.
+        values: The parameters at θ.
+    """
+    noise = residual_noise(state)
+    count = len(state.theta)
+    jacobian = [0.0] * (len(values) * count)
+    for j in range(count):
+        step = 1e-6 * max(1.0, abs(state.theta[j]))
+        moved = list(state.theta)
+        moved[j] += step
+        numerator, denominator = filtered_model(moved, learning, load)
+        shifted = load.physical(numerator, denominator)
+        for i in range(len(values)):
+            jacobian[i * count + j] = (shifted[i] - values[i]) / step
+    deviations = [0.0] * len(values)
+    for i in range(len(values)):
+        row = jacobian[i * count : (i + 1) * count]
+        deviations[i] = rls.standard_deviation(row, state.upper, state.diagonal, noise)
+    return deviations

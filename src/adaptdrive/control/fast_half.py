@@ -1,0 +1,179 @@
+"""The fast half of the controller: one call per half line cycle.
+
+It runs the λ filters of output and input, averages what the slow half will want, and closes the
+voltage loop. The input of the λ filters is the measured boost voltage (through the load's input
+map), not V_c: the lag of the voltage loop would otherwise be taken for the load's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adaptdrive.control import voltage_loop
+from adaptdrive.control.lambda_filter import advance, chain_decay, ramp_gains, step_gains
+from adaptdrive.control.load import Load, to_input
+from adaptdrive.control.settings import ControllerSettings, PowerStage
+from adaptdrive.control.vectors import Vector
+
+
+@dataclass(slots=True)
+class FilterBank:
+    """The λ chains of output and input, and their sums over the averaging window.
+
+    Attributes:
+        decay: φ of both chains.
+        held: P of both chains.
+        ramp: R of both chains.
+        outputs: λy ... λ^m y.
+        inputs: λu ... λ^m u.
+        output: y at the last tick.
+        load_input: u at the last tick.
+        sums: Sums over the window: y, λy ... λ^m y, u, λu ... λ^m u.
+        count: Samples in `sums`.
+    """
+
+    decay: Vector
+    held: Vector
+    ramp: Vector
+    outputs: Vector
+    inputs: Vector
+    output: float
+    load_input: float
+    sums: Vector
+    count: int
+
+
+@dataclass(slots=True)
+class FastState:
+    """What the fast half remembers besides its filters.
+
+    Attributes:
+        tick: Last tick.
+        boost_reference_V: V_c in force.
+        error_sum: Sum of the voltage loop.
+        limit: 1, -1 or 0: the limit at which k is held.
+        voltage_sum: Sum of v_bst over the slow period so far.
+        ticks: Ticks in `voltage_sum`.
+        limited_ticks: Those of them with k at a limit.
+        held_ticks: Those of them without a fresh measurement.
+    """
+
+    tick: int
+    boost_reference_V: float
+    error_sum: float
+    limit: int = 0
+    voltage_sum: float = 0.0
+    ticks: int = 0
+    limited_ticks: int = 0
+    held_ticks: int = 0
+
+
+def new_filter_bank(
+    load: Load, tick_period_s: float, tau_lambda_s: float, output: float, boost_voltage_V: float
+) -> FilterBank:
+    """λ chains that have seen the present output and boost voltage for ever."""
+    order = load.order
+    load_input = to_input(boost_voltage_V, load.input_gain, load.input_exponent)
+    bank = FilterBank(
+        decay=[0.0] * order,
+        held=[0.0] * order,
+        ramp=[0.0] * order,
+        outputs=[output] * order,
+        inputs=[load_input] * order,
+        output=output,
+        load_input=load_input,
+        sums=[0.0] * (2 * order + 2),
+        count=0,
+    )
+    tune_filters(bank, tick_period_s, tau_lambda_s)
+    return bank
+
+
+def tune_filters(bank: FilterBank, tick_period_s: float, tau_lambda_s: float) -> None:
+    """Set the coefficients of the chains for a tick length."""
+    order = len(bank.decay)
+    bank.decay[:] = chain_decay(order, tick_period_s, tau_lambda_s)
+    bank.held[:] = step_gains(order, tick_period_s, tau_lambda_s)
+    bank.ramp[:] = ramp_gains(order, tick_period_s, tau_lambda_s)
+
+
+def filter_sample(bank: FilterBank, output: float, load_input: float, ticks: int) -> None:
+    """Move the chains to a new sample, linearly over the ticks since the last one."""
+    for i in range(ticks):
+        y0 = bank.output + (output - bank.output) * i / ticks
+        y1 = bank.output + (output - bank.output) * (i + 1) / ticks
+        u0 = bank.load_input + (load_input - bank.load_input) * i / ticks
+        u1 = bank.load_input + (load_input - bank.load_input) * (i + 1) / ticks
+        advance(bank.outputs, bank.decay, bank.held, bank.ramp, y0, y1)
+        advance(bank.inputs, bank.decay, bank.held, bank.ramp, u0, u1)
+    bank.output = output
+    bank.load_input = load_input
+
+
+def accumulate(bank: FilterBank) -> None:
+    """Add the present sample to the window."""
+    order = len(bank.outputs)
+    sums = bank.sums
+    sums[0] += bank.output
+    sums[order + 1] += bank.load_input
+    for i in range(order):
+        sums[i + 1] += bank.outputs[i]
+        sums[order + 2 + i] += bank.inputs[i]
+    bank.count += 1
+
+
+def take_means(bank: FilterBank) -> Vector:
+    """The means over the window, which starts again empty; the last sample if it was empty."""
+    if bank.count == 0:
+        accumulate(bank)
+    means = [value / bank.count for value in bank.sums]
+    for i in range(len(bank.sums)):
+        bank.sums[i] = 0.0
+    bank.count = 0
+    return means
+
+
+def regulate_voltage(
+    state: FastState,
+    stage: PowerStage,
+    boost_voltage_V: float,
+    line_voltage_V: float,
+    load_power_W: float,
+    tick_period_s: float,
+) -> float:
+    """One step of the voltage loop: the limited current scale k in siemens."""
+    wanted = voltage_loop.current_scale(
+        state.error_sum,
+        boost_voltage_V,
+        load_power_W if stage.feed_forward else 0.0,
+        max(line_voltage_V, stage.line_voltage_min_V),
+        tick_period_s,
+        stage.capacitance_F,
+    )
+    scale = min(max(wanted, stage.current_scale_min_S), stage.current_scale_max_S)
+    state.limit = (wanted > scale) - (wanted < scale)
+    state.error_sum = voltage_loop.advance_sum(
+        state.error_sum, state.boost_reference_V, boost_voltage_V, state.limit
+    )
+    return scale
+
+
+def count_tick(state: FastState, boost_voltage_V: float, fresh: bool) -> None:
+    """Keep the books of the slow period."""
+    state.voltage_sum += boost_voltage_V
+    state.ticks += 1
+    if state.limit != 0:
+        state.limited_ticks += 1
+    if not fresh:
+        state.held_ticks += 1
+
+
+def close_period(state: FastState, settings: ControllerSettings) -> tuple[float, bool, int]:
+    """Books of the elapsed slow period: mean voltage, whether it followed V_c, held ticks."""
+    applied_V = state.voltage_sum / state.ticks if state.ticks else math.nan
+    followed = 4 * state.limited_ticks <= settings.rates.ticks_per_period
+    held = state.held_ticks
+    state.voltage_sum = 0.0
+    state.ticks = state.limited_ticks = state.held_ticks = 0
+    return applied_V, followed, held

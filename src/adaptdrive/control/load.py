@@ -1,0 +1,65 @@
+"""What the controller must know of a load: the shape that every file in `loads` has.
+
+A load is a linear model of order m between an input u and the output y, and a map from the boost
+voltage to that input. A new load is one new file that provides a `Load`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from adaptdrive.control.vectors import Vector
+
+Discretise = Callable[[Vector, Vector, float], tuple[Vector, Vector]]
+"""(numerator, denominator, period) to A and B in q^-1."""
+
+Physical = Callable[[Vector, Vector], Vector]
+"""(numerator, denominator) to the physical parameters, in the order of `Load.names`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """One kind of load, with its nominal model.
+
+    Attributes:
+        numerator: b_0 ... b_m of the nominal H(s), highest power of s first.
+        denominator: 1, a_1 ... a_m.
+        input_powers: The powers i of λ^i u that enter the λ-transformed model.
+        input_gain: u = gain · v_bst^exponent.
+        input_exponent: 1 or 2.
+        names: Names of the physical parameters.
+        physical: Physical parameters of a model.
+        paper_model: The discretisation that the paper uses for this load.
+        paper_taps: Past inputs in that model, trailing zeros included.
+    """
+
+    numerator: tuple[float, ...]
+    denominator: tuple[float, ...]
+    input_powers: tuple[int, ...]
+    input_gain: float
+    input_exponent: int
+    names: tuple[str, ...]
+    physical: Physical
+    paper_model: Discretise
+    paper_taps: int
+
+    @property
+    def order(self) -> int:
+        """m."""
+        return len(self.denominator) - 1
+
+
+def to_input(boost_voltage_V: float, gain: float, exponent: int) -> float:
+    """The load's input u at a boost voltage."""
+    if exponent == 2:
+        return gain * boost_voltage_V * boost_voltage_V
+    return gain * boost_voltage_V
+
+
+def to_voltage(load_input: float, gain: float, exponent: int) -> float:
+    """The boost voltage that gives the load's input u (0 where none does)."""
+    if exponent == 2:
+        return math.sqrt(max(0.0, load_input / gain))
+    return load_input / gain

@@ -1,0 +1,88 @@
+"""Pole placement for a controller with an integrator, any order.
+
+For the plant A y = B u the controller R u = t0 r - S y has the closed loop
+
+    A R + B S = A_m                R = (1 - q^-1) R',   t0 = S(1)
+
+(the Diophantine equation; Astrom and Wittenmark, Computer-Controlled Systems, chapter 5). R' is
+monic with one coefficient less than B has taps, S has as many coefficients as A; the closed loop
+has as many poles as A and B have taps together, and those that are not asked for lie at 0. R has
+the factor 1 - q^-1, so the loop has no steady error, and t0 = S(1) makes its dc gain 1.
+
+For B with one tap and a trailing zero this is the paper's compensator (26) with the coefficients
+of V_c[k-1], V_c[k-2] corrected to (1 + x4/a2) and -x4/a2; for a first-order load it is (14)-(16).
+"""
+
+from __future__ import annotations
+
+import math
+
+from adaptdrive.control.vectors import Vector, multiply, solve_linear
+
+
+def desired_polynomial(pole: float, count: int) -> Vector:
+    """(1 - pole q^-1)^count."""
+    polynomial = [1.0]
+    for _ in range(count):
+        polynomial = multiply(polynomial, [1.0, -pole])
+    return polynomial
+
+
+def place_poles(a: Vector, b: Vector, desired: Vector) -> tuple[Vector, Vector]:
+    """Controller polynomials R and S for a closed loop with given poles.
+
+    Args:
+        a: A, first entry 1.
+        b: B, first entry (direct term) 0.
+        desired: A_m, first entry 1, at most as long as A and B have taps together, plus one.
+
+    Returns:
+        R (first entry 1, R(1) = 0) and S; NaNs where A and B share a root.
+    """
+    integrating = multiply(a, [1.0, -1.0])
+    free, feedback = len(b) - 2, len(a)
+    size = free + feedback
+    matrix = [0.0] * (size * size)
+    right = [0.0] * size
+    for row in range(size):
+        power = row + 1
+        right[row] = _entry(desired, power) - _entry(integrating, power)
+        for j in range(free):
+            matrix[row * size + j] = _entry(integrating, power - 1 - j)
+        for j in range(feedback):
+            matrix[row * size + free + j] = _entry(b, power - j)
+    solution = solve_linear(matrix, right)
+    inner = [1.0] * (free + 1)
+    for j in range(free):
+        inner[j + 1] = solution[j]
+    feedback_gains = [0.0] * feedback
+    for j in range(feedback):
+        feedback_gains[j] = solution[free + j]
+    return multiply(inner, [1.0, -1.0]), feedback_gains
+
+
+def closed_loop_polynomial(a: Vector, b: Vector, r: Vector, s: Vector) -> Vector:
+    """A R + B S: its roots are the poles of the loop that R, S close around any A, B."""
+    forward, back = multiply(a, r), multiply(b, s)
+    length = max(len(forward), len(back))
+    result = [0.0] * length
+    for i in range(length):
+        result[i] = _entry(forward, i) + _entry(back, i)
+    return result
+
+
+def _entry(polynomial: Vector, power: int) -> float:
+    if 0 <= power < len(polynomial):
+        return polynomial[power]
+    return 0.0
+
+
+def is_usable(r: Vector, s: Vector) -> bool:
+    """True when every gain is a finite number."""
+    for value in r:
+        if not math.isfinite(value):
+            return False
+    for value in s:
+        if not math.isfinite(value):
+            return False
+    return True

@@ -1,0 +1,124 @@
+"""Recursive least squares with exponential forgetting, in factored form.
+
+The algorithm (3),
+
+    ε = y - rᵀθ        g = P r / (ρ + rᵀ P r)        θ <- θ + g ε        P <- (P - g rᵀ P) / ρ
+
+with P kept as U D Uᵀ (U unit upper triangular, D diagonal and positive): G. J. Bierman,
+Factorization Methods for Discrete Sequential Estimation, 1977, chapter V. In this form P cannot
+lose its symmetry or become indefinite by rounding, however long or poorly excited the run.
+Forgetting stops to inflate D at a ceiling, so that P stays finite without excitation.
+"""
+
+from __future__ import annotations
+
+import math
+
+from adaptdrive.control.vectors import Vector
+
+COVARIANCE_CEILING = 1.0e12
+
+
+def reset(theta: Vector, upper: Vector, diagonal: Vector, covariance: float) -> None:
+    """Set θ to zero and P to `covariance` times the identity.
+
+    Args:
+        theta: θ, n entries.
+        upper: U, flat, n by n.
+        diagonal: D, n entries.
+        covariance: p0 > 0.
+    """
+    size = len(theta)
+    for i in range(size):
+        theta[i] = 0.0
+        diagonal[i] = covariance
+        for j in range(size):
+            upper[i * size + j] = 1.0 if i == j else 0.0
+
+
+def predict(theta: Vector, regressor: Vector) -> float:
+    """rᵀθ."""
+    result = 0.0
+    for i in range(len(theta)):
+        result += theta[i] * regressor[i]
+    return result
+
+
+def excitation(upper: Vector, diagonal: Vector, regressor: Vector) -> float:
+    """rᵀPr: how much a sample can teach, against the ρ that stands for its noise."""
+    size = len(regressor)
+    result = 0.0
+    for j in range(size):
+        f = regressor[j]
+        for i in range(j):
+            f += upper[i * size + j] * regressor[i]
+        result += diagonal[j] * f * f
+    return result
+
+
+def update(
+    theta: Vector,
+    upper: Vector,
+    diagonal: Vector,
+    regressor: Vector,
+    target: float,
+    forgetting: float,
+) -> float:
+    """Take in one sample.
+
+    Args:
+        theta: θ, n entries, overwritten.
+        upper: U, flat, n by n, overwritten.
+        diagonal: D, n entries, overwritten.
+        regressor: r, n entries.
+        target: y.
+        forgetting: ρ.
+
+    Returns:
+        The innovation ε, before the update.
+    """
+    size = len(theta)
+    innovation = target - predict(theta, regressor)
+    gain = [0.0] * size
+    scale = forgetting
+    for j in range(size):
+        f = regressor[j]
+        for i in range(j):
+            f += upper[i * size + j] * regressor[i]
+        v = diagonal[j] * f
+        grown = scale + f * v
+        shrunk = diagonal[j] * scale / grown
+        diagonal[j] = min(shrunk / forgetting, max(shrunk, COVARIANCE_CEILING))
+        gain[j] = v
+        step = -f / scale
+        for i in range(j):
+            old = upper[i * size + j]
+            upper[i * size + j] = old + gain[i] * step
+            gain[i] += old * v
+        scale = grown
+    for i in range(size):
+        theta[i] += gain[i] / scale * innovation
+    return innovation
+
+
+def covariance(upper: Vector, diagonal: Vector) -> Vector:
+    """P = U D Uᵀ, flat, n by n."""
+    size = len(diagonal)
+    result = [0.0] * (size * size)
+    for i in range(size):
+        for j in range(size):
+            for m in range(max(i, j), size):
+                result[i * size + j] += upper[i * size + m] * diagonal[m] * upper[j * size + m]
+    return result
+
+
+def standard_deviation(jacobian: Vector, upper: Vector, diagonal: Vector, noise: float) -> float:
+    """Standard deviation of a quantity that depends on θ: sqrt(σ² Jᵀ P J).
+
+    Args:
+        jacobian: Derivatives of the quantity by each parameter.
+        upper: U.
+        diagonal: D.
+        noise: σ, standard deviation of the innovation of a settled estimate.
+    """
+    return noise * math.sqrt(max(0.0, excitation(upper, diagonal, jacobian)))

@@ -1,0 +1,112 @@
+"""What the controller is told once, when it is built."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class PowerStage:
+    """The drive, as far as the voltage loop must know it.
+
+    Attributes:
+        capacitance_F: Boost capacitor.
+        line_voltage_min_V: Lowest line voltage that the loop divides by.
+        current_scale_min_S: Lower limit of k: 0, or negative for a bidirectional drive.
+        current_scale_max_S: Upper limit of k.
+        boost_reference_min_V: Lowest V_c.
+        boost_reference_max_V: Highest V_c.
+        feed_forward: Whether the load power is fed forward.
+        holds_voltage: True for a drive with its own voltage loop.
+    """
+
+    capacitance_F: float
+    line_voltage_min_V: float
+    current_scale_min_S: float
+    current_scale_max_S: float
+    boost_reference_min_V: float
+    boost_reference_max_V: float
+    feed_forward: bool
+    holds_voltage: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Rates:
+    """The two rates and what links them.
+
+    Attributes:
+        ticks_per_period: Q.
+        latency_ticks: L, fast ticks from a snapshot to the effect of its decision.
+        samples: Fast samples averaged for a slow one.
+        nominal_tick_s: Half a line cycle at nominal frequency.
+    """
+
+    ticks_per_period: int
+    latency_ticks: int
+    samples: int
+    nominal_tick_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Learning:
+    """How the load is learnt.
+
+    Attributes:
+        filtered: True for the λ-method, False for least squares on the samples themselves.
+        forgetting: ρ.
+        tau_lambda_s: τ_λ.
+        dead_band: No update while the output moves less than this between slow samples.
+        initial_covariance: p0.
+        settle_periods: Slow periods after start before the first update.
+        gate: Update only on samples with rᵀPr above this multiple of 1 - ρ; 0 takes every sample.
+        output_scale: Output of order one, for the conditioning of P.
+        input_scale: Input of order one.
+        start_at_nominal: Whether θ starts at the nominal model, else at 0.
+    """
+
+    filtered: bool
+    forgetting: float
+    tau_lambda_s: float
+    dead_band: float
+    initial_covariance: float
+    settle_periods: int
+    gate: float
+    output_scale: float
+    input_scale: float
+    start_at_nominal: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Jacket:
+    """What an estimate must satisfy before it reaches the gains.
+
+    Attributes:
+        warm_up_periods: Slow periods after start before adaptive may take over.
+        ratio_min: Smallest accepted parameter, over its nominal value.
+        ratio_max: Largest accepted parameter, over its nominal value.
+        patience_periods: Refused periods in a row after which the fixed gains return.
+    """
+
+    warm_up_periods: int
+    ratio_min: float
+    ratio_max: float
+    patience_periods: int
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerSettings:
+    """Everything but the load itself.
+
+    Attributes:
+        exact: True for the held model with delays and filter, False for the paper's design.
+        stage: The power stage.
+        rates: The two rates.
+        learning: The estimator.
+        jacket: The supervisor.
+    """
+
+    exact: bool
+    stage: PowerStage
+    rates: Rates
+    learning: Learning
+    jacket: Jacket

@@ -1,0 +1,231 @@
+"""The slow half of the controller: one call per slow period T_k.
+
+Sample, learn, judge, redesign, act: the estimator takes in the sample, the supervisor judges the
+estimate, the design turns a trusted one into gains, and the law in force computes the new input
+on the history that both laws share.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adaptdrive.control import estimator as est
+from adaptdrive.control import supervisor as sup
+from adaptdrive.control.compensator import control_law
+from adaptdrive.control.design import compensator_gains, discrete_model, past_inputs
+from adaptdrive.control.load import Load, to_input
+from adaptdrive.control.pole_placement import closed_loop_polynomial
+from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.control.vectors import Vector, copy_into, shift_in, total
+
+_RETUNE = 1e-4
+_HELD_SHARE = 0.1
+
+
+@dataclass(slots=True)
+class SlowState:
+    """What the slow half remembers.
+
+    Attributes:
+        inputs: u[k-1] ... u[k-n] as applied.
+        outputs: y[k] ... y[k-m].
+        nominal: Nominal physical parameters.
+        fixed_gains: Gains for the nominal model.
+        adaptive_gains: Gains for the last accepted estimate.
+        values: Estimated physical parameters.
+        pole: Pole that the fixed gains were designed for.
+        period_s: Period that they were designed for.
+        adaptive_pole: Pole that the adaptive gains were designed for.
+        handover_step: Law not in force minus law in force.
+        accepted: Whether the estimate of this period went live.
+        adaptive: Whether the adaptive law is in force.
+        estimator: The estimator.
+        supervisor: The supervisor.
+    """
+
+    inputs: Vector
+    outputs: Vector
+    nominal: Vector
+    fixed_gains: Vector
+    adaptive_gains: Vector
+    values: Vector
+    pole: float
+    period_s: float
+    handover_step: float
+    accepted: bool
+    adaptive: bool
+    estimator: est.EstimatorState
+    supervisor: sup.SupervisorState
+
+
+@dataclass(slots=True)
+class SlowSample:
+    """What the slow half is given each period.
+
+    Attributes:
+        period_s: T_k.
+        output: y[k].
+        output_filtered: λy ... λ^m y.
+        input_filtered: u, λu ... λ^m u.
+        applied: Input applied over the elapsed period, NaN while unknown.
+        followed: False where a limit kept the drive from following.
+        held_share: Share of the elapsed ticks without a fresh measurement.
+        reference: r[k].
+        adaptive: True when the operator asks for the adaptive controller.
+        pole: Pole asked for.
+        low: Lowest input.
+        high: Highest input.
+    """
+
+    period_s: float
+    output: float
+    output_filtered: Vector
+    input_filtered: Vector
+    applied: float
+    followed: bool
+    held_share: float
+    reference: float
+    adaptive: bool
+    pole: float
+    low: float
+    high: float
+
+
+def new_slow_state(
+    settings: ControllerSettings, load: Load, output: float, boost_voltage_V: float
+) -> SlowState:
+    """A slow half at rest: the present output and voltage have been there for ever."""
+    taps = past_inputs(settings, load)
+    load_input = to_input(boost_voltage_V, load.input_gain, load.input_exponent)
+    nominal = load.physical(list(load.numerator), list(load.denominator))
+    return SlowState(
+        inputs=[load_input] * taps,
+        outputs=[output] * (load.order + 1),
+        nominal=nominal,
+        fixed_gains=[0.0] * (taps + load.order + 1),
+        adaptive_gains=[0.0] * (taps + load.order + 1),
+        values=[math.nan] * len(nominal),
+        pole=math.nan,
+        period_s=math.nan,
+        handover_step=math.nan,
+        accepted=False,
+        adaptive=False,
+        estimator=est.new_estimator(settings.learning, load, taps),
+        supervisor=sup.SupervisorState(),
+    )
+
+
+def slow_step(
+    settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample
+) -> float:
+    """One slow period.
+
+    Args:
+        settings: Designs, rates and rules.
+        load: The load.
+        state: Overwritten.
+        sample: What was measured and asked for.
+
+    Returns:
+        The load's input u[k] after limits.
+    """
+    if not sample.followed and math.isfinite(sample.applied):
+        state.inputs[0] = sample.applied
+    _take_sample(settings, load, state, sample)
+    _design_fixed(settings, load, state, sample)
+    _adapt(settings, load, state, sample)
+    return _act(state, sample)
+
+
+def _take_sample(
+    settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample
+) -> None:
+    learning, estimator = settings.learning, state.estimator
+    if learning.filtered:
+        est.fill_filtered_regressor(
+            estimator.regressor, learning, load, sample.output_filtered, sample.input_filtered
+        )
+    else:
+        est.fill_direct_regressor(estimator.regressor, learning, load, state.outputs, state.inputs)
+    moved = abs(sample.output - state.outputs[0]) >= learning.dead_band
+    est.learn(estimator, learning, sample.output, moved and sample.held_share <= _HELD_SHARE)
+    shift_in(state.outputs, sample.output)
+
+
+def _design_fixed(
+    settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample
+) -> None:
+    drifted = not abs(sample.period_s - state.period_s) <= _RETUNE * sample.period_s
+    if not drifted and sample.pole == state.pole:
+        return
+    numerator, denominator = list(load.numerator), list(load.denominator)
+    a, b = discrete_model(settings, load, numerator, denominator, sample.period_s)
+    copy_into(state.fixed_gains, compensator_gains(a, b, load.order, sample.pole))
+    state.period_s, state.pole = sample.period_s, sample.pole
+
+
+def _adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample) -> None:
+    """Judge the estimate and, if it is trusted, make gains of it."""
+    gains = [0.0] * len(state.adaptive_gains)
+    verdict = _redesign(settings, load, state, sample, gains)
+    periods = state.estimator.periods
+    state.accepted = sup.take_verdict(state.supervisor, verdict, settings.jacket, periods)
+    if state.accepted:
+        copy_into(state.adaptive_gains, gains)
+
+
+def _redesign(
+    settings: ControllerSettings,
+    load: Load,
+    state: SlowState,
+    sample: SlowSample,
+    gains: Vector,
+) -> int:
+    a, b, verdict = _estimated_model(settings, load, state, sample.period_s)
+    if verdict != sup.Verdict.TRUSTED:
+        return verdict
+    verdict = sup.judge_load(a)
+    if verdict != sup.Verdict.TRUSTED:
+        return verdict
+    copy_into(gains, compensator_gains(a, b, load.order, sample.pole))
+    taps = len(state.inputs)
+    r = [1.0, *gains[:taps]]
+    return sup.judge_loop(closed_loop_polynomial(a, b, r, gains[taps:]))
+
+
+def _estimated_model(
+    settings: ControllerSettings, load: Load, state: SlowState, period_s: float
+) -> tuple[Vector, Vector, int]:
+    """A, B of the estimate, and what the supervisor says of its parameters."""
+    learning, theta = settings.learning, state.estimator.theta
+    if not learning.filtered:
+        a, b = est.direct_model(theta, learning, load)
+        return a, b, sup.judge_load(a)
+    numerator, denominator = est.filtered_model(theta, learning, load)
+    verdict = sup.judge_model(numerator, denominator)
+    if verdict != sup.Verdict.TRUSTED:
+        return denominator, numerator, verdict
+    copy_into(state.values, load.physical(numerator, denominator))
+    verdict = sup.judge_bounds(state.values, state.nominal, settings.jacket, state.supervisor)
+    if verdict != sup.Verdict.TRUSTED:
+        return denominator, numerator, verdict
+    a, b = discrete_model(settings, load, numerator, denominator, period_s)
+    return a, b, verdict
+
+
+def _act(state: SlowState, sample: SlowSample) -> float:
+    """Both laws on the shared history; the one in force is limited and remembered."""
+    state.adaptive = sample.adaptive and state.supervisor.trusted
+    fixed = control_law(state.fixed_gains, state.inputs, state.outputs, sample.reference)
+    other = control_law(state.adaptive_gains, state.inputs, state.outputs, sample.reference)
+    ready = total(state.adaptive_gains) != 0.0
+    wanted = other if state.adaptive else fixed
+    state.handover_step = (
+        (fixed - other if state.adaptive else other - fixed) if ready else math.nan
+    )
+    if not math.isfinite(wanted):
+        wanted = state.inputs[0]
+    limited = min(max(wanted, sample.low), sample.high)
+    shift_in(state.inputs, limited)
+    return limited

@@ -1,0 +1,99 @@
+"""The supervisor: estimates are judged before they reach the gains.
+
+What fails keeps the last trusted gains; what keeps failing falls back to the fixed controller.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+from adaptdrive.control.settings import Jacket
+from adaptdrive.control.vectors import Vector, all_finite, is_stable
+
+_TINY = 1e-12
+_STABLE_RADIUS = 0.9999
+_DESIGN_RADIUS = 0.995
+
+
+class Verdict(IntEnum):
+    """What the supervisor said of an estimate."""
+
+    TRUSTED = 0
+    WARMING_UP = 1
+    NOT_FINITE = 2
+    UNSTABLE_LOAD = 3
+    OUT_OF_BOUNDS = 4
+    UNSTABLE_LOOP = 5
+
+
+@dataclass(slots=True)
+class SupervisorState:
+    """What the supervisor remembers.
+
+    Attributes:
+        verdict: The last verdict.
+        culprit: Index of the parameter that was out of bounds.
+        trusted: True while the adaptive gains may be in force.
+        refused_periods: Refused estimates in a row.
+    """
+
+    verdict: int = Verdict.WARMING_UP
+    culprit: int = 0
+    trusted: bool = False
+    refused_periods: int = 0
+
+
+def judge_model(numerator: Vector, denominator: Vector) -> int:
+    """Whether a continuous model can be used at all: finite, and with a dc gain."""
+    finite = all_finite(numerator) and all_finite(denominator)
+    if not finite or abs(denominator[len(denominator) - 1]) < _TINY:
+        return Verdict.NOT_FINITE
+    return Verdict.TRUSTED
+
+
+def judge_bounds(values: Vector, nominal: Vector, jacket: Jacket, state: SupervisorState) -> int:
+    """Whether every parameter is within its bounds around the nominal one."""
+    for i in range(len(values)):
+        ratio = values[i] / nominal[i]
+        if not jacket.ratio_min <= ratio <= jacket.ratio_max:
+            state.culprit = i
+            return Verdict.OUT_OF_BOUNDS
+    return Verdict.TRUSTED
+
+
+def judge_load(a: Vector) -> int:
+    """Whether the discrete model is finite and stable."""
+    if not all_finite(a):
+        return Verdict.NOT_FINITE
+    return Verdict.TRUSTED if is_stable(a, _STABLE_RADIUS) else Verdict.UNSTABLE_LOAD
+
+
+def judge_loop(closed_loop: Vector) -> int:
+    """Whether the designed loop is finite and stable with a margin."""
+    if not all_finite(closed_loop):
+        return Verdict.NOT_FINITE
+    return Verdict.TRUSTED if is_stable(closed_loop, _DESIGN_RADIUS) else Verdict.UNSTABLE_LOOP
+
+
+def take_verdict(state: SupervisorState, verdict: int, jacket: Jacket, periods: int) -> bool:
+    """Remember a verdict; says whether the new gains may go live.
+
+    Args:
+        state: Overwritten.
+        verdict: Of the estimate of this period.
+        jacket: Warm-up and patience.
+        periods: Slow periods since start.
+    """
+    state.verdict = verdict
+    if verdict != Verdict.TRUSTED:
+        state.refused_periods += 1
+        if state.refused_periods > jacket.patience_periods:
+            state.trusted = False
+        return False
+    state.refused_periods = 0
+    if periods <= jacket.warm_up_periods:
+        state.verdict = Verdict.WARMING_UP
+        return False
+    state.trusted = True
+    return True

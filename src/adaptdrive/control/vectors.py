@@ -1,0 +1,131 @@
+"""Small dense algebra over flat sequences of floats.
+
+The numerical kernels of this package are plain functions over floats and flat vectors, written so
+that a compiler for numerical Python can take the very same source. A matrix is a flat vector in
+row order. Interpreted, a `Vector` is a list (faster than an array at these sizes); compiled, it is
+an array of doubles.
+"""
+
+from __future__ import annotations
+
+import math
+
+Vector = list[float]
+
+
+def copy_into(target: Vector, source: Vector) -> None:
+    """Overwrite the first entries of `target` with `source`."""
+    for i in range(len(source)):
+        target[i] = source[i]
+
+
+def shift_in(history: Vector, value: float) -> None:
+    """Make `value` the newest (first) entry of a history; the oldest one goes."""
+    for i in range(len(history) - 1, 0, -1):
+        history[i] = history[i - 1]
+    history[0] = value
+
+
+def all_finite(values: Vector) -> bool:
+    """True when no entry is NaN or infinite."""
+    for value in values:
+        if not math.isfinite(value):
+            return False
+    return True
+
+
+def total(values: Vector) -> float:
+    """Sum of the entries: a polynomial's value at 1."""
+    result = 0.0
+    for value in values:
+        result += value
+    return result
+
+
+def multiply(left: Vector, right: Vector) -> Vector:
+    """Product of two polynomials given by their coefficients."""
+    product = [0.0] * (len(left) + len(right) - 1)
+    for i in range(len(left)):
+        for j in range(len(right)):
+            product[i + j] += left[i] * right[j]
+    return product
+
+
+def solve_linear(matrix: Vector, right: Vector) -> Vector:
+    """Solve M x = b by elimination with partial pivoting.
+
+    Args:
+        matrix: M, flat, n by n; overwritten.
+        right: b, n entries; overwritten.
+
+    Returns:
+        x, or NaNs where M is singular.
+    """
+    size = len(right)
+    for column in range(size):
+        pivot = _pivot_row(matrix, column, size)
+        if not abs(matrix[pivot * size + column]) > 0.0:
+            return [math.nan] * size
+        _swap_rows(matrix, right, pivot, column)
+        for row in range(column + 1, size):
+            factor = matrix[row * size + column] / matrix[column * size + column]
+            for j in range(column, size):
+                matrix[row * size + j] -= factor * matrix[column * size + j]
+            right[row] -= factor * right[column]
+    return _back_substitute(matrix, right)
+
+
+def _pivot_row(matrix: Vector, column: int, size: int) -> int:
+    best = column
+    for row in range(column + 1, size):
+        if abs(matrix[row * size + column]) > abs(matrix[best * size + column]):
+            best = row
+    return best
+
+
+def _swap_rows(matrix: Vector, right: Vector, one: int, other: int) -> None:
+    if one == other:
+        return
+    size = len(right)
+    for j in range(size):
+        kept = matrix[one * size + j]
+        matrix[one * size + j] = matrix[other * size + j]
+        matrix[other * size + j] = kept
+    kept = right[one]
+    right[one] = right[other]
+    right[other] = kept
+
+
+def _back_substitute(matrix: Vector, right: Vector) -> Vector:
+    size = len(right)
+    solution = [0.0] * size
+    for row in range(size - 1, -1, -1):
+        rest = right[row]
+        for j in range(row + 1, size):
+            rest -= matrix[row * size + j] * solution[j]
+        solution[row] = rest / matrix[row * size + row]
+    return solution
+
+
+def is_stable(polynomial: Vector, radius: float) -> bool:
+    """True when every root of z^n + c1 z^(n-1) + ... + cn lies inside a circle about 0.
+
+    The Schur-Cohn recursion (Astrom and Wittenmark, Computer-Controlled Systems, section 3.3).
+
+    Args:
+        polynomial: Coefficients, highest power first, the first one nonzero.
+        radius: Radius of the circle.
+    """
+    order = len(polynomial) - 1
+    row = [0.0] * (order + 1)
+    for i in range(order + 1):
+        row[i] = polynomial[i] / polynomial[0] / radius**i
+    for degree in range(order, 0, -1):
+        reflection = row[degree] / row[0]
+        if not abs(reflection) < 1.0:
+            return False
+        reduced = [0.0] * degree
+        for i in range(degree):
+            reduced[i] = row[i] - reflection * row[degree - i]
+        row = reduced
+    return True

@@ -1,0 +1,57 @@
+"""All errors of adaptdrive: one root, and leaves that carry their data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+
+class AdaptdriveError(Exception):
+    """Root of every error that adaptdrive raises on purpose."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flaw:
+    """One thing wrong in a configuration: where it is and what is wrong."""
+
+    place: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.place}: {self.message}"
+
+
+class ConfigurationError(AdaptdriveError):
+    """A configuration cannot be used; carries every flaw found, not just the first."""
+
+    def __init__(self, source: Path | str, flaws: Sequence[Flaw]) -> None:
+        self.source = source
+        self.flaws = tuple(flaws)
+        super().__init__("\n".join(f"{source}: {flaw}" for flaw in self.flaws))
+
+
+class BusError(AdaptdriveError):
+    """A bus cannot be opened or has been lost."""
+
+    def __init__(self, bus: str, problem: str) -> None:
+        self.bus = bus
+        self.problem = problem
+        super().__init__(f"{bus}: {problem}")
+
+
+class RefusedError(AdaptdriveError):
+    """An operator's command was not carried out; the reason is the message."""
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+        super().__init__(reason)
+
+
+class RecordingError(AdaptdriveError):
+    """A recorded session cannot be written or read."""
+
+    def __init__(self, session: Path | str, problem: str) -> None:
+        self.session = session
+        self.problem = problem
+        super().__init__(f"{session}: {problem}")

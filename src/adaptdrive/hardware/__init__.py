@@ -1,0 +1,1 @@
+"""Hardware: how a measurement arrives and a command leaves."""

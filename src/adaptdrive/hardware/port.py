@@ -1,0 +1,94 @@
+"""The port that every backend meets: how a reading arrives and a command leaves.
+
+A port decodes frames, stamps them on arrival with the monotonic clock and hands each complete
+`Reading` to one listener, from within the event loop. Sending never blocks and never retries:
+what the bus does not take at once is dropped and counted, because the next tick brings a fresher
+command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from adaptdrive.control.signals import Command
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """One complete set of drive quantities.
+
+    Attributes:
+        arrival_s: Arrival of the clocking frame, monotonic clock.
+        oldest_s: Arrival of the oldest frame that a value of this reading was taken from.
+        counter: The drive's half-cycle counter as sent (it wraps), None for a drive without one.
+        boost_voltage_V: Boost capacitor voltage.
+        line_voltage_V: Line voltage, rms.
+        load_power_W: Power into the load.
+        output: Regulated quantity in its own unit.
+        fault: Fault word of the drive, 0 when healthy.
+        bridge: Whether the drive says that its bridge is on.
+    """
+
+    arrival_s: float
+    oldest_s: float
+    counter: int | None
+    boost_voltage_V: float
+    line_voltage_V: float
+    load_power_W: float
+    output: float
+    fault: int
+    bridge: bool
+
+
+@dataclass(frozen=True, slots=True)
+class PortStatistics:
+    """Counts since the port was opened; every refusal of a frame is one of them."""
+
+    received: int = 0
+    sent: int = 0
+    send_drops: int = 0
+    foreign: int = 0
+    wrong_length: int = 0
+    wrong_checksum: int = 0
+    counter_stuck: int = 0
+    counter_lost: int = 0
+    out_of_range: int = 0
+    reconnects: int = 0
+
+
+class Listener(Protocol):
+    """Who is told what a port hears. Called in the event loop; must return at once."""
+
+    def on_reading(self, reading: Reading) -> None:
+        """Take one complete, checked reading."""
+
+    def on_bus(self, up: bool, detail: str) -> None:
+        """Take note that the bus was lost (`up` False) or came back."""
+
+
+class Port(Protocol):
+    """One connection to one drive."""
+
+    @property
+    def description(self) -> str:
+        """The bus in one phrase for people, such as `udp_multicast 239.74.163.2:43113`."""
+
+    @property
+    def counter_modulus(self) -> int | None:
+        """Where the drive's half-cycle counter wraps, None for a drive without a counter."""
+
+    @property
+    def statistics(self) -> PortStatistics:
+        """Counts since opening."""
+
+    async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
+        """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
+
+        Raises:
+            BusError: The bus cannot be opened at the first attempt.
+        """
+
+    def send(self, command: Command) -> bool:
+        """Send one command now; False when the bus did not take it (counted, not retried)."""

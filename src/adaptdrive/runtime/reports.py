@@ -1,0 +1,138 @@
+"""What the runtime tells the rest of the house: immutable snapshots, never live objects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Snapshot
+from adaptdrive.control.waveform import Waveform
+
+
+class State(StrEnum):
+    """Where the drive's state machine is."""
+
+    STANDBY = "standby"
+    STARTING = "starting"
+    RUNNING = "running"
+    TRIPPED = "tripped"
+
+
+class Severity(StrEnum):
+    """How much an event matters."""
+
+    INFO = "info"
+    WARNING = "warning"
+    ALARM = "alarm"
+
+
+@dataclass(frozen=True, slots=True)
+class StateReport:
+    """The operator's view of the drive; published whenever it changes.
+
+    Attributes:
+        state: State of the state machine.
+        mode: What the operator asked for.
+        controller: What is in force.
+        reason: Why `controller` differs from `mode`, or an empty string.
+        enabled: Whether the drive has been enabled.
+        setpoint: Constant set-point in the unit of the output; the last one while a waveform runs.
+        waveform: The running waveform, None while the set-point is constant.
+        pole: Closed-loop pole asked for.
+        trip: Cause of the latched trip, None when not tripped.
+    """
+
+    state: State
+    mode: Mode
+    controller: Mode
+    reason: str
+    enabled: bool
+    setpoint: float
+    waveform: Waveform | None
+    pole: float
+    trip: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class LoadReport:
+    """One slow period: what was sampled, and what was made of it."""
+
+    snapshot: Snapshot
+    decision: Decision
+
+
+@dataclass(frozen=True, slots=True)
+class Quantiles:
+    """Median, 99th percentile and maximum of a time, in microseconds."""
+
+    p50: float
+    p99: float
+    max: float
+
+
+@dataclass(frozen=True, slots=True)
+class DriveReport:
+    """The fast loop, at most ten times a second.
+
+    Attributes:
+        measurement: Last measurement, None before the first.
+        age_s: Age of that measurement.
+        command: Last command sent.
+        ticks: Fast ticks so far.
+        missed: Half cycles that passed without a tick of their own.
+        held: Stand-in ticks that no frame replaced.
+        lateness_us: Lateness of the ticks since the last report.
+        turnaround_us: Status frame in to command frame out, since the last report.
+        bus: Frame counts of the port, by name.
+    """
+
+    measurement: Measurement | None
+    age_s: float
+    command: Command
+    ticks: int
+    missed: int
+    held: int
+    lateness_us: Quantiles
+    turnaround_us: Quantiles
+    bus: dict[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened once: a trip, a mode change, a bus loss.
+
+    Attributes:
+        kind: Short machine-readable name, such as `trip`, `mode`, `fallback`, `bus`.
+        severity: How much it matters.
+        detail: One sentence for people.
+        tick: Fast tick at which it happened.
+    """
+
+    kind: str
+    severity: Severity
+    detail: str
+    tick: int
+
+
+@dataclass(frozen=True, slots=True)
+class TickReport:
+    """One fast tick, whole: enough to run the controller again.
+
+    Attributes:
+        measurement: What the controller was given.
+        order: What was asked of it.
+        applied_k: Slow index of the decision that took effect at this tick, -1 for none.
+        command: What the controller answered.
+        lateness_us: How late the tick was.
+        turnaround_us: Status frame in to command frame out; NaN on a stand-in tick.
+    """
+
+    measurement: Measurement
+    order: Order
+    applied_k: int
+    command: Command
+    lateness_us: float
+    turnaround_us: float
+
+
+Report = StateReport | LoadReport | DriveReport | Event | TickReport

@@ -1,0 +1,70 @@
+"""What an operator may ask of a running drive, and who carries it out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from adaptdrive.control.signals import Mode
+from adaptdrive.control.waveform import Waveform
+from adaptdrive.runtime.reports import State
+
+
+@dataclass(frozen=True, slots=True)
+class SetSetpoint:
+    """Hold a constant set-point, in the unit of the output; stops a waveform."""
+
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class SetWaveform:
+    """Follow a waveform from now on; None holds the present set-point."""
+
+    value: Waveform | None
+
+
+@dataclass(frozen=True, slots=True)
+class SetMode:
+    """Choose the fixed or the adaptive controller."""
+
+    value: Mode
+
+
+@dataclass(frozen=True, slots=True)
+class SetPole:
+    """Choose the closed-loop pole of the load loop."""
+
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class Enable:
+    """Energise the drive and hold the present output."""
+
+
+@dataclass(frozen=True, slots=True)
+class Disable:
+    """Bring the drive into its safe state."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reset:
+    """Leave a trip whose cause is gone."""
+
+
+Request = SetSetpoint | SetWaveform | SetMode | SetPole | Enable | Disable | Reset
+
+
+class Host(Protocol):
+    """The running drive, as far as operators are concerned."""
+
+    async def execute(self, request: Request) -> State:
+        """Carry out a request between two ticks.
+
+        Returns:
+            The state after it.
+
+        Raises:
+            RefusedError: The request cannot be carried out; nothing was changed.
+        """
