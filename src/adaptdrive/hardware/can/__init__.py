@@ -1,0 +1,1 @@
+"""CAN: any drive that a DBC file describes."""

@@ -1,0 +1,156 @@
+"""Opening a CAN bus through python-can: a kernel interface, multicast on loopback, or in-process.
+
+`udp_multicast` stands in for a kernel interface between processes of one machine. Its frames stay
+on the loopback interface: a drive must not be commanded by, nor shown to, the network.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import ipaddress
+import os
+import socket
+import struct
+from collections.abc import Iterable
+
+import can
+
+from adaptdrive.config.bus import CanBus
+from adaptdrive.errors import BusError, Flaw
+
+_IP_MULTICAST_ALL = 49
+"""Linux: whether a socket hears groups that other sockets of the machine have joined."""
+
+_SIOCGIFFLAGS = 0x8913
+_IFF_UP = 0x1
+_IFNAMSIZ = 16
+
+
+def describe_bus(config: CanBus) -> str:
+    """The bus in one phrase for people, such as `udp_multicast 239.74.163.2:43113`."""
+    port = f":{config.udp_port}" if config.interface == "udp_multicast" else ""
+    return f"{config.interface} {config.channel}{port}"
+
+
+def channel_flaws(config: CanBus) -> list[Flaw]:
+    """What is wrong with the channel, as far as it shows without opening it."""
+    place, channel = "bus.channel", config.channel
+    if config.interface == "udp_multicast" and not _is_group(channel):
+        example = "an IPv4 multicast group such as 239.74.163.2"
+        return [Flaw(place, f"udp_multicast needs {example} (it is {channel!r})")]
+    if config.interface == "socketcan" and not 0 < len(channel.encode()) < _IFNAMSIZ:
+        return [Flaw(place, f"socketcan needs an interface such as can0 (it is {channel!r})")]
+    return []
+
+
+def open_bus(config: CanBus, listen: Iterable[int] = ()) -> can.BusABC:
+    """Open a bus; whoever opens it calls its `shutdown()`.
+
+    Args:
+        config: Which bus.
+        listen: Frame ids to hear, everything when empty. A kernel interface then keeps other
+            frames away from the process; other buses ignore it.
+
+    Raises:
+        BusError: The bus cannot be opened.
+    """
+    try:
+        if config.interface == "socketcan":
+            return _open_socketcan(config, listen)
+        if config.interface == "udp_multicast":
+            return _open_multicast(config)
+        return can.Bus(interface="virtual", channel=config.channel, ignore_config=True)
+    except (can.CanError, OSError, ValueError) as problem:
+        raise BusError(describe_bus(config), str(problem)) from problem
+
+
+def frame_key(frame_id: int, *, extended: bool) -> int:
+    """One number for a frame id: an extended id never equals a standard one."""
+    return frame_id | socket.CAN_EFF_FLAG if extended else frame_id
+
+
+def _is_group(channel: str) -> bool:
+    try:
+        return ipaddress.IPv4Address(channel).is_multicast
+    except ValueError:
+        return False
+
+
+def _open_socketcan(config: CanBus, listen: Iterable[int]) -> can.BusABC:
+    _check_kernel(config)
+    _check_interface_up(config)
+    filters = [_filter(key) for key in listen]
+    return can.Bus(
+        interface="socketcan",
+        channel=config.channel,
+        can_filters=filters or None,
+        ignore_config=True,
+    )
+
+
+def _filter(key: int) -> can.typechecking.CanFilter:
+    extended = bool(key & socket.CAN_EFF_FLAG)
+    mask = socket.CAN_EFF_MASK if extended else socket.CAN_SFF_MASK
+    return {"can_id": key & mask, "can_mask": mask, "extended": extended}
+
+
+def _check_kernel(config: CanBus) -> None:
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except OSError as problem:
+        if problem.errno not in {errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT}:
+            raise
+        advice = "this kernel has no AF_CAN; use udp_multicast"
+        raise BusError(describe_bus(config), advice) from problem
+
+
+def _check_interface_up(config: CanBus) -> None:
+    """An interface that is down can be opened but carries nothing: say so at once."""
+    request = struct.pack("16sh14x", config.channel.encode(), 0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            answer = fcntl.ioctl(probe, _SIOCGIFFLAGS, request)
+        except OSError as problem:
+            raise BusError(describe_bus(config), "there is no such interface") from problem
+    if not struct.unpack_from("h", answer, _IFNAMSIZ)[0] & _IFF_UP:
+        advice = f"the interface is down; try: ip link set {config.channel} up"
+        raise BusError(describe_bus(config), advice)
+
+
+def _open_multicast(config: CanBus) -> can.BusABC:
+    bus = can.Bus(
+        interface="udp_multicast",
+        channel=config.channel,
+        port=config.udp_port,
+        hop_limit=0,
+        fd=False,
+        ignore_config=True,
+    )
+    try:
+        _confine_to_loopback(bus.fileno(), config.channel)
+    except OSError:
+        bus.shutdown()
+        raise
+    return bus
+
+
+def _confine_to_loopback(fileno: int, channel: str) -> None:
+    group, loopback = socket.inet_aton(channel), socket.inet_aton("127.0.0.1")
+    default = socket.inet_aton("0.0.0.0")  # noqa: S104 - names the membership to give up
+    with socket.socket(fileno=os.dup(fileno)) as sock:
+        with contextlib.suppress(PermissionError):  # kernels before 5.7 ask for a capability
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
+        sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
+        sock.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
+        _join(sock, group + loopback)
+        sock.setsockopt(socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, group + default)
+
+
+def _join(sock: socket.socket, membership: bytes) -> None:
+    try:
+        sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+    except OSError as problem:
+        if problem.errno != errno.EADDRINUSE:  # the default interface already is loopback
+            raise

@@ -1,0 +1,178 @@
+"""One message of a DBC in both directions: values to frames, and frames to values or a refusal."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+
+from cantools.database import DecodeError
+from cantools.database.can.message import Message
+
+from adaptdrive.config.bus import FrameIntegrity
+from adaptdrive.hardware.can.integrity import AliveCounter, Verdict, checksum_function
+from adaptdrive.hardware.can.layout import (
+    Field,
+    Raw,
+    compile_field,
+    compile_pack,
+    compile_unpack,
+)
+
+_UNPROTECTED = FrameIntegrity()
+
+
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """What became of a frame.
+
+    Attributes:
+        verdict: `GOOD`, or the first check that the frame failed.
+        values: Physical values by signal, in the units of the DBC; empty unless `GOOD`. A
+            multiplexed frame gives those that it carries.
+        lost: Frames that went missing before this one, as far as the alive counter tells.
+    """
+
+    verdict: Verdict
+    values: Mapping[str, float] = field(default_factory=dict)
+    lost: int = 0
+
+
+class MessageCodec:
+    """Encodes and decodes the frames of one message.
+
+    Each direction keeps an alive counter of its own. Build it from a message whose integrity has
+    been checked, as `adaptdrive.hardware.can.database.message_codec` does.
+    """
+
+    def __init__(
+        self,
+        message: Message,
+        integrity: FrameIntegrity | None = None,
+        *,
+        wanted: Collection[str] | None = None,
+        measured: Collection[str] = (),
+    ) -> None:
+        """Compile a message.
+
+        Args:
+            message: The message.
+            integrity: Its alive counter and checksum; None for neither.
+            wanted: Signals to decode and to check, all of them when None.
+            measured: Signals whose largest raw value always means "not available".
+        """
+        integrity = integrity or _UNPROTECTED
+        self.name = message.name
+        self.frame_id = message.frame_id
+        self.is_extended = message.is_extended_frame
+        self._length = message.length
+        self._fields = {
+            signal.name: compile_field(signal, measured=signal.name in measured)
+            for signal in message.signals
+        }
+        self._sent_as_idle = {name: field.idle for name, field in self._fields.items()}
+        self._pack = compile_pack(message)
+        self._prepare_integrity(message, integrity)
+        self._prepare_decoding(message, wanted)
+
+    def _prepare_integrity(self, message: Message, integrity: FrameIntegrity) -> None:
+        self._counter = integrity.counter
+        modulus = counter_modulus(self._fields[self._counter]) if self._counter else 1
+        self._modulus = modulus
+        self._next = 0
+        self._alive = AliveCounter(modulus, integrity.max_jump)
+        self._checksum = checksum_function(integrity.algorithm, integrity.data_id)
+        self._checksum_at = (
+            checksum_byte(message, integrity.checksum) if integrity.checksum else None
+        )
+        self._proofs = {integrity.counter, integrity.checksum}
+
+    def _prepare_decoding(self, message: Message, wanted: Collection[str] | None) -> None:
+        names = self._fields.keys() if wanted is None else wanted
+        self._wanted = tuple(self._fields[name] for name in names if name not in self._proofs)
+        needed = [field.name for field in self._wanted]
+        self._unpack = compile_unpack(message, [*needed, *filter(None, [self._counter])])
+
+    def encode(self, values: Mapping[str, float | None]) -> bytes:
+        """Make the next frame; the alive counter advances by one.
+
+        Args:
+            values: Physical values by signal, in the units of the DBC; None sends "not available".
+                Signals left out are sent as the DBC's initial value.
+
+        Returns:
+            The bytes of the frame, with counter and checksum filled in.
+
+        Raises:
+            ValueError: A value is not finite, or outside the range of its signal.
+            KeyError: The message has no signal of that name.
+        """
+        raw = dict(self._sent_as_idle)
+        for name, value in values.items():
+            raw[name] = self._fields[name].raw(value)
+        if self._counter:
+            raw[self._counter] = self._next
+            self._next = (self._next + 1) % self._modulus
+        return self._with_checksum(self._pack(raw))
+
+    def decode(self, data: bytes) -> Decoded:
+        """Check a frame: length, checksum, alive counter and ranges, in this order.
+
+        Args:
+            data: The bytes of the frame.
+        """
+        if len(data) != self._length:
+            return Decoded(Verdict.WRONG_LENGTH)
+        at = self._checksum_at
+        if at is not None and data[at] != self._checksum(data[:at] + data[at + 1 :]):
+            return Decoded(Verdict.WRONG_CHECKSUM)
+        try:
+            raw = self._unpack(data)
+        except DecodeError:
+            return Decoded(Verdict.OUT_OF_RANGE)
+        return self._judge(raw)
+
+    def reset(self) -> None:
+        """Forget the alive counter received last; the next frame starts anew."""
+        self._alive.reset()
+
+    def _with_checksum(self, data: bytes) -> bytes:
+        at = self._checksum_at
+        if at is None:
+            return data
+        before, after = data[:at], data[at + 1 :]
+        return before + bytes((self._checksum(before + after),)) + after
+
+    def _judge(self, raw: Mapping[str, Raw]) -> Decoded:
+        verdict, lost = self._follow(raw)
+        if verdict is not Verdict.GOOD:
+            return Decoded(verdict, lost=lost)
+        values = {}
+        for field_ in self._wanted:
+            value = raw.get(field_.name)
+            if value is None:
+                continue
+            if not field_.low <= value <= field_.high:
+                return Decoded(Verdict.OUT_OF_RANGE, lost=lost)
+            values[field_.name] = value * field_.scale + field_.offset
+        return Decoded(Verdict.GOOD, values, lost)
+
+    def _follow(self, raw: Mapping[str, Raw]) -> tuple[Verdict, int]:
+        if not self._counter:
+            return Verdict.GOOD, 0
+        value = int(raw[self._counter])
+        if value >= self._modulus:
+            return Verdict.OUT_OF_RANGE, 0
+        return self._alive.check(value)
+
+
+def counter_modulus(counter: Field) -> int:
+    """Where a counter wraps: after the largest value that the DBC declares for it."""
+    return int(counter.high) + 1
+
+
+def checksum_byte(message: Message, checksum: str) -> int | None:
+    """Index of the byte that a checksum signal fills, None when it is not one whole byte."""
+    signal = message.get_signal_by_name(checksum)
+    first_bit = signal.start if signal.byte_order == "little_endian" else signal.start - 7
+    whole = signal.length == 8 and first_bit % 8 == 0 and not signal.is_float
+    return first_bit // 8 if whole else None

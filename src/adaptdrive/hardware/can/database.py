@@ -1,0 +1,171 @@
+"""The DBC: loading it, and finding in it what a configuration names."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from pathlib import Path
+
+import cantools
+from cantools.database.can.database import Database
+from cantools.database.can.message import Message
+from cantools.database.can.signal import Signal
+
+from adaptdrive.config.bus import CanBus, FrameIntegrity
+from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.hardware.can.codec import MessageCodec, checksum_byte, counter_modulus
+from adaptdrive.hardware.can.layout import compile_field
+
+_CLASSIC_LENGTH = 8
+
+
+def load_database(path: Path, source: Path | str = "configuration") -> Database:
+    """Read a DBC file.
+
+    Args:
+        path: The file.
+        source: The configuration that names it, for the error message.
+
+    Raises:
+        ConfigurationError: The file cannot be read or is no DBC.
+    """
+    try:
+        text = path.read_text(encoding="cp1252", errors="replace")  # as DBC editors write it
+        database = cantools.database.load_string(text, database_format="dbc")
+    except (OSError, cantools.Error) as problem:
+        flaw = Flaw("bus.database", _one_line(problem))
+        raise ConfigurationError(source, [flaw]) from problem
+    assert isinstance(database, Database)  # noqa: S101 - what the format "dbc" gives
+    return database
+
+
+def message_codec(
+    database: Database, bus: CanBus, name: str, source: Path | str = "configuration"
+) -> MessageCodec:
+    """The codec of one message, with the integrity that `[bus.integrity]` gives it.
+
+    Args:
+        database: The DBC.
+        bus: The configured bus.
+        name: The message.
+        source: The configuration, for the error message.
+
+    Raises:
+        ConfigurationError: The DBC has no such message, or its integrity does not fit it.
+    """
+    catalogue = Catalogue(database)
+    message = catalogue.message(name, "bus")
+    integrity = bus.integrity.get(name)
+    if integrity:
+        catalogue.check_integrity(name, integrity)
+    if message is None or catalogue.flaws:
+        raise ConfigurationError(source, catalogue.flaws)
+    return MessageCodec(message, integrity)
+
+
+class Catalogue:
+    """Finds messages and signals by name, and gathers a flaw for each that is not there."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self.flaws: list[Flaw] = []
+
+    def note(self, place: str, message: str) -> None:
+        """Gather a flaw."""
+        self.flaws.append(Flaw(place, message))
+
+    def message(self, name: str, place: str) -> Message | None:
+        """The message called `name`, or None and a flaw at `place`."""
+        known = {message.name: message for message in self._database.messages}
+        if name not in known:
+            self.note(place, f"the database has no message {name!r}{_suggestion(name, known)}")
+            return None
+        if known[name].length > _CLASSIC_LENGTH:
+            self.note(place, f"message {name!r} needs CAN FD, which is not supported")
+            return None
+        return known[name]
+
+    def signal(self, reference: str, place: str) -> tuple[Message, Signal] | None:
+        """The message and signal that `Message.Signal` names, or None and a flaw at `place`."""
+        name, dot, signal = reference.partition(".")
+        if not (name and dot and signal):
+            self.note(place, f"{reference!r} must be written Message.Signal")
+            return None
+        message = self.message(name, place)
+        if message is None:
+            return None
+        found = self.signal_of(message, signal, place)
+        return (message, found) if found else None
+
+    def signal_of(self, message: Message, name: str, place: str) -> Signal | None:
+        """The signal called `name` of `message`, or None and a flaw at `place`."""
+        known = {signal.name: signal for signal in message.signals}
+        if name not in known:
+            hint = _suggestion(name, known)
+            self.note(place, f"message {message.name!r} has no signal {name!r}{hint}")
+        return known.get(name)
+
+    def check_integrity(self, name: str, integrity: FrameIntegrity) -> None:
+        """Gather the flaws of `[bus.integrity.NAME]`."""
+        place = f"bus.integrity.{name}"
+        message = self.message(name, place)
+        if message is None:
+            return
+        if integrity.counter:
+            self._check_counter(message, integrity, f"{place}.counter")
+        if integrity.checksum:
+            self._check_checksum(message, integrity.checksum, f"{place}.checksum")
+        if integrity.counter and integrity.counter == integrity.checksum:
+            self.note(place, f"{integrity.counter!r} cannot be both counter and checksum")
+
+    def _check_counter(self, message: Message, integrity: FrameIntegrity, place: str) -> None:
+        signal = self.signal_of(message, integrity.counter or "", place)
+        if signal is None or not self.check_counter(signal, place):
+            return
+        modulus = counter_modulus(compile_field(signal))
+        if integrity.max_jump >= modulus:
+            problem = f"{integrity.max_jump} must be below the counter's {modulus} values"
+            self.note(place.replace(".counter", ".max_jump"), problem)
+
+    def check_counter(self, signal: Signal, place: str) -> bool:
+        """Whether a signal can count; a flaw at `place` when it cannot."""
+        counts = (
+            is_word(signal)
+            and not signal.is_signed
+            and not is_multiplexed(signal)
+            and signal.length > 1
+            and compile_field(signal).low == 0
+        )
+        if not counts:
+            self.note(
+                place,
+                f"signal {signal.name!r} cannot count: a counter is an unsigned integer of two bits"
+                " or more that starts at 0, has factor 1 and offset 0, and is not multiplexed",
+            )
+        return counts
+
+    def _check_checksum(self, message: Message, name: str, place: str) -> None:
+        signal = self.signal_of(message, name, place)
+        if signal is None:
+            return
+        if checksum_byte(message, name) is None or is_multiplexed(signal):
+            self.note(place, f"signal {name!r} must fill one whole byte of every frame")
+
+
+def is_word(signal: Signal) -> bool:
+    """Whether the physical value of a signal is its raw integer."""
+    return not signal.is_float and signal.scale == 1 and signal.offset == 0
+
+
+def is_multiplexed(signal: Signal) -> bool:
+    """Whether only some frames of its message carry a signal."""
+    return bool(signal.multiplexer_ids)
+
+
+def _suggestion(name: str, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(name, list(known), n=1)
+    return f" (did you mean {close[0]!r}?)" if close else ""
+
+
+def _one_line(problem: Exception) -> str:
+    return " ".join(str(problem).split())

@@ -1,0 +1,167 @@
+"""Where the bits of a signal lie: a DBC's layout, compiled for the fast path.
+
+Little-endian integers, which is what drives send, are cut out of one big integer by shift and mask.
+Whatever else a DBC can describe (big-endian, floating point and multiplexed signals) takes the slow
+way through cantools, with the same results.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import cast
+
+from cantools.database.can.message import Message
+from cantools.database.can.signal import Signal
+
+Raw = int | float
+Unpack = Callable[[bytes], Mapping[str, Raw]]
+Pack = Callable[[Mapping[str, Raw]], bytes]
+
+_ROUNDING = 1e-6
+"""Share of one count by which a declared limit may miss its count in binary."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One signal: its unit, and the raw values that mean something.
+
+    Attributes:
+        name: Name of the signal.
+        scale: Physical units per count.
+        offset: Physical value of the raw value zero.
+        low: Smallest raw value in range.
+        high: Largest raw value in range.
+        integer: Whether raw values are integers.
+        unavailable: Raw value that means "not available".
+        idle: Raw value of a signal that the sender does not set.
+    """
+
+    name: str
+    scale: float
+    offset: float
+    low: Raw
+    high: Raw
+    integer: bool
+    unavailable: Raw
+    idle: Raw
+
+    def physical(self, raw: Raw) -> float:
+        """The physical value of a raw one, in the unit of the signal."""
+        return raw * self.scale + self.offset
+
+    def raw(self, value: float | None) -> Raw:
+        """The raw value of a physical one; None stands for "not available".
+
+        Raises:
+            ValueError: The value is not finite, or outside the range of the signal.
+        """
+        if value is None:
+            return self.unavailable
+        raw = (value - self.offset) / self.scale
+        if self.integer and math.isfinite(raw):
+            raw = round(raw)
+        if not self.low <= raw <= self.high:
+            ends = f"{self.physical(self.low):g}…{self.physical(self.high):g}"
+            raise ValueError(f"{self.name} = {value} is outside {ends}")
+        return raw
+
+
+def compile_field(signal: Signal, *, measured: bool = False) -> Field:
+    """Compile one signal.
+
+    Args:
+        signal: The signal.
+        measured: Whether the largest raw value means "not available" even where the range that the
+            DBC declares (or fails to declare) has room for it.
+    """
+    top = _natural_limits(signal)[1]
+    low, high = _declared_limits(signal)
+    if measured and not signal.is_float and signal.length > 1:
+        high = min(high, top - 1)
+    return Field(
+        name=signal.name,
+        scale=signal.scale,
+        offset=signal.offset,
+        low=low,
+        high=high,
+        integer=not signal.is_float,
+        unavailable=math.nan if signal.is_float else top,
+        idle=signal.raw_initial or 0,
+    )
+
+
+def _natural_limits(signal: Signal) -> tuple[Raw, Raw]:
+    if signal.is_float:
+        largest = {16: 65504.0, 32: 3.4028234663852886e38}.get(signal.length, math.inf)
+        largest = min(largest, 1.7976931348623157e308)
+        return -largest, largest
+    if signal.is_signed:
+        half = 1 << (signal.length - 1)
+        return -half, half - 1
+    return 0, (1 << signal.length) - 1
+
+
+def _declared_limits(signal: Signal) -> tuple[Raw, Raw]:
+    low, high = _natural_limits(signal)
+    if signal.minimum is None or signal.maximum is None:
+        return low, high
+    ends = sorted((end - signal.offset) / signal.scale for end in (signal.minimum, signal.maximum))
+    if signal.is_float:
+        return max(low, ends[0]), min(high, ends[1])
+    return max(low, math.ceil(ends[0] - _ROUNDING)), min(high, math.floor(ends[1] + _ROUNDING))
+
+
+def compile_unpack(message: Message, names: Iterable[str]) -> Unpack:
+    """A function from the bytes of a frame to the raw values of some of its signals.
+
+    Args:
+        message: The message; a multiplexed one gives the signals that its frame has.
+        names: The signals wanted.
+    """
+    signals = [message.get_signal_by_name(name) for name in names]
+    if message.is_multiplexed() or not all(map(_is_plain, signals)):
+        return _slow_unpack(message, frozenset(signal.name for signal in signals))
+    cuts = [_cut(signal) for signal in signals]
+
+    def unpack(data: bytes) -> dict[str, Raw]:
+        word = int.from_bytes(data, "little")
+        # (x ^ sign) - sign extends the sign; an unsigned signal has sign = 0
+        return {name: ((word >> shift & mask) ^ sign) - sign for name, shift, mask, sign in cuts}
+
+    return unpack
+
+
+def compile_pack(message: Message) -> Pack:
+    """A function from the raw values of all signals of a message to the bytes of its frame."""
+    if message.is_multiplexed() or not all(map(_is_plain, message.signals)):
+        return lambda raw: message.encode(dict(raw), scaling=False, strict=False)
+    cuts = [_cut(signal) for signal in message.signals]
+    length = message.length
+
+    def pack(raw: Mapping[str, Raw]) -> bytes:
+        word = 0
+        for name, shift, mask, _ in cuts:
+            word |= (cast("int", raw[name]) & mask) << shift
+        return word.to_bytes(length, "little")
+
+    return pack
+
+
+def _is_plain(signal: Signal) -> bool:
+    return signal.byte_order == "little_endian" and not signal.is_float
+
+
+def _cut(signal: Signal) -> tuple[str, int, int, int]:
+    mask = (1 << signal.length) - 1
+    sign = 1 << (signal.length - 1) if signal.is_signed else 0
+    return signal.name, signal.start, mask, sign
+
+
+def _slow_unpack(message: Message, names: frozenset[str]) -> Unpack:
+    def unpack(data: bytes) -> dict[str, Raw]:
+        decoded = message.decode_simple(data, decode_choices=False, scaling=False)
+        return {name: cast("Raw", raw) for name, raw in decoded.items() if name in names}
+
+    return unpack

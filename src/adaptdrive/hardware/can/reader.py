@@ -1,0 +1,133 @@
+"""Hearing a CAN bus from within the event loop.
+
+python-can's own adapter spins when a bus dies and tells nobody. This one reads a bounded number of
+frames per wake-up, so that a flood cannot starve the loop, and ends when the bus does.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Iterator
+from typing import Protocol
+
+import can
+
+_BUDGET = 32
+"""Frames read per wake-up; the rest stays in the kernel's queue until the loop has been round."""
+
+_POLL_S = 0.001
+"""How often a bus without a file descriptor is looked at."""
+
+_HEALTH_S = 0.25
+"""How often an idle bus is checked: a socket that is closed under the reader never wakes it."""
+
+_CLOSED = -1
+_NO_FILE = -2
+
+
+class FrameTaker(Protocol):
+    """Who gets the frames. Called in the event loop; must return at once."""
+
+    def take(self, frame: can.Message) -> None:
+        """Take one frame."""
+
+    def take_garbage(self) -> None:
+        """Take note of something on the bus that is no frame."""
+
+
+async def read_frames(bus: can.BusABC, taker: FrameTaker) -> str:
+    """Hand every frame to `taker` until the bus is lost.
+
+    Args:
+        bus: An open bus.
+        taker: Who gets the frames; an error it raises ends the reading and is raised here.
+
+    Returns:
+        Why the bus is lost.
+    """
+    loop = asyncio.get_running_loop()
+    lost: asyncio.Future[str] = loop.create_future()
+
+    def drain() -> None:
+        if lost.done():
+            return
+        try:
+            problem = _drain(bus, taker)
+        except Exception as error:  # noqa: BLE001 - it is raised again, where it can be seen
+            lost.set_exception(error)
+            return
+        if problem:
+            lost.set_result(problem)
+
+    with _wake_ups(loop, _fileno(bus), drain):
+        while not lost.done():
+            await asyncio.wait([lost], timeout=_HEALTH_S)
+            if not lost.done() and _fileno(bus) == _CLOSED:
+                return "closed"
+        return lost.result()
+
+
+def _fileno(bus: can.BusABC) -> int:
+    try:
+        return bus.fileno()
+    except NotImplementedError:
+        return _NO_FILE
+
+
+@contextlib.contextmanager
+def _wake_ups(
+    loop: asyncio.AbstractEventLoop, fileno: int, drain: Callable[[], None]
+) -> Iterator[None]:
+    if fileno == _CLOSED:
+        yield
+    elif fileno == _NO_FILE:
+        with _polling(loop, drain):
+            yield
+    else:
+        loop.add_reader(fileno, drain)
+        try:
+            yield
+        finally:
+            loop.remove_reader(fileno)
+
+
+@contextlib.contextmanager
+def _polling(loop: asyncio.AbstractEventLoop, drain: Callable[[], None]) -> Iterator[None]:
+    handle: asyncio.Handle
+
+    def poll() -> None:
+        nonlocal handle
+        handle = loop.call_later(_POLL_S, poll)
+        drain()
+
+    handle = loop.call_soon(poll)
+    try:
+        yield
+    finally:
+        handle.cancel()
+
+
+def _drain(bus: can.BusABC, taker: FrameTaker) -> str | None:
+    """Read what is there, within the budget; the problem when the bus is lost."""
+    for _ in range(_BUDGET):
+        try:
+            frame = bus.recv(0)
+        except BlockingIOError:  # the kernel threw a damaged datagram away after announcing it
+            return None
+        except can.CanOperationError as problem:
+            if not _is_garbage(problem):
+                return str(problem)
+            taker.take_garbage()
+            continue
+        except (can.CanError, OSError, ValueError) as problem:
+            return str(problem)
+        if frame is None:
+            return None
+        taker.take(frame)
+    return None
+
+
+def _is_garbage(problem: can.CanOperationError) -> bool:
+    """Whether a datagram could not be understood, as opposed to a socket that failed."""
+    return problem.__cause__ is not None and not isinstance(problem.__cause__, OSError)

@@ -1,0 +1,1 @@
+"""A port without a bus, for tests and notebooks."""
