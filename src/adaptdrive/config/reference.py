@@ -1,0 +1,108 @@
+"""The reference page of the configuration, made from the models that validate it.
+
+`python -m adaptdrive.config.reference FILE` writes the page.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from adaptdrive.config.root import Configuration
+
+Schema = Mapping[str, Any]
+
+_INTRODUCTION = """\
+# Configuration
+
+One TOML file describes one drive. Numbers are in SI units; a unit that could be mistaken is part
+of the key. Every flaw of a file is listed with its place, and an unknown key is a flaw.
+
+Sections that a file must have: {required}. The others have defaults throughout.
+`make docs` writes this page from the models in `src/adaptdrive/config`.
+"""
+_HEAD = "| key | type | default | meaning |\n|---|---|---|---|"
+_TYPES = {"boolean": "boolean", "integer": "integer", "number": "float", "string": "string"}
+_BOUNDS = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
+
+
+def reference_page() -> str:
+    """Describe every key of the configuration in Markdown, one table for each section."""
+    schema = Configuration.model_json_schema()
+    required = ", ".join(f"`[{name}]`" for name in schema["required"])
+    definitions = schema["$defs"]
+    sections = dict.fromkeys(_sections(schema, definitions))
+    parts = [_INTRODUCTION.format(required=required)]
+    parts += [_section(definitions[name]) for name in sections]
+    return "\n".join(parts)
+
+
+def _sections(schema: Schema, definitions: Schema) -> Iterator[str]:
+    """Names of the sections below a section, in the order of its keys, depth first."""
+    for key in schema["properties"].values():
+        for name in _references(key):
+            yield name
+            yield from _sections(definitions[name], definitions)
+
+
+def _references(key: Schema) -> Iterator[str]:
+    options = [key, *key.get("anyOf", ()), key.get("additionalProperties", {})]
+    for option in options:
+        if "$ref" in option:
+            yield option["$ref"].removeprefix("#/$defs/")
+
+
+def _section(schema: Schema) -> str:
+    title, _, meaning = schema["description"].rstrip(".").partition(": ")
+    meaning = f"\n{meaning[0].upper()}{meaning[1:]}.\n" if meaning else ""
+    required = schema.get("required", ())
+    rows = [
+        _row(name, key, required=name in required)
+        for name, key in schema["properties"].items()
+        if not _is_section(key)
+    ]
+    return "\n".join([f"## {title}", meaning, _HEAD, *rows, ""])
+
+
+def _is_section(key: Schema) -> bool:
+    return "$ref" in key or "additionalProperties" in key
+
+
+def _row(name: str, key: Schema, *, required: bool) -> str:
+    default = "required" if required else _default(key["default"])
+    cells = (f"`{name}`", _type(key), default, key.get("description", ""))
+    return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
+
+
+def _default(value: object) -> str:
+    return "none" if value is None else f"`{json.dumps(value)}`"
+
+
+def _type(key: Schema) -> str:
+    if "anyOf" in key:
+        return " or ".join(_type(option) for option in key["anyOf"] if option.get("type") != "null")
+    if "$ref" in key:
+        return "table"
+    choices = key.get("enum", [key["const"]] if "const" in key else [])
+    if choices:
+        return " or ".join(f"`{json.dumps(choice)}`" for choice in choices)
+    return ", ".join([_kind(key), *_limits(key)])
+
+
+def _kind(key: Schema) -> str:
+    return "path" if key.get("format") == "path" else _TYPES[key["type"]]
+
+
+def _limits(key: Schema) -> Iterator[str]:
+    if "pattern" in key:
+        yield f"`{key['pattern']}`"
+    for bound, sign in _BOUNDS.items():
+        if bound in key:
+            yield f"{sign} {key[bound]:g}"
+
+
+if __name__ == "__main__":
+    Path(sys.argv[1]).write_text(reference_page(), encoding="utf-8")

@@ -1,0 +1,75 @@
+"""Reading a configuration file from a disk."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from adaptdrive.config import load_configuration
+from adaptdrive.errors import ConfigurationError
+from tests.config.documents import document, parse
+
+EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
+
+
+def test_a_small_file_is_enough(tmp_path: Path) -> None:
+    file = tmp_path / "bench.toml"
+    file.write_text(document(), encoding="utf-8")
+    configuration = load_configuration(file)
+    assert configuration.drive.name == "bench"
+    assert configuration.load.pole == 0.70
+    assert configuration.mqtt.host == "127.0.0.1"
+
+
+def test_the_database_is_looked_for_beside_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "bench.toml"
+    file.write_text(document(), encoding="utf-8")
+    assert load_configuration(file).bus.database == tmp_path / "bench.dbc"
+
+
+def test_an_absolute_path_stays(tmp_path: Path) -> None:
+    assert parse(bus__database=f'"{tmp_path}/x.dbc"').bus.database == tmp_path / "x.dbc"
+
+
+@pytest.mark.parametrize(
+    ("frequency_Hz", "period_s", "ticks"), [(60, 1.0, 120), (50, 1.0, 100), (50, 60.0, 6000)]
+)
+def test_fast_ticks_in_a_slow_period(frequency_Hz: int, period_s: float, ticks: int) -> None:
+    configuration = parse(drive__line_frequency_Hz=str(frequency_Hz), load__period_s=str(period_s))
+    assert configuration.ticks_per_period == ticks
+
+
+def test_a_configuration_cannot_be_changed() -> None:
+    configuration = parse()
+    with pytest.raises(ValidationError):
+        configuration.load.pole = 0.8  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        pytest.param(None, id="missing"),
+        pytest.param(b"drive = {", id="not TOML"),
+        pytest.param(b"# \xff\xfe", id="not UTF-8"),
+        pytest.param(b"", id="empty"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, content: bytes | None) -> None:
+    file = tmp_path / "bench.toml"
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(ConfigurationError, match=str(file)) as caught:
+        load_configuration(file)
+    assert caught.value.source == file
+
+
+def test_a_folder_is_no_configuration(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="directory"):
+        load_configuration(tmp_path)
+
+
+@pytest.mark.parametrize("file", sorted(EXAMPLES.glob("*.toml")), ids=lambda file: file.name)
+def test_the_examples_are_valid_and_whole(file: Path) -> None:
+    assert load_configuration(file).bus.database.is_file()
