@@ -201,7 +201,7 @@ class Controller:
         if verdict is Verdict.TRUSTED:
             return "" if mode is Mode.ADAPTIVE else "fixed controller asked for"
         if verdict is Verdict.WARMING_UP:
-            return f"warming up: {state.estimator.periods} of {jacket.warm_up_periods} periods"
+            return f"warming up: needs {jacket.warm_up_periods} slow periods"
         if verdict is Verdict.OUT_OF_BOUNDS:
             return self._out_of_bounds(state)
         return _REASONS[verdict]

@@ -119,6 +119,8 @@ class TickReport:
     """One fast tick, whole: enough to run the controller again.
 
     Attributes:
+        sequence: Running number of the reports since the controller was built, from 0. A jump
+            of the tick is a missed half cycle; a jump of this number is a lost report.
         measurement: What the controller was given.
         order: What was asked of it.
         applied_k: Slow index of the decision that took effect at this tick, -1 for none.
@@ -127,6 +129,7 @@ class TickReport:
         turnaround_us: Status frame in to command frame out; NaN on a stand-in tick.
     """
 
+    sequence: int
     measurement: Measurement
     order: Order
     applied_k: int

@@ -1,0 +1,251 @@
+"""One drive under control: the tasks, who owns them, and what the world hears of them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.signals import Decision, Mode, Snapshot
+from adaptdrive.hardware.port import Port, Reading
+from adaptdrive.runtime.fast_loop import FastLoop, FastLoopSettings
+from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.machine import Machine, MachineLimits
+from adaptdrive.runtime.reports import (
+    DriveReport,
+    Event,
+    LoadReport,
+    Severity,
+    State,
+    StateReport,
+    TickReport,
+)
+from adaptdrive.runtime.requests import Disable, Request
+from adaptdrive.runtime.slow_loop import SlowLoop
+from adaptdrive.runtime.tick_timer import TickTimer
+from adaptdrive.runtime.watchdog import ServiceManager
+
+_FAREWELLS = 3
+_FAREWELL_GAP_S = 0.005
+
+
+@dataclass(frozen=True, slots=True)
+class DaemonSettings:
+    """What the runtime must know.
+
+    Attributes:
+        machine: Operator's limits.
+        pole: Closed-loop pole at start.
+        fast: The fast loop.
+        report_s: Time between two drive reports.
+    """
+
+    machine: MachineLimits
+    pole: float
+    fast: FastLoopSettings
+    report_s: float
+
+
+class Daemon:
+    """Runs one drive; the host of its operators."""
+
+    def __init__(  # noqa: PLR0913 - it joins the rooms of the house, and names each
+        self,
+        *,
+        port: Port,
+        controller: Controller,
+        settings: DaemonSettings,
+        clock: Callable[[], float],
+        hub: Hub,
+        manager: ServiceManager,
+    ) -> None:
+        """Join port, controller and reports.
+
+        Args:
+            port: The drive.
+            controller: Its controller.
+            settings: Limits and rates.
+            clock: Monotonic clock in seconds.
+            hub: Where reports go.
+            manager: The service manager.
+        """
+        self._port = port
+        self._settings = settings
+        self._clock = clock
+        self._hub = hub
+        self._manager = manager
+        self._machine = Machine(settings.machine, settings.pole)
+        self._fast = FastLoop(port, controller, self._machine, settings.fast, self)
+        self._slow = SlowLoop(controller, self._fast.deliver)
+        self._timer: TickTimer | None = None
+        self._decision: Decision | None = None
+        self._told = self._state_report()
+        self._bus_up = False
+
+    async def run(self, stop: asyncio.Event) -> None:
+        """Serve the drive until `stop` is set; leave it in its safe state, whatever happens.
+
+        Args:
+            stop: Set it for an orderly stop.
+
+        Raises:
+            ExceptionGroup: A task died; a `BusError` in it when the bus cannot be opened.
+        """
+        self._timer = TickTimer(asyncio.get_running_loop(), self._fast.on_deadline)
+        self._hub.publish(self._told)
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                serving = [
+                    tasks.create_task(self._port.run(self, self._opened), name="port"),
+                    tasks.create_task(self._slow.run(), name="slow loop"),
+                    tasks.create_task(self._report(), name="reports"),
+                ]
+                await stop.wait()
+                await self._shut_down()
+                for task in serving:
+                    task.cancel()
+        finally:
+            self._timer.close()
+            self._fast.send_safe()
+            self._manager.close()
+
+    async def execute(self, request: Request) -> State:
+        """Carry out an operator's request between two ticks.
+
+        Raises:
+            RefusedError: It cannot be carried out; nothing was changed.
+        """
+        fast, mode = self._fast, self._machine.mode
+        output = fast.reading.output if fast.reading is not None else float("nan")
+        self._machine.carry_out(request, fast.tick, output, fast.cause)
+        if not self._machine.energised:
+            self._fast.send_safe()
+        if self._machine.mode is not mode:
+            self._tell("mode", Severity.INFO, f"mode {mode} to {self._machine.mode}")
+        self._publish_state()
+        return self._machine.state
+
+    def on_reading(self, reading: Reading) -> None:
+        """A reading came in from the port."""
+        self._fast.on_reading(reading)
+
+    def on_bus(self, up: bool, detail: str) -> None:
+        """The bus was lost or came back."""
+        self._bus_up = up
+        severity = Severity.INFO if up else Severity.WARNING
+        self._tell("bus", severity, detail)
+        self._manager.status(detail)
+
+    def now_s(self) -> float:
+        """Monotonic time."""
+        return self._clock()
+
+    def arm(self, deadline_s: float) -> None:
+        """Wake the fast loop at a monotonic time."""
+        if self._timer is not None:
+            self._timer.arm(deadline_s)
+
+    def met_deadline(self, now_s: float) -> None:
+        """A tick was in time: the service manager may know."""
+        self._manager.feed(now_s)
+
+    def ticked(self, report: TickReport) -> None:
+        """A tick is complete."""
+        self._hub.publish(report)
+        if self._machine.state is not self._told.state:
+            self._publish_state()
+
+    def snapshot_taken(self, snapshot: Snapshot) -> bool:
+        """Queue a snapshot for the slow loop."""
+        return self._slow.offer(snapshot)
+
+    def decided(self, snapshot: Snapshot, decision: Decision) -> None:
+        """A decision was taken over: tell about it, and about a change of controller."""
+        self._decision = decision
+        self._hub.publish(LoadReport(snapshot, decision))
+        self._publish_state()
+
+    def run_ended(self) -> None:
+        """Nothing that was decided is valid any more."""
+        self._decision = None
+        self._slow.forget()
+
+    def _opened(self) -> None:
+        self._bus_up = True
+        self._fast.begin()
+        self._manager.ready()
+        self._manager.status(f"{self._port.description}: waiting for the drive")
+
+    async def _report(self) -> None:
+        while True:
+            await asyncio.sleep(self._settings.report_s)
+            self._hub.publish(self._drive_report())
+            self._publish_state()
+
+    async def _shut_down(self) -> None:
+        """Bring the drive to zero; more than once, because a frame can be lost."""
+        self._manager.stopping()
+        await self.execute(Disable())
+        for _ in range(_FAREWELLS):
+            self._fast.send_safe()
+            await asyncio.sleep(_FAREWELL_GAP_S)
+
+    def _publish_state(self) -> None:
+        report, told = self._state_report(), self._told
+        if report == told:
+            return
+        self._told = report
+        self._hub.publish(report)
+        if report.state is not told.state:
+            self._tell_state(report, told)
+        elif report.controller is not told.controller:
+            self._tell_controller(report)
+
+    def _tell_state(self, report: StateReport, told: StateReport) -> None:
+        if report.trip is not None and told.trip is None:
+            self._tell("trip", Severity.ALARM, report.trip)
+        self._tell("state", Severity.INFO, f"{told.state} to {report.state}")
+        self._manager.status(str(report.state) if report.trip is None else report.trip)
+
+    def _tell_controller(self, report: StateReport) -> None:
+        fell_back = report.mode is Mode.ADAPTIVE and report.controller is Mode.FIXED
+        if fell_back:
+            self._tell("fallback", Severity.WARNING, report.reason)
+        else:
+            self._tell("controller", Severity.INFO, f"{report.controller} controller in force")
+
+    def _tell(self, kind: str, severity: Severity, detail: str) -> None:
+        self._hub.publish(Event(kind, severity, detail, self._fast.tick))
+
+    def _state_report(self) -> StateReport:
+        machine, decision = self._machine, self._decision
+        controller = decision.controller if decision is not None else Mode.FIXED
+        waiting = machine.mode is Mode.ADAPTIVE and controller is Mode.FIXED
+        reason = "not running" if decision is None else decision.reason
+        return StateReport(
+            state=machine.state,
+            mode=machine.mode,
+            controller=controller,
+            reason=reason if waiting else "",
+            enabled=machine.energised,
+            setpoint=machine.setpoint,
+            waveform=machine.waveform,
+            pole=machine.pole,
+            trip=machine.trip,
+        )
+
+    def _drive_report(self) -> DriveReport:
+        fast = self._fast
+        age_s = self._clock() - fast.reading.oldest_s if fast.reading else float("nan")
+        return DriveReport(
+            measurement=fast.measurement,
+            age_s=age_s,
+            command=fast.command,
+            ticks=fast.counts.ticks,
+            missed=fast.counts.missed,
+            held=fast.counts.held,
+            lateness_us=fast.lateness.take(),
+            turnaround_us=fast.turnaround.take(),
+            bus=asdict(self._port.statistics),
+        )

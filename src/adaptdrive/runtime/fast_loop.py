@@ -1,0 +1,294 @@
+"""The fast loop: one tick per half line cycle, clocked by the drive's own status frame.
+
+A frame runs its tick at once. When a frame is late, the timer runs a stand-in tick on the held
+values; the frame, if it still comes, then replaces those values and makes no second tick. Whatever
+goes wrong, every tick sends a command, and without a reason to do otherwise it is the safe one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.signals import (
+    SAFE_COMMAND,
+    Decision,
+    Measurement,
+    Order,
+    Snapshot,
+    Stage,
+)
+from adaptdrive.hardware.port import Port, Reading
+from adaptdrive.runtime.guard import CommandLimits, Guard
+from adaptdrive.runtime.half_cycles import HalfCycles
+from adaptdrive.runtime.interlocks import Limits, find_cause
+from adaptdrive.runtime.machine import Machine
+from adaptdrive.runtime.reports import TickReport
+from adaptdrive.runtime.statistics import TimeWindow
+
+_BRIDGE_GRACE_TICKS = 30
+
+
+@dataclass(slots=True)
+class TickCounts:
+    """Counts since the start.
+
+    Attributes:
+        ticks: Ticks run.
+        missed: Half cycles that passed without a tick.
+        held: Stand-in ticks.
+        late_decisions: Decisions that were not ready at their tick.
+    """
+
+    ticks: int = 0
+    missed: int = 0
+    held: int = 0
+    late_decisions: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class FastLoopSettings:
+    """What the fast loop must know.
+
+    Attributes:
+        limits: Trip levels.
+        command: Limits of what may be sent.
+        tick_s: Half a line cycle at nominal frequency.
+        latency_ticks: L, ticks from a snapshot to the effect of its decision.
+        late_fraction: Lateness of a frame, in ticks, at which a stand-in tick runs.
+        timer_standin: Whether the timer stands in at all.
+    """
+
+    limits: Limits
+    command: CommandLimits
+    tick_s: float
+    latency_ticks: int
+    late_fraction: float
+    timer_standin: bool
+
+
+class Surroundings(Protocol):
+    """What the fast loop needs of the rest of the runtime; every call returns at once."""
+
+    def now_s(self) -> float:
+        """Monotonic time."""
+
+    def arm(self, deadline_s: float) -> None:
+        """Call `on_deadline` at a monotonic time."""
+
+    def met_deadline(self, now_s: float) -> None:
+        """A tick was in time."""
+
+    def ticked(self, report: TickReport) -> None:
+        """A tick is complete."""
+
+    def snapshot_taken(self, snapshot: Snapshot) -> bool:
+        """Queue a snapshot for the slow loop; False when it has fallen hopelessly behind."""
+
+    def decided(self, snapshot: Snapshot, decision: Decision) -> None:
+        """A decision was taken over."""
+
+    def run_ended(self) -> None:
+        """The drive is no longer running: what was decided for it is void."""
+
+
+class FastLoop:
+    """Runs the ticks of one drive. Listens to the port; is called by the timer."""
+
+    def __init__(
+        self,
+        port: Port,
+        controller: Controller,
+        machine: Machine,
+        settings: FastLoopSettings,
+        surroundings: Surroundings,
+    ) -> None:
+        """Join the pieces.
+
+        Args:
+            port: Where readings come from and commands go.
+            controller: The two-rate controller.
+            machine: The state machine.
+            settings: Limits and rates.
+            surroundings: Who is told what.
+        """
+        self._port = port
+        self._controller = controller
+        self._machine = machine
+        self._half_cycles = HalfCycles(port.counter_modulus, settings.tick_s)
+        self._guard = Guard(settings.command)
+        self._settings = settings
+        self._surroundings = surroundings
+        self._due: tuple[int, Decision] | None = None
+        self._run_tick = 0
+        self._bridge_off_ticks = 0
+        self._order: Order | None = None
+        self._applied_k = -1
+        self._wanted = SAFE_COMMAND
+        self._sequence = 0
+        self.tick = -1
+        self.reading: Reading | None = None
+        self.measurement: Measurement | None = None
+        self.command = SAFE_COMMAND
+        self.counts = TickCounts()
+        self.lateness = TimeWindow()
+        self.turnaround = TimeWindow()
+
+    @property
+    def cause(self) -> str | None:
+        """The interlock that is active now."""
+        return find_cause(self.reading, self._surroundings.now_s(), self._settings.limits)
+
+    def begin(self) -> None:
+        """Start the stand-in timer; the first frame takes over from it."""
+        self._arm(self._surroundings.now_s() + self._half_cycles.tick_period_s)
+
+    def on_reading(self, reading: Reading) -> None:
+        """A complete reading came in: run its tick, unless a stand-in already did."""
+        tick = self._half_cycles.place(reading.counter, reading.arrival_s, self.tick)
+        self.reading = reading
+        self._arm(
+            reading.arrival_s
+            + (1.0 + self._settings.late_fraction) * self._half_cycles.tick_period_s
+        )
+        if tick <= self.tick:
+            return
+        lateness_us = (self._surroundings.now_s() - reading.arrival_s) * 1e6
+        self._run(tick, lateness_us, fresh=True)
+        turnaround_us = (self._surroundings.now_s() - reading.arrival_s) * 1e6
+        self.turnaround.add(turnaround_us)
+        self._report(lateness_us, turnaround_us)
+
+    def on_deadline(self, deadline_s: float) -> None:
+        """No frame came in time: run a stand-in tick on the held values."""
+        period_s = self._half_cycles.tick_period_s
+        now_s = self._surroundings.now_s()
+        skipped = max(0, int((now_s - deadline_s) / period_s))
+        self._arm(deadline_s + (1 + skipped) * period_s)
+        if not self._settings.timer_standin and self.reading is not None:
+            self._watch_interlocks()
+            return
+        lateness_us = (now_s - deadline_s) * 1e6
+        self.counts.held += 1
+        self._run(self.tick + 1 + skipped, lateness_us, fresh=False)
+        self._report(lateness_us, math.nan)
+
+    def deliver(self, snapshot: Snapshot, decision: Decision) -> None:
+        """Take a decision of the slow loop; it takes effect at its fixed tick."""
+        if self._machine.stage is not Stage.RUN or snapshot.tick < self._run_tick:
+            return
+        self._due = (snapshot.tick + self._settings.latency_ticks, decision)
+        self._surroundings.decided(snapshot, decision)
+
+    def send_safe(self) -> None:
+        """Send the safe command now, outside any tick."""
+        self.command = SAFE_COMMAND
+        self._port.send(self._guard.check(SAFE_COMMAND))
+
+    def _arm(self, deadline_s: float) -> None:
+        self._surroundings.arm(deadline_s)
+
+    def _run(self, tick: int, lateness_us: float, *, fresh: bool) -> None:
+        """One tick: interlocks, state, controller, guard, wire."""
+        self.counts.ticks += 1
+        if self.tick >= 0:
+            self.counts.missed += tick - self.tick - 1
+        self.lateness.add(lateness_us)
+        self.tick = tick
+        self._applied_k = -1
+        self._watch_interlocks()
+        if self.reading is None:
+            self.send_safe()
+        else:
+            self._control(tick, self.reading, fresh=fresh)
+        if lateness_us < 0.5e6 * self._half_cycles.tick_period_s:
+            self._surroundings.met_deadline(self._surroundings.now_s())
+
+    def _watch_interlocks(self) -> None:
+        machine, reading = self._machine, self.reading
+        if not machine.energised:
+            return
+        cause = self.cause or self._bridge_cause(reading)
+        if cause is None and reading is not None:
+            machine.advance(self.tick, reading.boost_voltage_V)
+        elif cause is not None:
+            machine.latch(cause)
+
+    def _bridge_cause(self, reading: Reading | None) -> str | None:
+        """A drive that has stopped by itself must not be driven on as if it had not."""
+        if reading is None or reading.bridge or not self.command.bridge:
+            self._bridge_off_ticks = 0
+            return None
+        self._bridge_off_ticks += 1
+        if self._bridge_off_ticks <= _BRIDGE_GRACE_TICKS:
+            return None
+        return "drive stopped: its bridge is off although it was commanded on"
+
+    def _control(self, tick: int, reading: Reading, *, fresh: bool) -> None:
+        order = self._current_order(tick)
+        measurement = Measurement(
+            tick,
+            self._half_cycles.tick_period_s,
+            reading.boost_voltage_V,
+            reading.line_voltage_V,
+            reading.load_power_W,
+            reading.output,
+            fresh,
+        )
+        self._apply_due(tick, order.stage)
+        command = self._controller.tick(measurement, order)
+        self.measurement = measurement
+        self.command = self._guard.check(command)
+        self._port.send(self.command)
+        self._wanted = command
+        snapshot = self._controller.take_snapshot()
+        if snapshot is not None and not self._surroundings.snapshot_taken(snapshot):
+            self._machine.latch("slow loop: no decision for three slow periods")
+
+    def _current_order(self, tick: int) -> Order:
+        """The order of this tick; a new object only when something changed."""
+        machine, last = self._machine, self._order
+        stage, reference = machine.stage, machine.reference(tick)
+        if (
+            last is not None
+            and last.stage is stage
+            and last.reference == reference
+            and last.mode is machine.mode
+            and last.pole == machine.pole
+        ):
+            return last
+        if stage is Stage.RUN and (last is None or last.stage is not Stage.RUN):
+            self._run_tick = tick
+        if stage is not Stage.RUN:
+            self._due = None
+            self._surroundings.run_ended()
+        self._order = Order(stage, reference, machine.mode, machine.pole)
+        return self._order
+
+    def _apply_due(self, tick: int, stage: Stage) -> None:
+        if self._due is None or stage is not Stage.RUN or tick < self._due[0]:
+            return
+        due_tick, decision = self._due
+        self._due = None
+        if tick > due_tick:
+            self.counts.late_decisions += 1
+        self._controller.apply(decision)
+        self._applied_k = decision.k
+
+    def _report(self, lateness_us: float, turnaround_us: float) -> None:
+        if self.measurement is None or self._order is None:
+            return
+        self._surroundings.ticked(
+            TickReport(
+                sequence=self._sequence,
+                measurement=self.measurement,
+                order=self._order,
+                applied_k=self._applied_k,
+                command=self._wanted,
+                lateness_us=lateness_us,
+                turnaround_us=turnaround_us,
+            )
+        )
+        self._sequence += 1

@@ -1,0 +1,75 @@
+"""The time base: which half line cycle a frame belongs to, and how long one lasts.
+
+A tick is identified by the drive's own counter, unwrapped. A counter that jumps by more than time
+allows (the drive was restarted, or its frames were lost for long) is anchored anew by the clock.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+_SLACK_TICKS = 3
+_PERIOD_TOLERANCE = 0.02
+_MARK_EVERY_TICKS = 60
+_MARKS = 20
+
+
+class HalfCycles:
+    """Unwraps the drive's counter and measures the half cycle."""
+
+    def __init__(self, modulus: int | None, nominal_tick_s: float) -> None:
+        """Start without a frame.
+
+        Args:
+            modulus: Where the drive's counter wraps, None for a drive without one.
+            nominal_tick_s: Half cycle at nominal line frequency.
+        """
+        self._modulus = modulus
+        self._nominal_s = nominal_tick_s
+        self._counter: int | None = None
+        self._arrival_s = 0.0
+        self._frame_tick = -1
+        self._marks: deque[tuple[int, float]] = deque(maxlen=_MARKS)
+        self.tick_period_s = nominal_tick_s
+        self.anchored = 0
+
+    def place(self, counter: int | None, arrival_s: float, latest_tick: int) -> int:
+        """The tick that a frame belongs to.
+
+        Args:
+            counter: The drive's counter as sent.
+            arrival_s: Arrival of the frame, monotonic clock.
+            latest_tick: Latest tick that has been run, stand-ins included.
+        """
+        steps = self._steps(counter, arrival_s)
+        if steps is None:
+            tick = latest_tick + 1
+            self.anchored += 1
+            self._marks.clear()
+        else:
+            tick = self._frame_tick + steps
+        self._counter, self._arrival_s, self._frame_tick = counter, arrival_s, tick
+        self._measure(tick, arrival_s)
+        return tick
+
+    def _steps(self, counter: int | None, arrival_s: float) -> int | None:
+        """Half cycles since the last frame; None when they cannot be told."""
+        if self._frame_tick < 0:
+            return None
+        elapsed = (arrival_s - self._arrival_s) / self.tick_period_s
+        if counter is None or self._counter is None or self._modulus is None:
+            return max(1, round(elapsed))
+        steps = (counter - self._counter) % self._modulus
+        if 1 <= steps <= elapsed + _SLACK_TICKS:
+            return steps
+        return None
+
+    def _measure(self, tick: int, arrival_s: float) -> None:
+        if self._marks and tick - self._marks[-1][0] < _MARK_EVERY_TICKS:
+            return
+        if self._marks:
+            first_tick, first_s = self._marks[0]
+            period_s = (arrival_s - first_s) / (tick - first_tick)
+            if abs(period_s / self._nominal_s - 1.0) <= _PERIOD_TOLERANCE:
+                self.tick_period_s = period_s
+        self._marks.append((tick, arrival_s))

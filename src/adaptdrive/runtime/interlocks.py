@@ -1,0 +1,76 @@
+"""Interlocks: what must hold while the drive is energised.
+
+Each check gives the cause of a trip in words, or None. A trip is latched by the state machine;
+`reset` is refused while a cause is still there.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adaptdrive.hardware.port import Reading
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Trip levels.
+
+    Attributes:
+        stale_s: Oldest usable measurement.
+        boost_voltage_max_V: Over-voltage.
+        output_max: Over-speed, over-temperature.
+        output_unit: Unit of the output, for the text of the trip.
+    """
+
+    stale_s: float
+    boost_voltage_max_V: float
+    output_max: float
+    output_unit: str
+
+
+def find_cause(reading: Reading | None, now_s: float, limits: Limits) -> str | None:
+    """The first reason why the drive must not be energised, None when there is none.
+
+    Args:
+        reading: The latest reading, None before the first.
+        now_s: Monotonic time.
+        limits: Trip levels.
+    """
+    if reading is None:
+        return "stale: no measurement yet"
+    age_s = now_s - reading.oldest_s
+    if not age_s <= limits.stale_s:
+        return f"stale: measurement is {age_s * 1e3:.0f} ms old, limit {limits.stale_s * 1e3:g} ms"
+    return _unhealthy(reading) or _exceeded(reading, limits)
+
+
+def _unhealthy(reading: Reading) -> str | None:
+    if not _all_finite(reading):
+        return "invalid: a measurement is not a finite number"
+    if reading.fault:
+        return f"drive fault: word {reading.fault:#x}"
+    return None
+
+
+def _exceeded(reading: Reading, limits: Limits) -> str | None:
+    if reading.boost_voltage_V > limits.boost_voltage_max_V:
+        return (
+            f"over-voltage: v_bst = {reading.boost_voltage_V:.1f} V, "
+            f"limit {limits.boost_voltage_max_V:g} V"
+        )
+    if reading.output > limits.output_max:
+        unit = limits.output_unit
+        return (
+            f"over-speed: output = {reading.output:.4g} {unit}, limit {limits.output_max:g} {unit}"
+        )
+    return None
+
+
+def _all_finite(reading: Reading) -> bool:
+    return (
+        math.isfinite(reading.boost_voltage_V)
+        and math.isfinite(reading.line_voltage_V)
+        and math.isfinite(reading.load_power_W)
+        and math.isfinite(reading.output)
+    )

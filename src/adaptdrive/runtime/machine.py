@@ -1,0 +1,216 @@
+"""The drive's state machine: standby, starting, running, and a latched trip from anywhere.
+
+It holds what the operator asked for and answers requests; it never talks to anything. Nothing
+but `enable` energises the drive, and only `reset` leaves a trip, once its cause is gone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adaptdrive.control.signals import Mode, Stage
+from adaptdrive.control.waveform import Waveform
+from adaptdrive.errors import RefusedError
+from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.requests import (
+    Disable,
+    Enable,
+    Request,
+    Reset,
+    SetMode,
+    SetPole,
+    SetSetpoint,
+    SetWaveform,
+)
+
+_FLOOR_REACHED = 0.99
+
+
+@dataclass(frozen=True, slots=True)
+class MachineLimits:
+    """What an operator may ask for, and when starting has failed.
+
+    Attributes:
+        reference_min: Lowest set-point.
+        reference_max: Highest set-point.
+        unit: Unit of the set-point, for refusals.
+        pole_min: Fastest pole.
+        pole_max: Slowest pole.
+        period_min_s: Shortest period of a waveform.
+        floor_V: Boost voltage at which starting ends.
+        starting_ticks: Longest time in state `starting`, in fast ticks.
+        tick_s: Half a line cycle at nominal frequency.
+    """
+
+    reference_min: float
+    reference_max: float
+    unit: str
+    pole_min: float
+    pole_max: float
+    period_min_s: float
+    floor_V: float
+    starting_ticks: int
+    tick_s: float
+
+
+class Machine:
+    """State and wishes of one drive.
+
+    Attributes:
+        state: Where the machine is.
+        mode: Controller asked for.
+        setpoint: Constant set-point.
+        waveform: Running waveform, None while the set-point is constant.
+        pole: Closed-loop pole asked for.
+        trip: Cause of the latched trip.
+    """
+
+    def __init__(self, limits: MachineLimits, pole: float) -> None:
+        self._limits = limits
+        self.state = State.STANDBY
+        self.mode = Mode.FIXED
+        self.setpoint = limits.reference_min
+        self.waveform: Waveform | None = None
+        self.pole = pole
+        self.trip: str | None = None
+        self._since_tick = 0
+        self._waveform_tick = 0
+
+    @property
+    def energised(self) -> bool:
+        """Whether the drive may be on."""
+        return self.state in (State.STARTING, State.RUNNING)
+
+    @property
+    def stage(self) -> Stage:
+        """What the controller may do."""
+        return _STAGES[self.state]
+
+    def reference(self, tick: int) -> float:
+        """The set-point at a tick."""
+        if self.waveform is None:
+            return self.setpoint
+        return self.waveform.value((tick - self._waveform_tick) * self._limits.tick_s)
+
+    def carry_out(self, request: Request, tick: int, output: float, cause: str | None) -> None:
+        """Carry out an operator's request.
+
+        Args:
+            request: What is asked.
+            tick: Present tick.
+            output: Present output, NaN while unknown.
+            cause: Interlock that is active now, None for none.
+
+        Raises:
+            RefusedError: It cannot be done; nothing was changed.
+        """
+        match request:
+            case SetSetpoint(value):
+                self._set_setpoint(value)
+            case SetWaveform(value):
+                self._set_waveform(value, tick)
+            case SetMode(value):
+                self.mode = value
+            case SetPole(value):
+                self._set_pole(value)
+            case Enable():
+                self._enable(tick, output, cause)
+            case Disable():
+                self._disable()
+            case Reset():
+                self._reset(cause)
+
+    def advance(self, tick: int, boost_voltage_V: float) -> None:
+        """Move from `starting` to `running` when the boost voltage is at its floor."""
+        if self.state is not State.STARTING:
+            return
+        if boost_voltage_V >= _FLOOR_REACHED * self._limits.floor_V:
+            self.state = State.RUNNING
+        elif tick - self._since_tick > self._limits.starting_ticks:
+            self.latch(
+                f"precharge: v_bst = {boost_voltage_V:.1f} V after "
+                f"{self._limits.starting_ticks * self._limits.tick_s:g} s, "
+                f"needs {self._limits.floor_V:g} V"
+            )
+
+    def latch(self, cause: str) -> None:
+        """Trip; the first cause stays."""
+        if self.state is not State.TRIPPED:
+            self.state = State.TRIPPED
+            self.trip = cause
+
+    def _set_setpoint(self, value: float) -> None:
+        self._require_energised("setpoint")
+        self._require_reference("setpoint", value)
+        self.setpoint = value
+        self.waveform = None
+
+    def _set_waveform(self, waveform: Waveform | None, tick: int) -> None:
+        self._require_energised("waveform")
+        if waveform is None:
+            self.setpoint = self.reference(tick)
+        else:
+            self._require_reference("waveform low", waveform.low)
+            self._require_reference("waveform high", waveform.high)
+            if not waveform.period_s >= self._limits.period_min_s:
+                raise RefusedError(
+                    f"waveform period_s = {waveform.period_s:g} is below "
+                    f"{self._limits.period_min_s:g}"
+                )
+            self._waveform_tick = tick
+        self.waveform = waveform
+
+    def _set_pole(self, value: float) -> None:
+        limits = self._limits
+        if not limits.pole_min <= value <= limits.pole_max:
+            raise RefusedError(
+                f"pole = {value:g} is outside {limits.pole_min:g}…{limits.pole_max:g}"
+            )
+        self.pole = value
+
+    def _enable(self, tick: int, output: float, cause: str | None) -> None:
+        if self.state is State.TRIPPED:
+            raise RefusedError(f"tripped ({self.trip}); reset first")
+        if self.energised:
+            return
+        if cause is not None:
+            raise RefusedError(cause)
+        limits = self._limits
+        self.setpoint = min(max(output, limits.reference_min), limits.reference_max)
+        self.waveform = None
+        self.state = State.STARTING
+        self._since_tick = tick
+
+    def _disable(self) -> None:
+        self.waveform = None
+        if self.energised:
+            self.state = State.STANDBY
+
+    def _reset(self, cause: str | None) -> None:
+        if self.state is not State.TRIPPED:
+            return
+        if cause is not None:
+            raise RefusedError(f"cause is still there: {cause}")
+        self.trip = None
+        self.state = State.STANDBY
+
+    def _require_energised(self, what: str) -> None:
+        if not self.energised:
+            raise RefusedError(f"{what} needs an enabled drive; state is {self.state}")
+
+    def _require_reference(self, what: str, value: float) -> None:
+        limits = self._limits
+        if not (math.isfinite(value) and limits.reference_min <= value <= limits.reference_max):
+            raise RefusedError(
+                f"{what} = {value:g} {limits.unit} is outside "
+                f"{limits.reference_min:g}…{limits.reference_max:g} {limits.unit}"
+            )
+
+
+_STAGES = {
+    State.STANDBY: Stage.OFF,
+    State.STARTING: Stage.PRECHARGE,
+    State.RUNNING: Stage.RUN,
+    State.TRIPPED: Stage.OFF,
+}

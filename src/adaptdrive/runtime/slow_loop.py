@@ -1,0 +1,52 @@
+"""The slow loop: a task of its own that turns snapshots into decisions between two ticks."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Protocol
+
+from adaptdrive.control.signals import Decision, Snapshot
+
+_WAITING_AT_MOST = 3
+
+
+class Decider(Protocol):
+    """The slow half of a controller."""
+
+    def decide(self, snapshot: Snapshot) -> Decision:
+        """Make a decision of a snapshot."""
+
+
+class SlowLoop:
+    """Decides on every snapshot, in order, outside the tick that took it."""
+
+    def __init__(self, decider: Decider, deliver: Callable[[Snapshot, Decision], None]) -> None:
+        """Join the slow half of the controller to the fast loop.
+
+        Args:
+            decider: The controller.
+            deliver: Where each decision goes, with the snapshot it was made of.
+        """
+        self._decider = decider
+        self._deliver = deliver
+        self._snapshots: asyncio.Queue[Snapshot] = asyncio.Queue(maxsize=_WAITING_AT_MOST)
+
+    def offer(self, snapshot: Snapshot) -> bool:
+        """Hand over a snapshot; False when the slow loop has fallen hopelessly behind."""
+        try:
+            self._snapshots.put_nowait(snapshot)
+        except asyncio.QueueFull:
+            return False
+        return True
+
+    def forget(self) -> None:
+        """Drop what waits: the drive has left the run that the snapshots belong to."""
+        while not self._snapshots.empty():
+            self._snapshots.get_nowait()
+
+    async def run(self) -> None:
+        """Decide until cancelled."""
+        while True:
+            snapshot = await self._snapshots.get()
+            self._deliver(snapshot, self._decider.decide(snapshot))

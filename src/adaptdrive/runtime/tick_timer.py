@@ -1,0 +1,42 @@
+"""One deadline at a time, kept by the kernel and delivered in the event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Callable
+
+from adaptdrive.runtime.timerfd import acknowledge, arm_timer, create_timer
+
+
+class TickTimer:
+    """Calls back at an absolute monotonic time; arming again replaces the deadline."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, callback: Callable[[float], None]) -> None:
+        """Open the timer.
+
+        Args:
+            loop: Event loop to call back in.
+            callback: Called with the deadline that has passed.
+        """
+        self._loop = loop
+        self._callback = callback
+        self._deadline_s = 0.0
+        self._descriptor = create_timer()
+        loop.add_reader(self._descriptor, self._expired)
+
+    def arm(self, deadline_s: float) -> None:
+        """Call back at `deadline_s`, at once when it is past."""
+        self._deadline_s = deadline_s
+        arm_timer(self._descriptor, deadline_s)
+
+    def close(self) -> None:
+        """Never call back again."""
+        if self._descriptor >= 0:
+            self._loop.remove_reader(self._descriptor)
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+    def _expired(self) -> None:
+        acknowledge(self._descriptor)
+        self._callback(self._deadline_s)

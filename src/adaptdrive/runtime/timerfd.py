@@ -1,0 +1,59 @@
+"""Linux timerfd for Python before 3.13: an absolute deadline that wakes the event loop.
+
+asyncio's own timers round to a millisecond; a timer of the kernel on an absolute deadline does
+not, and its file descriptor joins the event loop like any other.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+
+_CLOCK_MONOTONIC = 1
+_TFD_NONBLOCK = os.O_NONBLOCK
+_TFD_CLOEXEC = os.O_CLOEXEC
+_TFD_TIMER_ABSTIME = 1
+
+
+class _Timespec(ctypes.Structure):
+    _fields_ = (("seconds", ctypes.c_long), ("nanoseconds", ctypes.c_long))
+
+
+class _Itimerspec(ctypes.Structure):
+    _fields_ = (("interval", _Timespec), ("value", _Timespec))
+
+
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+def create_timer() -> int:
+    """Open a disarmed, non-blocking timer on the monotonic clock.
+
+    Raises:
+        OSError: The kernel gives none.
+    """
+    descriptor = int(_libc.timerfd_create(_CLOCK_MONOTONIC, _TFD_NONBLOCK | _TFD_CLOEXEC))
+    if descriptor < 0:
+        raise OSError(ctypes.get_errno(), "timerfd_create failed")
+    return descriptor
+
+
+def arm_timer(descriptor: int, deadline_s: float) -> None:
+    """Let the timer expire once at a monotonic time; at once when that is past, never for 0.
+
+    Raises:
+        OSError: The descriptor is no timer.
+    """
+    seconds = int(deadline_s)
+    nanoseconds = int((deadline_s - seconds) * 1e9)
+    setting = _Itimerspec(_Timespec(0, 0), _Timespec(seconds, nanoseconds))
+    if _libc.timerfd_settime(descriptor, _TFD_TIMER_ABSTIME, ctypes.byref(setting), None) != 0:
+        raise OSError(ctypes.get_errno(), "timerfd_settime failed")
+
+
+def acknowledge(descriptor: int) -> None:
+    """Take note of an expiry, so that the descriptor is no longer readable."""
+    try:
+        os.read(descriptor, 8)
+    except BlockingIOError:
+        return

@@ -1,0 +1,58 @@
+"""The service manager: ready, status, and the watchdog that the fast loop feeds."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from collections.abc import Mapping
+
+
+class ServiceManager:
+    """Speaks the sd_notify protocol; silent where no service manager listens."""
+
+    def __init__(self, environment: Mapping[str, str]) -> None:
+        """Connect to the manager that the environment names.
+
+        Args:
+            environment: Process environment, with NOTIFY_SOCKET and WATCHDOG_USEC or without.
+        """
+        self._socket: socket.socket | None = None
+        address = environment.get("NOTIFY_SOCKET", "")
+        if address:
+            if address.startswith("@"):
+                address = "\0" + address[1:]
+            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+            self._socket.settimeout(0.0)
+            self._address = address
+        watchdog_us = environment.get("WATCHDOG_USEC", "")
+        self._feed_every_s = int(watchdog_us) * 1e-6 / 4.0 if watchdog_us.isdigit() else 0.0
+        self._fed_s = float("-inf")
+
+    def ready(self) -> None:
+        """Configuration, bus and loop are up."""
+        self._notify("READY=1")
+
+    def status(self, text: str) -> None:
+        """Say in one line what is going on."""
+        self._notify(f"STATUS={text}")
+
+    def stopping(self) -> None:
+        """An orderly stop has begun."""
+        self._notify("STOPPING=1")
+
+    def feed(self, now_s: float) -> None:
+        """A tick met its deadline; passed on four times per watchdog period."""
+        if self._feed_every_s and now_s - self._fed_s >= self._feed_every_s:
+            self._fed_s = now_s
+            self._notify("WATCHDOG=1")
+
+    def close(self) -> None:
+        """Stop speaking."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _notify(self, message: str) -> None:
+        if self._socket is not None:
+            with contextlib.suppress(OSError):
+                self._socket.sendto(message.encode(), self._address)
