@@ -2,7 +2,9 @@
 
 λ-method (LM-RLS): the regressor is [-λy ... -λ^m y, λ^i u ...] with the powers i that the load's
 structure leaves; θ holds α and the free β (29). Direct: [-y[k-1] ... -y[k-m], u[k-1] ... u[k-n]];
-θ holds a and b of the discrete model (17).
+θ holds a and b of the discrete model (17). Either takes a constant 1 as its last regressor where
+a bias is wanted: a load torque, the EMF of a battery or the offset of a sensor would otherwise be
+mistaken for dynamics.
 """
 
 from __future__ import annotations
@@ -46,7 +48,8 @@ class EstimatorState:
 
 def parameter_count(learning: Learning, load: Load, taps: int) -> int:
     """Length of θ."""
-    return load.order + (len(load.input_powers) if learning.filtered else taps)
+    inputs = len(load.input_powers) if learning.filtered else taps
+    return load.order + inputs + (1 if learning.bias else 0)
 
 
 def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:
@@ -90,6 +93,8 @@ def fill_filtered_regressor(
     for i in range(len(load.input_powers)):
         power = load.input_powers[i]
         regressor[load.order + i] = input_filtered[power] / learning.input_scale
+    if learning.bias:
+        regressor[len(regressor) - 1] = 1.0
 
 
 def fill_direct_regressor(
@@ -106,8 +111,14 @@ def fill_direct_regressor(
     """
     for i in range(load.order):
         regressor[i] = -outputs[i] / learning.output_scale
-    for i in range(len(regressor) - load.order):
+    for i in range(_input_count(regressor, learning, load)):
         regressor[load.order + i] = inputs[i] / learning.input_scale
+    if learning.bias:
+        regressor[len(regressor) - 1] = 1.0
+
+
+def _input_count(parameters: Vector, learning: Learning, load: Load) -> int:
+    return len(parameters) - load.order - (1 if learning.bias else 0)
 
 
 def learn(state: EstimatorState, learning: Learning, output: float, usable: bool) -> None:
@@ -167,13 +178,24 @@ def direct_model(theta: Vector, learning: Learning, load: Load) -> tuple[Vector,
     """A, B in q^-1 of a direct estimate."""
     order = load.order
     a = [0.0] * (order + 1)
-    b = [0.0] * (len(theta) - order + 1)
+    inputs = _input_count(theta, learning, load)
+    b = [0.0] * (inputs + 1)
     a[0] = 1.0
     for i in range(order):
         a[i + 1] = theta[i]
-    for i in range(len(theta) - order):
+    for i in range(inputs):
         b[i + 1] = theta[order + i] * learning.output_scale / learning.input_scale
     return a, b
+
+
+def input_offset(theta: Vector, learning: Learning, load: Load) -> float:
+    """The constant input that would have the effect of the estimated bias; NaN without one."""
+    if not learning.bias:
+        return math.nan
+    gain = 0.0
+    for i in range(_input_count(theta, learning, load)):
+        gain += theta[load.order + i]
+    return theta[len(theta) - 1] / gain * learning.input_scale if gain else math.nan
 
 
 def parameter_deviations(

@@ -62,6 +62,7 @@ class Learning:
         output_scale: Output of order one, for the conditioning of P.
         input_scale: Input of order one.
         start_at_nominal: Whether θ starts at the nominal model, else at 0.
+        bias: Whether a constant is estimated too: a load torque, an EMF, an offset of a sensor.
     """
 
     filtered: bool
@@ -74,6 +75,7 @@ class Learning:
     output_scale: float
     input_scale: float
     start_at_nominal: bool
+    bias: bool = False
 
 
 @dataclass(frozen=True, slots=True)
