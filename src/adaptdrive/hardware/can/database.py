@@ -74,6 +74,10 @@ class Catalogue:
         """Gather a flaw."""
         self.flaws.append(Flaw(place, message))
 
+    def known(self, name: str) -> Message:
+        """The message called `name`, which has been found before."""
+        return self._database.get_message_by_name(name)
+
     def message(self, name: str, place: str) -> Message | None:
         """The message called `name`, or None and a flaw at `place`."""
         known = {message.name: message for message in self._database.messages}

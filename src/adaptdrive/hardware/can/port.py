@@ -1,0 +1,266 @@
+"""The port of a drive on a CAN bus.
+
+Every message keeps its last good values and their arrival. When a good clocking frame arrives and
+every quantity has been heard once, the port hands out a reading, as old as its oldest value. A
+frame that fails a check changes nothing and is counted.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+
+from adaptdrive.config.bus import CanBus, Signals
+from adaptdrive.control.signals import Command
+from adaptdrive.errors import BusError
+from adaptdrive.hardware.can.bus import describe_bus, frame_key, open_bus
+from adaptdrive.hardware.can.codec import MessageCodec
+from adaptdrive.hardware.can.integrity import Verdict
+from adaptdrive.hardware.can.mapping import DriveMapping, Status, map_drive
+from adaptdrive.hardware.can.reader import read_frames
+from adaptdrive.hardware.port import Listener, PortStatistics, Reading
+
+_FIRST_DELAY_S = 0.1
+"""First wait before a lost bus is opened again: an interface that is restarted is soon back."""
+
+_LAST_DELAY_S = 2.0
+"""Longest wait: an adapter that is plugged in again should not be waited for."""
+
+_OLDEST_S = 1.0
+"""Longest time that a frame is believed to have waited to be read. The waiting time is measured
+with the wall clock, and a step of that clock must not send an arrival into the distant past."""
+
+
+def build_can_port(
+    bus: CanBus,
+    signals: Signals,
+    clock: Callable[[], float],
+    *,
+    wall_clock: Callable[[], float] = time.time,
+    source: Path | str = "configuration",
+) -> CanPort:
+    """Build the port of one drive; nothing is opened yet.
+
+    Args:
+        bus: `[bus]`.
+        signals: `[signals]`.
+        clock: Monotonic clock, in seconds.
+        wall_clock: The clock with which the bus stamps frames, in seconds.
+        source: The configuration, for error messages.
+
+    Raises:
+        ConfigurationError: Configuration and DBC do not fit; every flaw is listed.
+    """
+    return CanPort(bus, map_drive(bus, signals, source), clock, wall_clock)
+
+
+class CanPort:
+    """One connection to one drive on a CAN bus."""
+
+    def __init__(
+        self,
+        config: CanBus,
+        mapping: DriveMapping,
+        clock: Callable[[], float],
+        wall_clock: Callable[[], float],
+    ) -> None:
+        self._config = config
+        self._mapping = mapping
+        self._clock = clock
+        self._wall_clock = wall_clock
+        self._statuses = {_key(status.codec): status for status in mapping.statuses}
+        self._own = {_key(order.codec) for order in mapping.orders}
+        self._counts: Counter[str] = Counter()
+        self._values: dict[str, float] = {}
+        self._arrivals: dict[str, float] = {}
+        self._bridge_sent = False
+        self._bus: can.BusABC | None = None
+        self._listener: Listener | None = None
+
+    @property
+    def description(self) -> str:
+        """The bus in one phrase for people, such as `udp_multicast 239.74.163.2:43113`."""
+        return describe_bus(self._config)
+
+    @property
+    def counter_modulus(self) -> int | None:
+        """Where the drive's half-cycle counter wraps, None for a drive without a counter."""
+        return self._mapping.counter_modulus
+
+    @property
+    def statistics(self) -> PortStatistics:
+        """Counts since the port was built."""
+        return PortStatistics(**self._counts)
+
+    async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
+        """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
+
+        Args:
+            listener: Who is told what the port hears.
+            opened: Called once, when the bus is open.
+
+        Raises:
+            BusError: The bus cannot be opened at the first attempt.
+        """
+        self._listener = listener
+        problem = await self._serve(self._open(), opened)
+        delay_s = _FIRST_DELAY_S
+        while True:
+            listener.on_bus(up=False, detail=f"{self.description}: {problem}")
+            bus, delay_s = await self._reopen(delay_s)
+            heard = self._counts["received"]
+            problem = await self._serve(bus, self._announce_return)
+            if self._counts["received"] > heard:
+                delay_s = _FIRST_DELAY_S
+
+    def send(self, command: Command) -> bool:
+        """Send one command now.
+
+        Args:
+            command: What the drive is told; it must have passed the guard.
+
+        Returns:
+            Whether the bus took it; False is counted, and nothing is sent again.
+
+        Raises:
+            ValueError: A value is not finite, or its signal cannot hold it; nothing is sent.
+        """
+        frames = [
+            _frame(order.codec, {signal: getattr(command, name) for name, signal in order.signals})
+            for order in self._mapping.orders
+        ]
+        taken = [self._put(frame) for frame in frames]
+        if all(taken):
+            self._bridge_sent = command.bridge
+        return all(taken)
+
+    def take(self, frame: can.Message) -> None:
+        """Take one frame from the bus."""
+        key = frame_key(frame.arbitration_id, extended=frame.is_extended_id)
+        if key in self._own:  # multicast returns what we send
+            return
+        self._counts["received"] += 1
+        status = self._statuses.get(key)
+        if status is None or frame.is_error_frame or frame.is_remote_frame:
+            self._counts["foreign"] += 1
+            return
+        self._take_status(status, frame)
+
+    def take_garbage(self) -> None:
+        """Count something on the bus that is no frame."""
+        self._counts["received"] += 1
+        self._counts["foreign"] += 1
+
+    def _take_status(self, status: Status, frame: can.Message) -> None:
+        arrival_s = self._arrival(frame)
+        decoded = status.codec.decode(bytes(frame.data))
+        self._counts["counter_lost"] += decoded.lost
+        if decoded.verdict is not Verdict.GOOD:
+            # a counter that leapt is in `counter_lost` already, with the length of its leap
+            if decoded.verdict is not Verdict.COUNTER_LOST:
+                self._counts[decoded.verdict] += 1
+            return
+        for source in status.sources:
+            value = decoded.values.get(source.signal.name)
+            if value is not None:
+                self._values[source.quantity] = value * source.scale + source.offset
+                self._arrivals[source.quantity] = arrival_s
+        if status.codec.name == self._mapping.clock:
+            self._emit(arrival_s)
+
+    def _arrival(self, frame: can.Message) -> float:
+        """When the frame reached the machine, by the monotonic clock.
+
+        The kernel stamps frames when they arrive: one that waited while the loop was busy must not
+        look as fresh as one that was read at once.
+        """
+        now_s = self._clock()
+        if not frame.timestamp:
+            return now_s
+        waited_s = self._wall_clock() - frame.timestamp
+        return now_s - min(max(waited_s, 0.0), _OLDEST_S)
+
+    def _emit(self, arrival_s: float) -> None:
+        oldest_s = min(self._arrivals.values())
+        if oldest_s == -math.inf or self._listener is None:
+            return
+        values = self._values
+        counter, bridge = values.get("counter"), values.get("bridge")
+        self._listener.on_reading(
+            Reading(
+                arrival_s=arrival_s,
+                oldest_s=oldest_s,
+                counter=None if counter is None else int(counter),
+                boost_voltage_V=values["boost_voltage_V"],
+                line_voltage_V=values["line_voltage_V"],
+                load_power_W=values["load_power_W"],
+                output=values["output"],
+                fault=int(values.get("fault", 0)),
+                # a drive that does not say is taken to do what it was told last
+                bridge=self._bridge_sent if bridge is None else bridge == 1,
+            )
+        )
+
+    def _put(self, frame: can.Message) -> bool:
+        try:
+            if self._bus is None:
+                raise can.CanOperationError("not connected")
+            self._bus.send(frame, timeout=0.0)
+        except (can.CanError, OSError, ValueError):
+            self._counts["send_drops"] += 1
+            return False
+        self._counts["sent"] += 1
+        return True
+
+    def _open(self) -> can.BusABC:
+        return open_bus(self._config, self._statuses)
+
+    async def _reopen(self, delay_s: float) -> tuple[can.BusABC, float]:
+        """Try again, less and less often; the bus, and the delay for the next time."""
+        while True:
+            await asyncio.sleep(delay_s)
+            delay_s = min(2.0 * delay_s, _LAST_DELAY_S)
+            with contextlib.suppress(BusError):
+                return self._open(), delay_s
+
+    async def _serve(self, bus: can.BusABC, announce: Callable[[], None]) -> str:
+        """Use an open bus until it is lost, and close it; why it was lost."""
+        self._bus = bus
+        self._forget()
+        try:
+            announce()
+            return await read_frames(bus, self)
+        finally:
+            self._bus = None
+            bus.shutdown()
+
+    def _announce_return(self) -> None:
+        self._counts["reconnects"] += 1
+        if self._listener:
+            self._listener.on_bus(up=True, detail=self.description)
+
+    def _forget(self) -> None:
+        """Nothing that was heard before a bus was opened is used after it."""
+        for status in self._mapping.statuses:
+            status.codec.reset()
+            for source in status.sources:
+                self._arrivals[source.quantity] = -math.inf
+
+
+def _key(codec: MessageCodec) -> int:
+    return frame_key(codec.frame_id, extended=codec.is_extended)
+
+
+def _frame(codec: MessageCodec, values: dict[str, float | None]) -> can.Message:
+    return can.Message(
+        arbitration_id=codec.frame_id,
+        is_extended_id=codec.is_extended,
+        data=codec.encode(values),
+    )

@@ -1,0 +1,89 @@
+"""A port without a bus: readings are put in by hand, commands come out of a callback."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from adaptdrive.control.signals import Command
+from adaptdrive.hardware.port import Listener, PortStatistics, Reading
+
+
+class LoopbackPort:
+    """A port for tests and notebooks.
+
+    Attributes:
+        description: The bus in one phrase for people.
+        counter_modulus: Where the counter of the readings wraps, None when they carry none.
+    """
+
+    description = "loopback"
+
+    def __init__(
+        self, commanded: Callable[[Command], None], *, counter_modulus: int | None = 65536
+    ) -> None:
+        """Build a port.
+
+        Args:
+            commanded: Called with each command that is sent.
+            counter_modulus: Where the counter of the readings wraps.
+        """
+        self.counter_modulus = counter_modulus
+        self._commanded = commanded
+        self._listener: Listener | None = None
+        self._up = False
+        self._received = self._sent = self._dropped = self._reconnects = 0
+
+    @property
+    def statistics(self) -> PortStatistics:
+        """Counts since the port was built."""
+        return PortStatistics(
+            received=self._received,
+            sent=self._sent,
+            send_drops=self._dropped,
+            reconnects=self._reconnects,
+        )
+
+    async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
+        """Serve `listener` until cancelled.
+
+        Args:
+            listener: Who is told what is delivered.
+            opened: Called once, at the start.
+        """
+        self._listener = listener
+        self._up = True
+        try:
+            opened()
+            await asyncio.Event().wait()
+        finally:
+            self._listener = None
+            self._up = False
+
+    def send(self, command: Command) -> bool:
+        """Hand one command to the callback; False while the bus is down."""
+        if not self._up:
+            self._dropped += 1
+            return False
+        self._sent += 1
+        self._commanded(command)
+        return True
+
+    def deliver(self, reading: Reading) -> None:
+        """Hand a reading to the listener, as if the drive had sent it; lost while down."""
+        if self._listener and self._up:
+            self._received += 1
+            self._listener.on_reading(reading)
+
+    def lose(self, detail: str = "loopback: lost") -> None:
+        """Take the bus down."""
+        self._up = False
+        if self._listener:
+            self._listener.on_bus(up=False, detail=detail)
+
+    def restore(self) -> None:
+        """Bring the bus back."""
+        if self._listener:
+            self._up = True
+            self._reconnects += 1
+            self._listener.on_bus(up=True, detail=self.description)
