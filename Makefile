@@ -47,7 +47,7 @@ clean: ## remove what was built and cached; the environment in .venv stays
 	rm -rf build dist .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find src simulators tests -name __pycache__ -prune -exec rm -rf {} +
 
-$(installed): pyproject.toml constraints.txt
+$(installed):
 	test -x $(bin)/python || $(PYTHON) -m venv $(venv)
 	$(bin)/python -m pip install --quiet --constraint constraints.txt --editable '.[$(EXTRAS)]'
 	rm -f $(venv)/.installed-*
