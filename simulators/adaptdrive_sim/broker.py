@@ -1,0 +1,53 @@
+"""The simulator's own topics on an MQTT broker.
+
+    adaptdrive-sim/DRIVE/disturb   requests, see `adaptdrive_sim.disturbances`; never retained
+    adaptdrive-sim/DRIVE/reply     the answer to each: id, accepted, reason
+    adaptdrive-sim/DRIVE/truth     retained, once a second: what an estimator would like to know
+
+The truth is removed when the simulated drive goes away, by its last will if need be.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import msgspec
+
+from adaptdrive.errors import RefusedError
+
+
+@dataclass(frozen=True, slots=True)
+class BrokerAddress:
+    """Where a broker listens."""
+
+    host: str
+    port: int
+
+
+class Reply(msgspec.Struct, frozen=True):
+    """The answer to one request; the id is None where none could be read."""
+
+    id: str | None
+    accepted: bool
+    reason: str
+
+
+def parse_address(text: str) -> BrokerAddress:
+    """Read `HOST:PORT`, where an IPv6 address stands in brackets; the port may be left out.
+
+    Raises:
+        RefusedError: It is no such thing.
+    """
+    match = re.fullmatch(r"(\[[^\]]+\]|[^:\s]+)(?::(\d{1,5}))?", text)
+    if match is None:
+        raise RefusedError(f"broker {text!r} is not HOST:PORT")
+    port = int(match[2] or 1883)
+    if not 1 <= port <= 65535:
+        raise RefusedError(f"broker {text!r}: port {port} must lie in 1…65535")
+    return BrokerAddress(match[1].strip("[]"), port)
+
+
+def topic(drive: str, leaf: str) -> str:
+    """Topic of a simulated drive."""
+    return f"adaptdrive-sim/{drive}/{leaf}"

@@ -1,0 +1,108 @@
+"""The command `adaptdrive-sim`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import App, Parameter
+
+from adaptdrive.errors import AdaptdriveError
+
+app = App(name="adaptdrive-sim", help="Simulated drives, loads and buses for adaptdrive.")
+
+Action = Literal["add-disk", "remove-disk", "torque", "sag", "noise", "fault"]
+
+NO_ANSWER = 3
+
+
+def main() -> None:
+    """Run the command line; an error is one clear line and a non-zero status."""
+    try:
+        app()
+    except AdaptdriveError as problem:
+        sys.exit(f"adaptdrive-sim: {problem}")
+
+
+@app.command
+def device(  # noqa: PLR0913 - one parameter for each option
+    config: Path,
+    *,
+    broker: str | None = None,
+    noise: float = 0.0,
+    spikes: str = "0,0",
+    seed: int = 0,
+    disks: int = 1,
+    initial_voltage: float | None = None,
+    line_drift: float = 0.1,
+    line_wander: float = 0.0,
+    interface: Literal["socketcan", "udp_multicast"] | None = None,
+    channel: str | None = None,
+    port: int | None = None,
+) -> None:
+    """Run the simulated drive as a node on the bus that a configuration names.
+
+    Args:
+        config: The drive's configuration, the same file that the daemon reads.
+        broker: HOST:PORT of an MQTT broker for disturbances; none when left out.
+        noise: Standard deviation of each sample of the output, in volts.
+        spikes: SHARE,SIGMA: share of samples that carry a spike, and its deviation in volts.
+        seed: Seed of the noise.
+        disks: Disks on the shaft.
+        initial_voltage: Start at rest at this boost voltage instead of at standstill.
+        line_drift: Amplitude of the line's frequency drift, in hertz.
+        line_wander: Amplitude of the line's slow voltage wander, as a fraction.
+        interface: Bus interface instead of the configured one.
+        channel: Channel instead of the configured one.
+        port: UDP port instead of the configured one.
+    """
+    from adaptdrive_sim import device_main  # noqa: PLC0415  # keeps --help fast
+
+    settings = device_main.DeviceSettings(
+        broker=broker,
+        noise_V=noise,
+        spikes=spikes,
+        seed=seed,
+        disks=disks,
+        initial_voltage_V=initial_voltage,
+        line_drift_Hz=line_drift,
+        line_wander=line_wander,
+        interface=interface,
+        channel=channel,
+        port=port,
+    )
+    device_main.run_device(config, settings)
+
+
+@app.command
+def disturb(
+    drive: str,
+    action: Action,
+    values: Annotated[tuple[float, ...], Parameter(negative=())] = (),
+    /,
+    *,
+    broker: str = "127.0.0.1:1883",
+) -> None:
+    """Disturb a running simulated drive.
+
+    The status is 0 when it was done, 1 when it was refused and 3 when nobody answered.
+
+    Args:
+        drive: Name of the drive.
+        action: add-disk, remove-disk, torque N_m, sag FRACTION SECONDS, noise V, or fault WORD.
+        values: What the action needs.
+        broker: HOST:PORT of the MQTT broker.
+    """
+    import asyncio  # noqa: PLC0415  # keeps --help fast
+
+    from adaptdrive_sim.broker import parse_address  # noqa: PLC0415
+    from adaptdrive_sim.disturbances import from_words  # noqa: PLC0415
+    from adaptdrive_sim.request_client import ask  # noqa: PLC0415
+
+    reply = asyncio.run(ask(parse_address(broker), drive, from_words(action, values)))
+    if reply is None:
+        sys.stderr.write(f"adaptdrive-sim: no answer from {drive} at {broker}\n")
+        sys.exit(NO_ANSWER)
+    if not reply.accepted:
+        sys.exit(f"adaptdrive-sim: refused: {reply.reason}")

@@ -1,0 +1,173 @@
+"""The simulated drive as a process: building it, its log, and its orderly end."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import signal
+import sys
+import time
+from collections.abc import Callable, Coroutine
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import structlog
+from structlog.typing import EventDict, WrappedLogger
+
+from adaptdrive.config.file import load_configuration
+from adaptdrive.config.root import Configuration
+from adaptdrive.errors import AdaptdriveError, RefusedError
+from adaptdrive_sim.broker import parse_address
+from adaptdrive_sim.devices.can_drive import CanDrive
+from adaptdrive_sim.devices.drive import Drive, Report
+from adaptdrive_sim.devices.frames import load_messages
+from adaptdrive_sim.devices.remote import Remote
+from adaptdrive_sim.line import LineParameters
+from adaptdrive_sim.noise import NoiseParameters
+from adaptdrive_sim.plants.boost import BoostParameters
+from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from adaptdrive_sim.world import World, WorldParameters
+
+Job = Callable[[], Coroutine[Any, Any, None]]
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceSettings:
+    """What the command line adds to the configuration; see `adaptdrive-sim device --help`."""
+
+    broker: str | None = None
+    noise_V: float = 0.0
+    spikes: str = "0,0"
+    seed: int = 0
+    disks: int = 1
+    initial_voltage_V: float | None = None
+    line_drift_Hz: float = 0.1
+    line_wander: float = 0.0
+    interface: str | None = None
+    channel: str | None = None
+    port: int | None = None
+
+
+def run_device(path: Path, settings: DeviceSettings) -> None:
+    """Run the simulated drive until SIGTERM or SIGINT.
+
+    Raises:
+        AdaptdriveError: It cannot start, or its bus is lost.
+    """
+    configuration = _overridden(load_configuration(path), settings)
+    report = make_report()
+    drive = Drive(build_world(configuration, settings), report)
+    node = CanDrive(drive, configuration.bus, load_messages(configuration, path), report)
+    jobs: list[Job] = [functools.partial(node.run, _say_bus(configuration))]
+    if settings.broker is not None:
+        address = parse_address(settings.broker)
+        jobs.append(Remote(address, configuration.drive.name, drive, report).run)
+    try:
+        asyncio.run(_until_signal(jobs))
+    except ExceptionGroup as problems:
+        raise _root_cause(problems) from problems
+    finally:
+        report("stopped", ticks=drive.world.tick, **node.counts)
+
+
+def build_world(configuration: Configuration, settings: DeviceSettings) -> World:
+    """Build the plant that a configuration and a command line describe.
+
+    Raises:
+        ParameterError: A parameter lies outside its range.
+        RefusedError: A setting cannot be read.
+    """
+    drive = configuration.drive
+    line = LineParameters(
+        frequency_Hz=drive.line_frequency_Hz,
+        drift_Hz=settings.line_drift_Hz,
+        voltage_V=drive.line_voltage_V,
+        wander=settings.line_wander,
+    )
+    boost = BoostParameters(
+        capacitance_F=drive.boost_capacitance_F, bidirectional=drive.kind == "bidirectional"
+    )
+    share, sigma = _spikes(settings.spikes)
+    noise = NoiseParameters(sigma=settings.noise_V, spike_share=share, spike_sigma=sigma)
+    parameters = WorldParameters(line=line, boost=boost, noise=noise, seed=settings.seed)
+    world = World(Motor(MotorParameters(), settings.disks), parameters)
+    if settings.initial_voltage_V is not None:
+        world.settle(settings.initial_voltage_V)
+    return world
+
+
+def make_report() -> Report:
+    """Make the log: one JSON object per line on standard error."""
+    log = structlog.wrap_logger(
+        structlog.PrintLogger(sys.stderr),
+        processors=[
+            structlog.processors.TimeStamper(fmt="iso", utc=True),
+            _add_monotonic,
+            structlog.processors.JSONRenderer(),
+        ],
+    )
+
+    def report(event: str, **data: object) -> None:
+        log.info(event, **data)
+
+    return report
+
+
+def _add_monotonic(_: WrappedLogger, __: str, event: EventDict) -> EventDict:
+    event["monotonic_s"] = round(time.monotonic(), 6)
+    return event
+
+
+def _overridden(configuration: Configuration, settings: DeviceSettings) -> Configuration:
+    """Let the command line choose another bus."""
+    given = {
+        "interface": settings.interface,
+        "channel": settings.channel,
+        "udp_port": settings.port,
+    }
+    changes = {name: value for name, value in given.items() if value is not None}
+    bus = configuration.bus.model_copy(update=changes)
+    return configuration.model_copy(update={"bus": bus})
+
+
+def _spikes(text: str) -> tuple[float, float]:
+    """Read `SHARE,SIGMA`."""
+    try:
+        share, sigma = (float(part) for part in text.split(","))
+    except ValueError as problem:
+        raise RefusedError(f"spikes {text!r} is not SHARE,SIGMA") from problem
+    return share, sigma
+
+
+def _say_bus(configuration: Configuration) -> Callable[[str], None]:
+    def say(bus: str) -> None:
+        sys.stdout.write(f"simulated drive {configuration.drive.name} on {bus}\n")
+        sys.stdout.flush()
+
+    return say
+
+
+async def _until_signal(jobs: list[Job]) -> None:
+    """Run all jobs until one fails or the process is asked to end."""
+    asked = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, asked.set)
+    async with asyncio.TaskGroup() as tasks:
+        running = [tasks.create_task(job()) for job in jobs]
+        await asked.wait()
+        for task in running:
+            task.cancel()
+
+
+def _root_cause(problems: ExceptionGroup[Exception]) -> Exception:
+    """The first error of ours, else the first error at all."""
+    leaves = list(_leaves(problems))
+    return next((leaf for leaf in leaves if isinstance(leaf, AdaptdriveError)), leaves[0])
+
+
+def _leaves(problem: Exception) -> list[Exception]:
+    if isinstance(problem, ExceptionGroup):
+        return [leaf for part in problem.exceptions for leaf in _leaves(part)]
+    return [problem]

@@ -1,0 +1,150 @@
+"""What the simulated drive does by itself, whatever bus it hangs on.
+
+Once per half cycle it steps the plant under the last valid command and measures. It protects
+itself and does not trust its host:
+
+* 100 ms after the last valid command it shuts down: k = 0, bridge off, no load current. The next
+  valid command ends that. A missing command is no fault.
+* Above 450 V it stops drawing line current and reports over-voltage; the bridge stays as it is,
+  since only the load can discharge the capacitor. The fault stays until the voltage is below
+  430 V and a command with the bridge off has been received.
+* While the line is below half of its nominal voltage it reports the line as lost.
+* A fault that is injected shuts the drive down until it is cleared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import IntFlag
+from typing import Any, NamedTuple
+
+from adaptdrive_sim.parameters import check_range
+from adaptdrive_sim.world import Sample, World
+
+COMMAND_TIMEOUT_s = 0.100
+OVERVOLTAGE_V = 450.0
+OVERVOLTAGE_OVER_V = 430.0
+LINE_LOST_SHARE = 0.5
+FAULT_MAX = 0x7F
+
+Report = Callable[..., Any]
+
+
+class Fault(IntFlag):
+    """Fault bits that the drive raises by itself."""
+
+    NONE = 0
+    BOOST_OVERVOLTAGE = 4
+    LINE_LOST = 8
+
+
+class Frame(NamedTuple):
+    """What the drive says after one half cycle."""
+
+    sample: Sample
+    fault: int
+    bridge: bool
+
+
+class Drive:
+    """The drive's own logic around the simulated plant.
+
+    Attributes:
+        world: The plant.
+        fault: Fault word of the last half cycle.
+    """
+
+    def __init__(self, world: World, report: Report) -> None:
+        """Start a drive that has had no command yet, and so is in its safe state.
+
+        Args:
+            world: The plant.
+            report: Told what happens, as an event's name and its data as keywords.
+        """
+        self.world = world
+        self.fault = 0
+        self._report = report
+        self._scale_S = 0.0
+        self._bridge = False
+        self._commanded_s: float | None = None
+        self._overvoltage = False
+        self._injected = 0
+        world.shut()
+
+    def command(self, current_scale_S: float, bridge: bool, now_s: float) -> None:
+        """Take one valid command.
+
+        Args:
+            current_scale_S: Line-current scale k.
+            bridge: Whether the bridge may feed the load.
+            now_s: Monotonic time of its arrival.
+        """
+        if self._commanded_s is None:
+            self._report("commanded", current_scale_S=current_scale_S, bridge=bridge)
+        self._commanded_s = now_s
+        self._scale_S = current_scale_S
+        self._bridge = bridge
+        if not bridge and self.world.boost.voltage_V < OVERVOLTAGE_OVER_V:
+            self._overvoltage = False
+
+    def inject(self, fault: int) -> None:
+        """Make the drive faulty, or clear what was injected with 0.
+
+        Raises:
+            ParameterError: The word has bits that the drive does not have.
+        """
+        check_range("fault", fault, 0, FAULT_MAX, "")
+        self._injected = fault
+        self._report("fault injected" if fault else "fault cleared", fault=fault)
+
+    def tick(self, now_s: float) -> Frame:
+        """Run the half cycle that has just elapsed.
+
+        Args:
+            now_s: Monotonic time.
+        """
+        self._watch_command(now_s)
+        self._watch_voltage()
+        if self._injected:
+            self.world.shut()
+        scale_S = 0.0 if self._overvoltage or self._injected else self._scale_S
+        bridge = self._bridge and not self._injected
+        sample = self.world.step(scale_S, bridge)
+        self.fault = self._word(sample.line_voltage_V)
+        return Frame(sample, self.fault, self.world.bridge)
+
+    def _watch_command(self, now_s: float) -> None:
+        """Shut down when the last valid command is too old."""
+        if self._commanded_s is None:
+            return
+        age_s = now_s - self._commanded_s
+        if age_s < COMMAND_TIMEOUT_s:
+            return
+        self._commanded_s, self._scale_S, self._bridge = None, 0.0, False
+        self.world.shut()
+        self._report(
+            "safe",
+            reason="command timeout",
+            after_ms=round(1e3 * age_s, 1),
+            current_scale_S=self.world.current_scale_S,
+            bridge=self.world.bridge,
+            load_current_A=self.world.load_current_A,
+        )
+
+    def _watch_voltage(self) -> None:
+        """Stop drawing line current when the capacitor's voltage is too high."""
+        voltage_V = self.world.boost.voltage_V
+        if not self._overvoltage and voltage_V > OVERVOLTAGE_V:
+            self._overvoltage = True
+            self._report("over-voltage", boost_voltage_V=round(voltage_V, 1))
+        if self._overvoltage:
+            self.world.current_scale_S = 0.0
+
+    def _word(self, line_V: float) -> int:
+        nominal_V = self.world.parameters.line.voltage_V
+        word = self._injected
+        if self._overvoltage:
+            word |= Fault.BOOST_OVERVOLTAGE
+        if line_V < LINE_LOST_SHARE * nominal_V:
+            word |= Fault.LINE_LOST
+        return int(word)

@@ -1,0 +1,106 @@
+"""Disturbances over MQTT, and the truth for whoever compares estimates with it.
+
+The drive's node never waits for any of this: when the broker is away the node runs on, and a new
+client is tried at growing intervals.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Mapping
+from datetime import UTC, datetime
+
+import aiomqtt
+import msgspec
+
+from adaptdrive.errors import RefusedError
+from adaptdrive_sim.broker import BrokerAddress, Reply, topic
+from adaptdrive_sim.devices.drive import Drive, Report
+from adaptdrive_sim.disturbances import apply_request, parse_request, read_id
+
+TRUTH_PERIOD_s = 1.0
+RETRY_FIRST_s = 0.5
+RETRY_LAST_s = 10.0
+FAREWELL_s = 1.0
+
+
+class Remote:
+    """Serves one simulated drive on one broker."""
+
+    def __init__(self, broker: BrokerAddress, name: str, drive: Drive, report: Report) -> None:
+        self._broker = broker
+        self._name = name
+        self._drive = drive
+        self._report = report
+        self._retry_s = RETRY_FIRST_s
+
+    async def run(self) -> None:
+        """Serve until cancelled; reconnect whenever the broker is lost."""
+        while True:
+            try:
+                await self._serve()
+            except* aiomqtt.MqttError as problems:
+                reason = str(problems.exceptions[0])
+                self._report("broker away", reason=reason, retry_s=self._retry_s)
+            await asyncio.sleep(self._retry_s)
+            self._retry_s = min(2.0 * self._retry_s, RETRY_LAST_s)
+
+    async def _serve(self) -> None:
+        """Serve one connection until it is lost."""
+        truth = topic(self._name, "truth")
+        will = aiomqtt.Will(truth, payload=b"", qos=1, retain=True)
+        address = self._broker
+        async with aiomqtt.Client(address.host, address.port, will=will) as client:
+            self._report("broker found", broker=f"{address.host}:{address.port}")
+            self._retry_s = RETRY_FIRST_s
+            try:
+                async with asyncio.TaskGroup() as tasks:
+                    tasks.create_task(self._publish_truth(client, truth))
+                    tasks.create_task(self._answer(client))
+            finally:
+                with contextlib.suppress(aiomqtt.MqttError, TimeoutError):
+                    async with asyncio.timeout(FAREWELL_s):
+                        await client.publish(truth, b"", qos=1, retain=True)
+
+    async def _publish_truth(self, client: aiomqtt.Client, truth: str) -> None:
+        while True:
+            payload = msgspec.json.encode(self.truth())
+            await client.publish(truth, payload, qos=0, retain=True)
+            await asyncio.sleep(TRUTH_PERIOD_s)
+
+    async def _answer(self, client: aiomqtt.Client) -> None:
+        await client.subscribe(topic(self._name, "disturb"), qos=1)
+        async for message in client.messages:
+            reply = self.carry_out(message.payload, retained=bool(message.retain))
+            encoded = msgspec.json.encode(reply)
+            await client.publish(topic(self._name, "reply"), encoded, qos=1)
+
+    def carry_out(self, payload: bytes, *, retained: bool) -> Reply:
+        """Carry out one request, or say why not."""
+        if retained:
+            reason = "a retained request is old and is not carried out"
+            return Reply(id=read_id(payload), accepted=False, reason=reason)
+        try:
+            request = parse_request(payload)
+            apply_request(request, self._drive)
+        except RefusedError as refusal:
+            return Reply(id=read_id(payload), accepted=False, reason=refusal.reason)
+        self._report("disturbed", **msgspec.to_builtins(request))
+        return Reply(id=request.id, accepted=True, reason="")
+
+    def truth(self) -> Mapping[str, float | str]:
+        """What an estimator would like to know, and what surrounds it."""
+        world = self._drive.world
+        return {
+            "time": datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z"),
+            "tick": world.tick,
+            **world.load.state(),
+            **world.true_model,
+            "output": world.true_output,
+            "boost_voltage_V": world.boost.voltage_V,
+            "line_voltage_V": world.line.voltage_V,
+            "load_current_A": world.load_current_A,
+            "noise_V": world.noise.sigma,
+            "fault": self._drive.fault,
+        }

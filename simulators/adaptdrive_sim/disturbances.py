@@ -1,0 +1,141 @@
+"""What may be done to a running plant from outside, and how it is asked for.
+
+A request is a JSON object with an `id` and exactly one disturbance:
+
+    {"id": "1", "disks": 1}                     one disk more (-1: one less)
+    {"id": "2", "torque_Nm": 0.5}               load torque from now on
+    {"id": "3", "sag": 0.2, "duration_s": 1.0}  take 20 % off the line for a second
+    {"id": "4", "noise_V": 0.0004}              noise of the output from now on
+    {"id": "5", "fault": 1}                     fault word of the drive (0: clear)
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import msgspec
+
+from adaptdrive.errors import RefusedError
+from adaptdrive_sim.devices.drive import Drive
+from adaptdrive_sim.parameters import ParameterError
+from adaptdrive_sim.plants.motor import Motor
+
+
+class Request(msgspec.Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True):
+    """One request as it comes over the wire."""
+
+    id: str
+    disks: int | None = None
+    torque_Nm: float | None = None
+    sag: float | None = None
+    duration_s: float | None = None
+    noise_V: float | None = None
+    fault: int | None = None
+
+
+def parse_request(payload: bytes) -> Request:
+    """Read one request and make sure that it asks for one thing.
+
+    Raises:
+        RefusedError: What is wrong with it.
+    """
+    try:
+        request = msgspec.json.decode(payload, type=Request)
+    except (msgspec.DecodeError, UnicodeDecodeError) as problem:
+        raise RefusedError(str(problem)) from problem
+    asked = [name for name in _ACTIONS if getattr(request, name) is not None]
+    if len(asked) != 1:
+        wanted = ", ".join(_ACTIONS)
+        raise RefusedError(f"exactly one of {wanted} is needed, not {len(asked)}")
+    if (request.duration_s is not None) != (asked == ["sag"]):
+        raise RefusedError("duration_s belongs to sag, and sag needs it")
+    return request
+
+
+def read_id(payload: bytes) -> str | None:
+    """The id of a request that may be wrong otherwise, None where there is none."""
+    try:
+        found = msgspec.json.decode(payload)
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return None
+    name = found.get("id") if isinstance(found, dict) else None
+    return name if isinstance(name, str) else None
+
+
+def apply_request(request: Request, drive: Drive) -> None:
+    """Do to the plant what a request asks for.
+
+    Raises:
+        RefusedError: It cannot be done; nothing was changed.
+    """
+    name = next(name for name in _ACTIONS if getattr(request, name) is not None)
+    try:
+        _ACTIONS[name](request, drive)
+    except ParameterError as problem:
+        raise RefusedError(str(problem)) from problem
+
+
+def _motor(drive: Drive) -> Motor:
+    if not isinstance(drive.world.load, Motor):
+        raise RefusedError("this load has no shaft")
+    return drive.world.load
+
+
+def _change_disks(request: Request, drive: Drive) -> None:
+    _motor(drive).disks += request.disks or 0
+
+
+def _load_shaft(request: Request, drive: Drive) -> None:
+    _motor(drive).torque_Nm = request.torque_Nm or 0.0
+
+
+def _sag_line(request: Request, drive: Drive) -> None:
+    drive.world.line.sag(request.sag or 0.0, request.duration_s or 0.0)
+
+
+def _set_noise(request: Request, drive: Drive) -> None:
+    world = drive.world
+    world.noise = dataclasses.replace(world.noise, sigma=request.noise_V or 0.0)
+
+
+def _inject_fault(request: Request, drive: Drive) -> None:
+    drive.inject(request.fault or 0)
+
+
+_ACTIONS = {
+    "disks": _change_disks,
+    "torque_Nm": _load_shaft,
+    "sag": _sag_line,
+    "noise_V": _set_noise,
+    "fault": _inject_fault,
+}
+
+
+def from_words(action: str, values: Sequence[float]) -> dict[str, float]:
+    """Turn the words of a command line into a request without its id.
+
+    Raises:
+        RefusedError: The action does not take that many values.
+    """
+    names, fixed = _WORDS[action]
+    if len(values) != len(names):
+        wanted = " ".join(names) or "no value"
+        raise RefusedError(f"{action} takes {wanted}, not {len(values)} values")
+    given = {name: _whole(value) for name, value in zip(names, values, strict=True)}
+    return {**fixed, **given}
+
+
+def _whole(value: float) -> float:
+    """An integer where the value is one: fault words are integers on the wire."""
+    return int(value) if value.is_integer() else value
+
+
+_WORDS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
+    "add-disk": ((), {"disks": 1}),
+    "remove-disk": ((), {"disks": -1}),
+    "torque": (("torque_Nm",), {}),
+    "sag": (("sag", "duration_s"), {}),
+    "noise": (("noise_V",), {}),
+    "fault": (("fault",), {}),
+}

@@ -1,0 +1,156 @@
+"""Disturbances: what is accepted, what is refused, and what they do."""
+
+import re
+from typing import Any
+
+import msgspec
+import pytest
+
+from adaptdrive.errors import RefusedError
+from adaptdrive_sim.broker import BrokerAddress, parse_address
+from adaptdrive_sim.devices.drive import Drive
+from adaptdrive_sim.devices.remote import Remote
+from adaptdrive_sim.disturbances import from_words, parse_request
+from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from adaptdrive_sim.world import World
+
+
+def ignore(*_: Any, **__: Any) -> None:
+    """Report to nobody."""
+
+
+@pytest.fixture
+def remote() -> Remote:
+    drive = Drive(World(Motor(MotorParameters())), ignore)
+    return Remote(BrokerAddress("localhost", 1), "bench", drive, ignore)
+
+
+def ask(remote: Remote, **request: Any) -> tuple[bool, str]:
+    reply = remote.carry_out(msgspec.json.encode({"id": "7", **request}), retained=False)
+    assert reply.id == "7"
+    assert reply.accepted is (reply.reason == "")
+    return reply.accepted, reply.reason
+
+
+def test_disks_come_and_go(remote: Remote) -> None:
+    assert ask(remote, disks=2) == (True, "")
+    assert remote.truth()["tau_motor_s"] == pytest.approx(35.1)
+    assert ask(remote, disks=-1) == (True, "")
+    assert remote.truth()["disks"] == 2
+
+
+def test_the_last_disk_cannot_be_taken(remote: Remote) -> None:
+    accepted, reason = ask(remote, disks=-1)
+    assert not accepted
+    assert reason == "disks = 0 must lie in 1…10"
+    assert remote.truth()["disks"] == 1
+
+
+def test_torque_and_noise_stay_until_the_next_request(remote: Remote) -> None:
+    assert ask(remote, torque_Nm=0.5) == (True, "")
+    assert ask(remote, noise_V=0.01) == (True, "")
+    assert remote.truth()["torque_Nm"] == 0.5
+    assert remote.truth()["noise_V"] == 0.01
+
+
+def test_a_sag_reaches_the_line(remote: Remote) -> None:
+    assert ask(remote, sag=0.25, duration_s=1.0) == (True, "")
+    remote._drive.tick(0.0)
+    assert remote.truth()["line_voltage_V"] == 90.0
+
+
+def test_a_fault_reaches_the_drive(remote: Remote) -> None:
+    assert ask(remote, fault=16) == (True, "")
+    remote._drive.tick(0.0)
+    assert remote.truth()["fault"] == 16
+
+
+@pytest.mark.parametrize(
+    ("request_", "reason"),
+    [
+        ({}, "exactly one of"),
+        ({"disks": 1, "fault": 1}, "exactly one of .* not 2"),
+        ({"sag": 0.2}, "sag needs it"),
+        ({"disks": 1, "duration_s": 1.0}, "duration_s belongs to sag"),
+        ({"disks": 1.5}, "Expected `int"),
+        ({"disks": "1"}, "Expected `int"),
+        ({"wheels": 1}, "unknown field `wheels`"),
+        ({"torque_Nm": -1.0}, r"torque_Nm = -1\.0 must lie in"),
+        ({"torque_Nm": 1e9}, "torque_Nm = 1000000000.0 must lie in"),
+        ({"noise_V": -0.1}, r"NoiseParameters\.sigma = -0\.1"),
+        ({"sag": 1.5, "duration_s": 1.0}, r"sag = 1\.5 must lie in"),
+        ({"fault": 128}, "fault = 128 must lie in 0…127"),
+    ],
+)
+def test_a_wrong_request_is_refused_with_its_reason_and_changes_nothing(
+    remote: Remote, request_: dict[str, Any], reason: str
+) -> None:
+    before = {**remote.truth(), "time": ""}
+    accepted, given = ask(remote, **request_)
+    assert not accepted
+    assert re.search(reason, given)
+    assert {**remote.truth(), "time": ""} == before
+
+
+@pytest.mark.parametrize(
+    "payload", [b"", b"{", b"[]", b"7", b'{"disks": 1}', b"\xff", b'{"id": 7}']
+)
+def test_what_cannot_be_read_is_refused_without_an_id(remote: Remote, payload: bytes) -> None:
+    reply = remote.carry_out(payload, retained=False)
+    assert reply.id is None
+    assert not reply.accepted
+    assert reply.reason
+
+
+def test_not_a_number_is_refused() -> None:
+    with pytest.raises(RefusedError):
+        parse_request(b'{"id": "1", "torque_Nm": NaN}')
+
+
+def test_a_retained_request_is_refused(remote: Remote) -> None:
+    reply = remote.carry_out(b'{"id": "1", "disks": 1}', retained=True)
+    assert not reply.accepted
+    assert "retained" in reply.reason
+    assert remote.truth()["disks"] == 1
+
+
+@pytest.mark.parametrize(
+    ("action", "values", "request_"),
+    [
+        ("add-disk", (), {"disks": 1}),
+        ("remove-disk", (), {"disks": -1}),
+        ("torque", (0.5,), {"torque_Nm": 0.5}),
+        ("sag", (0.2, 1.0), {"sag": 0.2, "duration_s": 1.0}),
+        ("noise", (0.001,), {"noise_V": 0.001}),
+        ("fault", (3.0,), {"fault": 3}),
+    ],
+)
+def test_words_become_requests(
+    action: str, values: tuple[float, ...], request_: dict[str, float]
+) -> None:
+    made = from_words(action, values)
+    assert made == request_
+    parse_request(msgspec.json.encode({"id": "1", **made}))
+
+
+def test_words_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(RefusedError, match="sag takes sag duration_s, not 1 values"):
+        from_words("sag", (0.2,))
+
+
+@pytest.mark.parametrize(
+    ("text", "address"),
+    [
+        ("broker:1884", BrokerAddress("broker", 1884)),
+        ("10.0.0.1", BrokerAddress("10.0.0.1", 1883)),
+        ("[::1]:1885", BrokerAddress("::1", 1885)),
+    ],
+)
+def test_broker_addresses(text: str, address: BrokerAddress) -> None:
+    assert parse_address(text) == address
+
+
+@pytest.mark.parametrize("text", ["", ":1883", "broker:", "broker:x", "a:0", "a:70000", "::1"])
+def test_no_broker_addresses(text: str) -> None:
+    with pytest.raises(RefusedError, match="broker"):
+        parse_address(text)

@@ -1,0 +1,133 @@
+"""What the simulated drive does by itself."""
+
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptdrive_sim.devices.drive import Drive, Frame
+from adaptdrive_sim.parameters import ParameterError
+from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from adaptdrive_sim.world import World
+
+HALF_CYCLE_s = 1.0 / 120.0
+
+
+class Bench:
+    """A drive under a clock of our own."""
+
+    def __init__(self, boost_voltage_V: float = 300.0) -> None:
+        self.events: list[tuple[str, dict[str, Any]]] = []
+        self.world = World(Motor(MotorParameters()))
+        self.world.settle(boost_voltage_V)
+        self.holding_S = self.world.current_scale_S
+        self.drive = Drive(self.world, lambda event, **data: self.events.append((event, data)))
+        self.now_s = 1000.0
+
+    def commanded(self, ticks: int, scale_S: float, *, bridge: bool = True) -> Frame:
+        for _ in range(ticks):
+            self.drive.command(scale_S, bridge, self.now_s)
+            frame = self.silent(1)
+        return frame
+
+    def silent(self, ticks: int) -> Frame:
+        for _ in range(ticks):
+            self.now_s += HALF_CYCLE_s
+            frame = self.drive.tick(self.now_s)
+        return frame
+
+    def named(self, name: str) -> list[dict[str, Any]]:
+        return [data for event, data in self.events if event == name]
+
+
+def test_a_drive_without_any_command_is_safe_and_healthy() -> None:
+    frame = Bench().silent(20)
+    assert (frame.bridge, frame.fault, frame.sample.load_current_A) == (False, 0, 0.0)
+
+
+def test_commands_are_carried_out() -> None:
+    bench = Bench()
+    frame = bench.commanded(600, bench.holding_S)
+    assert frame.bridge
+    assert frame.fault == 0
+    assert frame.sample.load_current_A == pytest.approx(6.7, abs=0.5)
+    assert bench.named("safe") == []
+
+
+@given(silence=st.integers(1, 40).filter(lambda ticks: ticks != 12))
+def test_a_silent_host_means_the_safe_state_after_100_ms_and_not_before(silence: int) -> None:
+    bench = Bench()
+    bench.commanded(20, bench.holding_S)
+    frame = bench.silent(silence)
+    age_s = silence * HALF_CYCLE_s
+    assert len(bench.named("safe")) == (0 if age_s < 0.1 else 1)
+    assert frame.bridge is (age_s < 0.1)
+
+
+def test_the_safe_state_is_logged_with_what_is_true_then() -> None:
+    bench = Bench()
+    bench.commanded(20, bench.holding_S)
+    frame = bench.silent(30)
+    assert frame.sample.load_current_A == 0.0
+    assert frame.fault == 0
+    (safe,) = bench.named("safe")
+    assert 100.0 <= safe.pop("after_ms") <= 108.4
+    assert safe == {
+        "reason": "command timeout",
+        "current_scale_S": 0.0,
+        "bridge": False,
+        "load_current_A": 0.0,
+    }
+
+
+def test_a_command_ends_the_safe_state() -> None:
+    bench = Bench()
+    bench.commanded(20, bench.holding_S)
+    bench.silent(30)
+    assert bench.commanded(2, bench.holding_S).bridge
+
+
+def test_over_voltage_stops_the_line_current_and_leaves_the_bridge() -> None:
+    bench = Bench(400.0)
+    highest_V = 0.0
+    for _ in range(120):
+        frame = bench.commanded(1, 0.15)
+        highest_V = max(highest_V, frame.sample.boost_voltage_V)
+    assert 450.0 < highest_V < 500.0
+    assert frame.fault == 4
+    assert frame.bridge
+    assert frame.sample.boost_voltage_V < 450.0
+    assert len(bench.named("over-voltage")) == 1
+
+
+def test_over_voltage_ends_with_a_bridge_off_command_below_430_V() -> None:
+    bench = Bench(400.0)
+    bench.commanded(120, 0.15)
+    assert bench.commanded(120, 0.0).fault == 4
+    assert bench.commanded(2, 0.0, bridge=False).fault == 0
+
+
+def test_an_injected_fault_shuts_the_drive_down_until_it_is_cleared() -> None:
+    bench = Bench()
+    bench.commanded(20, bench.holding_S)
+    bench.drive.inject(16)
+    frame = bench.commanded(1, bench.holding_S)
+    assert (frame.fault, frame.bridge, frame.sample.load_current_A) == (16, False, 0.0)
+    bench.drive.inject(0)
+    frame = bench.commanded(3, bench.holding_S)
+    assert (frame.fault, frame.bridge) == (0, True)
+
+
+def test_a_fault_word_that_does_not_fit_is_refused() -> None:
+    with pytest.raises(ParameterError, match="fault = 128 must lie in 0…127"):
+        Bench().drive.inject(128)
+
+
+def test_a_lost_line_is_reported_while_it_lasts_and_a_sag_is_not() -> None:
+    bench = Bench()
+    bench.world.line.sag(0.3, 0.1)
+    assert bench.commanded(1, bench.holding_S).fault == 0
+    bench.world.line.sag(1.0, 0.1)
+    assert bench.commanded(1, bench.holding_S).fault == 8
+    assert bench.commanded(20, bench.holding_S).fault == 0
