@@ -19,6 +19,9 @@ class DriveLimits(Section):
     current_scale_max_S: PositiveFloat = Field(
         default=0.15, description="largest line-current scale k (line current over line voltage)"
     )
+    current_scale_slew_S: PositiveFloat = Field(
+        default=0.15, description="largest change of k from one tick to the next"
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

@@ -41,6 +41,15 @@ def parse_configuration(text: str, source: Path) -> Configuration:
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as problem:
         raise ConfigurationError(source, [Flaw("TOML", str(problem))]) from problem
+    return validate_configuration(tables, source)
+
+
+def validate_configuration(tables: dict[str, Any], source: Path) -> Configuration:
+    """Validate the tables of a configuration that came from (or belongs beside) `source`.
+
+    Raises:
+        ConfigurationError: As for `load_configuration`.
+    """
     try:
         configuration = Configuration.model_validate(tables)
     except ValidationError as problem:

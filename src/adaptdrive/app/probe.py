@@ -1,0 +1,79 @@
+"""`adaptdrive probe`: what the bus says, decoded; nothing is commanded."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+from adaptdrive.config import Configuration, load_configuration
+from adaptdrive.errors import AdaptdriveError
+from adaptdrive.hardware.can.port import CanPort, build_can_port
+from adaptdrive.hardware.port import Reading
+
+_EVERY_S = 0.5
+
+
+class _Probe:
+    """Remembers the latest reading."""
+
+    def __init__(self) -> None:
+        self.reading: Reading | None = None
+
+    def on_reading(self, reading: Reading) -> None:
+        """Keep the reading."""
+        self.reading = reading
+
+    def on_bus(self, up: bool, detail: str) -> None:
+        """Say that the bus was lost or came back."""
+        sys.stderr.write(f"bus {'up' if up else 'lost'}: {detail}\n")
+
+
+def probe(path: Path) -> int:
+    """Print the decoded measurements twice a second until interrupted.
+
+    Args:
+        path: Configuration file.
+
+    Raises:
+        AdaptdriveError: The configuration or the bus cannot be used.
+    """
+    configuration = load_configuration(path)
+    try:
+        asyncio.run(_show(configuration))
+    except* AdaptdriveError as group:
+        raise group.exceptions[0] from None
+    return 0
+
+
+async def _show(configuration: Configuration) -> None:
+    port = build_can_port(configuration.bus, configuration.signals, time.monotonic)
+    listener = _Probe()
+    async with asyncio.TaskGroup() as tasks:
+        tasks.create_task(port.run(listener, lambda: _say(port.description)))
+        while True:
+            await asyncio.sleep(_EVERY_S)
+            _say(_line(configuration, port, listener.reading))
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def _line(configuration: Configuration, port: CanPort, reading: Reading | None) -> str:
+    counts = ", ".join(
+        f"{name} {count}" for name, count in asdict(port.statistics).items() if count
+    )
+    if reading is None:
+        return f"no reading yet ({counts or 'no frames'})"
+    age_ms = (time.monotonic() - reading.oldest_s) * 1e3
+    load = configuration.load
+    return (
+        f"v_bst {reading.boost_voltage_V:7.2f} V  line {reading.line_voltage_V:6.1f} V  "
+        f"load {reading.load_power_W:7.1f} W  {load.output_name} {reading.output:9.5f} "
+        f"{load.output_unit}  bridge {'on' if reading.bridge else 'off'}  "
+        f"fault {reading.fault:#x}  age {age_ms:5.1f} ms  ({counts})"
+    )

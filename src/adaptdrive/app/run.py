@@ -1,0 +1,131 @@
+"""`adaptdrive run`: the daemon of one drive."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+from adaptdrive import __version__
+from adaptdrive.app.log import log_events, set_up_logging
+from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
+from adaptdrive.config import Configuration, load_configuration
+from adaptdrive.control.controller import Controller
+from adaptdrive.errors import AdaptdriveError
+from adaptdrive.hardware.can.port import build_can_port
+from adaptdrive.operation.service import MqttService, Surroundings
+from adaptdrive.recording.recorder import Feed, Pace, Recorder
+from adaptdrive.recording.session import SessionInfo, create_session, sessions_directory
+from adaptdrive.runtime.daemon import Daemon
+from adaptdrive.runtime.hub import Hub, Subscription
+from adaptdrive.runtime.reports import Event
+from adaptdrive.runtime.watchdog import ServiceManager
+
+_EVENTS_HELD = 1000
+
+
+def run(path: Path) -> int:
+    """Run the daemon until SIGTERM or SIGINT; the drive is left in its safe state.
+
+    Args:
+        path: Configuration file.
+
+    Returns:
+        Exit status: 0 after an orderly stop.
+
+    Raises:
+        AdaptdriveError: The configuration or the bus cannot be used.
+    """
+    configuration = load_configuration(path)
+    text = path.read_text(encoding="utf-8")
+    try:
+        asyncio.run(_serve(configuration, text))
+    except* AdaptdriveError as group:
+        raise _first(group) from None
+    return 0
+
+
+def _first(group: BaseExceptionGroup[AdaptdriveError]) -> AdaptdriveError:
+    """The one error to tell about: tasks die together, and the first one is the cause."""
+    error: BaseException = group
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    assert isinstance(error, AdaptdriveError)  # noqa: S101 - the group holds nothing else
+    return error
+
+
+async def _serve(configuration: Configuration, text: str) -> None:
+    logger, hub, stop = set_up_logging(), Hub(), asyncio.Event()
+    events = hub.subscribe(Event, size=_EVENTS_HELD)
+    port = build_can_port(configuration.bus, configuration.signals, time.monotonic)
+    daemon = Daemon(
+        port=port,
+        controller=Controller(controller_settings(configuration), build_load(configuration)),
+        settings=daemon_settings(configuration),
+        clock=time.monotonic,
+        hub=hub,
+        manager=ServiceManager(os.environ),
+    )
+    _stop_on_signals(stop)
+    logger.info(
+        "starting", drive=configuration.drive.name, version=__version__, bus=port.description
+    )
+    async with asyncio.TaskGroup() as tasks:
+        services = [
+            tasks.create_task(log_events(events, logger), name="log"),
+            tasks.create_task(_mqtt(configuration, daemon, hub).run(), name="mqtt"),
+        ]
+        recorder = _recorder(configuration, text, hub)
+        if recorder is not None:
+            services.append(tasks.create_task(recorder.run(), name="recorder"))
+        await daemon.run(stop)
+        await _settle(events)
+        for service in services:
+            service.cancel()
+    logger.info("stopped", drive=configuration.drive.name)
+
+
+async def _settle(events: Subscription) -> None:
+    """Let the last reports reach broker and disk before their services end."""
+    await asyncio.sleep(0.2)
+    events.drain()
+
+
+def _stop_on_signals(stop: asyncio.Event) -> None:
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, stop.set)
+
+
+def _mqtt(configuration: Configuration, daemon: Daemon, hub: Hub) -> MqttService:
+    directory = state_directory(os.environ.get("STATE_DIRECTORY", ""))
+    directory.mkdir(parents=True, exist_ok=True)
+    surroundings = Surroundings(directory)
+    return MqttService(configuration.drive.name, configuration.mqtt, daemon, hub, surroundings)
+
+
+def state_directory(given: str) -> Path:
+    """Where replies and unsent events are kept: the service manager's folder, else `./state`."""
+    first = given.split(":", maxsplit=1)[0]
+    return Path(first) if first else Path("state")
+
+
+def _recorder(configuration: Configuration, text: str, hub: Hub) -> Recorder | None:
+    recording = configuration.recording
+    if not recording.enabled:
+        return None
+    info = SessionInfo(
+        drive=configuration.drive.name,
+        version=__version__,
+        started=datetime.now(UTC),
+        ticks_per_period=configuration.ticks_per_period,
+        latency_ticks=configuration.load.latency_ticks,
+        line_frequency_Hz=configuration.drive.line_frequency_Hz,
+    )
+    directory = sessions_directory(recording.directory, os.environ)
+    session = create_session(directory, info, text)
+    feed, pace = Feed.of(hub, recording.flush_s), Pace(flush_s=recording.flush_s)
+    return Recorder(session, feed, hub.publish, lambda: datetime.now(UTC), pace)

@@ -1,0 +1,151 @@
+"""From the configuration to what controller and runtime are told."""
+
+from __future__ import annotations
+
+import math
+
+from adaptdrive.config import Configuration
+from adaptdrive.control.load import Load
+from adaptdrive.control.loads.motor import motor_load
+from adaptdrive.control.settings import (
+    ControllerSettings,
+    Jacket,
+    Learning,
+    PowerStage,
+    Rates,
+)
+from adaptdrive.runtime.daemon import DaemonSettings
+from adaptdrive.runtime.fast_loop import FastLoopSettings
+from adaptdrive.runtime.guard import CommandLimits
+from adaptdrive.runtime.interlocks import Limits
+from adaptdrive.runtime.machine import MachineLimits
+
+_LOWEST_LINE = 0.5
+_GATE = 2.0
+_PATIENCE_PERIODS = 30
+_SHORTEST_WAVE_PERIODS = 4
+
+
+def build_load(configuration: Configuration) -> Load:
+    """The load with its nominal model."""
+    model = configuration.load.model
+    return motor_load(model.gain, model.tau_motor_s, model.tau_filter_s)
+
+
+def controller_settings(configuration: Configuration) -> ControllerSettings:
+    """Everything that the controller is told."""
+    load = configuration.load
+    exact = load.design == "exact"
+    return ControllerSettings(
+        exact=exact,
+        stage=_power_stage(configuration),
+        rates=Rates(
+            ticks_per_period=configuration.ticks_per_period,
+            latency_ticks=load.latency_ticks,
+            samples=load.samples if exact else 1,
+            nominal_tick_s=tick_s(configuration),
+        ),
+        learning=_learning(configuration, exact=exact),
+        jacket=_jacket(configuration),
+    )
+
+
+def daemon_settings(configuration: Configuration) -> DaemonSettings:
+    """Everything that the runtime is told."""
+    return DaemonSettings(
+        machine=_machine_limits(configuration),
+        pole=configuration.load.pole,
+        fast=_fast_loop(configuration),
+        report_s=1.0 / configuration.mqtt.telemetry_Hz,
+    )
+
+
+def tick_s(configuration: Configuration) -> float:
+    """Half a line cycle at nominal frequency."""
+    return 0.5 / configuration.drive.line_frequency_Hz
+
+
+def _power_stage(configuration: Configuration) -> PowerStage:
+    drive, loop = configuration.drive, configuration.voltage_loop
+    return PowerStage(
+        capacitance_F=drive.boost_capacitance_F,
+        line_voltage_min_V=_LOWEST_LINE * drive.line_voltage_V,
+        current_scale_min_S=_lowest_scale(configuration),
+        current_scale_max_S=drive.limits.current_scale_max_S,
+        boost_reference_min_V=drive.limits.boost_reference_min_V,
+        boost_reference_max_V=drive.limits.boost_reference_max_V,
+        feed_forward=loop.feed_forward,
+        holds_voltage=loop.where == "drive",
+    )
+
+
+def _lowest_scale(configuration: Configuration) -> float:
+    drive = configuration.drive
+    return -drive.limits.current_scale_max_S if drive.kind == "bidirectional" else 0.0
+
+
+def _learning(configuration: Configuration, *, exact: bool) -> Learning:
+    estimator, model = configuration.estimator, configuration.load.model
+    middle_V = 0.5 * (
+        configuration.drive.limits.boost_reference_min_V
+        + configuration.drive.limits.boost_reference_max_V
+    )
+    return Learning(
+        filtered=estimator.method == "lm-rls",
+        forgetting=estimator.forgetting,
+        tau_lambda_s=estimator.tau_lambda_s,
+        dead_band=estimator.dead_band,
+        initial_covariance=estimator.initial_covariance,
+        settle_periods=math.ceil(estimator.settle_s / configuration.load.period_s),
+        gate=_GATE if exact else 0.0,
+        output_scale=model.gain * middle_V if exact else 1.0,
+        input_scale=middle_V if exact else 1.0,
+        start_at_nominal=exact,
+    )
+
+
+def _jacket(configuration: Configuration) -> Jacket:
+    supervisor = configuration.supervisor
+    return Jacket(
+        warm_up_periods=math.ceil(supervisor.warm_up_s / configuration.load.period_s),
+        ratio_min=supervisor.ratio_min,
+        ratio_max=supervisor.ratio_max,
+        patience_periods=_PATIENCE_PERIODS,
+    )
+
+
+def _machine_limits(configuration: Configuration) -> MachineLimits:
+    load, tick = configuration.load, tick_s(configuration)
+    return MachineLimits(
+        reference_min=load.reference_min,
+        reference_max=load.reference_max,
+        unit=load.output_unit,
+        pole_min=load.pole_min,
+        pole_max=load.pole_max,
+        period_min_s=_SHORTEST_WAVE_PERIODS * load.period_s,
+        floor_V=configuration.drive.limits.boost_reference_min_V,
+        starting_ticks=round(configuration.interlocks.precharge_timeout_s / tick),
+        tick_s=tick,
+    )
+
+
+def _fast_loop(configuration: Configuration) -> FastLoopSettings:
+    interlocks, limits = configuration.interlocks, configuration.drive.limits
+    return FastLoopSettings(
+        limits=Limits(
+            stale_s=interlocks.stale_s,
+            boost_voltage_max_V=interlocks.boost_voltage_max_V,
+            output_max=interlocks.output_max,
+            output_unit=configuration.load.output_unit,
+        ),
+        command=CommandLimits(
+            current_scale_min_S=_lowest_scale(configuration),
+            current_scale_max_S=limits.current_scale_max_S,
+            current_scale_slew_S=limits.current_scale_slew_S,
+            boost_reference_max_V=limits.boost_reference_max_V,
+        ),
+        tick_s=tick_s(configuration),
+        latency_ticks=configuration.load.latency_ticks,
+        late_fraction=configuration.realtime.late_fraction,
+        timer_standin=configuration.realtime.timer_standin,
+    )
