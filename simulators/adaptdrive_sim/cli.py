@@ -8,9 +8,14 @@ from typing import Annotated, Literal
 
 from cyclopts import App, Parameter
 
+import adaptdrive
 from adaptdrive.errors import AdaptdriveError
 
-app = App(name="adaptdrive-sim", help="Simulated drives, loads and buses for adaptdrive.")
+app = App(
+    name="adaptdrive-sim",
+    help="Simulated drives, loads and buses for adaptdrive.",
+    version=adaptdrive.__version__,
+)
 
 Action = Literal["add-disk", "remove-disk", "torque", "sag", "noise", "fault"]
 
@@ -79,7 +84,7 @@ def device(  # noqa: PLR0913 - one parameter for each option
 def disturb(
     drive: str,
     action: Action,
-    values: Annotated[tuple[float, ...], Parameter(negative=())] = (),
+    values: Annotated[tuple[float, ...], Parameter(allow_leading_hyphen=True)] = (),
     /,
     *,
     broker: str = "127.0.0.1:1883",

@@ -195,7 +195,7 @@ def test_half_cycles_pass_at_the_pace_of_the_line(host: Host, node: StartNode) -
     first, start_s = host.hear(LOAD)["HalfCycle"], time.monotonic()
     time.sleep(2.0)
     last, end_s = host.hear(LOAD)["HalfCycle"], time.monotonic()
-    assert (last - first) / (end_s - start_s) == pytest.approx(120.0, rel=0.05)
+    assert (last - first) / (end_s - start_s) == pytest.approx(120.0, rel=0.2)
 
 
 def test_without_commands_the_drive_is_safe_at_the_peak_of_the_line(
