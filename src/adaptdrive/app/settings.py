@@ -74,6 +74,7 @@ def _power_stage(configuration: Configuration) -> PowerStage:
         current_scale_max_S=drive.limits.current_scale_max_S,
         boost_reference_min_V=drive.limits.boost_reference_min_V,
         boost_reference_max_V=drive.limits.boost_reference_max_V,
+        load_power_max_W=drive.limits.load_power_max_W,
         feed_forward=loop.feed_forward,
         holds_voltage=loop.where == "drive",
     )

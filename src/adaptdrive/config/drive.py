@@ -23,6 +23,10 @@ class DriveLimits(Section):
         default=0.15, description="largest change of k from one tick to the next"
     )
 
+    load_power_max_W: PositiveFloat = Field(
+        default=1500.0, description="load power above which V_c is held back"
+    )
+
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.boost_reference_min_V >= self.boost_reference_max_V:

@@ -154,17 +154,20 @@ class Controller:
 
     def _drive(self, measurement: Measurement, bridge: bool) -> Command:
         stage, state = self._settings.stage, self._fast
+        voltage, power = measurement.boost_voltage_V, measurement.load_power_W
+        reference = fast.limit_power(state, stage, voltage, power)
         scale = 0.0
         if not stage.holds_voltage:
             scale = fast.regulate_voltage(
                 state,
                 stage,
-                measurement.boost_voltage_V,
+                reference,
+                voltage,
                 measurement.line_voltage_V,
-                measurement.load_power_W,
+                power,
                 measurement.tick_period_s,
             )
-        return Command(scale, state.boost_reference_V, bridge)
+        return Command(scale, reference, bridge)
 
     def _sample(self, snapshot: Snapshot) -> SlowSample:
         load, stage = self._load, self._settings.stage

@@ -16,6 +16,8 @@ from adaptdrive.control.load import Load, to_input
 from adaptdrive.control.settings import ControllerSettings, PowerStage
 from adaptdrive.control.vectors import Vector
 
+_CEILING_RISE = 1.002
+
 
 @dataclass(slots=True)
 class FilterBank:
@@ -50,7 +52,8 @@ class FastState:
 
     Attributes:
         tick: Last tick.
-        boost_reference_V: V_c in force.
+        boost_reference_V: V_c as decided.
+        ceiling_V: What the load's power leaves of it.
         error_sum: Sum of the voltage loop.
         limit: 1, -1 or 0: the limit at which k is held.
         voltage_sum: Sum of v_bst over the slow period so far.
@@ -62,6 +65,7 @@ class FastState:
     tick: int
     boost_reference_V: float
     error_sum: float
+    ceiling_V: float = math.inf
     limit: int = 0
     voltage_sum: float = 0.0
     ticks: int = 0
@@ -134,9 +138,26 @@ def take_means(bank: FilterBank) -> Vector:
     return means
 
 
+def limit_power(
+    state: FastState, stage: PowerStage, boost_voltage_V: float, load_power_W: float
+) -> float:
+    """V_c in force: held back while the load draws more than the drive may give.
+
+    At constant speed or temperature the power goes with the square of the voltage, so that the
+    square root of the excess is a voltage that ends it; the ceiling then rises slowly again.
+    """
+    excess = load_power_W / stage.load_power_max_W
+    if excess > 1.0:
+        state.ceiling_V = max(stage.boost_reference_min_V, boost_voltage_V / math.sqrt(excess))
+    elif state.ceiling_V < stage.boost_reference_max_V:
+        state.ceiling_V *= _CEILING_RISE
+    return min(state.boost_reference_V, state.ceiling_V)
+
+
 def regulate_voltage(
     state: FastState,
     stage: PowerStage,
+    reference_V: float,
     boost_voltage_V: float,
     line_voltage_V: float,
     load_power_W: float,
@@ -154,7 +175,7 @@ def regulate_voltage(
     scale = min(max(wanted, stage.current_scale_min_S), stage.current_scale_max_S)
     state.limit = (wanted > scale) - (wanted < scale)
     state.error_sum = voltage_loop.advance_sum(
-        state.error_sum, state.boost_reference_V, boost_voltage_V, state.limit
+        state.error_sum, reference_V, boost_voltage_V, state.limit
     )
     return scale
 
@@ -163,7 +184,7 @@ def count_tick(state: FastState, boost_voltage_V: float, fresh: bool) -> None:
     """Keep the books of the slow period."""
     state.voltage_sum += boost_voltage_V
     state.ticks += 1
-    if state.limit != 0:
+    if state.limit != 0 or state.ceiling_V < state.boost_reference_V:
         state.limited_ticks += 1
     if not fresh:
         state.held_ticks += 1

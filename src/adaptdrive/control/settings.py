@@ -16,6 +16,7 @@ class PowerStage:
         current_scale_max_S: Upper limit of k.
         boost_reference_min_V: Lowest V_c.
         boost_reference_max_V: Highest V_c.
+        load_power_max_W: Load power above which V_c is held back.
         feed_forward: Whether the load power is fed forward.
         holds_voltage: True for a drive with its own voltage loop.
     """
@@ -26,6 +27,7 @@ class PowerStage:
     current_scale_max_S: float
     boost_reference_min_V: float
     boost_reference_max_V: float
+    load_power_max_W: float
     feed_forward: bool
     holds_voltage: bool
 
