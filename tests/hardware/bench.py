@@ -1,0 +1,150 @@
+"""A bench for the CAN port: a drive made of cantools and crccheck, and an ear for what comes out.
+
+Nothing here uses the codecs of the port, so that what they agree on is agreed with a stranger.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+
+import can
+import cantools
+from cantools.database.can.database import Database
+from crccheck.crc import Crc8SaeJ1850
+
+from adaptdrive.config import load_configuration
+from adaptdrive.config.bus import CanBus, Signals
+from adaptdrive.hardware.can.port import CanPort, build_can_port
+from adaptdrive.hardware.port import Reading
+
+EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
+MOTOR = load_configuration(EXAMPLES / "motor.toml")
+_PATIENCE_S = 20.0
+
+STATUS = {"BoostVoltage": 300.12, "LineVoltage": 120.4, "LoadPower": 431.7, "BridgeOn": 1}
+LOAD = {"Tachometer": 3.123456, "LoadCurrent": 5.76}
+_PROOFS = {
+    "DriveStatus": ("StatusAlive", "StatusCrc"),
+    "DriveLoad": ("LoadAlive", "LoadCrc"),
+    "DriveCommand": ("CommandAlive", "CommandCrc"),
+}
+
+
+def reference_database() -> Database:
+    """The reference DBC, as cantools reads it."""
+    database = cantools.database.load_file(EXAMPLES / "adaptdrive.dbc")
+    assert isinstance(database, Database)
+    return database
+
+
+def motor_bus(**changes: object) -> CanBus:
+    """`[bus]` of the example, changed."""
+    return MOTOR.bus.model_copy(update=changes)
+
+
+def motor_signals(**changes: object) -> Signals:
+    """`[signals]` of the example, changed."""
+    return MOTOR.signals.model_copy(update=changes)
+
+
+def with_crc(data: bytes) -> bytes:
+    """A frame of the reference DBC with its last byte set to the right checksum."""
+    return data[:-1] + bytes((Crc8SaeJ1850.calc(data[:-1]),))
+
+
+class Drive:
+    """Sends frames of the reference DBC on any python-can bus."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self.bus = bus
+        self.alive = dict.fromkeys(_PROOFS, 0)
+        self.half_cycle = 0
+        self._database = reference_database()
+
+    def frame(self, name: str, **values: float) -> bytes:
+        """The next frame of a message; unnamed signals are 0."""
+        message = self._database.get_message_by_name(name)
+        counter, checksum = _PROOFS[name]
+        every = dict.fromkeys((signal.name for signal in message.signals), 0.0)
+        every |= values | {counter: self.alive[name], checksum: 0}
+        self.alive[name] = (self.alive[name] + 1) % 16
+        return with_crc(message.encode(every))
+
+    def put(self, name: str, data: bytes) -> None:
+        """Send bytes under the id of a message."""
+        frame_id = self._database.get_message_by_name(name).frame_id
+        self.bus.send(can.Message(arbitration_id=frame_id, is_extended_id=False, data=data))
+
+    def send_status(self, **changes: float) -> None:
+        """Send a good DriveStatus."""
+        self.put("DriveStatus", self.frame("DriveStatus", **(STATUS | changes)))
+
+    def send_load(self, **changes: float) -> None:
+        """Send a good DriveLoad, one half cycle after the last."""
+        values = LOAD | {"HalfCycle": self.half_cycle} | changes
+        self.half_cycle = (self.half_cycle + 1) % 65536
+        self.put("DriveLoad", self.frame("DriveLoad", **values))
+
+    def send_both(self) -> None:
+        """Send what a drive sends each half cycle."""
+        self.send_status()
+        self.send_load()
+
+
+class Ear:
+    """Listens to a port."""
+
+    def __init__(self) -> None:
+        self.readings: list[Reading] = []
+        self.bus: list[tuple[bool, str]] = []
+        self.port: CanPort | None = None
+
+    def on_reading(self, reading: Reading) -> None:
+        self.readings.append(reading)
+
+    def on_bus(self, up: bool, detail: str) -> None:
+        self.bus.append((up, detail))
+
+    async def hears(self, count: int) -> None:
+        """Wait until there have been that many readings."""
+        await until(lambda: len(self.readings) >= count)
+
+
+class Clock:
+    """A clock that a test sets."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def build_port(config: CanBus, clock: Clock | None = None, **signals: object) -> CanPort:
+    """A port; with a clock of the test, arrivals are exactly what that clock says."""
+    chosen = motor_signals(**signals)
+    if clock is None:
+        return build_can_port(config, chosen, time.monotonic)
+    return build_can_port(config, chosen, clock, wall_clock=lambda: 0.0)
+
+
+@contextlib.asynccontextmanager
+async def running(port: CanPort, ear: Ear) -> AsyncIterator[None]:
+    """Run a port until the block ends."""
+    opened = asyncio.Event()
+    async with asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(port.run(ear, opened.set))
+        await until(lambda: opened.is_set() or task.done())
+        yield
+        task.cancel()
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    """Wait for a condition; give up after a time that only a broken port needs."""
+    async with asyncio.timeout(_PATIENCE_S):
+        while not condition():  # noqa: ASYNC110 - what is waited for is no event
+            await asyncio.sleep(0.002)

@@ -1,0 +1,122 @@
+import socket
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import can
+import pytest
+
+from adaptdrive.config.bus import CanBus
+from adaptdrive.errors import BusError
+from adaptdrive.hardware.can.bus import describe_bus, frame_key, open_bus
+from tests.hardware.bench import motor_bus
+
+FRAME = can.Message(arbitration_id=0x321, is_extended_id=False, data=b"hello")
+
+
+@contextmanager
+def opened(config: CanBus) -> Iterator[can.BusABC]:
+    bus = open_bus(config)
+    try:
+        yield bus
+    finally:
+        bus.shutdown()
+
+
+def on_port(port: int, channel: str = "239.74.163.2") -> CanBus:
+    return motor_bus(interface="udp_multicast", channel=channel, udp_port=port)
+
+
+def test_two_buses_of_a_group_hear_each_other(free_udp_port: int) -> None:
+    with opened(on_port(free_udp_port)) as one, opened(on_port(free_udp_port)) as other:
+        one.send(FRAME)
+        heard = other.recv(5.0)
+    assert heard is not None
+    assert (heard.arbitration_id, bytes(heard.data)) == (0x321, b"hello")
+
+
+def test_another_group_on_the_same_port_is_not_heard(free_udp_port: int) -> None:
+    group, stranger = on_port(free_udp_port), on_port(free_udp_port, "239.74.163.3")
+    with opened(group) as one, opened(group) as two, opened(stranger) as other:
+        other.send(FRAME)
+        assert other.recv(5.0) is not None  # its own echo: it has been sent
+        one.send(FRAME)
+        assert two.recv(5.0) is not None
+        assert two.recv(0.05) is None
+
+
+def test_frames_leave_through_loopback_only(free_udp_port: int) -> None:
+    with opened(on_port(free_udp_port)) as bus:
+        sock = socket.socket(fileno=socket.dup(bus.fileno()))
+        with closing(sock):
+            loopback = sock.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, 4)
+            assert loopback == socket.inet_aton("127.0.0.1")
+            assert sock.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL) == 0
+
+
+def test_only_loopback_has_joined_the_group(free_udp_port: int) -> None:
+    # /proc/net/igmp: a line per interface, below it the groups in hexadecimal
+    group = "239.99.88.77"
+    with opened(on_port(free_udp_port, group)):
+        joined = interfaces_of(group)
+    assert joined == {"lo"}
+
+
+def interfaces_of(group: str) -> set[str]:
+    code = socket.inet_aton(group)[::-1].hex().upper()
+    found, interface = set(), ""
+    with Path("/proc/net/igmp").open(encoding="ascii") as lines:
+        for line in lines:
+            words = line.split()
+            if words[0].isdigit():
+                interface = words[1].rstrip(":")
+            elif words[0] == code:
+                found.add(interface)
+    return found
+
+
+def test_an_interface_that_is_not_there_is_one_clear_error() -> None:
+    config = motor_bus(interface="socketcan", channel="nosuchcan0")
+    with pytest.raises(
+        BusError,
+        match=r"socketcan nosuchcan0: (this kernel has no AF_CAN; use udp_"
+        r"multicast|there is no such interface)$",
+    ):
+        open_bus(config)
+
+
+def has_can() -> bool:
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except OSError:
+        return False
+    return True
+
+
+@pytest.mark.skipif(has_can(), reason="this kernel has AF_CAN")
+def test_a_kernel_without_can_is_named() -> None:
+    with pytest.raises(BusError, match="this kernel has no AF_CAN; use udp_multicast"):
+        open_bus(motor_bus(interface="socketcan", channel="can0"))
+
+
+def test_a_port_that_is_taken_is_a_bus_error(free_udp_port: int) -> None:
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as holder:
+        holder.bind(("0.0.0.0", free_udp_port))
+        with pytest.raises(BusError, match=f"udp_multicast 239.74.163.2:{free_udp_port}: "):
+            open_bus(on_port(free_udp_port))
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"interface": "socketcan", "channel": "can0"}, "socketcan can0"),
+        ({"interface": "virtual", "channel": "bench"}, "virtual bench"),
+        ({"udp_port": 5000}, "udp_multicast 239.74.163.2:5000"),
+    ],
+)
+def test_a_bus_is_described_in_one_phrase(changes: dict[str, object], expected: str) -> None:
+    assert describe_bus(motor_bus(**changes)) == expected
+
+
+def test_an_extended_id_never_equals_a_standard_one() -> None:
+    assert frame_key(0x100, extended=False) != frame_key(0x100, extended=True)

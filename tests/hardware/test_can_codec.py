@@ -1,0 +1,224 @@
+import math
+from collections.abc import Callable
+
+import cantools
+import pytest
+from cantools.database.can.database import Database
+from cantools.database.can.message import Message
+from cantools.database.can.signal import Signal
+from cantools.database.conversion import BaseConversion
+from crccheck.crc import Crc8SaeJ1850
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptdrive.config.bus import FrameIntegrity
+from adaptdrive.hardware.can.codec import MessageCodec
+from adaptdrive.hardware.can.integrity import Verdict
+from tests.hardware.bench import motor_bus, reference_database
+
+SCALES = st.sampled_from([1, 2, 0.5, 0.1, 0.01, 1e-6, -0.25])
+OFFSETS = st.sampled_from([0, -40, 273.15])
+
+
+@st.composite
+def layouts(draw: st.DrawFn) -> Message:
+    """Any message of little-endian integers, with gaps, signs, factors and offsets."""
+    signals, start = [], 0
+    while start < 64:
+        length = draw(st.integers(1, min(32, 64 - start)))
+        if draw(st.booleans()):
+            conversion = BaseConversion.factory(draw(SCALES), draw(OFFSETS))
+            signed = draw(st.booleans()) and length > 1
+            name = f"S{start}"
+            signals.append(Signal(name, start, length, is_signed=signed, conversion=conversion))
+        start += length
+    return Message(0x123, "Any", 8, signals, strict=True)
+
+
+@given(layouts(), st.binary(min_size=8, max_size=8))
+def test_decodes_what_cantools_decodes(message: Message, data: bytes) -> None:
+    decoded = MessageCodec(message).decode(data)
+    assert decoded.verdict is Verdict.GOOD
+    assert decoded.values == message.decode(data)
+
+
+@given(layouts(), st.binary(min_size=8, max_size=8))
+def test_encodes_what_cantools_encodes(message: Message, data: bytes) -> None:
+    values = message.decode_simple(data)
+    numbers = {name: float(str(value)) for name, value in values.items()}
+    assert MessageCodec(message).encode(numbers) == message.encode(values, strict=False)
+
+
+def dbc(signals: str) -> Message:
+    text = f'VERSION ""\n\nBO_ 291 Odd: 8 Vector__XXX\n{signals}\n'
+    database = cantools.database.load_string(text, database_format="dbc")
+    assert isinstance(database, Database)
+    return database.get_message_by_name("Odd")
+
+
+BIG_ENDIAN = ' SG_ Volts : 7|12@0+ (0.1,0) [0|400] "V" X\n SG_ Amps : 24|9@1- (1,0) [0|0] "A" X'
+MULTIPLEXED = (
+    ' SG_ Page M : 0|2@1+ (1,0) [0|0] "" X\n'
+    ' SG_ Volts m0 : 8|16@1+ (0.1,0) [0|4000] "V" X\n'
+    ' SG_ Amps m1 : 8|16@1- (0.5,0) [0|0] "A" X'
+)
+
+
+@given(st.binary(min_size=8, max_size=8))
+def test_big_endian_signals_take_the_slow_way(data: bytes) -> None:
+    message = dbc(BIG_ENDIAN)
+    expected = message.decode_simple(data)
+    decoded = MessageCodec(message).decode(data)
+    in_range = float(str(expected["Volts"])) <= 400.0
+    assert decoded.verdict is (Verdict.GOOD if in_range else Verdict.OUT_OF_RANGE)
+    assert decoded.values == (expected if in_range else {})
+
+
+@given(st.floats(0, 400), st.integers(-256, 255))
+def test_big_endian_signals_round_trip(volts: float, amps: int) -> None:
+    codec = MessageCodec(dbc(BIG_ENDIAN))
+    values = codec.decode(codec.encode({"Volts": volts, "Amps": amps})).values
+    assert values["Volts"] == pytest.approx(volts, abs=0.0501)
+    assert values["Amps"] == amps
+
+
+@pytest.mark.parametrize(
+    ("page", "values"),
+    [(0, {"Page": 0, "Volts": pytest.approx(51.3)}), (1, {"Page": 1, "Amps": 256.5})],
+)
+def test_a_multiplexed_frame_gives_the_signals_it_carries(
+    page: int, values: dict[str, float]
+) -> None:
+    decoded = MessageCodec(dbc(MULTIPLEXED)).decode(bytes((page, 1, 2, 0, 0, 0, 0, 0)))
+    assert decoded.values == values
+
+
+def test_a_multiplexed_frame_of_an_unknown_page_is_refused() -> None:
+    assert MessageCodec(dbc(MULTIPLEXED)).decode(bytes((3, *bytes(7)))).verdict is (
+        Verdict.OUT_OF_RANGE
+    )
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_float_that_is_not_finite_is_refused(value: float) -> None:
+    signal = Signal("Volts", 0, 32, conversion=BaseConversion.factory(is_float=True))
+    message = Message(0x123, "Floats", 8, [signal])
+    frame = message.encode({"Volts": value})
+    assert MessageCodec(message).decode(frame).verdict is Verdict.OUT_OF_RANGE
+    with pytest.raises(ValueError, match="Volts"):
+        MessageCodec(message).encode({"Volts": value})
+
+
+def reference(name: str) -> MessageCodec:
+    message = reference_database().get_message_by_name(name)
+    return MessageCodec(message, motor_bus().integrity[name])
+
+
+COMMANDS = st.fixed_dictionaries(
+    {
+        "CurrentScale": st.floats(-0.3, 0.3),
+        "BoostReference": st.floats(0, 600),
+        "BridgeEnable": st.booleans(),
+    }
+)
+
+
+@given(st.lists(COMMANDS, min_size=1, max_size=40))
+def test_commands_reach_a_stranger(commands: list[dict[str, float]]) -> None:
+    codec, message = (
+        reference("DriveCommand"),
+        reference_database().get_message_by_name("DriveCommand"),
+    )
+    for number, command in enumerate(commands):
+        frame = codec.encode(command)
+        heard = message.decode_simple(frame, decode_choices=False)
+        assert heard["CurrentScale"] == pytest.approx(command["CurrentScale"], abs=0.501e-5)
+        assert heard["BoostReference"] == pytest.approx(command["BoostReference"], abs=0.00501)
+        assert heard["BridgeEnable"] == command["BridgeEnable"]
+        assert heard["CommandAlive"] == number % 16
+        assert frame[7] == Crc8SaeJ1850.calc(frame[:7])
+
+
+@pytest.mark.parametrize(
+    ("signal", "value"),
+    [
+        ("CurrentScale", 0.30001),
+        ("CurrentScale", -0.31),
+        ("CurrentScale", math.nan),
+        ("BoostReference", 600.01),
+        ("BoostReference", -0.01),
+        ("BoostReference", math.inf),
+        ("BridgeEnable", 2),
+    ],
+)
+def test_what_a_signal_cannot_hold_is_not_sent(signal: str, value: float) -> None:
+    with pytest.raises(ValueError, match=signal):
+        reference("DriveCommand").encode({signal: value})
+
+
+def test_a_refused_value_costs_no_count_of_the_alive_counter() -> None:
+    codec = reference("DriveCommand")
+    with pytest.raises(ValueError, match="BoostReference"):
+        codec.encode({"BoostReference": 1e9})
+    assert codec.encode({})[6] >> 4 == 0
+
+
+@given(st.binary(min_size=8, max_size=8), st.integers(0, 63))
+def test_any_flipped_bit_is_noticed(payload: bytes, bit: int) -> None:
+    frame = payload[:7] + bytes((Crc8SaeJ1850.calc(payload[:7]),))
+    flipped = (int.from_bytes(frame, "little") ^ (1 << bit)).to_bytes(8, "little")
+    assert reference("DriveStatus").decode(flipped).verdict is Verdict.WRONG_CHECKSUM
+
+
+@pytest.mark.parametrize("length", [0, 1, 7, 9, 64])
+def test_a_frame_of_another_length_is_refused(length: int) -> None:
+    assert reference("DriveStatus").decode(bytes(length)).verdict is Verdict.WRONG_LENGTH
+
+
+@pytest.mark.parametrize(
+    ("message", "signal"),
+    [
+        ("DriveStatus", "BoostVoltage"),
+        ("DriveStatus", "LineVoltage"),
+        ("DriveStatus", "LoadPower"),
+        ("DriveLoad", "Tachometer"),
+        ("DriveLoad", "LoadCurrent"),
+    ],
+)
+def test_a_measurement_that_is_not_available_is_refused(message: str, signal: str) -> None:
+    frame = reference(message).encode({signal: None})
+    assert reference(message).decode(frame).verdict is Verdict.OUT_OF_RANGE
+
+
+@pytest.mark.parametrize("declared", ["[0|0]", "[0|6553.5]"])
+def test_a_measurement_is_unavailable_even_where_the_database_forgot_it(declared: str) -> None:
+    message = dbc(f' SG_ Volts : 0|16@1+ (0.1,0) {declared} "V" X')
+    frame = b"\xff\xff" + bytes(6)
+    assert MessageCodec(message).decode(frame).verdict is Verdict.GOOD
+    assert MessageCodec(message, measured={"Volts"}).decode(frame).verdict is Verdict.OUT_OF_RANGE
+
+
+def test_a_counter_that_the_database_ends_early_wraps_there() -> None:
+    # AUTOSAR profile 1 counts from 0 to 14; 15 is an error
+    message = dbc(' SG_ Alive : 8|4@1+ (1,0) [0|14] "" X\n SG_ Crc : 0|8@1+ (1,0) [0|255] "" X')
+    integrity = FrameIntegrity(
+        counter="Alive", checksum="Crc", algorithm="autosar-p01", data_id=0x123
+    )
+    sender, receiver = MessageCodec(message, integrity), MessageCodec(message, integrity)
+    frames = [sender.encode({}) for _ in range(31)]
+    assert frames[0][:2] == b"\xcc\x00"
+    assert frames[1][:2] == b"\x91\x01"
+    assert [frame[1] for frame in frames] == [*range(15), *range(15), 0]
+    assert {receiver.decode(frame).verdict for frame in frames} == {Verdict.GOOD}
+
+
+def test_a_counter_beyond_its_end_is_out_of_range() -> None:
+    message = dbc(' SG_ Alive : 8|4@1+ (1,0) [0|14] "" X')
+    codec = MessageCodec(message, FrameIntegrity(counter="Alive"))
+    assert codec.decode(b"\x00\x0f" + bytes(6)).verdict is Verdict.OUT_OF_RANGE
+
+
+@pytest.mark.parametrize("build", [bytes, bytearray])
+def test_bytes_of_any_kind_are_understood(build: Callable[[bytes], bytes]) -> None:
+    frame = reference("DriveStatus").encode({"BoostVoltage": 300.0})
+    assert reference("DriveStatus").decode(build(frame)).values["BoostVoltage"] == 300.0

@@ -1,0 +1,190 @@
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.config.bus import CommandSignals, FrameIntegrity, SignalSource
+from adaptdrive.errors import ConfigurationError
+from adaptdrive.hardware.can.database import load_database, message_codec
+from adaptdrive.hardware.can.mapping import map_drive
+from tests.hardware.bench import EXAMPLES, MOTOR, motor_bus, motor_signals
+
+
+def integrity(message: str, **changes: object) -> dict[str, FrameIntegrity]:
+    """The example's integrity with that of one message changed."""
+    changed = MOTOR.bus.integrity[message].model_copy(update=changes)
+    return {**MOTOR.bus.integrity, message: changed}
+
+
+def commanding(**changes: str) -> CommandSignals:
+    return MOTOR.signals.command.model_copy(update=changes)
+
+
+def test_the_example_maps_without_a_flaw() -> None:
+    mapping = map_drive(MOTOR.bus, MOTOR.signals)
+    assert mapping.counter_modulus == 65536
+    assert {status.codec.name for status in mapping.statuses} == {"DriveStatus", "DriveLoad"}
+    assert [order.codec.name for order in mapping.orders] == ["DriveCommand"]
+
+
+def test_a_drive_without_a_counter_has_no_modulus() -> None:
+    assert map_drive(MOTOR.bus, motor_signals(counter=None)).counter_modulus is None
+
+
+@pytest.mark.parametrize(
+    ("bus", "signals", "place", "words"),
+    [
+        ({"clock": "DriveLod"}, {}, "bus.clock", "did you mean 'DriveLoad'"),
+        ({"clock": "DriveCommand"}, {}, "bus.clock", "no entry of [signals]"),
+        ({"channel": "can0"}, {}, "bus.channel", "'can0'"),
+        ({"channel": "10.0.0.1"}, {}, "bus.channel", "multicast group"),
+        ({"interface": "socketcan", "channel": ""}, {}, "bus.channel", "such as can0"),
+        ({}, {"output": "DriveLoad.Tacho"}, "signals.output", "did you mean 'Tachometer'"),
+        ({}, {"output": "Tachometer"}, "signals.output", "Message.Signal"),
+        ({}, {"fault": "Nothing.Fault"}, "signals.fault", "no message 'Nothing'"),
+        ({}, {"fault": "DriveStatus.LoadPower"}, "signals.fault", "factor 1"),
+        ({}, {"bridge": "DriveLoad.Tachometer"}, "signals.bridge", "factor 1"),
+        ({}, {"counter": "DriveLoad.Tachometer"}, "signals.counter", "cannot count"),
+        ({}, {"counter": "DriveStatus.BridgeOn"}, "signals.counter", "cannot count"),
+        (
+            {},
+            {"counter": SignalSource(signal="DriveLoad.HalfCycle", scale=2.0)},
+            "signals.counter",
+            "no scale",
+        ),
+        (
+            {},
+            {"command": commanding(bridge="DriveCommand.Bridge")},
+            "signals.command.bridge",
+            "did you mean 'BridgeEnable'",
+        ),
+        (
+            {},
+            {"command": commanding(bridge="DriveCommand.CommandCrc")},
+            "signals.command.bridge",
+            "counter or checksum",
+        ),
+        (
+            {},
+            {"command": commanding(bridge="DriveCommand.CurrentScale")},
+            "signals.command.bridge",
+            "could not be switched",
+        ),
+        (
+            {},
+            {"command": commanding(boost_reference_V="DriveStatus.BoostVoltage")},
+            "signals.command",
+            "carries measurements too",
+        ),
+        (
+            {"integrity": {"DriveStats": FrameIntegrity()}},
+            {},
+            "bus.integrity.DriveStats",
+            "did you mean 'DriveStatus'",
+        ),
+        (
+            {"integrity": integrity("DriveLoad", counter="Alive")},
+            {},
+            "bus.integrity.DriveLoad.counter",
+            "'Alive'",
+        ),
+        (
+            {"integrity": integrity("DriveLoad", counter="Tachometer")},
+            {},
+            "bus.integrity.DriveLoad.counter",
+            "cannot count",
+        ),
+        (
+            {"integrity": integrity("DriveLoad", max_jump=16)},
+            {},
+            "bus.integrity.DriveLoad.max_jump",
+            "16 must be below",
+        ),
+        (
+            {"integrity": integrity("DriveLoad", checksum="LoadCurrent")},
+            {},
+            "bus.integrity.DriveLoad.checksum",
+            "one whole byte",
+        ),
+        (
+            {"integrity": integrity("DriveLoad", counter="LoadCrc")},
+            {},
+            "bus.integrity.DriveLoad",
+            "both counter and checksum",
+        ),
+    ],
+)
+def test_each_flaw_names_its_place(
+    bus: dict[str, object], signals: dict[str, object], place: str, words: str
+) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        map_drive(motor_bus(**bus), motor_signals(**signals))
+    found = {flaw.place: flaw.message for flaw in caught.value.flaws}
+    assert place in found
+    assert words in found[place]
+
+
+def test_all_flaws_are_listed_at_once() -> None:
+    bus = motor_bus(clock="A", channel="can0", integrity=integrity("DriveLoad", counter="C"))
+    signals = motor_signals(output="DriveLoad.B", command=commanding(bridge="D"))
+    with pytest.raises(ConfigurationError) as caught:
+        map_drive(bus, signals, "motor.toml")
+    assert {flaw.place for flaw in caught.value.flaws} == {
+        "bus.clock",
+        "bus.channel",
+        "bus.integrity.DriveLoad.counter",
+        "signals.output",
+        "signals.command.bridge",
+    }
+    assert all(line.startswith("motor.toml: ") for line in str(caught.value).splitlines())
+
+
+def test_a_signal_that_excludes_zero_cannot_command(tmp_path: Path) -> None:
+    text = (EXAMPLES / "adaptdrive.dbc").read_text()
+    changed = tmp_path / "changed.dbc"
+    changed.write_text(text.replace("(0.01,0) [0|600]", "(0.01,0) [200|600]"))
+    with pytest.raises(ConfigurationError, match=r"signals\.command\.boost_reference_V.*200…600"):
+        map_drive(motor_bus(database=changed), MOTOR.signals)
+
+
+def test_a_multiplexed_signal_cannot_command(tmp_path: Path) -> None:
+    text = (EXAMPLES / "adaptdrive.dbc").read_text()
+    changed = tmp_path / "changed.dbc"
+    text = text.replace("BridgeEnable : 32", "BridgeEnable M : 32")
+    changed.write_text(text.replace("BoostReference : 16", "BoostReference m1 : 16"))
+    with pytest.raises(ConfigurationError) as caught:
+        map_drive(motor_bus(database=changed), MOTOR.signals)
+    places = {flaw.place for flaw in caught.value.flaws}
+    assert {"signals.command.bridge", "signals.command.boost_reference_V"} <= places
+
+
+def test_messages_of_can_fd_are_refused(tmp_path: Path) -> None:
+    text = (EXAMPLES / "adaptdrive.dbc").read_text()
+    changed = tmp_path / "changed.dbc"
+    changed.write_text(text.replace("DriveLoad: 8", "DriveLoad: 12"))
+    with pytest.raises(ConfigurationError, match="CAN FD"):
+        map_drive(motor_bus(database=changed), MOTOR.signals)
+
+
+@pytest.mark.parametrize("content", [None, "no database\n", "VERSION 1\nBO_ one"])
+def test_a_file_that_is_no_database_is_one_flaw(tmp_path: Path, content: str | None) -> None:
+    path = tmp_path / "some.dbc"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(ConfigurationError) as caught:
+        map_drive(motor_bus(database=path), MOTOR.signals)
+    assert [flaw.place for flaw in caught.value.flaws] == ["bus.database"]
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "place"),
+    [
+        ("DriveStats", {}, "bus"),
+        ("DriveLoad", {"checksum": "LoadCurrent"}, "bus.integrity.DriveLoad.checksum"),
+    ],
+)
+def test_a_codec_alone_is_checked_as_well(name: str, changes: dict[str, str], place: str) -> None:
+    bus = motor_bus(integrity=integrity("DriveLoad", **changes))
+    with pytest.raises(ConfigurationError) as caught:
+        message_codec(load_database(bus.database), bus, name)
+    assert [flaw.place for flaw in caught.value.flaws] == [place]

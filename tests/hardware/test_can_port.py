@@ -1,0 +1,458 @@
+import asyncio
+import itertools
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+import can
+import pytest
+
+from adaptdrive.config.bus import CanBus, CommandSignals, SignalSource
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.errors import BusError
+from adaptdrive.hardware.can.bus import open_bus
+from adaptdrive.hardware.can.port import CanPort
+from adaptdrive.hardware.port import Reading
+from tests.hardware.bench import (
+    EXAMPLES,
+    Clock,
+    Drive,
+    Ear,
+    build_port,
+    motor_bus,
+    reference_database,
+    running,
+    until,
+    with_crc,
+)
+
+COMMAND = Command(current_scale_S=0.04321, boost_reference_V=287.65, bridge=True)
+_names = itertools.count()
+
+
+@pytest.fixture(params=["udp_multicast", "virtual", "socketcan"])
+def config(request: pytest.FixtureRequest, free_udp_port: int) -> CanBus:
+    """A bus of its own for each test, on every kind of bus that the machine has."""
+    channel = {
+        "udp_multicast": "239.74.163.2",
+        "virtual": f"test-{next(_names)}",
+        "socketcan": "vcan0",
+    }
+    chosen = motor_bus(
+        interface=request.param, channel=channel[request.param], udp_port=free_udp_port
+    )
+    if request.param == "socketcan":
+        try:
+            open_bus(chosen).shutdown()
+        except BusError as problem:
+            pytest.skip(str(problem))
+    return chosen
+
+
+@pytest.fixture
+def drive(config: CanBus) -> Iterator[Drive]:
+    bus = open_bus(config)
+    yield Drive(bus)
+    bus.shutdown()
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def port(config: CanBus, clock: Clock) -> CanPort:
+    return build_port(config, clock)
+
+
+@pytest.fixture
+def ear() -> Ear:
+    return Ear()
+
+
+async def heard_by(port: CanPort, count: int) -> None:
+    await until(lambda: port.statistics.received >= count)
+
+
+async def test_a_reading_holds_what_the_drive_sent(port: CanPort, drive: Drive, ear: Ear) -> None:
+    async with running(port, ear):
+        drive.half_cycle = 65535
+        drive.send_both()
+        await ear.hears(1)
+    assert asdict(ear.readings[0]) == {
+        "arrival_s": 1000.0,
+        "oldest_s": 1000.0,
+        "counter": 65535,
+        "boost_voltage_V": pytest.approx(300.12),
+        "line_voltage_V": pytest.approx(120.4),
+        "load_power_W": pytest.approx(431.7),
+        "output": pytest.approx(3.123456),
+        "fault": 0,
+        "bridge": True,
+    }
+
+
+async def test_the_clock_message_alone_makes_readings(
+    port: CanPort, drive: Drive, ear: Ear
+) -> None:
+    async with running(port, ear):
+        drive.send_load()
+        drive.send_load()
+        drive.send_status()
+        await heard_by(port, 3)
+        assert ear.readings == []  # first without a status, then without a tick
+        drive.send_load()
+        await ear.hears(1)
+        drive.send_status()
+        await heard_by(port, 5)
+        assert len(ear.readings) == 1
+
+
+async def test_values_age_while_their_message_is_missing(
+    port: CanPort, drive: Drive, ear: Ear, clock: Clock
+) -> None:
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        for count in (2, 3, 4):
+            clock.now_s += 0.25
+            drive.send_load()
+            await ear.hears(count)
+    ages = [reading.arrival_s - reading.oldest_s for reading in ear.readings]
+    assert ages == [0.0, 0.25, 0.5, 0.75]
+
+
+def flipped(drive: Drive, name: str) -> bytes:
+    frame = drive.frame(name)
+    return bytes((frame[0] ^ 1,)) + frame[1:]
+
+
+def repeated(drive: Drive, name: str) -> bytes:
+    drive.alive[name] = (drive.alive[name] - 1) % 16
+    return drive.frame(name)
+
+
+def leapt(drive: Drive, name: str) -> bytes:
+    drive.alive[name] = (drive.alive[name] + 5) % 16
+    return drive.frame(name)
+
+
+def short(drive: Drive, name: str) -> bytes:
+    return drive.frame(name)[:7]
+
+
+def unavailable(drive: Drive, name: str) -> bytes:
+    frame = drive.frame(name)
+    missing = {"DriveStatus": b"\xff\xff", "DriveLoad": b"\xff\xff\x7f"}[name]
+    return with_crc(missing + frame[len(missing) :])
+
+
+@pytest.mark.parametrize("name", ["DriveStatus", "DriveLoad"])
+@pytest.mark.parametrize(
+    ("spoil", "counts"),
+    [
+        (flipped, {"wrong_checksum": 1}),
+        (repeated, {"counter_stuck": 1}),
+        (leapt, {"counter_lost": 5}),
+        (short, {"wrong_length": 1}),
+        (unavailable, {"out_of_range": 1}),
+    ],
+)
+async def test_a_frame_that_fails_a_check_changes_nothing_and_is_counted(  # noqa: PLR0917
+    port: CanPort,
+    drive: Drive,
+    ear: Ear,
+    clock: Clock,
+    name: str,
+    spoil: Callable[[Drive, str], bytes],
+    counts: dict[str, int],
+) -> None:
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        clock.now_s += 1.0
+        drive.put(name, spoil(drive, name))
+        await heard_by(port, 3)
+        assert len(ear.readings) == 1
+        expected = dict.fromkeys(asdict(port.statistics), 0) | {"received": 3} | counts
+        assert asdict(port.statistics) == expected
+        if name == "DriveStatus":
+            drive.send_load(Tachometer=1.0)
+            await ear.hears(2)
+            assert ear.readings[1].boost_voltage_V == ear.readings[0].boost_voltage_V
+            assert ear.readings[1].oldest_s == ear.readings[0].oldest_s
+
+
+async def test_good_frames_follow_bad_ones(port: CanPort, drive: Drive, ear: Ear) -> None:
+    async with running(port, ear):
+        drive.send_both()
+        for spoil in (flipped, leapt, short, unavailable):
+            for name in ("DriveStatus", "DriveLoad"):
+                drive.put(name, spoil(drive, name))
+        drive.send_both()
+        await ear.hears(2)
+    assert ear.readings[1].boost_voltage_V == pytest.approx(300.12)
+
+
+async def test_a_small_jump_is_believed_and_counted(port: CanPort, drive: Drive, ear: Ear) -> None:
+    async with running(port, ear):
+        drive.send_both()
+        drive.frame("DriveLoad")
+        drive.frame("DriveLoad")
+        drive.send_both()
+        await ear.hears(2)
+        assert port.statistics.counter_lost == 2
+
+
+async def test_the_fault_word_and_the_bridge_are_passed_on(
+    port: CanPort, drive: Drive, ear: Ear
+) -> None:
+    async with running(port, ear):
+        drive.send_status(Fault=9, BridgeOn=0)
+        drive.send_load()
+        drive.send_status(Fault=127)
+        drive.send_load()
+        await ear.hears(2)
+    assert [(reading.fault, reading.bridge) for reading in ear.readings] == [
+        (9, False),
+        (127, True),
+    ]
+
+
+async def test_scale_and_offset_convert_to_si(
+    config: CanBus, drive: Drive, ear: Ear, clock: Clock
+) -> None:
+    source = SignalSource(signal="DriveLoad.Tachometer", scale=48.7, offset=273.15)
+    async with running(build_port(config, clock, output=source), ear):
+        drive.send_status()
+        drive.send_load(Tachometer=2.0)
+        await ear.hears(1)
+    assert ear.readings[0].output == pytest.approx(2.0 * 48.7 + 273.15)
+
+
+async def test_what_the_drive_does_not_send_has_its_default(
+    config: CanBus, drive: Drive, ear: Ear
+) -> None:
+    port = build_port(config, counter=None, fault=None, bridge=None)
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        assert port.send(COMMAND)
+        drive.send_both()
+        await ear.hears(2)
+    found = [(reading.counter, reading.fault, reading.bridge) for reading in ear.readings]
+    assert found == [(None, 0, False), (None, 0, True)]
+
+
+async def test_a_command_reaches_the_drive(port: CanPort, drive: Drive, ear: Ear) -> None:
+    message = reference_database().get_message_by_name("DriveCommand")
+    async with running(port, ear):
+        for number in range(20):
+            assert port.send(COMMAND if number % 2 else SAFE_COMMAND)
+            frame = await asyncio.to_thread(drive.bus.recv, 5.0)
+            assert frame is not None
+            assert (frame.arbitration_id, frame.is_extended_id) == (0x080, False)
+            data = bytes(frame.data)
+            assert data == with_crc(data)
+            heard = message.decode_simple(data, decode_choices=False)
+            assert heard["CommandAlive"] == number % 16
+            expected = (0.04321, 287.65, 1) if number % 2 else (0.0, 0.0, 0)
+            names = ("CurrentScale", "BoostReference", "BridgeEnable")
+            assert tuple(heard[name] for name in names) == pytest.approx(expected)
+        assert port.statistics.sent == 20
+        assert port.statistics.send_drops == 0
+
+
+async def test_our_own_commands_are_no_strangers(port: CanPort, drive: Drive, ear: Ear) -> None:
+    async with running(port, ear):
+        port.send(COMMAND)
+        drive.send_both()
+        await ear.hears(1)
+        assert port.statistics.foreign == 0
+        assert port.statistics.received == 2
+
+
+async def test_what_is_not_mapped_is_sent_as_zero(
+    config: CanBus, drive: Drive, ear: Ear, clock: Clock
+) -> None:
+    command = CommandSignals(
+        current_scale_S="DriveCommand.CurrentScale", bridge="DriveCommand.BridgeEnable"
+    )
+    port = build_port(config, clock, command=command)
+    async with running(port, ear):
+        assert port.send(COMMAND)
+        frame = await asyncio.to_thread(drive.bus.recv, 5.0)
+    assert frame is not None
+    message = reference_database().get_message_by_name("DriveCommand")
+    assert message.decode_simple(bytes(frame.data))["BoostReference"] == 0.0
+
+
+async def test_a_command_may_be_spread_over_messages(
+    config: CanBus, drive: Drive, ear: Ear, tmp_path: Path
+) -> None:
+    text = (EXAMPLES / "adaptdrive.dbc").read_text()
+    extra = 'BO_ 129 Switch: 8 Controller\n SG_ On : 0|1@1+ (1,0) [0|1] "" Drive\n\nBO_ 256'
+    database = tmp_path / "two.dbc"
+    database.write_text(text.replace("BO_ 256", extra, 1))
+    command = CommandSignals(current_scale_S="DriveCommand.CurrentScale", bridge="Switch.On")
+    port = build_port(config.model_copy(update={"database": database}), command=command)
+    async with running(port, ear):
+        assert port.send(COMMAND)
+        frames = [await asyncio.to_thread(drive.bus.recv, 5.0) for _ in range(2)]
+        assert port.statistics.sent == 2
+    assert [frame.arbitration_id for frame in frames if frame] == [0x080, 0x081]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        Command(0.5, 300.0, bridge=True),
+        Command(float("nan"), 300.0, bridge=True),
+        Command(0.0, float("inf"), bridge=False),
+    ],
+)
+async def test_an_impossible_command_is_not_sent(
+    port: CanPort, drive: Drive, ear: Ear, command: Command
+) -> None:
+    async with running(port, ear):
+        with pytest.raises(ValueError, match="is outside"):
+            port.send(command)
+        assert port.statistics.sent == 0
+        assert await asyncio.to_thread(drive.bus.recv, 0.05) is None
+
+
+async def test_without_a_bus_a_command_is_a_counted_drop(port: CanPort, ear: Ear) -> None:
+    assert not port.send(COMMAND)
+    async with running(port, ear):
+        assert port.send(COMMAND)
+    assert not port.send(COMMAND)
+    assert (port.statistics.sent, port.statistics.send_drops) == (1, 2)
+
+
+async def test_a_bus_closed_under_the_reader_is_reported_and_opened_again(
+    port: CanPort, drive: Drive, ear: Ear
+) -> None:
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        assert port._bus is not None
+        port._bus.shutdown()
+        assert not port.send(COMMAND)
+        await until(lambda: len(ear.bus) == 2)
+        assert [up for up, _ in ear.bus] == [False, True]
+        assert port.description in ear.bus[0][1]
+        drive.send_load()
+        await heard_by(port, 3)
+        assert len(ear.readings) == 1  # what was heard before the loss is not used after it
+        drive.send_both()
+        await ear.hears(2)
+        assert port.send(COMMAND)
+        assert port.statistics.reconnects == 1
+
+
+async def test_a_bus_that_stays_away_is_reported_once(
+    port: CanPort, ear: Ear, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    attempts = 0
+
+    def refuse(*_: object) -> can.BusABC:
+        nonlocal attempts
+        attempts += 1
+        raise BusError("bench", "unplugged")
+
+    async with running(port, ear):
+        monkeypatch.setattr("adaptdrive.hardware.can.port.open_bus", refuse)
+        assert port._bus is not None
+        port._bus.shutdown()
+        await until(lambda: attempts >= 3)
+        assert [up for up, _ in ear.bus] == [False]
+        monkeypatch.undo()
+        await until(lambda: len(ear.bus) == 2)
+        assert ear.bus[1][0]
+
+
+async def test_a_first_failure_is_raised(ear: Ear) -> None:
+    port = build_port(motor_bus(interface="socketcan", channel="nosuchcan0"))
+    with pytest.raises(BusError, match="socketcan nosuchcan0"):
+        await port.run(ear, lambda: None)
+    assert ear.bus == []
+
+
+async def test_a_flood_of_strangers_does_not_hide_the_drive(
+    port: CanPort, drive: Drive, ear: Ear, config: CanBus
+) -> None:
+    if config.interface == "socketcan":
+        pytest.skip("the kernel keeps strangers away")
+    async with running(port, ear):
+        for number in range(50):
+            for id_offset in range(40):
+                stranger = can.Message(
+                    arbitration_id=0x200 + id_offset, is_extended_id=False, data=bytes(8)
+                )
+                drive.bus.send(stranger)
+            drive.send_both()
+            await heard_by(port, (number + 1) * 42)
+        assert len(ear.readings) == 50
+        assert port.statistics.foreign == 2000
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"is_extended_id": True}, {"is_remote_frame": True}, {"is_error_frame": True}],
+)
+async def test_other_kinds_of_frame_with_a_known_id_are_strangers(
+    port: CanPort, drive: Drive, ear: Ear, config: CanBus, changes: dict[str, bool]
+) -> None:
+    if config.interface == "socketcan":
+        pytest.skip("the kernel keeps strangers away")
+    async with running(port, ear):
+        drive.send_both()
+        data = b"" if "is_remote_frame" in changes else drive.frame("DriveLoad")
+        kind = {"is_extended_id": False} | changes
+        drive.bus.send(can.Message(arbitration_id=0x101, data=data, **kind))
+        await heard_by(port, 3)
+        assert port.statistics.foreign == 1
+        assert len(ear.readings) == 1
+
+
+async def test_a_frame_that_waited_is_as_old_as_it_is(config: CanBus, drive: Drive) -> None:
+    ear = Ear()
+    async with running(build_port(config), ear):
+        drive.send_both()
+        time.sleep(0.2)  # noqa: ASYNC251 - the loop is kept busy on purpose
+        await ear.hears(1)
+        assert time.monotonic() - ear.readings[0].arrival_s >= 0.2
+
+
+async def test_a_step_of_the_wall_clock_cannot_age_a_frame_for_long(
+    config: CanBus, drive: Drive, ear: Ear, clock: Clock
+) -> None:
+    port = build_port(config, clock)
+    port._wall_clock = lambda: time.time() + 3600.0
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+    assert ear.readings[0].arrival_s == 999.0
+
+
+async def test_an_error_of_the_listener_ends_the_port(
+    port: CanPort, drive: Drive, ear: Ear, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(reading: Reading) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(ear, "on_reading", fail)
+    with pytest.raises(ZeroDivisionError):
+        await port.run(ear, drive.send_both)
+    assert not port.send(COMMAND)
+
+
+async def test_an_error_while_opening_leaves_no_bus_open(port: CanPort, ear: Ear) -> None:
+    def fail() -> None:
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        await port.run(ear, fail)
+    assert not port.send(COMMAND)
