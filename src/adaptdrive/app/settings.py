@@ -5,7 +5,11 @@ from __future__ import annotations
 import math
 
 from adaptdrive.config import Configuration
-from adaptdrive.control.load import Load
+from adaptdrive.config.load import Bath, Battery, Motor
+from adaptdrive.control.charging import Charging
+from adaptdrive.control.load import Load, to_input
+from adaptdrive.control.loads.bath import bath_load
+from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.settings import (
     ControllerSettings,
@@ -28,8 +32,35 @@ _SHORTEST_WAVE_PERIODS = 4
 
 def build_load(configuration: Configuration) -> Load:
     """The load with its nominal model."""
-    model = configuration.load.model
-    return motor_load(model.gain, model.tau_motor_s, model.tau_filter_s)
+    match configuration.load:
+        case Motor(model=model):
+            return motor_load(model.gain, model.tau_motor_s, model.tau_filter_s)
+        case Bath(model=model):
+            return bath_load(
+                model.resistance_K_per_W,
+                model.tau_s,
+                model.turns_ratio,
+                model.droop_Ohm,
+                model.heater_Ohm,
+            )
+        case Battery(model=model):
+            return battery_load(
+                model.turns_ratio,
+                model.droop_Ohm + model.internal_Ohm,
+                model.relaxation_Ohm,
+                model.relaxation_s,
+                _charging(configuration.load),
+            )
+
+
+def _charging(battery: Battery) -> Charging:
+    return Charging(
+        turns_ratio=battery.model.turns_ratio,
+        droop_Ohm=battery.model.droop_Ohm,
+        internal_Ohm=battery.model.internal_Ohm,
+        voltage_max_V=battery.charge.voltage_max_V,
+        end_current_A=battery.charge.end_current_A,
+    )
 
 
 def controller_settings(configuration: Configuration) -> ControllerSettings:
@@ -86,11 +117,11 @@ def _lowest_scale(configuration: Configuration) -> float:
 
 
 def _learning(configuration: Configuration, *, exact: bool) -> Learning:
-    estimator, model = configuration.estimator, configuration.load.model
-    middle_V = 0.5 * (
-        configuration.drive.limits.boost_reference_min_V
-        + configuration.drive.limits.boost_reference_max_V
-    )
+    estimator, load = configuration.estimator, build_load(configuration)
+    limits = configuration.drive.limits
+    middle_V = 0.5 * (limits.boost_reference_min_V + limits.boost_reference_max_V)
+    middle = to_input(middle_V, load.input_gain, load.input_exponent)
+    dc_gain = load.numerator[-1] / load.denominator[-1]
     return Learning(
         filtered=estimator.method == "lm-rls",
         forgetting=estimator.forgetting,
@@ -99,9 +130,10 @@ def _learning(configuration: Configuration, *, exact: bool) -> Learning:
         initial_covariance=estimator.initial_covariance,
         settle_periods=math.ceil(estimator.settle_s / configuration.load.period_s),
         gate=_GATE if exact else 0.0,
-        output_scale=model.gain * middle_V if exact else 1.0,
-        input_scale=middle_V if exact else 1.0,
+        output_scale=dc_gain * middle if exact else 1.0,
+        input_scale=middle if exact else 1.0,
         start_at_nominal=exact,
+        bias=estimator.bias or isinstance(configuration.load, Battery),
     )
 
 

@@ -9,18 +9,9 @@ from pydantic import Field, model_validator
 from adaptdrive.config.section import FiniteFloat, Fraction, PositiveFloat, Section
 
 
-class MotorModel(Section):
-    """`[load.model]` of a motor: what the fixed controller is designed for."""
+class LoadSection(Section):
+    """What `[load]` holds for every type of load."""
 
-    gain: PositiveFloat = Field(description="g_m, output per volt of v_bst")
-    tau_motor_s: PositiveFloat = Field(description="mechanical time constant τ_m")
-    tau_filter_s: PositiveFloat = Field(description="time constant τ_f of the tachometer filter")
-
-
-class Motor(Section):
-    """`[load]` with `type = "motor"`."""
-
-    type: Literal["motor"] = Field(default="motor", description="kind of load")
     period_s: PositiveFloat = Field(default=1.0, description="slow period T_k")
     pole: Fraction = Field(default=0.70, description="closed-loop pole of the load loop")
     pole_min: Fraction = Field(default=0.50, description="fastest pole an operator may ask for")
@@ -28,7 +19,7 @@ class Motor(Section):
     design: Literal["exact", "paper"] = Field(
         default="exact",
         description="`exact`: held input, delays and filter in the model; "
-        "`paper`: impulse-invariant, single sample",
+        "`paper`: the paper's discretisation, single sample",
     )
     samples: int = Field(
         default=60, ge=1, description="fast samples averaged for one slow one (`exact` only)"
@@ -38,9 +29,8 @@ class Motor(Section):
     )
     reference_min: FiniteFloat = Field(default=0.0, description="lowest set-point")
     reference_max: FiniteFloat = Field(description="highest set-point")
-    output_name: str = Field(default="speed", description="name of the output for people")
-    output_unit: str = Field(default="V", description="unit of the output for people")
-    model: MotorModel
+    output_name: str = Field(default="output", description="name of the output for people")
+    output_unit: str = Field(default="", description="unit of the output for people")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -57,6 +47,74 @@ class Motor(Section):
         return self
 
 
+class MotorModel(Section):
+    """`[load.model]` of a motor: what the fixed controller is designed for."""
+
+    gain: PositiveFloat = Field(description="g_m, output per volt of v_bst")
+    tau_motor_s: PositiveFloat = Field(description="mechanical time constant τ_m")
+    tau_filter_s: PositiveFloat = Field(description="time constant τ_f of the tachometer filter")
+
+
+class Motor(LoadSection):
+    """`[load]` with `type = "motor"`."""
+
+    type: Literal["motor"] = Field(default="motor", description="kind of load")
+    output_name: str = Field(default="speed", description="name of the output for people")
+    output_unit: str = Field(default="V", description="unit of the output for people")
+    model: MotorModel
+
+
+class BathModel(Section):
+    """`[load.model]` of a bath: what the fixed controller is designed for."""
+
+    resistance_K_per_W: PositiveFloat = Field(description="thermal resistance R to the inflow")
+    tau_s: PositiveFloat = Field(description="time constant R C")
+    turns_ratio: PositiveFloat = Field(description="N2, secondary volts per boost volt")
+    droop_Ohm: FiniteFloat = Field(ge=0.0, description="R_d of the dc/dc stage")
+    heater_Ohm: PositiveFloat = Field(description="R_h of the heater")
+
+
+class Bath(LoadSection):
+    """`[load]` with `type = "bath"`."""
+
+    type: Literal["bath"] = Field(default="bath", description="kind of load")
+    period_s: PositiveFloat = Field(default=20.0, description="slow period T_k")
+    pole: Fraction = Field(default=0.80, description="closed-loop pole of the load loop")
+    samples: int = Field(
+        default=600, ge=1, description="fast samples averaged for one slow one (`exact` only)"
+    )
+    output_name: str = Field(default="temperature", description="name of the output for people")
+    output_unit: str = Field(default="K", description="unit of the output for people")
+    model: BathModel
+
+
+class BatteryModel(Section):
+    """`[load.model]` of a battery: what the fixed controller is designed for."""
+
+    turns_ratio: PositiveFloat = Field(description="N2, secondary volts per boost volt")
+    droop_Ohm: FiniteFloat = Field(ge=0.0, description="R_d of the dc/dc stage")
+    internal_Ohm: PositiveFloat = Field(description="series resistance R_0 of the battery")
+    relaxation_Ohm: PositiveFloat = Field(description="R_1 of the relaxation element")
+    relaxation_s: PositiveFloat = Field(description="R_1 C_1")
+
+
+class Charge(Section):
+    """`[load.charge]`: constant current, then constant voltage, then the end."""
+
+    voltage_max_V: PositiveFloat = Field(description="terminal voltage that is never passed")
+    end_current_A: PositiveFloat = Field(description="tapering current at which charging ends")
+
+
+class Battery(LoadSection):
+    """`[load]` with `type = "battery"`; the set-point is the charging current."""
+
+    type: Literal["battery"] = Field(default="battery", description="kind of load")
+    output_name: str = Field(default="current", description="name of the output for people")
+    output_unit: str = Field(default="A", description="unit of the output for people")
+    model: BatteryModel
+    charge: Charge
+
+
 class Estimator(Section):
     """`[estimator]`: the recursive least squares that learn the load."""
 
@@ -69,6 +127,9 @@ class Estimator(Section):
         default=0.0, ge=0.0, description="skip updates while the output moves less than this"
     )
     initial_covariance: PositiveFloat = Field(default=1.0e4, description="P[0] = this times I")
+    bias: bool = Field(
+        default=False, description="estimate a constant too; a battery always has one"
+    )
     settle_s: float = Field(
         default=30.0, ge=0.0, description="time after start before the first update"
     )

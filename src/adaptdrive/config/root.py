@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.drive import Drive, VoltageLoop
-from adaptdrive.config.load import Estimator, Motor, Supervisor
+from adaptdrive.config.load import Bath, Battery, Estimator, Motor, Supervisor
 from adaptdrive.config.section import Section
 from adaptdrive.config.services import Interlocks, Mqtt, Realtime, Recording
 
@@ -20,7 +20,7 @@ class Configuration(Section):
     bus: CanBus
     signals: Signals
     voltage_loop: VoltageLoop = Field(default_factory=VoltageLoop)
-    load: Motor
+    load: Motor | Bath | Battery = Field(discriminator="type")
     estimator: Estimator = Field(default_factory=Estimator)
     supervisor: Supervisor = Field(default_factory=Supervisor)
     interlocks: Interlocks

@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 
 from adaptdrive.control import fast_half as fast
-from adaptdrive.control.estimator import parameter_deviations
+from adaptdrive.control.charging import is_complete
+from adaptdrive.control.estimator import input_offset, parameter_deviations
 from adaptdrive.control.load import Load, to_input, to_voltage
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import (
@@ -88,6 +89,7 @@ class Controller:
             innovation=state.estimator.innovation,
             excitation=state.estimator.excitation,
             handover_step_V=state.handover_step,
+            complete=self._load.charging is not None and is_complete(state.charge),
         )
 
     def apply(self, decision: Decision) -> None:
@@ -193,10 +195,14 @@ class Controller:
         if not learning.filtered or not math.isfinite(state.values[0]):
             return {name: Estimate(math.nan, math.nan) for name in load.names}
         deviations = parameter_deviations(state.estimator, learning, load, state.values)
-        return {
+        estimates = {
             name: Estimate(value, deviation)
             for name, value, deviation in zip(load.names, state.values, deviations, strict=True)
         }
+        if learning.bias:
+            offset = input_offset(state.estimator.theta, learning, load)
+            estimates["input_offset"] = Estimate(offset, math.nan)
+        return estimates
 
     def _reason(self, mode: Mode) -> str:
         state, jacket = self._slow, self._settings.jacket

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from adaptdrive.control.charging import Charging
 from adaptdrive.control.vectors import Vector
 
 Discretise = Callable[[Vector, Vector, float], tuple[Vector, Vector]]
@@ -33,6 +34,7 @@ class Load:
         physical: Physical parameters of a model.
         paper_model: The discretisation that the paper uses for this load.
         paper_taps: Past inputs in that model, trailing zeros included.
+        charging: For a battery: when its current must taper and end.
     """
 
     numerator: tuple[float, ...]
@@ -44,6 +46,7 @@ class Load:
     physical: Physical
     paper_model: Discretise
     paper_taps: int
+    charging: Charging | None = None
 
     @property
     def order(self) -> int:

@@ -135,6 +135,7 @@ class Decision:
         innovation: One-step prediction error of the estimator.
         excitation: rᵀPr of the step: how much it could teach.
         handover_step_V: Law not in force minus law in force, on the same history.
+        complete: True when there is nothing left to do, such as a full battery.
     """
 
     k: int
@@ -147,3 +148,4 @@ class Decision:
     innovation: float
     excitation: float
     handover_step_V: float
+    complete: bool = False

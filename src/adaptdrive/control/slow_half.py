@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from adaptdrive.control import estimator as est
 from adaptdrive.control import supervisor as sup
+from adaptdrive.control.charging import ChargeState, taper, terminal_voltage
 from adaptdrive.control.compensator import control_law
 from adaptdrive.control.design import compensator_gains, discrete_model, past_inputs
 from adaptdrive.control.load import Load, to_input
@@ -42,6 +43,7 @@ class SlowState:
         adaptive: Whether the adaptive law is in force.
         estimator: The estimator.
         supervisor: The supervisor.
+        charge: The charger of a battery.
     """
 
     inputs: Vector
@@ -57,6 +59,7 @@ class SlowState:
     adaptive: bool
     estimator: est.EstimatorState
     supervisor: sup.SupervisorState
+    charge: ChargeState
 
 
 @dataclass(slots=True)
@@ -113,6 +116,7 @@ def new_slow_state(
         adaptive=False,
         estimator=est.new_estimator(settings.learning, load, taps),
         supervisor=sup.SupervisorState(),
+        charge=ChargeState(max(0.0, output)),
     )
 
 
@@ -135,7 +139,7 @@ def slow_step(
     _take_sample(settings, load, state, sample)
     _design_fixed(settings, load, state, sample)
     _adapt(settings, load, state, sample)
-    return _act(state, sample)
+    return _act(state, sample, _governed_reference(load, state, sample))
 
 
 def _take_sample(
@@ -214,11 +218,20 @@ def _estimated_model(
     return a, b, verdict
 
 
-def _act(state: SlowState, sample: SlowSample) -> float:
+def _governed_reference(load: Load, state: SlowState, sample: SlowSample) -> float:
+    """The reference, lowered where the load must be spared."""
+    charging = load.charging
+    if charging is None:
+        return sample.reference
+    terminal_V = terminal_voltage(charging, sample.input_filtered[0], sample.output)
+    return taper(charging, state.charge, sample.reference, terminal_V, sample.output)
+
+
+def _act(state: SlowState, sample: SlowSample, reference: float) -> float:
     """Both laws on the shared history; the one in force is limited and remembered."""
     state.adaptive = sample.adaptive and state.supervisor.trusted
-    fixed = control_law(state.fixed_gains, state.inputs, state.outputs, sample.reference)
-    other = control_law(state.adaptive_gains, state.inputs, state.outputs, sample.reference)
+    fixed = control_law(state.fixed_gains, state.inputs, state.outputs, reference)
+    other = control_law(state.adaptive_gains, state.inputs, state.outputs, reference)
     ready = total(state.adaptive_gains) != 0.0
     wanted = other if state.adaptive else fixed
     state.handover_step = (

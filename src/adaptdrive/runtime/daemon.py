@@ -164,7 +164,15 @@ class Daemon:
         """A decision was taken over: tell about it, and about a change of controller."""
         self._decision = decision
         self._hub.publish(LoadReport(snapshot, decision))
+        if decision.complete:
+            self._complete()
         self._publish_state()
+
+    def _complete(self) -> None:
+        """The load has what it needs: end in the safe state, without a trip."""
+        self._tell("complete", Severity.INFO, "charging is complete")
+        self._machine.carry_out(Disable(), self._fast.tick, float("nan"), None)
+        self._fast.send_safe()
 
     def run_ended(self) -> None:
         """Nothing that was decided is valid any more."""

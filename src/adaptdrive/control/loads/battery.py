@@ -11,6 +11,7 @@ H is proper but not strictly proper: a step of the voltage is a step of the curr
 
 from __future__ import annotations
 
+from adaptdrive.control.charging import Charging
 from adaptdrive.control.discretise import held_model
 from adaptdrive.control.load import Load
 from adaptdrive.control.vectors import Vector
@@ -23,6 +24,7 @@ def battery_load(
     series_Ohm: float,
     relaxation_Ohm: float,
     relaxation_s: float,
+    charging: Charging | None = None,
 ) -> Load:
     """A battery with the given nominal parameters.
 
@@ -31,6 +33,7 @@ def battery_load(
         series_Ohm: R_s = R_d + R_0.
         relaxation_Ohm: R_1.
         relaxation_s: R_1 C_1.
+        charging: How it is charged; None to hold the current whatever the voltage.
     """
     scale = series_Ohm * relaxation_s
     return Load(
@@ -43,6 +46,7 @@ def battery_load(
         physical=physical,
         paper_model=paper_model,
         paper_taps=2,
+        charging=charging,
     )
 
 

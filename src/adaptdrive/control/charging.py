@@ -1,0 +1,84 @@
+"""Charging: constant current until the terminal voltage is reached, then constant voltage.
+
+The operator's set-point is the current. A slow integrator in front of the current loop lowers it
+so that the terminal voltage stays at its limit,
+
+    i_cv[k] = i_cv[k-1] + κ (V_max - V[k]) / R_0        0 <= i_cv <= set-point,
+
+because one ampere less is R_0 volts less at the terminals. V comes from what is measured anyway,
+V = N2 v_bst - R_d y. κ is small against the poles of the current loop, so that the two do not
+meet. Charging is complete when the tapering current has stayed below its end value.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+TAPER_GAIN = 0.05
+"""κ: a twentieth of the way per slow period."""
+
+_NEAR_LIMIT = 0.99
+_END_PERIODS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Charging:
+    """How a battery is charged.
+
+    Attributes:
+        turns_ratio: N2.
+        droop_Ohm: R_d.
+        internal_Ohm: R_0.
+        voltage_max_V: V_max.
+        end_current_A: Current at which charging ends.
+    """
+
+    turns_ratio: float
+    droop_Ohm: float
+    internal_Ohm: float
+    voltage_max_V: float
+    end_current_A: float
+
+
+@dataclass(slots=True)
+class ChargeState:
+    """What the charger remembers.
+
+    Attributes:
+        current_A: i_cv, the current that the voltage allows.
+        ending_periods: Slow periods in a row below the end current.
+    """
+
+    current_A: float
+    ending_periods: int = 0
+
+
+def terminal_voltage(charging: Charging, boost_voltage_V: float, current_A: float) -> float:
+    """V at the battery's terminals."""
+    return charging.turns_ratio * boost_voltage_V - charging.droop_Ohm * current_A
+
+
+def taper(
+    charging: Charging, state: ChargeState, setpoint_A: float, terminal_V: float, current_A: float
+) -> float:
+    """The current to ask for in this slow period.
+
+    Args:
+        charging: Limits.
+        state: Overwritten.
+        setpoint_A: The operator's current.
+        terminal_V: V.
+        current_A: y, for the end of the charge.
+    """
+    margin_V = charging.voltage_max_V - terminal_V
+    allowed = state.current_A + TAPER_GAIN * margin_V / charging.internal_Ohm
+    state.current_A = min(max(allowed, 0.0), setpoint_A)
+    near = terminal_V >= _NEAR_LIMIT * charging.voltage_max_V
+    ending = near and max(state.current_A, current_A) < charging.end_current_A
+    state.ending_periods = state.ending_periods + 1 if ending else 0
+    return state.current_A
+
+
+def is_complete(state: ChargeState) -> bool:
+    """True when the battery is full."""
+    return state.ending_periods >= _END_PERIODS
