@@ -42,7 +42,7 @@ def run(path: Path) -> int:
     configuration = load_configuration(path)
     text = path.read_text(encoding="utf-8")
     try:
-        asyncio.run(_serve(configuration, text))
+        asyncio.run(_serve(configuration, text, path))
     except* AdaptdriveError as group:
         raise _first(group) from None
     return 0
@@ -57,10 +57,10 @@ def _first(group: BaseExceptionGroup[AdaptdriveError]) -> AdaptdriveError:
     return error
 
 
-async def _serve(configuration: Configuration, text: str) -> None:
+async def _serve(configuration: Configuration, text: str, path: Path) -> None:
     logger, hub, stop = set_up_logging(), Hub(), asyncio.Event()
     events = hub.subscribe(Event, size=_EVENTS_HELD)
-    port = build_can_port(configuration.bus, configuration.signals, time.monotonic)
+    port = build_can_port(configuration.bus, configuration.signals, time.monotonic, source=path)
     daemon = Daemon(
         port=port,
         controller=Controller(controller_settings(configuration), build_load(configuration)),

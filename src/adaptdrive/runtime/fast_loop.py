@@ -14,6 +14,7 @@ from typing import Protocol
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import (
     SAFE_COMMAND,
+    Command,
     Decision,
     Measurement,
     Order,
@@ -184,8 +185,17 @@ class FastLoop:
 
     def send_safe(self) -> None:
         """Send the safe command now, outside any tick."""
-        self.command = SAFE_COMMAND
-        self._port.send(self._guard.check(SAFE_COMMAND))
+        self._send(SAFE_COMMAND)
+
+    def _send(self, command: Command) -> None:
+        """Guard, then wire; what the wire cannot carry trips the drive instead of the daemon."""
+        self.command = self._guard.check(command)
+        try:
+            self._port.send(self.command)
+        except ValueError as problem:
+            self._machine.latch(f"command cannot be sent: {problem}")
+            self.command = SAFE_COMMAND
+            self._port.send(SAFE_COMMAND)
 
     def _arm(self, deadline_s: float) -> None:
         self._surroundings.arm(deadline_s)
@@ -240,9 +250,8 @@ class FastLoop:
         self._apply_due(tick, order.stage)
         command = self._controller.tick(measurement, order)
         self.measurement = measurement
-        self.command = self._guard.check(command)
-        self._port.send(self.command)
         self._wanted = command
+        self._send(command)
         snapshot = self._controller.take_snapshot()
         if snapshot is not None and not self._surroundings.snapshot_taken(snapshot):
             self._machine.latch("slow loop: no decision for three slow periods")
