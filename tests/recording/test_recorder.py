@@ -1,0 +1,281 @@
+import asyncio
+import contextlib
+import os
+import resource
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+from adaptdrive.errors import RecordingError
+from adaptdrive.recording.reader import Session, read_session
+from adaptdrive.recording.recorder import EVENT_KIND, Feed, Pace, Recorder
+from adaptdrive.recording.session import Dropped, Ending, NewSession
+from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.reports import Event, Severity
+from tests.recording.material import make_tick
+
+NOW = datetime(2026, 11, 21, 1, 30, tzinfo=UTC)
+PATIENCE_S = 60.0
+
+
+class Bench:
+    """A recorder at work, and what a control process would do beside it."""
+
+    def __init__(self, session: NewSession) -> None:
+        self.hub = Hub()
+        self.directory = session.directory
+        self.published = 0
+        self.feed = Feed.of(self.hub, flush_s=0.05)
+        self.told = self.hub.subscribe(Event, size=100)
+        pace = Pace(flush_s=0.05, backlog_bytes=50_000, close_s=PATIENCE_S)
+        self.recorder = Recorder(session, self.feed, self.hub.publish, lambda: NOW, pace)
+        self.running: asyncio.Task[None] | None = None
+
+    async def publish(self, ticks: int) -> None:
+        """Publish ticks; other tasks get their turn as often as in a real process."""
+        for _ in range(ticks):
+            self.hub.publish(make_tick(self.published))
+            self.published += 1
+            if self.published % 20 == 0:
+                await asyncio.sleep(0.002)
+
+    async def publish_until(self, condition: Callable[[], bool]) -> None:
+        async with asyncio.timeout(PATIENCE_S):
+            while not condition():
+                await self.publish(100)
+
+    def session(self) -> Session:
+        return read_session(self.directory)
+
+    def rows(self) -> int:
+        return rows(self.directory)
+
+    def writer(self) -> int:
+        """Process id of the recorder process."""
+        for process in Path("/proc").glob("[0-9]*/cmdline"):
+            with contextlib.suppress(OSError):
+                words = process.read_bytes().split(b"\0")
+                if os.fsencode(self.directory) in words:
+                    return int(process.parent.name)
+        raise AssertionError("no recorder process")
+
+    def said(self) -> list[Event]:
+        return [event for event in self.told.drain() if isinstance(event, Event)]
+
+    async def stop(self) -> None:
+        assert self.running is not None
+        self.running.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await self.running
+
+
+@asynccontextmanager
+async def recording(session: NewSession) -> AsyncIterator[Bench]:
+    bench = Bench(session)
+    async with asyncio.TaskGroup() as group:
+        bench.running = group.create_task(bench.recorder.run())
+        yield bench
+        bench.running.cancel()
+
+
+def sequences(session: Session) -> list[int]:
+    return [int(number) for number in session.ticks["sequence"].to_pylist()]
+
+
+async def test_an_orderly_end_records_every_tick_up_to_the_last(session: NewSession) -> None:
+    async with recording(session) as bench:
+        await bench.publish_until(lambda: bench.rows() > 500)
+        await bench.publish(37)
+        await bench.stop()
+    read = bench.session()
+    assert sequences(read) == list(range(bench.published))
+    assert read.info.ended is Ending.ORDERLY
+    assert read.info.dropped == Dropped()
+    assert read.config_text == "# as configured\n"
+    assert (bench.directory / "ticks.parquet").exists()
+    assert bench.said() == []
+
+
+async def test_an_event_is_on_disk_before_the_next_flush(session: NewSession) -> None:
+    hub = Hub()
+    pace = Pace(flush_s=10 * PATIENCE_S)
+    recorder = Recorder(session, Feed.of(hub, 1.0), hub.publish, lambda: NOW, pace)
+    hub.publish(Event("trip", Severity.ALARM, "over-voltage: 431 V", 77))
+    async with asyncio.TaskGroup() as group, asyncio.timeout(PATIENCE_S):
+        running = group.create_task(recorder.run())
+        while not events_on_disk(session.directory):  # noqa: ASYNC110  another process writes them
+            await asyncio.sleep(0.02)
+        running.cancel()
+    expected = (NOW.isoformat(), 77, "trip", "alarm", "over-voltage: 431 V")
+    assert events_on_disk(session.directory) == [expected]
+
+
+def events_on_disk(directory: Path) -> list[tuple[str, int, str, str, str]]:
+    """What another program sees in the event log."""
+    path = directory / "events.sqlite"
+    query = "SELECT time, tick, kind, severity, detail FROM events"
+    try:
+        with contextlib.closing(sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True)) as database:
+            return database.execute(query).fetchall()
+    except sqlite3.OperationalError:
+        return []
+
+
+async def test_a_killed_writer_loses_only_what_it_had_not_written(session: NewSession) -> None:
+    async with recording(session) as bench:
+        await bench.publish_until(lambda: bench.rows() > 500)
+        written = bench.rows()
+        os.kill(bench.writer(), signal.SIGKILL)
+        assert bench.running is not None
+        running = bench.running
+        await bench.publish_until(running.done)
+        await bench.publish(100)
+    read = bench.session()
+    assert len(sequences(read)) >= written
+    assert sequences(read) == list(range(read.ticks.num_rows))
+    assert read.info.ended is Ending.OPEN
+    (said,) = bench.said()
+    assert said.kind == EVENT_KIND
+    assert said.severity is Severity.ALARM
+    assert "-9" in said.detail
+
+
+async def test_a_stalled_writer_costs_ticks_which_are_counted(session: NewSession) -> None:
+    async with recording(session) as bench:
+        await bench.publish_until(lambda: bench.rows() > 100)
+        writer = bench.writer()
+        os.kill(writer, signal.SIGSTOP)
+        heard: list[Event] = []
+
+        def warned() -> bool:
+            heard.extend(bench.said())
+            return bool(heard)
+
+        try:
+            await bench.publish_until(warned)
+            await bench.publish(2000)
+        finally:
+            os.kill(writer, signal.SIGCONT)
+        warned()
+        reported = len(heard)
+        await bench.publish_until(lambda: warned() and len(heard) > reported)
+        await bench.stop()
+    read = bench.session()
+    dropped = read.info.dropped
+    assert read.info.ended is Ending.ORDERLY
+    assert dropped.ticks > 1000
+    assert read.ticks.num_rows + dropped.ticks == bench.published
+    assert sequences(read)[-1] == bench.published - 1
+    assert "stalled" in heard[0].detail
+    assert "not recorded so far" in heard[-1].detail
+    assert read.events[-1].kind == EVENT_KIND
+    assert read.events[-1].detail == f"not recorded so far: {dropped}"
+
+
+async def test_an_event_during_a_stall_is_recorded_after_it(session: NewSession) -> None:
+    async with recording(session) as bench:
+        await bench.publish_until(lambda: bench.rows() > 100)
+        writer = bench.writer()
+        os.kill(writer, signal.SIGSTOP)
+        try:
+            await bench.publish_until(lambda: bool(bench.said()))
+            bench.hub.publish(Event("trip", Severity.ALARM, "stale", bench.published))
+            await bench.publish(500)
+        finally:
+            os.kill(writer, signal.SIGCONT)
+        await bench.publish_until(lambda: bool(bench.session().events))
+        await bench.stop()
+    assert [event.detail for event in bench.session().events if event.kind == "trip"] == ["stale"]
+
+
+async def test_a_full_disk_is_reported_and_keeps_what_is_written(session: NewSession) -> None:
+    async with recording(session) as bench:
+        await bench.publish_until(lambda: bench.rows() > 100)
+        size = (bench.directory / "ticks.arrows").stat().st_size
+        resource.prlimit(bench.writer(), resource.RLIMIT_FSIZE, (size + 5000, size + 5000))
+        assert bench.running is not None
+        await bench.publish_until(bench.running.done)
+    read = bench.session()
+    assert read.ticks.num_rows > 100
+    assert sequences(read) == list(range(read.ticks.num_rows))
+    (said,) = bench.said()
+    assert said.severity is Severity.ALARM
+    assert "File too large" in said.detail
+    assert str(bench.directory) in said.detail
+
+
+async def test_a_loss_in_the_queue_is_told_in_the_session(session: NewSession) -> None:
+    bench = Bench(session)
+    for _ in range(1500):
+        bench.hub.publish(make_tick(bench.published))
+        bench.published += 1
+    async with asyncio.TaskGroup() as group:
+        bench.running = group.create_task(bench.recorder.run())
+        async with asyncio.timeout(PATIENCE_S):
+            while not bench.rows():  # noqa: ASYNC110  another process writes them
+                await asyncio.sleep(0.02)
+        bench.running.cancel()
+    read = bench.session()
+    assert sequences(read) == list(range(500, 1500))
+    assert read.info.dropped == Dropped(ticks=500)
+    assert [event.kind for event in read.events] == [EVENT_KIND]
+
+
+def test_a_session_whose_control_process_is_killed_closes_itself(tmp_path: Path) -> None:
+    program = Path(__file__).with_name("control_process.py")
+    control = subprocess.Popen(
+        [sys.executable, program, tmp_path],
+        stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    )
+    with control:
+        assert control.stdout is not None
+        directory = Path(control.stdout.readline().decode().strip())
+        wait_until(lambda: rows(directory) > 300)
+        written = rows(directory)
+        control.kill()
+    wait_until((directory / "slow.parquet").exists)
+    read = read_session(directory)
+    assert read.info.ended is Ending.CUT
+    assert read.ticks.num_rows >= written
+    assert sequences(read) == list(range(read.ticks.num_rows))
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def rows(directory: Path) -> int:
+    """Rows that can be read by now."""
+    try:
+        return int(read_session(directory).ticks.num_rows)
+    except RecordingError:
+        return 0
+
+
+async def test_terminal_and_service_manager_signals_do_not_end_the_writer(
+    session: NewSession,
+) -> None:
+    async with recording(session) as bench:
+        await bench.publish_until(lambda: bench.rows() > 100)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            os.kill(bench.writer(), number)
+        await bench.publish(500)
+        await bench.stop()
+    assert sequences(bench.session()) == list(range(bench.published))
+
+
+def test_the_control_process_never_loads_the_disk_library() -> None:
+    question = "import sys, adaptdrive.recording.recorder; print('pyarrow' in sys.modules)"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    answer = subprocess.check_output([sys.executable, "-c", question], env=environment)
+    assert answer.strip() == b"False"

@@ -1,0 +1,194 @@
+import io
+import struct
+import tempfile
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from adaptdrive.control.signals import (
+    Command,
+    Decision,
+    Estimate,
+    Measurement,
+    Mode,
+    Order,
+    Snapshot,
+    Stage,
+)
+from adaptdrive.errors import RecordingError
+from adaptdrive.recording.batches import (
+    Batch,
+    EventRow,
+    Header,
+    framed,
+    read_frames,
+)
+from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.rows import RecordedTick, recorded_ticks
+from adaptdrive.recording.session import Dropped, Ending
+from adaptdrive.recording.writer import record
+from adaptdrive.runtime.reports import LoadReport, TickReport
+from tests.recording.material import INFO, make_batch, make_tick, record_messages
+
+FLOATS = st.floats(allow_subnormal=True) | st.sampled_from([0.0, -0.0, 5e-324, -5e-324])
+INTS = st.integers(-(2**63), 2**63 - 1)
+MODES = st.sampled_from(Mode)
+ORDERS = st.builds(Order, st.sampled_from(Stage), FLOATS, MODES, FLOATS)
+TICKS = st.builds(
+    TickReport,
+    sequence=INTS,
+    measurement=st.builds(
+        Measurement, INTS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, fresh=st.booleans()
+    ),
+    order=ORDERS,
+    applied_k=INTS,
+    command=st.builds(Command, FLOATS, FLOATS, st.booleans()),
+    lateness_us=FLOATS,
+    turnaround_us=FLOATS,
+)
+CHAINS = st.lists(FLOATS, max_size=4).map(tuple)
+# SQLite and Arrow store text as UTF-8, which has no lone surrogates.
+TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=10)
+SLOW = st.builds(
+    LoadReport,
+    snapshot=st.builds(
+        Snapshot, INTS, INTS, FLOATS, ORDERS, FLOATS, CHAINS, CHAINS, FLOATS, st.booleans(), INTS
+    ),
+    decision=st.builds(
+        Decision,
+        k=INTS,
+        boost_reference_V=FLOATS,
+        controller=MODES,
+        accepted=st.booleans(),
+        reason=TEXTS,
+        estimates=st.dictionaries(TEXTS, st.builds(Estimate, FLOATS, FLOATS), max_size=3),
+        gains=CHAINS,
+        innovation=FLOATS,
+        excitation=FLOATS,
+        handover_step_V=FLOATS,
+    ),
+)
+
+
+def bits(value: Any) -> Any:
+    """A value with each float replaced by its bytes."""
+    if isinstance(value, float):
+        return struct.pack("<d", value)
+    if isinstance(value, dict):
+        return {name: bits(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [bits(item) for item in value]
+    return value
+
+
+def values(tick: TickReport | RecordedTick) -> Any:
+    measurement, order, command = tick.measurement, tick.order, tick.command
+    return bits(
+        [
+            tick.sequence,
+            tick.applied_k,
+            *[getattr(measurement, name) for name in Measurement.__slots__],
+            *[getattr(order, name) for name in Order.__slots__],
+            *[getattr(command, name) for name in Command.__slots__],
+        ]
+    )
+
+
+@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+@given(ticks=st.lists(TICKS, min_size=1, max_size=8), split=st.integers(0, 8))
+def test_ticks_come_back_to_the_last_bit(ticks: list[TickReport], split: int) -> None:
+    batches = [make_batch(ticks[:split]), make_batch(ticks[split:], last=True)]
+    with tempfile.TemporaryDirectory() as name:
+        record_messages(Path(name), Header(INFO, "x = 1\n"), *batches)
+        session = read_session(Path(name))
+    assert [values(tick) for tick in recorded_ticks(session.ticks)] == list(map(values, ticks))
+    lateness = session.ticks["lateness_us"].to_pylist()
+    assert bits(lateness) == bits([tick.lateness_us for tick in ticks])
+    turnaround = session.ticks["turnaround_us"].to_pylist()
+    assert bits(turnaround) == bits([tick.turnaround_us for tick in ticks])
+
+
+@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+@given(slow=st.lists(SLOW, min_size=1, max_size=5))
+def test_slow_steps_come_back_to_the_last_bit(slow: list[LoadReport]) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        record_messages(Path(name), Header(INFO, ""), make_batch([], slow, last=True))
+        rows = read_session(Path(name)).slow.to_pylist()
+    for row, report in zip(rows, slow, strict=True):
+        snapshot, decision = report.snapshot, report.decision
+        assert row["k"] == snapshot.k
+        assert row["tick"] == snapshot.tick
+        assert row["held_ticks"] == snapshot.held_ticks
+        assert row["followed"] == snapshot.followed
+        assert bits(row["reference"]) == bits(snapshot.order.reference)
+        for name in ("period_s", "output", "output_filtered", "input_filtered", "applied_V"):
+            assert bits(row[name]) == bits(getattr(snapshot, name))
+        for name in ("controller", "accepted", "reason"):
+            assert row[name] == getattr(decision, name)
+        for name in ("boost_reference_V", "gains", "innovation", "excitation", "handover_step_V"):
+            assert bits(row[name]) == bits(getattr(decision, name))
+        estimates = {e["name"]: (e["value"], e["std"]) for e in row["estimates"]}
+        expected = {name: (e.value, e.std) for name, e in decision.estimates.items()}
+        assert bits(estimates) == bits(expected)
+
+
+def test_whole_numbers_where_floats_belong_are_recorded_as_floats(tmp_path: Path) -> None:
+    order = Order(Stage.RUN, 3, Mode.FIXED, 0.7)
+    tick = TickReport(0, Measurement(0, 1, 2, 3, 4, 5), order, -1, Command(0, 0, False), 0, 0)
+    record_messages(tmp_path, Header(INFO, ""), make_batch([tick]))
+    assert read_session(tmp_path).ticks["reference"].to_pylist() == [3.0]
+
+
+def test_events_configuration_and_losses_come_back(tmp_path: Path) -> None:
+    event = EventRow(datetime(2026, 1, 2, 3, 4, 5, 678901, tzinfo=UTC), 7, "trip", "alarm", "hot")
+    last = Batch(0, {}, [], [event], Dropped(ticks=5), last=True)
+    record_messages(tmp_path, Header(INFO, "[drive]\nname = 'µ'\n"), last)
+    session = read_session(tmp_path)
+    assert session.events == (event,)
+    assert session.config_text == "[drive]\nname = 'µ'\n"
+    assert session.info.dropped == Dropped(ticks=5)
+    assert session.info.ended is Ending.ORDERLY
+    assert not session.torn
+
+
+def test_a_session_without_a_goodbye_is_marked_as_cut(tmp_path: Path) -> None:
+    whole = framed(Header(INFO, "")) + framed(make_batch([make_tick(0)]))
+    record(tmp_path, io.BytesIO(whole + framed(make_batch([make_tick(1)]))[:-1]))
+    session = read_session(tmp_path)
+    assert session.info.ended is Ending.CUT
+    assert session.ticks["sequence"].to_pylist() == [0]
+
+
+def test_a_closed_session_is_one_parquet_file_per_table_and_no_stream(tmp_path: Path) -> None:
+    record_messages(tmp_path, Header(INFO, ""), make_batch([], last=True))
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "config.toml",
+        "events.sqlite",
+        "session.json",
+        "slow.parquet",
+        "ticks.parquet",
+    ]
+
+
+def test_a_message_that_breaks_off_is_left_out() -> None:
+    header = framed(Header(INFO, "text"))
+    for length in range(len(header)):
+        assert list(read_frames(io.BytesIO(header + header[:length]))) == [header[4:]]
+
+
+def test_a_damaged_parquet_file_is_an_error_that_names_it(tmp_path: Path) -> None:
+    record_messages(tmp_path, Header(INFO, ""), make_batch([], last=True))
+    (tmp_path / "slow.parquet").write_bytes(b"PAR1 but not really")
+    with pytest.raises(RecordingError, match=r"slow\.parquet"):
+        read_session(tmp_path)
+
+
+def test_a_damaged_event_log_is_an_error_that_names_it(tmp_path: Path) -> None:
+    record_messages(tmp_path, Header(INFO, ""), make_batch([], last=True))
+    (tmp_path / "events.sqlite").write_bytes(b"not a database at all" * 100)
+    with pytest.raises(RecordingError, match=r"events\.sqlite"):
+        read_session(tmp_path)
