@@ -1,0 +1,190 @@
+"""Replay: the controller runs again on recorded measurements, and its commands are compared.
+
+The order of calls is the one of the daemon: a decision is applied right before the tick at which
+it took effect, each snapshot is decided on, and what the daemon never decided on is left alone.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Any, Protocol
+
+from adaptdrive.control.signals import Command, Decision, Measurement, Order, Snapshot
+from adaptdrive.errors import RecordingError
+from adaptdrive.recording.reader import Session
+from adaptdrive.recording.replay_report import Difference, Gap, ReplayReport
+from adaptdrive.recording.rows import RecordedTick, recorded_ticks, table_rows
+
+
+class Controller(Protocol):
+    """What replay needs of a controller."""
+
+    def tick(self, measurement: Measurement, order: Order) -> Command:
+        """Run the fast half."""
+
+    def take_snapshot(self) -> Snapshot | None:
+        """The snapshot made in the last tick, once."""
+
+    def decide(self, snapshot: Snapshot) -> Decision:
+        """Run the slow half."""
+
+    def apply(self, decision: Decision) -> None:
+        """Let a decision take effect from the next tick on."""
+
+
+def replay(session: Session, controller: Controller) -> ReplayReport:
+    """Run a controller on the measurements and orders of a session.
+
+    Args:
+        session: The recorded session.
+        controller: A new controller, built from the session's configuration or from another one.
+
+    Returns:
+        What differs from the record.
+
+    Raises:
+        RecordingError: The session holds no ticks.
+    """
+    if session.ticks.num_rows == 0:
+        raise RecordingError(session.path, "it holds no ticks to replay")
+    player = _Player(session, controller)
+    for recorded in recorded_ticks(session.ticks):
+        player.play(recorded)
+    return player.report()
+
+
+class _Player:
+    """One replay under way."""
+
+    def __init__(self, session: Session, controller: Controller) -> None:
+        self._session = session
+        self._controller = controller
+        self._slow = {row["k"]: row for row in table_rows(session.slow)}
+        # A decision that took effect was made, even where its own record is lost.
+        self._decided = self._slow.keys() | set(session.ticks["applied_k"].to_pylist())
+        self._pending: dict[int, Decision] = {}
+        self._next_sequence = 0
+        self._ticks = 0
+        self._slow_steps = 0
+        self._gaps: list[Gap] = []
+        self._unmatched: list[int] = []
+        self._commands = _Comparison()
+        self._decisions = _Comparison()
+
+    def play(self, recorded: RecordedTick) -> None:
+        """Replay one tick."""
+        self._note_gap(recorded)
+        if recorded.applied_k >= 0:
+            self._apply(recorded.applied_k)
+        command = self._controller.tick(recorded.measurement, recorded.order)
+        tick = recorded.measurement.tick
+        self._commands.compare(tick, _command_values(recorded.command), _command_values(command))
+        self._ticks += 1
+        snapshot = self._controller.take_snapshot()
+        if snapshot is not None and snapshot.k in self._decided:
+            self._decide(snapshot)
+
+    def report(self) -> ReplayReport:
+        """What was found."""
+        return ReplayReport(
+            session=self._session.path.name,
+            ticks=self._ticks,
+            slow_steps=self._slow_steps,
+            differing_commands=self._commands.differing,
+            first_command=self._commands.first,
+            largest=self._commands.largest,
+            differing_decisions=self._decisions.differing,
+            first_decision=self._decisions.first,
+            gaps=tuple(self._gaps),
+            unmatched=tuple(self._unmatched),
+        )
+
+    def _note_gap(self, recorded: RecordedTick) -> None:
+        missing = recorded.sequence - self._next_sequence
+        if missing != 0:
+            self._gaps.append(Gap(before_tick=recorded.measurement.tick, missing=missing))
+        self._next_sequence = recorded.sequence + 1
+
+    def _apply(self, k: int) -> None:
+        decision = self._pending.pop(k, None)
+        if decision is None:
+            self._unmatched.append(k)
+            return
+        self._pending = {other: kept for other, kept in self._pending.items() if other > k}
+        self._controller.apply(decision)
+
+    def _decide(self, snapshot: Snapshot) -> None:
+        decision = self._controller.decide(snapshot)
+        self._pending[snapshot.k] = decision
+        self._slow_steps += 1
+        row = self._slow.get(snapshot.k)
+        if row is not None:
+            recorded, replayed = _row_values(row), _decision_values(decision)
+            self._decisions.compare(snapshot.tick, recorded, replayed)
+
+
+class _Comparison:
+    """Counts and remembers what differs in a series of named values."""
+
+    def __init__(self) -> None:
+        self.differing = 0
+        self.first: Difference | None = None
+        self.largest: dict[str, float] = {}
+
+    def compare(self, tick: int, recorded: dict[str, Any], replayed: dict[str, Any]) -> None:
+        """Compare one set of values, bit for bit."""
+        unlike = [name for name in recorded if not _alike(recorded[name], replayed[name])]
+        if not unlike:
+            return
+        self.differing += 1
+        if self.first is None:
+            self.first = Difference(tick, recorded, replayed)
+        for name in unlike:
+            distance = _distance(recorded[name], replayed[name])
+            self.largest[name] = max(distance, self.largest.get(name, 0.0))
+
+
+def _command_values(command: Command) -> dict[str, Any]:
+    return {
+        "current_scale_S": command.current_scale_S,
+        "boost_reference_V": command.boost_reference_V,
+        "bridge": command.bridge,
+    }
+
+
+def _decision_values(decision: Decision) -> dict[str, Any]:
+    return {
+        "boost_reference_V": decision.boost_reference_V,
+        "controller": decision.controller.value,
+        "accepted": decision.accepted,
+        "gains": list(decision.gains),
+    }
+
+
+def _row_values(row: dict[str, Any]) -> dict[str, Any]:
+    return {name: row[name] for name in ("boost_reference_V", "controller", "accepted", "gains")}
+
+
+def _alike(recorded: object, replayed: object) -> bool:
+    """Whether two values are the same to the last bit; one NaN is as good as another."""
+    if isinstance(recorded, list) and isinstance(replayed, list):
+        same_length = len(recorded) == len(replayed)
+        return same_length and all(map(_alike_items, recorded, replayed))
+    return _alike_items(recorded, replayed)
+
+
+def _alike_items(recorded: object, replayed: object) -> bool:
+    if isinstance(recorded, float) and isinstance(replayed, int | float):
+        if math.isnan(recorded) and math.isnan(replayed):
+            return True
+        return struct.pack("<d", recorded) == struct.pack("<d", replayed)
+    return recorded == replayed
+
+
+def _distance(recorded: object, replayed: object) -> float:
+    """How far apart two numbers are; infinite where that has no number."""
+    if isinstance(recorded, float) and isinstance(replayed, int | float):
+        distance = abs(recorded - replayed)
+        return math.inf if math.isnan(distance) else distance
+    return math.inf
