@@ -1,0 +1,169 @@
+"""Discrete models against scipy, exact simulation and residues."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.linalg import expm
+from scipy.signal import cont2discrete, dlsim, lfilter
+
+from adaptdrive.control.discretise import (
+    held_model,
+    impulse_invariant_pair,
+    input_taps,
+    propagate,
+)
+from adaptdrive.control.pole_placement import desired_polynomial, place_poles
+from tests.control.systems import (
+    Array,
+    System,
+    decades,
+    held_polynomials,
+    motor_system,
+    polynomials,
+    stable_systems,
+)
+
+TICKS = 120
+EQUAL = (20.0, 100.0)
+"""Sum and product of two time constants of 10 s."""
+
+
+@given(stable_systems(direct=True), st.sampled_from([0.2, 1.0, 5.0]))
+def test_without_delay_it_is_the_step_invariant_discretisation(
+    system: System, period_s: float
+) -> None:
+    a, b = held_model(system.numerator, system.denominator, period_s, 0.0, 0.0)
+    bottom, top = held_polynomials(system, period_s)
+    assert np.allclose(a, bottom, rtol=0.0, atol=1e-9)
+    assert np.allclose(b, top, rtol=0.0, atol=1e-9)
+
+
+def simulate_finely(system: System, inputs: Array, delay_ticks: int, window_ticks: int) -> Array:
+    """Output at the slow instants of a held, delayed input, exactly, on a grid of fast ticks.
+
+    An integrator behind the output gives the mean over the window.
+    """
+    a, b, c, d = system.state_space()
+    size = system.order
+    with_integral = (
+        np.block([[a, np.zeros((size, 1))], [c, np.zeros((1, 1))]]),
+        np.vstack([b, d]),
+        np.block([[c, np.zeros((1, 1))], [np.zeros((1, size)), np.ones((1, 1))]]),
+        np.vstack([d, [[0.0]]]),
+    )
+    *fast, _ = cont2discrete(with_integral, 1.0 / TICKS, "zoh")
+    held = np.concatenate([np.zeros(delay_ticks), np.repeat(inputs, TICKS)])
+    _, outputs, *_ = dlsim((*fast, 1.0 / TICKS), held)
+    if window_ticks == 0:
+        return np.asarray(outputs[: len(inputs) * TICKS : TICKS, 0])
+    integral = np.concatenate([np.zeros(window_ticks), outputs[:, 1]])
+    means = (integral[window_ticks:] - integral[:-window_ticks]) * TICKS / window_ticks
+    return np.asarray(means[: len(inputs) * TICKS : TICKS])
+
+
+DELAYS = st.integers(0, 3 * TICKS)
+WINDOWS = st.sampled_from([0, 1, 30, 60, TICKS, 2 * TICKS])
+
+
+@given(stable_systems(direct=True), DELAYS, WINDOWS, st.integers(0, 2**32 - 1))
+def test_with_delay_and_averaging_it_is_the_simulated_response(
+    system: System, delay_ticks: int, window_ticks: int, seed: int
+) -> None:
+    inputs = np.random.default_rng(seed).normal(size=12)
+    delay_s, window_s = delay_ticks / TICKS, window_ticks / TICKS
+    a, b = held_model(system.numerator, system.denominator, 1.0, delay_s, window_s)
+    expected = simulate_finely(system, inputs, delay_ticks, window_ticks)
+    assert np.allclose(lfilter(b, a, inputs), expected, rtol=0.0, atol=1e-8)
+    assert len(b) == 1 + input_taps(system.order, 1.0, delay_s, window_s)
+
+
+@given(stable_systems(), st.floats(0.0, 2.5), st.sampled_from([0.0]) | st.floats(0.01, 1.0))
+def test_no_delay_or_window_changes_poles_or_dc_gain(
+    system: System, delay_s: float, window_s: float
+) -> None:
+    a, b = held_model(system.numerator, system.denominator, 1.0, delay_s, window_s)
+    plain, _ = held_model(system.numerator, system.denominator, 1.0, 0.0, 0.0)
+    assert a == plain
+    assert sum(b) == pytest.approx(system.dc_gain * sum(a), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("delay_s", "window_s", "taps"),
+    [(0.0, 0.0, 2), (0.1, 0.0, 3), (1.0, 0.0, 3), (1.01, 0.0, 4), (0.5, 0.5, 3), (0.6, 0.5, 4)],
+)
+def test_input_taps_counts_the_periods_that_a_delay_reaches_into(
+    delay_s: float, window_s: float, taps: int
+) -> None:
+    assert input_taps(2, 1.0, delay_s, window_s) == taps
+
+
+@given(stable_systems(), st.floats(0.0, 40.0))
+def test_propagate_is_the_matrix_exponential(system: System, duration_s: float) -> None:
+    a, *_ = system.state_space()
+    state = np.arange(1.0, system.order + 1.0)
+    expected = expm(a * duration_s) @ state
+    moved = propagate(a.ravel().tolist(), state.tolist(), duration_s)
+    assert np.allclose(moved, expected, rtol=1e-9, atol=1e-9 * np.abs(state).max())
+
+
+def impulse_invariant(gain: float, tau_sum: float, tau_product: float, period_s: float) -> Array:
+    """B by scipy, then A."""
+    system = System([0.0, 0.0, gain / tau_product], [1.0, tau_sum / tau_product, 1.0 / tau_product])
+    return np.concatenate(polynomials(cont2discrete(system.state_space(), period_s, "impulse")))
+
+
+@given(st.floats(0.001, 10.0), st.floats(0.0, 1.9), decades(1.0, 40.0), st.floats(0.1, 5.0))
+def test_the_impulse_invariant_pair_is_scipys_whatever_the_poles(
+    gain: float, damping: float, tau_s: float, period_s: float
+) -> None:
+    tau_sum, tau_product = max(0.1, 2.0 * damping) * tau_s, tau_s**2
+    a, b = impulse_invariant_pair(gain, tau_sum, tau_product, period_s)
+    expected = impulse_invariant(gain, tau_sum, tau_product, period_s)
+    assert np.allclose([*a, *b], expected, rtol=0.0, atol=1e-11 * max(1.0, gain))
+
+
+@pytest.mark.parametrize("period_s", [0.5, 1.0, 2.0])
+def test_the_impulse_invariant_pair_is_the_sum_of_the_sampled_residues(period_s: float) -> None:
+    slow, fast = 23.4, 10.0
+    a, b = impulse_invariant_pair(0.011, slow + fast, slow * fast, period_s)
+    residue = 0.011 / (slow - fast)
+    decays = [math.exp(-period_s / slow), math.exp(-period_s / fast)]
+    assert a == pytest.approx([1.0, -sum(decays), math.prod(decays)], rel=1e-12)
+    assert b[1] == pytest.approx(period_s * residue * (decays[0] - decays[1]), rel=1e-12)
+    assert b[0] == b[2] == 0.0
+
+
+def test_equal_time_constants_are_no_special_case() -> None:
+    at = impulse_invariant_pair(0.011, *EQUAL, 1.0)
+    near = [impulse_invariant_pair(0.011, EQUAL[0], EQUAL[1] * (1 + e), 1.0) for e in (1e-9, -1e-9)]
+    decay = math.exp(-0.1)
+    assert at[0] == pytest.approx([1.0, -2.0 * decay, decay**2], rel=1e-14)
+    assert at[1][1] == pytest.approx(0.011 / 100.0 * decay, rel=1e-14)
+    for a, b in near:
+        assert [*a, *b] == pytest.approx([*at[0], *at[1]], rel=1e-8)
+
+
+def test_as_printed_the_impulse_invariant_poles_are_wrong_and_the_loop_explodes() -> None:
+    fast, slow = math.exp(-1.0 / 10.0), math.exp(-1.0 / 11.7)
+    b1 = 0.011 * (slow - fast) / 1.7
+    printed, model = [1.0, -(slow - fast), slow * fast], [0.0, b1, 0.0]
+    right, _ = impulse_invariant_pair(0.011, 21.7, 117.0, 1.0)
+    assert sorted(np.roots(right)) == pytest.approx([fast, slow], abs=1e-9)
+    assert min(abs(np.roots(printed) - slow)) > 0.5
+
+    def radius(designed_for: list[float]) -> float:
+        r, s = place_poles(designed_for, model, desired_polynomial(0.7, 4))
+        return float(max(abs(np.roots(np.polyadd(np.convolve(right, r), np.convolve(model, s))))))
+
+    assert radius(printed) == pytest.approx(3.1, abs=0.05)
+    assert radius(right) == pytest.approx(0.7, abs=1e-3)
+
+
+def test_the_print_leaves_out_the_period() -> None:
+    _, once = impulse_invariant_pair(0.011, 21.7, 117.0, 1e-3)
+    system = motor_system()
+    peak_free = system.numerator[2] * 1e-3  # the impulse response starts with this slope
+    assert once[1] == pytest.approx(1e-3 * peak_free, rel=1e-3)

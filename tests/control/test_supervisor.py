@@ -1,0 +1,116 @@
+"""The supervisor's verdicts, warm-up and patience."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptdrive.control.settings import Jacket
+from adaptdrive.control.supervisor import (
+    SupervisorState,
+    Verdict,
+    judge_bounds,
+    judge_load,
+    judge_loop,
+    judge_model,
+    take_verdict,
+)
+
+JACKET = Jacket(warm_up_periods=90, ratio_min=0.2, ratio_max=8.0, patience_periods=3)
+NOMINAL = [0.011, 21.7, 117.0]
+REFUSALS = [verdict for verdict in Verdict if verdict > Verdict.WARMING_UP]
+
+
+def test_a_finite_model_with_a_dc_gain_is_usable() -> None:
+    assert judge_model([0.0, 0.0, 1e-4], [1.0, 0.2, 0.01]) == Verdict.TRUSTED
+
+
+@pytest.mark.parametrize(
+    ("numerator", "denominator"),
+    [
+        ([0.0, 0.0, math.nan], [1.0, 0.2, 0.01]),
+        ([0.0, 0.0, 1e-4], [1.0, math.inf, 0.01]),
+        ([0.0, 0.0, 1e-4], [1.0, 0.2, 0.0]),
+    ],
+)
+def test_a_model_that_is_no_number_or_has_no_dc_gain_is_refused(
+    numerator: list[float], denominator: list[float]
+) -> None:
+    assert judge_model(numerator, denominator) == Verdict.NOT_FINITE
+
+
+@given(st.lists(st.floats(0.2, 8.0), min_size=3, max_size=3))
+def test_parameters_within_bounds_are_trusted(ratios: list[float]) -> None:
+    values = [n * ratio for n, ratio in zip([1.0, 4.0, -2.0], ratios, strict=True)]
+    assert judge_bounds(values, [1.0, 4.0, -2.0], JACKET, SupervisorState()) == Verdict.TRUSTED
+
+
+@pytest.mark.parametrize("index", [0, 1, 2])
+@pytest.mark.parametrize("ratio", [0.19, 8.1, -1.0, 0.0, math.nan, math.inf])
+def test_the_parameter_out_of_bounds_is_named(index: int, ratio: float) -> None:
+    values, state = list(NOMINAL), SupervisorState()
+    values[index] *= ratio
+    assert judge_bounds(values, NOMINAL, JACKET, state) == Verdict.OUT_OF_BOUNDS
+    assert state.culprit == index
+
+
+@pytest.mark.parametrize(
+    ("judge", "limit", "refusal"),
+    [
+        (judge_load, 0.9999, Verdict.UNSTABLE_LOAD),
+        (judge_loop, 0.995, Verdict.UNSTABLE_LOOP),
+    ],
+)
+def test_poles_are_held_to_a_radius(
+    judge: Callable[[list[float]], int], limit: float, refusal: Verdict
+) -> None:
+    turn = np.exp(0.3j)
+    for radius, expected in ((limit - 1e-5, Verdict.TRUSTED), (limit + 1e-5, refusal)):
+        polynomial = np.poly([radius * turn, radius / turn, 0.5]).real.tolist()
+        assert judge(polynomial) == expected
+    assert judge([1.0, math.nan]) == Verdict.NOT_FINITE
+
+
+def test_nothing_is_trusted_before_the_warm_up_is_over() -> None:
+    state = SupervisorState()
+    for periods in range(1, 91):
+        assert not take_verdict(state, Verdict.TRUSTED, JACKET, periods)
+        assert not state.trusted
+        assert state.verdict == Verdict.WARMING_UP
+    assert take_verdict(state, Verdict.TRUSTED, JACKET, 91)
+    assert state.trusted
+    assert state.verdict == Verdict.TRUSTED
+
+
+@pytest.mark.parametrize("refusal", REFUSALS)
+def test_a_refused_estimate_keeps_the_trusted_gains_until_patience_ends(refusal: Verdict) -> None:
+    state = SupervisorState(verdict=Verdict.TRUSTED, trusted=True)
+    for _ in range(JACKET.patience_periods):
+        assert not take_verdict(state, refusal, JACKET, 100)
+        assert state.trusted
+    take_verdict(state, refusal, JACKET, 100)
+    assert not state.trusted
+    assert state.verdict == refusal
+
+
+def test_patience_counts_refusals_in_a_row() -> None:
+    state = SupervisorState(verdict=Verdict.TRUSTED, trusted=True)
+    for verdict in [Verdict.NOT_FINITE, Verdict.NOT_FINITE, Verdict.TRUSTED] * 10:
+        take_verdict(state, verdict, JACKET, 100)
+        assert state.trusted
+
+
+@given(st.lists(st.sampled_from([*REFUSALS, Verdict.TRUSTED]), max_size=120))
+def test_trust_needs_warm_up_and_a_trusted_estimate_within_patience(
+    verdicts: list[Verdict],
+) -> None:
+    state = SupervisorState()
+    for periods, verdict in enumerate(verdicts, 1):
+        accepted = take_verdict(state, verdict, JACKET, periods)
+        recent = verdicts[max(0, periods - 1 - JACKET.patience_periods) : periods]
+        assert accepted == (verdict == Verdict.TRUSTED and periods > JACKET.warm_up_periods)
+        assert not state.trusted or Verdict.TRUSTED in recent
+        assert not state.trusted or periods > JACKET.warm_up_periods
