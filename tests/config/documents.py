@@ -14,12 +14,13 @@ MINIMAL = {
     "bus.channel": '"bench"',
     "bus.database": '"bench.dbc"',
     "bus.clock": '"DriveLoad"',
-    "signals.boost_voltage_V": '"DriveStatus.BoostVoltage"',
-    "signals.line_voltage_V": '"DriveStatus.LineVoltage"',
-    "signals.load_power_W": '"DriveStatus.LoadPower"',
-    "signals.output": '"DriveLoad.Tachometer"',
+    "signals.boost_voltage_V.signal": '"DriveStatus.BoostVoltage"',
+    "signals.line_voltage_V.signal": '"DriveStatus.LineVoltage"',
+    "signals.load_power_W.signal": '"DriveStatus.LoadPower"',
+    "signals.output.signal": '"DriveLoad.Tachometer"',
     "signals.command.current_scale_S": '"DriveCommand.CurrentScale"',
     "signals.command.bridge": '"DriveCommand.BridgeEnable"',
+    "load.type": '"motor"',
     "load.reference_max": "6.0",
     "load.model.gain": "0.02",
     "load.model.tau_motor_s": "9.0",
@@ -32,10 +33,13 @@ def document(**changes: str | None) -> str:
     """TOML text of the small configuration.
 
     Args:
-        changes: TOML value by dotted key with `__` for the dots; None takes the key away.
+        changes: TOML value by dotted key with `__` for the dots; None takes the key away, and
+            a value for a whole table replaces its keys.
     """
     named = {key.replace("__", "."): value for key, value in changes.items()}
-    keys = {**MINIMAL, **named}
+    replaced = tuple(f"{key}." for key in named)
+    kept = {key: value for key, value in MINIMAL.items() if not key.startswith(replaced)}
+    keys = {**kept, **named}
     return "\n".join(f"{key} = {value}" for key, value in keys.items() if value is not None)
 
 

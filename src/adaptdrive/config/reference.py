@@ -49,8 +49,8 @@ def _sections(schema: Schema, definitions: Schema) -> Iterator[str]:
 
 
 def _references(key: Schema) -> Iterator[str]:
-    options = [key, *key.get("anyOf", ()), key.get("additionalProperties", {})]
-    for option in options:
+    nested = key.get("additionalProperties", {})
+    for option in [key, *key.get("anyOf", ()), *key.get("oneOf", ()), nested]:
         if "$ref" in option:
             yield option["$ref"].removeprefix("#/$defs/")
 
@@ -68,7 +68,7 @@ def _section(schema: Schema) -> str:
 
 
 def _is_section(key: Schema) -> bool:
-    return "$ref" in key or "additionalProperties" in key
+    return not {"$ref", "oneOf", "additionalProperties"}.isdisjoint(key)
 
 
 def _row(name: str, key: Schema, *, required: bool) -> str:
