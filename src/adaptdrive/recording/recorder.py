@@ -148,7 +148,7 @@ class Recorder:
         self._send(writer, last=True)
         problem = await writer.close(self._pace.close_s)
         if problem is not None:
-            self._report(Severity.ALARM, f"the session was not closed: {problem}")
+            self._report(Severity.ALARM, f"trouble at the end of the session: {problem}")
 
     async def _events_until(self, deadline: float) -> Iterable[Report]:
         try:

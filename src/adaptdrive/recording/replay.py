@@ -62,7 +62,7 @@ class _Player:
         self._controller = controller
         self._slow = {row["k"]: row for row in table_rows(session.slow)}
         # A decision that took effect was made, even where its own record is lost.
-        self._decided = self._slow.keys() | set(session.ticks["applied_k"].to_pylist())
+        self._decided = self._slow.keys() | set(session.ticks["applied_k"].unique().to_pylist())
         self._pending: dict[int, Decision] = {}
         self._next_sequence = 0
         self._ticks = 0
