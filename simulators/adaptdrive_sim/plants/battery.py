@@ -1,0 +1,155 @@
+"""A battery that is charged: open-circuit voltage, series resistance, relaxation, charge.
+
+With the source V behind R_d and the state of charge z:
+
+    i = (V − E(z) − v1 − v2)/(R_d + R_0),   C_j·dv_j/dt = i − v_j/R_j,   Q·dz/dt = i
+
+E(z) is a cell's curve times the number of cells. The current is positive while it charges; only
+a bidirectional drive can make it negative. One step takes the current as linear over it, which is
+exact to the third power of the step over the relaxation times.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from dataclasses import dataclass
+
+from adaptdrive_sim.parameters import check_quantities, check_range, quantity
+
+# Open-circuit voltage of a lithium-ion cell, at every tenth of its charge.
+CELL_V = (3.00, 3.43, 3.53, 3.59, 3.63, 3.68, 3.76, 3.86, 3.96, 4.07, 4.19)
+
+
+@dataclass(frozen=True, slots=True)
+class BatteryParameters:
+    """Cells and what stands between them and the terminals.
+
+    Attributes:
+        cells: Cells in series.
+        relaxation_2_Ohm: 0 leaves the second relaxation element out.
+    """
+
+    cells: int = 20
+    capacity_Ah: float = quantity(10.0, "A h", "charge between empty and full, Q", 1e-3, 1e4)
+    charge: float = quantity(0.3, "", "state of charge at the start, 0 to 1", 0.0, 1.0)
+    series_Ohm: float = quantity(0.20, "Ω", "series resistance, R_0", 1e-4, 1e2)
+    relaxation_Ohm: float = quantity(0.40, "Ω", "first relaxation element, R_1", 1e-4, 1e2)
+    relaxation_s: float = quantity(30.0, "s", "its time constant, R_1·C_1", 0.5, 1e5)
+    relaxation_2_Ohm: float = quantity(0.0, "Ω", "second relaxation element, R_2", 0.0, 1e2)
+    relaxation_2_s: float = quantity(600.0, "s", "its time constant, R_2·C_2", 0.5, 1e5)
+
+    def __post_init__(self) -> None:
+        check_quantities(self)
+        check_range("BatteryParameters.cells", self.cells, 1, 1000, "")
+
+
+class Battery:
+    """Cells, relaxation elements and charge.
+
+    Attributes:
+        output: Charging current, mean over the last half line cycle.
+        charge: State of charge, 0 to 1; what is charged beyond goes on along the curve's end.
+        relaxed_V: Voltages of the relaxation elements.
+    """
+
+    def __init__(self, parameters: BatteryParameters) -> None:
+        self.parameters = parameters
+        self.resistance_Ohm = parameters.series_Ohm
+        self.output = 0.0
+        self.charge = parameters.charge
+        self.relaxed_V = [0.0, 0.0]
+        self._decays_s = math.nan
+        self._decays = (1.0, 1.0)
+
+    @property
+    def open_circuit_V(self) -> float:
+        """Terminal voltage after a long rest."""
+        segment = min(max(bisect_right(_TENTHS, self.charge) - 1, 0), len(CELL_V) - 2)
+        low, high = CELL_V[segment], CELL_V[segment + 1]
+        share = 10.0 * self.charge - segment
+        return self.parameters.cells * (low + (high - low) * share)
+
+    @property
+    def emf_V(self) -> float:
+        """Terminal voltage without current, at this instant."""
+        return self.open_circuit_V + self.relaxed_V[0] + self.relaxed_V[1]
+
+    @property
+    def terminal_voltage_V(self) -> float:
+        """Terminal voltage under the present current."""
+        return self.emf_V + self.resistance_Ohm * self.output
+
+    def drive(self, source_V: float, source_Ohm: float, duration_s: float) -> float:
+        """Advance while a constant voltage behind a resistance feeds the terminals."""
+        per_Ohm = 1.0 / (source_Ohm + self.resistance_Ohm)
+        before = (self.charge, *self.relaxed_V)
+        first_A = (source_V - self.emf_V) * per_Ohm
+        self._carry(first_A, duration_s)
+        mean_A = 0.5 * (first_A + (source_V - self.emf_V) * per_Ohm)
+        self.charge, self.relaxed_V[0], self.relaxed_V[1] = before
+        self._carry(mean_A, duration_s)
+        self.output = mean_A
+        return mean_A
+
+    def coast(self, duration_s: float) -> None:
+        """Advance without current: the relaxation elements discharge themselves."""
+        self._carry(0.0, duration_s)
+        self.output = 0.0
+
+    def settle(self, source_V: float, source_Ohm: float) -> None:
+        """Put the relaxation elements at rest under a constant source, at the present charge."""
+        series_Ohm = source_Ohm + self.resistance_Ohm + sum(self._relaxation_Ohm())
+        self.output = (source_V - self.open_circuit_V) / series_Ohm
+        self.relaxed_V = [self.output * resistance for resistance in self._relaxation_Ohm()]
+
+    def source_for(self, output: float, source_Ohm: float) -> float:
+        """Find the source voltage that makes a current flow, once the elements have relaxed."""
+        series_Ohm = source_Ohm + self.resistance_Ohm + sum(self._relaxation_Ohm())
+        return self.open_circuit_V + output * series_Ohm
+
+    def model(self, ratio: float, source_Ohm: float) -> dict[str, float]:
+        """Admittance from boost voltage to current: at once, in the end, and the way between.
+
+        The time constant is that of the area between the step response and its end, which is
+        the only one there is with a single relaxation element.
+        """
+        own, first_Ohm = self.parameters, source_Ohm + self.resistance_Ohm
+        relaxation_Ohm = sum(self._relaxation_Ohm())
+        last_Ohm = first_Ohm + relaxation_Ohm
+        stored = own.relaxation_Ohm * own.relaxation_s + own.relaxation_2_Ohm * own.relaxation_2_s
+        return {
+            "direct_S": ratio / first_Ohm,
+            "gain_S": ratio / last_Ohm,
+            "tau_s": stored / relaxation_Ohm * first_Ohm / last_Ohm,
+        }
+
+    def state(self) -> dict[str, float]:
+        """State of charge, open-circuit and terminal voltage."""
+        return {
+            "charge": self.charge,
+            "open_circuit_V": self.open_circuit_V,
+            "terminal_voltage_V": self.terminal_voltage_V,
+        }
+
+    def _relaxation_Ohm(self) -> tuple[float, float]:
+        return self.parameters.relaxation_Ohm, self.parameters.relaxation_2_Ohm
+
+    def _carry(self, current_A: float, duration_s: float) -> None:
+        """Let a constant current flow for a time."""
+        own = self.parameters
+        if self._decays_s != duration_s:
+            self._decays_s = duration_s
+            self._decays = (
+                math.exp(-duration_s / own.relaxation_s),
+                math.exp(-duration_s / own.relaxation_2_s),
+            )
+        one, two = self._decays
+        rest_V, rest_2_V = current_A * own.relaxation_Ohm, current_A * own.relaxation_2_Ohm
+        relaxed = self.relaxed_V
+        relaxed[0] = rest_V + (relaxed[0] - rest_V) * one
+        relaxed[1] = rest_2_V + (relaxed[1] - rest_2_V) * two
+        self.charge += current_A * duration_s / (3600.0 * own.capacity_Ah)
+
+
+_TENTHS = tuple(0.1 * i for i in range(len(CELL_V)))

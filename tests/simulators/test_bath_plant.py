@@ -1,0 +1,131 @@
+"""The bath plant against an independent integrator and closed forms."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from adaptdrive.control.loads.bath import bath_load
+from adaptdrive_sim.parameters import ParameterError
+from adaptdrive_sim.plants.bath import Bath, BathParameters, GALLON_kg, HEAT_J_per_kgK
+from adaptdrive_sim.world import World
+
+DROOP_Ohm = 1.0
+INFLOW_kg_s = 0.681 / 60.0
+
+
+def integrate_mixing(start_gal: float, end_gal: float, over_s: float, span_s: float) -> float:
+    """Temperature from the balances of mass and heat, with the outflow written out."""
+    heater_W = 7.87 * (75.0 / 8.87) ** 2
+
+    def slope(time_s: float, state: list[float]) -> list[float]:
+        mass_kg, heat_J = state
+        growth = (end_gal - start_gal) * GALLON_kg / over_s if time_s < over_s else 0.0
+        outflow_kg_s = INFLOW_kg_s - growth
+        return [growth, heater_W - outflow_kg_s * heat_J / mass_kg]
+
+    mass_kg = start_gal * GALLON_kg
+    start = [mass_kg, mass_kg * HEAT_J_per_kgK * 5.0]
+    last = solve_ivp(slope, (0.0, span_s), start, rtol=1e-11, atol=1e-9, max_step=5.0).y[:, -1]
+    return float(last[1] / (last[0] * HEAT_J_per_kgK))
+
+
+@pytest.mark.parametrize(("start_gal", "end_gal"), [(0.6, 1.5), (1.5, 0.6), (0.6, 0.61)])
+def test_while_the_level_moves_the_bath_obeys_the_balances_of_mass_and_heat(
+    start_gal: float, end_gal: float
+) -> None:
+    bath = Bath(BathParameters(volume_gal=start_gal))
+    bath.output = 5.0
+    bath.fill(end_gal, 300.0)
+    for _ in range(400):
+        bath.drive(75.0, DROOP_Ohm, 1.0)
+    expected = integrate_mixing(start_gal, end_gal, 300.0, 400.0)
+    assert bath.output == pytest.approx(expected, rel=1e-6)
+    assert bath.volume_gal == pytest.approx(end_gal, rel=1e-12)
+
+
+@given(steps=st.integers(1, 700), over_s=st.floats(10.0, 400.0))
+def test_many_short_steps_end_where_one_long_step_ends(steps: int, over_s: float) -> None:
+    short, long = Bath(BathParameters()), Bath(BathParameters())
+    for bath in (short, long):
+        bath.output = 9.0
+        bath.fill(1.5, over_s)
+    for _ in range(steps):
+        short.drive(75.0, DROOP_Ohm, 500.0 / steps)
+    long.drive(75.0, DROOP_Ohm, 500.0)
+    assert short.output == pytest.approx(long.output, rel=1e-9)
+    assert short.volume_gal == pytest.approx(long.volume_gal, rel=1e-12)
+
+
+def test_filling_by_the_inflow_alone_takes_the_bath_five_minutes() -> None:
+    assert (1.5 - 0.6) * GALLON_kg / INFLOW_kg_s == pytest.approx(300.0, rel=2e-3)
+
+
+@pytest.mark.parametrize(("volume_gal", "tau_s"), [(0.6, 200.0), (1.5, 500.0)])
+def test_the_reference_bath_has_its_published_model(volume_gal: float, tau_s: float) -> None:
+    model = Bath(BathParameters(volume_gal=volume_gal)).model(0.25, DROOP_Ohm)
+    assert model["resistance_K_per_W"] == pytest.approx(0.02104, rel=1e-3)
+    assert model["tau_s"] == pytest.approx(tau_s, rel=2e-3)
+
+
+@pytest.mark.parametrize(("boost_V", "power_W"), [(200.0, 250.0), (400.0, 1000.0)])
+def test_the_heater_gives_its_published_power(boost_V: float, power_W: float) -> None:
+    bath = Bath(BathParameters())
+    bath.drive(0.25 * boost_V, DROOP_Ohm, 1.0)
+    assert bath.heater_W == pytest.approx(power_W, rel=1e-3)
+
+
+def test_heater_power_per_squared_volt_is_the_input_map_of_the_controller() -> None:
+    load = bath_load(0.02104, 200.0, 0.25, DROOP_Ohm, 7.87)
+    model = Bath(BathParameters()).model(0.25, DROOP_Ohm)
+    assert load.input_gain == pytest.approx(model["heater_W_per_V2"], rel=1e-12)
+
+
+def test_without_heat_the_bath_cools_towards_the_inflow() -> None:
+    bath = Bath(BathParameters())
+    bath.output = 8.0
+    bath.coast(100.0)
+    tau_s = bath.model(0.25, DROOP_Ohm)["tau_s"]
+    assert bath.output == pytest.approx(8.0 * math.exp(-100.0 / tau_s), rel=1e-12)
+    assert bath.heater_W == 0.0
+
+
+@given(output=st.floats(6.0, 20.0))
+def test_source_for_an_output_settles_on_that_output(output: float) -> None:
+    bath = Bath(BathParameters())
+    bath.settle(bath.source_for(output, DROOP_Ohm), DROOP_Ohm)
+    assert bath.output == pytest.approx(output, rel=1e-12)
+    for _ in range(10):
+        bath.drive(bath.source_for(output, DROOP_Ohm), DROOP_Ohm, 60.0)
+    assert bath.output == pytest.approx(output, rel=1e-12)
+
+
+def test_behind_the_drive_heater_and_droop_share_the_power_of_the_boost_stage() -> None:
+    world = World(bath := Bath(BathParameters()))
+    world.settle(world.boost_voltage_for(13.0))
+    sample = world.step(world.current_scale_S, bridge=True)
+    assert sample.output == pytest.approx(13.0, rel=1e-9)
+    assert sample.load_power_W * 7.87 / 8.87 == pytest.approx(bath.heater_W, rel=1e-9)
+
+
+def test_a_level_changed_at_once_keeps_the_temperature() -> None:
+    bath = Bath(BathParameters())
+    bath.output = 7.0
+    bath.fill(1.5)
+    assert bath.output == 7.0
+    assert bath.volume_gal == pytest.approx(1.5)
+    bath.coast(1.0)
+    assert bath.state()["volume_gal"] == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize(("volume_gal", "over_s"), [(0.0, 1.0), (math.nan, 1.0), (1.0, -1.0)])
+def test_an_impossible_level_is_refused(volume_gal: float, over_s: float) -> None:
+    with pytest.raises(ParameterError, match="must lie in"):
+        Bath(BathParameters()).fill(volume_gal, over_s)
+
+
+def test_a_parameter_out_of_range_is_refused_by_name() -> None:
+    with pytest.raises(ParameterError, match=r"BathParameters\.heater_Ohm = -1\.0"):
+        BathParameters(heater_Ohm=-1.0)
