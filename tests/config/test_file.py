@@ -23,10 +23,22 @@ def test_a_small_file_is_enough(tmp_path: Path) -> None:
     assert configuration.mqtt.host == "127.0.0.1"
 
 
-def test_the_database_is_looked_for_beside_the_file(tmp_path: Path) -> None:
+def test_relative_paths_start_at_the_folder_of_the_file(tmp_path: Path) -> None:
     file = tmp_path / "bench.toml"
-    file.write_text(document(), encoding="utf-8")
-    assert load_configuration(file).bus.database == tmp_path / "bench.dbc"
+    text = document(mqtt__ca_file='"tls/ca.pem"', recording__directory='"sessions"')
+    file.write_text(text, encoding="utf-8")
+    configuration = load_configuration(file)
+    assert configuration.bus.database == tmp_path / "bench.dbc"
+    assert configuration.mqtt.ca_file == tmp_path / "tls" / "ca.pem"
+    assert configuration.mqtt.password_file is None
+    assert configuration.recording.directory == tmp_path / "sessions"
+
+
+def test_a_name_alone_is_a_quantity_in_SI() -> None:
+    named = parse(signals__output='"DriveLoad.Tachometer"').signals.output
+    whole = parse(signals__output="{ signal = 'DriveLoad.Tachometer', scale = 1.0 }")
+    assert named == whole.signals.output
+    assert (named.signal, named.scale, named.offset) == ("DriveLoad.Tachometer", 1.0, 0.0)
 
 
 def test_an_absolute_path_stays(tmp_path: Path) -> None:

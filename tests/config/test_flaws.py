@@ -21,7 +21,10 @@ def leaves(section: dict[str, object], prefix: str = "") -> list[tuple[str, obje
 
 LEAVES = leaves(parse().model_dump())
 FLOATS = [place for place, value in LEAVES if isinstance(value, float)]
-NUMBERS = [place for place, value in LEAVES if isinstance(value, int | float)]
+SWITCHES = [place for place, value in LEAVES if isinstance(value, bool)]
+NUMBERS = [
+    place for place, value in LEAVES if isinstance(value, int | float) and place not in SWITCHES
+]
 TOML_VALUES = st.one_of(
     st.integers(-(2**63), 2**63 - 1).map(str),
     st.floats().map(lambda value: repr(float(value))),
@@ -65,6 +68,12 @@ def test_the_text_of_the_error_has_a_line_for_each_flaw() -> None:
     assert second.startswith(f"{SOURCE}: mqtt.port: ")
 
 
+def test_the_type_of_the_load_is_one_that_is_known() -> None:
+    found = flaws(load__type='"pump"')
+    assert set(found) == {"load.type"}
+    assert all(kind in found["load.type"] for kind in ("motor", "bath", "battery"))
+
+
 @pytest.mark.parametrize(
     "place", ["key", "drive.key", "drive.limits.key", "load.model.key", "signals.command.key"]
 )
@@ -78,14 +87,22 @@ def test_a_missing_key_is_a_flaw(place: str) -> None:
     assert place == flaw or place.startswith(f"{flaw}.")
 
 
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
 @pytest.mark.parametrize("place", FLOATS)
-def test_no_number_may_be_nan(place: str) -> None:
-    assert set(flaws(**change(place, "nan"))) == {place}
+def test_every_number_is_finite(place: str, value: str) -> None:
+    assert set(flaws(**change(place, value))) == {place}
 
 
+@pytest.mark.parametrize("value", ["{}", "true", '"1"', '"yes"'])
 @pytest.mark.parametrize("place", NUMBERS)
-def test_no_number_may_be_a_table(place: str) -> None:
-    assert set(flaws(**change(place, "{}"))) == {place}
+def test_a_number_is_neither_text_nor_a_truth_value(place: str, value: str) -> None:
+    assert set(flaws(**change(place, value))) == {place}
+
+
+@pytest.mark.parametrize("value", ["1", '"yes"', "0.0"])
+@pytest.mark.parametrize("place", SWITCHES)
+def test_a_switch_is_on_or_off(place: str, value: str) -> None:
+    assert set(flaws(**change(place, value))) == {place}
 
 
 @pytest.mark.parametrize(
@@ -114,6 +131,48 @@ def test_limits_that_contradict_each_other_are_a_flaw(
     found = flaws(**{key.replace(".", "__"): value for key, value in changes.items()})
     assert set(found) == {place}
     assert message in found[place]
+
+
+def test_every_contradiction_between_sections_is_listed() -> None:
+    assert flaws(
+        load__samples="121",
+        load__latency_ticks="120",
+        signals__command__current_scale_S=None,
+        interlocks__boost_voltage_max_V="400.0",
+        interlocks__output_max="6.0",
+    ) == {
+        "load.samples": "121 exceeds the 120 ticks of one period",
+        "load.latency_ticks": "120 must be below the 120 ticks of one period",
+        "signals.command.current_scale_S": ("is missing: voltage_loop.where = 'daemon' needs it"),
+        "interlocks.boost_voltage_max_V": (
+            "400.0 must be above drive.limits.boost_reference_max_V = 400.0"
+        ),
+        "interlocks.output_max": "6.0 must be above load.reference_max = 6.0",
+    }
+
+
+def test_a_drive_that_holds_its_own_voltage_needs_its_reference() -> None:
+    assert set(flaws(voltage_loop__where='"drive"')) == {"signals.command.boost_reference_V"}
+    given = '"DriveCommand.BoostReference"'
+    assert not flaws(voltage_loop__where='"drive"', signals__command__boost_reference_V=given)
+
+
+@given(half_cycles=st.floats(0.0, 500_000.0))
+def test_a_slow_period_is_a_whole_number_of_half_cycles(half_cycles: float) -> None:
+    found = flaws(load__period_s=repr(half_cycles / 120.0))
+    whole = abs(half_cycles - round(half_cycles)) <= 1e-6 * half_cycles
+    refused = "load.period_s" in found
+    assert refused == (not whole or not 0.5 <= half_cycles <= 432_000.0)
+
+
+@pytest.mark.parametrize("value", ['"Tachometer"', '"a.b.c"', '""', "{ signal = 'Tachometer' }"])
+def test_a_quantity_names_message_and_signal(value: str) -> None:
+    assert set(flaws(signals__output=value)) == {"signals.output.signal"}
+
+
+def test_a_flaw_of_a_quantity_is_named_by_its_key() -> None:
+    table = "{ signal = 'DriveLoad.Tachometer', scale = 'x' }"
+    assert set(flaws(signals__output=table)) == {"signals.output.scale"}
 
 
 @given(low=st.floats(0.01, 0.99), pole=st.floats(0.01, 0.99), high=st.floats(0.01, 0.99))

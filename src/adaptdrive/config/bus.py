@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
-from adaptdrive.config.section import FiniteFloat, Section
+from adaptdrive.config.section import FilePath, FiniteFloat, Section
 
 
 class FrameIntegrity(Section):
@@ -33,7 +32,7 @@ class CanBus(Section):
     )
     channel: str = Field(description="`can0`, a multicast group, or the name of a virtual bus")
     udp_port: int = Field(default=43113, ge=1, le=65535, description="port of `udp_multicast`")
-    database: Path = Field(description="DBC file, relative to the configuration file")
+    database: FilePath = Field(description="DBC file, relative to the configuration file")
     clock: str = Field(description="message whose arrival is the fast tick")
     integrity: dict[str, FrameIntegrity] = Field(
         default_factory=dict, description="alive counters and checksums by message"
@@ -48,6 +47,15 @@ class SignalSource(Section):
     offset: FiniteFloat = Field(default=0.0, description="SI value of a zero signal")
 
 
+def _table(value: object) -> object:
+    return {"signal": value} if isinstance(value, str) else value
+
+
+Quantity = Annotated[
+    SignalSource, BeforeValidator(_table, json_schema_input_type=SignalSource | str)
+]
+
+
 class CommandSignals(Section):
     """`[signals.command]`: which signals carry the command; absent ones are not sent."""
 
@@ -59,13 +67,11 @@ class CommandSignals(Section):
 class Signals(Section):
     """`[signals]`: which signal is which quantity."""
 
-    boost_voltage_V: SignalSource | str = Field(description="boost capacitor voltage v_bst")
-    line_voltage_V: SignalSource | str = Field(description="line voltage, rms")
-    load_power_W: SignalSource | str = Field(description="power into the load")
-    output: SignalSource | str = Field(description="the regulated quantity")
-    counter: SignalSource | str | None = Field(
-        default=None, description="half-cycle counter of the drive"
-    )
-    fault: SignalSource | str | None = Field(default=None, description="fault word, 0 = healthy")
-    bridge: SignalSource | str | None = Field(default=None, description="bridge is on")
+    boost_voltage_V: Quantity = Field(description="boost capacitor voltage v_bst")
+    line_voltage_V: Quantity = Field(description="line voltage, rms")
+    load_power_W: Quantity = Field(description="power into the load")
+    output: Quantity = Field(description="the regulated quantity")
+    counter: Quantity | None = Field(default=None, description="half-cycle counter of the drive")
+    fault: Quantity | None = Field(default=None, description="fault word, 0 = healthy")
+    bridge: Quantity | None = Field(default=None, description="bridge is on")
     command: CommandSignals = Field(default_factory=CommandSignals)

@@ -8,8 +8,12 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from adaptdrive.config.load import LOAD_TYPES
 from adaptdrive.config.root import Configuration
+from adaptdrive.config.section import Section
 from adaptdrive.errors import ConfigurationError, Flaw
+
+_MESSAGES = {"extra_forbidden": "Unknown key", "union_tag_not_found": "Field required"}
 
 
 def load_configuration(path: Path) -> Configuration:
@@ -62,15 +66,34 @@ def _flaws(problem: ValidationError) -> list[Flaw]:
 
 
 def _flaw(error: dict[str, Any]) -> Flaw:
-    place = ".".join(str(part) for part in error["loc"]) or "configuration"
-    message = error["msg"].removeprefix("Value error, ")
+    place = _place(error["loc"])
+    message = _MESSAGES.get(error["type"], error["msg"]).removeprefix("Value error, ")
+    if error["type"].startswith("union_tag"):
+        place = f"{place}.type"
     value = error["input"]
     if isinstance(value, str | int | float | bool) and repr(value) not in message:
         message = f"{message} (it is {value!r})"
     return Flaw(place, message)
 
 
+def _place(location: tuple[int | str, ...]) -> str:
+    """The dotted key; pydantic counts the type of `[load]` as a table of its own."""
+    if location[0] == "load" and location[1:2] and location[1] in LOAD_TYPES:
+        location = ("load", *location[2:])
+    return ".".join(str(part) for part in location)
+
+
 def _anchored(configuration: Configuration, folder: Path) -> Configuration:
-    database = folder / configuration.bus.database
-    bus = configuration.bus.model_copy(update={"database": database})
-    return configuration.model_copy(update={"bus": bus})
+    return configuration.model_copy(
+        update={
+            "bus": _placed(configuration.bus, folder, "database"),
+            "mqtt": _placed(configuration.mqtt, folder, "ca_file", "password_file"),
+            "recording": _placed(configuration.recording, folder, "directory"),
+        }
+    )
+
+
+def _placed(section: Section, folder: Path, *keys: str) -> Section:
+    paths = {key: getattr(section, key) for key in keys}
+    placed = {key: folder / path for key, path in paths.items() if path is not None}
+    return section.model_copy(update=placed)

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from adaptdrive.config.section import FiniteFloat, Fraction, PositiveFloat, Section
 
+LOAD_TYPES = ("motor", "bath", "battery")
+
+Period = Annotated[PositiveFloat, Field(le=3600.0)]
+
 
 class LoadSection(Section):
     """What `[load]` holds for every type of load."""
 
-    period_s: PositiveFloat = Field(default=1.0, description="slow period T_k")
+    period_s: Period = Field(
+        default=1.0, description="slow period T_k, a whole number of half line cycles"
+    )
     pole: Fraction = Field(default=0.70, description="closed-loop pole of the load loop")
     pole_min: Fraction = Field(default=0.50, description="fastest pole an operator may ask for")
     pole_max: Fraction = Field(default=0.98, description="slowest pole an operator may ask for")
@@ -58,7 +64,7 @@ class MotorModel(Section):
 class Motor(LoadSection):
     """`[load]` with `type = "motor"`."""
 
-    type: Literal["motor"] = Field(default="motor", description="kind of load")
+    type: Literal["motor"] = Field(description="kind of load")
     output_name: str = Field(default="speed", description="name of the output for people")
     output_unit: str = Field(default="V", description="unit of the output for people")
     model: MotorModel
@@ -77,8 +83,10 @@ class BathModel(Section):
 class Bath(LoadSection):
     """`[load]` with `type = "bath"`."""
 
-    type: Literal["bath"] = Field(default="bath", description="kind of load")
-    period_s: PositiveFloat = Field(default=20.0, description="slow period T_k")
+    type: Literal["bath"] = Field(description="kind of load")
+    period_s: Period = Field(
+        default=20.0, description="slow period T_k, a whole number of half line cycles"
+    )
     pole: Fraction = Field(default=0.80, description="closed-loop pole of the load loop")
     samples: int = Field(
         default=600, ge=1, description="fast samples averaged for one slow one (`exact` only)"
@@ -108,7 +116,7 @@ class Charge(Section):
 class Battery(LoadSection):
     """`[load]` with `type = "battery"`; the set-point is the charging current."""
 
-    type: Literal["battery"] = Field(default="battery", description="kind of load")
+    type: Literal["battery"] = Field(description="kind of load")
     output_name: str = Field(default="current", description="name of the output for people")
     output_unit: str = Field(default="A", description="unit of the output for people")
     model: BatteryModel

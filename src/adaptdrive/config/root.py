@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from typing import Self
 
 from pydantic import Field, model_validator
@@ -9,8 +11,9 @@ from pydantic import Field, model_validator
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.drive import Drive, VoltageLoop
 from adaptdrive.config.load import Bath, Battery, Estimator, Motor, Supervisor
-from adaptdrive.config.section import Section
+from adaptdrive.config.section import Section, inconsistent
 from adaptdrive.config.services import Interlocks, Mqtt, Realtime, Recording
+from adaptdrive.errors import Flaw
 
 
 class Configuration(Section):
@@ -35,45 +38,49 @@ class Configuration(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        _check_rates(self)
-        _check_command_signals(self)
-        _check_trip_levels(self)
+        flaws = [*_rate_flaws(self), *_command_flaws(self), *_trip_flaws(self)]
+        if flaws:
+            raise inconsistent(flaws)
         return self
 
 
-def _check_rates(configuration: Configuration) -> None:
+def _rate_flaws(configuration: Configuration) -> Iterator[Flaw]:
     load, ticks = configuration.load, configuration.ticks_per_period
+    half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
+    if ticks < 1 or not math.isclose(load.period_s, ticks * half_cycle_s, rel_tol=1e-6):
+        yield Flaw(
+            "load.period_s",
+            f"{load.period_s} must be a whole number of half cycles of {half_cycle_s:.6g} s",
+        )
     if load.samples > ticks:
-        raise ValueError(f"load.samples = {load.samples} exceeds the {ticks} ticks of one period")
+        yield Flaw("load.samples", f"{load.samples} exceeds the {ticks} ticks of one period")
     if load.latency_ticks >= ticks:
-        raise ValueError(
-            f"load.latency_ticks = {load.latency_ticks} must be below the {ticks} ticks "
-            "of one period"
+        yield Flaw(
+            "load.latency_ticks",
+            f"{load.latency_ticks} must be below the {ticks} ticks of one period",
         )
 
 
-def _check_command_signals(configuration: Configuration) -> None:
-    command = configuration.signals.command
-    in_daemon = configuration.voltage_loop.where == "daemon"
-    needed = "current_scale_S" if in_daemon else "boost_reference_V"
+def _command_flaws(configuration: Configuration) -> Iterator[Flaw]:
+    where = configuration.voltage_loop.where
+    needed = "current_scale_S" if where == "daemon" else "boost_reference_V"
     for name in (needed, "bridge"):
-        if getattr(command, name) is None:
-            raise ValueError(
-                f"signals.command.{name} is missing: voltage_loop.where = "
-                f"{configuration.voltage_loop.where!r} needs it"
+        if getattr(configuration.signals.command, name) is None:
+            yield Flaw(
+                f"signals.command.{name}", f"is missing: voltage_loop.where = {where!r} needs it"
             )
 
 
-def _check_trip_levels(configuration: Configuration) -> None:
-    highest = configuration.drive.limits.boost_reference_max_V
-    trip = configuration.interlocks.boost_voltage_max_V
-    if trip <= highest:
-        raise ValueError(
-            f"interlocks.boost_voltage_max_V = {trip} must be above "
-            f"drive.limits.boost_reference_max_V = {highest}"
-        )
-    if configuration.interlocks.output_max <= configuration.load.reference_max:
-        raise ValueError(
-            f"interlocks.output_max = {configuration.interlocks.output_max} must be above "
-            f"load.reference_max = {configuration.load.reference_max}"
-        )
+def _trip_flaws(configuration: Configuration) -> Iterator[Flaw]:
+    interlocks = configuration.interlocks
+    limits = {
+        "boost_voltage_max_V": (
+            "drive.limits.boost_reference_max_V",
+            configuration.drive.limits.boost_reference_max_V,
+        ),
+        "output_max": ("load.reference_max", configuration.load.reference_max),
+    }
+    for name, (limit, highest) in limits.items():
+        trip = getattr(interlocks, name)
+        if trip <= highest:
+            yield Flaw(f"interlocks.{name}", f"{trip} must be above {limit} = {highest}")

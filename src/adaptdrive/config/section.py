@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from adaptdrive.errors import Flaw
 
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 FiniteFloat = Annotated[float, Field(allow_inf_nan=False)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
+FilePath = Annotated[Path, Field(strict=False)]  # TOML has no paths, only strings
 
 
 class Section(BaseModel):
-    """One table of the configuration file: immutable, and unknown keys are errors."""
+    """One table of the configuration file: immutable, and unknown keys are errors.
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=False)
+    Types are those of TOML: neither `"1883"` nor `true` is a number.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class Range(Section):
@@ -22,3 +31,16 @@ class Range(Section):
 
     low: FiniteFloat = Field(description="lower end")
     high: FiniteFloat = Field(description="upper end")
+
+
+def inconsistent(flaws: Sequence[Flaw]) -> ValidationError:
+    """The error of a validator that found several flaws, each in its own place."""
+    details = [
+        InitErrorDetails(
+            type=PydanticCustomError("inconsistent", "{message}", {"message": flaw.message}),
+            loc=tuple(flaw.place.split(".")),
+            input=None,
+        )
+        for flaw in flaws
+    ]
+    return ValidationError.from_exception_data("configuration", details)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from pydantic import Field
 
-from adaptdrive.config.section import FiniteFloat, PositiveFloat, Section
+from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Section
 
 
 class Interlocks(Section):
@@ -26,9 +24,9 @@ class Mqtt(Section):
     host: str = Field(default="127.0.0.1", description="broker")
     port: int = Field(default=1883, ge=1, le=65535, description="port of the broker")
     tls: bool = Field(default=False, description="speak TLS")
-    ca_file: Path | None = Field(default=None, description="certificate authority for TLS")
+    ca_file: FilePath | None = Field(default=None, description="certificate authority for TLS")
     username: str | None = Field(default=None, description="user name")
-    password_file: Path | None = Field(default=None, description="file that holds the password")
+    password_file: FilePath | None = Field(default=None, description="file that holds the password")
     telemetry_Hz: float = Field(
         default=10.0, gt=0.0, le=10.0, description="rate of `telemetry/drive`"
     )
@@ -38,7 +36,7 @@ class Recording(Section):
     """`[recording]`: what is kept of a session."""
 
     enabled: bool = Field(default=True, description="record sessions")
-    directory: Path | None = Field(
+    directory: FilePath | None = Field(
         default=None, description="where sessions lie; $STATE_DIRECTORY/sessions or ./sessions"
     )
     flush_s: PositiveFloat = Field(default=2.0, description="longest time data stay unwritten")
