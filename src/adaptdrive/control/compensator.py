@@ -1,11 +1,15 @@
 """The load loop's control law, on a history that every law shares.
 
-    u[k] = - Σ r_i u[k-i] + t0 r[k] - Σ s_j y[k-j]          t0 = Σ s_j,  1 + Σ r_i = 0
+    u[k] = - Σ r_i u[k-i] + t0 r'[k] - Σ s_j y[k-j]         t0 = Σ s_j,  1 + Σ r_i = 0
+    r'[k] = r[k] + d (r[k] - r[k-1])
 
 (26) with (28) as corrected, and (14), are of this form. The history holds the inputs that were
 really applied: limited ones, and measured ones where the drive could not follow. That is the
 anti-windup. Because Σ r_i = -1 and t0 = Σ s_j, any gains give the same u at rest with zero error:
 that is what makes a change of gains bumpless.
+
+The loop acts d slow periods late. The lead d on a change of the reference makes up for it: the
+response is that of the loop without delay, to first order.
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ def control_law(gains: Vector, inputs: Vector, outputs: Vector, reference: float
         gains: r_1 ... r_n, s_0 ... s_m.
         inputs: u[k-1] ... u[k-n], as applied.
         outputs: y[k] ... y[k-m].
-        reference: r[k].
+        reference: r'[k].
     """
     result = 0.0
     for i in range(len(inputs)):
@@ -28,3 +32,14 @@ def control_law(gains: Vector, inputs: Vector, outputs: Vector, reference: float
     for j in range(len(outputs)):
         result += gains[len(inputs) + j] * (reference - outputs[j])
     return result
+
+
+def lead_reference(reference: float, last_reference: float, lead: float) -> float:
+    """r'[k].
+
+    Args:
+        reference: r[k].
+        last_reference: r[k-1].
+        lead: d, delay of the loop in slow periods; 0 for none.
+    """
+    return reference + lead * (reference - last_reference)

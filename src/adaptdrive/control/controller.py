@@ -13,6 +13,7 @@ from adaptdrive.control import fast_half as fast
 from adaptdrive.control.charging import is_complete
 from adaptdrive.control.estimator import input_offset, parameter_deviations
 from adaptdrive.control.load import Load, to_input, to_voltage
+from adaptdrive.control.screen import pass_sample
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import (
     SAFE_COMMAND,
@@ -126,7 +127,10 @@ class Controller:
         load_input = to_input(measurement.boost_voltage_V, load.input_gain, load.input_exponent)
         elapsed = measurement.tick - state.tick
         if elapsed > 0:
-            fast.filter_sample(bank, measurement.output, load_input, elapsed)
+            output = measurement.output
+            if rates.clip > 0.0:
+                output = pass_sample(bank.screen, output, rates.clip)
+            fast.filter_sample(bank, output, load_input, elapsed)
         fast.count_tick(state, measurement.boost_voltage_V, measurement.fresh)
         into_period = measurement.tick % rates.ticks_per_period
         if into_period == 0 or into_period > rates.ticks_per_period - rates.samples:

@@ -25,6 +25,14 @@ def loop_delay_ticks(rates: Rates) -> float:
     return delay - 0.5 if rates.samples > 1 else delay
 
 
+def reference_lead(settings: ControllerSettings) -> float:
+    """Delay from a decision to its mean effect, in slow periods; the paper leaves it out."""
+    if not settings.exact:
+        return 0.0
+    rates = settings.rates
+    return (rates.latency_ticks + LAG_TICKS) / rates.ticks_per_period
+
+
 def window_ticks(rates: Rates) -> float:
     """Length of the averaging window, 0 for a single sample."""
     return float(rates.samples) if rates.samples > 1 else 0.0

@@ -143,6 +143,9 @@ def learn(state: EstimatorState, learning: Learning, output: float, usable: bool
     rls.update(
         state.theta, state.upper, state.diagonal, state.regressor, target, learning.forgetting
     )
+    if learning.covariance_max > 0.0:
+        information = (1.0 - learning.forgetting) / learning.covariance_max
+        rls.bound(state.upper, state.diagonal, information)
     _watch_residual(state, learning.forgetting, innovation)
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from adaptdrive.control import voltage_loop
 from adaptdrive.control.lambda_filter import advance, chain_decay, ramp_gains, step_gains
 from adaptdrive.control.load import Load, to_input
+from adaptdrive.control.screen import WIDE, Screen
 from adaptdrive.control.settings import ControllerSettings, PowerStage
 from adaptdrive.control.vectors import Vector
 
@@ -33,6 +34,7 @@ class FilterBank:
         load_input: u at the last tick.
         sums: Sums over the window: y, λy ... λ^m y, u, λu ... λ^m u.
         count: Samples in `sums`.
+        screen: What stands in front of the output's chain.
     """
 
     decay: Vector
@@ -44,6 +46,7 @@ class FilterBank:
     load_input: float
     sums: Vector
     count: int
+    screen: Screen
 
 
 @dataclass(slots=True)
@@ -89,6 +92,7 @@ def new_filter_bank(
         load_input=load_input,
         sums=[0.0] * (2 * order + 2),
         count=0,
+        screen=Screen(output, 0.0, WIDE * abs(output)),
     )
     tune_filters(bank, tick_period_s, tau_lambda_s)
     return bank

@@ -77,18 +77,37 @@ def update(
     Returns:
         The innovation ε, before the update.
     """
-    size = len(theta)
     innovation = target - predict(theta, regressor)
-    gain = [0.0] * size
-    scale = forgetting
+    gain = [0.0] * len(theta)
+    scale = absorb(upper, diagonal, regressor, forgetting, gain)
+    for i in range(len(theta)):
+        diagonal[i] = min(diagonal[i] / forgetting, max(diagonal[i], COVARIANCE_CEILING))
+        theta[i] += gain[i] / scale * innovation
+    return innovation
+
+
+def absorb(upper: Vector, diagonal: Vector, regressor: Vector, noise: float, gain: Vector) -> float:
+    """P <- P - P r rᵀ P / (noise + rᵀ P r), in factored form (Bierman's update).
+
+    Args:
+        upper: U, overwritten.
+        diagonal: D, overwritten.
+        regressor: r.
+        noise: Variance that stands for the sample's noise.
+        gain: P r of the old P, overwritten.
+
+    Returns:
+        noise + rᵀ P r of the old P.
+    """
+    size = len(regressor)
+    scale = noise
     for j in range(size):
         f = regressor[j]
         for i in range(j):
             f += upper[i * size + j] * regressor[i]
         v = diagonal[j] * f
         grown = scale + f * v
-        shrunk = diagonal[j] * scale / grown
-        diagonal[j] = min(shrunk / forgetting, max(shrunk, COVARIANCE_CEILING))
+        diagonal[j] *= scale / grown
         gain[j] = v
         step = -f / scale
         for i in range(j):
@@ -96,9 +115,22 @@ def update(
             upper[i * size + j] = old + gain[i] * step
             gain[i] += old * v
         scale = grown
+    return scale
+
+
+def bound(upper: Vector, diagonal: Vector, information: float) -> None:
+    """P⁻¹ <- P⁻¹ + information · I: keeps P bounded where nothing excites it.
+
+    With information = (1 - ρ)/p after every update by forgetting ρ this is exponential resetting:
+    P stays below p · I for ever (Salgado, Goodwin and Middleton, Int. J. Control 47, 1988).
+    """
+    size = len(diagonal)
+    unit = [0.0] * size
+    gain = [0.0] * size
     for i in range(size):
-        theta[i] += gain[i] / scale * innovation
-    return innovation
+        unit[i] = 1.0
+        absorb(upper, diagonal, unit, 1.0 / information, gain)
+        unit[i] = 0.0
 
 
 def covariance(upper: Vector, diagonal: Vector) -> Vector:

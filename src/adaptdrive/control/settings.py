@@ -40,6 +40,7 @@ class Rates:
         ticks_per_period: Q.
         latency_ticks: L, fast ticks from a snapshot to the effect of its decision.
         samples: Fast samples averaged for a slow one.
+        clip: Fast samples are clipped to this many mean deviations about their prediction; 0 not.
         nominal_tick_s: Half a line cycle at nominal frequency.
     """
 
@@ -47,6 +48,7 @@ class Rates:
     latency_ticks: int
     samples: int
     nominal_tick_s: float
+    clip: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +66,7 @@ class Learning:
         output_scale: Output of order one, for the conditioning of P.
         input_scale: Input of order one.
         start_at_nominal: Whether θ starts at the nominal model, else at 0.
+        covariance_max: Bound of P for exponential resetting; 0 for plain forgetting.
         bias: Whether a constant is estimated too: a load torque, an EMF, an offset of a sensor.
     """
 
@@ -77,6 +80,7 @@ class Learning:
     output_scale: float
     input_scale: float
     start_at_nominal: bool
+    covariance_max: float = 0.0
     bias: bool = False
 
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from adaptdrive.control import estimator as est
 from adaptdrive.control import supervisor as sup
 from adaptdrive.control.charging import ChargeState, taper, terminal_voltage
-from adaptdrive.control.compensator import control_law
-from adaptdrive.control.design import compensator_gains, discrete_model, past_inputs
+from adaptdrive.control.compensator import control_law, lead_reference
+from adaptdrive.control.design import compensator_gains, discrete_model, past_inputs, reference_lead
 from adaptdrive.control.load import Load, to_input
 from adaptdrive.control.pole_placement import closed_loop_polynomial
 from adaptdrive.control.settings import ControllerSettings
@@ -44,6 +44,7 @@ class SlowState:
         estimator: The estimator.
         supervisor: The supervisor.
         charge: The charger of a battery.
+        reference: r[k-1], NaN before the first.
     """
 
     inputs: Vector
@@ -60,6 +61,7 @@ class SlowState:
     estimator: est.EstimatorState
     supervisor: sup.SupervisorState
     charge: ChargeState
+    reference: float
 
 
 @dataclass(slots=True)
@@ -117,6 +119,7 @@ def new_slow_state(
         estimator=est.new_estimator(settings.learning, load, taps),
         supervisor=sup.SupervisorState(),
         charge=ChargeState(max(0.0, output)),
+        reference=math.nan,
     )
 
 
@@ -139,7 +142,10 @@ def slow_step(
     _take_sample(settings, load, state, sample)
     _design_fixed(settings, load, state, sample)
     _adapt(settings, load, state, sample)
-    return _act(state, sample, _governed_reference(load, state, sample))
+    reference = _governed_reference(load, state, sample)
+    last = state.reference if math.isfinite(state.reference) else reference
+    state.reference = reference
+    return _act(state, sample, lead_reference(reference, last, reference_lead(settings)))
 
 
 def _take_sample(

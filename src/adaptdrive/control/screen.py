@@ -1,0 +1,63 @@
+"""The screen in front of the filters: spikes are clipped, honest changes pass.
+
+A tracker predicts each fast sample from level and slope (an α-β filter) and keeps the mean
+absolute deviation s of the samples from their prediction:
+
+    e = y - (ŷ + v)          e_c = e clipped to ± c s
+    ŷ <- ŷ + v + α e_c       v <- v + β e_c       s <- s + γ (min(|e|, 2 c s) - s)
+
+The sample that goes on is ŷ + v + e_c. A spike counts as c deviations and no more; a lasting
+change widens s with every sample, so that the screen opens within a fraction of a second. For
+Gaussian noise s is 0.8 σ. (Huber, Ann. Math. Statist. 35, 1964, doi:10.1214/aoms/1177703732.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+ALPHA = 0.1
+BETA = ALPHA * ALPHA / (2.0 - ALPHA)
+GAMMA = 0.02
+
+WIDE = 0.01
+"""Deviation to start with, as a share of the output: wide enough for an honest first second."""
+
+_NARROWEST = 1e-9
+
+
+@dataclass(slots=True)
+class Screen:
+    """What the screen remembers.
+
+    Attributes:
+        level: ŷ.
+        slope: v, per tick.
+        deviation: s.
+        clipped: Samples clipped since start.
+    """
+
+    level: float
+    slope: float
+    deviation: float
+    clipped: int = 0
+
+
+def pass_sample(screen: Screen, sample: float, clip: float) -> float:
+    """One fast sample, clipped.
+
+    Args:
+        screen: Overwritten.
+        sample: y.
+        clip: c.
+    """
+    predicted = screen.level + screen.slope
+    error = sample - predicted
+    limit = clip * screen.deviation
+    kept = min(max(error, -limit), limit)
+    if kept != error:
+        screen.clipped += 1
+    screen.level = predicted + ALPHA * kept
+    screen.slope += BETA * kept
+    seen = min(abs(error), 2.0 * limit)
+    screen.deviation = max(_NARROWEST, screen.deviation + GAMMA * (seen - screen.deviation))
+    return predicted + kept
