@@ -1,0 +1,79 @@
+"""The command `adaptdrive`: one clear line for every error, and a status that scripts can use."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from cyclopts import App, CycloptsError, UnknownCommandError
+
+from adaptdrive import __version__
+from adaptdrive.errors import AdaptdriveError, ConfigurationError
+
+FAILED = 1
+UNUSABLE = 2
+INTERRUPTED = 130
+
+_COMMANDS = {
+    "run": ("daemon", "Run the daemon for one drive until it is told to stop."),
+    "check": ("configuration", "Validate a configuration; list every error with its place."),
+    "schema": ("configuration", "Print the JSON Schema of the configuration, for editors."),
+    "probe": ("daemon", "Show decoded measurements from the bus; command nothing."),
+    "replay": ("daemon", "Run the controller again on a recorded session."),
+    "status": ("operate", "Show what a drive says about itself."),
+    "setpoint": ("operate", "Hold a constant set-point."),
+    "waveform": ("operate", "Follow a periodic set-point, or stop following it."),
+    "pole": ("operate", "Choose the closed-loop pole of the load loop."),
+    "mode": ("operate", "Choose the fixed or the adaptive controller."),
+    "enable": ("operate", "Energise a drive and hold the present output."),
+    "disable": ("operate", "Bring a drive into its safe state."),
+    "reset": ("operate", "Leave a trip whose cause is gone."),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Args:
+        arguments: Words after the program's name; those of this process when None.
+
+    Returns:
+        The exit status: 0 done or accepted, 1 failed or refused, 2 unusable arguments or
+        configuration, 3 no answer, 130 interrupted.
+    """
+    try:
+        outcome = _app()(arguments)
+    except UnknownCommandError as problem:
+        words = " ".join(problem.unused_tokens or ())
+        return _complain(f"unknown command {words!r}; see adaptdrive --help", UNUSABLE)
+    except CycloptsError as problem:
+        return _complain(" ".join(str(problem).split()), UNUSABLE)
+    except ConfigurationError as problem:
+        return _complain(str(problem), UNUSABLE)
+    except AdaptdriveError as problem:
+        return _complain(str(problem), FAILED)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    return outcome if isinstance(outcome, int) else 0
+
+
+def _app() -> App:
+    app = App(
+        name="adaptdrive",
+        help="Adaptive control of speed, temperature and charge behind a power-electronic drive.",
+        version=__version__,
+        print_error=False,
+        exit_on_error=False,
+        suppress_keyboard_interrupt=False,
+        result_action="return_value",
+    )
+    for name, (module, purpose) in _COMMANDS.items():
+        # By name, so that a command imports what it needs and no other command does.
+        app.command(f"adaptdrive.cli.{module}:{name}", name=name, help=purpose)
+    return app
+
+
+def _complain(text: str, status: int) -> int:
+    for line in text.splitlines():
+        print(f"adaptdrive: {line}", file=sys.stderr)
+    return status

@@ -1,0 +1,28 @@
+"""Commands that read a configuration and nothing else."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from adaptdrive.config import Configuration, load_configuration
+
+
+def check(config: Path, /) -> int:
+    """Validate a configuration; list every error with its place.
+
+    Args:
+        config: Configuration file.
+
+    Returns:
+        0 when it can be used; otherwise `ConfigurationError` lists what is wrong.
+    """
+    configuration = load_configuration(config)
+    print(f"{config}: drive {configuration.drive.name} is configured correctly")
+    return 0
+
+
+def schema() -> int:
+    """Print the JSON Schema of the configuration, for editors."""
+    print(json.dumps(Configuration.model_json_schema(), indent=2, ensure_ascii=False))
+    return 0

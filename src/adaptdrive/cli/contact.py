@@ -1,0 +1,73 @@
+"""How an operator's command reaches the broker: options that all of them share."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from adaptdrive.config.services import Mqtt
+
+_ADDRESS = re.compile(r"(?P<host>\[[^\]]+\]|[^:\[\]/\s]+)(:(?P<port>\d{1,5}))?")
+_DRIVE = re.compile(r"[A-Za-z0-9_-]{1,64}")
+_PORT, _TLS_PORT, _HIGHEST_PORT = 1883, 8883, 65535
+
+
+def _check_address(_: object, text: str) -> None:
+    match = _ADDRESS.fullmatch(text)
+    if match is None or not 1 <= int(match["port"] or _PORT) <= _HIGHEST_PORT:
+        raise ValueError("A broker is given as HOST or HOST:PORT.")
+
+
+def _check_drive(_: object, name: str) -> None:
+    if _DRIVE.fullmatch(name) is None:
+        raise ValueError("The name of a drive has 1 to 64 letters, digits, '-' and '_'.")
+
+
+def _check_timeout(_: object, timeout: float) -> None:
+    if not 0.0 < timeout < float("inf"):
+        raise ValueError("A timeout is a positive number of seconds.")
+
+
+DriveName = Annotated[str, Parameter(validator=_check_drive)]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """Where the broker is and how long to wait.
+
+    Attributes:
+        broker: Broker as HOST or HOST:PORT.
+        timeout: Seconds to wait for the answer.
+        username: User name at the broker.
+        password_file: File that holds the password.
+        tls: Speak TLS.
+        ca_file: Certificate authority for TLS.
+    """
+
+    broker: Annotated[str, Parameter(validator=_check_address, env_var="ADAPTDRIVE_BROKER")] = (
+        "127.0.0.1:1883"
+    )
+    timeout: Annotated[float, Parameter(validator=_check_timeout)] = 5.0
+    username: str | None = None
+    password_file: Path | None = None
+    tls: bool = False
+    ca_file: Path | None = None
+
+    @property
+    def settings(self) -> Mqtt:
+        """The broker, in the words of the configuration."""
+        match = _ADDRESS.fullmatch(self.broker)
+        host, port = (match["host"], match["port"]) if match else (self.broker, None)
+        return Mqtt(
+            host=host.strip("[]"),
+            port=int(port or (_TLS_PORT if self.tls else _PORT)),
+            tls=self.tls,
+            ca_file=self.ca_file,
+            username=self.username,
+            password_file=self.password_file,
+        )

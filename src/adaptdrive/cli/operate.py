@@ -1,0 +1,155 @@
+"""Operator commands: each asks one drive over MQTT and waits for its reply.
+
+They return 0 when the drive accepted, 1 when it refused, 3 when there was no answer.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from dataclasses import asdict
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from adaptdrive.cli.contact import Contact, DriveName
+from adaptdrive.cli.display import describe
+from adaptdrive.operation.client import NoAnswerError, read_status, send_command
+from adaptdrive.operation.messages import ONLINE
+
+ACCEPTED, REFUSED, NO_ANSWER = 0, 1, 3
+_HERE = Contact()
+
+
+def setpoint(drive: DriveName, value: float, /, *, contact: Contact = _HERE) -> int:
+    """Hold a constant set-point.
+
+    Args:
+        drive: Name of the drive.
+        value: Set-point in the unit of the output.
+        contact: Broker.
+    """
+    return _ask(drive, "setpoint", value, contact)
+
+
+def waveform(  # noqa: PLR0913 - the words of the command line
+    drive: DriveName,
+    shape: Literal["square", "sine", "triangle", "off"],
+    low: float | None = None,
+    high: float | None = None,
+    period: float | None = None,
+    /,
+    *,
+    contact: Contact = _HERE,
+) -> int:
+    """Follow a periodic set-point, or stop following it.
+
+    Args:
+        drive: Name of the drive.
+        shape: Form of one period; `off` holds the present set-point.
+        low: Lowest value in the unit of the output.
+        high: Highest value in the unit of the output.
+        period: Length of one period in seconds.
+        contact: Broker.
+    """
+    numbers = {"low": low, "high": high, "period_s": period}
+    if shape == "off":
+        return _ask(drive, "waveform", None, contact)
+    if None in numbers.values():
+        print(f"adaptdrive: waveform {shape} needs LOW, HIGH and PERIOD", file=sys.stderr)
+        return 2
+    return _ask(drive, "waveform", {"shape": shape, **numbers}, contact)
+
+
+def pole(drive: DriveName, value: float, /, *, contact: Contact = _HERE) -> int:
+    """Choose the closed-loop pole of the load loop.
+
+    Args:
+        drive: Name of the drive.
+        value: Pole in the z-plane of the slow rate, between 0 (fast) and 1 (slow).
+        contact: Broker.
+    """
+    return _ask(drive, "pole", value, contact)
+
+
+def mode(
+    drive: DriveName, value: Literal["fixed", "adaptive"], /, *, contact: Contact = _HERE
+) -> int:
+    """Choose the controller.
+
+    Args:
+        drive: Name of the drive.
+        value: The controller.
+        contact: Broker.
+    """
+    return _ask(drive, "mode", value, contact)
+
+
+def enable(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
+    """Energise the drive and hold the present output.
+
+    Args:
+        drive: Name of the drive.
+        contact: Broker.
+    """
+    return _ask(drive, "enable", None, contact)
+
+
+def disable(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
+    """Bring the drive into its safe state.
+
+    Args:
+        drive: Name of the drive.
+        contact: Broker.
+    """
+    return _ask(drive, "disable", None, contact)
+
+
+def reset(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
+    """Leave a trip whose cause is gone.
+
+    Args:
+        drive: Name of the drive.
+        contact: Broker.
+    """
+    return _ask(drive, "reset", None, contact)
+
+
+def status(
+    drive: DriveName,
+    /,
+    *,
+    as_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
+    contact: Contact = _HERE,
+) -> int:
+    """Show what a drive says about itself.
+
+    Args:
+        drive: Name of the drive.
+        as_json: Print the payloads as they came.
+        contact: Broker.
+    """
+    try:
+        found = asyncio.run(read_status(contact.settings, drive, contact.timeout))
+    except NoAnswerError as problem:
+        return _no_answer(problem)
+    print(json.dumps(asdict(found), indent=2) if as_json else describe(drive, found))
+    return ACCEPTED if found.availability == ONLINE.decode() else NO_ANSWER
+
+
+def _ask(drive: str, verb: str, value: object, contact: Contact) -> int:
+    try:
+        reply = asyncio.run(send_command(contact.settings, drive, verb, value, contact.timeout))
+    except NoAnswerError as problem:
+        return _no_answer(problem)
+    if reply.accepted:
+        print(f"{drive}: {verb} accepted, {reply.state}")
+        return ACCEPTED
+    print(f"adaptdrive: {drive} refused {verb}: {reply.reason}", file=sys.stderr)
+    return REFUSED
+
+
+def _no_answer(problem: NoAnswerError) -> int:
+    print(f"adaptdrive: {problem}", file=sys.stderr)
+    return NO_ANSWER

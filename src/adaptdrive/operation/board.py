@@ -1,0 +1,84 @@
+"""What waits to be shown: the present state, and telemetry that nobody has seen yet."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from datetime import datetime
+from typing import Generic, TypeVar
+
+from adaptdrive.operation.clock import Synchronisation, WallClock
+from adaptdrive.operation.messages import StateMessage, state_message
+from adaptdrive.runtime.reports import State, StateReport
+
+T = TypeVar("T")
+
+
+class Mailbox(Generic[T]):
+    """A bounded queue between two tasks; the oldest goes when it is full."""
+
+    def __init__(self, size: int) -> None:
+        self._items: deque[T] = deque(maxlen=size)
+        self._filled = asyncio.Event()
+
+    def put(self, item: T) -> None:
+        """Leave an item."""
+        self._items.append(item)
+        self._filled.set()
+
+    async def take(self) -> T:
+        """Wait for the oldest item and take it."""
+        await self._filled.wait()
+        item = self._items.popleft()
+        if not self._items:
+            self._filled.clear()
+        return item
+
+    def clear(self) -> None:
+        """Throw everything away."""
+        self._items.clear()
+        self._filled.clear()
+
+
+class StateBoard:
+    """The state as operators see it; its time moves only when something else does."""
+
+    def __init__(self, wall: WallClock) -> None:
+        self._wall = wall
+        self._report: StateReport | None = None
+        self._clock = Synchronisation.UNKNOWN
+        self._since: datetime = wall()
+        self._changed = asyncio.Event()
+
+    @property
+    def state(self) -> State | None:
+        """State of the state machine, None before the first report."""
+        return self._report.state if self._report else None
+
+    @property
+    def message(self) -> StateMessage | None:
+        """What is to be published, None before the first report."""
+        if self._report is None:
+            return None
+        return state_message(self._report, self._clock, self._since)
+
+    def show(self, report: StateReport) -> None:
+        """Take a report of the runtime."""
+        if report != self._report:
+            self._report = report
+            self._note_change()
+
+    def show_clock(self, clock: Synchronisation) -> None:
+        """Take the word of the wall clock's watcher."""
+        if clock is not self._clock:
+            self._clock = clock
+            self._note_change()
+
+    async def change(self) -> None:
+        """Wait until something is new since the last wait."""
+        await self._changed.wait()
+        self._changed.clear()
+
+    def _note_change(self) -> None:
+        self._since = self._wall()
+        self._changed.set()

@@ -1,0 +1,148 @@
+"""The operator's side of the MQTT contract: ask one drive, wait for its answer."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import uuid
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+from aiomqtt import Client, MqttError, ProtocolVersion
+
+from adaptdrive.config.services import Mqtt
+from adaptdrive.errors import AdaptdriveError
+from adaptdrive.operation.link import connection
+from adaptdrive.operation.messages import ONLINE, Reply
+from adaptdrive.operation.topics import Topics
+
+TELEMETRY_WAIT_S = 1.0
+
+
+class NoAnswerError(AdaptdriveError):
+    """A drive, or the broker in front of it, did not answer."""
+
+    def __init__(self, drive: str, problem: str) -> None:
+        self.drive = drive
+        self.problem = problem
+        super().__init__(f"{drive}: {problem}")
+
+
+@dataclass(slots=True)
+class Status:
+    """What a drive says about itself; each part None until it is heard.
+
+    Attributes:
+        availability: `online` or `offline`.
+        state: Payload of `state`.
+        telemetry: Payloads of `telemetry/load` and `telemetry/drive`, by their last part.
+    """
+
+    availability: str | None = None
+    state: dict[str, Any] | None = None
+    telemetry: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+
+async def send_command(
+    broker: Mqtt, drive: str, verb: str, value: object, timeout_s: float
+) -> Reply:
+    """Send one command and wait for the reply to it.
+
+    Args:
+        broker: Where the broker is.
+        drive: Name of the drive.
+        verb: What to do.
+        value: Value of the command, None for verbs that take none.
+        timeout_s: Longest wait for the reply.
+
+    Raises:
+        NoAnswerError: No reply in time, or no broker.
+    """
+    topics, identity = Topics(drive), str(uuid.uuid4())
+    command = json.dumps({"id": identity, "value": value})
+    async with _conversation(broker, drive) as client, asyncio.timeout(timeout_s):
+        await client.subscribe(topics.reply, qos=1)
+        await client.publish(topics.command(verb), command, qos=1)
+        async for message in client.messages:
+            reply = _reply(bytes(message.payload))
+            if reply is not None and reply.id == identity:
+                return reply
+    raise NoAnswerError(drive, "the broker closed the connection")
+
+
+async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> Status:
+    """What a drive says now: its retained state, and telemetry when some comes soon.
+
+    Args:
+        broker: Where the broker is.
+        drive: Name of the drive.
+        timeout_s: Longest wait for the retained state.
+
+    Raises:
+        NoAnswerError: No state in time, or no broker.
+    """
+    topics, status = Topics(drive), Status()
+    async with _conversation(broker, drive) as client:
+        async with asyncio.timeout(timeout_s):
+            await client.subscribe(topics.availability, qos=1)
+            await client.subscribe(topics.state, qos=1)
+            await _listen(client, topics, status, _complete)
+        if status.availability == ONLINE.decode():
+            await _add_telemetry(client, topics, status)
+    return status
+
+
+def _complete(status: Status) -> bool:
+    return status.state is not None and status.availability is not None
+
+
+async def _add_telemetry(client: Client, topics: Topics, status: Status) -> None:
+    with suppress(TimeoutError):
+        async with asyncio.timeout(TELEMETRY_WAIT_S):
+            await client.subscribe(topics.load_telemetry)
+            await client.subscribe(topics.drive_telemetry)
+            await _listen(client, topics, status, lambda status: len(status.telemetry) == 2)
+
+
+async def _listen(
+    client: Client, topics: Topics, status: Status, enough: Callable[[Status], bool]
+) -> None:
+    async for message in client.messages:
+        _note(message.topic.value, bytes(message.payload), topics, status)
+        if enough(status):
+            return
+
+
+def _note(topic: str, payload: bytes, topics: Topics, status: Status) -> None:
+    if topic == topics.availability:
+        status.availability = payload.decode("utf-8", "replace")
+        return
+    try:
+        content = msgspec.json.decode(payload, type=dict[str, Any])
+    except msgspec.DecodeError:
+        return
+    if topic == topics.state:
+        status.state = content
+    else:
+        status.telemetry[topic.rpartition("/")[2]] = content
+
+
+def _reply(payload: bytes) -> Reply | None:
+    try:
+        return msgspec.json.decode(payload, type=Reply)
+    except msgspec.DecodeError:
+        return None
+
+
+@asynccontextmanager
+async def _conversation(broker: Mqtt, drive: str) -> AsyncIterator[Client]:
+    try:
+        async with connection(broker, ProtocolVersion.V311, None, None) as client:
+            yield client
+    except TimeoutError as problem:
+        raise NoAnswerError(drive, f"no answer by way of {broker.host}:{broker.port}") from problem
+    except (MqttError, OSError) as problem:
+        raise NoAnswerError(drive, f"broker {broker.host}:{broker.port}: {problem}") from problem

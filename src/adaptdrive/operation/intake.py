@@ -1,0 +1,85 @@
+"""Takes the runtime's reports as they come, stamps them, and lays them out for sending.
+
+It never waits for the broker. A report carries the time of its arrival from here on, however
+long it then waits, so that nothing old is ever sent as new.
+"""
+
+from __future__ import annotations
+
+from typing import assert_never
+
+from adaptdrive.operation.board import Mailbox, StateBoard
+from adaptdrive.operation.clock import WallClock
+from adaptdrive.operation.messages import (
+    DriveMessage,
+    LoadMessage,
+    drive_message,
+    encode,
+    event_message,
+    load_message,
+)
+from adaptdrive.operation.outbox import Outbox
+from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.reports import (
+    DriveReport,
+    Event,
+    LoadReport,
+    Report,
+    StateReport,
+    TickReport,
+)
+
+REPORTS_HELD = 256
+LOAD_MESSAGES_HELD = 16
+
+
+class Intake:
+    """Where reports arrive.
+
+    Attributes:
+        board: The present state.
+        outbox: Events that the broker has not taken yet.
+        load: Slow periods not sent yet.
+        drive: The newest word of the fast loop, unless sent.
+    """
+
+    def __init__(self, hub: Hub, board: StateBoard, outbox: Outbox, wall: WallClock) -> None:
+        self.board = board
+        self.outbox = outbox
+        self.load: Mailbox[LoadMessage] = Mailbox(LOAD_MESSAGES_HELD)
+        self.drive: Mailbox[DriveMessage] = Mailbox(1)
+        self._wall = wall
+        self._reports = hub.subscribe(
+            StateReport, LoadReport, DriveReport, Event, size=REPORTS_HELD
+        )
+
+    async def run(self) -> None:
+        """Take reports until cancelled."""
+        while True:
+            for report in await self._reports.take():
+                self._lay_out(report)
+
+    def catch_up(self) -> None:
+        """Take what has arrived, without waiting for more."""
+        for report in self._reports.drain():
+            self._lay_out(report)
+
+    def forget_telemetry(self) -> None:
+        """Throw away telemetry that was not sent in time."""
+        self.load.clear()
+        self.drive.clear()
+
+    def _lay_out(self, report: Report) -> None:
+        match report:
+            case StateReport():
+                self.board.show(report)
+            case LoadReport():
+                self.load.put(load_message(report, self._wall()))
+            case DriveReport():
+                self.drive.put(drive_message(report, self._wall()))
+            case Event():
+                self.outbox.append(encode(event_message(report, self._wall())))
+            case TickReport():
+                pass
+            case _:
+                assert_never(report)

@@ -1,0 +1,217 @@
+"""The connection to a broker: made, kept, and made again."""
+
+from __future__ import annotations
+
+import asyncio
+import ssl
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+import structlog
+from aiomqtt import Client, MqttError, ProtocolVersion, Will
+from aiomqtt.exceptions import MqttConnectError
+from paho.mqtt.reasoncodes import ReasonCode
+
+from adaptdrive.config.services import Mqtt
+from adaptdrive.operation.clock import Monotonic
+from adaptdrive.operation.pace import Backoff
+from adaptdrive.operation.steady import SteadyClient
+
+TIMEOUT_S = 5.0
+GOODBYE_S = 1.0
+KEEP_ALIVE_S = 15
+LARGEST_BACKLOG = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """An open connection to a broker.
+
+    Attributes:
+        client: The connected client.
+        protocol: The MQTT version that the broker agreed to.
+    """
+
+    client: Client
+    protocol: ProtocolVersion
+
+
+Serve = Callable[[Line], Awaitable[None]]
+"""Uses a line; ends with `MqttError` when it is lost."""
+
+_UNSUPPORTED_PROTOCOL = (1, 132)  # in the words of MQTT 3.1.1 and of MQTT 5
+
+
+class Link:
+    """Keeps one client connected for as long as it runs."""
+
+    def __init__(
+        self,
+        settings: Mqtt,
+        identifier: str,
+        will: Will,
+        backoff: Backoff,
+        monotonic: Monotonic,
+    ) -> None:
+        self._settings = settings
+        # One name per drive: a new connection then ends the old one, and its last will with it.
+        self._identifier = identifier
+        self._will = will
+        self._backoff = backoff
+        self._monotonic = monotonic
+        self._since_s: float | None = None
+        self._problem = ""
+        self._log = structlog.get_logger().bind(broker=f"{settings.host}:{settings.port}")
+
+    async def run(self, serve: Serve) -> NoReturn:
+        """Connect, serve until the connection is lost, wait, and so on until cancelled.
+
+        Args:
+            serve: Called with each line that opens.
+        """
+        while True:
+            try:
+                await _contained(self._serve_once(serve))
+            except* (MqttError, OSError) as problems:
+                self._report(_first(problems))
+            lived_s = 0.0 if self._since_s is None else self._monotonic() - self._since_s
+            await asyncio.sleep(self._backoff.after(lived_s))
+
+    async def _serve_once(self, serve: Serve) -> None:
+        self._since_s = None
+        await self._serve_with(await self._agree(), serve)
+
+    async def _agree(self) -> ProtocolVersion:
+        """Find the newest protocol of the broker.
+
+        It is asked without a last will: brokers that know only the older protocol take the will
+        of the newer one for garbage and hang up, instead of naming the reason.
+        """
+        probe = f"{self._identifier}-probe"
+        try:
+            async with connection(self._settings, ProtocolVersion.V5, probe, None):
+                return ProtocolVersion.V5
+        except MqttConnectError as refusal:
+            if not _speaks_only_older(refusal):
+                raise
+            return ProtocolVersion.V311
+
+    async def _serve_with(self, protocol: ProtocolVersion, serve: Serve) -> None:
+        async with connection(self._settings, protocol, self._identifier, self._will) as client:
+            self._since_s = self._monotonic()
+            self._problem = ""
+            self._log.info("broker connected", protocol=protocol.name)
+            await serve(Line(client, protocol))
+
+    def _report(self, problem: BaseException) -> None:
+        text = str(problem) or type(problem).__name__
+        if text != self._problem:
+            self._problem = text
+            self._log.warning("broker lost", problem=text)
+
+
+@asynccontextmanager
+async def connection(
+    settings: Mqtt, protocol: ProtocolVersion, identifier: str | None, will: Will | None
+) -> AsyncIterator[Client]:
+    """One connection to a broker, closed at the end whatever state it is in.
+
+    It ends with a goodbye unless an error ends it: then the broker sends the last will.
+
+    Args:
+        settings: Where the broker is and who we are.
+        protocol: MQTT version.
+        identifier: Client identifier, None for a random one.
+        will: What the broker shall say when the connection breaks.
+
+    Raises:
+        MqttError: The broker cannot be reached or refuses.
+        OSError: The password or a certificate cannot be read.
+    """
+    client = await _client(settings, protocol, identifier, will)
+    try:
+        await _enter(client)
+        try:
+            yield client
+        except asyncio.CancelledError:
+            await _say_goodbye(client)
+            raise
+        await _say_goodbye(client)
+    finally:
+        await client.release()
+
+
+async def _client(
+    settings: Mqtt, protocol: ProtocolVersion, identifier: str | None, will: Will | None
+) -> SteadyClient:
+    password, tls = await asyncio.to_thread(_secrets, settings)
+    return SteadyClient(
+        settings.host,
+        settings.port,
+        username=settings.username,
+        password=password,
+        tls_context=tls,
+        identifier=identifier,
+        will=will,
+        protocol=protocol,
+        timeout=TIMEOUT_S,
+        keepalive=KEEP_ALIVE_S,
+        max_queued_incoming_messages=LARGEST_BACKLOG,
+    )
+
+
+def _secrets(settings: Mqtt) -> tuple[str | None, ssl.SSLContext | None]:
+    password = None
+    if settings.password_file is not None:
+        password = settings.password_file.read_text(encoding="utf-8").rstrip("\r\n")
+    tls = ssl.create_default_context(cafile=settings.ca_file) if settings.tls else None
+    return password, tls
+
+
+async def _enter(client: Client) -> None:
+    """Connect; a cancelled attempt is waited for, as its thread cannot be stopped."""
+    attempt = asyncio.ensure_future(client.__aenter__())
+    try:
+        await asyncio.shield(attempt)
+    except asyncio.CancelledError:
+        await asyncio.wait([attempt])
+        if not attempt.cancelled():
+            attempt.exception()
+        raise
+
+
+async def _say_goodbye(client: Client) -> None:
+    with suppress(MqttError, TimeoutError):
+        async with asyncio.timeout(GOODBYE_S):
+            await client.__aexit__(None, None, None)
+
+
+async def _contained(work: Coroutine[Any, Any, None]) -> None:
+    """Await work in a task of its own, so that a cancellation is never lost.
+
+    A task group that fails while it is being cancelled reports the failure only.
+    """
+    task = asyncio.create_task(work)
+    try:
+        await asyncio.wait([task])
+    except asyncio.CancelledError:
+        task.cancel()
+        await asyncio.wait([task])
+        if not task.cancelled():
+            task.exception()
+        raise
+    task.result()
+
+
+def _speaks_only_older(refusal: MqttConnectError) -> bool:
+    code = refusal.rc.value if isinstance(refusal.rc, ReasonCode) else refusal.rc
+    return code in _UNSUPPORTED_PROTOCOL
+
+
+def _first(problems: BaseExceptionGroup[BaseException]) -> BaseException:
+    problem: BaseException = problems
+    while isinstance(problem, BaseExceptionGroup):
+        problem = problem.exceptions[0]
+    return problem

@@ -1,0 +1,186 @@
+"""What the daemon says: the payloads of state, telemetry, events and replies.
+
+Payloads are JSON in SI units with RFC 3339 times in UTC. JSON knows no NaN and no infinity:
+the encoder writes both as null.
+"""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+import msgspec
+
+from adaptdrive.control.signals import Command, Estimate, Mode
+from adaptdrive.control.waveform import Waveform
+from adaptdrive.operation.clock import Synchronisation
+from adaptdrive.runtime.reports import (
+    DriveReport,
+    Event,
+    LoadReport,
+    Quantiles,
+    Severity,
+    State,
+    StateReport,
+)
+
+ONLINE = b"online"
+OFFLINE = b"offline"
+
+
+class StateMessage(msgspec.Struct, frozen=True):
+    """Payload of `state`; `time` is when it last changed."""
+
+    state: State
+    mode: Mode
+    controller: Mode
+    reason: str
+    enabled: bool
+    setpoint: float
+    waveform: Waveform | None
+    pole: float
+    trip: str | None
+    clock: Synchronisation
+    time: datetime
+
+
+class LoadMessage(msgspec.Struct, frozen=True):
+    """Payload of `telemetry/load`."""
+
+    time: datetime
+    k: int
+    reference: float
+    output: float
+    boost_reference_V: float
+    applied_V: float
+    estimates: dict[str, Estimate]
+    gains: tuple[float, ...]
+    excitation: float
+    innovation: float
+    accepted: bool
+    controller: Mode
+    mode: Mode
+    reason: str
+    handover_step_V: float
+    held_ticks: int
+
+
+class DriveMessage(msgspec.Struct, frozen=True):
+    """Payload of `telemetry/drive`; measured values are null before the first measurement."""
+
+    time: datetime
+    boost_voltage_V: float | None
+    line_voltage_V: float | None
+    load_power_W: float | None
+    output: float | None
+    age_s: float
+    command: Command
+    ticks: int
+    missed: int
+    held: int
+    lateness_us: Quantiles
+    turnaround_us: Quantiles
+    bus: dict[str, int]
+
+
+class EventMessage(msgspec.Struct, frozen=True):
+    """Payload of `event`."""
+
+    time: datetime
+    kind: str
+    severity: Severity
+    detail: str
+    tick: int
+
+
+class Reply(msgspec.Struct, frozen=True):
+    """Payload of `reply`.
+
+    Attributes:
+        id: Id of the command; a number only where a malformed command had one.
+        verb: What was asked.
+        accepted: Whether it was carried out.
+        reason: Why not; empty when it was.
+        state: State of the drive afterwards, None while it is not known yet.
+    """
+
+    id: str | int
+    verb: str
+    accepted: bool
+    reason: str
+    state: State | None
+
+
+def encode(message: msgspec.Struct) -> bytes:
+    """The JSON text of a message."""
+    return msgspec.json.encode(message)
+
+
+def state_message(report: StateReport, clock: Synchronisation, time: datetime) -> StateMessage:
+    """The payload of `state` for a report that was true from `time` on."""
+    return StateMessage(
+        state=report.state,
+        mode=report.mode,
+        controller=report.controller,
+        reason=report.reason,
+        enabled=report.enabled,
+        setpoint=report.setpoint,
+        waveform=report.waveform,
+        pole=report.pole,
+        trip=report.trip,
+        clock=clock,
+        time=time,
+    )
+
+
+def load_message(report: LoadReport, time: datetime) -> LoadMessage:
+    """The payload of `telemetry/load` for a report that arrived at `time`."""
+    snapshot, decision = report.snapshot, report.decision
+    return LoadMessage(
+        time=time,
+        k=decision.k,
+        reference=snapshot.order.reference,
+        output=snapshot.output,
+        boost_reference_V=decision.boost_reference_V,
+        applied_V=snapshot.applied_V,
+        estimates=decision.estimates,
+        gains=decision.gains,
+        excitation=decision.excitation,
+        innovation=decision.innovation,
+        accepted=decision.accepted,
+        controller=decision.controller,
+        mode=snapshot.order.mode,
+        reason=decision.reason,
+        handover_step_V=decision.handover_step_V,
+        held_ticks=snapshot.held_ticks,
+    )
+
+
+def drive_message(report: DriveReport, time: datetime) -> DriveMessage:
+    """The payload of `telemetry/drive` for a report that arrived at `time`."""
+    measured = report.measurement
+    return DriveMessage(
+        time=time,
+        boost_voltage_V=measured.boost_voltage_V if measured else None,
+        line_voltage_V=measured.line_voltage_V if measured else None,
+        load_power_W=measured.load_power_W if measured else None,
+        output=measured.output if measured else None,
+        age_s=report.age_s,
+        command=report.command,
+        ticks=report.ticks,
+        missed=report.missed,
+        held=report.held,
+        lateness_us=report.lateness_us,
+        turnaround_us=report.turnaround_us,
+        bus=report.bus,
+    )
+
+
+def event_message(event: Event, time: datetime) -> EventMessage:
+    """The payload of `event` for something that was reported at `time`."""
+    return EventMessage(
+        time=time,
+        kind=event.kind,
+        severity=event.severity,
+        detail=event.detail,
+        tick=event.tick,
+    )

@@ -1,0 +1,122 @@
+"""The daemon's side of the MQTT contract: reports go out, commands come in."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from aiomqtt import Will
+
+from adaptdrive.config.services import Mqtt
+from adaptdrive.operation.board import StateBoard
+from adaptdrive.operation.clock import (
+    Monotonic,
+    Synchronisation,
+    WallClock,
+    kernel_synchronisation,
+    utc_now,
+)
+from adaptdrive.operation.desk import Desk
+from adaptdrive.operation.intake import Intake
+from adaptdrive.operation.journal import Journal
+from adaptdrive.operation.link import Line, Link
+from adaptdrive.operation.memory import ReplyMemory
+from adaptdrive.operation.messages import OFFLINE, Reply
+from adaptdrive.operation.outbox import Outbox
+from adaptdrive.operation.pace import Backoff, Pace
+from adaptdrive.operation.session import Session
+from adaptdrive.operation.topics import Topics
+from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.requests import Host
+
+CLOCK_CHECK_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What the service takes from the machine it runs on.
+
+    Attributes:
+        directory: Where replies and unsent events are kept across restarts.
+        wall: Wall clock in UTC.
+        monotonic: Clock for intervals, in seconds.
+        synchronisation: Tells whether the wall clock can be trusted.
+        uniform: Random number between its arguments, for the back-off.
+    """
+
+    directory: Path
+    wall: WallClock = utc_now
+    monotonic: Monotonic = time.monotonic
+    synchronisation: Callable[[], Synchronisation] = kernel_synchronisation
+    uniform: Callable[[float, float], float] = random.uniform
+
+
+class MqttService:
+    """Publishes one drive on a broker and answers its operators."""
+
+    def __init__(
+        self,
+        drive: str,
+        settings: Mqtt,
+        host: Host,
+        hub: Hub,
+        surroundings: Surroundings,
+    ) -> None:
+        """Subscribe to the hub: nothing is missed between now and `run`.
+
+        Args:
+            drive: Name of the drive.
+            settings: Section `[mqtt]`.
+            host: Who carries commands out.
+            hub: Where the runtime's reports come from.
+            surroundings: Folder, clocks and chance.
+        """
+        self._topics = Topics(drive)
+        self._pace = Pace(1.0 / settings.telemetry_Hz, surroundings.monotonic)
+        self._around = surroundings
+        self._journal = Journal(surroundings.directory / f"{drive}.operation.sqlite3")
+        self._memory = ReplyMemory(self._journal, surroundings.wall, surroundings.monotonic)
+        self._board = StateBoard(surroundings.wall)
+        self._outbox = Outbox(self._journal)
+        self._intake = Intake(hub, self._board, self._outbox, surroundings.wall)
+        self._desk = Desk(host, self._memory, lambda: self._board.state, surroundings.wall)
+        self._link = Link(
+            settings,
+            f"adaptdrive-{drive}",
+            Will(self._topics.availability, OFFLINE, qos=1, retain=True),
+            Backoff(surroundings.uniform),
+            surroundings.monotonic,
+        )
+
+    async def run(self) -> None:
+        """Serve until cancelled, with a broker or without."""
+        await self._journal.open()
+        try:
+            await self._memory.load()
+            await self._outbox.load()
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._intake.run(), name="mqtt intake")
+                tasks.create_task(self._watch_clock(), name="mqtt clock")
+                tasks.create_task(self._keep_connected(tasks), name="mqtt link")
+        finally:
+            await self._journal.close()
+
+    async def _watch_clock(self) -> None:
+        while True:
+            self._board.show_clock(self._around.synchronisation())
+            await asyncio.sleep(CLOCK_CHECK_S)
+
+    async def _keep_connected(self, tasks: asyncio.TaskGroup) -> None:
+        async def ask(verb: str, raw: bytes, retained: bool) -> Reply | None:
+            # A task of the service: losing the broker must not stop a command half way.
+            answering = tasks.create_task(self._desk.answer(verb, raw, retained))
+            return await asyncio.shield(answering)
+
+        async def serve(line: Line) -> None:
+            await Session(line, self._topics, self._intake, ask, self._pace).run()
+
+        await self._link.run(serve)

@@ -1,0 +1,64 @@
+"""Where on the broker each message of a drive lies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+ROOT = "adaptdrive"
+
+
+@dataclass(frozen=True, slots=True)
+class Topics:
+    """The topics of one drive.
+
+    Attributes:
+        drive: Name of the drive, as in its configuration.
+    """
+
+    drive: str
+
+    @property
+    def availability(self) -> str:
+        """`online` or `offline`, retained; also the last will."""
+        return self._below("availability")
+
+    @property
+    def state(self) -> str:
+        """The state as operators see it, retained."""
+        return self._below("state")
+
+    @property
+    def load_telemetry(self) -> str:
+        """One message per slow period."""
+        return self._below("telemetry/load")
+
+    @property
+    def drive_telemetry(self) -> str:
+        """The fast loop, at most ten messages a second."""
+        return self._below("telemetry/drive")
+
+    @property
+    def event(self) -> str:
+        """Trips, mode changes, fallbacks, bus loss and return."""
+        return self._below("event")
+
+    @property
+    def reply(self) -> str:
+        """Answers to commands."""
+        return self._below("reply")
+
+    @property
+    def commands(self) -> str:
+        """Filter that catches every command, those with an unknown verb too."""
+        return self._below("command/#")
+
+    def command(self, verb: str) -> str:
+        """The topic on which a verb is asked for."""
+        return self._below(f"command/{verb}")
+
+    def verb(self, topic: str) -> str:
+        """The verb that a command topic names, known or not."""
+        return topic.removeprefix(self._below("command")).removeprefix("/")
+
+    def _below(self, name: str) -> str:
+        return f"{ROOT}/{self.drive}/{name}"
