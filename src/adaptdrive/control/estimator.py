@@ -16,7 +16,7 @@ from adaptdrive.control import rls
 from adaptdrive.control.lambda_transform import from_lambda, to_lambda
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import Learning
-from adaptdrive.control.vectors import Vector, all_finite
+from adaptdrive.control.vectors import Vector
 
 
 @dataclass(slots=True)
@@ -138,7 +138,7 @@ def learn(state: EstimatorState, learning: Learning, output: float, usable: bool
     informative = state.excitation > learning.gate * (1.0 - learning.forgetting)
     if not (usable and informative and state.periods > learning.settle_periods):
         return
-    if not (all_finite(state.regressor) and math.isfinite(target)):
+    if not (math.isfinite(state.excitation) and math.isfinite(innovation)):
         return
     rls.update(
         state.theta, state.upper, state.diagonal, state.regressor, target, learning.forgetting

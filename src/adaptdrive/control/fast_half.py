@@ -176,6 +176,8 @@ def regulate_voltage(
         tick_period_s,
         stage.capacitance_F,
     )
+    if not math.isfinite(wanted):  # an absurd measurement; it must not stay in the sum
+        return min(max(0.0, stage.current_scale_min_S), stage.current_scale_max_S)
     scale = min(max(wanted, stage.current_scale_min_S), stage.current_scale_max_S)
     state.limit = (wanted > scale) - (wanted < scale)
     state.error_sum = voltage_loop.advance_sum(
