@@ -38,15 +38,15 @@ def replay(
     session: str,
     /,
     *,
-    set_: Annotated[list[str], Parameter(name="--set", negative=())] | None = None,
+    settings: Annotated[tuple[str, ...], Parameter(name="--set", negative=())] = (),
 ) -> int:
     """Run the controller again on the measurements of a recorded session.
 
     Args:
         session: Folder of the session, or its name below the sessions of this machine.
-        set_: KEY=VALUE, such as estimator.forgetting=0.95: what if? May be repeated.
+        settings: Ask "what if": KEY=VALUE, such as estimator.forgetting=0.95; may be repeated.
 
     Returns:
-        0 when every command is bit-equal, or when the question was "what if".
+        0 when every command is bit-equal.
     """
-    return app.replay(session, set_ or [])
+    return app.replay(session, settings)

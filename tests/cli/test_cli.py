@@ -1,0 +1,240 @@
+"""The command line, as its own process: exit status, and one clear line for every error."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import sys
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from adaptdrive import __version__
+from adaptdrive.config import Configuration
+from adaptdrive.control.signals import Mode
+from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.runtime.requests import (
+    Disable,
+    Enable,
+    Request,
+    Reset,
+    SetMode,
+    SetPole,
+    SetSetpoint,
+    SetWaveform,
+)
+from tests.operation.peers import Bench, drive_report, listening, load_report, publish, serving
+from tests.support import Broker
+
+EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    status: int
+    output: str
+    errors: str
+
+
+def _environment() -> dict[str, str]:
+    return os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "COLUMNS": "200"}
+
+
+async def start(*words: str) -> asyncio.subprocess.Process:
+    return await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "adaptdrive.cli", *words),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+        env=_environment(),
+    )
+
+
+async def adaptdrive(*words: str) -> Outcome:
+    process = await start(*words)
+    output, errors = await process.communicate()
+    assert process.returncode is not None
+    return Outcome(process.returncode, output.decode(), errors.decode())
+
+
+@pytest.fixture
+async def bench(mosquitto: Broker, tmp_path: Path) -> AsyncIterator[Bench]:
+    async with serving(mosquitto, "bench", tmp_path) as running:
+        yield running
+
+
+def at(broker: Broker) -> tuple[str, str]:
+    return ("--broker", f"{broker.host}:{broker.port}")
+
+
+@pytest.mark.parametrize(
+    ("words", "request_"),
+    [
+        ("setpoint bench 3.1", SetSetpoint(3.1)),
+        ("waveform bench square 3 3.2 120", SetWaveform(Waveform(Shape.SQUARE, 3.0, 3.2, 120.0))),
+        ("waveform bench sine -1 1 5", SetWaveform(Waveform(Shape.SINE, -1.0, 1.0, 5.0))),
+        ("waveform bench off", SetWaveform(None)),
+        ("pole bench 0.8", SetPole(0.8)),
+        ("mode bench adaptive", SetMode(Mode.ADAPTIVE)),
+        ("enable bench", Enable()),
+        ("disable bench", Disable()),
+        ("reset bench", Reset()),
+    ],
+)
+async def test_an_accepted_command_ends_with_0(bench: Bench, words: str, request_: Request) -> None:
+    outcome = await adaptdrive(*words.split(), *at(bench.broker))
+    assert outcome == Outcome(0, f"bench: {words.split(maxsplit=1)[0]} accepted, standby\n", "")
+    assert bench.host.asked == [request_]
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"), [("-3", "outside"), ("9", "outside"), ("nan", "finite"), ("inf", "finite")]
+)
+async def test_a_refused_command_ends_with_1_and_the_reason(
+    bench: Bench, value: str, reason: str
+) -> None:
+    outcome = await adaptdrive("setpoint", "bench", value, *at(bench.broker))
+    assert (outcome.status, outcome.output) == (1, "")
+    assert outcome.errors.startswith("adaptdrive: bench refused setpoint: ")
+    assert reason in outcome.errors
+    assert outcome.errors.count("\n") == 1
+
+
+@pytest.mark.parametrize("verb", ["enable", "status"])
+async def test_a_drive_that_is_not_there_ends_with_3(mosquitto: Broker, verb: str) -> None:
+    outcome = await adaptdrive(verb, "nobody", "--timeout", "0.3", *at(mosquitto))
+    assert (outcome.status, outcome.output) == (3, "")
+    assert outcome.errors.startswith("adaptdrive: nobody: no answer")
+    assert outcome.errors.count("\n") == 1
+
+
+@pytest.mark.parametrize("verb", ["enable", "status"])
+async def test_a_broker_that_is_not_there_ends_with_3(free_tcp_port: int, verb: str) -> None:
+    outcome = await adaptdrive(verb, "bench", "--broker", f"127.0.0.1:{free_tcp_port}")
+    assert (outcome.status, outcome.output) == (3, "")
+    assert "refused" in outcome.errors
+    assert outcome.errors.count("\n") == 1
+
+
+async def test_the_answers_to_others_are_not_mine(mosquitto: Broker) -> None:
+    asking = asyncio.create_task(adaptdrive("enable", "busy", "--timeout", "1", *at(mosquitto)))
+    while not asking.done():
+        for payload in ('{"id": "other", "verb": "enable", "accepted": true}', "{", ""):
+            await publish(mosquitto, "adaptdrive/busy/reply", payload)
+    assert (await asking).status == 3
+
+
+async def test_status_tells_people(bench: Bench) -> None:
+    outcome = await adaptdrive("status", "bench", *at(bench.broker))
+    assert (outcome.status, outcome.errors) == (0, "")
+    assert outcome.output.startswith("bench is online\n")
+    assert "standby" in outcome.output
+    assert "fixed (asked for fixed)" in outcome.output
+
+
+async def test_status_tells_programs_with_telemetry(bench: Bench) -> None:
+    asking = asyncio.create_task(adaptdrive("status", "bench", "--json", *at(bench.broker)))
+    while not asking.done():
+        bench.hub.publish(load_report(5))
+        bench.hub.publish(drive_report(600))
+        await asyncio.sleep(0.05)
+    found = json.loads((await asking).output)
+    assert found["availability"] == "online"
+    assert found["state"]["state"] == "standby"
+    assert found["telemetry"]["load"]["k"] == 5
+    assert found["telemetry"]["drive"]["ticks"] == 600
+
+
+async def test_status_of_a_drive_that_left_is_not_shown_as_live(
+    mosquitto: Broker, tmp_path: Path
+) -> None:
+    async with serving(mosquitto, "left", tmp_path):
+        pass
+    outcome = await adaptdrive("status", "left", *at(mosquitto))
+    assert outcome.status == 3
+    assert outcome.output.startswith("left is offline\n  last state")
+
+
+async def test_a_good_configuration_ends_with_0() -> None:
+    outcome = await adaptdrive("check", str(EXAMPLE))
+    assert (outcome.status, outcome.errors) == (0, "")
+
+
+async def test_a_bad_configuration_ends_with_2_and_every_flaw(tmp_path: Path) -> None:
+    text = EXAMPLE.read_text(encoding="utf-8")
+    flawed = tmp_path / "flawed.toml"
+    flawed.write_text("unknown_key = 1\n" + text + "\n[realtime]\nlate_fraction = 7\n")
+    outcome = await adaptdrive("check", str(flawed))
+    assert (outcome.status, outcome.output) == (2, "")
+    lines = outcome.errors.splitlines()
+    assert all(line.startswith(f"adaptdrive: {flawed}: ") for line in lines)
+    assert any("unknown_key" in line for line in lines)
+    assert any("realtime.late_fraction" in line for line in lines)
+
+
+@pytest.mark.parametrize("verb", ["check", "run", "probe"])
+async def test_a_missing_configuration_ends_with_2(tmp_path: Path, verb: str) -> None:
+    outcome = await adaptdrive(verb, str(tmp_path / "none.toml"))
+    assert (outcome.status, outcome.output) == (2, "")
+    assert "none.toml" in outcome.errors
+    assert outcome.errors.count("\n") == 1
+
+
+async def test_a_missing_session_is_one_clear_line(tmp_path: Path) -> None:
+    outcome = await adaptdrive("replay", str(tmp_path / "none"))
+    assert (outcome.status, outcome.output) == (1, "")
+    assert outcome.errors.startswith("adaptdrive: ")
+    assert outcome.errors.count("\n") == 1
+
+
+async def test_the_schema_is_the_one_of_the_configuration() -> None:
+    outcome = await adaptdrive("schema")
+    assert outcome.status == 0
+    assert json.loads(outcome.output) == Configuration.model_json_schema()
+
+
+async def test_the_version() -> None:
+    assert await adaptdrive("--version") == Outcome(0, f"{__version__}\n", "")
+
+
+async def test_help_names_every_command() -> None:
+    outcome = await adaptdrive("--help")
+    assert (outcome.status, outcome.errors) == (0, "")
+    for command in ("run", "check", "schema", "probe", "replay", "status", "setpoint"):
+        assert command in outcome.output
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "explode",
+        "setpoint bench",
+        "setpoint bench fast",
+        "setpoint bench 3 4",
+        "setpoint bench+ 3",
+        "setpoint bench 3 --bogus 1",
+        "setpoint bench 3 --broker host:99999",
+        "setpoint bench 3 --timeout -1",
+        "waveform bench square 3 3.2",
+        "waveform bench saw 3 3.2 10",
+        "mode bench wild",
+        "check",
+    ],
+)
+async def test_wrong_words_end_with_2_and_one_line(words: str) -> None:
+    outcome = await adaptdrive(*words.split())
+    assert (outcome.status, outcome.output) == (2, "")
+    assert outcome.errors.startswith("adaptdrive: ")
+    assert outcome.errors.count("\n") == 1
+
+
+async def test_an_interrupted_command_is_quiet(mosquitto: Broker) -> None:
+    async with listening(mosquitto, "adaptdrive/nobody/command/enable") as ear:
+        process = await start("enable", "nobody", "--timeout", "60", *at(mosquitto))
+        await ear.on("adaptdrive/nobody/command/enable")
+    process.send_signal(signal.SIGINT)
+    output, errors = await process.communicate()
+    assert (process.returncode, output, errors) == (130, b"", b"")

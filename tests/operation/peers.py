@@ -1,0 +1,282 @@
+"""The two ends of the contract: a drive that only remembers, and clients that nobody here wrote."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import shutil
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adaptdrive.config.services import Mqtt
+from adaptdrive.control.signals import (
+    SAFE_COMMAND,
+    Decision,
+    Estimate,
+    Measurement,
+    Mode,
+    Order,
+    Snapshot,
+    Stage,
+)
+from adaptdrive.errors import RefusedError
+from adaptdrive.operation.service import MqttService, Surroundings
+from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.reports import DriveReport, LoadReport, Quantiles, State, StateReport
+from adaptdrive.runtime.requests import Request, SetMode, SetSetpoint
+from tests.support import Broker
+
+PATIENCE_S = 20.0
+STANDBY = StateReport(
+    state=State.STANDBY,
+    mode=Mode.FIXED,
+    controller=Mode.FIXED,
+    reason="",
+    enabled=False,
+    setpoint=0.0,
+    waveform=None,
+    pole=0.7,
+    trip=None,
+)
+
+
+@dataclass
+class RememberingHost:
+    """Stands in for the runtime: notes what it is asked, and has one limit."""
+
+    hub: Hub = field(default_factory=Hub)
+    highest: float = 4.0
+    asked: list[Request] = field(default_factory=list)
+    report: StateReport = STANDBY
+    gate: asyncio.Event | None = None
+    busy: asyncio.Event = field(default_factory=asyncio.Event)
+
+    async def execute(self, request: Request) -> State:
+        if isinstance(request, SetSetpoint) and not 0.0 <= request.value <= self.highest:
+            raise RefusedError(f"setpoint {request.value} is outside 0…{self.highest}")
+        self.asked.append(request)
+        self.busy.set()
+        if self.gate is not None:
+            await self.gate.wait()
+        if isinstance(request, SetSetpoint):
+            self.show(replace(self.report, setpoint=request.value))
+        if isinstance(request, SetMode):
+            self.show(replace(self.report, mode=request.value))
+        return self.report.state
+
+    def show(self, report: StateReport) -> None:
+        self.report = report
+        self.hub.publish(report)
+
+
+@dataclass
+class Bench:
+    """A service that runs, and the drive behind it."""
+
+    drive: str
+    broker: Broker
+    host: RememberingHost
+
+    @property
+    def hub(self) -> Hub:
+        return self.host.hub
+
+    def topic(self, name: str) -> str:
+        return f"adaptdrive/{self.drive}/{name}"
+
+
+@asynccontextmanager
+async def serving(
+    broker: Broker, drive: str, folder: Path, host: RememberingHost | None = None, **around: Any
+) -> AsyncIterator[Bench]:
+    """Run a service for one drive; stop it orderly at the end."""
+    host = host or RememberingHost()
+    surroundings = Surroundings(folder, **({"uniform": lambda low, _: low * 0.1} | around))
+    settings = Mqtt(host=broker.host, port=broker.port)
+    service = MqttService(drive, settings, host, host.hub, surroundings)
+    host.show(host.report)
+    task = asyncio.create_task(service.run())
+    bench = Bench(drive, broker, host)
+    try:
+        await expect_retained(bench, "availability", "online")
+        yield bench
+    finally:
+        task.cancel()
+        await asyncio.wait([task])
+        if not task.cancelled():
+            task.result()
+
+
+@dataclass(frozen=True)
+class Heard:
+    """One message as mosquitto_sub printed it."""
+
+    topic: str
+    payload: str
+    retained: bool
+    qos: int
+
+    @property
+    def content(self) -> dict[str, Any]:
+        content = json.loads(self.payload, parse_constant=_no_constant)
+        assert isinstance(content, dict)
+        return content
+
+
+def _no_constant(name: str) -> None:
+    raise AssertionError(f"{name} is not JSON")
+
+
+class Ear:
+    """A running mosquitto_sub."""
+
+    def __init__(self, stream: asyncio.StreamReader) -> None:
+        self._stream = stream
+        self._passed = 0
+        self.heard: list[Heard] = []
+
+    async def until(self, wanted: Callable[[Heard], bool]) -> Heard:
+        """Listen until a message is wanted; all of them are kept."""
+        async with asyncio.timeout(PATIENCE_S):
+            while True:
+                message = await self._next()
+                if wanted(message):
+                    return message
+
+    async def on(self, topic: str) -> Heard:
+        """Listen until a message comes on a topic."""
+        return await self.until(lambda message: message.topic == topic)
+
+    async def _next(self) -> Heard:
+        if self._passed == len(self.heard):
+            self.heard.append(await self._read())
+        self._passed += 1
+        return self.heard[self._passed - 1]
+
+    async def _read(self) -> Heard:
+        line = (await self._stream.readline()).decode().rstrip("\n")
+        assert line, "mosquitto_sub ended"
+        retained, qos, topic, payload = line.split("\t", 3)
+        return Heard(topic, payload, retained == "1", int(qos))
+
+    def start_over(self, unwanted: str) -> None:
+        """Forget messages on a topic, and listen to the others once more."""
+        self.heard = [message for message in self.heard if message.topic != unwanted]
+        self._passed = 0
+
+
+@asynccontextmanager
+async def listening(broker: Broker, *topics: str) -> AsyncIterator[Ear]:
+    """Have mosquitto_sub listen; it is subscribed when the context is entered."""
+    ready = f"tests/ready/{id(topics)}/{id(broker)}"
+    filters = [word for topic in (*topics, ready) for word in ("-t", topic)]
+    process = await asyncio.create_subprocess_exec(
+        _program("mosquitto_sub"),
+        *_address(broker),
+        *filters,
+        *("-q", "1", "-F", "%r\t%q\t%t\t%p"),
+        stdout=asyncio.subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    ear = Ear(process.stdout)
+    try:
+        await _await_subscription(broker, ear, ready)
+        yield ear
+    finally:
+        process.kill()
+        await process.wait()
+
+
+async def _await_subscription(broker: Broker, ear: Ear, ready: str) -> None:
+    async def call() -> None:
+        while True:
+            await publish(broker, ready, "ready")
+            await asyncio.sleep(0.05)
+
+    calling = asyncio.create_task(call())
+    try:
+        await ear.on(ready)
+    finally:
+        calling.cancel()
+        await asyncio.wait([calling])
+    ear.start_over(ready)
+
+
+async def publish(broker: Broker, topic: str, payload: str | bytes, *more: str) -> None:
+    """Have mosquitto_pub publish one message with QoS 1."""
+    source = "-s" if payload else "-n"
+    process = await asyncio.create_subprocess_exec(
+        _program("mosquitto_pub"),
+        *_address(broker),
+        *("-t", topic, "-q", "1", source, *more),
+        stdin=asyncio.subprocess.PIPE,
+    )
+    await process.communicate(payload if isinstance(payload, bytes) else payload.encode())
+    assert process.returncode == 0
+
+
+async def expect_retained(bench: Bench, name: str, payload: str) -> None:
+    """Wait until a topic of the drive holds a retained payload."""
+    async with listening(bench.broker, bench.topic(name)) as ear:
+        await ear.until(lambda message: message.payload == payload)
+
+
+async def ask(bench: Bench, verb: str, payload: str | bytes, *more: str) -> dict[str, Any]:
+    """Publish a command and return the first reply to anything that follows."""
+    async with listening(bench.broker, bench.topic("reply")) as ear:
+        await publish(bench.broker, bench.topic(f"command/{verb}"), payload, *more)
+        reply = await ear.on(bench.topic("reply"))
+    assert not reply.retained
+    assert reply.qos == 1
+    return reply.content
+
+
+def _address(broker: Broker) -> tuple[str, ...]:
+    return ("-h", broker.host, "-p", str(broker.port), "-V", "311")
+
+
+def _program(name: str) -> str:
+    found = shutil.which(name)
+    if found is None:
+        pytest.skip(f"{name} is not installed")
+    return found
+
+
+def drive_report(ticks: int) -> DriveReport:
+    """A report of the fast loop after so many ticks."""
+    measurement = Measurement(
+        tick=ticks,
+        tick_period_s=1 / 120,
+        boost_voltage_V=300.5,
+        line_voltage_V=119.0,
+        load_power_W=42.0,
+        output=3.1,
+    )
+    times = Quantiles(10.0, 20.0, 30.0)
+    nothing = Quantiles(float("nan"), float("nan"), float("nan"))
+    bus = {"received": ticks, "sent": ticks}
+    return DriveReport(measurement, 0.004, SAFE_COMMAND, ticks, 1, 2, times, nothing, bus)
+
+
+def load_report(k: int) -> LoadReport:
+    """A report of one slow period, with an estimate that is not known yet."""
+    order = Order(Stage.RUN, 3.0, Mode.ADAPTIVE, 0.7)
+    snapshot = Snapshot(k, 120 * k, 1.0, order, 2.9, (2.9,), (300.0,), 301.0, True, 1)
+    decision = Decision(
+        k=k,
+        boost_reference_V=302.0,
+        controller=Mode.FIXED,
+        accepted=False,
+        reason="warming up",
+        estimates={"gain": Estimate(0.0111, float("nan"))},
+        gains=(1.0, 2.0),
+        innovation=0.01,
+        excitation=0.5,
+        handover_step_V=0.2,
+    )
+    return LoadReport(snapshot, decision)

@@ -1,0 +1,189 @@
+"""What happens when the broker goes, when it comes back, and when the daemon is killed."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.runtime.reports import Event, Severity, State
+from adaptdrive.runtime.requests import SetSetpoint
+from tests.operation.peers import (
+    STANDBY,
+    RememberingHost,
+    ask,
+    drive_report,
+    expect_retained,
+    listening,
+    load_report,
+    publish,
+    serving,
+)
+from tests.support import Broker, MosquittoLauncher, Process, Spawn, stop_process
+
+PROGRAM = Path(__file__).with_name("lonely_drive.py")
+
+
+class MortalBroker:
+    """A mosquitto that goes and comes back on the same port."""
+
+    def __init__(self, launcher: MosquittoLauncher, port: int) -> None:
+        self.address = Broker("127.0.0.1", port)
+        self._launcher = launcher
+        self.process: Process = launcher.start(port)
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+    def restart(self) -> None:
+        self.process = self._launcher.start(self.address.port)
+
+
+@pytest.fixture
+def mortal(mosquitto_launcher: MosquittoLauncher, free_tcp_port: int) -> Iterator[MortalBroker]:
+    broker = MortalBroker(mosquitto_launcher, free_tcp_port)
+    yield broker
+    stop_process(broker.process)
+
+
+def _event(tick: int) -> Event:
+    return Event("trip", Severity.ALARM, "over-speed", tick)
+
+
+async def test_everything_returns_with_the_broker(mortal: MortalBroker, tmp_path: Path) -> None:
+    async with serving(mortal.address, "mortal", tmp_path) as bench:
+        await ask(bench, "setpoint", '{"id": "a", "value": 1}')
+        mortal.kill()
+        bench.host.show(replace(STANDBY, state=State.TRIPPED))
+        for tick in range(50):
+            bench.hub.publish(_event(tick))
+            await asyncio.sleep(0.0)
+        mortal.restart()
+        async with listening(mortal.address, bench.topic("#")) as ear:
+            await ear.until(lambda message: message.payload == "online")
+            reply = await ask(bench, "setpoint", '{"id": "b", "value": 2}')
+            await ear.on(bench.topic("reply"))
+        states = [message.content for message in ear.heard if message.topic.endswith("/state")]
+        assert states[0]["state"] == "tripped"
+        assert reply["accepted"]
+    assert bench.host.asked == [SetSetpoint(1.0), SetSetpoint(2.0)]
+
+
+async def test_events_of_an_outage_are_kept_on_disk_and_sent_in_order(
+    mortal: MortalBroker, tmp_path: Path
+) -> None:
+    async with serving(mortal.address, "keeper", tmp_path) as bench:
+        mortal.kill()
+        for tick in range(25):
+            bench.hub.publish(_event(tick))
+        await asyncio.sleep(0.05)
+    # The daemon is gone with its events unsent; the next one finds them and adds its own.
+    mortal.restart()
+    async with (
+        listening(mortal.address, "adaptdrive/keeper/event") as ear,
+        serving(mortal.address, "keeper", tmp_path) as bench,
+    ):
+        bench.hub.publish(_event(25))
+        await ear.until(lambda message: message.content["tick"] == 25)
+    ticks = [message.content["tick"] for message in ear.heard]
+    assert list(dict.fromkeys(ticks)) == list(range(26))
+    times = [message.content["time"] for message in ear.heard]
+    assert times == sorted(times)
+
+
+async def test_telemetry_of_an_outage_is_not_sent_as_new(
+    mortal: MortalBroker, tmp_path: Path
+) -> None:
+    async with serving(mortal.address, "fresh", tmp_path) as bench:
+        mortal.kill()
+        await asyncio.sleep(0.1)
+        bench.hub.publish(load_report(1))
+        bench.hub.publish(drive_report(1))
+        await asyncio.sleep(0.1)
+        mortal.restart()
+        async with listening(mortal.address, bench.topic("#")) as ear:
+            await ear.until(lambda message: message.payload == "online")
+            bench.hub.publish(load_report(2))
+            bench.hub.publish(drive_report(2))
+            await ear.on(bench.topic("telemetry/load"))
+            await ear.on(bench.topic("telemetry/drive"))
+    load, drive = (
+        [message.content for message in ear.heard if message.topic.endswith(name)]
+        for name in ("telemetry/load", "telemetry/drive")
+    )
+    assert [content["k"] for content in load] == [2]
+    assert [content["ticks"] for content in drive] == [2]
+
+
+async def test_the_daemon_starts_without_a_broker(
+    mosquitto_launcher: MosquittoLauncher, free_tcp_port: int, tmp_path: Path
+) -> None:
+    address = Broker("127.0.0.1", free_tcp_port)
+    late: list[Process] = []
+
+    async def start_late() -> None:
+        await asyncio.sleep(0.3)
+        late.append(await asyncio.to_thread(mosquitto_launcher.start, free_tcp_port))
+
+    starting = asyncio.create_task(start_late())
+    host = RememberingHost()
+    try:
+        # `serving` waits for `online`; its clients only start once the broker does.
+        await starting
+        async with serving(address, "patient", tmp_path, host) as bench:
+            assert (await ask(bench, "enable", '{"id": "a"}'))["accepted"]
+    finally:
+        for process in late:
+            stop_process(process)
+
+
+async def test_a_command_under_way_ends_although_the_broker_is_lost(
+    mortal: MortalBroker, tmp_path: Path
+) -> None:
+    gate = asyncio.Event()
+    async with serving(mortal.address, "half", tmp_path, RememberingHost(gate=gate)) as bench:
+        await publish(mortal.address, bench.topic("command/setpoint"), '{"id": "a", "value": 1}')
+        await bench.host.busy.wait()
+        mortal.kill()
+        mortal.restart()
+        await expect_retained(bench, "availability", "online")
+        gate.set()
+        assert (await ask(bench, "setpoint", '{"id": "a", "value": 1}'))["accepted"]
+        assert bench.host.asked == [SetSetpoint(1.0)]
+
+
+async def test_a_broker_that_hangs_is_given_up(mortal: MortalBroker, tmp_path: Path) -> None:
+    async with serving(mortal.address, "frozen", tmp_path) as bench:
+        mortal.process.send_signal(signal.SIGSTOP)
+        bench.host.show(replace(STANDBY, reason="while the broker hangs"))
+        await asyncio.sleep(0.1)
+        mortal.process.send_signal(signal.SIGCONT)
+        async with listening(mortal.address, bench.topic("state")) as ear:
+            await ear.until(lambda message: "hangs" in message.payload)
+        mortal.process.send_signal(signal.SIGSTOP)
+    mortal.process.send_signal(signal.SIGCONT)
+
+
+async def test_the_broker_says_offline_when_the_daemon_is_killed(
+    mosquitto: Broker, spawn: Spawn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
+    async with listening(mosquitto, "adaptdrive/lonely/#") as ear:
+        daemon = spawn(sys.executable, PROGRAM, str(mosquitto.port), tmp_path)
+        await ear.until(lambda message: message.payload == "online")
+        await publish(mosquitto, "adaptdrive/lonely/command/setpoint", '{"id": "a", "value": 1}')
+        first = await ear.on("adaptdrive/lonely/reply")
+        daemon.kill()
+        last_will = await ear.on("adaptdrive/lonely/availability")
+        assert last_will.payload == "offline"
+    # What it replied outlived it.
+    async with serving(mosquitto, "lonely", tmp_path) as bench:
+        assert await ask(bench, "setpoint", '{"id": "a", "value": 1}') == first.content
+        assert bench.host.asked == []

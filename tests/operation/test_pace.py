@@ -1,0 +1,40 @@
+"""Turns and waiting times."""
+
+from __future__ import annotations
+
+import asyncio
+from itertools import pairwise
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptdrive.operation.clock import Synchronisation, kernel_synchronisation
+from adaptdrive.operation.pace import Backoff, Pace
+
+
+async def test_two_turns_are_at_least_an_interval_apart() -> None:
+    loop = asyncio.get_running_loop()
+    pace, turns = Pace(0.02, loop.time), []
+    for _ in range(5):
+        await pace.wait()
+        turns.append(loop.time())
+    # The loop's timers may fire one clock resolution early.
+    assert all(later - turn > 0.019 for turn, later in pairwise(turns))
+
+
+def test_waiting_doubles_up_to_a_limit_and_starts_anew_after_a_good_connection() -> None:
+    backoff = Backoff(lambda _, high: high, first_s=0.5, longest_s=30.0)
+    assert [backoff.after(0.0) for _ in range(8)] == [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
+    assert backoff.after(3.0) == 30.0  # a broker that hangs up at once is no good connection
+    assert backoff.after(60.0) == 0.5
+
+
+@given(st.integers(0, 10_000), st.floats(0.0, 1.0))
+def test_waiting_is_spread_over_half_of_its_length(failures: int, chance: float) -> None:
+    backoff = Backoff(lambda low, high: low + chance * (high - low), failures=failures)
+    ceiling_s = min(30.0, 0.5 * 2.0 ** min(failures, 30))
+    assert 0.5 * ceiling_s <= backoff.after(0.0) <= ceiling_s
+
+
+def test_the_kernel_says_whether_its_clock_is_kept() -> None:
+    assert kernel_synchronisation() in Synchronisation

@@ -1,0 +1,104 @@
+"""A broker that asks for a password and speaks TLS only."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.config.services import Mqtt
+from adaptdrive.operation.client import NoAnswerError, send_command
+from adaptdrive.operation.service import MqttService, Surroundings
+from adaptdrive.runtime.requests import Enable
+from tests.operation.peers import PATIENCE_S, RememberingHost
+from tests.support import Spawn
+
+
+def _run(name: str, *words: str | Path) -> None:
+    program = shutil.which(name)
+    if program is None:
+        pytest.skip(f"{name} is not installed")
+    subprocess.run([program, *words], check=True, capture_output=True)
+
+
+@pytest.fixture
+def guarded(tmp_path: Path, free_tcp_port: int, spawn: Spawn) -> Mqtt:
+    """The settings that a guarded broker accepts; it runs until the test ends."""
+    program = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
+    if program is None:
+        pytest.skip("mosquitto is not installed")
+    certificate, key, users, secret = (
+        tmp_path / name for name in ("certificate.pem", "key.pem", "users", "secret")
+    )
+    _run(
+        *("openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2"),
+        *("-subj", "/CN=localhost", "-addext", "subjectAltName=IP:127.0.0.1"),
+        *("-keyout", key, "-out", certificate),
+    )
+    _run("mosquitto_passwd", "-c", "-b", users, "bench", "open sesame")
+    secret.write_text("open sesame\n")
+    conf = tmp_path / "mosquitto.conf"
+    conf.write_text(
+        f"listener {free_tcp_port} 127.0.0.1\npassword_file {users}\n"
+        f"certfile {certificate}\nkeyfile {key}\nuser root\n"
+    )
+    spawn(program, "-c", conf)
+    return Mqtt(
+        port=free_tcp_port,
+        tls=True,
+        ca_file=certificate,
+        username="bench",
+        password_file=secret,
+    )
+
+
+async def _ask_until_answered(settings: Mqtt) -> bool:
+    async with asyncio.timeout(PATIENCE_S):
+        while True:
+            try:
+                return (await send_command(settings, "guarded", "enable", None, 0.5)).accepted
+            except NoAnswerError:
+                await asyncio.sleep(0.05)
+
+
+async def test_both_ends_get_in_with_password_and_tls(guarded: Mqtt, tmp_path: Path) -> None:
+    host = RememberingHost()
+    surroundings = Surroundings(tmp_path, uniform=lambda low, _: 0.1 * low)
+    service = MqttService("guarded", guarded, host, host.hub, surroundings)
+    running = asyncio.create_task(service.run())
+    assert await _ask_until_answered(guarded)
+    assert Enable() in host.asked
+    running.cancel()
+    await asyncio.wait([running])
+
+
+# paho leaves the socket of a failed handshake to the garbage collector.
+@pytest.mark.filterwarnings("ignore:.*SSLSocket:pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"username": "stranger"}, "[Nn]ot authori[sz]ed"),
+        ({"ca_file": None}, "certificate verify failed"),
+        ({"tls": False}, "127.0.0.1"),
+        ({"password_file": Path("/nowhere/secret")}, "/nowhere/secret"),
+    ],
+)
+async def test_others_stay_outside(
+    guarded: Mqtt, change: dict[str, object], problem: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("adaptdrive.operation.link.TIMEOUT_S", 1.0)
+    while True:
+        with pytest.raises(NoAnswerError) as refusal:
+            await send_command(guarded.model_copy(update=change), "guarded", "enable", None, 1.0)
+        if "Connection refused" not in str(refusal.value):  # mosquitto has started
+            break
+        await asyncio.sleep(0.05)
+    assert refusal.match(problem)
+    del refusal
+    gc.collect()

@@ -1,0 +1,347 @@
+"""The MQTT contract, held against mosquitto and its own clients."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adaptdrive.control.signals import Mode
+from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.operation.clock import Synchronisation
+from adaptdrive.runtime.reports import Event, Severity, State
+from adaptdrive.runtime.requests import (
+    Disable,
+    Enable,
+    Request,
+    Reset,
+    SetMode,
+    SetPole,
+    SetSetpoint,
+    SetWaveform,
+)
+from tests.operation.peers import (
+    STANDBY,
+    Bench,
+    ask,
+    drive_report,
+    expect_retained,
+    listening,
+    load_report,
+    publish,
+    serving,
+)
+from tests.support import Broker
+
+SQUARE = {"shape": "square", "low": 3.0, "high": 3.2, "period_s": 120}
+
+
+@pytest.fixture
+async def bench(
+    mosquitto: Broker, tmp_path: Path, request: pytest.FixtureRequest
+) -> AsyncIterator[Bench]:
+    drive = f"drive-{abs(hash(request.node.nodeid))}"
+    async with serving(mosquitto, drive, tmp_path) as running:
+        yield running
+
+
+@pytest.mark.parametrize(
+    ("verb", "value", "request_"),
+    [
+        ("setpoint", 3, SetSetpoint(3.0)),
+        ("setpoint", 2.5, SetSetpoint(2.5)),
+        ("waveform", SQUARE, SetWaveform(Waveform(Shape.SQUARE, 3.0, 3.2, 120.0))),
+        ("waveform", None, SetWaveform(None)),
+        ("waveform", "off", SetWaveform(None)),
+        ("mode", "adaptive", SetMode(Mode.ADAPTIVE)),
+        ("pole", 0.8, SetPole(0.8)),
+        ("enable", None, Enable()),
+        ("disable", None, Disable()),
+        ("reset", None, Reset()),
+    ],
+)
+async def test_a_command_acts_and_is_answered(
+    bench: Bench, verb: str, value: object, request_: Request
+) -> None:
+    reply = await ask(bench, verb, json.dumps({"id": "a", "value": value}))
+    assert reply == {"id": "a", "verb": verb, "accepted": True, "reason": "", "state": "standby"}
+    assert bench.host.asked == [request_]
+
+
+async def test_a_verb_without_a_value_needs_none(bench: Bench) -> None:
+    assert (await ask(bench, "enable", '{"id": "a"}'))["accepted"]
+
+
+@pytest.mark.parametrize(
+    ("verb", "payload", "reason"),
+    [
+        ("setpoint", '{"id": "x", "value": NaN}', "not a finite number"),
+        ("setpoint", '{"id": "x", "value": -Infinity}', "not a finite number"),
+        ("setpoint", '{"id": "x", "value": 1e999}', "not a finite number"),
+        ("setpoint", '{"id": "x", "value": 1%s}' % ("0" * 400), "out of range"),
+        ("setpoint", '{"id": "x", "value": "3"}', "Expected `float`, got `str` - at `value`"),
+        ("setpoint", '{"id": "x", "value": true}', "got `bool`"),
+        ("setpoint", '{"id": "x", "value": null}', "got `null`"),
+        ("setpoint", '{"id": "x"}', "missing required field `value`"),
+        ("setpoint", '{"id": "x", "value": 3, "speed": 4}', "unknown field `speed`"),
+        ("setpoint", '{"id": "x", "value": 9.0}', "setpoint 9.0 is outside 0…4.0"),
+        ("setpoint", '{"id": "x", "value": 3, "expires": "2001-01-01T00:00:00Z"}', "expired"),
+        ("setpoint", '{"id": "x", "value": 3, "expires": "2099-01-01T00:00:00"}', "timezone"),
+        ("setpoint", '{"id": "x", "value": 3, "expires": "tomorrow"}', "RFC3339"),
+        ("setpoint", '{"id": "x", "value": 3, "expires": 4102444800}', "got `int`"),
+        ("setpoint", '{"id": "x", value: 3}', "not JSON"),
+        ("setpoint", '{"id": "x", "value": ', "not JSON"),
+        ("setpoint", b'{"id": "x", "value": "\xff"}', "not JSON"),
+        ("setpoint", '{"id": "x", "value": %s' % ("[" * 5000), "not JSON"),
+        ("setpoint", '{"id": "x", "value": "%s"}' % ("v" * 9000), "at most 8192"),
+        ("mode", '{"id": "x", "value": "\\u001b[2J"}', r"'\x1b[2J'"),
+        ("mode", '{"id": "x", "\\u001b": 1, "value": "fixed"}', "unknown field `?`"),
+        ("setpoint", '{"id": "x", "value": {"\\ud800": "\\u001b[2J"}}', "got `object`"),
+        ("setpoint", '{"id": "x", "\\ud800\\u001b": 1, "value": 1}', "lone surrogate"),
+        ("mode", '{"id": "x", "value": "wild"}', "Invalid enum value 'wild'"),
+        ("pole", '{"id": "x", "value": [0.7]}', "got `array`"),
+        ("enable", '{"id": "x", "value": 1}', "Expected `null`"),
+        ("waveform", '{"id": "x", "value": {"shape": "square"}}', "missing required field"),
+        ("waveform", '{"id": "x", "value": {"shape": "saw"}}', "Invalid enum value 'saw'"),
+        ("waveform", json.dumps({"id": "x", "value": SQUARE | {"duty": 1}}), "unknown field"),
+        ("waveform", json.dumps({"id": "x", "value": SQUARE | {"low": float("nan")}}), "value.low"),
+        ("waveform", '{"id": "x", "value": "on"}', "Invalid enum value 'on'"),
+        ("explode", '{"id": "x"}', "unknown verb 'explode'; known are setpoint"),
+        ("setpoint/more", '{"id": "x", "value": 3}', "unknown verb 'setpoint/more'"),
+        ("", '{"id": "x", "value": 3}', "unknown verb ''"),
+    ],
+)
+async def test_a_command_that_breaks_a_rule_is_refused_and_changes_nothing(
+    bench: Bench, verb: str, payload: str | bytes, reason: str
+) -> None:
+    reply = await ask(bench, verb, payload)
+    assert reason in reply.pop("reason")
+    assert reply == {"id": "x", "verb": verb, "accepted": False, "state": "standby"}
+    assert bench.host.asked == []
+
+
+@pytest.mark.parametrize("identity", [7, "", "i" * 129])
+async def test_an_unusable_id_is_told_so_under_that_id(bench: Bench, identity: str | int) -> None:
+    reply = await ask(bench, "setpoint", json.dumps({"id": identity, "value": 3}))
+    assert reply["id"] == identity
+    assert not reply["accepted"]
+    assert "`id`" in reply["reason"]
+    assert bench.host.asked == []
+
+
+@pytest.mark.parametrize(
+    "payload", ["", "3", "[]", '{"value": 3}', '{"id": null, "value": 3}', '{"id": true}', "\0"]
+)
+async def test_without_a_readable_id_nothing_happens(bench: Bench, payload: str) -> None:
+    async with listening(bench.broker, bench.topic("reply")) as ear:
+        await publish(bench.broker, bench.topic("command/setpoint"), payload)
+        await publish(bench.broker, bench.topic("command/setpoint"), '{"id": "b", "value": 1}')
+        assert (await ear.on(bench.topic("reply"))).content["id"] == "b"
+    assert bench.host.asked == [SetSetpoint(1.0)]
+
+
+async def test_expires_is_held_against_the_clock_of_the_daemon(
+    mosquitto: Broker, tmp_path: Path
+) -> None:
+    now = datetime(1999, 12, 31, 23, 0, tzinfo=UTC)
+    async with serving(mosquitto, "expiry", tmp_path, wall=lambda: now) as bench:
+        east = timedelta(hours=2)
+        ahead = (now + timedelta(seconds=1) + east).replace(tzinfo=None).isoformat() + "+02:00"
+        command = {"id": "a", "value": 1, "expires": ahead}
+        assert (await ask(bench, "setpoint", json.dumps(command)))["accepted"]
+        command = {"id": "b", "value": 2, "expires": now.isoformat()}
+        assert "expired" in (await ask(bench, "setpoint", json.dumps(command)))["reason"]
+    assert bench.host.asked == [SetSetpoint(1.0)]
+
+
+async def test_a_live_retained_command_is_refused(bench: Bench) -> None:
+    reply = await ask(bench, "setpoint", '{"id": "a", "value": 1}', "-r")
+    assert "retain" in reply["reason"]
+    assert bench.host.asked == []
+
+
+async def test_a_command_that_the_broker_kept_is_refused(mosquitto: Broker, tmp_path: Path) -> None:
+    kept = "adaptdrive/kept/command/setpoint"
+    await publish(mosquitto, kept, '{"id": "a", "value": 1}', "-r")
+    async with listening(mosquitto, "adaptdrive/kept/reply") as ear:
+        async with serving(mosquitto, "kept", tmp_path) as bench:
+            assert "retain" in (await ear.on("adaptdrive/kept/reply")).content["reason"]
+        assert bench.host.asked == []
+
+
+async def test_a_command_from_before_the_connection_is_never_carried_out(
+    mosquitto: Broker, tmp_path: Path
+) -> None:
+    async with serving(mosquitto, "early", tmp_path):
+        pass
+    await publish(mosquitto, "adaptdrive/early/command/setpoint", '{"id": "a", "value": 1}')
+    async with serving(mosquitto, "early", tmp_path) as bench:
+        assert (await ask(bench, "setpoint", '{"id": "b", "value": 2}'))["id"] == "b"
+    assert bench.host.asked == [SetSetpoint(2.0)]
+
+
+async def test_a_repeat_acts_once_and_hears_the_first_reply(bench: Bench) -> None:
+    first = await ask(bench, "setpoint", '{"id": "a", "value": 1}')
+    bench.host.show(replace(bench.host.report, state=State.RUNNING))
+    for verb, payload in [
+        ("setpoint", '{"id": "a", "value": 1}'),
+        ("setpoint", '{"id": "a", "value": 2}'),
+        ("pole", '{"id": "a", "value": 0.9}'),
+    ]:
+        assert await ask(bench, verb, payload) == first
+    assert bench.host.asked == [SetSetpoint(1.0)]
+
+
+async def test_ids_are_remembered_across_restarts(mosquitto: Broker, tmp_path: Path) -> None:
+    async with serving(mosquitto, "memory", tmp_path) as bench:
+        accepted = await ask(bench, "setpoint", '{"id": "a", "value": 1}')
+        refused = await ask(bench, "setpoint", '{"id": "b", "value": 99}')
+    async with serving(mosquitto, "memory", tmp_path) as bench:
+        bench.host.highest = 100.0
+        assert await ask(bench, "setpoint", '{"id": "a", "value": 1}') == accepted
+        assert await ask(bench, "setpoint", '{"id": "b", "value": 99}') == refused
+        assert bench.host.asked == []
+
+
+async def test_the_state_is_retained_and_follows_every_change(bench: Bench) -> None:
+    async with listening(bench.broker, bench.topic("state")) as ear:
+        first = await ear.on(bench.topic("state"))
+        assert first.retained
+        assert first.qos == 1
+        wave = Waveform(Shape.SQUARE, 3.0, 3.2, 120.0)
+        bench.host.show(replace(STANDBY, trip="stale", waveform=wave, setpoint=float("nan")))
+        second = (await ear.on(bench.topic("state"))).content
+    assert list(second) == [
+        *("state", "mode", "controller", "reason", "enabled", "setpoint"),
+        *("waveform", "pole", "trip", "clock", "time"),
+    ]
+    assert second["waveform"] == SQUARE
+    assert second["setpoint"] is None
+    assert second["trip"] == "stale"
+    assert datetime.fromisoformat(second["time"]) >= datetime.fromisoformat(first.content["time"])
+    assert second["time"].endswith("Z")
+
+
+@pytest.mark.parametrize("word", list(Synchronisation))
+async def test_the_state_says_whether_the_clock_can_be_trusted(
+    mosquitto: Broker, tmp_path: Path, word: Synchronisation
+) -> None:
+    async with (
+        serving(mosquitto, f"clock-{word}", tmp_path, synchronisation=lambda: word) as bench,
+        listening(mosquitto, bench.topic("state")) as ear,
+    ):
+        await ear.until(lambda message: message.content["clock"] == word.value)
+
+
+async def test_telemetry_is_json_and_not_retained(bench: Bench) -> None:
+    async with listening(bench.broker, bench.topic("telemetry/+")) as ear:
+        bench.hub.publish(load_report(7))
+        bench.hub.publish(drive_report(840))
+        load = await ear.on(bench.topic("telemetry/load"))
+        drive = await ear.on(bench.topic("telemetry/drive"))
+    assert not load.retained
+    assert not drive.retained
+    assert (load.qos, drive.qos) == (0, 0)
+    assert list(load.content) == [
+        *("time", "k", "reference", "output", "boost_reference_V", "applied_V", "estimates"),
+        *("gains", "excitation", "innovation", "accepted", "controller", "mode", "reason"),
+        *("handover_step_V", "held_ticks"),
+    ]
+    assert load.content["estimates"] == {"gain": {"value": 0.0111, "std": None}}
+    assert list(drive.content) == [
+        *("time", "boost_voltage_V", "line_voltage_V", "load_power_W", "output", "age_s"),
+        *("command", "ticks", "missed", "held", "lateness_us", "turnaround_us", "bus"),
+    ]
+    assert drive.content["lateness_us"] == {"p50": 10.0, "p99": 20.0, "max": 30.0}
+    assert drive.content["turnaround_us"] == {"p50": None, "p99": None, "max": None}
+    assert drive.content["command"] == {
+        "current_scale_S": 0.0,
+        "boost_reference_V": 0.0,
+        "bridge": False,
+    }
+
+
+async def test_a_drive_that_was_never_measured_sends_null(bench: Bench) -> None:
+    async with listening(bench.broker, bench.topic("telemetry/drive")) as ear:
+        bench.hub.publish(replace(drive_report(0), measurement=None, age_s=float("inf")))
+        content = (await ear.on(bench.topic("telemetry/drive"))).content
+    assert content["output"] is None
+    assert content["age_s"] is None
+
+
+async def test_the_fast_loop_is_heard_at_most_ten_times_a_second(bench: Bench) -> None:
+    loop = asyncio.get_running_loop()
+    async with listening(bench.broker, bench.topic("telemetry/drive")) as ear:
+        start = loop.time()
+        for ticks in range(100):
+            bench.hub.publish(drive_report(ticks))
+            await asyncio.sleep(0.01)
+        bench.hub.publish(drive_report(1000))
+        await ear.until(lambda message: message.content["ticks"] == 1000)
+        assert 2 <= len(ear.heard) <= 2 + 10 * (loop.time() - start)
+
+
+async def test_every_slow_period_is_heard(bench: Bench) -> None:
+    async with listening(bench.broker, bench.topic("telemetry/load")) as ear:
+        for k in range(10):
+            bench.hub.publish(load_report(k))
+        await ear.until(lambda message: message.content["k"] == 9)
+    assert [message.content["k"] for message in ear.heard] == list(range(10))
+
+
+async def test_events_are_sent_in_order(bench: Bench) -> None:
+    async with listening(bench.broker, bench.topic("event")) as ear:
+        for tick in range(20):
+            bench.hub.publish(Event("trip", Severity.ALARM, "over-speed", tick))
+        last = await ear.until(lambda message: message.content["tick"] == 19)
+    assert [message.content["tick"] for message in ear.heard] == list(range(20))
+    assert list(last.content) == ["time", "kind", "severity", "detail", "tick"]
+    assert last.qos == 1
+    assert not last.retained
+
+
+async def test_an_orderly_stop_sends_what_is_left_and_says_offline(
+    mosquitto: Broker, tmp_path: Path
+) -> None:
+    async with listening(mosquitto, "adaptdrive/stop/#") as ear:
+        async with serving(mosquitto, "stop", tmp_path) as bench:
+            bench.hub.publish(Event("stop", Severity.INFO, "told to stop", 1))
+            bench.host.show(replace(STANDBY, reason="told to stop"))
+        await ear.until(lambda message: message.payload == "offline")
+    topics = [message.topic.rpartition("/")[2] for message in ear.heard]
+    assert topics[-1] == "availability"
+    assert "event" in topics
+    states = [message for message in ear.heard if message.topic.endswith("state")]
+    assert states[-1].content["reason"] == "told to stop"
+    await expect_retained(bench, "availability", "offline")
+
+
+def _junk() -> st.SearchStrategy[bytes]:
+    scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text()
+    keys = st.sampled_from(["id", "value", "expires", "shape", "low"]) | st.text()
+    documents = st.recursive(scalars, lambda some: st.lists(some) | st.dictionaries(keys, some))
+    return st.binary() | documents.map(lambda document: json.dumps(document).encode())
+
+
+@settings(max_examples=10)
+@given(st.lists(st.tuples(st.sampled_from(["setpoint", "waveform", "mode", "x"]), _junk())))
+def test_junk_never_stops_the_service(
+    mosquitto: Broker, tmp_path_factory: pytest.TempPathFactory, junk: list[tuple[str, bytes]]
+) -> None:
+    async def scenario() -> None:
+        folder = tmp_path_factory.mktemp("junk")
+        async with serving(mosquitto, "junk", folder) as bench:
+            bench.host.highest = -1.0
+            for verb, payload in junk:
+                await publish(mosquitto, bench.topic(f"command/{verb}"), payload)
+            await ask(bench, "reset", '{"id": "still here"}')
+            assert Reset() in bench.host.asked
+
+    asyncio.run(scenario())

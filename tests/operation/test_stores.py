@@ -1,0 +1,176 @@
+"""What outlives a restart: replies and unsent events, with a sound disk and without."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.operation.desk import INTERRUPTED, Desk
+from adaptdrive.operation.journal import Journal
+from adaptdrive.operation.memory import LIFETIME_S, ReplyMemory
+from adaptdrive.operation.messages import Reply
+from adaptdrive.operation.outbox import Outbox
+from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.requests import Request
+
+HOUR_S = 3600.0
+
+
+@dataclass
+class Time:
+    """Two clocks that go together unless one is set."""
+
+    wall: datetime = datetime(2026, 1, 1, tzinfo=UTC)
+    running_s: float = 1000.0
+
+    def pass_by(self, seconds: float) -> None:
+        self.wall += timedelta(seconds=seconds)
+        self.running_s += seconds
+
+
+def _reply(identity: str) -> Reply:
+    return Reply(identity, "enable", accepted=True, reason="", state=State.RUNNING)
+
+
+@asynccontextmanager
+async def open_journal(path: Path) -> AsyncIterator[Journal]:
+    journal = Journal(path)
+    await journal.open()
+    yield journal
+    await journal.close()
+
+
+@asynccontextmanager
+async def remembering(path: Path, time: Time, limit: int = 1000) -> AsyncIterator[ReplyMemory]:
+    async with open_journal(path) as journal:
+        memory = ReplyMemory(journal, lambda: time.wall, lambda: time.running_s, limit)
+        await memory.load()
+        yield memory
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "below" / "drive.sqlite3"
+
+
+async def test_the_last_replies_are_remembered_across_restarts(path: Path) -> None:
+    for start in (0, 6):
+        async with remembering(path, Time(), limit=10) as memory:
+            for number in range(start, start + 6):
+                await memory.keep(f"id-{number}", _reply(f"id-{number}"))
+    async with remembering(path, Time(), limit=10) as memory:
+        known = [number for number in range(12) if memory.recall(f"id-{number}")]
+    assert known == list(range(2, 12))
+
+
+@pytest.mark.parametrize(("idle_s", "known"), [(LIFETIME_S - 1.0, True), (LIFETIME_S + 1.0, False)])
+@pytest.mark.parametrize("restart", [False, True])
+async def test_a_reply_is_remembered_for_a_day(
+    path: Path, idle_s: float, *, known: bool, restart: bool
+) -> None:
+    time = Time()
+    async with remembering(path, time) as memory:
+        await memory.keep("a", _reply("a"))
+        if not restart:
+            time.pass_by(idle_s)
+            assert (memory.recall("a") is not None) is known
+    if restart:
+        time.pass_by(idle_s)
+        async with remembering(path, time) as memory:
+            assert (memory.recall("a") is not None) is known
+
+
+async def test_setting_the_clock_makes_nobody_forget(path: Path) -> None:
+    time = Time(wall=datetime(1970, 1, 1, tzinfo=UTC))
+    async with remembering(path, time) as memory:
+        await memory.keep("a", _reply("a"))
+        time.wall = datetime(2026, 1, 1, tzinfo=UTC)
+        assert memory.recall("a") == _reply("a")
+
+
+async def test_events_leave_in_order_and_only_when_acknowledged(path: Path) -> None:
+    async with open_journal(path) as journal:
+        outbox = Outbox(journal)
+        for number in range(3):
+            outbox.append(b"%d" % number)
+        sequence, body = await outbox.oldest()
+        assert body == b"0"
+        outbox.sent(sequence)
+    async with open_journal(path) as journal:
+        outbox = Outbox(journal)
+        await outbox.load()
+        outbox.append(b"3")
+        left = []
+        while len(outbox):
+            sequence, body = await outbox.oldest()
+            outbox.sent(sequence)
+            left.append(body)
+    assert left == [b"1", b"2", b"3"]
+
+
+async def test_a_full_outbox_drops_the_oldest_on_disk_too(path: Path) -> None:
+    async with open_journal(path) as journal:
+        outbox = Outbox(journal, limit=5)
+        for number in range(12):
+            outbox.append(b"%d" % number)
+        assert outbox.dropped == 7
+        outbox.sent(1)  # acknowledged after it was dropped
+    rows = sqlite3.connect(path).execute("SELECT body FROM event ORDER BY sequence").fetchall()
+    assert [body for (body,) in rows] == [b"7", b"8", b"9", b"10", b"11"]
+
+
+def _garbage(path: Path) -> None:
+    path.parent.mkdir()
+    path.write_bytes(b"this is no database" * 100)
+
+
+def _folder(path: Path) -> None:
+    (path / "in the way").mkdir(parents=True)
+
+
+def _no_folder(path: Path) -> None:
+    path.parent.write_text("a file where a folder should be")
+
+
+@pytest.mark.parametrize("damage", [_garbage, _folder, _no_folder])
+async def test_a_damaged_disk_stops_nobody(path: Path, damage: Callable[[Path], None]) -> None:
+    damage(path)
+    async with remembering(path, Time()) as memory:
+        await memory.keep("a", _reply("a"))
+        assert memory.recall("a") == _reply("a")
+
+
+async def test_a_damaged_file_is_put_aside_and_replaced(path: Path) -> None:
+    _garbage(path)
+    async with remembering(path, Time()) as memory:
+        await memory.keep("a", _reply("a"))
+    async with remembering(path, Time()) as memory:
+        assert memory.recall("a") == _reply("a")
+    assert path.with_name(path.name + ".damaged").exists()
+
+
+class DyingHost:
+    """Dies while it carries out a command."""
+
+    async def execute(self, request: Request) -> State:
+        raise SystemError("power failure")
+
+
+async def test_a_command_cut_short_by_a_crash_does_not_act_a_second_time(path: Path) -> None:
+    time = Time()
+    async with remembering(path, time) as memory:
+        desk = Desk(DyingHost(), memory, lambda: None, lambda: time.wall)
+        with pytest.raises(SystemError):
+            await desk.answer("enable", b'{"id": "a"}', retained=False)
+    async with remembering(path, time) as memory:
+        desk = Desk(DyingHost(), memory, lambda: None, lambda: time.wall)
+        reply = await desk.answer("enable", b'{"id": "a"}', retained=False)
+    assert reply is not None
+    assert not reply.accepted
+    assert reply.reason == INTERRUPTED
