@@ -96,19 +96,32 @@ class Daemon:
         self._hub.publish(self._told)
         try:
             async with asyncio.TaskGroup() as tasks:
-                serving = [
-                    tasks.create_task(self._port.run(self, self._opened), name="port"),
-                    tasks.create_task(self._slow.run(), name="slow loop"),
-                    tasks.create_task(self._report(), name="reports"),
-                ]
-                await stop.wait()
-                await self._shut_down()
-                for task in serving:
-                    task.cancel()
+                serving = tasks.create_task(self._port.run(self, self._opened), name="port")
+                try:
+                    await self._work(stop)
+                finally:
+                    self._stop_driving()
+                serving.cancel()
         finally:
             self._timer.close()
-            self._fast.send_safe()
             self._manager.close()
+
+    async def _work(self, stop: asyncio.Event) -> None:
+        """Everything that needs the port; it ends before the port does."""
+        async with asyncio.TaskGroup() as tasks:
+            working = [
+                tasks.create_task(self._slow.run(), name="slow loop"),
+                tasks.create_task(self._report(), name="reports"),
+            ]
+            await stop.wait()
+            await self._shut_down()
+            for task in working:
+                task.cancel()
+
+    def _stop_driving(self) -> None:
+        """Whatever has happened: from now on only safe commands, and the first one at once."""
+        self._machine.carry_out(Disable(), self._fast.tick, float("nan"), None)
+        self._fast.send_safe()
 
     async def execute(self, request: Request) -> State:
         """Carry out an operator's request between two ticks.
@@ -171,8 +184,7 @@ class Daemon:
     def _complete(self) -> None:
         """The load has what it needs: end in the safe state, without a trip."""
         self._tell("complete", Severity.INFO, "charging is complete")
-        self._machine.carry_out(Disable(), self._fast.tick, float("nan"), None)
-        self._fast.send_safe()
+        self._stop_driving()
 
     def run_ended(self) -> None:
         """Nothing that was decided is valid any more."""
