@@ -1,7 +1,8 @@
 """The time base: which half line cycle a frame belongs to, and how long one lasts.
 
-A tick is identified by the drive's own counter, unwrapped. A counter that jumps by more than time
-allows (the drive was restarted, or its frames were lost for long) is anchored anew by the clock.
+A tick is identified by the drive's own counter, unwrapped. A counter that jumps by more or less
+than time allows (the drive was restarted, or its frames were lost for long) is anchored anew: its
+frame belongs to the next tick.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 
 _SLACK_TICKS = 3
+_LATE_TICKS = 0.75  # without a counter, a frame later than this is taken for the next one
 _PERIOD_TOLERANCE = 0.02
 _MARK_EVERY_TICKS = 60
 _MARKS = 20
@@ -58,11 +60,9 @@ class HalfCycles:
             return None
         elapsed = (arrival_s - self._arrival_s) / self.tick_period_s
         if counter is None or self._counter is None or self._modulus is None:
-            return max(1, round(elapsed))
+            return max(1, int(elapsed + 1.0 - _LATE_TICKS))
         steps = (counter - self._counter) % self._modulus
-        if 1 <= steps <= elapsed + _SLACK_TICKS:
-            return steps
-        return None
+        return steps if steps >= 1 and abs(steps - elapsed) <= _SLACK_TICKS else None
 
     def _measure(self, tick: int, arrival_s: float) -> None:
         if self._marks and tick - self._marks[-1][0] < _MARK_EVERY_TICKS:
