@@ -75,6 +75,7 @@ class Machine:
         self.pole = pole
         self.trip: str | None = None
         self._since_tick = 0
+        self._precharging = False
         self._waveform_tick = 0
 
     @property
@@ -122,10 +123,16 @@ class Machine:
                 self._reset(cause)
 
     def advance(self, tick: int, boost_voltage_V: float) -> None:
-        """Move from `starting` to `running` when the boost voltage is at its floor."""
+        """Move from `starting` to `running` when the boost voltage is at its floor.
+
+        The first tick is always one of `starting`: a controller that ran until just before then
+        knows that it must begin anew.
+        """
         if self.state is not State.STARTING:
             return
-        if boost_voltage_V >= _FLOOR_REACHED * self._limits.floor_V:
+        if not self._precharging:
+            self._precharging = True
+        elif boost_voltage_V >= _FLOOR_REACHED * self._limits.floor_V:
             self.state = State.RUNNING
         elif tick - self._since_tick > self._limits.starting_ticks:
             self.latch(
@@ -181,6 +188,7 @@ class Machine:
         self.waveform = None
         self.state = State.STARTING
         self._since_tick = tick
+        self._precharging = False
 
     def _disable(self) -> None:
         self.waveform = None
