@@ -169,12 +169,19 @@ class FastLoop:
         skipped = max(0, int((now_s - deadline_s) / period_s))
         self._arm(deadline_s + (1 + skipped) * period_s)
         if not self._settings.timer_standin and self.reading is not None:
-            self._watch_interlocks()
+            self._watch_silence(now_s)
             return
         lateness_us = (now_s - deadline_s) * 1e6
         self.counts.held += 1
         self._run(self.tick + 1 + skipped, lateness_us, fresh=False)
         self._report(lateness_us, math.nan)
+
+    def _watch_silence(self, now_s: float) -> None:
+        """Without stand-in ticks: trip when the drive is silent for too long, and stay alive."""
+        self._watch_interlocks()
+        if not self._machine.energised:
+            self.send_safe()
+        self._surroundings.met_deadline(now_s)
 
     def deliver(self, snapshot: Snapshot, decision: Decision) -> None:
         """Take a decision of the slow loop; it takes effect at its fixed tick."""
