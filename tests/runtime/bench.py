@@ -1,0 +1,220 @@
+"""A fast loop on a loopback bus, in a time that the test sets; the drive on it obeys."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
+from adaptdrive.config import load_configuration
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.signals import Command, Decision, Mode, Order, Snapshot, Stage
+from adaptdrive.hardware.loopback.port import LoopbackPort
+from adaptdrive.hardware.port import Reading
+from adaptdrive.runtime.daemon import DaemonSettings
+from adaptdrive.runtime.fast_loop import FastLoop, FastLoopSettings
+from adaptdrive.runtime.machine import Machine
+from adaptdrive.runtime.reports import State, TickReport
+from adaptdrive.runtime.requests import Enable, Request
+
+MOTOR = load_configuration(Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml")
+SETTINGS: DaemonSettings = daemon_settings(MOTOR)
+FAST: FastLoopSettings = SETTINGS.fast
+TICK_S = FAST.tick_s
+Q = MOTOR.ticks_per_period
+LATENCY = FAST.latency_ticks
+PATIENCE_S = 20.0
+
+CALM = Reading(
+    arrival_s=0.0,
+    oldest_s=0.0,
+    counter=0,
+    boost_voltage_V=210.0,
+    line_voltage_V=120.0,
+    load_power_W=300.0,
+    output=2.3,
+    fault=0,
+    bridge=False,
+)
+
+
+def motor_controller() -> Controller:
+    """The controller of the example configuration."""
+    return Controller(controller_settings(MOTOR), build_load(MOTOR))
+
+
+def decision(k: int, boost_reference_V: float, **changes: object) -> Decision:
+    """A decision for the boost voltage alone."""
+    plain = Decision(
+        k=k,
+        boost_reference_V=boost_reference_V,
+        controller=Mode.FIXED,
+        accepted=False,
+        reason="",
+        estimates={},
+        gains=(),
+        innovation=0.0,
+        excitation=0.0,
+        handover_step_V=math.nan,
+    )
+    return replace(plain, **changes)  # type: ignore[arg-type]
+
+
+def snapshot(k: int, period_ticks: int = Q) -> Snapshot:
+    """A snapshot of a motor that follows its reference."""
+    order = Order(Stage.RUN, 3.0, Mode.FIXED, 0.7)
+    chain = (300.0, 300.0, 300.0)
+    return Snapshot(k, period_ticks * k, 1.0, order, 2.9, (2.9, 2.9), chain, 301.0, True, 0)
+
+
+@dataclass
+class Around:
+    """What surrounds the fast loop: a clock that stands still, and notes of what it was told."""
+
+    now: float = 1000.0
+    deadline_s: float = math.inf
+    fed: list[float] = field(default_factory=list)
+    reports: list[TickReport] = field(default_factory=list)
+    snapshots: list[Snapshot] = field(default_factory=list)
+    decisions: list[Decision] = field(default_factory=list)
+    room: bool = True
+    runs_ended: int = 0
+
+    def now_s(self) -> float:
+        return self.now
+
+    def arm(self, deadline_s: float) -> None:
+        self.deadline_s = deadline_s
+
+    def met_deadline(self, now_s: float) -> None:
+        self.fed.append(now_s)
+
+    def ticked(self, report: TickReport) -> None:
+        self.reports.append(report)
+
+    def snapshot_taken(self, snapshot: Snapshot) -> bool:
+        self.snapshots.append(snapshot)
+        return self.room
+
+    def decided(self, snapshot: Snapshot, decision: Decision) -> None:
+        self.decisions.append(decision)
+
+    def run_ended(self) -> None:
+        self.runs_ended += 1
+
+
+class FastBench:
+    """A fast loop, its drive, and the time between them."""
+
+    def __init__(self, settings: FastLoopSettings = FAST, modulus: int | None = 65536) -> None:
+        self.around = Around()
+        self.sent: list[Command] = []
+        self.port = LoopbackPort(self._command, counter_modulus=modulus)
+        self.machine = Machine(SETTINGS.machine, SETTINGS.pole)
+        self.loop = FastLoop(self.port, motor_controller(), self.machine, settings, self.around)
+        self.unsendable: Callable[[Command], bool] = lambda _: False
+        self.counter = 0
+        self.measured = CALM
+
+    @property
+    def reports(self) -> list[TickReport]:
+        return self.around.reports
+
+    @property
+    def ticks(self) -> list[int]:
+        return [report.measurement.tick for report in self.reports]
+
+    def _command(self, command: Command) -> None:
+        if self.unsendable(command):
+            raise ValueError(f"k = {command.current_scale_S} S does not fit into its signal")
+        self.sent.append(command)
+
+    def on_reading(self, reading: Reading) -> None:
+        """Pass a reading from the port on."""
+        self.loop.on_reading(reading)
+
+    def on_bus(self, up: bool, detail: str) -> None:
+        """Nothing here depends on it."""
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass; the timer expires when it is due."""
+        around = self.around
+        end_s = around.now + seconds
+        while around.deadline_s < end_s:
+            around.now = around.deadline_s
+            self.loop.on_deadline(around.deadline_s)
+        around.now = end_s
+
+    def frame(self, after_s: float = TICK_S, steps: int = 1, **changes: object) -> None:
+        """Deliver the frame of a later half cycle; the drive's bridge is as it was commanded."""
+        self.wait(after_s)
+        self.counter += steps
+        bridge = bool(self.sent) and self.sent[-1].bridge
+        reading = replace(
+            self.measured,
+            arrival_s=self.around.now,
+            oldest_s=self.around.now,
+            counter=self.counter % 65536,
+            bridge=bridge,
+        )
+        self.port.deliver(replace(reading, **changes))  # type: ignore[arg-type]
+
+    def frames(self, count: int) -> None:
+        """Deliver a frame each half cycle."""
+        for _ in range(count):
+            self.frame()
+
+    def ask(self, request: Request) -> None:
+        """Carry out an operator's request between two ticks."""
+        reading = self.loop.reading
+        output = reading.output if reading else math.nan
+        self.machine.carry_out(request, self.loop.tick, output, self.loop.cause)
+
+    def state(self) -> State:
+        """Where the state machine is now."""
+        return self.machine.state
+
+    def start(self) -> None:
+        """Enable the drive and wait until it runs."""
+        self.frames(3)
+        self.ask(Enable())
+        self.frames(3)
+        assert self.state() is State.RUNNING
+
+    def run_to(self, tick: int) -> None:
+        """Run until a tick is complete."""
+        while self.loop.tick < tick:
+            self.frame()
+
+    def run_to_snapshot(self) -> Snapshot:
+        """Run until the next snapshot."""
+        known = len(self.around.snapshots)
+        while len(self.around.snapshots) == known:
+            self.frame()
+        return self.around.snapshots[-1]
+
+
+@contextlib.asynccontextmanager
+async def fast_bench(
+    settings: FastLoopSettings = FAST, modulus: int | None = 65536
+) -> AsyncIterator[FastBench]:
+    """Open a bench."""
+    bench = FastBench(settings, modulus)
+    serving = asyncio.create_task(bench.port.run(bench, bench.loop.begin))
+    try:
+        await asyncio.sleep(0)
+        yield bench
+    finally:
+        serving.cancel()
+        await asyncio.wait([serving])
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    """Wait until something is true."""
+    async with asyncio.timeout(PATIENCE_S):
+        while not condition():  # noqa: ASYNC110 - it may be anything
+            await asyncio.sleep(0.005)

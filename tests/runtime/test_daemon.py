@@ -1,0 +1,394 @@
+"""One drive as a whole: who is told what, and that it is left safe however it ends."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import time
+from collections.abc import AsyncIterator, Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.app.settings import build_load, controller_settings
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Mode, Snapshot
+from adaptdrive.errors import BusError, RefusedError
+from adaptdrive.hardware.loopback.port import LoopbackPort
+from adaptdrive.hardware.port import Listener
+from adaptdrive.runtime.daemon import Daemon
+from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.reports import (
+    DriveReport,
+    Event,
+    LoadReport,
+    Report,
+    Severity,
+    State,
+    StateReport,
+)
+from adaptdrive.runtime.requests import (
+    Disable,
+    Enable,
+    Reset,
+    SetMode,
+    SetPole,
+    SetSetpoint,
+)
+from adaptdrive.runtime.watchdog import ServiceManager
+from tests.runtime.bench import CALM, MOTOR, SETTINGS, Q, until
+
+# Frames are delivered by hand, as fast as they go: neither timer nor age may interfere.
+PATIENT = replace(
+    SETTINGS,
+    report_s=0.02,
+    fast=replace(
+        SETTINGS.fast, timer_standin=False, limits=replace(SETTINGS.fast.limits, stale_s=1e6)
+    ),
+)
+
+
+class MotorController(Controller):
+    """The controller of the example; a test may change its decisions."""
+
+    def __init__(self) -> None:
+        super().__init__(controller_settings(MOTOR), build_load(MOTOR))
+        self.revise: Callable[[Decision], Decision] = lambda decision: decision
+
+    def decide(self, snapshot: Snapshot) -> Decision:
+        return self.revise(super().decide(snapshot))
+
+
+class FailingPort(LoopbackPort):
+    """A port that can be made to fail, at the start or later."""
+
+    def __init__(self, commanded: Callable[[Command], None]) -> None:
+        super().__init__(commanded)
+        self.problem: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
+        if self.problem.done():
+            self.problem.result()
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(super().run(listener, opened))
+            await self.problem
+
+
+class DaemonBench:
+    """A daemon and the drive behind it."""
+
+    def __init__(self, manager: ServiceManager | None = None) -> None:
+        self.sent: list[Command] = []
+        self.port = FailingPort(self.sent.append)
+        self.controller = MotorController()
+        self.hub = Hub()
+        self._reports = self.hub.subscribe(StateReport, LoadReport, Event, size=10_000)
+        self._told: list[Report] = []
+        self.drive_reports = self.hub.subscribe(DriveReport, size=10_000)
+        self.daemon = Daemon(
+            port=self.port,
+            controller=self.controller,
+            settings=PATIENT,
+            clock=time.monotonic,
+            hub=self.hub,
+            manager=manager or ServiceManager({}),
+        )
+        self.stop = asyncio.Event()
+        self.counter = 0
+        self.task = asyncio.create_task(self.daemon.run(self.stop))
+
+    @property
+    def told(self) -> list[Report]:
+        self._told += self._reports.drain()
+        return self._told
+
+    @property
+    def states(self) -> list[StateReport]:
+        return [report for report in self.told if isinstance(report, StateReport)]
+
+    def events(self, kind: str) -> list[Event]:
+        return [report for report in self.told if isinstance(report, Event) and report.kind == kind]
+
+    def frame(self, **changes: object) -> None:
+        now_s, self.counter = time.monotonic(), self.counter + 1
+        bridge = bool(self.sent) and self.sent[-1].bridge
+        reading = replace(
+            CALM, arrival_s=now_s, oldest_s=now_s, counter=self.counter % 65536, bridge=bridge
+        )
+        self.port.deliver(replace(reading, **changes))  # type: ignore[arg-type]
+
+    def frames(self, count: int) -> None:
+        for _ in range(count):
+            self.frame()
+
+    async def start(self) -> None:
+        self.frames(3)
+        await self.daemon.execute(Enable())
+        self.frames(3)
+        assert self.states[-1].state is State.RUNNING
+
+    async def run_until_decided(self, periods: int = 1) -> None:
+        """Run some slow periods, each decision in time."""
+        for _ in range(periods):
+            known = sum(isinstance(report, LoadReport) for report in self.told)
+            self.frames(Q)
+            await until(
+                lambda known=known: (  # type: ignore[misc]
+                    sum(isinstance(report, LoadReport) for report in self.told) > known
+                )
+            )
+
+    async def end(self) -> None:
+        self.stop.set()
+        await self.task
+
+
+@contextlib.asynccontextmanager
+async def daemon_bench(manager: ServiceManager | None = None) -> AsyncIterator[DaemonBench]:
+    bench = DaemonBench(manager)
+    try:
+        await until(lambda: bench.port._up)
+        yield bench
+    finally:
+        bench.task.cancel()
+        await asyncio.wait([bench.task])
+        bench.port.problem.cancel()
+
+
+def leaves(group: BaseExceptionGroup[BaseException]) -> list[BaseException]:
+    return [
+        leaf
+        for part in group.exceptions
+        for leaf in (leaves(part) if isinstance(part, BaseExceptionGroup) else [part])
+    ]
+
+
+async def ending(bench: DaemonBench) -> list[BaseException]:
+    """What the daemon died of."""
+    with pytest.raises(BaseExceptionGroup) as caught:
+        async with asyncio.timeout(20.0):
+            await bench.task
+    return leaves(caught.value)
+
+
+async def test_it_begins_in_standby_and_says_so_first() -> None:
+    async with daemon_bench() as bench:
+        first = bench.told[0]
+        assert isinstance(first, StateReport)
+        assert (first.state, first.mode, first.controller) == (
+            State.STANDBY,
+            Mode.FIXED,
+            Mode.FIXED,
+        )
+        assert (first.enabled, first.trip, first.waveform) == (False, None, None)
+        bench.frames(500)
+        assert set(bench.sent) == {SAFE_COMMAND}
+
+
+async def test_the_state_is_reported_when_it_changes_and_only_then() -> None:
+    async with daemon_bench() as bench:
+        await bench.start()
+        await bench.daemon.execute(SetSetpoint(3.0))
+        await bench.daemon.execute(SetSetpoint(3.0))
+        await bench.daemon.execute(SetPole(0.8))
+        bench.frames(200)
+        await until(lambda: len(bench.drive_reports.drain()) > 0)
+        states = bench.states
+        assert all(a != b for a, b in pairwise(states))
+        seen = [(report.state, report.setpoint, report.pole) for report in states]
+        assert seen == [
+            (State.STANDBY, 0.0, 0.7),
+            (State.STARTING, 2.3, 0.7),
+            (State.RUNNING, 2.3, 0.7),
+            (State.RUNNING, 3.0, 0.7),
+            (State.RUNNING, 3.0, 0.8),
+        ]
+        details = [event.detail for event in bench.events("state")]
+        assert details == ["standby to starting", "starting to running"]
+
+
+async def test_a_refusal_reaches_the_operator_and_changes_nothing() -> None:
+    async with daemon_bench() as bench:
+        before = bench.states[-1]
+        with pytest.raises(RefusedError, match="stale: no measurement yet"):
+            await bench.daemon.execute(Enable())
+        with pytest.raises(RefusedError, match="needs an enabled drive"):
+            await bench.daemon.execute(SetSetpoint(1.0))
+        assert bench.states[-1] == before
+
+
+async def test_disabling_makes_the_drive_safe_at_once() -> None:
+    async with daemon_bench() as bench:
+        await bench.start()
+        assert bench.sent[-1].bridge
+        assert await bench.daemon.execute(Disable()) is State.STANDBY
+        assert bench.sent[-1] == SAFE_COMMAND
+
+
+async def test_a_trip_is_an_alarm_and_stays_until_reset() -> None:
+    async with daemon_bench() as bench:
+        await bench.start()
+        bench.frame(fault=2)
+        assert bench.sent[-1] == SAFE_COMMAND
+        tripped = bench.states[-1]
+        assert (tripped.state, tripped.trip) == (State.TRIPPED, "drive fault: word 0x2")
+        assert not tripped.enabled
+        (event,) = bench.events("trip")
+        assert (event.severity, event.detail) == (Severity.ALARM, "drive fault: word 0x2")
+        with pytest.raises(RefusedError, match="cause is still there: drive fault: word 0x2"):
+            await bench.daemon.execute(Reset())
+        bench.frame()
+        assert await bench.daemon.execute(Reset()) is State.STANDBY
+        assert bench.states[-1].trip is None
+
+
+async def test_each_slow_period_is_reported_with_its_decision() -> None:
+    async with daemon_bench() as bench:
+        await bench.start()
+        await bench.run_until_decided(3)
+        loads = [report for report in bench.told if isinstance(report, LoadReport)]
+        assert len(loads) == 3
+        assert [load.decision.k for load in loads] == [load.snapshot.k for load in loads]
+        assert all(200.0 <= load.decision.boost_reference_V <= 400.0 for load in loads)
+
+
+async def test_the_mode_is_an_event_and_says_why_it_is_not_in_force() -> None:
+    async with daemon_bench() as bench:
+        await bench.daemon.execute(SetMode(Mode.ADAPTIVE))
+        assert [event.detail for event in bench.events("mode")] == ["mode fixed to adaptive"]
+        assert bench.states[-1].reason == "not running"
+        await bench.start()
+        await bench.run_until_decided()
+        state = bench.states[-1]
+        assert (state.mode, state.controller) == (Mode.ADAPTIVE, Mode.FIXED)
+        assert state.reason.startswith("warming up")
+
+
+async def test_taking_over_and_falling_back_are_events() -> None:
+    async with daemon_bench() as bench:
+        await bench.daemon.execute(SetMode(Mode.ADAPTIVE))
+        await bench.start()
+        bench.controller.revise = lambda made: replace(made, controller=Mode.ADAPTIVE, reason="")
+        await bench.run_until_decided()
+        assert bench.states[-1].controller is Mode.ADAPTIVE
+        assert [event.detail for event in bench.events("controller")] == [
+            "adaptive controller in force"
+        ]
+        bench.controller.revise = lambda made: replace(made, reason="estimate is not finite")
+        await bench.run_until_decided()
+        (fallback,) = bench.events("fallback")
+        assert (fallback.severity, fallback.detail) == (
+            Severity.WARNING,
+            "estimate is not finite",
+        )
+        assert bench.states[-1].reason == "estimate is not finite"
+
+
+async def test_a_load_that_has_what_it_needs_ends_safe_without_a_trip() -> None:
+    async with daemon_bench() as bench:
+        await bench.start()
+        bench.controller.revise = lambda made: replace(made, complete=True)
+        await bench.run_until_decided()
+        assert bench.sent[-1] == SAFE_COMMAND
+        assert (bench.states[-1].state, bench.states[-1].trip) == (State.STANDBY, None)
+        assert len(bench.events("complete")) == 1
+
+
+async def test_losing_the_bus_and_its_return_are_events() -> None:
+    async with daemon_bench() as bench:
+        bench.port.lose("unplugged")
+        bench.port.restore()
+        told = [(event.severity, event.detail) for event in bench.events("bus")]
+        assert told == [(Severity.WARNING, "unplugged"), (Severity.INFO, "loopback")]
+
+
+async def test_the_fast_loop_is_reported_at_its_rate() -> None:
+    async with daemon_bench() as bench:
+        bench.frames(10)
+        await until(lambda: len(bench.drive_reports._queue) >= 3)
+        reports = bench.drive_reports.drain()
+        last = reports[-1]
+        assert isinstance(last, DriveReport)
+        assert (last.ticks, last.missed) == (10, 0)
+        assert last.bus["received"] == 10
+        assert last.measurement is not None
+        assert last.age_s >= 0.0
+
+
+async def test_an_orderly_stop_says_goodbye_more_than_once() -> None:
+    async with daemon_bench() as bench:
+        await bench.start()
+        running = len(bench.sent)
+        await bench.end()
+        farewell = bench.sent[running:]
+        assert len(farewell) >= 3
+        assert set(farewell) == {SAFE_COMMAND}
+        assert bench.states[-1].state is State.STANDBY
+
+
+async def test_when_the_slow_loop_dies_the_drive_is_left_safe() -> None:
+    async with daemon_bench() as bench:
+        await bench.start()
+
+        def fail(made: Decision) -> Decision:
+            raise ArithmeticError(f"no decision for k = {made.k}")
+
+        bench.controller.revise = fail
+        assert bench.sent[-1].bridge
+        bench.frames(Q)
+        assert bench.sent[-1].bridge
+        (cause,) = await ending(bench)
+        assert isinstance(cause, ArithmeticError)
+        assert bench.sent[-1] == SAFE_COMMAND
+
+
+async def test_when_the_reports_die_the_drive_is_left_safe(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with daemon_bench() as bench:
+        await bench.start()
+        monkeypatch.setattr(bench.daemon, "_drive_report", lambda: 1 / 0)
+        (cause,) = await ending(bench)
+        assert isinstance(cause, ZeroDivisionError)
+        assert bench.sent[-1] == SAFE_COMMAND
+
+
+async def test_when_it_is_cancelled_the_drive_is_left_safe() -> None:
+    async with daemon_bench() as bench:
+        await bench.start()
+        assert bench.sent[-1].bridge
+        bench.task.cancel()
+        await asyncio.wait([bench.task])
+        assert bench.task.cancelled()
+        assert bench.sent[-1] == SAFE_COMMAND
+
+
+async def test_when_the_port_dies_the_daemon_ends() -> None:
+    async with daemon_bench() as bench:
+        await bench.start()
+        bench.port.problem.set_exception(OSError("no such device"))
+        (cause,) = await ending(bench)
+        assert isinstance(cause, OSError)
+
+
+async def test_a_bus_that_cannot_be_opened_ends_the_daemon() -> None:
+    bench = DaemonBench()
+    bench.port.problem.set_exception(BusError("socketcan can0", "there is no such interface"))
+    (cause,) = await ending(bench)
+    assert isinstance(cause, BusError)
+    assert bench.sent == []
+
+
+async def test_the_service_manager_follows_along(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ear:
+        ear.bind(str(tmp_path / "notify"))
+        ear.settimeout(5.0)
+        manager = ServiceManager({"NOTIFY_SOCKET": str(tmp_path / "notify")})
+        async with daemon_bench(manager) as bench:
+            heard = [ear.recv(4096).decode() for _ in range(2)]
+            await bench.end()
+            heard.append(ear.recv(4096).decode())
+    assert heard == ["READY=1", "STATUS=loopback: waiting for the drive", "STOPPING=1"]

@@ -1,0 +1,301 @@
+"""The fast loop, tick by tick, in a time that stands still unless a test lets it pass."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from adaptdrive.control.signals import SAFE_COMMAND, Stage
+from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.requests import Disable, Enable, SetSetpoint
+from tests.runtime.bench import FAST, TICK_S, fast_bench
+
+TIMERLESS = replace(FAST, timer_standin=False)
+STALE_S = FAST.limits.stale_s
+
+
+async def test_each_frame_makes_exactly_one_tick_and_one_command() -> None:
+    async with fast_bench() as bench:
+        bench.frame()
+        sent = len(bench.sent)
+        bench.frames(50)
+        assert bench.ticks == list(range(bench.ticks[0], bench.ticks[0] + 51))
+        assert len(bench.sent) - sent == 50
+        assert all(report.measurement.fresh for report in bench.reports)
+        assert [report.sequence for report in bench.reports] == list(range(51))
+
+
+async def test_the_counter_of_the_drive_may_wrap() -> None:
+    async with fast_bench() as bench:
+        bench.counter = 65530
+        bench.frames(20)
+        assert bench.ticks == list(range(bench.ticks[0], bench.ticks[0] + 20))
+
+
+async def test_the_measurement_is_the_one_that_came() -> None:
+    async with fast_bench() as bench:
+        bench.frame(boost_voltage_V=222.0, line_voltage_V=118.0, load_power_W=7.0, output=1.5)
+        measured = bench.reports[-1].measurement
+        values = (measured.boost_voltage_V, measured.line_voltage_V, measured.load_power_W)
+        assert (*values, measured.output) == (222.0, 118.0, 7.0, 1.5)
+
+
+async def test_a_frame_that_was_lost_is_a_missed_half_cycle() -> None:
+    async with fast_bench(TIMERLESS) as bench:
+        bench.frames(5)
+        bench.frame(after_s=3 * TICK_S, steps=3)
+        assert bench.ticks[-1] - bench.ticks[-2] == 3
+        assert bench.loop.counts.missed == 2
+
+
+async def test_a_late_frame_replaces_the_stand_in_and_makes_no_second_tick() -> None:
+    async with fast_bench() as bench:
+        bench.frames(5)
+        bench.measured = replace(bench.measured, output=2.4)
+        bench.frame(after_s=1.7 * TICK_S)
+        stand_in = bench.reports[-1].measurement
+        assert (stand_in.fresh, stand_in.output) == (False, 2.3)
+        assert bench.loop.reading is not None
+        assert bench.loop.reading.output == 2.4
+        bench.frame(after_s=0.3 * TICK_S)
+        assert bench.ticks == list(range(bench.ticks[0], bench.ticks[0] + 7))
+        assert bench.reports[-1].measurement.fresh
+        assert (bench.loop.counts.held, bench.loop.counts.missed) == (1, 0)
+
+
+async def test_the_timer_stands_in_on_the_drives_grid() -> None:
+    async with fast_bench() as bench:
+        bench.frames(5)
+        bench.wait(3.1 * TICK_S)
+        held = [report.measurement for report in bench.reports if not report.measurement.fresh]
+        assert [measured.tick - bench.ticks[4] for measured in held] == [1, 2]
+        bench.wait(1000 * TICK_S)
+        assert bench.ticks[-1] - bench.ticks[4] == 1002
+
+
+async def test_ticks_that_the_machine_overslept_are_missed_not_repeated() -> None:
+    async with fast_bench() as bench:
+        bench.frames(5)
+        before, deadline_s = bench.loop.tick, bench.around.deadline_s
+        bench.around.now = deadline_s + 5.4 * TICK_S
+        bench.loop.on_deadline(deadline_s)
+        assert bench.loop.tick == before + 6
+        assert bench.loop.counts.missed == 5
+        assert bench.around.deadline_s == pytest.approx(deadline_s + 6 * TICK_S)
+
+
+async def test_without_the_timer_only_frames_make_ticks() -> None:
+    async with fast_bench(TIMERLESS) as bench:
+        bench.frames(5)
+        bench.wait(10.0)
+        assert len(bench.reports) == 5
+
+
+async def test_before_the_first_frame_the_drive_is_told_to_be_safe() -> None:
+    async with fast_bench() as bench:
+        bench.wait(10.5 * TICK_S)
+        assert len(bench.sent) == 10
+        assert set(bench.sent) == {SAFE_COMMAND}
+        assert bench.reports == []
+
+
+async def test_in_standby_every_command_is_safe() -> None:
+    async with fast_bench() as bench:
+        bench.frames(200)
+        bench.wait(5.0)
+        assert set(bench.sent) == {SAFE_COMMAND}
+
+
+async def test_enabled_it_precharges_with_the_bridge_off_and_then_runs() -> None:
+    async with fast_bench() as bench:
+        bench.measured = replace(bench.measured, boost_voltage_V=171.0)
+        bench.frames(3)
+        bench.ask(Enable())
+        bench.frames(20)
+        assert bench.state() is State.STARTING
+        assert not any(command.bridge for command in bench.sent)
+        assert bench.sent[-1].current_scale_S > 0.0
+        bench.measured = replace(bench.measured, boost_voltage_V=201.0)
+        bench.frames(2)
+        assert bench.state() is State.RUNNING
+        assert bench.sent[-1].bridge
+        stages = [report.order.stage for report in bench.reports]
+        assert sorted(set(stages), key=stages.index) == [Stage.OFF, Stage.PRECHARGE, Stage.RUN]
+
+
+async def test_enabling_again_between_two_ticks_begins_anew() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        runs_ended = bench.around.runs_ended
+        bench.ask(Disable())
+        bench.ask(Enable())
+        bench.frames(3)
+        assert Stage.PRECHARGE in [report.order.stage for report in bench.reports[-3:]]
+        assert bench.state() is State.RUNNING
+        assert bench.around.runs_ended > runs_ended
+
+
+async def test_silence_trips_within_the_limit_and_one_half_cycle() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        last_s = bench.around.now
+        while bench.state() is State.RUNNING:
+            bench.wait(0.1 * TICK_S)
+        assert STALE_S < bench.around.now - last_s <= STALE_S + 1.1 * TICK_S
+        assert (bench.machine.trip or "").startswith("stale: ")
+        assert bench.sent[-1] == SAFE_COMMAND
+        assert bench.reports[-1].command == SAFE_COMMAND
+
+
+async def test_silence_trips_without_the_timer_too() -> None:
+    async with fast_bench(TIMERLESS) as bench:
+        bench.start()
+        bench.wait(STALE_S + 1.1 * TICK_S)
+        assert bench.state() is State.TRIPPED
+        assert bench.sent[-1] == SAFE_COMMAND
+
+
+async def test_one_value_that_grows_old_trips_though_frames_come() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        oldest_s = bench.around.now
+        for _ in range(8):
+            bench.frame(oldest_s=oldest_s)
+        assert (bench.machine.trip or "").startswith("stale: ")
+
+
+@pytest.mark.parametrize(
+    ("changes", "cause"),
+    [
+        ({"output": math.nan}, "invalid"),
+        ({"boost_voltage_V": math.inf}, "invalid"),
+        ({"fault": 4}, "drive fault: word 0x4"),
+        ({"boost_voltage_V": 440.0}, "over-voltage"),
+        ({"output": 5.5}, "over-speed"),
+    ],
+)
+async def test_an_interlock_trips_in_the_tick_that_sees_it(
+    changes: dict[str, Any], cause: str
+) -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        bench.frame(**changes)
+        assert (bench.machine.trip or "").startswith(cause)
+        assert bench.sent[-1] == SAFE_COMMAND
+        bench.frames(300)
+        assert bench.state() is State.TRIPPED
+        assert set(bench.sent[-300:]) == {SAFE_COMMAND}
+
+
+async def test_values_that_are_no_numbers_do_no_harm_in_standby() -> None:
+    async with fast_bench() as bench:
+        bench.frames(3)
+        bench.frame(output=math.nan, boost_voltage_V=math.inf)
+        assert bench.loop.cause is not None
+        bench.start()
+        assert bench.state() is State.RUNNING
+
+
+async def test_a_bridge_that_goes_off_by_itself_trips() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        bench.frames(10)
+        ticks = 0
+        while bench.state() is State.RUNNING and ticks < 100:
+            bench.frame(bridge=False)
+            ticks += 1
+        assert (bench.machine.trip or "").startswith("drive stopped")
+        assert 10 < ticks < 60
+
+
+async def test_a_bridge_that_takes_its_time_does_not_trip() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        for _ in range(10):
+            bench.frame(bridge=False)
+        bench.frames(1)
+        for _ in range(25):
+            bench.frame(bridge=False)
+        bench.frames(100)
+        assert bench.state() is State.RUNNING
+
+
+async def test_a_command_that_the_wire_cannot_carry_trips_the_drive_not_the_daemon() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        bench.unsendable = lambda command: command.bridge
+        bench.frame()
+        assert (bench.machine.trip or "").startswith("command cannot be sent: k = ")
+        assert bench.sent[-1] == SAFE_COMMAND
+        bench.frames(10)
+        assert set(bench.sent[-10:]) == {SAFE_COMMAND}
+
+
+async def test_a_bus_that_takes_nothing_does_no_harm() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        bench.port.lose()
+        bench.wait(1.0)
+        assert (bench.machine.trip or "").startswith("stale: ")
+        bench.port.restore()
+        bench.frames(3)
+        assert bench.sent[-1] == SAFE_COMMAND
+
+
+async def test_the_watchdog_is_fed_by_ticks_in_time() -> None:
+    async with fast_bench() as bench:
+        bench.frames(10)
+        assert len(bench.around.fed) == 10
+
+
+async def test_the_watchdog_is_fed_while_the_drive_is_away() -> None:
+    """A missing measurement trips; it must not starve the watchdog."""
+    for settings in (FAST, TIMERLESS):
+        async with fast_bench(settings) as bench:
+            bench.frames(3)
+            bench.around.fed.clear()
+            bench.wait(1.0)
+            assert len(bench.around.fed) > 100
+
+
+async def test_a_late_tick_does_not_feed_the_watchdog() -> None:
+    async with fast_bench() as bench:
+        bench.frames(3)
+        bench.around.fed.clear()
+        deadline_s = bench.around.deadline_s
+        bench.around.now = deadline_s + 0.7 * TICK_S
+        bench.loop.on_deadline(deadline_s)
+        assert bench.around.fed == []
+
+
+async def test_a_restarted_drive_is_followed_again() -> None:
+    async with fast_bench() as bench:
+        bench.counter = 60_000
+        bench.start()
+        bench.wait(60.0)
+        before = bench.loop.tick
+        bench.counter = 0
+        bench.frames(100)
+        assert bench.loop.tick == pytest.approx(before + 100, abs=2)
+        fresh = [report.measurement.fresh for report in bench.reports[-90:]]
+        assert all(fresh)
+
+
+async def test_a_drive_without_a_counter_is_followed_too() -> None:
+    async with fast_bench(modulus=None) as bench:
+        for _ in range(50):
+            bench.frame(counter=None)
+        bench.frame(after_s=1.7 * TICK_S, counter=None)
+        bench.frame(after_s=0.3 * TICK_S, counter=None)
+        assert bench.ticks == list(range(bench.ticks[0], bench.ticks[0] + 52))
+
+
+async def test_the_order_tells_what_the_operator_asked_for() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        bench.ask(SetSetpoint(3.25))
+        bench.frame()
+        assert bench.reports[-1].order.reference == 3.25

@@ -1,0 +1,71 @@
+"""The last look before the wire, with whatever a broken controller could say."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.runtime.guard import CommandLimits, Guard
+
+ANY = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-1.0, 1.0)
+COMMANDS = st.builds(Command, ANY, ANY | st.floats(0.0, 500.0), st.booleans())
+LIMITS = st.builds(
+    CommandLimits,
+    st.sampled_from([0.0, -0.15]),
+    st.just(0.15),
+    st.sampled_from([0.01, 0.05, 0.15, 0.4]),
+    st.just(400.0),
+)
+UNIDIRECTIONAL = CommandLimits(0.0, 0.15, 0.02, 400.0)
+
+
+@given(limits=LIMITS, wanted=st.lists(st.just(SAFE_COMMAND) | COMMANDS, max_size=60))
+def test_what_goes_out_is_finite_in_range_and_does_not_jump(
+    limits: CommandLimits, wanted: list[Command]
+) -> None:
+    guard, last_S = Guard(limits), 0.0
+    for command in wanted:
+        sent = guard.check(command)
+        assert limits.current_scale_min_S <= sent.current_scale_S <= limits.current_scale_max_S
+        assert 0.0 <= sent.boost_reference_V <= limits.boost_reference_max_V
+        jump_S = abs(sent.current_scale_S - last_S)
+        assert sent == SAFE_COMMAND or jump_S <= limits.current_scale_slew_S * (1 + 1e-12)
+        assert command.bridge or not sent.bridge
+        last_S = sent.current_scale_S
+
+
+@given(limits=LIMITS, before=st.lists(COMMANDS, max_size=20))
+def test_the_safe_command_passes_at_once(limits: CommandLimits, before: list[Command]) -> None:
+    guard = Guard(limits)
+    for command in before:
+        guard.check(command)
+    assert guard.check(SAFE_COMMAND) == SAFE_COMMAND
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_value_that_is_no_number_makes_the_whole_command_safe(value: float) -> None:
+    guard = Guard(UNIDIRECTIONAL)
+    assert guard.check(Command(value, 300.0, bridge=True)) == SAFE_COMMAND
+    assert guard.check(Command(0.01, value, bridge=True)) == SAFE_COMMAND
+    assert guard.refused == 2
+
+
+def test_a_command_within_limits_passes_as_it_is() -> None:
+    guard = Guard(UNIDIRECTIONAL)
+    for scale_S in (0.0, 0.02, 0.04, 0.025, 0.01):
+        command = Command(scale_S, 300.0, bridge=True)
+        assert guard.check(command) == command
+    assert guard.corrected == 0
+
+
+def test_after_a_stop_the_current_rises_from_zero_again() -> None:
+    guard = Guard(UNIDIRECTIONAL)
+    for _ in range(5):
+        guard.check(Command(0.1, 300.0, bridge=True))
+    guard.check(SAFE_COMMAND)
+    assert guard.check(Command(0.1, 300.0, bridge=True)).current_scale_S == 0.02
+    assert guard.corrected == 6 - 1

@@ -1,0 +1,117 @@
+"""The time base, against drives whose half cycles the test counts itself."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptdrive.runtime.half_cycles import HalfCycles
+
+TICK_S = 1.0 / 120.0
+MODULI = st.sampled_from([16, 256, 65536])
+
+
+def time_base(modulus: int | None = 256) -> HalfCycles:
+    return HalfCycles(modulus, TICK_S)
+
+
+@given(
+    modulus=MODULI,
+    first=st.integers(0, 65535),
+    steps=st.lists(st.integers(1, 12), min_size=1, max_size=100),
+)
+def test_ticks_follow_the_drive_through_wraps_and_lost_frames(
+    modulus: int, first: int, steps: list[int]
+) -> None:
+    base, half_cycle, latest = time_base(modulus), first, -1
+    start = base.place(first % modulus, first * TICK_S, latest)
+    for step in steps:
+        half_cycle += step
+        tick = base.place(half_cycle % modulus, half_cycle * TICK_S, latest)
+        assert tick - start == half_cycle - first
+        latest = max(latest, tick)
+
+
+@given(
+    modulus=MODULI,
+    outage_ticks=st.integers(0, 70_000),
+    before=st.integers(0, 65535),
+    after=st.integers(0, 65535),
+    held=st.booleans(),
+)
+def test_a_restarted_drive_is_followed_again_within_two_frames(
+    modulus: int, outage_ticks: int, before: int, after: int, held: bool
+) -> None:
+    """Whatever its counter says, its frames soon make a tick each: never one before the latest."""
+    base, time_s, latest = time_base(modulus), 50.0, -1
+    for half_cycle in range(before, before + 3):
+        time_s += TICK_S
+        latest = base.place(half_cycle % modulus, time_s, latest)
+    time_s += outage_ticks * TICK_S
+    latest += outage_ticks if held else 0
+    ticks = []
+    for half_cycle in range(after, after + 6):
+        time_s += TICK_S
+        ticks.append(base.place(half_cycle % modulus, time_s, latest))
+        latest = max(latest, ticks[-1])
+    settled = ticks[1:]
+    assert [b - a for a, b in pairwise(settled)] == [1] * 4
+    assert latest - ticks[-1] <= 3
+
+
+def test_a_frame_that_a_stand_in_replaced_keeps_its_tick() -> None:
+    base = time_base()
+    first = base.place(10, 1.0, -1)
+    stand_in = first + 1
+    assert base.place(11, 1.0 + 1.6 * TICK_S, stand_in) == stand_in
+    assert base.place(12, 1.0 + 2.0 * TICK_S, stand_in) == stand_in + 1
+
+
+def test_frames_that_waited_in_a_queue_keep_their_ticks() -> None:
+    """The daemon slept for 20 half cycles and ran one tick; then it reads what had arrived."""
+    base = time_base()
+    first = base.place(10, 1.0, -1)
+    latest = first + 20
+    ticks = [base.place(10 + step, 1.0 + step * TICK_S, latest) for step in range(1, 21)]
+    assert ticks == [first + step for step in range(1, 21)]
+    assert base.place(31, 1.0 + 21 * TICK_S, latest) == latest + 1
+
+
+def test_a_counter_that_leaps_ahead_of_time_is_anchored_anew() -> None:
+    base = time_base(65536)
+    first = base.place(10, 1.0, -1)
+    assert base.place(5000, 1.0 + TICK_S, first) == first + 1
+    assert base.anchored == 2
+    assert base.place(5001, 1.0 + 2 * TICK_S, first + 1) == first + 2
+
+
+@given(steps=st.lists(st.integers(1, 40), max_size=60))
+def test_without_a_counter_time_counts_the_half_cycles(steps: list[int]) -> None:
+    base, time_s, latest = time_base(None), 7.0, -1
+    latest = base.place(None, time_s, latest)
+    for step in steps:
+        time_s += step * TICK_S
+        tick = base.place(None, time_s, latest)
+        assert tick == latest + step
+        latest = tick
+
+
+@pytest.mark.parametrize("line_Hz", [59.5, 59.9, 60.0, 60.1, 60.5])
+def test_the_half_cycle_is_measured(line_Hz: float) -> None:
+    base, true_s, latest = time_base(65536), 0.5 / line_Hz, -1
+    for half_cycle in range(2000):
+        jitter_s = 0.0005 if half_cycle % 7 == 3 else 0.0
+        latest = base.place(half_cycle, half_cycle * true_s + jitter_s, latest)
+    assert base.tick_period_s == pytest.approx(true_s, rel=1e-3)
+
+
+@given(gaps_s=st.lists(st.floats(0.0, 0.1), min_size=1, max_size=300))
+def test_the_measured_half_cycle_stays_near_the_nominal_one(gaps_s: list[float]) -> None:
+    base, time_s, latest = time_base(65536), 0.0, -1
+    for half_cycle, gap_s in enumerate(gaps_s):
+        time_s += gap_s
+        latest = max(latest, base.place(half_cycle, time_s, latest))
+    assert abs(base.tick_period_s / TICK_S - 1.0) <= 0.02

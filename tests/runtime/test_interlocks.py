@@ -1,0 +1,94 @@
+"""Each cause of a trip, and which one is named when there are several."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptdrive.hardware.port import Reading
+from adaptdrive.runtime.interlocks import Limits, find_cause
+from tests.runtime.bench import CALM
+
+LIMITS = Limits(stale_s=0.05, boost_voltage_max_V=430.0, output_max=5.0, output_unit="V")
+NOW_S = 12.0
+GOOD = replace(CALM, arrival_s=NOW_S - 0.001, oldest_s=NOW_S - 0.002)
+ANY = st.floats(allow_nan=True, allow_infinity=True)
+
+
+def cause_of(**changes: object) -> str | None:
+    return find_cause(replace(GOOD, **changes), NOW_S, LIMITS)  # type: ignore[arg-type]
+
+
+def test_a_good_reading_is_no_cause() -> None:
+    assert cause_of() is None
+
+
+def test_values_at_their_limits_are_no_cause() -> None:
+    at_limits = {"boost_voltage_V": 430.0, "output": 5.0, "oldest_s": NOW_S - 0.05 + 1e-9}
+    assert cause_of(**at_limits) is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"oldest_s": NOW_S - 0.051}, "stale: measurement is 51 ms old, limit 50 ms"),
+        ({"oldest_s": -math.inf}, "stale: "),
+        ({"oldest_s": math.nan}, "stale: "),
+        ({"fault": 0x12}, "drive fault: word 0x12"),
+        ({"boost_voltage_V": 430.1}, "over-voltage: v_bst = 430.1 V, limit 430 V"),
+        ({"output": 5.01}, "over-speed: output = 5.01 V, limit 5 V"),
+        ({"boost_voltage_V": math.nan}, "invalid: "),
+        ({"line_voltage_V": math.inf}, "invalid: "),
+        ({"load_power_W": -math.inf}, "invalid: "),
+        ({"output": math.nan}, "invalid: "),
+    ],
+)
+def test_each_cause_is_named_with_its_value(changes: dict[str, float], text: str) -> None:
+    cause = cause_of(**changes)
+    assert cause is not None
+    assert cause.startswith(text)
+
+
+def test_no_reading_at_all_is_a_cause() -> None:
+    assert find_cause(None, NOW_S, LIMITS) == "stale: no measurement yet"
+
+
+def test_the_age_that_counts_is_that_of_the_oldest_value() -> None:
+    cause = cause_of(arrival_s=NOW_S, oldest_s=NOW_S - 0.2)
+    assert cause is not None
+    assert cause.startswith("stale: measurement is 200 ms old")
+
+
+def test_what_makes_other_causes_meaningless_is_named_first() -> None:
+    """Old values say nothing, values that are no numbers little, a fault explains the rest."""
+    order: list[tuple[str, dict[str, float]]] = [
+        ("stale", {"oldest_s": NOW_S - 1.0}),
+        ("invalid", {"line_voltage_V": math.nan}),
+        ("drive fault", {"fault": 1}),
+        ("over-voltage", {"boost_voltage_V": 500.0}),
+        ("over-speed", {"output": 9.0}),
+    ]
+    for index in range(len(order)):
+        together: dict[str, float] = {}
+        for _, changes in order[index:]:
+            together |= changes
+        cause = cause_of(**together)
+        assert cause is not None
+        assert cause.startswith(order[index][0])
+
+
+@given(values=st.tuples(ANY, ANY, ANY, ANY), age=ANY, fault=st.integers(0, 255))
+def test_without_a_cause_everything_is_fresh_finite_healthy_and_within_limits(
+    values: tuple[float, float, float, float], age: float, fault: int
+) -> None:
+    reading = Reading(NOW_S, NOW_S - age, None, *values, fault, bridge=True)
+    if find_cause(reading, NOW_S, LIMITS) is None:
+        assert NOW_S - reading.oldest_s <= LIMITS.stale_s
+        assert all(map(math.isfinite, values))
+        assert fault == 0
+        assert reading.boost_voltage_V <= LIMITS.boost_voltage_max_V
+        assert reading.output <= LIMITS.output_max

@@ -1,0 +1,290 @@
+"""The state machine: every transition and every refusal."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import pytest
+
+from adaptdrive.control.signals import Mode, Stage
+from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.errors import RefusedError
+from adaptdrive.runtime.machine import Machine, MachineLimits
+from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.requests import (
+    Disable,
+    Enable,
+    Request,
+    Reset,
+    SetMode,
+    SetPole,
+    SetSetpoint,
+    SetWaveform,
+)
+
+LIMITS = MachineLimits(
+    reference_min=0.0,
+    reference_max=4.5,
+    unit="V",
+    pole_min=0.5,
+    pole_max=0.98,
+    period_min_s=4.0,
+    floor_V=200.0,
+    starting_ticks=600,
+    tick_s=1.0 / 120.0,
+)
+SQUARE = Waveform(Shape.SQUARE, 3.0, 3.2, 60.0)
+FAULT = "drive fault: word 0x1"
+
+
+class Desk:
+    """A machine at a tick that counts on."""
+
+    def __init__(self) -> None:
+        self.machine = Machine(LIMITS, pole=0.7)
+        self.tick = 100
+        self.cause: str | None = None
+
+    def state(self) -> State:
+        return self.machine.state
+
+    def ask(self, request: Request, output: float = 2.5) -> None:
+        self.machine.carry_out(request, self.tick, output, self.cause)
+
+    def pass_ticks(self, count: int, boost_voltage_V: float = 210.0) -> None:
+        for _ in range(count):
+            self.tick += 1
+            self.machine.advance(self.tick, boost_voltage_V)
+
+    def refuses(self, request: Request, reason: str) -> None:
+        """The request is refused, and nothing was changed."""
+        machine = self.machine
+        before = {name: value for name, value in vars(machine).items() if name != "_limits"}
+        with pytest.raises(RefusedError, match=re.escape(reason)):
+            self.ask(request)
+        assert {name: value for name, value in vars(machine).items() if name in before} == before
+
+
+@pytest.fixture
+def standby() -> Desk:
+    return Desk()
+
+
+@pytest.fixture
+def starting(standby: Desk) -> Desk:
+    standby.ask(Enable())
+    return standby
+
+
+@pytest.fixture
+def running(starting: Desk) -> Desk:
+    starting.pass_ticks(2)
+    assert starting.state() is State.RUNNING
+    return starting
+
+
+@pytest.fixture
+def tripped(running: Desk) -> Desk:
+    running.machine.latch(FAULT)
+    return running
+
+
+def test_it_begins_in_standby_with_everything_off(standby: Desk) -> None:
+    machine = standby.machine
+    assert (machine.state, machine.mode, machine.trip) == (State.STANDBY, Mode.FIXED, None)
+    assert (machine.waveform, machine.pole) == (None, 0.7)
+    assert not machine.energised
+    assert machine.stage is Stage.OFF
+
+
+def test_enabling_starts_and_holds_the_present_output(standby: Desk) -> None:
+    standby.ask(Enable(), output=2.75)
+    assert standby.state() is State.STARTING
+    assert standby.machine.stage is Stage.PRECHARGE
+    assert standby.machine.reference(standby.tick) == 2.75
+
+
+@pytest.mark.parametrize(("output", "held"), [(-0.3, 0.0), (7.0, 4.5)])
+def test_enabling_holds_the_nearest_set_point_that_is_allowed(
+    standby: Desk, output: float, held: float
+) -> None:
+    standby.ask(Enable(), output=output)
+    assert standby.machine.setpoint == held
+
+
+def test_starting_ends_when_the_boost_voltage_is_at_its_floor(starting: Desk) -> None:
+    starting.pass_ticks(100, boost_voltage_V=190.0)
+    assert starting.state() is State.STARTING
+    starting.pass_ticks(1, boost_voltage_V=199.0)
+    assert starting.state() is State.RUNNING
+    assert starting.machine.stage is Stage.RUN
+
+
+def test_starting_lasts_a_tick_at_least(starting: Desk) -> None:
+    """So that a controller which ran until a moment ago begins anew."""
+    starting.tick += 10
+    starting.pass_ticks(1, boost_voltage_V=300.0)
+    assert starting.state() is State.STARTING
+    starting.pass_ticks(1, boost_voltage_V=300.0)
+    assert starting.state() is State.RUNNING
+
+
+def test_starting_that_takes_too_long_trips(starting: Desk) -> None:
+    starting.pass_ticks(600, boost_voltage_V=171.0)
+    assert starting.state() is State.STARTING
+    starting.pass_ticks(1, boost_voltage_V=171.0)
+    assert starting.state() is State.TRIPPED
+    assert starting.machine.trip == "precharge: v_bst = 171.0 V after 5 s, needs 200 V"
+
+
+@pytest.mark.parametrize("name", ["starting", "running"])
+def test_disabling_ends_in_standby(request: pytest.FixtureRequest, name: str) -> None:
+    desk: Desk = request.getfixturevalue(name)
+    desk.ask(SetWaveform(SQUARE))
+    desk.ask(Disable())
+    assert desk.state() is State.STANDBY
+    assert desk.machine.waveform is None
+
+
+@pytest.mark.parametrize("name", ["standby", "starting", "running"])
+def test_any_state_can_trip(request: pytest.FixtureRequest, name: str) -> None:
+    desk: Desk = request.getfixturevalue(name)
+    desk.machine.latch(FAULT)
+    assert (desk.state(), desk.machine.trip) == (State.TRIPPED, FAULT)
+    assert desk.machine.stage is Stage.OFF
+    assert not desk.machine.energised
+
+
+def test_the_first_cause_of_a_trip_stays(tripped: Desk) -> None:
+    tripped.machine.latch("over-voltage")
+    assert tripped.machine.trip == FAULT
+
+
+def test_only_reset_leaves_a_trip(tripped: Desk) -> None:
+    tripped.refuses(Enable(), f"tripped ({FAULT}); reset first")
+    tripped.ask(Disable())
+    tripped.ask(SetMode(Mode.ADAPTIVE))
+    tripped.pass_ticks(1000, boost_voltage_V=300.0)
+    assert tripped.state() is State.TRIPPED
+    tripped.ask(Reset())
+    assert (tripped.state(), tripped.machine.trip) == (State.STANDBY, None)
+
+
+def test_reset_is_refused_while_the_cause_is_there(tripped: Desk) -> None:
+    tripped.cause = FAULT
+    tripped.refuses(Reset(), f"cause is still there: {FAULT}")
+
+
+def test_after_a_reset_the_drive_stays_off_until_it_is_enabled(tripped: Desk) -> None:
+    tripped.ask(Reset())
+    tripped.pass_ticks(1000, boost_voltage_V=300.0)
+    assert tripped.state() is State.STANDBY
+    tripped.ask(Enable())
+    tripped.pass_ticks(2)
+    assert tripped.state() is State.RUNNING
+
+
+@pytest.mark.parametrize("name", ["standby", "starting", "running"])
+def test_reset_without_a_trip_changes_nothing(request: pytest.FixtureRequest, name: str) -> None:
+    desk: Desk = request.getfixturevalue(name)
+    before = desk.state()
+    desk.ask(Reset())
+    assert desk.state() is before
+
+
+def test_enabling_is_refused_while_an_interlock_is_active(standby: Desk) -> None:
+    standby.cause = "stale: no measurement yet"
+    standby.refuses(Enable(), "stale: no measurement yet")
+
+
+def test_enabling_again_changes_nothing(running: Desk) -> None:
+    running.ask(SetSetpoint(3.5))
+    running.ask(Enable(), output=1.0)
+    assert running.state() is State.RUNNING
+    assert running.machine.setpoint == 3.5
+
+
+def test_enabling_forgets_set_point_and_waveform_of_the_last_run(running: Desk) -> None:
+    running.ask(SetWaveform(SQUARE))
+    running.ask(Disable())
+    running.ask(Enable(), output=1.25)
+    assert running.machine.waveform is None
+    assert running.machine.reference(running.tick + 5000) == 1.25
+
+
+@pytest.mark.parametrize("name", ["standby", "tripped"])
+@pytest.mark.parametrize("request_", [SetSetpoint(3.0), SetWaveform(SQUARE), SetWaveform(None)])
+def test_a_set_point_needs_an_enabled_drive(
+    request: pytest.FixtureRequest, name: str, request_: Request
+) -> None:
+    desk: Desk = request.getfixturevalue(name)
+    desk.refuses(request_, f"needs an enabled drive; state is {desk.state()}")
+
+
+@pytest.mark.parametrize("value", [-0.001, 4.501, math.inf, -math.inf, math.nan])
+def test_a_set_point_out_of_range_is_refused(running: Desk, value: float) -> None:
+    running.refuses(SetSetpoint(value), "is outside 0…4.5 V")
+
+
+@pytest.mark.parametrize("value", [0.0, 4.5])
+def test_a_set_point_at_a_limit_is_taken(running: Desk, value: float) -> None:
+    running.ask(SetSetpoint(value))
+    assert running.machine.reference(running.tick) == value
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "period_s", "reason"),
+    [
+        (-0.1, 3.0, 60.0, "waveform low = -0.1 V is outside"),
+        (3.0, 4.6, 60.0, "waveform high = 4.6 V is outside"),
+        (3.0, math.nan, 60.0, "waveform high = nan V is outside"),
+        (3.0, 3.2, 3.9, "waveform period_s = 3.9 is below 4"),
+        (3.0, 3.2, math.nan, "waveform period_s = nan is below 4"),
+    ],
+)
+def test_a_waveform_out_of_range_is_refused(
+    running: Desk, low: float, high: float, period_s: float, reason: str
+) -> None:
+    running.refuses(SetWaveform(Waveform(Shape.SINE, low, high, period_s)), reason)
+
+
+def test_a_waveform_begins_when_it_is_asked_for(running: Desk) -> None:
+    running.pass_ticks(1000)
+    running.ask(SetWaveform(SQUARE))
+    start = running.tick
+    half = 30 * 120
+    values = [running.machine.reference(start + ticks) for ticks in (0, half - 1, half, 2 * half)]
+    assert values == [3.2, 3.2, 3.0, 3.2]
+
+
+def test_ending_a_waveform_holds_the_set_point_of_that_moment(running: Desk) -> None:
+    running.ask(SetWaveform(Waveform(Shape.TRIANGLE, 2.0, 4.0, 8.0)))
+    running.pass_ticks(120)
+    held = running.machine.reference(running.tick)
+    running.ask(SetWaveform(None))
+    running.pass_ticks(5000)
+    assert running.machine.reference(running.tick) == held
+    assert running.machine.waveform is None
+
+
+def test_a_set_point_ends_a_waveform(running: Desk) -> None:
+    running.ask(SetWaveform(SQUARE))
+    running.ask(SetSetpoint(1.5))
+    assert running.machine.waveform is None
+    assert running.machine.reference(running.tick + 99_999) == 1.5
+
+
+@pytest.mark.parametrize("name", ["standby", "starting", "running", "tripped"])
+def test_mode_and_pole_are_taken_in_any_state(request: pytest.FixtureRequest, name: str) -> None:
+    desk: Desk = request.getfixturevalue(name)
+    before = desk.state()
+    desk.ask(SetMode(Mode.ADAPTIVE))
+    desk.ask(SetPole(0.9))
+    assert (desk.machine.mode, desk.machine.pole) == (Mode.ADAPTIVE, 0.9)
+    assert desk.state() is before
+
+
+@pytest.mark.parametrize("value", [0.49, 0.99, 1.0, -0.7, math.nan, math.inf])
+def test_a_pole_out_of_range_is_refused(running: Desk, value: float) -> None:
+    running.refuses(SetPole(value), "is outside 0.5…0.98")

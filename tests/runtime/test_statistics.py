@@ -1,0 +1,49 @@
+"""Quantiles of what came in since the last look."""
+
+from __future__ import annotations
+
+import math
+import statistics
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptdrive.runtime.reports import Quantiles
+from adaptdrive.runtime.statistics import TimeWindow
+
+TIMES = st.lists(st.floats(0.0, 1e6), min_size=1, max_size=400)
+
+
+def quantiles(times_us: list[float]) -> Quantiles:
+    window = TimeWindow()
+    for time_us in times_us:
+        window.add(time_us)
+    return window.take()
+
+
+@given(times_us=TIMES)
+def test_quantiles_are_times_that_occurred_in_the_right_order(times_us: list[float]) -> None:
+    found = quantiles(times_us)
+    assert {found.p50, found.p99, found.max} <= set(times_us)
+    assert found.max == max(times_us)
+    share = sum(time_us <= found.p99 for time_us in times_us) / len(times_us)
+    assert share >= 0.99 - 1.0 / len(times_us)
+    assert statistics.median_low(times_us) <= found.p50 <= statistics.median_high(times_us)
+
+
+def test_one_outlier_in_a_thousand_shows_in_the_maximum_only() -> None:
+    found = quantiles([10.0] * 999 + [8000.0])
+    assert (found.p50, found.p99, found.max) == (10.0, 10.0, 8000.0)
+
+
+def test_each_time_is_counted_once() -> None:
+    window = TimeWindow()
+    window.add(5.0)
+    assert window.take().max == 5.0
+    nothing = window.take()
+    assert all(map(math.isnan, (nothing.p50, nothing.p99, nothing.max)))
+
+
+def test_a_window_that_nobody_empties_keeps_the_latest() -> None:
+    found = quantiles([1e6] + [1.0] * 10_000)
+    assert found.max == 1.0
