@@ -13,7 +13,6 @@ from adaptdrive.control import fast_half as fast
 from adaptdrive.control.charging import is_complete
 from adaptdrive.control.estimator import input_offset, parameter_deviations
 from adaptdrive.control.load import Load, to_input, to_voltage
-from adaptdrive.control.screen import pass_sample
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import (
     SAFE_COMMAND,
@@ -122,23 +121,10 @@ class Controller:
         return fast.new_filter_bank(self._load, tick_period_s, tau, output, voltage)
 
     def _run_filters(self, measurement: Measurement, order: Order) -> None:
-        state, bank, rates = self._fast, self._bank, self._settings.rates
-        load = self._load
-        load_input = to_input(measurement.boost_voltage_V, load.input_gain, load.input_exponent)
-        elapsed = measurement.tick - state.tick
-        if elapsed > 0:
-            output = measurement.output
-            if rates.clip > 0.0:
-                output = pass_sample(bank.screen, output, rates.clip)
-            fast.filter_sample(bank, output, load_input, elapsed)
-        fast.count_tick(state, measurement.boost_voltage_V, measurement.fresh)
-        into_period = measurement.tick % rates.ticks_per_period
-        if into_period == 0 or into_period > rates.ticks_per_period - rates.samples:
-            fast.accumulate(bank)
-        k = measurement.tick // rates.ticks_per_period
-        if k != (state.tick // rates.ticks_per_period):
+        rates = self._settings.rates
+        if fast.take_in(self._settings, self._load, self._fast, self._bank, measurement):
+            k = measurement.tick // rates.ticks_per_period
             self._snapshot = self._take(measurement, order, k)
-        state.tick = measurement.tick
 
     def _take(self, measurement: Measurement, order: Order, k: int) -> Snapshot:
         rates, learning, order_m = self._settings.rates, self._settings.learning, self._load.order
@@ -159,20 +145,7 @@ class Controller:
         )
 
     def _drive(self, measurement: Measurement, bridge: bool) -> Command:
-        stage, state = self._settings.stage, self._fast
-        voltage, power = measurement.boost_voltage_V, measurement.load_power_W
-        reference = fast.limit_power(state, stage, voltage, power)
-        scale = 0.0
-        if not stage.holds_voltage:
-            scale = fast.regulate_voltage(
-                state,
-                stage,
-                reference,
-                voltage,
-                measurement.line_voltage_V,
-                power,
-                measurement.tick_period_s,
-            )
+        scale, reference = fast.drive(self._fast, self._settings.stage, measurement)
         return Command(scale, reference, bridge)
 
     def _sample(self, snapshot: Snapshot) -> SlowSample:

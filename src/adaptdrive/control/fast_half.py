@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from adaptdrive.control import voltage_loop
 from adaptdrive.control.lambda_filter import advance, chain_decay, ramp_gains, step_gains
 from adaptdrive.control.load import Load, to_input
-from adaptdrive.control.screen import WIDE, Screen
+from adaptdrive.control.screen import WIDE, Screen, pass_sample
 from adaptdrive.control.settings import ControllerSettings, PowerStage
+from adaptdrive.control.signals import Measurement
 from adaptdrive.control.vectors import Vector
 
 _CEILING_RISE = 1.002
@@ -106,6 +107,42 @@ def tune_filters(bank: FilterBank, tick_period_s: float, tau_lambda_s: float) ->
     bank.ramp[:] = ramp_gains(order, tick_period_s, tau_lambda_s)
 
 
+def take_in(
+    settings: ControllerSettings,
+    load: Load,
+    state: FastState,
+    bank: FilterBank,
+    measurement: Measurement,
+) -> bool:
+    """Filter one measurement and keep the books.
+
+    Args:
+        settings: Rates and clipping.
+        load: Its input map.
+        state: Overwritten.
+        bank: Overwritten.
+        measurement: Of this tick.
+
+    Returns:
+        True when a slow period ends with this tick.
+    """
+    rates, tick = settings.rates, measurement.tick
+    load_input = to_input(measurement.boost_voltage_V, load.input_gain, load.input_exponent)
+    elapsed = tick - state.tick
+    if elapsed > 0:
+        output = measurement.output
+        if rates.clip > 0.0:
+            output = pass_sample(bank.screen, output, rates.clip)
+        filter_sample(bank, output, load_input, elapsed)
+    count_tick(state, measurement.boost_voltage_V, measurement.fresh)
+    into_period = tick % rates.ticks_per_period
+    if into_period == 0 or into_period > rates.ticks_per_period - rates.samples:
+        accumulate(bank)
+    ends = tick // rates.ticks_per_period != state.tick // rates.ticks_per_period
+    state.tick = tick
+    return ends
+
+
 def filter_sample(bank: FilterBank, output: float, load_input: float, ticks: int) -> None:
     """Move the chains to a new sample, linearly over the ticks since the last one."""
     for i in range(ticks):
@@ -140,6 +177,17 @@ def take_means(bank: FilterBank) -> Vector:
         bank.sums[i] = 0.0
     bank.count = 0
     return means
+
+
+def drive(state: FastState, stage: PowerStage, measurement: Measurement) -> tuple[float, float]:
+    """What the drive is to be told: current scale k in siemens, and V_c in force."""
+    voltage_V, power_W = measurement.boost_voltage_V, measurement.load_power_W
+    reference_V = limit_power(state, stage, voltage_V, power_W)
+    if stage.holds_voltage:
+        return 0.0, reference_V
+    line_V, tick_s = measurement.line_voltage_V, measurement.tick_period_s
+    scale_S = regulate_voltage(state, stage, reference_V, voltage_V, line_V, power_W, tick_s)
+    return scale_S, reference_V
 
 
 def limit_power(
