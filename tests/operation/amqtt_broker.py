@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import sys
 
-from amqtt.broker import Broker  # type: ignore[import-untyped]
+from amqtt.broker import Broker
 
 
 async def main(port: int) -> None:

@@ -15,6 +15,7 @@ import pytest
 from adaptdrive.runtime.reports import Event, Severity, State
 from adaptdrive.runtime.requests import SetSetpoint
 from tests.operation.peers import (
+    PATIENCE_S,
     STANDBY,
     RememberingHost,
     ask,
@@ -159,14 +160,25 @@ async def test_a_command_under_way_ends_although_the_broker_is_lost(
         assert bench.host.asked == [SetSetpoint(1.0)]
 
 
-async def test_a_broker_that_hangs_is_given_up(mortal: MortalBroker, tmp_path: Path) -> None:
+async def test_a_broker_that_hangs_is_given_up_and_told_when_it_wakes(
+    mortal: MortalBroker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("adaptdrive.operation.link.TIMEOUT_S", 0.3)
     async with serving(mortal.address, "frozen", tmp_path) as bench:
         mortal.process.send_signal(signal.SIGSTOP)
         bench.host.show(replace(STANDBY, reason="while the broker hangs"))
-        await asyncio.sleep(0.1)
+        await asyncio.sleep(1.0)  # longer than a publication waits, attempts to connect included
+        bench.host.show(replace(STANDBY, reason="after several attempts"))
         mortal.process.send_signal(signal.SIGCONT)
         async with listening(mortal.address, bench.topic("state")) as ear:
-            await ear.until(lambda message: "hangs" in message.payload)
+            await ear.until(lambda message: "several" in message.payload)
+        assert (await ask(bench, "enable", '{"id": "a"}'))["accepted"]
+
+
+async def test_a_broker_that_hangs_keeps_nobody_from_stopping(
+    mortal: MortalBroker, tmp_path: Path
+) -> None:
+    async with asyncio.timeout(PATIENCE_S), serving(mortal.address, "frozen", tmp_path):
         mortal.process.send_signal(signal.SIGSTOP)
     mortal.process.send_signal(signal.SIGCONT)
 
