@@ -25,7 +25,6 @@ from adaptdrive.runtime.interlocks import Limits
 from adaptdrive.runtime.machine import MachineLimits
 
 _LOWEST_LINE = 0.5
-_GATE = 2.0
 _PATIENCE_PERIODS = 30
 _SHORTEST_WAVE_PERIODS = 4
 
@@ -75,6 +74,7 @@ def controller_settings(configuration: Configuration) -> ControllerSettings:
             latency_ticks=load.latency_ticks,
             samples=load.samples if exact else 1,
             nominal_tick_s=tick_s(configuration),
+            clip=load.clip if exact else 0.0,
         ),
         learning=_learning(configuration, exact=exact),
         jacket=_jacket(configuration),
@@ -129,10 +129,11 @@ def _learning(configuration: Configuration, *, exact: bool) -> Learning:
         dead_band=estimator.dead_band,
         initial_covariance=estimator.initial_covariance,
         settle_periods=math.ceil(estimator.settle_s / configuration.load.period_s),
-        gate=_GATE if exact else 0.0,
+        gate=estimator.gate if exact else 0.0,
         output_scale=dc_gain * middle if exact else 1.0,
         input_scale=middle if exact else 1.0,
         start_at_nominal=exact,
+        covariance_max=estimator.covariance_max if exact else 0.0,
         bias=estimator.bias or isinstance(configuration.load, Battery),
     )
 

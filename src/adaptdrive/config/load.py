@@ -28,7 +28,13 @@ class LoadSection(Section):
         "`paper`: the paper's discretisation, single sample",
     )
     samples: int = Field(
-        default=60, ge=1, description="fast samples averaged for one slow one (`exact` only)"
+        default=90, ge=1, description="fast samples averaged for one slow one (`exact` only)"
+    )
+    clip: float = Field(
+        default=5.0,
+        ge=0.0,
+        description="fast samples are clipped to this many mean deviations about their "
+        "prediction; 0 takes them as they are (`exact` only)",
     )
     latency_ticks: int = Field(
         default=2, ge=1, description="fast ticks from the slow sample to its effect"
@@ -135,6 +141,16 @@ class Estimator(Section):
         default=0.0, ge=0.0, description="skip updates while the output moves less than this"
     )
     initial_covariance: PositiveFloat = Field(default=1.0e4, description="P[0] = this times I")
+    gate: float = Field(
+        ge=0.0,
+        default=1.2,
+        description="learn only from samples with rᵀPr above this multiple of 1 - ρ (`exact` only)",
+    )
+    covariance_max: float = Field(
+        ge=0.0,
+        default=1.0e3,
+        description="bound of P by exponential resetting; 0 for plain forgetting (`exact` only)",
+    )
     bias: bool = Field(
         default=False, description="estimate a constant too; a battery always has one"
     )
