@@ -124,6 +124,8 @@ def bound(upper: Vector, diagonal: Vector, information: float) -> None:
     With information = (1 - ρ)/p after every update by forgetting ρ this is exponential resetting:
     P stays below p · I for ever (Salgado, Goodwin and Middleton, Int. J. Control 47, 1988).
     """
+    if not information > 0.0:
+        return
     size = len(diagonal)
     unit = [0.0] * size
     gain = [0.0] * size
