@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
-from adaptdrive.control.compensator import control_law
+from adaptdrive.control.compensator import control_law, lead_reference
 from adaptdrive.control.discretise import held_model
 from adaptdrive.control.pole_placement import desired_polynomial, place_poles
 from tests.control.systems import Array, System, motor_system, stable_systems
@@ -20,6 +20,11 @@ def test_it_is_the_difference_equation_that_it_states() -> None:
     gains = [-1.3, 0.3, 5.0, -2.0, 1.0]
     by_hand = 1.3 * 280.0 - 0.3 * 270.0 + 4.0 * 3.2 - (5.0 * 3.0 - 2.0 * 2.9 + 1.0 * 2.8)
     assert control_law(gains, [280.0, 270.0], [3.0, 2.9, 2.8], 3.2) == pytest.approx(by_hand)
+
+
+def test_a_lead_moves_a_step_of_the_reference_forward_and_leaves_the_rest() -> None:
+    assert lead_reference(3.2, 3.0, 0.1) == pytest.approx(3.22)
+    assert lead_reference(3.2, 3.2, 0.1) == 3.2
 
 
 @given(stable_systems(), st.floats(0.3, 0.9), st.floats(-400.0, 400.0), st.floats(-10.0, 10.0))

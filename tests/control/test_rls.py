@@ -1,6 +1,7 @@
 """Recursive least squares against batch least squares and the textbook recursion."""
 
 import importlib.util
+import inspect
 import math
 from collections.abc import Callable
 from types import ModuleType
@@ -115,7 +116,7 @@ def test_whatever_arrives_p_stays_positive_definite(
         assert excitation >= 0.0
 
 
-POOR = {
+POOR: dict[str, Callable[[int], Array]] = {
     "nothing": lambda _: np.zeros(3),
     "one direction": lambda _: np.array([-3.0, -3.0, 280.0]),
     "one direction and rounding noise": lambda n: np.array(
@@ -141,6 +142,32 @@ def test_p_stays_positive_definite_and_finite_without_excitation(kind: str) -> N
     assert recursive.theta == pytest.approx(target, rel=1e-6)
 
 
+@pytest.mark.parametrize("information", [1e-6, 0.01, 10.0])
+def test_bound_adds_information_about_every_parameter(information: float) -> None:
+    recursive = Recursive(4)
+    for r, y in zip(*data(4, 50), strict=True):
+        recursive.take(r, y, 0.97)
+    expected = np.linalg.inv(np.linalg.inv(recursive.covariance) + information * np.eye(4))
+    rls.bound(recursive.upper, recursive.diagonal, information)
+    assert np.allclose(recursive.covariance, expected, rtol=1e-9)
+
+
+def test_bound_without_information_changes_nothing() -> None:
+    recursive = Recursive(2)
+    rls.bound(recursive.upper, recursive.diagonal, 0.0)
+    assert recursive.diagonal == [1e4, 1e4]
+
+
+@pytest.mark.parametrize("kind", POOR)
+def test_bound_after_every_update_keeps_p_below_its_limit_for_ever(kind: str) -> None:
+    recursive = Recursive(3)
+    for n in range(10_000):
+        recursive.take(POOR[kind](n), 1.0, 0.97)
+        rls.bound(recursive.upper, recursive.diagonal, 0.03 / 1e4)
+    assert recursive.sound
+    assert np.linalg.eigvalsh(recursive.covariance).max() <= 1e4 * (1.0 + 1e-6)
+
+
 def test_the_textbook_recursion_breaks_where_the_factored_one_does_not() -> None:
     regressors = np.tile([-3.0, -3.0, 280.0], (60_000, 1))
     with np.errstate(all="ignore"):
@@ -160,8 +187,9 @@ def compiled_rls() -> ModuleType:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    for name in ("predict", "update"):
-        setattr(module, name, compiled(getattr(module, name)))
+    for name, member in list(vars(module).items()):
+        if inspect.isfunction(member):
+            setattr(module, name, compiled(member))
     return module
 
 

@@ -1,0 +1,31 @@
+"""The battery's model against the impedances of its circuit."""
+
+import numpy as np
+import pytest
+
+from adaptdrive.control.loads.battery import battery_load, paper_model, physical
+from tests.control.systems import System, held_polynomials
+
+BATTERY = battery_load(turns_ratio=0.25, series_Ohm=1.2, relaxation_Ohm=0.3, relaxation_s=60.0)
+SYSTEM = System(list(BATTERY.numerator), list(BATTERY.denominator))
+
+
+@pytest.mark.parametrize("rad_s", [1e-5, 0.01, 0.1, 100.0])
+def test_the_admittance_is_that_of_the_circuit(rad_s: float) -> None:
+    impedance = 1.2 + 0.3 / (1.0 + 1j * rad_s * 60.0)
+    assert SYSTEM.response(rad_s) == pytest.approx(0.25 / impedance, rel=1e-12)
+
+
+def test_its_parameters_are_what_a_step_shows_first_and_last_and_how_fast() -> None:
+    direct, final, tau_s = physical(SYSTEM.numerator, SYSTEM.denominator)
+    assert direct == pytest.approx(0.25 / 1.2)
+    assert final == pytest.approx(0.25 / 1.5)
+    assert tau_s == pytest.approx(60.0 * 1.2 / 1.5)
+
+
+def test_the_discrete_model_is_the_held_one_a_period_later() -> None:
+    a, b = paper_model(SYSTEM.numerator, SYSTEM.denominator, 1.0)
+    expected_a, expected_b = held_polynomials(SYSTEM, 1.0)
+    assert np.allclose(a, expected_a, rtol=1e-12)
+    assert np.allclose(b, [0.0, *expected_b], rtol=0.0, atol=1e-12)
+    assert len(b) == BATTERY.paper_taps + 1

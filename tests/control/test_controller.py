@@ -1,0 +1,331 @@
+"""The controller as a whole: rates, stages, limits, bumpless change, and what it never does."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.settings import ControllerSettings, Jacket, Rates
+from adaptdrive.control.signals import (
+    SAFE_COMMAND,
+    Command,
+    Decision,
+    Measurement,
+    Mode,
+    Order,
+    Snapshot,
+    Stage,
+)
+from adaptdrive_sim.noise import NoiseParameters
+from tests.closed_loop.bench import (
+    EXACT,
+    MOTOR,
+    PAPER,
+    PLAIN_LEARNING,
+    STAGE,
+    TICKS,
+    Bench,
+    TICK_s,
+    order,
+    square_wave,
+)
+
+REST_V = 3.0 / 0.011
+
+
+def measurement(
+    tick: int,
+    *,
+    boost: float = REST_V,
+    line: float = 120.0,
+    power: float = 430.0,
+    output: float = 3.0,
+    fresh: bool = True,
+) -> Measurement:
+    return Measurement(tick, TICK_s, boost, line, power, output, fresh)
+
+
+def snapshots(controller: Controller, ticks: Iterator[int] | range) -> list[Snapshot]:
+    found = []
+    for tick in ticks:
+        controller.tick(measurement(tick), order())
+        if (snapshot := controller.take_snapshot()) is not None:
+            found.append(snapshot)
+    return found
+
+
+# two rates
+
+
+def test_a_snapshot_is_left_every_slow_period_and_only_once() -> None:
+    controller = Controller(EXACT, MOTOR)
+    found = snapshots(controller, range(1, 1000))
+    assert [s.k for s in found] == list(range(1, 9))
+    assert [s.tick for s in found] == [k * TICKS for k in range(1, 9)]
+    assert controller.take_snapshot() is None
+
+
+@pytest.mark.parametrize("missed", [(240,), (239, 240, 241), tuple(range(200, 260)), (241,)])
+def test_missed_ticks_advance_the_slow_index_and_never_repeat_it(missed: tuple[int, ...]) -> None:
+    ticks = [tick for tick in range(1, 700) if tick not in missed]
+    found = snapshots(Controller(EXACT, MOTOR), iter(ticks))
+    assert [s.k for s in found] == [1, 2, 3, 4, 5]
+    late = 240 in missed
+    assert found[1].tick == (max(missed) + 1 if late else 240)
+    assert [s.tick for s in found if s.k != 2] == [120, 360, 480, 600]
+
+
+def test_a_jump_over_whole_periods_leaves_one_snapshot() -> None:
+    found = snapshots(Controller(EXACT, MOTOR), iter([*range(1, 130), *range(500, 620)]))
+    assert [s.k for s in found] == [1, 4, 5]
+
+
+def test_the_slow_period_follows_the_measured_line() -> None:
+    controller = Controller(EXACT, MOTOR)
+    for tick in range(1, 121):
+        controller.tick(replace(measurement(tick), tick_period_s=1.0 / 119.8), order())
+    snapshot = controller.take_snapshot()
+    assert snapshot is not None
+    assert snapshot.period_s == pytest.approx(120.0 / 119.8)
+
+
+def test_the_output_is_the_mean_of_the_last_samples_of_the_period() -> None:
+    controller = Controller(EXACT, MOTOR)
+    for tick in range(1, 121):
+        controller.tick(measurement(tick, output=3.0 + tick), order())
+    snapshot = controller.take_snapshot()
+    assert snapshot is not None
+    assert snapshot.output == pytest.approx(3.0 + sum(range(61, 121)) / 60.0)
+
+
+def test_stand_in_ticks_are_counted() -> None:
+    controller = Controller(EXACT, MOTOR)
+    for tick in range(1, 121):
+        controller.tick(measurement(tick, fresh=tick % 10 != 0), order())
+    snapshot = controller.take_snapshot()
+    assert snapshot is not None
+    assert snapshot.held_ticks == 12
+
+
+def test_what_was_applied_is_the_mean_boost_voltage() -> None:
+    controller = Controller(EXACT, MOTOR)
+    for tick in range(1, 121):
+        controller.tick(measurement(tick, boost=280.0 + tick % 2), order())
+    snapshot = controller.take_snapshot()
+    assert snapshot is not None
+    assert snapshot.applied_V == pytest.approx(280.5)
+
+
+# stages
+
+
+@given(
+    st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)), min_size=1, max_size=20),
+    st.sampled_from(Mode),
+)
+def test_off_is_always_the_safe_command(values: list[tuple[float, float]], mode: Mode) -> None:
+    controller = Controller(EXACT, MOTOR)
+    for tick, (boost, output) in enumerate(values):
+        controller.tick(measurement(2 * tick, boost=boost, output=output), order(mode=mode))
+        off = Order(Stage.OFF, 3.2, mode, 0.7)
+        assert controller.tick(measurement(2 * tick + 1, boost=boost), off) == SAFE_COMMAND
+
+
+def test_precharge_holds_the_lowest_voltage_with_the_bridge_off() -> None:
+    controller = Controller(EXACT, MOTOR)
+    command = controller.tick(measurement(0, boost=170.0), order(stage=Stage.PRECHARGE))
+    assert not command.bridge
+    assert command.boost_reference_V == STAGE.boost_reference_min_V
+    assert 0.0 <= command.current_scale_S <= STAGE.current_scale_max_S
+
+
+@pytest.mark.parametrize("boost", [0.0, 170.0, 215.0, 333.0, 450.0])
+def test_entering_run_starts_from_the_present_voltage(boost: float) -> None:
+    controller = Controller(EXACT, MOTOR)
+    controller.tick(measurement(0, boost=boost), order(stage=Stage.PRECHARGE))
+    command = controller.tick(measurement(1, boost=boost), order())
+    assert command.bridge
+    assert command.boost_reference_V == min(max(boost, 200.0), 400.0)
+
+
+def test_entering_run_again_starts_from_the_present_not_from_the_past() -> None:
+    bench = Bench()
+    bench.run(5.0, order(3.2))
+    bench.tick(order(stage=Stage.OFF))
+    voltage = bench.measurement().boost_voltage_V
+    assert bench.tick(order(3.0)).boost_reference_V == pytest.approx(voltage)
+
+
+def test_a_decision_does_nothing_unless_it_runs() -> None:
+    controller = Controller(EXACT, MOTOR)
+    found = snapshots(controller, range(1, 121))
+    decision = controller.decide(found[0])
+    controller.tick(measurement(121), order(stage=Stage.PRECHARGE))
+    controller.apply(replace(decision, boost_reference_V=399.0))
+    command = controller.tick(measurement(122), order(stage=Stage.PRECHARGE))
+    assert command.boost_reference_V == 200.0
+
+
+def test_a_drive_that_holds_its_own_voltage_is_told_the_voltage_alone() -> None:
+    held = replace(EXACT, stage=replace(STAGE, holds_voltage=True))
+    command = Controller(held, MOTOR).tick(measurement(0, boost=300.0, power=900.0), order())
+    assert command == Command(0.0, 300.0, bridge=True)
+
+
+# determinism
+
+
+def recorded(settings_: ControllerSettings, seconds: int) -> tuple[list[Command], list[Decision]]:
+    bench = Bench(settings_, noise=NoiseParameters(sigma=0.01, spike_share=0.02, spike_sigma=0.1))
+    for second in range(seconds):
+        mode = Mode.ADAPTIVE if second % 50 > 20 else Mode.FIXED
+        bench.run(1.0, order(square_wave(second), mode))
+    return bench.commands, bench.decisions
+
+
+def test_the_same_calls_give_the_same_commands_bit_for_bit() -> None:
+    # as text: decisions hold NaN, which equals nothing
+    assert repr(recorded(EXACT, 150)) == repr(recorded(EXACT, 150))
+
+
+def test_a_decision_takes_effect_at_the_next_tick_after_it_is_applied() -> None:
+    controller = Controller(EXACT, MOTOR)
+    found = snapshots(controller, range(1, 121))
+    decision = replace(controller.decide(found[0]), boost_reference_V=311.0)
+    assert controller.tick(measurement(121), order()).boost_reference_V == REST_V
+    controller.apply(decision)
+    assert controller.tick(measurement(122), order()).boost_reference_V == 311.0
+
+
+# bumpless change
+
+
+@pytest.fixture(scope="module")
+def learnt() -> Bench:
+    """A motor whose true load differs from the nominal one, learnt, and back at rest."""
+    bench = Bench(replace(EXACT, jacket=replace(EXACT.jacket, warm_up_periods=60)))
+    bench.motor.disks = 2
+    for second in range(240):
+        bench.run(1.0, order(square_wave(second), Mode.FIXED))
+    bench.run(200.0, order(3.0, Mode.FIXED))
+    return bench
+
+
+def test_at_rest_the_change_of_mode_is_bumpless(learnt: Bench) -> None:
+    before = learnt.decisions[-1]
+    assert before.controller is Mode.FIXED
+    assert before.accepted or before.reason
+    assert abs(before.handover_step_V) < 1.0
+    reference = learnt.commands[-1].boost_reference_V
+    for mode in (Mode.ADAPTIVE, Mode.FIXED):
+        learnt.run(3.0, order(3.0, mode))
+        assert learnt.decisions[-1].controller is mode
+        assert learnt.commands[-1].boost_reference_V == pytest.approx(reference, abs=1.0)
+
+
+def test_the_two_laws_differ_while_the_reference_steps(learnt: Bench) -> None:
+    learnt.run(1.1, order(3.2, Mode.FIXED))
+    assert abs(learnt.decisions[-1].handover_step_V) > 5.0
+    learnt.run(200.0, order(3.0, Mode.FIXED))
+
+
+def test_adaptive_control_waits_for_the_warm_up_and_says_so() -> None:
+    bench = Bench(replace(EXACT, jacket=replace(EXACT.jacket, warm_up_periods=20)))
+    for second in range(40):
+        bench.run(1.0, order(square_wave(second), Mode.ADAPTIVE))
+    modes = [d.controller for d in bench.decisions]
+    assert modes[:20] == [Mode.FIXED] * 20
+    assert modes[-1] is Mode.ADAPTIVE
+    assert "warming up" in bench.decisions[5].reason
+    assert bench.decisions[-1].reason == ""
+
+
+def test_an_estimate_out_of_bounds_is_named_with_its_bounds() -> None:
+    narrow = Jacket(warm_up_periods=10, ratio_min=0.9, ratio_max=1.1, patience_periods=3)
+    bench = Bench(replace(EXACT, jacket=narrow))
+    bench.motor.disks = 3
+    for second in range(100):
+        bench.run(1.0, order(square_wave(second), Mode.ADAPTIVE))
+    last = bench.decisions[-1]
+    assert last.controller is Mode.FIXED
+    assert not last.accepted
+    assert "tau_" in last.reason
+    assert "outside" in last.reason
+
+
+# what it never does
+
+SMALL = Rates(ticks_per_period=4, latency_ticks=1, samples=2, nominal_tick_s=TICK_s)
+EAGER = Jacket(warm_up_periods=1, ratio_min=1e-3, ratio_max=1e3, patience_periods=2)
+KINDS = [
+    replace(EXACT, rates=SMALL, jacket=EAGER),
+    replace(EXACT, rates=SMALL, jacket=EAGER, learning=PLAIN_LEARNING),
+    replace(PAPER, rates=replace(SMALL, samples=1), jacket=EAGER),
+    replace(
+        PAPER,
+        rates=replace(SMALL, samples=1),
+        jacket=EAGER,
+        learning=replace(PLAIN_LEARNING, filtered=False),
+    ),
+]
+anything = st.floats(allow_nan=False, allow_infinity=False)
+voltages = st.floats(0.0, 500.0) | anything
+outputs = st.floats(-5.0, 5.0) | anything
+frames = st.tuples(st.sampled_from([1, 1, 1, 2, 5, 9]), voltages, voltages, outputs, outputs)
+orders = st.builds(
+    Order,
+    st.sampled_from([Stage.RUN, Stage.RUN, Stage.RUN, Stage.PRECHARGE, Stage.OFF]),
+    st.floats(-5.0, 5.0) | anything,
+    st.sampled_from(Mode),
+    st.floats(0.3, 0.95),
+)
+
+
+def drive(
+    settings_: ControllerSettings,
+    frames_: list[tuple[tuple[int, float, float, float, float], Order]],
+) -> Iterator[Command]:
+    controller, tick = Controller(settings_, MOTOR), 0
+    for (steps, boost, line, power, output), wanted in frames_:
+        tick += steps
+        yield controller.tick(Measurement(tick, TICK_s, boost, line, power, output), wanted)
+        if (snapshot := controller.take_snapshot()) is not None:
+            controller.apply(controller.decide(snapshot))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=150)
+@given(st.lists(st.tuples(frames, orders), min_size=1, max_size=60))
+def test_from_finite_measurements_every_command_is_finite_and_within_limits(
+    kind: ControllerSettings,
+    frames_: list[tuple[tuple[int, float, float, float, float], Order]],
+) -> None:
+    for command, (_, wanted) in zip(drive(kind, frames_), frames_, strict=True):
+        assert math.isfinite(command.current_scale_S)
+        assert math.isfinite(command.boost_reference_V)
+        assert STAGE.current_scale_min_S <= command.current_scale_S <= STAGE.current_scale_max_S
+        if wanted.stage is Stage.OFF:
+            assert command == SAFE_COMMAND
+        else:
+            low, high = STAGE.boost_reference_min_V, STAGE.boost_reference_max_V
+            assert low <= command.boost_reference_V <= high
+            assert command.bridge == (wanted.stage is Stage.RUN)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=40)
+@given(st.lists(st.tuples(frames, orders), min_size=1, max_size=40))
+def test_whatever_was_measured_nothing_of_it_outlives_off(
+    kind: ControllerSettings,
+    frames_: list[tuple[tuple[int, float, float, float, float], Order]],
+) -> None:
+    off = ((1, 0.0, 0.0, 0.0, 0.0), order(stage=Stage.OFF))
+    plain = [((1, REST_V + n % 3, 120.0, 430.0, 3.0), order()) for n in range(40)]
+    ticks = sum(steps for (steps, *_), _ in frames_)
+    fresh = [((ticks + 1, *off[0][1:]), off[1]), *plain]
+    experienced = list(drive(kind, [*frames_, off, *plain]))
+    assert experienced[-40:] == list(drive(kind, fresh))[-40:]

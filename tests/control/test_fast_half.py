@@ -1,0 +1,159 @@
+"""The fast half: filters at rest and in the window, books of a period, limits of the stage."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.signal import lsim
+
+from adaptdrive.control import fast_half as fast
+from tests.closed_loop.bench import EXACT, MOTOR, STAGE, TICK_s
+from tests.control.systems import Array
+
+plausible = st.floats(-10.0, 400.0)
+
+
+def bank(output: float = 3.0, voltage: float = 280.0) -> fast.FilterBank:
+    return fast.new_filter_bank(MOTOR, TICK_s, 10.0, output, voltage)
+
+
+def state(**changes: float) -> fast.FastState:
+    made = fast.FastState(tick=0, boost_reference_V=300.0, error_sum=9.0 * 300.0**2)
+    for name, value in changes.items():
+        setattr(made, name, value)
+    return made
+
+
+def test_a_new_bank_has_seen_the_present_for_ever() -> None:
+    filters = bank()
+    for _ in range(1000):
+        fast.filter_sample(filters, 3.0, 280.0, 1)
+    assert filters.outputs == pytest.approx([3.0, 3.0], rel=1e-12)
+    assert filters.inputs == pytest.approx([280.0, 280.0], rel=1e-12)
+
+
+def filtered_line(corners: Array, time_s: NDArray[Any], order: int) -> Array:
+    """λ^i of a broken line, by scipy, from rest."""
+    system = ([1.0], np.asarray(np.poly([-0.1] * order)) * 10.0**order)
+    _, response, _ = lsim(system, corners - corners[0], time_s)
+    return np.asarray(corners[0] + response)
+
+
+@pytest.mark.parametrize("missed", [1, 2, 7])
+def test_missed_ticks_are_bridged_by_a_straight_line(missed: int) -> None:
+    random = np.random.default_rng(1)
+    outputs = np.asarray(3.0 + 0.1 * random.normal(size=60), np.float64)
+    time_s = np.arange(60) * missed * TICK_s
+    filters = bank(float(outputs[0]))
+    for y in outputs[1:]:
+        fast.filter_sample(filters, float(y), 280.0, missed)
+    for order in (1, 2):
+        expected = filtered_line(outputs, time_s, order)[-1]
+        assert filters.outputs[order - 1] == pytest.approx(expected, abs=1e-12)
+
+
+@given(st.lists(st.tuples(plausible, plausible), min_size=1, max_size=20))
+def test_means_are_means_and_the_window_starts_again(samples: list[tuple[float, float]]) -> None:
+    filters, seen = bank(), []
+    for output, load_input in samples:
+        fast.filter_sample(filters, output, load_input, 1)
+        fast.accumulate(filters)
+        seen.append([output, *filters.outputs, load_input, *filters.inputs])
+    assert fast.take_means(filters) == pytest.approx(np.mean(seen, axis=0), abs=1e-9)
+    assert fast.take_means(filters) == pytest.approx(seen[-1], abs=1e-9)  # an empty window
+
+
+def test_tuning_keeps_what_the_filters_hold() -> None:
+    filters = bank()
+    fast.filter_sample(filters, 3.1, 290.0, 1)
+    held = list(filters.outputs)
+    fast.tune_filters(filters, 0.01, 10.0)
+    assert filters.outputs == held
+    assert filters.decay[0] == pytest.approx(math.exp(-0.001))
+
+
+def regulate(
+    books: fast.FastState,
+    voltage: float = 300.0,
+    line: float = 120.0,
+    power: float = 500.0,
+    reference: float = 300.0,
+) -> float:
+    return fast.regulate_voltage(books, STAGE, reference, voltage, line, power, TICK_s)
+
+
+def test_at_rest_the_scale_carries_the_load_alone() -> None:
+    assert regulate(state()) == pytest.approx(500.0 / 120.0**2)
+
+
+def test_without_feed_forward_the_load_power_is_not_looked_at() -> None:
+    blind = replace(STAGE, feed_forward=False)
+    scales = {
+        fast.regulate_voltage(state(), blind, 300.0, 290.0, 120.0, power, TICK_s)
+        for power in (0.0, 500.0)
+    }
+    assert len(scales) == 1
+
+
+@given(st.floats(-1e9, 1e9), st.floats(0.0, 500.0), st.floats(0.0, 300.0), st.floats(-1e4, 1e4))
+def test_the_scale_is_within_limits_and_the_limit_is_told(
+    error_sum: float, voltage: float, line: float, power: float
+) -> None:
+    books = state(error_sum=error_sum)
+    scale = regulate(books, voltage, line, power)
+    low, high = STAGE.current_scale_min_S, STAGE.current_scale_max_S
+    assert low <= scale <= high
+    if books.limit:
+        assert scale == (high if books.limit > 0 else low)
+
+
+def test_a_weak_line_is_divided_by_only_down_to_its_lowest_voltage() -> None:
+    assert regulate(state(), line=10.0, power=50.0) == regulate(state(), line=60.0, power=50.0)
+
+
+def test_too_much_power_holds_the_voltage_back_and_lets_it_rise_slowly() -> None:
+    books = state(boost_reference_V=400.0)
+    held = fast.limit_power(books, STAGE, 390.0, 1.21 * STAGE.load_power_max_W)
+    assert held == pytest.approx(390.0 / 1.1)
+    following = [fast.limit_power(books, STAGE, 350.0, 1000.0) for _ in range(200)]
+    assert 0.0 < following[0] - held < 1.0
+    assert following == sorted(following)
+    assert following[-1] == 400.0
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 500.0), st.floats(-1e4, 1e5)), max_size=50))
+def test_the_reference_in_force_never_leaves_its_limits(
+    samples: list[tuple[float, float]],
+) -> None:
+    books = state(boost_reference_V=400.0)
+    for voltage, power in samples:
+        held = fast.limit_power(books, STAGE, voltage, power)
+        assert STAGE.boost_reference_min_V <= held <= STAGE.boost_reference_max_V
+
+
+def test_the_books_of_a_period_start_again_empty() -> None:
+    books = state()
+    for n in range(120):
+        books.limit = 1 if n < 31 else 0
+        fast.count_tick(books, 300.0 + n, fresh=n % 10 != 0)
+    applied_V, followed, held = fast.close_period(books, EXACT)
+    assert applied_V == pytest.approx(300.0 + 59.5)
+    assert not followed
+    assert held == 12
+    fast.count_tick(books, 280.0, fresh=True)
+    assert fast.close_period(books, EXACT) == (280.0, True, 0)
+    assert math.isnan(fast.close_period(books, EXACT)[0])
+
+
+@pytest.mark.parametrize(("limited", "followed"), [(0, True), (30, True), (31, False)])
+def test_a_quarter_of_a_period_at_a_limit_is_still_followed(limited: int, followed: bool) -> None:
+    books = state()
+    for n in range(120):
+        books.limit = -1 if n < limited else 0
+        fast.count_tick(books, 300.0, fresh=True)
+    assert fast.close_period(books, EXACT)[1] is followed

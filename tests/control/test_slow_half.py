@@ -1,0 +1,119 @@
+"""One slow period: rest, history, redesign, and what is not learnt."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.control.slow_half import SlowSample, SlowState, new_slow_state, slow_step
+from tests.closed_loop.bench import EXACT, MOTOR, PAPER, PLAIN_LEARNING
+
+REST_V = 3.0 / 0.011
+BOTH = pytest.mark.parametrize("settings", [EXACT, PAPER])
+
+
+def at_rest(settings: ControllerSettings = EXACT) -> SlowState:
+    return new_slow_state(settings, MOTOR, 3.0, REST_V)
+
+
+def sample(
+    output: float = 3.0,
+    *,
+    applied: float = REST_V,
+    followed: bool = True,
+    held_share: float = 0.0,
+    reference: float = 3.0,
+    adaptive: bool = False,
+    pole: float = 0.7,
+    period_s: float = 1.0,
+) -> SlowSample:
+    return SlowSample(
+        period_s=period_s,
+        output=output,
+        output_filtered=[output, output],
+        input_filtered=[REST_V, REST_V, REST_V],
+        applied=applied,
+        followed=followed,
+        held_share=held_share,
+        reference=reference,
+        adaptive=adaptive,
+        pole=pole,
+        low=200.0,
+        high=400.0,
+    )
+
+
+@BOTH
+def test_at_rest_it_holds_still(settings: ControllerSettings) -> None:
+    state = at_rest(settings)
+    for _ in range(50):
+        assert slow_step(settings, MOTOR, state, sample()) == pytest.approx(REST_V, abs=1e-6)
+
+
+@BOTH
+@pytest.mark.parametrize("reference", [-1e6, 0.0, 10.0, 1e6])
+def test_the_input_is_limited_and_remembered_as_limited(
+    settings: ControllerSettings, reference: float
+) -> None:
+    state = at_rest(settings)
+    wanted = slow_step(settings, MOTOR, state, sample(reference=reference))
+    assert wanted == (400.0 if reference > 3.0 else 200.0)
+    assert state.inputs[0] == wanted
+
+
+def test_where_the_drive_could_not_follow_the_history_holds_what_was_applied() -> None:
+    for followed, remembered in ((False, 250.0), (True, REST_V)):
+        state = at_rest()
+        slow_step(EXACT, MOTOR, state, sample(applied=250.0, followed=followed))
+        assert state.inputs[1] == remembered
+
+
+def test_what_was_applied_is_not_believed_while_it_is_unknown() -> None:
+    state = at_rest()
+    slow_step(EXACT, MOTOR, state, sample(applied=math.nan, followed=False))
+    assert np.isfinite(state.inputs).all()
+
+
+@BOTH
+def test_a_pole_or_a_period_that_changes_makes_new_fixed_gains(
+    settings: ControllerSettings,
+) -> None:
+    state, seen = at_rest(settings), []
+    for pole, period_s in ((0.7, 1.0), (0.8, 1.0), (0.8, 1.001)):
+        slow_step(settings, MOTOR, state, sample(pole=pole, period_s=period_s))
+        seen.append(tuple(state.fixed_gains))
+    assert len(set(seen)) == 3
+    slow_step(settings, MOTOR, state, sample(pole=0.8, period_s=1.00100001))
+    assert tuple(state.fixed_gains) == seen[-1]
+
+
+def test_a_law_that_is_not_a_number_keeps_the_last_input() -> None:
+    state = at_rest()
+    slow_step(EXACT, MOTOR, state, sample())
+    before = state.inputs[0]
+    assert slow_step(EXACT, MOTOR, state, sample(reference=math.nan)) == before
+
+
+@pytest.mark.parametrize(("held_share", "learns"), [(0.0, True), (0.1, True), (0.11, False)])
+def test_a_period_with_many_stand_in_ticks_teaches_nothing(held_share: float, learns: bool) -> None:
+    settings = replace(EXACT, learning=PLAIN_LEARNING)
+    state = at_rest(settings)
+    slow_step(settings, MOTOR, state, sample(3.01, held_share=held_share))
+    assert any(state.estimator.theta) == learns
+
+
+@pytest.mark.parametrize(("moved", "learns"), [(0.009, False), (0.011, True), (-0.011, True)])
+def test_an_output_within_the_dead_band_teaches_nothing(moved: float, learns: bool) -> None:
+    settings = replace(EXACT, learning=replace(PLAIN_LEARNING, dead_band=0.01))
+    state = at_rest(settings)
+    slow_step(settings, MOTOR, state, sample(3.0 + moved))
+    assert any(state.estimator.theta) == learns
+
+
+def test_before_any_estimate_is_trusted_the_other_law_is_unknown() -> None:
+    state = at_rest()
+    slow_step(EXACT, MOTOR, state, sample(adaptive=True))
+    assert math.isnan(state.handover_step)
+    assert not state.adaptive

@@ -1,0 +1,33 @@
+"""Set-point waveforms against scipy's."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import signal
+
+from adaptdrive.control.waveform import Shape, Waveform
+
+ORACLES = {
+    Shape.SQUARE: lambda phase: 0.5 + 0.5 * signal.square(2.0 * np.pi * phase),
+    Shape.SINE: lambda phase: 0.5 + 0.5 * np.sin(2.0 * np.pi * phase),
+    Shape.TRIANGLE: lambda phase: 0.5 + 0.5 * signal.sawtooth(2.0 * np.pi * phase + np.pi / 2, 0.5),
+}
+
+
+@pytest.mark.parametrize("shape", list(Shape))
+def test_a_period_has_the_shape_that_its_name_says(shape: Shape) -> None:
+    wave = Waveform(shape, low=3.0, high=3.2, period_s=120.0)
+    for elapsed_s in np.arange(0.5, 400.0, 7.3):
+        expected = 3.0 + 0.2 * ORACLES[shape](elapsed_s / 120.0)
+        assert wave.value(float(elapsed_s)) == pytest.approx(expected, abs=1e-9)
+
+
+@given(st.sampled_from(Shape), st.floats(0.0, 1e6), st.floats(0.1, 1e4))
+def test_it_never_leaves_its_limits(shape: Shape, elapsed_s: float, period_s: float) -> None:
+    assert -1e-12 <= Waveform(shape, 0.0, 1.0, period_s).value(elapsed_s) <= 1.0 + 1e-12
+
+
+def test_the_high_half_of_a_square_wave_comes_first() -> None:
+    wave = Waveform(Shape.SQUARE, 3.0, 3.2, 120.0)
+    assert [wave.value(t) for t in (0.0, 59.99, 60.0, 119.99, 120.0)] == [3.2, 3.2, 3.0, 3.0, 3.2]
