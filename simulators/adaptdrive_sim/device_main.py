@@ -15,9 +15,10 @@ from typing import Any
 import structlog
 from structlog.typing import EventDict, WrappedLogger
 
+from adaptdrive.config.bus import CanBus
 from adaptdrive.config.file import load_configuration
 from adaptdrive.config.root import Configuration
-from adaptdrive.errors import AdaptdriveError, RefusedError
+from adaptdrive.errors import AdaptdriveError, ConfigurationError, Flaw, RefusedError
 from adaptdrive_sim.broker import parse_address
 from adaptdrive_sim.devices.can_drive import CanDrive
 from adaptdrive_sim.devices.drive import Drive, Report
@@ -58,7 +59,10 @@ def run_device(path: Path, settings: DeviceSettings) -> None:
     configuration = _overridden(load_configuration(path), settings)
     report = make_report()
     drive = Drive(build_world(configuration, settings), report)
-    node = CanDrive(drive, configuration.bus, load_messages(configuration, path), report)
+    bus = configuration.bus
+    if not isinstance(bus, CanBus):
+        raise ConfigurationError(path, [Flaw("bus.type", f"{bus.type!r} cannot be simulated yet")])
+    node = CanDrive(drive, bus, load_messages(bus, configuration, path), report)
     jobs: list[Job] = [functools.partial(node.run, _say_bus(configuration))]
     if settings.broker is not None:
         address = parse_address(settings.broker)

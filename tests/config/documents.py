@@ -10,6 +10,7 @@ from adaptdrive.errors import ConfigurationError
 SOURCE = Path("/site/drives/bench.toml")
 MINIMAL = {
     "drive.name": '"bench"',
+    "bus.type": '"can"',
     "bus.interface": '"virtual"',
     "bus.channel": '"bench"',
     "bus.database": '"bench.dbc"',

@@ -23,6 +23,8 @@ from adaptdrive.hardware.port import Reading
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 MOTOR = load_configuration(EXAMPLES / "motor.toml")
+assert isinstance(MOTOR.bus, CanBus)
+MOTOR_BUS = MOTOR.bus
 _PATIENCE_S = 20.0
 
 STATUS = {"BoostVoltage": 300.12, "LineVoltage": 120.4, "LoadPower": 431.7, "BridgeOn": 1}
@@ -43,7 +45,7 @@ def reference_database() -> Database:
 
 def motor_bus(**changes: object) -> CanBus:
     """`[bus]` of the example, changed."""
-    return MOTOR.bus.model_copy(update=changes)
+    return MOTOR_BUS.model_copy(update=changes)
 
 
 def motor_signals(**changes: object) -> Signals:

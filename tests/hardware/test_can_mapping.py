@@ -6,13 +6,13 @@ from adaptdrive.config.bus import CommandSignals, FrameIntegrity, SignalSource
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.can.database import load_database, message_codec
 from adaptdrive.hardware.can.mapping import map_drive
-from tests.hardware.bench import EXAMPLES, MOTOR, motor_bus, motor_signals
+from tests.hardware.bench import EXAMPLES, MOTOR, MOTOR_BUS, motor_bus, motor_signals
 
 
 def integrity(message: str, **changes: object) -> dict[str, FrameIntegrity]:
     """The example's integrity with that of one message changed."""
-    changed = MOTOR.bus.integrity[message].model_copy(update=changes)
-    return {**MOTOR.bus.integrity, message: changed}
+    changed = MOTOR_BUS.integrity[message].model_copy(update=changes)
+    return {**MOTOR_BUS.integrity, message: changed}
 
 
 def commanding(**changes: str) -> CommandSignals:
@@ -20,14 +20,14 @@ def commanding(**changes: str) -> CommandSignals:
 
 
 def test_the_example_maps_without_a_flaw() -> None:
-    mapping = map_drive(MOTOR.bus, MOTOR.signals)
+    mapping = map_drive(MOTOR_BUS, MOTOR.signals)
     assert mapping.counter_modulus == 65536
     assert {status.codec.name for status in mapping.statuses} == {"DriveStatus", "DriveLoad"}
     assert [order.codec.name for order in mapping.orders] == ["DriveCommand"]
 
 
 def test_a_drive_without_a_counter_has_no_modulus() -> None:
-    assert map_drive(MOTOR.bus, motor_signals(counter=None)).counter_modulus is None
+    assert map_drive(MOTOR_BUS, motor_signals(counter=None)).counter_modulus is None
 
 
 @pytest.mark.parametrize(

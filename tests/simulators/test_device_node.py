@@ -64,6 +64,7 @@ class Host:
 
     def __init__(self, port: int) -> None:
         bus = CanBus(
+            type="can",
             interface="udp_multicast",
             channel=GROUP,
             udp_port=port,

@@ -13,7 +13,7 @@ from pathlib import Path
 from cantools.database.can.database import Database
 from cantools.database.can.signal import Signal
 
-from adaptdrive.config.bus import SignalSource
+from adaptdrive.config.bus import CanBus, SignalSource
 from adaptdrive.config.root import Configuration
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.can.codec import MessageCodec
@@ -113,27 +113,28 @@ def quantities_of(frame: Frame) -> dict[str, float]:
     }
 
 
-def load_messages(configuration: Configuration, source: Path) -> DriveMessages:
+def load_messages(bus: CanBus, configuration: Configuration, source: Path) -> DriveMessages:
     """Find the drive's messages in the configured database.
 
     Args:
+        bus: The configuration's bus.
         configuration: The drive's configuration.
         source: Its file, for the error message.
 
     Raises:
         ConfigurationError: The database and the configuration do not fit together.
     """
-    database = load_database(configuration.bus.database, source)
+    database = load_database(bus.database, source)
     return DriveMessages(
-        _status_messages(database, configuration, source),
-        _command_message(database, configuration, source),
+        _status_messages(database, bus, configuration, source),
+        _command_message(database, bus, configuration, source),
     )
 
 
 def _status_messages(
-    database: Database, configuration: Configuration, source: Path
+    database: Database, bus: CanBus, configuration: Configuration, source: Path
 ) -> tuple[StatusMessage, ...]:
-    sinks: dict[str, list[Sink]] = {configuration.bus.clock: []}
+    sinks: dict[str, list[Sink]] = {bus.clock: []}
     catalogue = Catalogue(database)
     for quantity in _QUANTITIES:
         given = getattr(configuration.signals, quantity)
@@ -145,10 +146,10 @@ def _status_messages(
             sinks.setdefault(found[0].name, []).append(_sink(quantity, found[1], mapped))
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
-    names = sorted(sinks, key=lambda name: (name == configuration.bus.clock, name))
+    names = sorted(sinks, key=lambda name: (name == bus.clock, name))
     return tuple(
         StatusMessage(
-            message_codec(database, configuration.bus, name, source),
+            message_codec(database, bus, name, source),
             (*sinks[name], *_load_current(database, name)),
         )
         for name in names
@@ -175,7 +176,7 @@ def _load_current(database: Database, message: str) -> list[Sink]:
 
 
 def _command_message(
-    database: Database, configuration: Configuration, source: Path
+    database: Database, bus: CanBus, configuration: Configuration, source: Path
 ) -> CommandMessage:
     command = configuration.signals.command
     if configuration.voltage_loop.where == "drive":
@@ -186,5 +187,5 @@ def _command_message(
     if scale_message != bridge_message:
         problem = f"{command.bridge!r} is not in the message of {command.current_scale_S!r}"
         raise ConfigurationError(source, [Flaw("signals.command.bridge", problem)])
-    codec = message_codec(database, configuration.bus, scale_message, source)
+    codec = message_codec(database, bus, scale_message, source)
     return CommandMessage(codec, scale, bridge)

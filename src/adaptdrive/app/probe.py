@@ -8,10 +8,10 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
+from adaptdrive.app.ports import build_port
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.errors import AdaptdriveError
-from adaptdrive.hardware.can.port import CanPort, build_can_port
-from adaptdrive.hardware.port import Reading
+from adaptdrive.hardware.port import Port, Reading
 
 _EVERY_S = 0.5
 
@@ -42,14 +42,14 @@ def probe(path: Path) -> int:
     """
     configuration = load_configuration(path)
     try:
-        asyncio.run(_show(configuration))
+        asyncio.run(_show(configuration, path))
     except* AdaptdriveError as group:
         raise group.exceptions[0] from None
     return 0
 
 
-async def _show(configuration: Configuration) -> None:
-    port = build_can_port(configuration.bus, configuration.signals, time.monotonic)
+async def _show(configuration: Configuration, path: Path) -> None:
+    port = build_port(configuration, time.monotonic, path)
     listener = _Probe()
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(port.run(listener, lambda: _say(port.description)))
@@ -63,7 +63,7 @@ def _say(text: str) -> None:
     sys.stdout.flush()
 
 
-def _line(configuration: Configuration, port: CanPort, reading: Reading | None) -> str:
+def _line(configuration: Configuration, port: Port, reading: Reading | None) -> str:
     counts = ", ".join(
         f"{name} {count}" for name, count in asdict(port.statistics).items() if count
     )

@@ -11,11 +11,11 @@ from pathlib import Path
 
 from adaptdrive import __version__
 from adaptdrive.app.log import log_events, set_up_logging
+from adaptdrive.app.ports import build_port
 from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.errors import AdaptdriveError
-from adaptdrive.hardware.can.port import build_can_port
 from adaptdrive.operation.service import MqttService, Surroundings
 from adaptdrive.recording.recorder import Feed, Pace, Recorder
 from adaptdrive.recording.session import SessionInfo, create_session, sessions_directory
@@ -60,7 +60,7 @@ def _first(group: BaseExceptionGroup[AdaptdriveError]) -> AdaptdriveError:
 async def _serve(configuration: Configuration, text: str, path: Path) -> None:
     logger, hub, stop = set_up_logging(), Hub(), asyncio.Event()
     events = hub.subscribe(Event, size=_EVENTS_HELD)
-    port = build_can_port(configuration.bus, configuration.signals, time.monotonic, source=path)
+    port = build_port(configuration, time.monotonic, path)
     daemon = Daemon(
         port=port,
         controller=Controller(controller_settings(configuration), build_load(configuration)),

@@ -26,7 +26,7 @@ class FrameIntegrity(Section):
 class CanBus(Section):
     """`[bus]` with `type = "can"`."""
 
-    type: Literal["can"] = Field(default="can", description="kind of bus")
+    type: Literal["can"] = Field(description="kind of bus")
     interface: Literal["socketcan", "udp_multicast", "virtual"] = Field(
         description="python-can interface"
     )
@@ -42,7 +42,9 @@ class CanBus(Section):
 class SignalSource(Section):
     """One measured quantity: a signal, and a conversion to SI where its map has none."""
 
-    signal: str = Field(pattern=r"^[^.]+\.[^.]+$", description="`Message.Signal`")
+    signal: str = Field(
+        min_length=1, description="`Message.Signal` on CAN, the register's name on Modbus"
+    )
     scale: FiniteFloat = Field(default=1.0, description="SI units per unit of the signal")
     offset: FiniteFloat = Field(default=0.0, description="SI value of a zero signal")
 

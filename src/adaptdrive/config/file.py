@@ -9,10 +9,12 @@ from typing import Any
 from pydantic import ValidationError
 
 from adaptdrive.config.load import LOAD_TYPES
-from adaptdrive.config.root import Configuration
+from adaptdrive.config.root import BUS_TYPES, Configuration
 from adaptdrive.config.section import Section
 from adaptdrive.errors import ConfigurationError, Flaw
 
+_TYPES = {"load": LOAD_TYPES, "bus": BUS_TYPES}
+_BUS_PATHS = {"can": ("database",), "modbus-rtu": ("device",)}
 _MESSAGES = {"extra_forbidden": "Unknown key", "union_tag_not_found": "Field required"}
 
 
@@ -77,16 +79,17 @@ def _flaw(error: dict[str, Any]) -> Flaw:
 
 
 def _place(location: tuple[int | str, ...]) -> str:
-    """The dotted key; pydantic counts the type of `[load]` as a table of its own."""
-    if location[0] == "load" and location[1:2] and location[1] in LOAD_TYPES:
-        location = ("load", *location[2:])
+    """The dotted key; pydantic counts a type of load or bus as a table of its own."""
+    if location[1:2] and location[1] in _TYPES.get(str(location[0]), ()):
+        location = (location[0], *location[2:])
     return ".".join(str(part) for part in location)
 
 
 def _anchored(configuration: Configuration, folder: Path) -> Configuration:
+    bus_type = configuration.bus.type
     return configuration.model_copy(
         update={
-            "bus": _placed(configuration.bus, folder, "database"),
+            "bus": _placed(configuration.bus, folder, *_BUS_PATHS.get(bus_type, ())),
             "mqtt": _placed(configuration.mqtt, folder, "ca_file", "password_file"),
             "recording": _placed(configuration.recording, folder, "directory"),
         }

@@ -9,18 +9,23 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from adaptdrive.config.bus import CanBus, Signals
+from adaptdrive.config.cadence import poll_flaws
 from adaptdrive.config.drive import Drive, VoltageLoop
 from adaptdrive.config.load import Bath, Battery, Estimator, Motor, Supervisor
+from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
+from adaptdrive.config.references import can_flaws, modbus_flaws
 from adaptdrive.config.section import Section, inconsistent
 from adaptdrive.config.services import Interlocks, Mqtt, Realtime, Recording
 from adaptdrive.errors import Flaw
+
+BUS_TYPES = ("can", "modbus-tcp", "modbus-rtu")
 
 
 class Configuration(Section):
     """One TOML file, one drive."""
 
     drive: Drive
-    bus: CanBus
+    bus: CanBus | ModbusTcp | ModbusRtu = Field(discriminator="type")
     signals: Signals
     voltage_loop: VoltageLoop = Field(default_factory=VoltageLoop)
     load: Motor | Bath | Battery = Field(discriminator="type")
@@ -38,7 +43,12 @@ class Configuration(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        flaws = [*_rate_flaws(self), *_command_flaws(self), *_trip_flaws(self)]
+        flaws = [
+            *_rate_flaws(self),
+            *_bus_flaws(self),
+            *_command_flaws(self),
+            *_trip_flaws(self),
+        ]
         if flaws:
             raise inconsistent(flaws)
         return self
@@ -59,6 +69,24 @@ def _rate_flaws(configuration: Configuration) -> Iterator[Flaw]:
             "load.latency_ticks",
             f"{load.latency_ticks} must be below the {ticks} ticks of one period",
         )
+
+
+def _bus_flaws(configuration: Configuration) -> Iterator[Flaw]:
+    bus, signals = configuration.bus, configuration.signals
+    if isinstance(bus, CanBus):
+        yield from can_flaws(signals)
+        return
+    half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
+    yield from modbus_flaws(bus, signals)
+    yield from poll_flaws(bus, configuration.load, configuration.interlocks, half_cycle_s)
+    if configuration.voltage_loop.where == "daemon":
+        yield Flaw(
+            "voltage_loop.where",
+            "'daemon' needs a drive that sends each half cycle; one that is polled must hold its "
+            "own boost voltage: 'drive'",
+        )
+    elif signals.command.current_scale_S is not None:
+        yield Flaw("signals.command.current_scale_S", "a drive that is polled takes V_c only")
 
 
 def _command_flaws(configuration: Configuration) -> Iterator[Flaw]:

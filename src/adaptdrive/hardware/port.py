@@ -55,6 +55,8 @@ class PortStatistics:
     counter_stuck: int = 0
     counter_lost: int = 0
     out_of_range: int = 0
+    timeouts: int = 0
+    exceptions: int = 0
     reconnects: int = 0
 
 

@@ -1,0 +1,114 @@
+"""`[bus]` of a drive on Modbus: the link, and the register map that describes the drive."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Range, Section
+
+
+class RegisterRange(Range):
+    """`[bus.registers.NAME.range]`: what a value may be, both ends included."""
+
+
+class Register(Section):
+    """`[bus.registers.NAME]`: one value of the drive's register map."""
+
+    address: int = Field(
+        ge=0, le=0xFFFF, description="zero-based address: 0 is 30001 or 40001 in a manual"
+    )
+    table: Literal["input", "holding"] = Field(
+        description="input registers (3xxxx) or holding registers (4xxxx)"
+    )
+    type: Literal["uint16", "int16", "uint32", "int32", "float32"] = Field(
+        default="uint16", description="how the value is coded; 32 bits take two registers"
+    )
+    word_order: Literal["big", "little"] = Field(
+        default="big", description="register that comes first of two: the high or the low one"
+    )
+    scale: FiniteFloat = Field(default=1.0, description="units per count")
+    unit: str = Field(default="", description="unit of the scaled value, for people")
+    range: RegisterRange | None = Field(
+        default=None, description="a scaled value outside is refused"
+    )
+    not_available: int | None = Field(
+        default=None,
+        description="count that means `no value`; all ones (0x8000… when signed) when left out",
+    )
+    bit: int | None = Field(
+        default=None, ge=0, le=31, description="take this bit alone, 0 is the lowest"
+    )
+    on: int = Field(default=1, description="count that is written to switch on")
+    off: int = Field(default=0, description="count that is written to switch off")
+
+    @property
+    def words(self) -> int:
+        """Registers that the value takes."""
+        return 2 if self.type.endswith("32") else 1
+
+    @property
+    def end(self) -> int:
+        """Address behind the value."""
+        return self.address + self.words
+
+
+class Heartbeat(Section):
+    """`[bus.heartbeat]`: how drive and daemon see that the other one is alive."""
+
+    drive: str | None = Field(
+        default=None, description="register that the drive advances; standing still is no news"
+    )
+    drive_timeout_s: PositiveFloat | None = Field(
+        default=None, description="longest time between two advances; one poll when left out"
+    )
+    daemon: str | None = Field(
+        default=None, description="register that the daemon advances with each command"
+    )
+
+
+class ModbusBus(Section):
+    """What `[bus]` holds for every kind of Modbus."""
+
+    device_id: int = Field(default=1, ge=1, le=255, description="device (slave, unit) id")
+    poll_ticks: int = Field(
+        default=12, ge=1, description="half line cycles from one poll of the drive to the next"
+    )
+    timeout_s: PositiveFloat = Field(
+        default=0.05, description="longest time from a request to its reply"
+    )
+    turnaround_s: float = Field(
+        default=0.005, ge=0.0, description="time that the drive and the link take for a reply"
+    )
+    read_write: bool = Field(
+        default=False, description="write and read in one exchange (function 23)"
+    )
+    max_gap: int = Field(
+        default=4, ge=0, le=123, description="unmapped registers that a read may run across"
+    )
+    max_block: int = Field(
+        default=125, ge=2, le=125, description="registers that the drive gives in one reply"
+    )
+    heartbeat: Heartbeat = Field(default_factory=Heartbeat)
+    registers: dict[str, Register] = Field(
+        default_factory=dict, description="register map, by name"
+    )
+
+
+class ModbusTcp(ModbusBus):
+    """`[bus]` with `type = "modbus-tcp"`."""
+
+    type: Literal["modbus-tcp"] = Field(description="kind of bus")
+    host: str = Field(description="name or address of the drive or its gateway")
+    port: int = Field(default=502, ge=1, le=65535, description="port of the drive")
+
+
+class ModbusRtu(ModbusBus):
+    """`[bus]` with `type = "modbus-rtu"`."""
+
+    type: Literal["modbus-rtu"] = Field(description="kind of bus")
+    device: FilePath = Field(description="serial port, relative to the configuration file")
+    baud: int = Field(default=19200, ge=300, le=4_000_000, description="bits per second")
+    parity: Literal["even", "odd", "none"] = Field(default="even", description="parity bit")
+    stop_bits: Literal[1, 2] = Field(default=1, description="stop bits")

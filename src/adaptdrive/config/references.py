@@ -1,0 +1,107 @@
+"""Do `[signals]` and `[bus]` fit together? Each kind of bus names its signals in its own way."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterator
+
+from adaptdrive.config.bus import Signals
+from adaptdrive.config.modbus import ModbusBus, Register
+from adaptdrive.errors import Flaw
+
+MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
+WORDS = ("counter", "fault", "bridge")
+COMMANDED = ("current_scale_S", "boost_reference_V", "bridge")
+
+_CAN_SIGNAL = re.compile(r"[^.]+\.[^.]+")
+
+
+def can_flaws(signals: Signals) -> Iterator[Flaw]:
+    """References that are no `Message.Signal`."""
+    for place, name in (*measured_names(signals), *commanded_names(signals)):
+        if not _CAN_SIGNAL.fullmatch(name):
+            yield Flaw(place, f"{name!r} must be `Message.Signal` on a CAN bus")
+
+
+def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
+    """What is wrong with a register map, or with what refers to it."""
+    for name, register in bus.registers.items():
+        yield from _register_flaws(f"bus.registers.{name}", register)
+    for place, name in (*measured_names(signals), *_heartbeat(bus, "drive")):
+        yield from _known(bus, place, name)
+    for place, name in _written(bus, signals):
+        yield from _known(bus, place, name)
+        target = bus.registers.get(name)
+        if target is not None and (target.table == "input" or target.bit is not None):
+            yield Flaw(place, f"{name!r} cannot be written: it must be a whole holding register")
+    yield from _word_flaws(bus, signals)
+    yield from _overlap_flaws(bus, signals)
+
+
+def measured_names(signals: Signals) -> list[tuple[str, str]]:
+    """Place and name of each signal that carries a measurement."""
+    given = [(quantity, getattr(signals, quantity)) for quantity in (*MEASURED, *WORDS)]
+    return [(f"signals.{name}.signal", one.signal) for name, one in given if one is not None]
+
+
+def commanded_names(signals: Signals) -> list[tuple[str, str]]:
+    """Place and name of each signal that carries a part of the command."""
+    given = [(name, getattr(signals.command, name)) for name in COMMANDED]
+    return [(f"signals.command.{name}", signal) for name, signal in given if signal is not None]
+
+
+def _heartbeat(bus: ModbusBus, side: str) -> list[tuple[str, str]]:
+    name = getattr(bus.heartbeat, side)
+    return [] if name is None else [(f"bus.heartbeat.{side}", name)]
+
+
+def _written(bus: ModbusBus, signals: Signals) -> list[tuple[str, str]]:
+    return [*commanded_names(signals), *_heartbeat(bus, "daemon")]
+
+
+def _known(bus: ModbusBus, place: str, name: str) -> Iterator[Flaw]:
+    if name not in bus.registers:
+        yield Flaw(place, f"[bus.registers] has no register {name!r}")
+
+
+def _register_flaws(place: str, register: Register) -> Iterator[Flaw]:
+    if register.end > 0x10000:
+        yield Flaw(f"{place}.address", f"{register.address} leaves no room for two registers")
+    if register.scale == 0.0:
+        yield Flaw(f"{place}.scale", "must not be 0")
+    if register.range is not None and register.range.low >= register.range.high:
+        low, high = register.range.low, register.range.high
+        yield Flaw(f"{place}.range", f"low = {low} must be below high = {high}")
+    if register.bit is not None and (
+        register.type == "float32" or register.bit >= 16 * register.words
+    ):
+        yield Flaw(f"{place}.bit", f"{register.type} has no bit {register.bit}")
+
+
+def _word_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
+    """Words and heartbeats are counts as they stand."""
+    names = [*_heartbeat(bus, "drive"), *_heartbeat(bus, "daemon")]
+    for word in WORDS:
+        source = getattr(signals, word)
+        if source is not None:
+            names.append((f"signals.{word}", source.signal))
+            if (source.scale, source.offset) != (1.0, 0.0):
+                yield Flaw(f"signals.{word}", "is an integer: it takes no scale and no offset")
+    if signals.command.bridge is not None:
+        names.append(("signals.command.bridge", signals.command.bridge))
+    for place, name in names:
+        register = bus.registers.get(name)
+        if register is not None and (register.type == "float32" or register.scale != 1.0):
+            yield Flaw(place, f"register {name!r} must be an integer with scale 1")
+
+
+def _overlap_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
+    written = [
+        (place, name, bus.registers[name])
+        for place, name in _written(bus, signals)
+        if name in bus.registers
+    ]
+    for (_, first, one), (place, second, other) in itertools.combinations(written, 2):
+        if one.address < other.end and other.address < one.end:
+            yield Flaw(place, f"{second!r} lies in the same register as {first!r}")

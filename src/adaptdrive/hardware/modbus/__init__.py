@@ -1,0 +1,1 @@
+"""Drives on Modbus, TCP and RTU, as a register map describes them."""

@@ -1,0 +1,61 @@
+"""Few requests for many registers: reads run across small gaps, writes never do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+from adaptdrive.config.modbus import Register
+
+Table = Literal["input", "holding"]
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Neighbouring registers, asked for or written at once.
+
+    Attributes:
+        table: Kind of registers.
+        address: First address, zero-based.
+        count: Number of registers.
+    """
+
+    table: Table
+    address: int
+    count: int
+
+    @property
+    def end(self) -> int:
+        """Address behind the block."""
+        return self.address + self.count
+
+    def holds(self, register: Register) -> bool:
+        """Whether a register lies in this block."""
+        inside = self.address <= register.address and register.end <= self.end
+        return register.table == self.table and inside
+
+
+def plan_blocks(registers: Iterable[Register], max_gap: int, max_count: int) -> tuple[Block, ...]:
+    """Cover registers with blocks.
+
+    Args:
+        registers: What is wanted; registers may share addresses.
+        max_gap: Unwanted registers that a block may run across.
+        max_count: Longest block; no value is ever cut in two.
+    """
+    blocks: list[Block] = []
+    for register in sorted(registers, key=lambda one: (one.table, one.address, one.end)):
+        last = blocks[-1] if blocks else None
+        if last is not None and _reaches(last, register, max_gap, max_count):
+            end = max(last.end, register.end)
+            blocks[-1] = Block(last.table, last.address, end - last.address)
+        else:
+            blocks.append(Block(register.table, register.address, register.words))
+    return tuple(blocks)
+
+
+def _reaches(block: Block, register: Register, max_gap: int, max_count: int) -> bool:
+    near = register.address - block.end <= max_gap
+    short = max(block.end, register.end) - block.address <= max_count
+    return block.table == register.table and near and short

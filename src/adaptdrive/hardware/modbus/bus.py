@@ -1,0 +1,86 @@
+"""Opening a Modbus link through pymodbus: TCP, or RTU on a serial port."""
+
+from __future__ import annotations
+
+import logging
+import termios
+from collections.abc import Callable
+
+from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
+
+from adaptdrive.config.modbus import ModbusBus, ModbusRtu, ModbusTcp
+from adaptdrive.errors import BusError
+
+Client = AsyncModbusTcpClient | AsyncModbusSerialClient
+Trace = Callable[[bool, bytes], bytes]
+
+_CONNECT_S = 1.0
+"""Longest time to connect: a gateway may be slower to accept than a drive is to answer."""
+
+
+def describe_bus(config: ModbusBus) -> str:
+    """The link in one phrase for people, such as `modbus-rtu /dev/ttyUSB0 9600 8E1 device 1`."""
+    return f"{_medium(config)} device {config.device_id}"
+
+
+async def open_client(config: ModbusTcp | ModbusRtu, trace: Trace) -> Client:
+    """Connect; whoever opens a client closes it.
+
+    Args:
+        config: Which link.
+        trace: Sees every packet: whether it is sent, and its bytes as far as they have come.
+
+    Raises:
+        BusError: There is no connection.
+    """
+    # a reply that is missing is counted; a line in the log each time would wear out the disk
+    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+    client = _client(config, trace)
+    try:
+        connected = await client.connect()
+    except (OSError, ValueError, termios.error) as problem:
+        raise BusError(describe_bus(config), str(problem)) from problem
+    if not connected:
+        client.close()
+        raise BusError(describe_bus(config), _why_not(config))
+    client.ctx.comm_params.timeout_connect = config.timeout_s  # of replies too, from now on
+    return client
+
+
+def _client(config: ModbusTcp | ModbusRtu, trace: Trace) -> Client:
+    if isinstance(config, ModbusTcp):
+        return AsyncModbusTcpClient(
+            config.host,
+            port=config.port,
+            timeout=_CONNECT_S,
+            retries=0,
+            reconnect_delay=0,
+            trace_packet=trace,
+        )
+    return AsyncModbusSerialClient(
+        str(config.device),
+        baudrate=config.baud,
+        parity=config.parity[0].upper(),
+        stopbits=config.stop_bits,
+        timeout=_CONNECT_S,
+        retries=0,
+        reconnect_delay=0,
+        trace_packet=trace,
+    )
+
+
+def _medium(config: ModbusBus) -> str:
+    if isinstance(config, ModbusTcp):
+        return f"modbus-tcp {config.host}:{config.port}"
+    if isinstance(config, ModbusRtu):
+        form = f"8{config.parity[0].upper()}{config.stop_bits}"
+        return f"modbus-rtu {config.device} {config.baud} {form}"
+    return "modbus"
+
+
+def _why_not(config: ModbusTcp | ModbusRtu) -> str:
+    if isinstance(config, ModbusTcp):
+        return "no connection: refused, or nobody answers"
+    if not config.device.exists():
+        return "there is no such serial port"
+    return "the serial port cannot be opened: no permission, or somebody else has it"

@@ -1,0 +1,114 @@
+"""What a poll costs on the wire, and whether the wanted rate fits.
+
+A serial line carries one character of 10 or 11 bits per byte, one frame at a time, with silence
+around each. On TCP the bytes cost next to nothing; the drive's turnaround is what counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from adaptdrive.config.modbus import ModbusBus, ModbusRtu
+from adaptdrive.errors import Flaw
+from adaptdrive.hardware.modbus.blocks import Block
+
+USABLE_SHARE = 0.8
+"""Share of the poll cycle that exchanges may take: a safe command must find the line free."""
+
+RTU_FRAME = 3
+"""Bytes around a message on a serial line: the device id, and the checksum."""
+
+_TCP_HEADER = 7
+_SILENCE_CHARACTERS = 3.5
+_LEAST_SILENCE_S = 0.00175
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """One request and its reply.
+
+    Attributes:
+        read: Registers asked for, None for a write alone.
+        write: Registers written, None for a read alone.
+    """
+
+    read: Block | None = None
+    write: Block | None = None
+
+    @property
+    def request_bytes(self) -> int:
+        """Bytes of the request, without what frames it."""
+        if self.write is None:
+            return 5
+        return 2 * self.write.count + (10 if self.read else 6)
+
+    @property
+    def reply_bytes(self) -> int:
+        """Bytes of the reply, without what frames it."""
+        return 2 + 2 * self.read.count if self.read else 5
+
+
+def silence_s(bus: ModbusBus) -> float:
+    """Silence that separates two frames; none on TCP."""
+    if not isinstance(bus, ModbusRtu):
+        return 0.0
+    return max(_LEAST_SILENCE_S, _SILENCE_CHARACTERS * _character_bits(bus) / bus.baud)
+
+
+def exchange_bytes(bus: ModbusBus, exchange: Exchange) -> int:
+    """Bytes of one exchange on this kind of link."""
+    frame = RTU_FRAME if isinstance(bus, ModbusRtu) else _TCP_HEADER
+    return exchange.request_bytes + exchange.reply_bytes + 2 * frame
+
+
+def exchange_s(bus: ModbusBus, exchange: Exchange) -> float:
+    """Time that one exchange takes, from request to request."""
+    if not isinstance(bus, ModbusRtu):
+        return bus.turnaround_s
+    wire_s = exchange_bytes(bus, exchange) * _character_bits(bus) / bus.baud
+    return wire_s + bus.turnaround_s + 2.0 * silence_s(bus)
+
+
+def capacity_flaws(
+    bus: ModbusBus, exchanges: Iterable[Exchange], half_cycle_s: float
+) -> Iterator[Flaw]:
+    """Why the wanted rate does not fit on the link, in its own figures.
+
+    Args:
+        bus: `[bus]`.
+        exchanges: The exchanges of one poll.
+        half_cycle_s: Half a line cycle.
+    """
+    exchanges = list(exchanges)
+    needed_s = sum(exchange_s(bus, exchange) for exchange in exchanges)
+    poll_s = bus.poll_ticks * half_cycle_s
+    if needed_s > USABLE_SHARE * poll_s:
+        fitting = int(needed_s / (USABLE_SHARE * half_cycle_s)) + 1
+        yield Flaw(
+            "bus.poll_ticks",
+            f"{bus.poll_ticks} half cycles ask for a poll every {poll_s * 1e3:.1f} ms "
+            f"({1.0 / poll_s:.3g} per second); {_figures(bus, exchanges)} take "
+            f"{needed_s * 1e3:.1f} ms, and {USABLE_SHARE:.0%} of the cycle may be used: "
+            f"poll_ticks = {fitting} fits",
+        )
+    slowest_s = max((exchange_s(bus, exchange) for exchange in exchanges), default=0.0)
+    if bus.timeout_s <= slowest_s:
+        yield Flaw(
+            "bus.timeout_s",
+            f"{bus.timeout_s} s must be above the slowest exchange, {slowest_s * 1e3:.1f} ms",
+        )
+
+
+def _figures(bus: ModbusBus, exchanges: list[Exchange]) -> str:
+    total = sum(exchange_bytes(bus, exchange) for exchange in exchanges)
+    wire = ""
+    if isinstance(bus, ModbusRtu):
+        wire = f" of {_character_bits(bus)} bits at {bus.baud} baud"
+    turnaround = f"{bus.turnaround_s * 1e3:g} ms turnaround each"
+    return f"{len(exchanges)} exchanges with {total} bytes{wire}, {turnaround},"
+
+
+def _character_bits(bus: ModbusRtu) -> int:
+    """Start bit, data, parity and stop bits."""
+    return 9 + (bus.parity != "none") + bus.stop_bits

@@ -1,0 +1,215 @@
+"""One exchange at a time with one device, and what can go wrong with it.
+
+A reply that does not belong to its request must never be taken for it. On TCP the transaction id
+tells. On a serial line nothing does: a reply that comes after its time-out would answer the next
+request, and every request from then on would be given the reply before. So after a reply has
+failed, or after bytes that nobody asked for, the line must have been silent for a while before
+anything is read again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import Awaitable, Callable
+
+from pymodbus.exceptions import ModbusException
+from pymodbus.pdu import ModbusPDU
+
+from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
+from adaptdrive.errors import AdaptdriveError
+from adaptdrive.hardware.modbus.bus import Client, open_client
+from adaptdrive.hardware.modbus.capacity import RTU_FRAME, Exchange, silence_s
+
+_READ_INPUT = 4
+_READ_HOLDING = 3
+_WRITE = 16
+_READ_WRITE = 23
+
+_PATIENCE = 3
+"""Replies that may be missing in a row before a TCP connection is taken to be half open."""
+
+_NOISE_ROUNDS = 10
+"""Time-outs for which a line that never falls silent is waited for."""
+
+
+class ExchangeError(AdaptdriveError):
+    """An exchange gave nothing that may be used."""
+
+    def __init__(self, problem: str) -> None:
+        self.problem = problem
+        super().__init__(problem)
+
+
+class Link:
+    """An open link to one device.
+
+    Attributes:
+        lost: Why the link can no longer be used, None while it can.
+    """
+
+    def __init__(
+        self, config: ModbusTcp | ModbusRtu, counts: Counter[str], clock: Callable[[], float]
+    ) -> None:
+        self._config = config
+        self._counts = counts
+        self._clock = clock
+        self._serial = isinstance(config, ModbusRtu)
+        self._client: Client | None = None
+        self._waiting = False
+        self._heard = b""
+        self._heard_s = 0.0
+        self._transaction = b""
+        self._strange = b""
+        self._suspect_s: float | None = clock() if self._serial else None
+        self._missed = 0
+        self.lost: str | None = None
+
+    async def open(self) -> None:
+        """Connect.
+
+        Raises:
+            BusError: There is no connection.
+        """
+        self._client = await open_client(self._config, self._trace)
+
+    def close(self) -> None:
+        """Disconnect."""
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+
+    async def exchange(
+        self, exchange: Exchange, words: list[int], *, at_once: bool = False
+    ) -> list[int]:
+        """Ask for registers, or write some, or both.
+
+        Args:
+            exchange: What is read and written.
+            words: The registers that are written.
+            at_once: Send it whatever may still be on the line.
+
+        Returns:
+            The registers that were read.
+
+        Raises:
+            ExchangeError: No reply, an exception reply, or one that does not fit.
+        """
+        if not at_once:
+            await self._await_silence()
+        client = self._require()
+        self._heard, self._waiting = b"", True
+        try:
+            reply = await self._request(client, exchange, words)
+        except ModbusException as problem:
+            self._miss(exchange)
+            raise ExchangeError(f"no reply within {self._config.timeout_s:g} s") from problem
+        finally:
+            self._waiting = False
+        await asyncio.sleep(silence_s(self._config))
+        return self._checked(reply, exchange)
+
+    def _require(self) -> Client:
+        if self._client is None or not self._client.connected:
+            self.lost = self.lost or "the connection was closed"
+            raise ExchangeError(self.lost)
+        return self._client
+
+    def _request(
+        self, client: Client, exchange: Exchange, words: list[int]
+    ) -> Awaitable[ModbusPDU]:
+        read, write, device = exchange.read, exchange.write, self._config.device_id
+        if read is None:
+            address = 0 if write is None else write.address
+            return client.write_registers(address, words, device_id=device)
+        if write is not None:
+            return client.readwrite_registers(
+                read_address=read.address,
+                read_count=read.count,
+                write_address=write.address,
+                values=words,
+                device_id=device,
+            )
+        if read.table == "input":
+            return client.read_input_registers(read.address, count=read.count, device_id=device)
+        return client.read_holding_registers(read.address, count=read.count, device_id=device)
+
+    def _miss(self, exchange: Exchange) -> None:
+        """Count a missing reply, and what came in its place."""
+        self._suspect()
+        self._missed += 1
+        self._counts["timeouts"] += 1
+        if self._client is None or not self._client.connected:
+            self.lost = "the device closed the connection"
+        elif not self._serial and self._missed >= _PATIENCE:
+            self.lost = f"no reply to {_PATIENCE} requests in a row"
+        elif self._serial and self._heard:
+            short = len(self._heard) < exchange.reply_bytes + RTU_FRAME
+            self._counts["wrong_length" if short else "wrong_checksum"] += 1
+
+    def _checked(self, reply: ModbusPDU, exchange: Exchange) -> list[int]:
+        self._missed = 0
+        function = _function(exchange)
+        if not self._serial and reply.transaction_id != int.from_bytes(self._transaction):
+            self._counts["foreign"] += 1
+            raise ExchangeError("a reply with another transaction id")
+        if reply.isError():
+            self._counts["exceptions"] += 1
+            code = getattr(reply, "exception_code", 0)
+            raise ExchangeError(f"exception reply {code} to function {function}")
+        registers = list(reply.registers) if exchange.read else []
+        wanted = exchange.read.count if exchange.read else 0
+        if (reply.function_code, len(registers)) != (function, wanted):
+            self._suspect()
+            self._counts["foreign"] += 1
+            raise ExchangeError("a reply that belongs to another request")
+        self._counts["received"] += 1
+        return registers
+
+    async def _await_silence(self) -> None:
+        """Let what may still come from an earlier request pass by unread."""
+        silent_s = self._config.timeout_s
+        end_s = self._clock() + _NOISE_ROUNDS * silent_s
+        while self._suspect_s is not None:
+            left_s = max(self._suspect_s, self._heard_s) + silent_s - self._clock()
+            if left_s <= 0.0:
+                self._suspect_s = None
+            elif self._clock() > end_s:
+                raise ExchangeError("the line is never silent")
+            else:
+                await asyncio.sleep(left_s)
+
+    def _suspect(self) -> None:
+        """Take what comes next on a serial line for what is left of something else."""
+        if self._serial:
+            self._suspect_s = self._clock()
+
+    def _trace(self, sending: bool, packet: bytes) -> bytes:
+        """See every packet as pymodbus does."""
+        if sending:
+            self._transaction = packet[:2]
+        else:
+            self._heard, self._heard_s = packet, self._clock()
+            self._note_strangers(packet)
+        return packet
+
+    def _note_strangers(self, packet: bytes) -> None:
+        """Count what no request waits for: noise, a late reply, another transaction."""
+        if self._serial:
+            if not self._waiting:
+                self._suspect()
+                self._counts["foreign"] += 1
+        elif packet[:2] != self._strange and not (
+            self._waiting and packet[:2] == self._transaction
+        ):
+            self._strange = packet[:2]
+            self._counts["foreign"] += 1
+
+
+def _function(exchange: Exchange) -> int:
+    """The function code of a request, which its reply repeats."""
+    if exchange.read is None:
+        return _WRITE
+    if exchange.write is not None:
+        return _READ_WRITE
+    return _READ_INPUT if exchange.read.table == "input" else _READ_HOLDING

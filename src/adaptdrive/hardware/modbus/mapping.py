@@ -1,0 +1,180 @@
+"""Which register is which quantity, and how few exchanges a poll needs.
+
+Everything that can be wrong is found here, before a link is opened, and all of it at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from adaptdrive.config.bus import Signals
+from adaptdrive.config.modbus import ModbusBus, Register
+from adaptdrive.config.references import COMMANDED, MEASURED, WORDS
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.hardware.modbus.blocks import Block, plan_blocks
+from adaptdrive.hardware.modbus.capacity import Exchange, capacity_flaws
+from adaptdrive.hardware.modbus.codec import decode_value, encode_count, encode_value
+
+HEARTBEAT = "heartbeat"
+_MAX_WRITE = 121
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a quantity comes from.
+
+    Attributes:
+        quantity: Field of `Reading`, or the drive's heartbeat.
+        register: Register of the map.
+        scale: SI units per unit of the register.
+        offset: SI value of a zero register.
+    """
+
+    quantity: str
+    register: Register
+    scale: float = 1.0
+    offset: float = 0.0
+
+    def value(self, block: Block, words: list[int]) -> float | None:
+        """The quantity from the registers of its block, None when it must not be used."""
+        start = self.register.address - block.address
+        taken = words[start : start + self.register.words]
+        value = decode_value(self.register, taken, measured=self.quantity in MEASURED)
+        return None if value is None else value * self.scale + self.offset
+
+
+@dataclass(frozen=True, slots=True)
+class Sink:
+    """Where a part of the command goes: a field of `Command` or the daemon's heartbeat."""
+
+    name: str
+    register: Register
+
+    def words(self, command: Command, heartbeat: int) -> list[int]:
+        """The registers of its part of the command.
+
+        Raises:
+            ValueError: They cannot hold it.
+        """
+        if self.name == HEARTBEAT:
+            return encode_count(self.register, heartbeat % heartbeat_modulus(self.register))
+        if self.name == "bridge":
+            return encode_count(
+                self.register, self.register.on if command.bridge else self.register.off
+            )
+        return encode_value(self.register, getattr(command, self.name))
+
+
+@dataclass(frozen=True, slots=True)
+class Poll:
+    """What is exchanged with the drive in one poll cycle.
+
+    Attributes:
+        reads: Blocks to read, and what is taken from each.
+        writes: Blocks to write, and what goes into each.
+        combined: Whether the only write travels with the first read.
+    """
+
+    reads: tuple[tuple[Block, tuple[Source, ...]], ...]
+    writes: tuple[tuple[Block, tuple[Sink, ...]], ...]
+    combined: bool
+
+    def exchanges(self) -> Iterator[Exchange]:
+        """Every exchange of a poll in which a new command goes out."""
+        for number, (block, _) in enumerate(self.reads):
+            together = self.combined and number == 0
+            yield Exchange(read=block, write=self.writes[0][0] if together else None)
+        for block, _ in self.writes:
+            yield Exchange(write=block)
+
+
+def map_drive(
+    bus: ModbusBus, signals: Signals, half_cycle_s: float, source: Path | str = "configuration"
+) -> Poll:
+    """Plan the polls of a drive.
+
+    Args:
+        bus: `[bus]`; its references are those of a validated configuration.
+        signals: `[signals]`.
+        half_cycle_s: Half a line cycle.
+        source: The configuration, for the error message.
+
+    Raises:
+        ConfigurationError: Something does not fit; every flaw is listed.
+    """
+    sources, sinks = list(_sources(bus, signals)), list(_sinks(bus, signals))
+    reads = plan_blocks((one.register for one in sources), bus.max_gap, bus.max_block)
+    # function 23 takes holding registers only, and takes its write before its read
+    reads = tuple(sorted(reads, key=lambda block: block.table != "holding"))
+    writes = plan_blocks((one.register for one in sinks), 0, _MAX_WRITE)
+    poll = Poll(
+        reads=tuple((block, tuple(_inside(block, sources))) for block in reads),
+        writes=tuple((block, tuple(_within(block, sinks))) for block in writes),
+        combined=bus.read_write,
+    )
+    flaws = [*_command_flaws(sinks), *_combined_flaws(bus, reads, writes)]
+    flaws += [] if flaws else capacity_flaws(bus, poll.exchanges(), half_cycle_s)
+    if flaws:
+        raise ConfigurationError(source, flaws)
+    return poll
+
+
+def heartbeat_modulus(register: Register) -> int:
+    """Where a heartbeat wraps: a signed register stays positive."""
+    return 1 << (16 * register.words - register.type.startswith("int"))
+
+
+def _sources(bus: ModbusBus, signals: Signals) -> Iterator[Source]:
+    for quantity in (*MEASURED, *WORDS):
+        given = getattr(signals, quantity)
+        if given is not None:
+            register = bus.registers[given.signal]
+            yield Source(quantity, register, given.scale, given.offset)
+    if bus.heartbeat.drive is not None:
+        yield Source(HEARTBEAT, bus.registers[bus.heartbeat.drive])
+
+
+def _sinks(bus: ModbusBus, signals: Signals) -> Iterator[Sink]:
+    for name in COMMANDED:
+        given = getattr(signals.command, name)
+        if given is not None:
+            yield Sink(name, bus.registers[given])
+    if bus.heartbeat.daemon is not None:
+        yield Sink(HEARTBEAT, bus.registers[bus.heartbeat.daemon])
+
+
+def _inside(block: Block, sources: Iterable[Source]) -> Iterator[Source]:
+    return (one for one in sources if block.holds(one.register))
+
+
+def _within(block: Block, sinks: Iterable[Sink]) -> Iterator[Sink]:
+    """In the order of the addresses: a write has no gaps."""
+    inside = (one for one in sinks if block.holds(one.register))
+    return iter(sorted(inside, key=lambda one: one.register.address))
+
+
+def _command_flaws(sinks: Iterable[Sink]) -> Iterator[Flaw]:
+    """The safe command, and the bridge both ways, must fit into their registers."""
+    for sink in sinks:
+        for bridge in (False, True):
+            command = Command(SAFE_COMMAND.current_scale_S, SAFE_COMMAND.boost_reference_V, bridge)
+            try:
+                sink.words(command, 0)
+            except ValueError as problem:
+                place = f"signals.command.{sink.name}"
+                yield Flaw(place, f"the drive could not be switched: {problem}")
+                break
+
+
+def _combined_flaws(
+    bus: ModbusBus, reads: tuple[Block, ...], writes: tuple[Block, ...]
+) -> Iterator[Flaw]:
+    if not bus.read_write:
+        return
+    if len(writes) != 1:
+        yield Flaw("bus.read_write", f"the command must be one block, it is {len(writes)}")
+    if not reads or reads[0].table != "holding":
+        yield Flaw("bus.read_write", "function 23 reads holding registers, and none is measured")

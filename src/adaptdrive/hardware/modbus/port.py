@@ -1,0 +1,358 @@
+"""The port of a drive on Modbus: it is polled on an absolute grid, and told the newest command.
+
+A poll that gives every value makes one reading, as old as the first of its requests; one that does
+not gives none, so that the values in use grow old until they trip the drive. A command waits for
+the end of the poll under way, the safe command only for the end of the exchange under way.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+from adaptdrive.config.bus import Signals
+from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.errors import BusError
+from adaptdrive.hardware.modbus.bus import describe_bus
+from adaptdrive.hardware.modbus.capacity import Exchange
+from adaptdrive.hardware.modbus.link import ExchangeError, Link
+from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, map_drive
+from adaptdrive.hardware.port import Listener, PortStatistics, Reading
+
+_FIRST_DELAY_S = 0.1
+"""First wait before a lost link is opened again: a server that restarts is soon back."""
+
+_LAST_DELAY_S = 2.0
+"""Longest wait: a cable that is plugged in again should not be waited for."""
+
+_SILENT_POLLS = 3
+"""Polls without a reading after which the drive is said to be gone."""
+
+
+def build_modbus_port(
+    bus: ModbusTcp | ModbusRtu,
+    signals: Signals,
+    half_cycle_s: float,
+    clock: Callable[[], float],
+    *,
+    source: Path | str = "configuration",
+) -> ModbusPort:
+    """Build the port of one drive; nothing is opened yet.
+
+    Args:
+        bus: `[bus]`.
+        signals: `[signals]`.
+        half_cycle_s: Half a line cycle.
+        clock: Monotonic clock, in seconds.
+        source: The configuration, for error messages.
+
+    Raises:
+        ConfigurationError: The map or the wanted rate does not fit; every flaw is listed.
+    """
+    poll = map_drive(bus, signals, half_cycle_s, source)
+    return ModbusPort(bus, poll, bus.poll_ticks * half_cycle_s, clock)
+
+
+class ModbusPort:
+    """One connection to one drive on Modbus."""
+
+    counter_modulus = None
+    """A poll is no frame of the drive: its counter cannot be the time base."""
+
+    def __init__(
+        self,
+        config: ModbusTcp | ModbusRtu,
+        poll: Poll,
+        poll_s: float,
+        clock: Callable[[], float],
+    ) -> None:
+        self._config = config
+        self._poll = poll
+        self._poll_s = poll_s
+        self._clock = clock
+        self._counts: Counter[str] = Counter()
+        self._listener: Listener | None = None
+        self._link: Link | None = None
+        self._wake = asyncio.Event()
+        self._closing = False
+        self._command: Command | None = None
+        self._written: Command | None = None
+        self._safe = True
+        self._bridge = False
+        self._alive = 0
+        self._heartbeat: float | None = None
+        self._heartbeat_s = 0.0
+        self._silent = 0
+        self._up = True
+
+    @property
+    def description(self) -> str:
+        """The bus in one phrase for people, such as `modbus-tcp 10.0.0.7:502 device 1`."""
+        return describe_bus(self._config)
+
+    @property
+    def statistics(self) -> PortStatistics:
+        """Counts since the port was built."""
+        return PortStatistics(**self._counts)
+
+    async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
+        """Open the link, call `opened`, and poll until cancelled; reconnect when it is lost.
+
+        A drive on TCP that is not there yet is waited for, like one that is switched off.
+
+        Args:
+            listener: Who is told what the port hears.
+            opened: Called once, when the port is ready.
+
+        Raises:
+            BusError: The serial port cannot be opened at the first attempt.
+        """
+        self._listener = listener
+        link, problem = await self._try_first()
+        opened()
+        worker = asyncio.create_task(self._work(link, problem), name="modbus")
+        try:
+            await asyncio.shield(worker)
+        finally:
+            # an exchange on a serial line is never cut short, and the drive is left in its safe
+            # state, before the line is closed
+            self._closing = True
+            self._wake.set()
+            await worker
+
+    def send(self, command: Command) -> bool:
+        """Give the drive a command with the next exchange; a later one takes its place.
+
+        Args:
+            command: What the drive is told; it must have passed the guard.
+
+        Returns:
+            Whether there is a link to send it on; False is counted.
+
+        Raises:
+            ValueError: A value is not finite, or its register cannot hold it.
+        """
+        for _, sinks in self._poll.writes:
+            for sink in sinks:
+                sink.words(command, 0)
+        self._command = command
+        if self._link is None:
+            self._counts["send_drops"] += 1
+            return False
+        if self._urgent:
+            self._wake.set()
+        return True
+
+    @property
+    def _urgent(self) -> bool:
+        """Whether the drive must be made safe before anything else."""
+        return self._command == SAFE_COMMAND and not self._safe
+
+    async def _try_first(self) -> tuple[Link | None, str]:
+        try:
+            return await self._open(), ""
+        except BusError as problem:
+            if isinstance(self._config, ModbusRtu):
+                raise
+            return None, problem.problem
+
+    async def _open(self) -> Link:
+        link = Link(self._config, self._counts, self._clock)
+        await link.open()
+        return link
+
+    async def _work(self, link: Link | None, problem: str) -> None:
+        """Serve one link after the other until the port is closed."""
+        delay_s = _FIRST_DELAY_S
+        while not self._closing:
+            if link is None:
+                self._tell_down(problem)
+                link, delay_s = await self._reopen(delay_s)
+                continue
+            heard = self._counts["received"]
+            problem = await self._serve(link)
+            link = None
+            if self._counts["received"] > heard:
+                delay_s = _FIRST_DELAY_S
+
+    async def _reopen(self, delay_s: float) -> tuple[Link | None, float]:
+        """Try again, less and less often; the link, and the delay for the next time."""
+        await self._sleep(delay_s)
+        with contextlib.suppress(BusError):
+            link = await self._open()
+            self._counts["reconnects"] += 1
+            return link, delay_s
+        return None, min(2.0 * delay_s, _LAST_DELAY_S)
+
+    async def _serve(self, link: Link) -> str:
+        """Poll over an open link until it is lost or the port is closed; why it was lost."""
+        self._link, self._heartbeat = link, None
+        next_s = self._clock()
+        try:
+            while link.lost is None and not self._closing:
+                await self._poll_once(link)
+                next_s = self._next(next_s)
+                await self._idle(link, next_s)
+            await self._leave_safe(link)
+        finally:
+            self._link = None
+            link.close()
+        return link.lost or "closed"
+
+    def _next(self, last_s: float) -> float:
+        """The next point of the grid that is still to come."""
+        late = max(0.0, self._clock() - last_s)
+        return last_s + (1 + int(late / self._poll_s)) * self._poll_s
+
+    async def _idle(self, link: Link, until_s: float) -> None:
+        """Wait for the next poll; a safe command goes out at once."""
+        while link.lost is None and not self._closing and self._clock() < until_s:
+            self._wake.clear()
+            if self._urgent:
+                await self._write(link)
+            await self._sleep(until_s - self._clock())
+
+    async def _sleep(self, seconds: float) -> None:
+        """Sleep, unless the port is closed or a command is urgent."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(max(0.0, seconds)):
+                await self._wake.wait()
+
+    async def _leave_safe(self, link: Link) -> None:
+        if link.lost is None and not self._safe:
+            self._command = SAFE_COMMAND
+            await self._write(link)
+
+    async def _poll_once(self, link: Link) -> None:
+        """Read everything, hand it out, and tell the drive what comes of it."""
+        start_s = self._clock()
+        try:
+            values = await self._read(link)
+        except ExchangeError as failure:
+            self._note_silence(failure.problem)
+        else:
+            if values is not None:
+                self._take(values, start_s)
+        fresh = not self._poll.combined or self._command != self._written
+        if self._command is not None and link.lost is None and fresh:
+            await self._write(link)
+
+    async def _read(self, link: Link) -> dict[str, float] | None:
+        """Every quantity; None when one of them must not be used.
+
+        Raises:
+            ExchangeError: The drive did not give one of the blocks.
+        """
+        values: dict[str, float | None] = {}
+        for number, (block, sources) in enumerate(self._poll.reads):
+            if self._urgent:
+                await self._write(link)
+            command = self._command if number == 0 and self._poll.combined else None
+            words = await self._ask(link, Exchange(read=block), command)
+            values |= {source.quantity: source.value(block, words) for source in sources}
+        good = {name: value for name, value in values.items() if value is not None}
+        if len(good) < len(values):
+            self._counts["out_of_range"] += 1
+            return None
+        return good
+
+    async def _ask(self, link: Link, exchange: Exchange, command: Command | None) -> list[int]:
+        """Read a block, and write the command with it where there is one."""
+        if command is None:
+            return await link.exchange(exchange, [])
+        block, _ = self._poll.writes[0]
+        words = self._words(command)[0]
+        at_once = command == SAFE_COMMAND and not self._safe
+        self._doubt(command)
+        registers = await link.exchange(Exchange(exchange.read, block), words, at_once=at_once)
+        self._confirm(command)
+        return registers
+
+    def _words(self, command: Command) -> list[list[int]]:
+        """The registers of every block that is written, with the next heartbeat."""
+        self._alive += 1
+        return [
+            [word for sink in sinks for word in sink.words(command, self._alive)]
+            for _, sinks in self._poll.writes
+        ]
+
+    async def _write(self, link: Link) -> None:
+        """Write the newest command."""
+        command = self._command
+        if command is None:
+            return
+        at_once = self._urgent
+        words = self._words(command)
+        self._doubt(command)
+        try:
+            for (block, _), registers in zip(self._poll.writes, words, strict=True):
+                await link.exchange(Exchange(write=block), registers, at_once=at_once)
+        except ExchangeError:
+            self._counts["send_drops"] += 1
+        else:
+            self._confirm(command)
+
+    def _doubt(self, command: Command) -> None:
+        """From the first byte to the reply nobody knows what the drive was told."""
+        self._written = None
+        self._safe = self._safe and command == SAFE_COMMAND
+
+    def _confirm(self, command: Command) -> None:
+        self._counts["sent"] += 1
+        self._written, self._bridge = command, command.bridge
+        self._safe = command == SAFE_COMMAND
+
+    def _take(self, values: dict[str, float], start_s: float) -> None:
+        """Hand out a reading, unless the drive stands still."""
+        if not self._is_alive(values.get(HEARTBEAT), start_s):
+            return
+        self._tell_up()
+        counter, bridge = values.get("counter"), values.get("bridge")
+        if self._listener is not None:
+            self._listener.on_reading(
+                Reading(
+                    arrival_s=self._clock(),
+                    oldest_s=start_s,
+                    counter=None if counter is None else int(counter),
+                    boost_voltage_V=values["boost_voltage_V"],
+                    line_voltage_V=values["line_voltage_V"],
+                    load_power_W=values["load_power_W"],
+                    output=values["output"],
+                    fault=int(values.get("fault", 0)),
+                    # a drive that does not say is taken to do what it was told last
+                    bridge=self._bridge if bridge is None else bridge != 0,
+                )
+            )
+
+    def _is_alive(self, heartbeat: float | None, now_s: float) -> bool:
+        if self._config.heartbeat.drive is None:
+            return True
+        if heartbeat != self._heartbeat:
+            first = self._heartbeat is None
+            self._heartbeat, self._heartbeat_s = heartbeat, now_s
+            return not first  # one value alone shows no life
+        patience_s = self._config.heartbeat.drive_timeout_s or 0.0
+        if now_s - self._heartbeat_s <= patience_s:
+            return True
+        self._counts["counter_stuck"] += 1
+        return False
+
+    def _note_silence(self, problem: str) -> None:
+        self._silent += 1
+        if self._silent >= _SILENT_POLLS:
+            self._tell_down(problem)
+
+    def _tell_up(self) -> None:
+        self._silent = 0
+        if not self._up and self._listener is not None:
+            self._up = True
+            self._listener.on_bus(up=True, detail=self.description)
+
+    def _tell_down(self, problem: str) -> None:
+        if self._up and self._listener is not None:
+            self._up = False
+            self._listener.on_bus(up=False, detail=f"{self.description}: {problem}")

@@ -1,0 +1,138 @@
+"""A register map that does not fit is refused, wholly listed, and named by its place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.config.modbus import ModbusRtu
+from tests.config import documents
+from tests.config.modbus_documents import flaws, parse
+
+
+def test_a_small_map_is_enough() -> None:
+    bus = parse().bus
+    assert bus.type == "modbus-tcp"
+    assert (bus.port, bus.device_id) == (502, 1)
+
+
+def test_a_serial_port_is_found_beside_the_file() -> None:
+    rtu = {"bus__type": '"modbus-rtu"', "bus__host": None}
+    bus = parse(**rtu, bus__device='"drive.tty"').bus
+    assert isinstance(bus, ModbusRtu)
+    assert bus.device == documents.SOURCE.parent / "drive.tty"
+    absolute = parse(**rtu, bus__device='"/dev/ttyUSB0"').bus
+    assert isinstance(absolute, ModbusRtu)
+    assert absolute.device == Path("/dev/ttyUSB0")
+
+
+def test_every_flaw_is_listed_with_its_place() -> None:
+    found = flaws(
+        bus__port="0",
+        bus__hots='"typo"',
+        bus__registers__voltage="{ address = -1, table = 'coil' }",
+        bus__heartbeat__drvie='"alive"',
+    )
+    assert set(found) == {
+        "bus.port",
+        "bus.hots",
+        "bus.registers.voltage.address",
+        "bus.registers.voltage.table",
+        "bus.heartbeat.drvie",
+    }
+
+
+def test_every_wrong_reference_is_listed() -> None:
+    found = flaws(
+        signals__output='"sped"',
+        signals__fault='"nothing"',
+        signals__command__bridge='"state"',
+        bus__heartbeat__drive='"pulse"',
+        bus__heartbeat__daemon='"wanted"',
+    )
+    assert set(found) == {
+        "signals.output.signal",
+        "signals.fault.signal",
+        "signals.command.bridge",
+        "bus.heartbeat.drive",
+        "bus.heartbeat.daemon",
+    }
+    assert "no register 'sped'" in found["signals.output.signal"]
+    assert "cannot be written" in found["signals.command.bridge"]
+
+
+def test_each_kind_of_bus_has_its_own_form_of_a_name() -> None:
+    on_can = documents.flaws(signals__output='"speed"', signals__command__bridge='"control"')
+    assert set(on_can) == {"signals.output.signal", "signals.command.bridge"}
+    assert "Message.Signal" in on_can["signals.command.bridge"]
+    on_modbus = flaws(signals__output='"DriveLoad.Tachometer"')
+    assert set(on_modbus) == {"signals.output.signal"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "place", "words"),
+    [
+        (
+            {"bus__registers__speed": "{ address = 65535, table = 'input', type = 'float32' }"},
+            "bus.registers.speed.address",
+            "no room",
+        ),
+        (
+            {"bus__registers__line": "{ address = 1, table = 'input', scale = 0.0 }"},
+            "bus.registers.line.scale",
+            "must not be 0",
+        ),
+        (
+            {
+                "bus__registers__line": (
+                    "{ address = 1, table = 'input', range = { low = 9.0, high = 1.0 } }"
+                )
+            },
+            "bus.registers.line.range",
+            "low = 9.0 must be below high = 1.0",
+        ),
+        (
+            {"bus__registers__state": "{ address = 5, table = 'input', bit = 16 }"},
+            "bus.registers.state.bit",
+            "uint16 has no bit 16",
+        ),
+        (
+            {"signals__fault": '"speed"'},
+            "signals.fault",
+            "must be an integer with scale 1",
+        ),
+        (
+            {"signals__bridge": "{ signal = 'state', scale = 2.0 }"},
+            "signals.bridge",
+            "takes no scale",
+        ),
+        (
+            {"bus__registers__alive": "{ address = 1, table = 'holding' }"},
+            "bus.heartbeat.daemon",
+            "'alive' lies in the same register as 'control'",
+        ),
+        ({"bus__timeout_s": "0.1"}, "bus.timeout_s", "must be below one poll"),
+        ({"interlocks__stale_s": "0.149"}, "interlocks.stale_s", "at least 0.15 s"),
+        ({"load__latency_ticks": "2"}, "load.latency_ticks", "a multiple of one poll"),
+        ({"load__period_s": "0.95"}, "load.period_s", "whole multiple of one poll"),
+        ({"voltage_loop__where": '"daemon"'}, "voltage_loop.where", "must hold its own"),
+        (
+            {"signals__command__current_scale_S": '"alive"'},
+            "signals.command.current_scale_S",
+            "V_c only",
+        ),
+        (
+            {"signals__command__boost_reference_V": None},
+            "signals.command.boost_reference_V",
+            "is missing",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_a_flaw(
+    changes: dict[str, str | None], place: str, words: str
+) -> None:
+    given = {"bus__heartbeat__daemon": '"alive"', **changes}
+    found = flaws(**given)
+    assert place in found
+    assert words in found[place]

@@ -1,0 +1,110 @@
+"""Registers against the documented forms, as pymodbus's own converter has them."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymodbus.client.mixin import ModbusClientMixin
+
+from adaptdrive.config.modbus import Register, RegisterRange
+from adaptdrive.hardware.modbus.codec import decode_value, encode_count, encode_value
+
+TYPES = {
+    "uint16": (ModbusClientMixin.DATATYPE.UINT16, st.integers(0, 0xFFFE)),
+    "int16": (ModbusClientMixin.DATATYPE.INT16, st.integers(-0x7FFF, 0x7FFF)),
+    "uint32": (ModbusClientMixin.DATATYPE.UINT32, st.integers(0, 0xFFFF_FFFE)),
+    "int32": (ModbusClientMixin.DATATYPE.INT32, st.integers(-0x7FFF_FFFF, 0x7FFF_FFFF)),
+    "float32": (
+        ModbusClientMixin.DATATYPE.FLOAT32,
+        st.floats(width=32, allow_nan=False, allow_infinity=False),
+    ),
+}
+
+
+def register(**keys: object) -> Register:
+    return Register.model_validate({"address": 0, "table": "input", **keys})
+
+
+@pytest.mark.parametrize("order", ["big", "little"])
+@pytest.mark.parametrize("name", TYPES)
+@given(data=st.data())
+def test_a_value_has_the_registers_that_pymodbus_gives_it(
+    name: str, order: str, data: st.DataObject
+) -> None:
+    kind, values = TYPES[name]
+    value = data.draw(values)
+    described = register(type=name, word_order=order)
+    words = ModbusClientMixin.convert_to_registers(
+        value, kind, word_order="big" if order == "big" else "little"
+    )
+    assert decode_value(described, words, measured=True) == value
+    assert encode_value(described, value) == words
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("uint16", [0xFFFF]),
+        ("int16", [0x8000]),
+        ("uint32", [0xFFFF, 0xFFFF]),
+        ("int32", [0x8000, 0]),
+        ("float32", [0x7FC0, 0]),
+        ("float32", [0x7F80, 0]),
+        ("float32", [0xFF80, 0]),
+    ],
+)
+def test_what_is_not_available_is_refused(name: str, words: list[int]) -> None:
+    assert decode_value(register(type=name), words, measured=True) is None
+
+
+def test_a_fault_word_may_be_all_ones() -> None:
+    assert decode_value(register(), [0xFFFF], measured=False) == 0xFFFF
+
+
+def test_the_map_says_what_is_not_available() -> None:
+    described = register(type="int16", not_available=0x7FFF)
+    assert decode_value(described, [0x7FFF], measured=True) is None
+    assert decode_value(described, [0x8000], measured=True) == -0x8000
+
+
+def test_a_value_outside_its_range_is_refused() -> None:
+    described = register(scale=0.01, range={"low": 0.0, "high": 600.0})
+    assert decode_value(described, [60000], measured=True) == 600.0
+    assert decode_value(described, [60001], measured=True) is None
+    with pytest.raises(ValueError, match="outside"):
+        encode_value(described, 600.01)
+
+
+def test_a_bit_is_taken_alone() -> None:
+    described = register(bit=3)
+    assert decode_value(described, [0b1000], measured=False) == 1.0
+    assert decode_value(described, [0b0111], measured=False) == 0.0
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 65536.0])
+def test_what_a_register_cannot_hold_is_not_sent(value: float) -> None:
+    with pytest.raises(ValueError, match=r"outside|cannot hold"):
+        encode_value(register(), value)
+
+
+def test_a_float_that_is_too_large_is_not_sent() -> None:
+    with pytest.raises(ValueError, match=r"outside|cannot hold"):
+        encode_count(register(type="float32"), 1e39)
+
+
+@given(st.floats(0.0, 600.0))
+def test_scaling_loses_at_most_half_a_count(value: float) -> None:
+    described = register(scale=0.01, range=RegisterRange(low=0.0, high=600.0).model_dump())
+    back = decode_value(described, encode_value(described, value), measured=True)
+    assert back is not None
+    assert abs(back - value) <= 0.005 + 1e-9
+
+
+def test_the_high_word_comes_first_unless_told_otherwise() -> None:
+    high, low = struct.unpack(">2H", struct.pack(">f", 3.125))
+    assert encode_value(register(type="float32"), 3.125) == [high, low]
+    assert encode_value(register(type="float32", word_order="little"), 3.125) == [low, high]
