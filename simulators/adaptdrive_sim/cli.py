@@ -111,3 +111,64 @@ def disturb(
         sys.exit(NO_ANSWER)
     if not reply.accepted:
         sys.exit(f"adaptdrive-sim: refused: {reply.reason}")
+
+
+demo = App(name="demo", help="Watch a simulated drive being controlled.")
+app.command(demo)
+
+
+@demo.command
+def motor(  # noqa: PLR0913 - one parameter for each option
+    *,
+    duration: float | None = None,
+    headless: Annotated[bool, Parameter(negative=())] = False,
+    broker: str | None = None,
+    interface: Literal["socketcan", "udp_multicast"] | None = None,
+    channel: str | None = None,
+    period: float = 60.0,
+    noise: float = 0.002,
+    mode: Literal["alternate", "fixed", "adaptive"] = "alternate",
+    disks: bool = True,
+    steady: Annotated[bool, Parameter(negative=())] = False,
+    directory: Path | None = None,
+    speed: float = 1.0,
+) -> None:
+    """Watch a motor follow a square wave while disks drop onto its shaft.
+
+    Simulated drive, daemon and broker run as processes of their own, on a real bus and in real
+    time, until Ctrl-C. Everything they leave behind is kept for a look afterwards. The status is
+    0 when control worked and 1 when it failed.
+
+    Args:
+        duration: Seconds of control after the start; until interrupted when left out.
+        headless: Show nothing; print one line of JSON at the end.
+        broker: HOST:PORT of a running MQTT broker; one is started when left out.
+        interface: Bus interface; the best one found when left out.
+        channel: Channel of that interface, such as vcan1 or a multicast group.
+        period: Seconds of one period of the square wave (the published experiment has 120).
+        noise: Standard deviation of each sample of the speed, as a fraction of the wave's step.
+        mode: Controller to ask for; alternate shows both in turn, the others ask once.
+        disks: Drop disks onto the shaft and take them off.
+        steady: Hold the set-point instead of following the wave.
+        directory: Folder for configuration, logs and sessions; build/demo/TIME when left out.
+        speed: Times real time. The bus of this demo is real, and so is its time: only 1.
+    """
+    from adaptdrive_sim.demo.main import run_demo  # noqa: PLC0415  # keeps --help fast
+    from adaptdrive_sim.demo.settings import DemoSettings  # noqa: PLC0415
+
+    if speed != 1.0:
+        sys.exit(f"adaptdrive-sim: --speed {speed:g}: a real bus has real time, so 1 it must be")
+    settings = DemoSettings(
+        duration_s=duration,
+        headless=headless,
+        broker=broker,
+        interface=interface,
+        channel=channel,
+        period_s=period,
+        noise=noise,
+        mode=mode,
+        disks=disks,
+        steady=steady,
+        directory=directory,
+    )
+    sys.exit(run_demo(settings))

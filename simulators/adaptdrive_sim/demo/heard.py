@@ -1,0 +1,106 @@
+"""What the demonstration hears over MQTT: as much of each payload as it needs.
+
+A number is None where the payload has null, which is how JSON says "not known".
+"""
+
+from __future__ import annotations
+
+import math
+from datetime import datetime
+
+import msgspec
+
+
+class Quantiles(msgspec.Struct, frozen=True):
+    """Quantiles of a time in microseconds."""
+
+    p50: float | None
+    p99: float | None
+    max: float | None
+
+
+class Waveform(msgspec.Struct, frozen=True):
+    """A periodic set-point."""
+
+    shape: str
+    low: float
+    high: float
+    period_s: float
+
+
+class State(msgspec.Struct, frozen=True):
+    """From `state`."""
+
+    time: datetime
+    state: str
+    mode: str
+    controller: str
+    reason: str
+    setpoint: float
+    waveform: Waveform | None
+    pole: float
+    trip: str | None
+
+
+class Drive(msgspec.Struct, frozen=True):
+    """From `telemetry/drive`."""
+
+    boost_voltage_V: float | None
+    load_power_W: float | None
+    output: float | None
+    ticks: int
+    missed: int
+    held: int
+    lateness_us: Quantiles
+
+
+class Estimate(msgspec.Struct, frozen=True):
+    """One estimated parameter."""
+
+    value: float | None
+    std: float | None
+
+
+class Load(msgspec.Struct, frozen=True):
+    """From `telemetry/load`."""
+
+    k: int
+    reference: float
+    output: float | None
+    boost_reference_V: float
+    estimates: dict[str, Estimate]
+    controller: str
+    handover_step_V: float | None
+
+
+class Event(msgspec.Struct, frozen=True):
+    """From `event`."""
+
+    time: datetime
+    kind: str
+    severity: str
+    detail: str
+
+
+class Truth(msgspec.Struct, frozen=True):
+    """From the simulated drive: what an estimator would like to know."""
+
+    disks: int
+    speed_rad_s: float
+    gain: float
+    tau_motor_s: float
+    tau_filter_s: float
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The load's parameters, by the names that its estimates have."""
+        return {
+            "gain": self.gain,
+            "tau_sum_s": self.tau_motor_s + self.tau_filter_s,
+            "tau_product_s2": self.tau_motor_s * self.tau_filter_s,
+        }
+
+
+def known(value: float | None) -> float:
+    """A number that may be absent; NaN where it is."""
+    return math.nan if value is None else value

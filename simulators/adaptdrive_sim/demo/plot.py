@@ -1,0 +1,168 @@
+"""A plot of speed and reference in braille characters: two by four dots in each cell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+from rich.text import Text
+
+from adaptdrive_sim.demo.record import Mark, Point
+
+REFERENCE_STYLE = "bright_black"
+CONTROLLER_STYLES = {"fixed": "yellow", "adaptive": "green"}
+AXIS_STYLE = "bright_black"
+MARK_STYLE = "magenta"
+
+_DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
+_BLANK = 0x2800
+_LABEL_WIDTH = 6
+_LEAST_SPAN = 0.1
+_MARGIN = 0.06
+_OTHER_ROWS = 2  # marks above, times below
+_APART_s = (10, 20, 30, 60, 120, 300, 600, 1800, 3600)
+_LEVELS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """What part of the world a plot shows, and how large.
+
+    Attributes:
+        now_s: Right edge.
+        window_s: Time from the left edge to the right one.
+        low: Lower edge.
+        high: Upper edge.
+        columns: Width of the canvas in cells.
+        rows: Height of the canvas in cells.
+    """
+
+    now_s: float
+    window_s: float
+    low: float
+    high: float
+    columns: int
+    rows: int
+
+    def column(self, time_s: float) -> int:
+        """Dot column of a time."""
+        share = 1.0 - (self.now_s - time_s) / self.window_s
+        return round(share * (2 * self.columns - 1))
+
+    def row(self, value: float) -> int:
+        """Dot row of a value, the highest one at the top."""
+        share = (self.high - value) / (self.high - self.low)
+        return round(min(max(share, 0.0), 1.0) * (4 * self.rows - 1))
+
+
+class Canvas:
+    """Cells of dots; each cell has the style of what was drawn there last."""
+
+    def __init__(self, columns: int, rows: int) -> None:
+        self._bits = [[0] * columns for _ in range(rows)]
+        self._styles = [[""] * columns for _ in range(rows)]
+
+    def dot(self, column: int, row: int, style: str) -> None:
+        """Set one dot; one outside is left out."""
+        cell, line = column // 2, row // 4
+        if 0 <= line < len(self._bits) and 0 <= cell < len(self._bits[0]):
+            self._bits[line][cell] |= _DOTS[column % 2][row % 4]
+            self._styles[line][cell] = style
+
+    def lines(self) -> Iterator[Text]:
+        """The canvas, one line of text after the other."""
+        for bits, styles in zip(self._bits, self._styles, strict=True):
+            line = Text()
+            start = 0
+            for style, run in groupby(styles):
+                end = start + len(list(run))
+                line.append("".join(chr(_BLANK | b) for b in bits[start:end]), style)
+                start = end
+            yield line
+
+
+def plot(
+    points: Sequence[Point],
+    marks: Sequence[Mark],
+    now_s: float,
+    window_s: float,
+    size: tuple[int, int],
+) -> Text:
+    """Plot speed and reference.
+
+    Args:
+        points: What to show, in the order of time.
+        marks: What was done to the drive.
+        now_s: Time of the right edge.
+        window_s: Time from the left edge to the right one.
+        size: Width and height in characters.
+    """
+    width, height = size
+    columns, rows = width - _LABEL_WIDTH, height - _OTHER_ROWS
+    shown = [point for point in points if now_s - point.time_s <= window_s]
+    if not shown or columns < 10 or rows < 2:
+        return Text("waiting for the drive …", AXIS_STYLE)
+    frame = Frame(now_s, window_s, *_range(shown), columns, rows)
+    canvas = Canvas(columns, rows)
+    _trace(canvas, frame, [(p.time_s, p.reference, REFERENCE_STYLE) for p in shown])
+    _trace(canvas, frame, [(p.time_s, p.output, CONTROLLER_STYLES[p.controller]) for p in shown])
+    references = [reference for reference, _ in groupby(p.reference for p in shown)]
+    labels = _labels(frame, references[-_LEVELS:])
+    labelled = [
+        Text.assemble((label.rjust(_LABEL_WIDTH), AXIS_STYLE), line)
+        for label, line in zip(labels, canvas.lines(), strict=True)
+    ]
+    return Text("\n").join([_marks(frame, marks), *labelled, _times(frame)])
+
+
+def _range(points: Sequence[Point]) -> tuple[float, float]:
+    values = [value for p in points for value in (p.reference, p.output)]
+    low, high = min(values), max(values)
+    missing = max(0.0, _LEAST_SPAN - (high - low))
+    margin = 0.5 * missing + _MARGIN * (high - low)
+    return low - margin, high + margin
+
+
+def _trace(canvas: Canvas, frame: Frame, values: Sequence[tuple[float, float, str]]) -> None:
+    """Draw a curve without gaps: dots reach vertically from one value to the next."""
+    before: int | None = None
+    for time_s, value, style in values:
+        column, row = frame.column(time_s), frame.row(value)
+        first = row if before is None else before
+        step = 1 if row >= first else -1
+        for between in range(first, row + step, step):
+            canvas.dot(column, between, style)
+        before = row
+
+
+def _labels(frame: Frame, references: Iterable[float]) -> list[str]:
+    """Values beside the rows: both edges, and the references, which matter more."""
+    labels = [""] * frame.rows
+    for value in (frame.low, frame.high, *references):
+        labels[frame.row(value) // 4] = f"{value:.2f} "
+    return labels
+
+
+def _marks(frame: Frame, marks: Sequence[Mark]) -> Text:
+    """Marks with as much of their text as fits before the next one."""
+    line = [" "] * (_LABEL_WIDTH + frame.columns)
+    for mark in marks:
+        start = _LABEL_WIDTH + frame.column(mark.time_s) // 2
+        if start < _LABEL_WIDTH:
+            continue
+        text = f"▼{mark.text} "
+        line[start : start + len(text)] = text
+    return Text("".join(line)[: _LABEL_WIDTH + frame.columns], MARK_STYLE)
+
+
+def _times(frame: Frame) -> Text:
+    """Times before now along the lower edge."""
+    line = [" "] * (_LABEL_WIDTH + frame.columns)
+    apart_s = next(s for s in _APART_s if frame.window_s <= 5 * s)
+    for back in range(1, int(frame.window_s / apart_s) + 1):
+        text = f"-{back * apart_s} s"
+        start = _LABEL_WIDTH + frame.column(frame.now_s - back * apart_s) // 2
+        line[start : start + len(text)] = text
+    line[-3:] = "now"
+    return Text("".join(line), AXIS_STYLE)

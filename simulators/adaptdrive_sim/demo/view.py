@@ -1,0 +1,269 @@
+"""The live view: one screen that says how control is doing, made from a record."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from rich.box import ROUNDED
+from rich.layout import Layout
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from adaptdrive_sim.demo.heard import Quantiles, known
+from adaptdrive_sim.demo.plot import CONTROLLER_STYLES, REFERENCE_STYLE, plot
+from adaptdrive_sim.demo.record import Record
+from adaptdrive_sim.demo.settings import DRIVE
+
+WIDE, TALL = 110, 32
+FIGURES_ROWS = 7
+_SHORTEST_WINDOW_s = 30.0
+_ESTIMATES = (("gain", "g", "V/V"), ("tau_sum_s", "τm+τf", "s"), ("tau_product_s2", "τm·τf", "s²"))
+_STATE_STYLES = {"running": "bold green", "tripped": "bold white on red"}
+_SEVERITY_STYLES = {"info": "", "warning": "yellow", "alarm": "bold red"}
+_DIM = "bright_black"
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What the view says of where it is.
+
+    Attributes:
+        bus: The bus in use.
+        broker: The broker in use, HOST:PORT.
+        program: How to call `adaptdrive` from another terminal.
+        duration_s: Seconds until the end, None when it goes on.
+        longest_window_s: Longest time that the plot shows.
+    """
+
+    bus: str
+    broker: str
+    program: str
+    duration_s: float | None
+    longest_window_s: float
+
+
+def screen(record: Record, around: Surroundings, size: tuple[int, int]) -> Layout:
+    """The whole screen.
+
+    Args:
+        record: What was heard.
+        around: Where this takes place.
+        size: Width and height of the terminal in characters.
+    """
+    width, height = size
+    hints = list(_hints(record, around, tall=height >= TALL))
+    events = 6 if height >= TALL else 3
+    fixed = 2 + FIGURES_ROWS + events + len(hints)
+    layout = Layout()
+    layout.split_column(
+        Layout(_header(record, around), size=2),
+        Layout(_plot_panel(record, around, (width, height - fixed))),
+        Layout(_figures(record, wide=width >= WIDE), size=FIGURES_ROWS),
+        Layout(_events(record, events), size=events),
+        Layout(Text("\n").join(hints), size=len(hints)),
+    )
+    return layout
+
+
+def _header(record: Record, around: Surroundings) -> Text:
+    state = record.state
+    name = state.state if state else "starting"
+    line = Text.assemble(
+        (f" {DRIVE} ", "bold reverse"), " ", (f" {name} ", _STATE_STYLES.get(name, "bold yellow"))
+    )
+    if state is not None:
+        line.append_text(_controller(state.controller, state.mode, state.reason, state.trip))
+    line.append(f"   {_elapsed(record, around)}", _DIM)
+    if not record.connected:
+        line.append("   broker not heard", "bold red")
+    return Text("\n").join([_cut(line), _cut(Text(f" {record.caption}", "italic"))])
+
+
+def _controller(controller: str, mode: str, reason: str, trip: str | None) -> Text:
+    if trip:
+        return Text(f"  {trip}", "red")
+    text = Text("  ")
+    text.append(controller, f"bold {CONTROLLER_STYLES.get(controller, '')}")
+    text.append(" controller in force")
+    if controller != mode:
+        text.append(f", {mode} asked for: {reason}", "yellow")
+    return text
+
+
+def _elapsed(record: Record, around: Surroundings) -> str:
+    if record.first is None:
+        return ""
+    elapsed_s = record.clock() - record.first.time_s
+    whole = f" of {_minutes(around.duration_s)}" if around.duration_s is not None else ""
+    return f"{_minutes(elapsed_s)}{whole}"
+
+
+def _minutes(time_s: float) -> str:
+    return f"{int(time_s) // 60}:{int(time_s) % 60:02d}"
+
+
+def _plot_panel(record: Record, around: Surroundings, size: tuple[int, int]) -> Panel:
+    now_s, points = record.clock(), list(record.trace)
+    since_s = now_s - points[0].time_s if points else 0.0
+    window_s = min(max(since_s, _SHORTEST_WINDOW_s), around.longest_window_s)
+    title = Text("speed in tachometer volts")
+    for name, style in {**CONTROLLER_STYLES, "reference": REFERENCE_STYLE}.items():
+        title.append(f"  ━ {name}", style)
+    inner = (size[0] - 4, size[1] - 2)
+    content = plot(points, list(record.marks), now_s, window_s, inner)
+    return Panel(content, title=title, box=ROUNDED, border_style=_DIM, title_align="left")
+
+
+def _figures(record: Record, *, wide: bool) -> Table:
+    contents = {
+        "drive": _drive(record, wide=wide),
+        "the load": _estimates(record, wide=wide),
+        "overshoot": _overshoots(record),
+    }
+    grid = Table.grid(expand=True)
+    for ratio in (28, 30, 22):
+        grid.add_column(ratio=ratio)
+    grid.add_row(*(_boxed(title, table, wide=wide) for title, table in contents.items()))
+    return grid
+
+
+def _boxed(title: str, content: Table, *, wide: bool) -> Panel:
+    return Panel(
+        content,
+        title=title,
+        box=ROUNDED,
+        border_style=_DIM,
+        title_align="left",
+        height=FIGURES_ROWS,
+        padding=(0, 1 if wide else 0),
+    )
+
+
+def _rows(*columns: str) -> Table:
+    """A table without lines; `l` and `r` say how its columns are aligned."""
+    table = Table.grid(expand=True, padding=(0, 1))
+    for column in columns:
+        table.add_column(justify="right" if column == "r" else "left", no_wrap=True)
+    return table
+
+
+def _drive(record: Record, *, wide: bool) -> Table:
+    table, drive, load = _rows("l", "r"), record.drive, record.load
+    output = known(drive.output) if drive else math.nan
+    shaft = f" {record.truth.speed_rad_s:.0f} rad/s" if wide and record.truth else ""
+    table.add_row("speed", f"{_number(output, 3)} V{shaft}")
+    table.add_row("reference", f"{_number(load.reference if load else math.nan, 3)} V")
+    voltage = known(drive.boost_voltage_V) if drive else math.nan
+    asked = load.boost_reference_V if load else math.nan
+    table.add_row("V_c / v_bst", f"{_number(asked, 0)} / {_number(voltage, 0)} V")
+    label = "late p50 / p99 / max" if wide else "late"
+    table.add_row(label, _lateness(record.lateness, " / " if wide else "/"))
+    table.add_row("missed, held", _losses(record, wide=wide))
+    return table
+
+
+def _lateness(reports: Sequence[Quantiles], between: str) -> str:
+    """Lateness over the last reports: their median, their 99th percentile, and the worst tick."""
+    if not reports:
+        return "unknown"
+    middles = sorted(known(report.p50) for report in reports)
+    worst = sorted(known(report.max) for report in reports)
+    # A report covers about a dozen ticks: the 99th percentile of them all is among the maxima.
+    p99 = worst[int(0.88 * (len(worst) - 1))]
+    times = (middles[len(middles) // 2], p99, worst[-1])
+    return between.join(f"{time_us / 1e3:.1f}" for time_us in times) + " ms"
+
+
+def _losses(record: Record, *, wide: bool) -> str:
+    """Half cycles without a tick, and ticks that stood in for a late frame."""
+    counts = record.control
+    if counts is None:
+        return "–"
+    whole = f" of {counts.ticks} ticks" if wide else ""
+    return f"{counts.missed}, {counts.held}{whole}"
+
+
+def _estimates(record: Record, *, wide: bool) -> Table:
+    table = _rows("l", "r", "r", "r")
+    table.add_row("", "learned", "truth", "error", style="bold")
+    truth = record.truth.parameters if record.truth else {}
+    estimates = record.load.estimates if record.load else {}
+    for name, symbol, unit in _ESTIMATES:
+        found = estimates.get(name)
+        value, real = known(found.value) if found else math.nan, truth.get(name, math.nan)
+        label = f"{symbol} [{unit}]" if wide else symbol
+        table.add_row(label, _figure(value), _figure(real), _percent(value / real - 1.0))
+    disks = str(record.truth.disks) if record.truth else "–"
+    table.add_row("disks", _figure(_learned_disks(record)), disks, "")
+    return table
+
+
+def _learned_disks(record: Record) -> float:
+    """The inertia that the estimates amount to, in disks; the filter's time is known."""
+    if record.load is None or record.truth is None:
+        return math.nan
+    total = record.load.estimates.get("tau_sum_s")
+    truth = record.truth
+    per_disk_s = truth.tau_motor_s / truth.disks
+    return (known(total.value) - truth.tau_filter_s) / per_disk_s if total else math.nan
+
+
+def _overshoots(record: Record) -> Table:
+    table = _rows("l", "r", "r")
+    fixed, adaptive = (Text(name, style) for name, style in CONTROLLER_STYLES.items())
+    table.add_row("disks", fixed, adaptive, style="bold")
+    for disks in (1, 2, 3):
+        found = (record.halves.overshoot(name, disks) for name in CONTROLLER_STYLES)
+        table.add_row(str(disks), *(_share(one) for one in found))
+    return table
+
+
+def _share(overshoot: float | None) -> str:
+    return "·" if overshoot is None else f"{100.0 * overshoot:.1f}%"
+
+
+def _events(record: Record, rows: int) -> Text:
+    lines = [
+        Text.assemble(
+            (f" {event.time.astimezone():%H:%M:%S} ", _DIM),
+            (f"{event.kind:<11}", "bold"),
+            (event.detail, _SEVERITY_STYLES.get(event.severity, "")),
+        )
+        for event in list(record.events)[-rows:]
+    ]
+    return Text("\n").join(map(_cut, lines)) if lines else Text(" no events yet", _DIM)
+
+
+def _hints(record: Record, around: Surroundings, *, tall: bool) -> Iterator[Text]:
+    yield _cut(Text(f" bus {around.bus}   broker {around.broker}   Ctrl-C ends", _DIM))
+    other = "fixed" if record.state and record.state.mode == "adaptive" else "adaptive"
+    call = f"{around.program} mode {DRIVE} {other} --broker {around.broker}"
+    yield _cut(Text.assemble((" try  ", _DIM), call))
+    if not tall:
+        return
+    program = f"{around.program}-sim"
+    yield _cut(Text(f"      {program} disturb {DRIVE} add-disk --broker {around.broker}"))
+    host, _, port = around.broker.rpartition(":")
+    message = '{"id": "1", "value": 3.1}'
+    topic = f"adaptdrive/{DRIVE}/command/setpoint"
+    yield _cut(Text(f"      mosquitto_pub -h {host} -p {port} -t {topic} -m '{message}'"))
+
+
+def _cut(line: Text) -> Text:
+    line.no_wrap, line.overflow = True, "ellipsis"
+    return line
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "–"
+
+
+def _figure(value: float) -> str:
+    return f"{value:#.3g}".rstrip(".") if math.isfinite(value) else "–"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:+.1f}%" if math.isfinite(share) else ""
