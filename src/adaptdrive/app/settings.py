@@ -182,4 +182,5 @@ def _fast_loop(configuration: Configuration) -> FastLoopSettings:
         latency_ticks=configuration.load.latency_ticks,
         late_fraction=configuration.realtime.late_fraction,
         timer_standin=configuration.realtime.timer_standin,
+        ticks_per_reading=configuration.ticks_per_reading,
     )

@@ -41,6 +41,11 @@ class Configuration(Section):
         """Q: fast ticks in one slow period."""
         return round(2 * self.drive.line_frequency_Hz * self.load.period_s)
 
+    @property
+    def ticks_per_reading(self) -> int:
+        """Half cycles from one reading of the drive to the next: 1 for a drive that sends each."""
+        return 1 if isinstance(self.bus, CanBus) else self.bus.poll_ticks
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         flaws = [

@@ -30,6 +30,7 @@ from adaptdrive.runtime.reports import TickReport
 from adaptdrive.runtime.statistics import TimeWindow
 
 _BRIDGE_GRACE_TICKS = 30
+_BRIDGE_GRACE_READINGS = 3
 
 
 @dataclass(slots=True)
@@ -60,6 +61,8 @@ class FastLoopSettings:
         latency_ticks: L, ticks from a snapshot to the effect of its decision.
         late_fraction: Lateness of a frame, in ticks, at which a stand-in tick runs.
         timer_standin: Whether the timer stands in at all.
+        ticks_per_reading: Half cycles from one reading to the next, 1 for a drive that sends
+            each. A drive that is polled has one tick for each poll.
     """
 
     limits: Limits
@@ -68,6 +71,7 @@ class FastLoopSettings:
     latency_ticks: int
     late_fraction: float
     timer_standin: bool
+    ticks_per_reading: int = 1
 
 
 class Surroundings(Protocol):
@@ -118,7 +122,9 @@ class FastLoop:
         self._port = port
         self._controller = controller
         self._machine = machine
-        self._half_cycles = HalfCycles(port.counter_modulus, settings.tick_s)
+        self._half_cycles = HalfCycles(
+            port.counter_modulus, settings.tick_s, settings.ticks_per_reading
+        )
         self._guard = Guard(settings.command)
         self._settings = settings
         self._surroundings = surroundings
@@ -144,7 +150,7 @@ class FastLoop:
 
     def begin(self) -> None:
         """Start the stand-in timer; the first frame takes over from it."""
-        self._arm(self._surroundings.now_s() + self._half_cycles.tick_period_s)
+        self._arm(self._surroundings.now_s() + self._half_cycles.reading_period_s)
 
     def on_reading(self, reading: Reading) -> None:
         """A complete reading came in: run its tick, unless a stand-in already did."""
@@ -152,7 +158,7 @@ class FastLoop:
         self.reading = reading
         self._arm(
             reading.arrival_s
-            + (1.0 + self._settings.late_fraction) * self._half_cycles.tick_period_s
+            + (1.0 + self._settings.late_fraction) * self._half_cycles.reading_period_s
         )
         if tick <= self.tick:
             return
@@ -164,7 +170,7 @@ class FastLoop:
 
     def on_deadline(self, deadline_s: float) -> None:
         """No frame came in time: run a stand-in tick on the held values."""
-        period_s = self._half_cycles.tick_period_s
+        period_s = self._half_cycles.reading_period_s
         now_s = self._surroundings.now_s()
         skipped = max(0, int((now_s - deadline_s) / period_s))
         self._arm(deadline_s + (1 + skipped) * period_s)
@@ -173,7 +179,7 @@ class FastLoop:
             return
         lateness_us = (now_s - deadline_s) * 1e6
         self.counts.held += 1
-        self._run(self.tick + 1 + skipped, lateness_us, fresh=False)
+        self._run(self._half_cycles.following(self.tick, skipped), lateness_us, fresh=False)
         self._report(lateness_us, math.nan)
 
     def _watch_silence(self, now_s: float) -> None:
@@ -211,7 +217,7 @@ class FastLoop:
         """One tick: interlocks, state, controller, guard, wire."""
         self.counts.ticks += 1
         if self.tick >= 0:
-            self.counts.missed += tick - self.tick - 1
+            self.counts.missed += (tick - self.tick) // self._settings.ticks_per_reading - 1
         self.lateness.add(lateness_us)
         self.tick = tick
         self._applied_k = -1
@@ -238,8 +244,9 @@ class FastLoop:
         if reading is None or reading.bridge or not self.command.bridge:
             self._bridge_off_ticks = 0
             return None
-        self._bridge_off_ticks += 1
-        if self._bridge_off_ticks <= _BRIDGE_GRACE_TICKS:
+        stride = self._settings.ticks_per_reading
+        self._bridge_off_ticks += stride
+        if self._bridge_off_ticks <= max(_BRIDGE_GRACE_TICKS, _BRIDGE_GRACE_READINGS * stride):
             return None
         return "drive stopped: its bridge is off although it was commanded on"
 

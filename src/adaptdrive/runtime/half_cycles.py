@@ -3,6 +3,9 @@
 A tick is identified by the drive's own counter, unwrapped. A counter that jumps by more or less
 than time allows (the drive was restarted, or its frames were lost for long) is anchored anew: its
 frame belongs to the next tick.
+
+A drive that is polled has no frames of its own: its readings are a fixed number of half cycles
+apart, by the clock that polls it, and its ticks are multiples of that number.
 """
 
 from __future__ import annotations
@@ -19,13 +22,15 @@ _MARKS = 20
 class HalfCycles:
     """Unwraps the drive's counter and measures the half cycle."""
 
-    def __init__(self, modulus: int | None, nominal_tick_s: float) -> None:
+    def __init__(self, modulus: int | None, nominal_tick_s: float, stride: int = 1) -> None:
         """Start without a frame.
 
         Args:
             modulus: Where the drive's counter wraps, None for a drive without one.
             nominal_tick_s: Half cycle at nominal line frequency.
+            stride: Half cycles from one reading to the next, 1 for a drive that sends each.
         """
+        self._stride = stride
         self._modulus = modulus
         self._nominal_s = nominal_tick_s
         self._counter: int | None = None
@@ -34,6 +39,15 @@ class HalfCycles:
         self._marks: deque[tuple[int, float]] = deque(maxlen=_MARKS)
         self.tick_period_s = nominal_tick_s
         self.anchored = 0
+
+    @property
+    def reading_period_s(self) -> float:
+        """Time from one reading to the next."""
+        return self._stride * self.tick_period_s
+
+    def following(self, tick: int, skipped: int = 0) -> int:
+        """The tick at which the next reading is due, or one that many readings later."""
+        return (tick // self._stride + 1 + skipped) * self._stride
 
     def place(self, counter: int | None, arrival_s: float, latest_tick: int) -> int:
         """The tick that a frame belongs to.
@@ -45,7 +59,7 @@ class HalfCycles:
         """
         steps = self._steps(counter, arrival_s)
         if steps is None:
-            tick = latest_tick + 1
+            tick = self.following(latest_tick)
             self.anchored += 1
             self._marks.clear()
         else:
@@ -60,11 +74,13 @@ class HalfCycles:
             return None
         elapsed = (arrival_s - self._arrival_s) / self.tick_period_s
         if counter is None or self._counter is None or self._modulus is None:
-            return max(1, int(elapsed + 1.0 - _LATE_TICKS))
+            return max(1, int(elapsed / self._stride + 1.0 - _LATE_TICKS)) * self._stride
         steps = (counter - self._counter) % self._modulus
         return steps if steps >= 1 and abs(steps - elapsed) <= _SLACK_TICKS else None
 
     def _measure(self, tick: int, arrival_s: float) -> None:
+        if self._stride > 1:
+            return
         if self._marks and tick - self._marks[-1][0] < _MARK_EVERY_TICKS:
             return
         if self._marks:

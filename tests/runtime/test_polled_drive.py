@@ -1,0 +1,111 @@
+"""A drive that is polled: one tick for each poll, on a grid of whole polls."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptdrive.control.signals import SAFE_COMMAND
+from adaptdrive.runtime.half_cycles import HalfCycles
+from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.requests import Enable
+from tests.runtime.bench import FAST, TICK_S, FastBench, decision, fast_bench
+
+STRIDE = 12
+POLL_S = STRIDE * TICK_S
+POLLED = replace(
+    FAST,
+    limits=replace(FAST.limits, stale_s=2.5 * POLL_S),
+    ticks_per_reading=STRIDE,
+    latency_ticks=STRIDE,
+)
+
+
+def poll(bench: FastBench, after_s: float = POLL_S, **changes: object) -> None:
+    bench.frame(after_s, counter=None, **changes)
+
+
+def polls(bench: FastBench, count: int) -> None:
+    for _ in range(count):
+        poll(bench)
+
+
+@given(st.lists(st.floats(-0.3, 0.3), min_size=2, max_size=100))
+def test_polls_are_whole_strides_apart_however_late_their_replies(delays: list[float]) -> None:
+    base, latest = HalfCycles(None, TICK_S, STRIDE), -1
+    for number, delay in enumerate(delays):
+        arrival_s = 50.0 + (number + delay) * POLL_S
+        latest = base.place(None, arrival_s, latest)
+        assert latest == number * STRIDE
+    assert base.tick_period_s == TICK_S
+
+
+async def test_each_poll_makes_one_tick_and_one_command() -> None:
+    async with fast_bench(POLLED, modulus=None) as bench:
+        polls(bench, 30)
+        assert all(b - a == STRIDE for a, b in pairwise(bench.ticks))
+        assert all(tick % STRIDE == 0 for tick in bench.ticks)
+        assert len(bench.sent) == 30
+        assert all(report.measurement.fresh for report in bench.reports)
+        assert (bench.loop.counts.missed, bench.loop.counts.held) == (0, 0)
+
+
+async def test_a_poll_without_a_reading_is_stood_in_for_and_then_caught_up_with() -> None:
+    async with fast_bench(POLLED, modulus=None) as bench:
+        polls(bench, 5)
+        poll(bench, 2 * POLL_S)
+        held = [report for report in bench.reports if not report.measurement.fresh]
+        assert len(held) == 1
+        assert [b - a for a, b in pairwise(bench.ticks)] == [STRIDE] * 6
+        assert (bench.loop.counts.missed, bench.loop.counts.held) == (0, 1)
+
+
+async def test_a_drive_that_no_longer_answers_trips() -> None:
+    async with fast_bench(POLLED, modulus=None) as bench:
+        polls(bench, 3)
+        bench.ask(Enable())
+        polls(bench, 3)
+        assert bench.state() is State.RUNNING
+        bench.wait(2.0 * POLL_S)
+        assert bench.state() is State.RUNNING
+        bench.wait(1.6 * POLL_S)
+        assert bench.state() is State.TRIPPED
+        assert "stale" in (bench.machine.trip or "")
+        assert bench.sent[-1] == SAFE_COMMAND
+
+
+async def test_a_decision_takes_effect_at_its_poll() -> None:
+    async with fast_bench(POLLED, modulus=None) as bench:
+        polls(bench, 3)
+        bench.ask(Enable())
+        polls(bench, 3)
+        known = len(bench.around.snapshots)
+        while len(bench.around.snapshots) == known:
+            poll(bench)
+        taken = bench.around.snapshots[-1]
+        assert taken.tick % 120 == 0
+        bench.loop.deliver(taken, decision(taken.k, 301.0))
+        poll(bench)
+        assert bench.reports[-1].applied_k == taken.k
+        assert bench.sent[-1].boost_reference_V == 301.0
+        assert bench.loop.counts.late_decisions == 0
+
+
+async def test_a_bridge_that_stays_off_has_three_polls_to_close() -> None:
+    slow = replace(POLLED, ticks_per_reading=60, limits=replace(FAST.limits, stale_s=2.0))
+    async with fast_bench(slow, modulus=None) as bench:
+        for _ in range(3):
+            poll(bench, 60 * TICK_S)
+        bench.ask(Enable())
+        poll(bench, 60 * TICK_S)
+        poll(bench, 60 * TICK_S)
+        assert bench.sent[-1].bridge
+        for _ in range(3):
+            poll(bench, 60 * TICK_S, bridge=False)
+            assert bench.state() is State.RUNNING
+        poll(bench, 60 * TICK_S, bridge=False)
+        assert bench.state() is State.TRIPPED
+        assert "bridge" in (bench.machine.trip or "")
