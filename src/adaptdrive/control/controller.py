@@ -169,9 +169,9 @@ class Controller:
 
     def _estimates(self) -> dict[str, Estimate]:
         state, load, learning = self._slow, self._load, self._settings.learning
-        if not learning.filtered or not math.isfinite(state.values[0]):
-            return {name: Estimate(math.nan, math.nan) for name in load.names}
-        deviations = parameter_deviations(state.estimator, learning, load, state.values)
+        deviations = [math.nan] * len(load.names)
+        if learning.filtered and math.isfinite(state.values[0]):
+            deviations = parameter_deviations(state.estimator, learning, load, state.values)
         estimates = {
             name: Estimate(value, deviation)
             for name, value, deviation in zip(load.names, state.values, deviations, strict=True)

@@ -14,6 +14,7 @@ from adaptdrive.control import estimator as est
 from adaptdrive.control import supervisor as sup
 from adaptdrive.control.charging import ChargeState, taper, terminal_voltage
 from adaptdrive.control.compensator import control_law, lead_reference
+from adaptdrive.control.continuous import continuous_model
 from adaptdrive.control.design import compensator_gains, discrete_model, past_inputs, reference_lead
 from adaptdrive.control.load import Load, to_input
 from adaptdrive.control.pole_placement import closed_loop_polynomial
@@ -211,6 +212,7 @@ def _estimated_model(
     learning, theta = settings.learning, state.estimator.theta
     if not learning.filtered:
         a, b = est.direct_model(theta, learning, load)
+        _show_direct(load, state, a, b, period_s)
         return a, b, sup.judge_load(a)
     numerator, denominator = est.filtered_model(theta, learning, load)
     verdict = sup.judge_model(numerator, denominator)
@@ -222,6 +224,15 @@ def _estimated_model(
         return denominator, numerator, verdict
     a, b = discrete_model(settings, load, numerator, denominator, period_s)
     return a, b, verdict
+
+
+def _show_direct(load: Load, state: SlowState, a: Vector, b: Vector, period_s: float) -> None:
+    """Physical parameters of a direct estimate, for people: its gains do without them."""
+    numerator, denominator = continuous_model(a, b, period_s)
+    if sup.judge_model(numerator, denominator) == sup.Verdict.TRUSTED:
+        copy_into(state.values, load.physical(numerator, denominator))
+    else:
+        copy_into(state.values, [math.nan] * len(state.values))
 
 
 def _governed_reference(load: Load, state: SlowState, sample: SlowSample) -> float:
