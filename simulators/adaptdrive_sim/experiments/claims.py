@@ -1,0 +1,161 @@
+"""The paper's claims, each with what was measured, what is expected, and whether it holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+from adaptdrive_sim.experiments.case import Disturbance, Variant
+from adaptdrive_sim.experiments.outcome import Outcome
+from adaptdrive_sim.experiments.sweep import Point, settling_time_s
+
+NOISY = Disturbance(noise=0.002, spike_share=0.02, spike_noise=0.10)
+"""Under this noise direct least squares is held against the λ-method."""
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """One claim.
+
+    Attributes:
+        claim: What is claimed.
+        measured: What was measured.
+        target: What is expected.
+        met: Whether it holds; None where this run's noise is not the one to judge it by.
+    """
+
+    claim: str
+    measured: str
+    target: str
+    met: bool | None
+
+
+def claims(outcome: Outcome) -> list[Claim]:
+    """Judge every claim that the paper makes of an experiment."""
+    return [make(outcome) for make in _CLAIMS[outcome.experiment.name]]
+
+
+def _fixed_motor(outcome: Outcome) -> Claim:
+    overshoots = _last_of_segments(outcome, "fixed")
+    rising = all(a < b for a, b in pairwise(overshoots))
+    return Claim(
+        "the fixed controller overshoots more with each disk",
+        _percents(overshoots),
+        "rising, the last above 15 %",
+        rising and overshoots[-1] > 0.15,
+    )
+
+
+def _adaptive_motor(outcome: Outcome) -> Claim:
+    overshoots = _last_of_segments(outcome, "adaptive")
+    return Claim(
+        "the adaptive one does not, in the last cycle with each load",
+        _percents(overshoots),
+        "each below 2 %",
+        max(overshoots) < 0.02,
+    )
+
+
+def _converged(outcome: Outcome) -> Claim:
+    found = outcome.converged
+    return Claim(
+        "its estimates are within 5 % of the truth soon after each load change",
+        ", ".join("never" if one is None else f"{one:.2f}" for one in found) + " cycles",
+        "at most 2 cycles",
+        all(one is not None and one <= 2.0 for one in found),
+    )
+
+
+def _direct_motor(outcome: Outcome) -> Claim:
+    ratio = outcome.model_error("direct_rls") / outcome.model_error("adaptive")
+    judged = outcome.disturbance == NOISY and outcome.design == "paper"
+    return Claim(
+        "where there are spikes, direct RLS is erratic: its model error over that of LM-RLS",
+        f"{ratio:.2f}",
+        f"at least 1.8 with --spikes {NOISY.spike_share},{NOISY.spike_noise}",
+        ratio >= 1.8 if judged else None,
+    )
+
+
+def _fixed_bath(outcome: Outcome) -> Claim:
+    last = outcome.experiment.changes[-1].size
+    overshoots = [one.overshoot for one in outcome.cycles["fixed"] if one.load == last]
+    return Claim(
+        "the fixed controller overshoots in each cycle after the change of volume",
+        _percents(overshoots),
+        "each above 7 %",
+        min(overshoots) > 0.07,
+    )
+
+
+def _adaptive_bath(outcome: Outcome) -> Claim:
+    overshoots = [one.overshoot for one in outcome.cycles["adaptive"]]
+    return Claim(
+        "the adaptive one hardly does, in any cycle",
+        _percents(overshoots),
+        "each below 3.5 %",
+        max(overshoots) < 0.035,
+    )
+
+
+def _forgetting(outcome: Outcome) -> Claim:
+    method = outcome.experiment.sweep.methods[0]
+    points = [one for one in outcome.over_forgetting if one.setting.method == method]
+    first, last = points[0], points[-1]
+    return Claim(
+        "forgetting faster brings speed and costs noise",
+        f"ρ = {first.setting.forgetting:g}: {_speed_and_noise(first)}; "
+        f"ρ = {last.setting.forgetting:g}: {_speed_and_noise(last)}",
+        "faster and noisier at the smaller ρ",
+        _cycles(first) < _cycles(last) and first.deviation > last.deviation,
+    )
+
+
+def _tau_lambda(outcome: Outcome) -> Claim:
+    experiment = outcome.experiment
+    limit_s = settling_time_s(experiment.nominal(), 0.1 * experiment.period_s)
+    points = outcome.over_tau_lambda
+    below = min(
+        (one for one in points if one.setting.tau_lambda_s <= limit_s),
+        key=lambda one: one.deviation,
+    )
+    beyond = min(
+        (one for one in points if one.setting.tau_lambda_s > limit_s), key=lambda one: one.deviation
+    )
+    return Claim(
+        f"λ filters slower than the load's settling time of {limit_s:.0f} s gain nothing",
+        f"noise in the estimates at best {100.0 * beyond.deviation:.2g} %",
+        f"no more than a tenth below the {100.0 * below.deviation:.2g} % of faster ones",
+        beyond.deviation >= 0.9 * below.deviation,
+    )
+
+
+def _last_of_segments(outcome: Outcome, variant: Variant) -> list[float]:
+    """Overshoot in the last cycle with each load."""
+    experiment = outcome.experiment
+    ends = [*(change.time_s for change in experiment.changes), experiment.duration_s]
+    found = {
+        one.start_s + experiment.reference.period_s: one.overshoot
+        for one in outcome.cycles[variant]
+    }
+    return [found[end] for end in ends]
+
+
+def _percents(values: list[float]) -> str:
+    return ", ".join(f"{100.0 * value:.1f}" for value in values) + " %"
+
+
+def _cycles(point: Point) -> float:
+    return float("inf") if point.cycles is None else point.cycles
+
+
+def _speed_and_noise(point: Point) -> str:
+    speed = "never" if point.cycles is None else f"{point.cycles:.2f} cycles"
+    return f"{speed}, {100.0 * point.deviation:.2g} %"
+
+
+_CLAIMS: dict[str, tuple[Callable[[Outcome], Claim], ...]] = {
+    "motor": (_fixed_motor, _adaptive_motor, _converged, _direct_motor, _forgetting, _tau_lambda),
+    "bath": (_fixed_bath, _adaptive_bath, _forgetting, _tau_lambda),
+}

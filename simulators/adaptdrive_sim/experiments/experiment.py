@@ -1,0 +1,133 @@
+"""An experiment as data: a load that changes, a reference, and the paper's settings for it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from adaptdrive.control.load import Load
+from adaptdrive.control.waveform import Shape, Waveform
+
+
+@dataclass(frozen=True, slots=True)
+class LoadChange:
+    """The load becomes larger.
+
+    Attributes:
+        time_s: When it starts.
+        size: Multiple of the nominal inertia or volume in the end.
+        over_s: How long it takes; 0 for at once.
+    """
+
+    time_s: float
+    size: float
+    over_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class PaperSettings:
+    """The paper's choices for one load.
+
+    Attributes:
+        filtered: True for the λ-method, False for least squares on the samples themselves.
+        forgetting: ρ.
+        tau_lambda_s: τ_λ.
+        covariance: p0.
+        warm_up_s: Time under the fixed controller before the adaptive one takes over.
+    """
+
+    filtered: bool
+    forgetting: float
+    tau_lambda_s: float
+    covariance: float
+    warm_up_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class SweepSettings:
+    """Settings of the estimator to compare with the paper's.
+
+    Attributes:
+        forgetting: Values of ρ.
+        tau_lambda_s: Values of τ_λ.
+        methods: Estimators to compare over ρ.
+    """
+
+    forgetting: tuple[float, ...]
+    tau_lambda_s: tuple[float, ...]
+    methods: tuple[Literal["lm-rls", "rls"], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """One experiment, in either design.
+
+    Attributes:
+        name: Its name on the command line.
+        duration_s: Length.
+        reference: Square wave, high half first.
+        period_s: Slow period T_k.
+        pole: Closed-loop pole, per slow period.
+        changes: What happens to the load, in order.
+        noise: Standard deviation of each fast sample by default, as a fraction of the step.
+        paper: The paper's settings.
+        sweep: Further settings of the estimator to compare with them.
+        tables: Configuration of the daemon for the exact design, as TOML would give it.
+        nominal: The load that the fixed controller is designed for.
+        plant: Makes the simulated load at its nominal size.
+        resize: Changes the simulated load to a size, over a time in seconds.
+        true_load: The load's model at a size, by formula.
+    """
+
+    name: str
+    duration_s: float
+    reference: Waveform
+    period_s: float
+    pole: float
+    changes: tuple[LoadChange, ...]
+    noise: float
+    paper: PaperSettings
+    sweep: SweepSettings
+    tables: Callable[[], dict[str, Any]] = field(repr=False)
+    nominal: Callable[[], Load] = field(repr=False)
+    plant: Callable[[], Any] = field(repr=False)
+    resize: Callable[[Any, float, float], None] = field(repr=False)
+    true_load: Callable[[float], Load] = field(repr=False)
+
+    @property
+    def step(self) -> float:
+        """Height of the reference step."""
+        return self.reference.high - self.reference.low
+
+    def size_at(self, time_s: float) -> float:
+        """Size of the load at a time."""
+        size = 1.0
+        for change in self.changes:
+            if time_s < change.time_s:
+                break
+            passed = time_s - change.time_s
+            share = min(1.0, passed / change.over_s) if change.over_s else 1.0
+            size += (change.size - size) * share
+        return size
+
+    def truth_at(self, time_s: float) -> list[float]:
+        """Physical parameters of the load at a time, in the order of its names."""
+        load = self.true_load(self.size_at(time_s))
+        return load.physical(list(load.numerator), list(load.denominator))
+
+    def cycle_starts(self) -> list[float]:
+        """Starts of the reference cycles, the last one perhaps cut short."""
+        count = math.ceil(self.duration_s / self.reference.period_s - 1e-9)
+        return [i * self.reference.period_s for i in range(count)]
+
+    def until_next_change(self, change: LoadChange) -> float:
+        """When the load is changed again, or the experiment ends."""
+        later = [other.time_s for other in self.changes if other.time_s > change.time_s]
+        return min(later, default=self.duration_s)
+
+
+def square(low: float, high: float, period_s: float) -> Waveform:
+    """A square wave that starts with its high half."""
+    return Waveform(Shape.SQUARE, low, high, period_s)

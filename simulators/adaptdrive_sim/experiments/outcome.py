@@ -1,0 +1,86 @@
+"""What came of an experiment: its runs, its metrics, and whether the paper's claims hold."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+from adaptdrive_sim.experiments.case import Design, Disturbance, Variant
+from adaptdrive_sim.experiments.experiment import Experiment
+from adaptdrive_sim.experiments.metrics import (
+    Cycle,
+    convergence_cycles,
+    cycles,
+    model_errors,
+    rms_between,
+)
+from adaptdrive_sim.experiments.runner import Record
+from adaptdrive_sim.experiments.sweep import Point
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Everything that was found.
+
+    Attributes:
+        experiment: What was done.
+        design: In which design.
+        disturbance: Under which noise.
+        seed: Of the noise.
+        records: Recorded runs by controller.
+        cycles: Metrics of each run by controller.
+        converged: Cycles until the adaptive run's estimates were right, for each load change.
+        over_forgetting: What other values of ρ do.
+        over_tau_lambda: What other values of τ_λ do.
+    """
+
+    experiment: Experiment
+    design: Design
+    disturbance: Disturbance
+    seed: int
+    records: dict[Variant, Record]
+    cycles: dict[Variant, list[Cycle]]
+    converged: list[float | None]
+    over_forgetting: list[Point] = dataclasses.field(default_factory=list)
+    over_tau_lambda: list[Point] = dataclasses.field(default_factory=list)
+
+    def model_error(self, variant: Variant) -> float:
+        """Root mean square of the model error, all but the first reference cycle."""
+        errors = model_errors(self.experiment, self.design, self.records[variant])
+        first_s = self.experiment.reference.period_s
+        return rms_between(self.records[variant], errors, first_s, self.experiment.duration_s)
+
+
+def judge(
+    experiment: Experiment,
+    design: Design,
+    disturbance: Disturbance,
+    seed: int,
+    records: dict[Variant, Record],
+) -> Outcome:
+    """Work out the metrics of all runs."""
+    judged = {variant: cycles(experiment, design, record) for variant, record in records.items()}
+    adaptive = records["adaptive"]
+    converged = [convergence_cycles(experiment, adaptive, one) for one in experiment.changes]
+    return Outcome(experiment, design, disturbance, seed, records, judged, converged)
+
+
+def summary(outcome: Outcome, claims: list[dict[str, Any]], wall_s: float) -> dict[str, Any]:
+    """The content of summary.json."""
+    return {
+        "experiment": outcome.experiment.name,
+        "seed": outcome.seed,
+        "wall_s": wall_s,
+        "controllers": {
+            variant: {"cycles": [dataclasses.asdict(cycle) for cycle in judged]}
+            for variant, judged in outcome.cycles.items()
+        },
+        "estimates": [
+            {"load_change_s": change.time_s, "cycles_to_5_percent": cycles_needed}
+            for change, cycles_needed in zip(
+                outcome.experiment.changes, outcome.converged, strict=True
+            )
+        ],
+        "claims": claims,
+    }

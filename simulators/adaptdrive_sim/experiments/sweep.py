@@ -1,0 +1,257 @@
+"""How fast and how quietly the estimator follows, for other ρ and τ_λ than the paper's.
+
+Nothing is simulated again: the estimators listen to one recorded run under the fixed controller,
+once without noise, for the speed, and several times with it, for what the noise does to them. The
+λ chains are linear, so that signal and noise pass them apart, and only their values at the slow
+instants are worked out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from adaptdrive.control import estimator as est
+from adaptdrive.control.continuous import continuous_model
+from adaptdrive.control.discretise import held_model
+from adaptdrive.control.lambda_filter import chain_decay, ramp_gains, step_gains
+from adaptdrive.control.load import Load, to_input
+from adaptdrive.control.settings import Learning
+from adaptdrive.control.vectors import Vector, shift_in
+from adaptdrive_sim.experiments.case import Case
+from adaptdrive_sim.experiments.experiment import Experiment
+from adaptdrive_sim.experiments.metrics import CONVERGED
+from adaptdrive_sim.experiments.runner import Record
+from adaptdrive_sim.noise import samples
+
+Array = NDArray[np.float64]
+
+SETTLED = 0.02
+
+_HORIZON = 20.0
+_REALISATIONS = 3
+
+
+Method = Literal["lm-rls", "rls"]
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What the estimators listen to.
+
+    Attributes:
+        case: The run; its settings are the estimator's but for ρ and τ_λ.
+        output: Output without noise at every tick.
+        load_input: The load's input at every tick.
+        held_input: The input that each slow period was given.
+    """
+
+    case: Case
+    output: Array
+    load_input: Array
+    held_input: list[float]
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A setting of the estimator."""
+
+    method: Method
+    forgetting: float
+    tau_lambda_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """What became of one setting of the estimator.
+
+    Attributes:
+        setting: The setting.
+        cycles: Reference cycles until all estimates are within 5 % without noise; the slower one
+            of the load changes, None when one is never followed.
+        deviation: What noise adds to the estimates, as a fraction of them; root of the mean
+            square over all parameters and the last cycle before each change and the end.
+    """
+
+    setting: Setting
+    cycles: float | None
+    deviation: float
+
+
+def listen(case: Case, record: Record) -> Heard:
+    """Take what the estimators need from a run that kept its ticks."""
+    load = case.experiment.nominal()
+    gain, exponent = load.input_gain, load.input_exponent
+    voltage_V = np.array(record.fast_voltage_V)
+    held = [to_input(value, gain, exponent) for value in record.boost_reference_V]
+    return Heard(case, np.array(record.fast_output), gain * voltage_V**exponent, held)
+
+
+def settings_over_forgetting(experiment: Experiment) -> list[Setting]:
+    """Every ρ at the paper's τ_λ."""
+    tau_lambda_s = experiment.paper.tau_lambda_s
+    return [
+        Setting(method, forgetting, tau_lambda_s)
+        for method in experiment.sweep.methods
+        for forgetting in experiment.sweep.forgetting
+    ]
+
+
+def settings_over_tau_lambda(experiment: Experiment) -> list[Setting]:
+    """Every τ_λ at the paper's ρ."""
+    forgetting = experiment.paper.forgetting
+    return [Setting("lm-rls", forgetting, tau_s) for tau_s in experiment.sweep.tau_lambda_s]
+
+
+def try_settings(heard: Heard, settings: list[Setting]) -> list[Point]:
+    """See how settings of the estimator do."""
+    noises = _noises(heard)
+    return [_try_setting(heard, noises, setting) for setting in settings]
+
+
+def settling_time_s(load: Load, tick_s: float) -> float:
+    """When the step response of a load has come to within 2 % of its end for good."""
+    a, b = held_model(list(load.numerator), list(load.denominator), tick_s, 0.0, 0.0)
+    lags_s = load.denominator[load.order - 1] / load.denominator[load.order]
+    outputs = [0.0] * (load.order + 1)
+    for k in range(math.ceil(_HORIZON * lags_s / tick_s)):
+        past = sum(a[i + 1] * outputs[-1 - i] for i in range(load.order))
+        outputs.append(sum(b[: k + 2]) - past)
+    error = np.array(outputs[load.order :]) * sum(a) / sum(b) - 1.0
+    return float(np.flatnonzero(np.abs(error) > SETTLED)[-1] + 1) * tick_s
+
+
+def _noises(heard: Heard) -> list[Array]:
+    """Noise of every tick, several times."""
+    case, count = heard.case, heard.output.size
+    parameters = case.disturbance.scaled(case.experiment.step)
+    generators = [np.random.default_rng([case.seed, i]) for i in range(_REALISATIONS)]
+    return [np.fromiter(samples(parameters, one), np.float64, count) for one in generators]
+
+
+def _try_setting(heard: Heard, noises: list[Array], setting: Setting) -> Point:
+    learning = dataclasses.replace(
+        heard.case.settings.learning,
+        filtered=setting.method == "lm-rls",
+        forgetting=setting.forgetting,
+        tau_lambda_s=setting.tau_lambda_s,
+    )
+    estimate = _estimate_filtered if learning.filtered else _estimate_directly
+    quiet, *noisy = estimate(heard, learning, noises)
+    return Point(setting, _speed(heard.case.experiment, quiet), _spread(heard, quiet, noisy))
+
+
+def _estimate_filtered(heard: Heard, learning: Learning, noises: list[Array]) -> list[Array]:
+    """Physical parameters at every slow instant: without noise, and with each one."""
+    load, rates = heard.case.experiment.nominal(), heard.case.settings.rates
+    ticks = rates.ticks_per_period
+    tick_s = heard.case.experiment.period_s / ticks
+    chain = _Chain(load.order, tick_s, learning.tau_lambda_s, ticks)
+    clean = np.column_stack((heard.output[::ticks], chain.sampled(heard.output)))
+    inputs = np.column_stack((heard.load_input[::ticks], chain.sampled(heard.load_input))).tolist()
+    found = [_follow_filtered(load, learning, clean.tolist(), inputs)]
+    for noise in noises:
+        added = np.column_stack((noise[::ticks], chain.sampled(noise)))
+        found.append(_follow_filtered(load, learning, (clean + added).tolist(), inputs))
+    return found
+
+
+def _follow_filtered(
+    load: Load, learning: Learning, outputs: list[list[float]], inputs: list[list[float]]
+) -> Array:
+    state = est.new_estimator(learning, load, load.paper_taps)
+    found = []
+    for (target, *filtered), applied in zip(outputs, inputs, strict=True):
+        est.fill_filtered_regressor(state.regressor, learning, load, filtered, applied)
+        est.learn(state, learning, target, usable=True)
+        numerator, denominator = est.filtered_model(state.theta, learning, load)
+        found.append(_physical(load, numerator, denominator))
+    return np.array(found)
+
+
+def _estimate_directly(heard: Heard, learning: Learning, noises: list[Array]) -> list[Array]:
+    """The same by least squares on the samples themselves."""
+    ticks = heard.case.settings.rates.ticks_per_period
+    clean = heard.output[::ticks]
+    outputs = [clean, *(clean + noise[::ticks] for noise in noises)]
+    return [_follow_directly(heard, learning, one.tolist()) for one in outputs]
+
+
+def _follow_directly(heard: Heard, learning: Learning, outputs: list[float]) -> Array:
+    load, period_s = heard.case.experiment.nominal(), heard.case.experiment.period_s
+    state = est.new_estimator(learning, load, load.paper_taps)
+    past_outputs = [outputs[0]] * load.order
+    past_inputs = [heard.held_input[0]] * load.paper_taps
+    found = []
+    for target, applied in zip(outputs, heard.held_input, strict=True):
+        est.fill_direct_regressor(state.regressor, learning, load, past_outputs, past_inputs)
+        est.learn(state, learning, target, usable=True)
+        a, b = est.direct_model(state.theta, learning, load)
+        found.append(_physical(load, *continuous_model(a, b, period_s)))
+        shift_in(past_outputs, target)
+        shift_in(past_inputs, applied)
+    return np.array(found)
+
+
+def _physical(load: Load, numerator: Vector, denominator: Vector) -> Vector:
+    if not denominator[-1]:
+        return [math.nan] * len(load.names)
+    return load.physical(numerator, denominator)
+
+
+class _Chain:
+    """A λ chain whose values are wanted at the slow instants alone."""
+
+    def __init__(self, order: int, tick_s: float, tau_s: float, ticks: int) -> None:
+        decay = chain_decay(order, tick_s, tau_s)
+        rise = np.array(ramp_gains(order, tick_s, tau_s))
+        fall = np.array(step_gains(order, tick_s, tau_s)) - rise
+        once = sum(decay[j] * np.eye(order, k=-j) for j in range(order))
+        self._ticks = ticks
+        self._weights = np.zeros((order, ticks + 1))
+        self._over = np.eye(order)
+        for tick in range(ticks - 1, -1, -1):
+            self._weights[:, tick] += self._over @ fall
+            self._weights[:, tick + 1] += self._over @ rise
+            self._over = self._over @ once
+
+    def sampled(self, signal: Array) -> Array:
+        """The chain at the ticks 0, Q, 2Q, ..., having seen the first value for ever."""
+        windows = sliding_window_view(signal, self._ticks + 1)[:: self._ticks]
+        gained = windows @ self._weights.T
+        values = np.full((len(gained) + 1, len(self._weights)), signal[0])
+        for k in range(len(gained)):
+            values[k + 1] = self._over @ values[k] + gained[k]
+        return values
+
+
+def _speed(experiment: Experiment, estimates: Array) -> float | None:
+    slowest = 0.0
+    for change in experiment.changes:
+        first = round(change.time_s / experiment.period_s)
+        last = round(experiment.until_next_change(change) / experiment.period_s)
+        truth = np.array([experiment.truth_at(k * experiment.period_s) for k in range(first, last)])
+        with np.errstate(invalid="ignore"):
+            good = np.all(np.abs(estimates[first:last] / truth - 1.0) <= CONVERGED, axis=1)
+        if not good[-1]:
+            return None
+        settled = int(np.flatnonzero(~good)[-1]) + 1 if not good.all() else 0
+        slowest = max(slowest, settled * experiment.period_s / experiment.reference.period_s)
+    return slowest
+
+
+def _spread(heard: Heard, quiet: Array, noisy: list[Array]) -> float:
+    experiment = heard.case.experiment
+    ends = [*(change.time_s for change in experiment.changes), experiment.duration_s]
+    periods = round(experiment.reference.period_s / experiment.period_s)
+    chosen = np.concatenate(
+        [np.arange(-periods, 0) + round(end / experiment.period_s) for end in ends]
+    )
+    relative = np.array([(one[chosen] - quiet[chosen]) / quiet[chosen] for one in noisy])
+    return float(np.sqrt(np.mean(relative * relative)))
