@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import Bath, Battery, Motor
@@ -25,7 +26,7 @@ from adaptdrive.runtime.interlocks import Limits
 from adaptdrive.runtime.machine import MachineLimits
 
 _LOWEST_LINE = 0.5
-_PATIENCE_PERIODS = 30
+_SWING_SHARE = 0.01
 _SHORTEST_WAVE_PERIODS = 4
 
 
@@ -133,19 +134,40 @@ def _learning(configuration: Configuration, *, exact: bool) -> Learning:
         output_scale=dc_gain * middle if exact else 1.0,
         input_scale=middle if exact else 1.0,
         start_at_nominal=exact,
+        alert=exact and estimator.alert,
         covariance_max=estimator.covariance_max if exact else 0.0,
         bias=estimator.bias or isinstance(configuration.load, Battery),
     )
 
 
 def _jacket(configuration: Configuration) -> Jacket:
-    supervisor = configuration.supervisor
-    return Jacket(
-        warm_up_periods=math.ceil(supervisor.warm_up_s / configuration.load.period_s),
+    supervisor, load = configuration.supervisor, configuration.load
+    reference_range = load.reference_max - load.reference_min
+    basics = Jacket(
+        warm_up_periods=_periods(configuration, supervisor.warm_up_s),
         ratio_min=supervisor.ratio_min,
         ratio_max=supervisor.ratio_max,
-        patience_periods=_PATIENCE_PERIODS,
+        patience_periods=supervisor.patience_periods,
     )
+    if load.design == "paper":
+        return basics
+    return replace(
+        basics,
+        deviation_max=supervisor.deviation_max,
+        residual_margin=supervisor.residual_margin,
+        dwell_periods=supervisor.dwell_periods,
+        blend_periods=supervisor.blend_periods,
+        saturated_periods=_periods(configuration, supervisor.saturated_s),
+        error_limit=supervisor.error_limit,
+        swing_min=_SWING_SHARE * reference_range,
+        response_periods=_periods(configuration, supervisor.response_s),
+        response_distance=supervisor.response_distance * reference_range,
+        paced=supervisor.slow_down,
+    )
+
+
+def _periods(configuration: Configuration, time_s: float) -> int:
+    return math.ceil(time_s / configuration.load.period_s)
 
 
 def _machine_limits(configuration: Configuration) -> MachineLimits:

@@ -6,7 +6,13 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from adaptdrive.config.section import FiniteFloat, Fraction, PositiveFloat, Section
+from adaptdrive.config.section import (
+    FiniteFloat,
+    Fraction,
+    NonNegativeFloat,
+    PositiveFloat,
+    Section,
+)
 
 LOAD_TYPES = ("motor", "bath", "battery")
 
@@ -148,8 +154,11 @@ class Estimator(Section):
     )
     covariance_max: float = Field(
         ge=0.0,
-        default=1.0e3,
+        default=1.0e6,
         description="bound of P by exponential resetting; 0 for plain forgetting (`exact` only)",
+    )
+    alert: bool = Field(
+        default=True, description="open up when the load changes abruptly (`exact` only)"
     )
     bias: bool = Field(
         default=False, description="estimate a constant too; a battery always has one"
@@ -160,14 +169,49 @@ class Estimator(Section):
 
 
 class Supervisor(Section):
-    """`[supervisor]`: what estimates must satisfy before they reach the gains."""
+    """`[supervisor]`: what estimates, and the loop, must satisfy (`exact` design only)."""
 
-    warm_up_s: float = Field(
-        default=90.0, ge=0.0, description="time after start before adaptive may take over"
+    warm_up_s: NonNegativeFloat = Field(
+        default=90.0, description="time after start before adaptive may take over"
     )
-    ratio_min: float = Field(
-        default=0.2, gt=0.0, lt=1.0, description="smallest accepted estimate over nominal"
-    )
+    ratio_min: Fraction = Field(default=0.2, description="smallest accepted estimate over nominal")
     ratio_max: float = Field(
-        default=8.0, gt=1.0, description="largest accepted estimate over nominal"
+        default=8.0,
+        gt=1.0,
+        allow_inf_nan=False,
+        description="largest accepted estimate over nominal",
+    )
+    deviation_max: NonNegativeFloat = Field(
+        default=0.10, description="largest relative standard deviation of an estimate; 0: any"
+    )
+    residual_margin: NonNegativeFloat = Field(
+        default=1.5, description="largest prediction error over the nominal model's; 0: any"
+    )
+    dwell_periods: int = Field(
+        default=3, ge=1, description="good estimates in a row before the first goes live"
+    )
+    patience_periods: int = Field(
+        default=30, ge=1, description="wrong estimates in a row before the fixed gains return"
+    )
+    blend_periods: int = Field(
+        default=5, ge=1, description="slow periods over which one law hands over to the other"
+    )
+    saturated_s: NonNegativeFloat = Field(
+        default=240.0, description="longest time at a limit before the fixed gains return; 0: any"
+    )
+    error_limit: NonNegativeFloat = Field(
+        default=0.0,
+        description="error, in the unit of the output, that must not last for five closed-loop "
+        "time constants with a free input; 0: any",
+    )
+    response_s: NonNegativeFloat = Field(
+        default=120.0,
+        description="trip when the input has been at a limit for so long and the output has "
+        "not moved; 0: never",
+    )
+    response_distance: NonNegativeFloat = Field(
+        default=0.02, description="how far it must have moved, as a share of the set-point range"
+    )
+    slow_down: bool = Field(
+        default=True, description="slow the pole down while the actuator cannot follow"
     )

@@ -13,6 +13,7 @@ from adaptdrive.errors import Flaw
 
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 FiniteFloat = Annotated[float, Field(allow_inf_nan=False)]
+NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 FilePath = Annotated[Path, Field(strict=False)]  # TOML has no paths, only strings
 

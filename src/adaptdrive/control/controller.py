@@ -28,6 +28,10 @@ from adaptdrive.control.signals import (
 from adaptdrive.control.slow_half import SlowSample, SlowState, new_slow_state, slow_step
 from adaptdrive.control.supervisor import Verdict
 from adaptdrive.control.voltage_loop import initial_sum
+from adaptdrive.control.watch import Fallback
+
+_IDLE_PERIODS = 60
+_UNRESPONSIVE = "no response: input at its limit for long, and the output has not moved"
 
 
 class Controller:
@@ -89,6 +93,8 @@ class Controller:
             innovation=state.estimator.innovation,
             excitation=state.estimator.excitation,
             handover_step_V=state.handover_step,
+            pole=state.pole_in_force,
+            fault=_UNRESPONSIVE if state.unresponsive else "",
             complete=self._load.charging is not None and is_complete(state.charge),
         )
 
@@ -183,6 +189,8 @@ class Controller:
 
     def _reason(self, mode: Mode) -> str:
         state, jacket = self._slow, self._settings.jacket
+        if state.watch.fallback != Fallback.NONE:
+            return f"{_FALLBACKS[Fallback(state.watch.fallback)]}; ask for adaptive again"
         verdict = Verdict(state.supervisor.verdict)
         if verdict is Verdict.TRUSTED:
             return "" if mode is Mode.ADAPTIVE else "fixed controller asked for"
@@ -190,7 +198,17 @@ class Controller:
             return f"warming up: needs {jacket.warm_up_periods} slow periods"
         if verdict is Verdict.OUT_OF_BOUNDS:
             return self._out_of_bounds(state)
+        if verdict is Verdict.UNCERTAIN:
+            return self._uncertain(state)
         return _REASONS[verdict]
+
+    def _uncertain(self, state: SlowState) -> str:
+        index, limit = state.supervisor.culprit, self._settings.jacket.deviation_max
+        name = self._load.names[index]
+        share = state.deviations[index] / abs(state.values[index])
+        if state.estimator.idle_periods > _IDLE_PERIODS:
+            return f"not identifiable now: nothing excites {name}"
+        return f"estimate {name} is uncertain: ±{100 * share:.3g} %, limit {100 * limit:g} %"
 
     def _out_of_bounds(self, state: SlowState) -> str:
         index, jacket = state.supervisor.culprit, self._settings.jacket
@@ -204,4 +222,13 @@ _REASONS = {
     Verdict.NOT_FINITE: "estimate is not finite",
     Verdict.UNSTABLE_LOAD: "estimated load is unstable",
     Verdict.UNSTABLE_LOOP: "designed loop would be unstable",
+    Verdict.WORSE_THAN_FIXED: "estimate predicts worse than the nominal model",
+    Verdict.SETTLING: "estimate is good, but not yet for long enough",
+}
+
+_FALLBACKS = {
+    Fallback.SATURATED: "fell back: input at its limit for too long",
+    Fallback.ERROR: "fell back: large error although the input was free",
+    Fallback.OSCILLATING: "fell back: growing oscillation",
+    Fallback.BLIND: "fell back: measurements failed",
 }

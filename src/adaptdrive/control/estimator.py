@@ -16,7 +16,8 @@ from adaptdrive.control import rls
 from adaptdrive.control.lambda_transform import from_lambda, to_lambda
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import Learning
-from adaptdrive.control.vectors import Vector
+from adaptdrive.control.surprise import Surprise, is_surprising
+from adaptdrive.control.vectors import Vector, copy_into
 
 
 @dataclass(slots=True)
@@ -33,17 +34,21 @@ class EstimatorState:
         innovation: ε of the last sample, in the unit of the output.
         excitation: rᵀPr of the last sample.
         periods: Slow periods since start.
+        idle_periods: Slow periods since the last sample that taught something.
+        surprise: Detector of abrupt changes.
     """
 
     theta: Vector
     upper: Vector
     diagonal: Vector
     regressor: Vector
+    surprise: Surprise
     residual_power: float = 0.0
     residual_weight: float = 0.0
     innovation: float = math.nan
     excitation: float = 0.0
     periods: int = 0
+    idle_periods: int = 0
 
 
 def parameter_count(learning: Learning, load: Load, taps: int) -> int:
@@ -55,21 +60,27 @@ def parameter_count(learning: Learning, load: Load, taps: int) -> int:
 def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:
     """An estimator that knows nothing, or only the nominal model."""
     count = parameter_count(learning, load, taps)
-    state = EstimatorState([0.0] * count, [0.0] * (count * count), [0.0] * count, [0.0] * count)
+    state = EstimatorState(
+        [0.0] * count, [0.0] * (count * count), [0.0] * count, [0.0] * count, Surprise()
+    )
     rls.reset(state.theta, state.upper, state.diagonal, learning.initial_covariance)
     if learning.start_at_nominal and learning.filtered:
-        _start_at_nominal(state, learning, load)
+        copy_into(state.theta, nominal_theta(learning, load, taps))
     return state
 
 
-def _start_at_nominal(state: EstimatorState, learning: Learning, load: Load) -> None:
+def nominal_theta(learning: Learning, load: Load, taps: int) -> Vector:
+    """θ of the nominal model, scaled; its bias is 0."""
+    theta = [0.0] * parameter_count(learning, load, taps)
+    if not learning.filtered:
+        return theta
     alpha = to_lambda(list(load.denominator), learning.tau_lambda_s)
     beta = to_lambda(list(load.numerator), learning.tau_lambda_s)
     for i in range(load.order):
-        state.theta[i] = alpha[i + 1]
+        theta[i] = alpha[i + 1]
     for i, power in enumerate(load.input_powers):
-        scale = learning.input_scale / learning.output_scale
-        state.theta[load.order + i] = beta[power] * scale
+        theta[load.order + i] = beta[power] * learning.input_scale / learning.output_scale
+    return theta
 
 
 def fill_filtered_regressor(
@@ -135,24 +146,39 @@ def learn(state: EstimatorState, learning: Learning, output: float, usable: bool
     state.excitation = rls.excitation(state.upper, state.diagonal, state.regressor)
     innovation = target - rls.predict(state.theta, state.regressor)
     state.innovation = innovation * learning.output_scale
-    informative = state.excitation > learning.gate * (1.0 - learning.forgetting)
-    if not (usable and informative and state.periods > learning.settle_periods):
-        return
     if not (math.isfinite(state.excitation) and math.isfinite(innovation)):
         return
+    state.idle_periods += 1
+    if not usable or state.periods <= learning.settle_periods:
+        return
+    squared = _normalised(state.excitation, innovation, learning.forgetting)
+    if learning.alert and is_surprising(state.surprise, squared):
+        rls.open_up(state.upper, state.diagonal, learning.initial_covariance)
+        state.excitation = rls.excitation(state.upper, state.diagonal, state.regressor)
+        state.residual_power = state.residual_weight = 0.0
+    if not state.excitation > learning.gate * (1.0 - learning.forgetting):
+        return
+    state.idle_periods = 0
     rls.update(
         state.theta, state.upper, state.diagonal, state.regressor, target, learning.forgetting
     )
     if learning.covariance_max > 0.0:
         information = (1.0 - learning.forgetting) / learning.covariance_max
         rls.bound(state.upper, state.diagonal, information)
-    _watch_residual(state, learning.forgetting, innovation)
+    normalised = _normalised(state.excitation, innovation, learning.forgetting)
+    state.residual_power = learning.forgetting * state.residual_power + normalised
+    state.residual_weight = learning.forgetting * state.residual_weight + 1.0
 
 
-def _watch_residual(state: EstimatorState, forgetting: float, innovation: float) -> None:
-    normalised = innovation * innovation * forgetting / (forgetting + state.excitation)
-    state.residual_power = forgetting * state.residual_power + normalised
-    state.residual_weight = forgetting * state.residual_weight + 1.0
+def _normalised(excitation: float, innovation: float, forgetting: float) -> float:
+    """ε² without the share that the uncertainty of θ has in it."""
+    return innovation * innovation * forgetting / (forgetting + excitation)
+
+
+def own_residual(state: EstimatorState, learning: Learning) -> float:
+    """Squared innovation of the last sample, the estimate's own uncertainty taken out, scaled."""
+    innovation = state.innovation / learning.output_scale
+    return _normalised(state.excitation, innovation, learning.forgetting)
 
 
 def residual_noise(state: EstimatorState) -> float:

@@ -83,6 +83,7 @@ def new_filter_bank(
     """λ chains that have seen the present output and boost voltage for ever."""
     order = load.order
     load_input = to_input(boost_voltage_V, load.input_gain, load.input_exponent)
+    expected = load.numerator[order] / load.denominator[order] * load_input
     bank = FilterBank(
         decay=[0.0] * order,
         held=[0.0] * order,
@@ -93,7 +94,7 @@ def new_filter_bank(
         load_input=load_input,
         sums=[0.0] * (2 * order + 2),
         count=0,
-        screen=Screen(output, 0.0, WIDE * abs(output)),
+        screen=Screen(output, 0.0, WIDE * max(abs(output), abs(expected))),
     )
     tune_filters(bank, tick_period_s, tau_lambda_s)
     return bank
@@ -133,7 +134,7 @@ def take_in(
         output = measurement.output
         if rates.clip > 0.0:
             output = pass_sample(bank.screen, output, rates.clip)
-        filter_sample(bank, output, load_input, elapsed)
+        filter_sample(bank, output, load_input, min(elapsed, rates.ticks_per_period))
     count_tick(state, measurement.boost_voltage_V, measurement.fresh)
     into_period = tick % rates.ticks_per_period
     if into_period == 0 or into_period > rates.ticks_per_period - rates.samples:

@@ -28,9 +28,15 @@ def reset(theta: Vector, upper: Vector, diagonal: Vector, covariance: float) -> 
         diagonal: D, n entries.
         covariance: p0 > 0.
     """
-    size = len(theta)
-    for i in range(size):
+    for i in range(len(theta)):
         theta[i] = 0.0
+    open_up(upper, diagonal, covariance)
+
+
+def open_up(upper: Vector, diagonal: Vector, covariance: float) -> None:
+    """Forget how sure θ is, and keep θ: P <- covariance · I."""
+    size = len(diagonal)
+    for i in range(size):
         diagonal[i] = covariance
         for j in range(size):
             upper[i * size + j] = 1.0 if i == j else 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -67,6 +68,8 @@ class Learning:
         input_scale: Input of order one.
         start_at_nominal: Whether θ starts at the nominal model, else at 0.
         covariance_max: Bound of P for exponential resetting; 0 for plain forgetting.
+        alert: Whether an abrupt change opens the estimator up.
+        known_filter_s: Time constant of a known filter of the output; 0 where none is known.
         bias: Whether a constant is estimated too: a load torque, an EMF, an offset of a sensor.
     """
 
@@ -81,24 +84,46 @@ class Learning:
     input_scale: float
     start_at_nominal: bool
     covariance_max: float = 0.0
+    alert: bool = False
+    known_filter_s: float = 0.0
     bias: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Jacket:
-    """What an estimate must satisfy before it reaches the gains.
+    """What an estimate, and the loop, must satisfy; a limit of 0 switches its check off.
 
     Attributes:
         warm_up_periods: Slow periods after start before adaptive may take over.
         ratio_min: Smallest accepted parameter, over its nominal value.
         ratio_max: Largest accepted parameter, over its nominal value.
         patience_periods: Refused periods in a row after which the fixed gains return.
+        deviation_max: Largest relative standard deviation of a parameter.
+        residual_margin: Largest innovation, over that of the nominal model.
+        dwell_periods: Good estimates in a row before the first of them goes live.
+        blend_periods: Slow periods over which one law hands over to the other.
+        saturated_periods: Longest time with the input at a limit.
+        error_limit: Error that must not last with a free input, in the unit of the output.
+        swing_min: Smallest peak that counts as a swing, in the unit of the output.
+        response_periods: Longest wait at a limit for the output to move.
+        response_distance: How far it must have moved by then, in the unit of the output.
+        paced: Whether the pole slows down while the actuator cannot follow.
     """
 
     warm_up_periods: int
     ratio_min: float
     ratio_max: float
     patience_periods: int
+    deviation_max: float = 0.0
+    residual_margin: float = 0.0
+    dwell_periods: int = 1
+    blend_periods: int = 1
+    saturated_periods: int = 0
+    error_limit: float = 0.0
+    swing_min: float = math.inf
+    response_periods: int = 0
+    response_distance: float = 0.0
+    paced: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ leaves in a `Command`. A recording of the first two reproduces the third bit for
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -135,6 +136,8 @@ class Decision:
         innovation: One-step prediction error of the estimator.
         excitation: rᵀPr of the step: how much it could teach.
         handover_step_V: Law not in force minus law in force, on the same history.
+        pole: Closed-loop pole in force; slower than asked for while the actuator cannot follow.
+        fault: Why the drive must be tripped, empty for no reason to.
         complete: True when there is nothing left to do, such as a full battery.
     """
 
@@ -148,4 +151,6 @@ class Decision:
     innovation: float
     excitation: float
     handover_step_V: float
+    pole: float = math.nan
+    fault: str = ""
     complete: bool = False

@@ -17,9 +17,18 @@ from adaptdrive.control.compensator import control_law, lead_reference
 from adaptdrive.control.continuous import continuous_model
 from adaptdrive.control.design import compensator_gains, discrete_model, past_inputs, reference_lead
 from adaptdrive.control.load import Load, to_input
+from adaptdrive.control.pace import Pace, paced_pole
 from adaptdrive.control.pole_placement import closed_loop_polynomial
-from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.control.rls import predict
+from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.control.vectors import Vector, copy_into, shift_in, total
+from adaptdrive.control.watch import (
+    Fallback,
+    WatchState,
+    is_unresponsive,
+    latch_fallback,
+    watch_loop,
+)
 
 _RETUNE = 1e-4
 _HELD_SHARE = 0.1
@@ -38,14 +47,21 @@ class SlowState:
         values: Estimated physical parameters.
         pole: Pole that the fixed gains were designed for.
         period_s: Period that they were designed for.
-        adaptive_pole: Pole that the adaptive gains were designed for.
         handover_step: Law not in force minus law in force.
         accepted: Whether the estimate of this period went live.
         adaptive: Whether the adaptive law is in force.
         estimator: The estimator.
         supervisor: The supervisor.
         charge: The charger of a battery.
-        reference: r[k-1], NaN before the first.
+        reference: r[k-1].
+        nominal_theta: θ of the nominal model.
+        deviations: Standard deviations of the physical parameters.
+        saturated: Whether the last input was at a limit or could not be followed.
+        blend: Share of the adaptive law in what is sent, 0 to 1.
+        watch: The watch over the adaptive law.
+        pace: The pace of the loop.
+        pole_in_force: Pole of this period's designs.
+        unresponsive: Whether the load has stopped to answer.
     """
 
     inputs: Vector
@@ -63,6 +79,14 @@ class SlowState:
     supervisor: sup.SupervisorState
     charge: ChargeState
     reference: float
+    nominal_theta: Vector
+    deviations: Vector
+    watch: WatchState
+    pace: Pace
+    saturated: bool = False
+    blend: float = 0.0
+    pole_in_force: float = math.nan
+    unresponsive: bool = False
 
 
 @dataclass(slots=True)
@@ -120,7 +144,11 @@ def new_slow_state(
         estimator=est.new_estimator(settings.learning, load, taps),
         supervisor=sup.SupervisorState(),
         charge=ChargeState(max(0.0, output)),
-        reference=math.nan,
+        reference=output,
+        nominal_theta=est.nominal_theta(settings.learning, load, taps),
+        deviations=[math.nan] * len(nominal),
+        watch=WatchState(),
+        pace=Pace(),
     )
 
 
@@ -140,13 +168,19 @@ def slow_step(
     """
     if not sample.followed and math.isfinite(sample.applied):
         state.inputs[0] = sample.applied
+        state.saturated = True
     _take_sample(settings, load, state, sample)
+    jacket = settings.jacket
+    state.pole_in_force = sample.pole
+    if jacket.paced:
+        state.pole_in_force = paced_pole(state.pace, sample.pole, state.saturated)
     _design_fixed(settings, load, state, sample)
     _adapt(settings, load, state, sample)
     reference = _governed_reference(load, state, sample)
-    last = state.reference if math.isfinite(state.reference) else reference
+    _look_at_loop(jacket, state, sample, reference)
+    led = lead_reference(reference, state.reference, reference_lead(settings))
     state.reference = reference
-    return _act(state, sample, lead_reference(reference, last, reference_lead(settings)))
+    return _act(jacket, state, sample, led)
 
 
 def _take_sample(
@@ -161,6 +195,12 @@ def _take_sample(
         est.fill_direct_regressor(estimator.regressor, learning, load, state.outputs, state.inputs)
     moved = abs(sample.output - state.outputs[0]) >= learning.dead_band
     est.learn(estimator, learning, sample.output, moved and sample.held_share <= _HELD_SHARE)
+    if learning.filtered:
+        fixed = sample.output / learning.output_scale - predict(
+            state.nominal_theta, estimator.regressor
+        )
+        own = est.own_residual(estimator, learning)
+        sup.compare_residuals(state.supervisor, own, fixed * fixed)
     shift_in(state.outputs, sample.output)
 
 
@@ -168,12 +208,12 @@ def _design_fixed(
     settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample
 ) -> None:
     drifted = not abs(sample.period_s - state.period_s) <= _RETUNE * sample.period_s
-    if not drifted and sample.pole == state.pole:
+    if not drifted and state.pole_in_force == state.pole:
         return
     numerator, denominator = list(load.numerator), list(load.denominator)
     a, b = discrete_model(settings, load, numerator, denominator, sample.period_s)
-    copy_into(state.fixed_gains, compensator_gains(a, b, load.order, sample.pole))
-    state.period_s, state.pole = sample.period_s, sample.pole
+    copy_into(state.fixed_gains, compensator_gains(a, b, load.order, state.pole_in_force))
+    state.period_s, state.pole = sample.period_s, state.pole_in_force
 
 
 def _adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample) -> None:
@@ -199,7 +239,7 @@ def _redesign(
     verdict = sup.judge_load(a)
     if verdict != sup.Verdict.TRUSTED:
         return verdict
-    copy_into(gains, compensator_gains(a, b, load.order, sample.pole))
+    copy_into(gains, compensator_gains(a, b, load.order, state.pole_in_force))
     taps = len(state.inputs)
     r = [1.0, *gains[:taps]]
     return sup.judge_loop(closed_loop_polynomial(a, b, r, gains[taps:]))
@@ -220,10 +260,24 @@ def _estimated_model(
         return denominator, numerator, verdict
     copy_into(state.values, load.physical(numerator, denominator))
     verdict = sup.judge_bounds(state.values, state.nominal, settings.jacket, state.supervisor)
+    if verdict == sup.Verdict.TRUSTED:
+        verdict = _judge_quality(settings, load, state)
     if verdict != sup.Verdict.TRUSTED:
         return denominator, numerator, verdict
     a, b = discrete_model(settings, load, numerator, denominator, period_s)
     return a, b, verdict
+
+
+def _judge_quality(settings: ControllerSettings, load: Load, state: SlowState) -> int:
+    """Whether the estimate is certain enough, and predicts no worse than the nominal model."""
+    learning, jacket, supervisor = settings.learning, settings.jacket, state.supervisor
+    if jacket.deviation_max > 0.0:
+        deviations = est.parameter_deviations(state.estimator, learning, load, state.values)
+        copy_into(state.deviations, deviations)
+    verdict = sup.judge_certainty(state.values, state.deviations, jacket, supervisor)
+    if verdict != sup.Verdict.TRUSTED:
+        return verdict
+    return sup.judge_residual(supervisor, jacket)
 
 
 def _show_direct(load: Load, state: SlowState, a: Vector, b: Vector, period_s: float) -> None:
@@ -244,18 +298,49 @@ def _governed_reference(load: Load, state: SlowState, sample: SlowSample) -> flo
     return taper(charging, state.charge, sample.reference, terminal_V, sample.output)
 
 
-def _act(state: SlowState, sample: SlowSample, reference: float) -> float:
-    """Both laws on the shared history; the one in force is limited and remembered."""
-    state.adaptive = sample.adaptive and state.supervisor.trusted
+def _look_at_loop(jacket: Jacket, state: SlowState, sample: SlowSample, reference: float) -> None:
+    """Return to the fixed controller, and stay there, when the loop is in trouble."""
+    watch, error = state.watch, reference - sample.output
+    reason = watch_loop(
+        watch,
+        jacket,
+        error,
+        sample.output,
+        state.pole_in_force,
+        sample.held_share,
+        state.saturated,
+    )
+    latch_fallback(watch, reason, sample.adaptive)
+    state.unresponsive = is_unresponsive(watch, jacket)
+
+
+def _act(jacket: Jacket, state: SlowState, sample: SlowSample, reference: float) -> float:
+    """Both laws on the shared history; what is sent is limited and remembered."""
+    sound = state.supervisor.trusted and state.watch.fallback == Fallback.NONE
+    state.adaptive = sample.adaptive and sound
     fixed = control_law(state.fixed_gains, state.inputs, state.outputs, reference)
     other = control_law(state.adaptive_gains, state.inputs, state.outputs, reference)
     ready = total(state.adaptive_gains) != 0.0
-    wanted = other if state.adaptive else fixed
-    state.handover_step = (
-        (fixed - other if state.adaptive else other - fixed) if ready else math.nan
-    )
+    step = fixed - other if state.adaptive else other - fixed
+    state.handover_step = step if ready else math.nan
+    wanted = _blended(jacket, state, fixed, other)
     if not math.isfinite(wanted):
         wanted = state.inputs[0]
     limited = min(max(wanted, sample.low), sample.high)
+    state.saturated = limited != wanted
     shift_in(state.inputs, limited)
     return limited
+
+
+def _blended(jacket: Jacket, state: SlowState, fixed: float, other: float) -> float:
+    """From one law to the other over some periods, so that even with an error nothing jumps."""
+    share = 1.0 / jacket.blend_periods
+    if state.adaptive:
+        state.blend = min(1.0, state.blend + share)
+    else:
+        state.blend = max(0.0, state.blend - share)
+    if state.blend <= 0.0:
+        return fixed
+    if state.blend >= 1.0:
+        return other
+    return fixed + state.blend * (other - fixed)

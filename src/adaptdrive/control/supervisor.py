@@ -14,6 +14,8 @@ from adaptdrive.control.vectors import Vector, all_finite, is_stable
 _TINY = 1e-12
 _STABLE_RADIUS = 0.9999
 _DESIGN_RADIUS = 0.995
+_RESIDUAL_RATE = 0.05
+_RESIDUAL_FLOOR = 1.0e-8
 
 
 class Verdict(IntEnum):
@@ -25,6 +27,9 @@ class Verdict(IntEnum):
     UNSTABLE_LOAD = 3
     OUT_OF_BOUNDS = 4
     UNSTABLE_LOOP = 5
+    UNCERTAIN = 6
+    WORSE_THAN_FIXED = 7
+    SETTLING = 8
 
 
 @dataclass(slots=True)
@@ -33,15 +38,21 @@ class SupervisorState:
 
     Attributes:
         verdict: The last verdict.
-        culprit: Index of the parameter that was out of bounds.
+        culprit: Index of the parameter that was out of bounds or too uncertain.
         trusted: True while the adaptive gains may be in force.
         refused_periods: Refused estimates in a row.
+        good_periods: Accepted estimates in a row.
+        own_power: Slow mean square of the estimate's own innovations, scaled.
+        fixed_power: The same of the nominal model.
     """
 
     verdict: int = Verdict.WARMING_UP
     culprit: int = 0
     trusted: bool = False
     refused_periods: int = 0
+    good_periods: int = 0
+    own_power: float = 0.0
+    fixed_power: float = 0.0
 
 
 def judge_model(numerator: Vector, denominator: Vector) -> int:
@@ -62,6 +73,39 @@ def judge_bounds(values: Vector, nominal: Vector, jacket: Jacket, state: Supervi
     return Verdict.TRUSTED
 
 
+def judge_certainty(
+    values: Vector, deviations: Vector, jacket: Jacket, state: SupervisorState
+) -> int:
+    """Whether every parameter is known well enough; an unknown deviation is not."""
+    if not jacket.deviation_max > 0.0:
+        return Verdict.TRUSTED
+    for i in range(len(values)):
+        if not deviations[i] <= jacket.deviation_max * abs(values[i]):
+            state.culprit = i
+            return Verdict.UNCERTAIN
+    return Verdict.TRUSTED
+
+
+def compare_residuals(state: SupervisorState, own: float, fixed: float) -> None:
+    """Remember how well the estimate and the nominal model predicted this sample.
+
+    Args:
+        state: Overwritten.
+        own: Squared innovation of the estimate, its own uncertainty taken out, scaled.
+        fixed: Squared innovation of the nominal model, scaled.
+    """
+    state.own_power += _RESIDUAL_RATE * (own - state.own_power)
+    state.fixed_power += _RESIDUAL_RATE * (fixed - state.fixed_power)
+
+
+def judge_residual(state: SupervisorState, jacket: Jacket) -> int:
+    """Whether the estimate predicts no worse than the nominal model does."""
+    margin = jacket.residual_margin * jacket.residual_margin
+    if margin > 0.0 and state.own_power > margin * state.fixed_power + _RESIDUAL_FLOOR:
+        return Verdict.WORSE_THAN_FIXED
+    return Verdict.TRUSTED
+
+
 def judge_load(a: Vector) -> int:
     """Whether the discrete model is finite and stable."""
     if not all_finite(a):
@@ -79,6 +123,9 @@ def judge_loop(closed_loop: Vector) -> int:
 def take_verdict(state: SupervisorState, verdict: int, jacket: Jacket, periods: int) -> bool:
     """Remember a verdict; says whether the new gains may go live.
 
+    An estimate that is merely uncertain, for lack of excitation, keeps the last trusted gains for
+    as long as it takes; one that is wrong loses them after a while.
+
     Args:
         state: Overwritten.
         verdict: Of the estimate of this period.
@@ -87,13 +134,19 @@ def take_verdict(state: SupervisorState, verdict: int, jacket: Jacket, periods: 
     """
     state.verdict = verdict
     if verdict != Verdict.TRUSTED:
-        state.refused_periods += 1
+        if verdict != Verdict.UNCERTAIN:
+            state.refused_periods += 1
+        state.good_periods = 0
         if state.refused_periods > jacket.patience_periods:
             state.trusted = False
         return False
     state.refused_periods = 0
+    state.good_periods += 1
     if periods <= jacket.warm_up_periods:
         state.verdict = Verdict.WARMING_UP
+        return False
+    if state.good_periods < jacket.dwell_periods:
+        state.verdict = Verdict.SETTLING
         return False
     state.trusted = True
     return True

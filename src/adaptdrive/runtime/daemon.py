@@ -177,7 +177,10 @@ class Daemon:
         """A decision was taken over: tell about it, and about a change of controller."""
         self._decision = decision
         self._hub.publish(LoadReport(snapshot, decision))
-        if decision.complete:
+        if decision.fault:
+            self._machine.latch(decision.fault)
+            self._fast.send_safe()
+        elif decision.complete:
             self._complete()
         self._publish_state()
 
