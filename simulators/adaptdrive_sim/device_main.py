@@ -18,17 +18,22 @@ from structlog.typing import EventDict, WrappedLogger
 from adaptdrive.config.bus import CanBus
 from adaptdrive.config.file import load_configuration
 from adaptdrive.config.root import Configuration
-from adaptdrive.errors import AdaptdriveError, ConfigurationError, Flaw, RefusedError
+from adaptdrive.errors import AdaptdriveError, RefusedError
 from adaptdrive_sim.broker import parse_address
 from adaptdrive_sim.devices.can_drive import CanDrive
-from adaptdrive_sim.devices.drive import Drive, Report
+from adaptdrive_sim.devices.drive import COMMAND_TIMEOUT_s, Drive, Report
 from adaptdrive_sim.devices.frames import load_messages
+from adaptdrive_sim.devices.modbus_drive import ModbusDrive
 from adaptdrive_sim.devices.remote import Remote
+from adaptdrive_sim.devices.voltage_holder import VoltageHolder
 from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.plants.boost import BoostParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import World, WorldParameters
+
+PATIENCE_READINGS = 4
+"""Polls without a command after which a drive that is polled shuts down."""
 
 Job = Callable[[], Coroutine[Any, Any, None]]
 
@@ -58,11 +63,8 @@ def run_device(path: Path, settings: DeviceSettings) -> None:
     """
     configuration = _overridden(load_configuration(path), settings)
     report = make_report()
-    drive = Drive(build_world(configuration, settings), report)
-    bus = configuration.bus
-    if not isinstance(bus, CanBus):
-        raise ConfigurationError(path, [Flaw("bus.type", f"{bus.type!r} cannot be simulated yet")])
-    node = CanDrive(drive, bus, load_messages(bus, configuration, path), report)
+    drive = build_drive(configuration, settings, report)
+    node = build_node(configuration, drive, report, path)
     jobs: list[Job] = [functools.partial(node.run, _say_bus(configuration))]
     if settings.broker is not None:
         address = parse_address(settings.broker)
@@ -73,6 +75,35 @@ def run_device(path: Path, settings: DeviceSettings) -> None:
         raise _root_cause(problems) from problems
     finally:
         report("stopped", ticks=drive.world.tick, **node.counts)
+
+
+def build_drive(configuration: Configuration, settings: DeviceSettings, report: Report) -> Drive:
+    """Build the drive and its plant.
+
+    Raises:
+        ParameterError: A parameter lies outside its range.
+        RefusedError: A setting cannot be read.
+    """
+    world, power = build_world(configuration, settings), configuration.drive
+    if configuration.voltage_loop.where == "daemon":
+        return Drive(world, report)
+    holder = VoltageHolder(power.boost_capacitance_F, bidirectional=power.kind == "bidirectional")
+    reading_s = 0.5 * configuration.ticks_per_reading / power.line_frequency_Hz
+    return Drive(world, report, holder, max(COMMAND_TIMEOUT_s, PATIENCE_READINGS * reading_s))
+
+
+def build_node(
+    configuration: Configuration, drive: Drive, report: Report, path: Path
+) -> CanDrive | ModbusDrive:
+    """Put the drive on the bus that its configuration names.
+
+    Raises:
+        ConfigurationError: Bus and signals do not fit together.
+    """
+    bus = configuration.bus
+    if isinstance(bus, CanBus):
+        return CanDrive(drive, bus, load_messages(bus, configuration, path), report)
+    return ModbusDrive(drive, bus, configuration.signals, report)
 
 
 def build_world(configuration: Configuration, settings: DeviceSettings) -> World:
@@ -125,14 +156,25 @@ def _add_monotonic(_: WrappedLogger, __: str, event: EventDict) -> EventDict:
 
 def _overridden(configuration: Configuration, settings: DeviceSettings) -> Configuration:
     """Let the command line choose another bus."""
+    names = _OVERRIDES[configuration.bus.type]
+    device = None if settings.channel is None else Path(settings.channel)
     given = {
         "interface": settings.interface,
-        "channel": settings.channel,
-        "udp_port": settings.port,
+        "channel": device if "device" in names.values() else settings.channel,
+        "port": settings.port,
     }
-    changes = {name: value for name, value in given.items() if value is not None}
+    changes = {names.get(name, ""): value for name, value in given.items() if value is not None}
+    if "" in changes:
+        raise RefusedError(f"--interface and --port do not all fit {configuration.bus.type}")
     bus = configuration.bus.model_copy(update=changes)
     return configuration.model_copy(update={"bus": bus})
+
+
+_OVERRIDES = {
+    "can": {"interface": "interface", "channel": "channel", "port": "udp_port"},
+    "modbus-tcp": {"channel": "host", "port": "port"},
+    "modbus-rtu": {"channel": "device"},
+}
 
 
 def _spikes(text: str) -> tuple[float, float]:

@@ -25,7 +25,7 @@ POLLED = replace(
 
 
 def poll(bench: FastBench, after_s: float = POLL_S, **changes: object) -> None:
-    bench.frame(after_s, counter=None, **changes)
+    bench.frame(after_s, 1, counter=None, **changes)
 
 
 def polls(bench: FastBench, count: int) -> None:

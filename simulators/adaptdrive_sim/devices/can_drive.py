@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import asyncio
 import collections
-import contextlib
+import functools
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import can
 
@@ -20,12 +20,9 @@ from adaptdrive.errors import BusError
 from adaptdrive.hardware.can.bus import describe_bus, open_bus
 from adaptdrive.hardware.can.integrity import Verdict
 from adaptdrive.hardware.can.reader import read_frames
-from adaptdrive.runtime.tick_timer import TickTimer
 from adaptdrive_sim.devices.drive import Drive, Frame, Report
 from adaptdrive_sim.devices.frames import DriveMessages, quantities_of
-
-STALL_s = 1.0
-"""A process that slept longer than this (a suspended machine) starts a new grid."""
+from adaptdrive_sim.devices.pacing import run_half_cycles
 
 
 class CanDrive:
@@ -94,29 +91,8 @@ class CanDrive:
         raise BusError(describe_bus(self._config), await read_frames(bus, self))
 
     async def _live(self, bus: can.BusABC) -> None:
-        """Run one half cycle after the other."""
-        expired = asyncio.Event()
-        deadline_s = self._clock() + self._drive.world.line.half_cycle_s
-        with _timer(expired) as timer:
-            while True:
-                timer.arm(deadline_s)
-                await expired.wait()
-                expired.clear()
-                deadline_s = self._catch_up(bus, deadline_s)
-
-    def _catch_up(self, bus: can.BusABC, deadline_s: float) -> float:
-        """Run every half cycle that has passed and send the last one; the next deadline."""
-        frame: Frame | None = None
-        now_s = self._clock()
-        if now_s - deadline_s > STALL_s:
-            self._report("stalled", seconds=round(now_s - deadline_s, 3))
-            deadline_s = now_s
-        while deadline_s <= now_s:
-            frame = self._drive.tick(now_s)
-            deadline_s += frame.sample.tick_period_s
-        if frame is not None:
-            self._send(bus, frame)
-        return deadline_s
+        deliver = functools.partial(self._send, bus)
+        await run_half_cycles(self._drive, self._clock, deliver, self._report)
 
     def _send(self, bus: can.BusABC, frame: Frame) -> None:
         quantities = quantities_of(frame)
@@ -132,12 +108,3 @@ class CanDrive:
                 self.counts["dropped"] += 1
             else:
                 self.counts["sent"] += 1
-
-
-@contextlib.contextmanager
-def _timer(expired: asyncio.Event) -> Iterator[TickTimer]:
-    timer = TickTimer(asyncio.get_running_loop(), lambda _: expired.set())
-    try:
-        yield timer
-    finally:
-        timer.close()

@@ -3,8 +3,8 @@
 Once per half cycle it steps the plant under the last valid command and measures. It protects
 itself and does not trust its host:
 
-* 100 ms after the last valid command it shuts down: k = 0, bridge off, no load current. The next
-  valid command ends that. A missing command is no fault.
+* 100 ms (or longer, where it is told) after the last valid command it shuts down: k = 0, bridge
+  off, no load current. The next valid command ends that. A missing command is no fault.
 * Above 450 V it stops drawing line current and reports over-voltage; the bridge stays as it is,
   since only the load can discharge the capacitor. The fault stays until the voltage is below
   430 V and a command with the bridge off has been received.
@@ -18,6 +18,7 @@ from collections.abc import Callable
 from enum import IntFlag
 from typing import Any, NamedTuple
 
+from adaptdrive_sim.devices.voltage_holder import VoltageHolder
 from adaptdrive_sim.parameters import check_range
 from adaptdrive_sim.world import Sample, World
 
@@ -54,13 +55,24 @@ class Drive:
         fault: Fault word of the last half cycle.
     """
 
-    def __init__(self, world: World, report: Report) -> None:
+    def __init__(
+        self,
+        world: World,
+        report: Report,
+        holder: VoltageHolder | None = None,
+        timeout_s: float = COMMAND_TIMEOUT_s,
+    ) -> None:
         """Start a drive that has had no command yet, and so is in its safe state.
 
         Args:
             world: The plant.
             report: Told what happens, as an event's name and its data as keywords.
+            holder: The voltage loop of a drive that holds its own boost voltage.
+            timeout_s: Age of the last valid command at which the drive shuts down.
         """
+        self._holder = holder
+        self._timeout_s = timeout_s
+        self._reference_V = 0.0
         self.world = world
         self.fault = 0
         self._report = report
@@ -87,6 +99,17 @@ class Drive:
         if not bridge and self.world.boost.voltage_V < OVERVOLTAGE_OVER_V:
             self._overvoltage = False
 
+    def hold(self, boost_reference_V: float, bridge: bool, now_s: float) -> None:
+        """Take one valid command of a drive that holds its own boost voltage.
+
+        Args:
+            boost_reference_V: V_c; 0 for no line current.
+            bridge: Whether the bridge may feed the load.
+            now_s: Monotonic time of its arrival.
+        """
+        self._reference_V = boost_reference_V
+        self.command(self._scale_S, bridge, now_s)
+
     def inject(self, fault: int) -> None:
         """Make the drive faulty, or clear what was injected with 0.
 
@@ -111,6 +134,8 @@ class Drive:
         bridge = self._bridge and not self._injected
         sample = self.world.step(scale_S, bridge)
         self.fault = self._word(sample.line_voltage_V)
+        if self._holder is not None:
+            self._scale_S = self._holder.scale_S(self._reference_V, sample)
         return Frame(sample, self.fault, self.world.bridge)
 
     def _watch_command(self, now_s: float) -> None:
@@ -118,9 +143,10 @@ class Drive:
         if self._commanded_s is None:
             return
         age_s = now_s - self._commanded_s
-        if age_s < COMMAND_TIMEOUT_s:
+        if age_s < self._timeout_s:
             return
         self._commanded_s, self._scale_S, self._bridge = None, 0.0, False
+        self._reference_V = 0.0
         self.world.shut()
         self._report(
             "safe",

@@ -38,7 +38,10 @@ async def open_client(config: ModbusTcp | ModbusRtu, trace: Trace) -> Client:
     client = _client(config, trace)
     try:
         connected = await client.connect()
-    except (OSError, ValueError, termios.error) as problem:
+    except termios.error as problem:
+        advice = f"the serial port does not take these settings: {problem.args[-1]}"
+        raise BusError(describe_bus(config), advice) from problem
+    except (OSError, ValueError) as problem:
         raise BusError(describe_bus(config), str(problem)) from problem
     if not connected:
         client.close()

@@ -1,0 +1,118 @@
+"""The register map from the drive's side: what is measured there is written here.
+
+The drive reads the same configuration as the daemon. A table has every address from its first
+register to its last; what lies between and is not mapped reads as 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from adaptdrive.config.bus import Signals, SignalSource
+from adaptdrive.config.modbus import ModbusBus, Register
+from adaptdrive.config.references import COMMANDED, MEASURED, WORDS
+from adaptdrive.control.signals import Command
+from adaptdrive.hardware.modbus.codec import decode_value, encode_count, encode_value
+
+Table = dict[int, int]
+
+
+class RegisterImage:
+    """The registers of one drive.
+
+    Attributes:
+        tables: Content by address, for input and holding registers.
+    """
+
+    def __init__(self, bus: ModbusBus, signals: Signals) -> None:
+        self._bus = bus
+        self._signals = signals
+        self.tables: dict[str, Table] = {
+            "input": _addresses(bus, "input"),
+            "holding": _addresses(bus, "holding"),
+        }
+
+    def show(self, quantities: Mapping[str, float]) -> None:
+        """Put a half cycle's quantities into the registers."""
+        words: dict[tuple[str, int], int] = {}
+        for name, source in self._shown():
+            register = self._bus.registers[source.signal]
+            value = (quantities[name] - source.offset) / source.scale
+            if name in MEASURED:
+                _place(words, register, encode_value(register, _bounded(register, value)))
+            else:
+                _place(words, register, encode_count(register, _wrapped(register, int(value))))
+        for (table, address), word in words.items():
+            self.tables[table][address] = word
+
+    def command(self, tables: Mapping[str, Table]) -> Command | None:
+        """What the daemon asks for; None when a register holds nonsense."""
+        found: dict[str, float] = {"current_scale_S": 0.0, "boost_reference_V": 0.0}
+        for name in COMMANDED:
+            given = getattr(self._signals.command, name)
+            if given is None:
+                continue
+            register = self._bus.registers[given]
+            words = [tables[register.table][a] for a in range(register.address, register.end)]
+            value = decode_value(register, words, measured=False)
+            if value is None:
+                return None
+            found[name] = value == register.on if name == "bridge" else value
+        return Command(**found)  # type: ignore[arg-type]
+
+    def heartbeat(self, tables: Mapping[str, Table]) -> tuple[int, ...] | None:
+        """The daemon's heartbeat as it stands, None where the map has none."""
+        name = self._bus.heartbeat.daemon
+        if name is None:
+            return None
+        register = self._bus.registers[name]
+        return tuple(tables[register.table][a] for a in range(register.address, register.end))
+
+    def _shown(self) -> Iterator[tuple[str, SignalSource]]:
+        for name in (*MEASURED, *WORDS):
+            source = getattr(self._signals, name)
+            if source is not None:
+                yield name, source
+        if self._bus.heartbeat.drive is not None:
+            yield "counter", SignalSource(signal=self._bus.heartbeat.drive)
+
+
+def _addresses(bus: ModbusBus, table: str) -> Table:
+    spans = [(one.address, one.end) for one in bus.registers.values() if one.table == table]
+    if not spans:
+        return {}
+    return dict.fromkeys(range(min(a for a, _ in spans), max(b for _, b in spans)), 0)
+
+
+def _place(words: dict[tuple[str, int], int], register: Register, content: Sequence[int]) -> None:
+    """Put registers down; bits that share a register are joined."""
+    if register.bit is None:
+        for number, word in enumerate(content):
+            words[register.table, register.address + number] = word
+        return
+    word_number = register.bit // 16
+    if register.word_order == "big":
+        word_number = register.words - 1 - word_number
+    key = (register.table, register.address + word_number)
+    words[key] = words.get(key, 0) | (bool(any(content)) << register.bit % 16)
+
+
+def _bounded(register: Register, value: float) -> float:
+    """Like a converter's, a value ends at the range of its register."""
+    low, high = _LIMITS.get(register.type, (-3.0e38, 3.0e38))
+    low, high = sorted((low * register.scale, high * register.scale))
+    if register.range is not None:
+        low, high = max(low, register.range.low), min(high, register.range.high)
+    return min(max(value, low), high)
+
+
+def _wrapped(register: Register, count: int) -> int:
+    return count % (1 << (16 * register.words - register.type.startswith("int")))
+
+
+_LIMITS = {  # without the count that means `no value`
+    "uint16": (0.0, 0xFFFE),
+    "int16": (-0x7FFF, 0x7FFF),
+    "uint32": (0.0, 0xFFFF_FFFE),
+    "int32": (-0x7FFF_FFFF, 0x7FFF_FFFF),
+}
