@@ -159,13 +159,12 @@ def _drive(record: Record, *, wide: bool) -> Table:
     voltage = known(drive.boost_voltage_V) if drive else math.nan
     asked = load.boost_reference_V if load else math.nan
     table.add_row("V_c / v_bst", f"{_number(asked, 0)} / {_number(voltage, 0)} V")
-    label = "late p50 / p99 / max" if wide else "late"
-    table.add_row(label, _lateness(record.lateness, " / " if wide else "/"))
+    table.add_row("late p50/p99/max" if wide else "late", _lateness(record.lateness))
     table.add_row("missed, held", _losses(record, wide=wide))
     return table
 
 
-def _lateness(reports: Sequence[Quantiles], between: str) -> str:
+def _lateness(reports: Sequence[Quantiles]) -> str:
     """Lateness over the last reports: their median, their 99th percentile, and the worst tick."""
     if not reports:
         return "unknown"
@@ -174,7 +173,7 @@ def _lateness(reports: Sequence[Quantiles], between: str) -> str:
     # A report covers about a dozen ticks: the 99th percentile of them all is among the maxima.
     p99 = worst[int(0.88 * (len(worst) - 1))]
     times = (middles[len(middles) // 2], p99, worst[-1])
-    return between.join(f"{time_us / 1e3:.1f}" for time_us in times) + " ms"
+    return "/".join(f"{time_us / 1e3:.1f}" for time_us in times) + " ms"
 
 
 def _losses(record: Record, *, wide: bool) -> str:
@@ -182,7 +181,7 @@ def _losses(record: Record, *, wide: bool) -> str:
     counts = record.control
     if counts is None:
         return "–"
-    whole = f" of {counts.ticks} ticks" if wide else ""
+    whole = f" of {counts.ticks}" if wide else ""
     return f"{counts.missed}, {counts.held}{whole}"
 
 

@@ -1,0 +1,209 @@
+"""Whole demonstrations: real processes on a real bus, in real time."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import pytest
+
+from adaptdrive.recording.reader import read_session
+from tests.support import Broker, Process, Spawn
+
+pytestmark = pytest.mark.slow
+
+PATIENCE_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Demo:
+    """A demonstration that was started, its folder and what it has said."""
+
+    process: Process
+    directory: Path
+    output: Path
+
+    def ended(self) -> int:
+        return self.process.wait(timeout=PATIENCE_S)
+
+    def wait_for(self, log: str, text: str) -> None:
+        """Wait until a log says something."""
+        deadline = time.monotonic() + PATIENCE_S
+        path = self.directory / f"{log}.log"
+        while not path.exists() or text not in path.read_text():
+            assert self.process.poll() is None, self.output.read_text()
+            assert time.monotonic() < deadline, f"{text!r} is not in {path}"
+            time.sleep(0.05)
+
+    def summary(self) -> dict[str, Any]:
+        """The line of JSON."""
+        lines = self.output.read_text().splitlines()
+        found = [line for line in lines if line.startswith("{")]
+        assert len(found) == 1, lines
+        summary: dict[str, Any] = json.loads(found[0])
+        return summary
+
+    def members(self) -> dict[int, str]:
+        """Living processes that belong to this demonstration, by their command lines."""
+        settings = self.directory / "motor.toml"
+        port = tomllib.loads(settings.read_text())["mqtt"]["port"] if settings.exists() else 0
+        marks = (str(self.directory), f"broker_main 127.0.0.1:{port}")
+        return {
+            pid: line
+            for pid, line in _commands().items()
+            if any(mark in line for mark in marks) and pid != self.process.pid
+        }
+
+    def pid_of(self, part: str) -> int:
+        """The process whose command line has a part."""
+        return next(pid for pid, line in self.members().items() if part in line)
+
+
+def _commands() -> dict[int, str]:
+    """Command lines of all living processes of this machine."""
+    found = {}
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            found[int(path.parent.name)] = path.read_text().replace("\0", " ")
+        except OSError:  # it has just ended
+            continue
+    return found
+
+
+class Start(Protocol):
+    """Starts a headless demonstration with more options."""
+
+    def __call__(self, *options: str) -> Demo: ...
+
+
+@pytest.fixture
+def start(spawn: Spawn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Start:
+    """Start headless demonstrations in an empty folder."""
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    monkeypatch.chdir(empty)
+    started: list[Demo] = []
+
+    def begin(*options: str) -> Demo:
+        directory = tmp_path / f"demo-{len(started)}"
+        command = [sys.executable, "-m", "adaptdrive_sim", "demo", "motor", "--headless"]
+        process = spawn(*command, f"--directory={directory}", *options)
+        demo = Demo(process, directory, tmp_path / f"process-{len(started)}.log")
+        started.append(demo)
+        return demo
+
+    return begin
+
+
+def test_controls_the_motor_and_says_so_in_one_line(start: Start) -> None:
+    demo = start("--duration=15")
+    assert demo.ended() == 0, demo.output.read_text()
+    assert len(demo.output.read_text().splitlines()) == 1
+    summary = demo.summary()
+    assert summary["ok"] is True
+    assert summary["state"] == "running"
+    assert summary["controller"] == "fixed"
+    assert summary["ticks"] == pytest.approx(120 * 15, rel=0.05)
+    assert summary["slow_periods"] in range(13, 17)
+    assert summary["trips"] == []
+    assert summary["tracking_error_rms"] < 0.2
+    assert summary["truth"]["tau_sum_s"] == pytest.approx(21.7)
+    assert 0.0 < summary["lateness_us"]["p50"] <= summary["lateness_us"]["max"]
+
+
+def test_keeps_a_session_that_is_whole(start: Start) -> None:
+    demo = start("--duration=8")
+    assert demo.ended() == 0, demo.output.read_text()
+    session = read_session(Path(demo.summary()["session"]))
+    assert session.info.ended == "orderly"
+    running = [stage == "run" for stage in session.ticks["stage"].to_pylist()]
+    assert sum(running) >= demo.summary()["ticks"]
+    assert any(event.kind == "state" for event in session.events)
+    assert demo.members() == {}
+
+
+def test_a_killed_daemon_is_told_of_and_takes_all_with_it(start: Start) -> None:
+    demo = start("--duration=60")
+    demo.wait_for("daemon", "starting to running")
+    os.kill(demo.pid_of("adaptdrive.cli run"), signal.SIGKILL)
+    assert demo.ended() == 1
+    summary = demo.summary()
+    assert summary["ok"] is False
+    assert summary["reason"].startswith("the daemon was ended by SIGKILL")
+    assert "adaptdrive-sim: the daemon was ended by SIGKILL" in demo.output.read_text()
+    assert demo.members() == {}
+    assert '"safe"' in (demo.directory / "drive.log").read_text()
+
+
+def test_a_killed_drive_is_told_of(start: Start) -> None:
+    demo = start("--duration=60")
+    demo.wait_for("daemon", "starting to running")
+    os.kill(demo.pid_of("adaptdrive_sim device"), signal.SIGKILL)
+    assert demo.ended() == 1
+    assert "the simulated drive was ended by SIGKILL" in demo.summary()["reason"]
+    assert demo.members() == {}
+
+
+def test_an_interrupt_ends_everything_in_order(start: Start) -> None:
+    demo = start()
+    demo.wait_for("daemon", '"verb": "setpoint"')
+    time.sleep(2.0)
+    demo.process.send_signal(signal.SIGINT)
+    assert demo.ended() == 0, demo.output.read_text()
+    assert demo.summary()["ok"] is True
+    assert "running to standby" in (demo.directory / "daemon.log").read_text()
+    for log in demo.directory.glob("*.log"):
+        assert "Traceback" not in log.read_text()
+    assert demo.members() == {}
+
+
+def test_nothing_outlives_a_demonstration_that_was_killed(start: Start) -> None:
+    demo = start("--duration=60")
+    demo.wait_for("daemon", "starting to running")
+    assert len(demo.members()) >= 4  # broker, drive, daemon, recorder
+    demo.process.kill()
+    demo.process.wait()
+    deadline = time.monotonic() + PATIENCE_S
+    while demo.members():
+        assert time.monotonic() < deadline, demo.members()
+        time.sleep(0.1)
+
+
+def test_uses_a_running_broker(start: Start, mosquitto: Broker) -> None:
+    address = f"{mosquitto.host}:{mosquitto.port}"
+    demo = start("--duration=5", f"--broker={address}", "--mode=adaptive", "--noise=0", "--steady")
+    demo.wait_for("daemon", "starting to running")
+    second = start("--duration=5", f"--broker={address}")
+    assert second.ended() == 1
+    assert "already has a drive motor online" in second.output.read_text()
+    assert demo.ended() == 0, demo.output.read_text()
+    assert demo.summary()["broker"] == address
+    assert demo.summary()["mode"] == "adaptive"
+    assert not (demo.directory / "broker.log").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "complaint"),
+    [
+        ("--speed=2", "--speed 2"),
+        ("--duration=0", "--duration 0"),
+        ("--period=5", "--period 5"),
+        ("--noise=2", "--noise 2"),
+        ("--channel=vcan3", "--channel vcan3 needs --interface"),
+        ("--broker=127.0.0.1:1", "broker 127.0.0.1:1: "),
+        ("--broker=no where", "'no where' is not HOST:PORT"),
+    ],
+)
+def test_refuses_what_cannot_be_done(start: Start, option: str, complaint: str) -> None:
+    demo = start(option)
+    assert demo.ended() == 1
+    said = demo.output.read_text()
+    assert complaint in said
+    assert "Traceback" not in said

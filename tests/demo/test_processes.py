@@ -1,0 +1,101 @@
+"""Processes that are owned: started, watched, ended in order, and never left behind."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from adaptdrive_sim.demo import leash
+from adaptdrive_sim.demo.processes import Household, ProcessDiedError
+from tests.support import Spawn
+
+PATIENCE_S = 20.0
+SLEEPER = """
+import pathlib, signal, sys, time
+def end(*_):
+    with open(sys.argv[1], "a") as log:
+        log.write(sys.argv[2] + "\\n")
+    sys.exit(0)
+signal.signal(signal.SIGTERM, end)
+pathlib.Path(sys.argv[2]).touch()
+time.sleep(60)
+"""
+
+
+@pytest.fixture
+def household_environment(tmp_path: Path) -> dict[str, str]:
+    """Makes `python -m sleeper` work."""
+    (tmp_path / "sleeper.py").write_text(SLEEPER)
+    return {**os.environ, "PYTHONPATH": str(tmp_path)}
+
+
+def wait_for(path: Path) -> str:
+    deadline = time.monotonic() + PATIENCE_S
+    while not path.exists() or not path.read_text().strip():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    return path.read_text().strip()
+
+
+def alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    # A process that has ended but was not waited for is dead all the same.
+    return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+
+
+async def test_the_last_one_started_ends_first(
+    tmp_path: Path, household_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    async with Household(household_environment) as household:
+        for name in ("broker", "drive", "daemon"):
+            await household.start(name, "sleeper", ["ends", name], tmp_path / f"{name}.log")
+            while not (tmp_path / name).exists():  # noqa: ASYNC110
+                await asyncio.sleep(0.02)
+    assert (tmp_path / "ends").read_text().split() == ["daemon", "drive", "broker"]
+
+
+async def test_the_first_death_is_told_with_the_end_of_its_log(
+    tmp_path: Path, household_environment: dict[str, str]
+) -> None:
+    (tmp_path / "broken.py").write_text("raise SystemExit('the capacitor is missing')")
+    log = tmp_path / "daemon.log"
+    async with Household(household_environment) as household:
+        await household.start("daemon", "broken", [], log)
+        with pytest.raises(ProcessDiedError) as died:
+            await household.watch()
+    assert str(died.value) == f"the daemon ended with status 1; see {log}"
+    assert died.value.tail == ["the capacitor is missing"]
+
+
+def test_a_leashed_process_dies_with_its_parent(tmp_path: Path, spawn: Spawn) -> None:
+    child = "import os, time; print(os.getpid(), flush=True); time.sleep(60)"
+    parent = (
+        "import os, subprocess, sys\n"
+        f"subprocess.Popen([sys.executable, {leash.__file__!r}, str(os.getpid()),"
+        f" sys.executable, '-c', {child!r}], start_new_session=True).wait()"
+    )
+    process = spawn(sys.executable, "-c", parent)
+    pid = int(wait_for(tmp_path / "process-0.log"))
+    assert alive(pid)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    deadline = time.monotonic() + PATIENCE_S
+    while alive(pid):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_a_leash_without_its_parent_does_not_start_anything(tmp_path: Path, spawn: Spawn) -> None:
+    process = spawn(sys.executable, leash.__file__, "1", sys.executable, "-c", "print('started')")
+    assert process.wait(timeout=PATIENCE_S) == 1
+    assert "is gone" in (tmp_path / "process-0.log").read_text()
