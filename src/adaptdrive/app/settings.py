@@ -136,7 +136,7 @@ def _learning(configuration: Configuration, *, exact: bool) -> Learning:
         start_at_nominal=exact,
         alert=exact and estimator.alert,
         covariance_max=estimator.covariance_max if exact else 0.0,
-        bias=estimator.bias or isinstance(configuration.load, Battery),
+        bias=(exact and estimator.bias) or isinstance(configuration.load, Battery),
     )
 
 

@@ -161,7 +161,9 @@ class Estimator(Section):
         default=True, description="open up when the load changes abruptly (`exact` only)"
     )
     bias: bool = Field(
-        default=False, description="estimate a constant too; a battery always has one"
+        default=True,
+        description="estimate a constant too, such as a load torque (`exact` only); a battery "
+        "always has one",
     )
     settle_s: float = Field(
         default=30.0, ge=0.0, description="time after start before the first update"

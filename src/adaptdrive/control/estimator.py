@@ -19,6 +19,8 @@ from adaptdrive.control.settings import Learning
 from adaptdrive.control.surprise import Surprise, is_surprising
 from adaptdrive.control.vectors import Vector, copy_into
 
+_TINY = 1e-12
+
 
 @dataclass(slots=True)
 class EstimatorState:
@@ -132,12 +134,50 @@ def _input_count(parameters: Vector, learning: Learning, load: Load) -> int:
     return len(parameters) - load.order - (1 if learning.bias else 0)
 
 
-def learn(state: EstimatorState, learning: Learning, output: float, usable: bool) -> None:
+def _open_up(state: EstimatorState, learning: Learning, load: Load) -> None:
+    """After an abrupt change: doubt the dynamics and the bias, and the gain only the second time.
+
+    A load changes its inertia or its volume far more often than its gain, and a constant
+    disturbance comes and goes. So the first alarm widens P along the directions that keep the dc
+    gain, Σβ / (1 + Σα), and along the bias; an alarm soon after it starts P anew.
+    """
+    doubted = state.surprise.repeated or not learning.filtered
+    if doubted:
+        rls.open_up(state.upper, state.diagonal, learning.initial_covariance)
+        return
+    count = len(state.theta)
+    last = load.order + len(load.input_powers) - 1
+    for i in range(count):
+        if i == last:
+            continue
+        direction = [0.0] * count
+        direction[i] = 1.0
+        if i < load.order:
+            direction[last] = _dc_gain(state.theta, learning, load)
+        elif i < last:
+            direction[last] = -1.0
+        rls.widen(state.upper, state.diagonal, direction, learning.initial_covariance)
+
+
+def _dc_gain(theta: Vector, learning: Learning, load: Load) -> float:
+    """Σβ / (1 + Σα), scaled; 0 where there is none."""
+    below, above = 1.0, 0.0
+    for i in range(load.order):
+        below += theta[i]
+    for i in range(_input_count(theta, learning, load)):
+        above += theta[load.order + i]
+    return above / below if abs(below) > _TINY else 0.0
+
+
+def learn(
+    state: EstimatorState, learning: Learning, load: Load, output: float, usable: bool
+) -> None:
     """Take in one slow sample whose regressor has been filled in.
 
     Args:
         state: Overwritten.
         learning: Forgetting and gates.
+        load: What an abrupt change leaves as it was.
         output: y[k].
         usable: False for a sample that must not teach: its innovation is still computed.
     """
@@ -153,9 +193,9 @@ def learn(state: EstimatorState, learning: Learning, output: float, usable: bool
         return
     squared = _normalised(state.excitation, innovation, learning.forgetting)
     if learning.alert and is_surprising(state.surprise, squared):
-        rls.open_up(state.upper, state.diagonal, learning.initial_covariance)
+        _open_up(state, learning, load)
         state.excitation = rls.excitation(state.upper, state.diagonal, state.regressor)
-        state.residual_power = state.residual_weight = 0.0
+        state.residual_power = state.surprise.power * state.residual_weight
     if not state.excitation > learning.gate * (1.0 - learning.forgetting):
         return
     state.idle_periods = 0

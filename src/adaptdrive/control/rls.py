@@ -42,6 +42,28 @@ def open_up(upper: Vector, diagonal: Vector, covariance: float) -> None:
             upper[i * size + j] = 1.0 if i == j else 0.0
 
 
+def widen(upper: Vector, diagonal: Vector, direction: Vector, variance: float) -> None:
+    """P <- P + variance · v vᵀ, in factored form (Agee and Turner; Bierman 1977, section III.3).
+
+    Args:
+        upper: U, overwritten.
+        diagonal: D, overwritten.
+        direction: v, overwritten.
+        variance: How much less sure θ becomes along v.
+    """
+    size = len(diagonal)
+    rest = variance
+    for j in range(size - 1, -1, -1):
+        share = direction[j]
+        grown = diagonal[j] + rest * share * share
+        gain = rest * share / grown
+        rest *= diagonal[j] / grown
+        diagonal[j] = grown
+        for i in range(j):
+            direction[i] -= share * upper[i * size + j]
+            upper[i * size + j] += gain * direction[i]
+
+
 def predict(theta: Vector, regressor: Vector) -> float:
     """rᵀθ."""
     result = 0.0

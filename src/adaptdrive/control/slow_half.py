@@ -194,7 +194,8 @@ def _take_sample(
     else:
         est.fill_direct_regressor(estimator.regressor, learning, load, state.outputs, state.inputs)
     moved = abs(sample.output - state.outputs[0]) >= learning.dead_band
-    est.learn(estimator, learning, sample.output, moved and sample.held_share <= _HELD_SHARE)
+    usable = moved and sample.held_share <= _HELD_SHARE
+    est.learn(estimator, learning, load, sample.output, usable)
     if learning.filtered:
         fixed = sample.output / learning.output_scale - predict(
             state.nominal_theta, estimator.regressor

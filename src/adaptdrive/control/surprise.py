@@ -37,6 +37,8 @@ class Surprise:
         periods: Samples seen.
         held_periods: Samples until the next alarm may be given.
         alarms: Alarms so far.
+        calm_periods: Samples since the last alarm.
+        repeated: Whether the last alarm came soon after the one before.
     """
 
     power: float = 0.0
@@ -44,6 +46,8 @@ class Surprise:
     periods: int = 0
     held_periods: int = 0
     alarms: int = 0
+    calm_periods: int = 0
+    repeated: bool = False
 
 
 def is_surprising(state: Surprise, squared: float) -> bool:
@@ -54,6 +58,7 @@ def is_surprising(state: Surprise, squared: float) -> bool:
         squared: ε² ρ / (ρ + rᵀPr), scaled.
     """
     state.periods += 1
+    state.calm_periods += 1
     state.held_periods = max(0, state.held_periods - 1)
     if state.periods <= SETTLE_PERIODS:
         first = state.periods == 1
@@ -67,6 +72,8 @@ def is_surprising(state: Surprise, squared: float) -> bool:
     if state.sum <= THRESHOLD or state.held_periods > 0:
         return False
     state.sum = 0.0
+    state.repeated = state.alarms > 0 and state.calm_periods <= 2 * HOLD_PERIODS
     state.held_periods = HOLD_PERIODS
+    state.calm_periods = 0
     state.alarms += 1
     return True
