@@ -264,7 +264,8 @@ async def test_the_mode_is_an_event_and_says_why_it_is_not_in_force() -> None:
         await bench.run_until_decided()
         state = bench.states[-1]
         assert (state.mode, state.controller) == (Mode.ADAPTIVE, Mode.FIXED)
-        assert state.reason.startswith("warming up")
+        load = next(report for report in bench.told if isinstance(report, LoadReport))
+        assert state.reason == load.decision.reason != ""
 
 
 async def test_taking_over_and_falling_back_are_events() -> None:

@@ -1,0 +1,114 @@
+"""What is left when a process vanishes: the drive safe, the daemon honest, and a way back."""
+
+from __future__ import annotations
+
+import re
+
+from adaptdrive.recording.session import Ending
+from tests.system.bus_ear import BusEar
+from tests.system.conftest import MakeSite
+from tests.system.site import Site, until
+
+TICK_S = 1.0 / 120.0
+STALE_S = 0.1
+BUSY_S = 0.2
+"""What a machine with more work than processors may add to any time."""
+
+
+def test_a_killed_daemon_leaves_the_drive_safe_and_comes_back_in_standby(
+    make_site: MakeSite,
+) -> None:
+    site = make_site()
+    site.start("--initial-voltage", "280")
+    site.demand("mode", "adaptive")
+    site.run_drive()
+    site.kill(site.daemon)
+    (safe,) = until(lambda: site.device_events("safe"), "the drive's safe state")
+    assert safe["reason"] == "command timeout"
+    assert safe["after_ms"] <= 150.0
+    assert (safe["current_scale_S"], safe["bridge"], safe["load_current_A"]) == (0.0, False, 0.0)
+    site.await_availability("offline")
+    _comes_back_in_standby(site)
+
+
+def _comes_back_in_standby(site: Site) -> None:
+    with BusEar(site.config) as bus:
+        site.start_daemon()
+        site.await_measurement()
+        state = site.await_state(state="standby", mode="fixed", enabled=False)
+        assert (state["trip"], state["waveform"]) == (None, None)
+        known = len(bus.commands())
+        until(lambda: len(bus.commands()) > known + 60, "half a second of commands")
+        assert all(command.safe for command in bus.commands())
+        site.run_drive()
+        until(lambda: bus.commands()[-1].bridge, "the bridge is commanded on")
+
+
+def test_asked_to_end_the_daemon_says_goodbye(make_site: MakeSite) -> None:
+    site = make_site()
+    site.start("--initial-voltage", "280")
+    site.run_drive()
+    with BusEar(site.config) as bus:
+        until(lambda: len(bus.commands()) > 20, "some commands")
+        assert site.stop_daemon() == 0
+        commands = bus.commands()
+    energised = [command for command in commands if not command.safe]
+    farewell = commands[len(energised) :]
+    assert all(command.safe for command in farewell)
+    assert len(farewell) >= 3
+    site.await_availability("offline")
+    assert site.state["state"] == "standby"
+    session = site.session()
+    assert session.info.ended is Ending.ORDERLY
+    assert session.info.dropped.ticks == 0
+    assert "Traceback" not in site.daemon_log
+
+
+def test_a_killed_drive_trips_and_can_be_run_again_once_it_is_back(make_site: MakeSite) -> None:
+    site = make_site({"interlocks.stale_s": str(STALE_S)})
+    site.start("--initial-voltage", "280")
+    site.run_drive()
+    site.kill(site.device)
+    tripped = site.await_state(state="tripped")
+    age_ms = re.fullmatch(
+        r"stale: measurement is (\d+) ms old, limit 100 ms", tripped["trip"] or ""
+    )
+    assert age_ms is not None
+    assert 1e3 * STALE_S <= int(age_ms[1]) <= 1e3 * (STALE_S + TICK_S + BUSY_S)
+    for verb in ("reset", "enable"):
+        assert not site.ask(verb)["accepted"]
+    site.start_device("--initial-voltage", "280")
+    until(lambda: site.ask("reset")["accepted"], "the reset is accepted")
+    assert site.state["state"] == "standby"
+    site.run_drive()
+    site.demand("disable")
+    assert site.stop_daemon() == 0
+    _tripped_in_time(site)
+
+
+def _tripped_in_time(site: Site) -> None:
+    """The record tells the same, free of what the machine adds: no tick drove on an older value."""
+    last_fresh, silent = 0, 0
+    for row in site.session().ticks.select(["tick", "fresh", "stage"]).to_pylist():
+        last_fresh = row["tick"] if row["fresh"] else last_fresh
+        if row["stage"] == "run":
+            silent = max(silent, row["tick"] - last_fresh)
+    assert silent >= 2
+    assert silent * TICK_S <= STALE_S + TICK_S
+
+
+def test_a_broker_that_goes_away_changes_nothing_for_the_drive(make_site: MakeSite) -> None:
+    site = make_site()
+    site.start("--initial-voltage", "280")
+    site.run_drive()
+    with BusEar(site.config) as bus:
+        site.kill(site.broker)
+        known = len(bus.commands())
+        until(lambda: len(bus.commands()) > known + 180, "commands of 1.5 s")
+        site.start_broker()
+        site.await_availability("online")
+        site.ear.next_on("telemetry/load", after=0)
+        site.ear.next_on("telemetry/drive", after=0)
+        assert all(command.bridge for command in bus.commands())
+    assert site.await_state(state="running")["trip"] is None
+    site.demand("setpoint", 3.0)

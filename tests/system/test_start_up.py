@@ -1,0 +1,72 @@
+"""A daemon that cannot start says why, in lines that people can read."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.cli import FAILED, UNUSABLE
+from tests.system.site import motor_configuration
+
+
+def run_daemon(config: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "adaptdrive.cli", "run", config],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+        cwd=config.parent,
+    )
+
+
+def has_can() -> bool:
+    with contextlib.suppress(OSError, AttributeError):
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+        return True
+    return False
+
+
+def test_every_flaw_of_a_configuration_is_listed(tmp_path: Path) -> None:
+    config = tmp_path / "motor.toml"
+    flawed = {
+        "estimator.forgetting": "1.5",
+        "load.pole": "2.0",
+        "interlocks.stale_s": '"soon"',
+    }
+    text = motor_configuration(1883, 43113, flawed | {"colour.paint": "1"})
+    config.write_text(text, encoding="utf-8")
+    run = run_daemon(config)
+    assert run.returncode == UNUSABLE
+    lines = run.stderr.splitlines()
+    for section, key in (place.split(".") for place in flawed):
+        assert any(section in line and key in line for line in lines), run.stderr
+    assert f"adaptdrive: {config}: colour: Unknown key" in lines
+    assert all(line.startswith(f"adaptdrive: {config}: ") for line in lines)
+    assert not (tmp_path / "sessions").exists()
+
+
+def test_a_configuration_that_is_not_there_is_one_line(tmp_path: Path) -> None:
+    run = run_daemon(tmp_path / "nothing.toml")
+    assert run.returncode == UNUSABLE
+    (line,) = run.stderr.splitlines()
+    assert "nothing.toml" in line
+
+
+@pytest.mark.skipif(has_can(), reason="this kernel has AF_CAN")
+def test_a_bus_that_the_kernel_lacks_is_one_line(tmp_path: Path) -> None:
+    config = tmp_path / "motor.toml"
+    bus = {"bus.interface": '"socketcan"', "bus.channel": '"can0"'}
+    config.write_text(motor_configuration(1, 43113, bus), encoding="utf-8")
+    run = run_daemon(config)
+    assert run.returncode == FAILED
+    complaints = [line for line in run.stderr.splitlines() if line.startswith("adaptdrive: ")]
+    assert complaints == [
+        "adaptdrive: socketcan can0: this kernel has no AF_CAN; use udp_multicast"
+    ]
+    assert "Traceback" not in run.stderr
