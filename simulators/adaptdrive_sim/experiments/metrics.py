@@ -98,7 +98,8 @@ def convergence_cycles(experiment: Experiment, record: Record, change: LoadChang
         None when the estimates never get there.
     """
     chosen = _between(record, change.time_s, experiment.until_next_change(change))
-    estimates = np.array(list(record.estimates.values()))[:, chosen]
+    names = experiment.nominal().names
+    estimates = np.array([record.estimates[name] for name in names])[:, chosen]
     times = np.array(record.time_s)[chosen]
     truth = np.array([experiment.truth_at(time_s) for time_s in times]).T
     with np.errstate(invalid="ignore"):

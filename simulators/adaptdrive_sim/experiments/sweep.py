@@ -169,7 +169,7 @@ def _follow_filtered(
     found = []
     for (target, *filtered), applied in zip(outputs, inputs, strict=True):
         est.fill_filtered_regressor(state.regressor, learning, load, filtered, applied)
-        est.learn(state, learning, target, usable=True)
+        est.learn(state, learning, load, target, usable=True)
         numerator, denominator = est.filtered_model(state.theta, learning, load)
         found.append(_physical(load, numerator, denominator))
     return np.array(found)
@@ -191,7 +191,7 @@ def _follow_directly(heard: Heard, learning: Learning, outputs: list[float]) -> 
     found = []
     for target, applied in zip(outputs, heard.held_input, strict=True):
         est.fill_direct_regressor(state.regressor, learning, load, past_outputs, past_inputs)
-        est.learn(state, learning, target, usable=True)
+        est.learn(state, learning, load, target, usable=True)
         a, b = est.direct_model(state.theta, learning, load)
         found.append(_physical(load, *continuous_model(a, b, period_s)))
         shift_in(past_outputs, target)
