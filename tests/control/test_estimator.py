@@ -45,7 +45,7 @@ def learn_filtered(
         if n % TICKS == 0:
             y, *rest = fast.take_means(bank)
             est.fill_filtered_regressor(state.regressor, learning, MOTOR, rest[:2], rest[2:])
-            est.learn(state, learning, y, usable=True)
+            est.learn(state, learning, MOTOR, y, usable=True)
     return state
 
 
@@ -106,7 +106,7 @@ def learn_direct(learning: Learning, inputs: Array, outputs: Array) -> tuple[Arr
         est.fill_direct_regressor(
             state.regressor, learning, MOTOR, past_outputs.tolist(), past_inputs.tolist()
         )
-        est.learn(state, learning, float(outputs[k]), usable=True)
+        est.learn(state, learning, MOTOR, float(outputs[k]), usable=True)
     a, b = est.direct_model(state.theta, learning, MOTOR)
     return np.array(a), np.array(b)
 
@@ -140,7 +140,9 @@ def taught(learning: Learning, count: int = 40, *, noise: float = 0.01) -> est.E
     draws = np.random.default_rng(6).normal(size=count)
     for regressor, draw in zip(random_regressors(count), draws, strict=True):
         state.regressor[:] = regressor.tolist()
-        est.learn(state, learning, float(regressor @ [1.0, -0.5, 0.01] + noise * draw), usable=True)
+        est.learn(
+            state, learning, MOTOR, float(regressor @ [1.0, -0.5, 0.01] + noise * draw), usable=True
+        )
     return state
 
 
@@ -171,7 +173,7 @@ def test_the_error_bars_are_what_many_experiments_show() -> None:
         noisy = outputs[slow] + 1e-4 * random.normal(size=len(rows))
         for (_, *rest), y in zip(rows, noisy, strict=True):
             est.fill_filtered_regressor(state.regressor, learning, MOTOR, rest[:2], rest[2:])
-            est.learn(state, learning, float(y), usable=True)
+            est.learn(state, learning, MOTOR, float(y), usable=True)
         values = physical(state, learning)
         found.append(values)
         claimed.append(est.parameter_deviations(state, learning, MOTOR, values))
@@ -193,7 +195,7 @@ def test_what_is_not_a_number_never_enters(bad: float, place: str) -> None:
     state = taught(PLAIN_LEARNING)
     before = memory(state)
     state.regressor[:] = [1.0, bad if place == "regressor" else 2.0, 3.0]
-    est.learn(state, PLAIN_LEARNING, bad if place == "output" else 1.0, usable=True)
+    est.learn(state, PLAIN_LEARNING, MOTOR, bad if place == "output" else 1.0, usable=True)
     assert memory(state) == before
 
 
@@ -201,7 +203,7 @@ def after_stream(values: list[float]) -> est.EstimatorState:
     state = est.new_estimator(PLAIN_LEARNING, MOTOR, 2)
     for at in range(len(values) - 3):
         state.regressor[:] = values[at : at + 3]
-        est.learn(state, PLAIN_LEARNING, values[at + 3], usable=True)
+        est.learn(state, PLAIN_LEARNING, MOTOR, values[at + 3], usable=True)
         assert np.isfinite(memory(state)).all()
     return state
 
@@ -224,7 +226,7 @@ def test_a_sample_that_is_not_usable_is_predicted_but_not_learnt() -> None:
     state = taught(PLAIN_LEARNING)
     before, periods = memory(state), state.periods
     state.regressor[:] = [1.0, 2.0, 300.0]
-    est.learn(state, PLAIN_LEARNING, 9.0, usable=False)
+    est.learn(state, PLAIN_LEARNING, MOTOR, 9.0, usable=False)
     assert memory(state) == before
     assert state.periods == periods + 1
     assert state.innovation == pytest.approx(9.0 - np.dot(state.theta, state.regressor))
@@ -245,7 +247,7 @@ def test_the_gate_keeps_out_what_teaches_nothing() -> None:
     before = memory(state)
     for share, learns in ((0.99, False), (1.01, True)):
         state.regressor[:] = (direction * math.sqrt(limit * share)).tolist()
-        est.learn(state, learning, 5.0, usable=True)
+        est.learn(state, learning, MOTOR, 5.0, usable=True)
         assert (memory(state) != before) == learns
 
 

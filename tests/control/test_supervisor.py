@@ -21,7 +21,13 @@ from adaptdrive.control.supervisor import (
 
 JACKET = Jacket(warm_up_periods=90, ratio_min=0.2, ratio_max=8.0, patience_periods=3)
 NOMINAL = [0.011, 21.7, 117.0]
-REFUSALS = [verdict for verdict in Verdict if verdict > Verdict.WARMING_UP]
+WRONG = [
+    Verdict.NOT_FINITE,
+    Verdict.UNSTABLE_LOAD,
+    Verdict.OUT_OF_BOUNDS,
+    Verdict.UNSTABLE_LOOP,
+    Verdict.WORSE_THAN_FIXED,
+]
 
 
 def test_a_finite_model_with_a_dc_gain_is_usable() -> None:
@@ -85,7 +91,7 @@ def test_nothing_is_trusted_before_the_warm_up_is_over() -> None:
     assert state.verdict == Verdict.TRUSTED
 
 
-@pytest.mark.parametrize("refusal", REFUSALS)
+@pytest.mark.parametrize("refusal", WRONG)
 def test_a_refused_estimate_keeps_the_trusted_gains_until_patience_ends(refusal: Verdict) -> None:
     state = SupervisorState(verdict=Verdict.TRUSTED, trusted=True)
     for _ in range(JACKET.patience_periods):
@@ -96,6 +102,13 @@ def test_a_refused_estimate_keeps_the_trusted_gains_until_patience_ends(refusal:
     assert state.verdict == refusal
 
 
+def test_an_uncertain_estimate_keeps_the_trusted_gains_for_ever() -> None:
+    state = SupervisorState(verdict=Verdict.TRUSTED, trusted=True)
+    for _ in range(100 * JACKET.patience_periods):
+        assert not take_verdict(state, Verdict.UNCERTAIN, JACKET, 100)
+        assert state.trusted
+
+
 def test_patience_counts_refusals_in_a_row() -> None:
     state = SupervisorState(verdict=Verdict.TRUSTED, trusted=True)
     for verdict in [Verdict.NOT_FINITE, Verdict.NOT_FINITE, Verdict.TRUSTED] * 10:
@@ -103,7 +116,7 @@ def test_patience_counts_refusals_in_a_row() -> None:
         assert state.trusted
 
 
-@given(st.lists(st.sampled_from([*REFUSALS, Verdict.TRUSTED]), max_size=120))
+@given(st.lists(st.sampled_from([*WRONG, Verdict.TRUSTED]), max_size=120))
 def test_trust_needs_warm_up_and_a_trusted_estimate_within_patience(
     verdicts: list[Verdict],
 ) -> None:

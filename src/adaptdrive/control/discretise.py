@@ -21,6 +21,8 @@ import math
 from adaptdrive.control.vectors import Vector
 
 _TAYLOR_TERMS = 18
+_LONGEST_REACH = 1.0e4
+_LARGEST_EXPONENT = 700.0
 
 
 def held_model(
@@ -76,13 +78,19 @@ def _step_system(numerator: Vector, denominator: Vector) -> Vector:
 def propagate(matrix: Vector, state: Vector, duration_s: float) -> Vector:
     """exp(M t) z by a Taylor series over steps short enough for full precision.
 
+    A system too fast for the duration by four orders of magnitude gives NaNs: as a load model it
+    is absurd, and working it out could keep a control loop waiting.
+
     Args:
         matrix: M, flat, n by n.
         state: z, n entries.
         duration_s: t.
     """
     size = len(state)
-    steps = max(1, math.ceil(_norm(matrix, size) * duration_s))
+    reach = _norm(matrix, size) * duration_s
+    if not reach < _LONGEST_REACH:
+        return [math.nan] * size
+    steps = max(1, math.ceil(reach))
     step_s = duration_s / steps
     result = state
     for _ in range(steps):
@@ -228,6 +236,8 @@ def impulse_invariant_pair(
     """
     decay = 0.5 * tau_sum_s / tau_product_s2
     split = decay * decay - 1.0 / tau_product_s2
+    if -decay * period_s > _LARGEST_EXPONENT:
+        return [math.nan] * 3, [math.nan] * 3
     shrink = math.exp(-decay * period_s)
     a = [1.0, -2.0 * shrink * _cosh_root(split, period_s), shrink * shrink]
     b1 = period_s * gain / tau_product_s2 * shrink * _sinh_root(split, period_s)
@@ -236,9 +246,10 @@ def impulse_invariant_pair(
 
 def _cosh_root(square: float, time_s: float) -> float:
     """cosh(sqrt(q) t), real for either sign of q."""
-    if square >= 0.0:
-        return math.cosh(math.sqrt(square) * time_s)
-    return math.cos(math.sqrt(-square) * time_s)
+    angle = math.sqrt(abs(square)) * time_s
+    if square < 0.0:
+        return math.cos(angle)
+    return math.cosh(angle) if angle < _LARGEST_EXPONENT else math.inf
 
 
 def _sinh_root(square: float, time_s: float) -> float:
@@ -247,5 +258,5 @@ def _sinh_root(square: float, time_s: float) -> float:
     if angle < 1e-4:
         return time_s * (1.0 + square * time_s * time_s / 6.0)
     if square > 0.0:
-        return math.sinh(angle) / angle * time_s
+        return math.sinh(angle) / angle * time_s if angle < _LARGEST_EXPONENT else math.inf
     return math.sin(angle) / angle * time_s

@@ -286,6 +286,8 @@ def parameter_deviations(
         moved = list(state.theta)
         moved[j] += step
         numerator, denominator = filtered_model(moved, learning, load)
+        if not abs(denominator[load.order]) > _TINY:
+            return [math.nan] * len(values)
         shifted = load.physical(numerator, denominator)
         for i in range(len(values)):
             jacobian[i * count + j] = (shifted[i] - values[i]) / step
