@@ -187,7 +187,7 @@ def _follow_directly(heard: Heard, learning: Learning, outputs: list[float]) -> 
     load, period_s = heard.case.experiment.nominal(), heard.case.experiment.period_s
     state = est.new_estimator(learning, load, load.paper_taps)
     past_outputs = [outputs[0]] * load.order
-    past_inputs = [heard.held_input[0]] * load.paper_taps
+    past_inputs = [float(heard.load_input[0])] * load.paper_taps
     found = []
     for target, applied in zip(outputs, heard.held_input, strict=True):
         est.fill_direct_regressor(state.regressor, learning, load, past_outputs, past_inputs)

@@ -1,0 +1,112 @@
+"""The metrics, on outputs whose overshoot, settling and convergence are known."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from adaptdrive_sim.experiments.bath import BATH
+from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
+from adaptdrive_sim.experiments.ideal import ideal_output
+from adaptdrive_sim.experiments.metrics import convergence_cycles, cycles, model_errors, rms_between
+from adaptdrive_sim.experiments.motor import MOTOR
+from adaptdrive_sim.experiments.runner import Record
+
+TIMES = [float(k) for k in range(1320)]
+
+
+def square_record() -> Record:
+    """An output that follows the reference at once."""
+    references = [MOTOR.reference.value(time_s) for time_s in TIMES]
+    return Record(time_s=TIMES, reference=references, output=list(references))
+
+
+def test_an_output_on_the_reference_neither_overshoots_nor_takes_time() -> None:
+    for cycle in cycles(MOTOR, "paper", square_record()):
+        assert (cycle.overshoot, cycle.settling_s) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("tick", "excess"), [(130, 0.03), (190, -0.03)])
+def test_overshoot_is_the_larger_one_of_both_halves(tick: int, excess: float) -> None:
+    record = square_record()
+    record.output[tick] += excess
+    record.output[135] += 0.01
+    judged = cycles(MOTOR, "paper", record)
+    assert judged[1].overshoot == pytest.approx(0.15)
+    assert judged[0].overshoot == judged[2].overshoot == 0.0
+
+
+@pytest.mark.parametrize(("tick", "settling_s"), [(130, 11.0), (180 + 30, 31.0), (179, None)])
+def test_settling_ends_after_the_last_sample_outside_five_percent(
+    tick: int, settling_s: float | None
+) -> None:
+    record = square_record()
+    record.output[125] += 0.0099
+    record.output[tick] += 0.0101
+    assert cycles(MOTOR, "paper", record)[1].settling_s == settling_s
+
+
+def test_a_half_cycle_at_the_end_is_judged_by_itself() -> None:
+    assert BATH.cycle_starts() == [0.0, 2400.0, 4800.0, 7200.0, 9600.0]
+
+
+@pytest.mark.parametrize(("experiment", "poles"), [(MOTOR, [0.7] * 4), (BATH, [0.8] * 2)])
+def test_the_ideal_loop_of_the_papers_design_has_the_papers_closed_form(
+    experiment: Experiment, poles: list[float]
+) -> None:
+    """(27) and (15): all poles where they are wanted, one sample of delay, gain 1."""
+    denominator = np.poly(poles)
+    periods = round(experiment.duration_s / experiment.period_s)
+    low = experiment.reference.low
+    reference = np.array(
+        [experiment.reference.value(k * experiment.period_s) - low for k in range(periods)]
+    )
+    expected = low + lfilter([0.0, denominator.sum()], denominator, reference)
+    assert np.allclose(ideal_output(experiment, "paper"), expected, rtol=0.0, atol=1e-12)
+
+
+def test_the_ideal_loop_of_the_exact_design_has_the_zero_of_the_held_motor() -> None:
+    found, paper = ideal_output(MOTOR, "exact"), ideal_output(MOTOR, "paper")
+    assert found[60] == pytest.approx(paper[60], abs=1e-6)
+    assert found[1] - 3.0 == pytest.approx(0.2 * 0.3**4 * 0.515, rel=0.02)
+    assert 0.005 < float(np.abs(found - paper).max()) < 0.05
+
+
+def test_the_model_error_of_the_ideal_output_is_nothing() -> None:
+    record = square_record()
+    record.output[:] = ideal_output(MOTOR, "paper").tolist()
+    assert not model_errors(MOTOR, "paper", record).any()
+    record.output[300] += 0.02
+    errors = model_errors(MOTOR, "paper", record)
+    assert rms_between(record, errors, 240.0, 360.0) == pytest.approx(0.1 / 120**0.5)
+    assert rms_between(record, errors, 120.0, 240.0) == 0.0
+
+
+def estimates_of(experiment: Experiment) -> Record:
+    truth = np.array([experiment.truth_at(time_s) for time_s in TIMES]).T
+    names = experiment.nominal().names
+    return Record(
+        time_s=TIMES, estimates={n: v.tolist() for n, v in zip(names, truth, strict=True)}
+    )
+
+
+def test_estimates_have_converged_when_all_are_right_and_stay_so() -> None:
+    record, (first, second) = estimates_of(MOTOR), MOTOR.changes
+    record.estimates["gain"][659] *= 1.051
+    record.estimates["tau_sum_s"][700] *= 1.049
+    record.estimates["tau_product_s2"][965] *= 0.949
+    assert convergence_cycles(MOTOR, record, first) == pytest.approx(60.0 / 120.0)
+    assert convergence_cycles(MOTOR, record, second) == pytest.approx(6.0 / 120.0)
+
+
+def test_estimates_that_are_wrong_at_the_end_have_never_converged() -> None:
+    record, (first, second) = estimates_of(MOTOR), MOTOR.changes
+    record.estimates["gain"][959] = float("nan")
+    assert convergence_cycles(MOTOR, record, first) is None
+    assert convergence_cycles(MOTOR, record, second) == 0.0
+
+
+def test_a_load_that_changes_slowly_has_sizes_in_between() -> None:
+    slow = dataclasses.replace(MOTOR, changes=(LoadChange(10.0, 3.0, over_s=20.0),))
+    assert [slow.size_at(t) for t in (0.0, 10.0, 20.0, 30.0, 40.0)] == [1.0, 1.0, 2.0, 3.0, 3.0]
