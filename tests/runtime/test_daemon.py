@@ -357,6 +357,22 @@ async def test_when_the_reports_die_the_drive_is_left_safe(
         assert bench.sent[-1] == SAFE_COMMAND
 
 
+async def test_when_a_stand_in_tick_fails_the_daemon_ends_and_the_drive_is_left_safe(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with daemon_bench() as bench:
+        await bench.start()
+
+        def fail(deadline_s: float) -> None:
+            raise ArithmeticError(f"no tick at {deadline_s}")
+
+        monkeypatch.setattr(bench.daemon._fast, "on_deadline", fail)
+        bench.daemon.arm(time.monotonic())
+        (cause,) = await ending(bench)
+        assert isinstance(cause, ArithmeticError)
+        assert bench.sent[-1] == SAFE_COMMAND
+
+
 async def test_when_it_is_cancelled_the_drive_is_left_safe() -> None:
     async with daemon_bench() as bench:
         await bench.start()

@@ -79,6 +79,7 @@ class Daemon:
         self._fast = FastLoop(port, controller, self._machine, settings.fast, self)
         self._slow = SlowLoop(controller, self._fast.deliver)
         self._timer: TickTimer | None = None
+        self._timer_failure: asyncio.Future[None] | None = None
         self._decision: Decision | None = None
         self._told = self._state_report()
         self._bus_up = False
@@ -92,7 +93,9 @@ class Daemon:
         Raises:
             ExceptionGroup: A task died; a `BusError` in it when the bus cannot be opened.
         """
-        self._timer = TickTimer(asyncio.get_running_loop(), self._fast.on_deadline)
+        loop = asyncio.get_running_loop()
+        self._timer_failure = loop.create_future()
+        self._timer = TickTimer(loop, self._on_deadline)
         self._hub.publish(self._told)
         try:
             async with asyncio.TaskGroup() as tasks:
@@ -112,11 +115,25 @@ class Daemon:
             working = [
                 tasks.create_task(self._slow.run(), name="slow loop"),
                 tasks.create_task(self._report(), name="reports"),
+                tasks.create_task(self._watch_timer(), name="timer"),
             ]
             await stop.wait()
             await self._shut_down()
             for task in working:
                 task.cancel()
+
+    def _on_deadline(self, deadline_s: float) -> None:
+        """A stand-in tick; an event loop would only log what goes wrong in it."""
+        try:
+            self._fast.on_deadline(deadline_s)
+        except Exception as problem:  # noqa: BLE001 - passed on by the task that watches
+            if self._timer_failure is not None and not self._timer_failure.done():
+                self._timer_failure.set_exception(problem)
+
+    async def _watch_timer(self) -> None:
+        """Die of what went wrong in a stand-in tick, so that the daemon does."""
+        if self._timer_failure is not None:
+            await self._timer_failure
 
     def _stop_driving(self) -> None:
         """Whatever has happened: from now on only safe commands, and the first one at once."""
