@@ -18,9 +18,11 @@ from __future__ import annotations
 
 import math
 
-from adaptdrive.control.vectors import Vector
+from adaptdrive.control.vectors import Vector, copy_into
 
-_TAYLOR_TERMS = 18
+_TAYLOR_TERMS = 30
+_LONGEST_STEP = 2.0
+_NEGLIGIBLE = 1e-18
 _LONGEST_REACH = 1.0e4
 _LARGEST_EXPONENT = 700.0
 
@@ -43,14 +45,15 @@ def held_model(
     order = len(denominator) - 1
     count = order + input_taps(0, period_s, delay_s, window_s) + 1
     system = _step_system(numerator, denominator)
-    size = order + 2
+    transition = _transition(system, order + 2, period_s)
     if window_s > 0.0:
-        late = _responses(system, size, -delay_s, period_s, count, size - 1)
-        early = _responses(system, size, -delay_s - window_s, period_s, count, size - 1)
+        row, before_s = order + 1, delay_s + window_s
+        late = _responses(system, transition, -delay_s, period_s, count, row)
+        early = _responses(system, transition, -before_s, period_s, count, row)
         steps = [(late[j] - early[j]) / window_s for j in range(count)]
     else:
-        steps = _outputs(system, numerator, denominator, -delay_s, period_s, count)
-    a = _characteristic(system, order, period_s)
+        steps = _outputs(system, transition, numerator, -delay_s, period_s, count)
+    a = _characteristic(transition, order)
     return a, _numerator_from_steps(a, steps)
 
 
@@ -90,7 +93,7 @@ def propagate(matrix: Vector, state: Vector, duration_s: float) -> Vector:
     reach = _norm(matrix, size) * duration_s
     if not reach < _LONGEST_REACH:
         return [math.nan] * size
-    steps = max(1, math.ceil(reach))
+    steps = max(1, math.ceil(reach / _LONGEST_STEP))
     step_s = duration_s / steps
     result = state
     for _ in range(steps):
@@ -100,20 +103,21 @@ def propagate(matrix: Vector, state: Vector, duration_s: float) -> Vector:
 
 def _taylor_step(matrix: Vector, state: Vector, step_s: float) -> Vector:
     size = len(state)
-    result = [0.0] * size
-    term = [0.0] * size
-    for i in range(size):
-        result[i] = state[i]
-        term[i] = state[i]
+    result = list(state)
+    term = list(state)
+    following = list(state)
     for n in range(1, _TAYLOR_TERMS + 1):
-        following = [0.0] * size
+        largest = 0.0
         for i in range(size):
             derivative = 0.0
             for j in range(size):
                 derivative += matrix[i * size + j] * term[j]
             following[i] = derivative * step_s / n
             result[i] += following[i]
-        term = following
+            largest = max(largest, abs(following[i]) - _NEGLIGIBLE * abs(result[i]))
+        if largest <= 0.0:
+            break
+        copy_into(term, following)
     return result
 
 
@@ -127,33 +131,63 @@ def _norm(matrix: Vector, size: int) -> float:
     return largest
 
 
+def _size_of(matrix: Vector) -> int:
+    return round(math.sqrt(len(matrix)))
+
+
+def _transition(matrix: Vector, size: int, duration_s: float) -> Vector:
+    """exp(M t), flat."""
+    transition = [0.0] * (size * size)
+    for j in range(size):
+        unit = [0.0] * size
+        unit[j] = 1.0
+        column = propagate(matrix, unit, duration_s)
+        for i in range(size):
+            transition[i * size + j] = column[i]
+    return transition
+
+
+def _transit(transition: Vector, state: Vector) -> Vector:
+    """exp(M t) z."""
+    size = len(state)
+    result = [0.0] * size
+    for i in range(size):
+        for j in range(size):
+            result[i] += transition[i * size + j] * state[j]
+    return result
+
+
 def _responses(
-    system: Vector, size: int, start_s: float, period_s: float, count: int, row: int
+    system: Vector, transition: Vector, start_s: float, period_s: float, count: int, row: int
 ) -> Vector:
     """Entry `row` of the step response at start, start + T, ...; 0 before the step."""
+    size = _size_of(system)
     responses = [0.0] * count
     state = [0.0] * size
     state[size - 2] = 1.0
-    reached_s = 0.0
+    begun = False
     for j in range(count):
         time_s = start_s + j * period_s
-        if time_s > 0.0:
-            state = propagate(system, state, time_s - reached_s)
-            reached_s = time_s
+        if begun:
+            state = _transit(transition, state)
+        elif time_s > 0.0:
+            state = propagate(system, state, time_s)
+            begun = True
+        if begun:
             responses[j] = state[row]
     return responses
 
 
 def _outputs(
     system: Vector,
+    transition: Vector,
     numerator: Vector,
-    denominator: Vector,
     start_s: float,
     period_s: float,
     count: int,
 ) -> Vector:
     """The step response itself, y = C x + b_0 u, at start, start + T, ..."""
-    order = len(denominator) - 1
+    order = len(numerator) - 1
     size = order + 2
     outputs = [0.0] * count
     for j in range(count):
@@ -162,26 +196,24 @@ def _outputs(
     for i in range(order):
         weight = system[(size - 1) * size + i]
         if weight != 0.0:
-            states = _responses(system, size, start_s, period_s, count, i)
+            states = _responses(system, transition, start_s, period_s, count, i)
             for j in range(count):
                 outputs[j] += weight * states[j]
     return outputs
 
 
-def _characteristic(system: Vector, order: int, period_s: float) -> Vector:
-    """Characteristic polynomial of the transition matrix over T (Faddeev and LeVerrier)."""
+def _characteristic(transition: Vector, order: int) -> Vector:
+    """Characteristic polynomial of the load's part of the transition matrix."""
     size = order + 2
-    transition = [0.0] * (order * order)
-    for j in range(order):
-        unit = [0.0] * size
-        unit[j] = 1.0
-        column = propagate(system, unit, period_s)
-        for i in range(order):
-            transition[i * order + j] = column[i]
-    return _faddeev(transition, order)
+    block = [0.0] * (order * order)
+    for i in range(order):
+        for j in range(order):
+            block[i * order + j] = transition[i * size + j]
+    return _faddeev(block, order)
 
 
 def _faddeev(matrix: Vector, order: int) -> Vector:
+    """Characteristic polynomial of a matrix (Faddeev and LeVerrier)."""
     polynomial = [0.0] * (order + 1)
     polynomial[0] = 1.0
     auxiliary = [0.0] * (order * order)
