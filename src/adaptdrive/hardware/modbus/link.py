@@ -29,8 +29,11 @@ _READ_WRITE = 23
 _PATIENCE = 3
 """Replies that may be missing in a row before a TCP connection is taken to be half open."""
 
+_SILENT_TIMEOUTS = 2.0
+"""Silence after a failure, in time-outs: a reply up to three time-outs old answers nothing."""
+
 _NOISE_ROUNDS = 10
-"""Time-outs for which a line that never falls silent is waited for."""
+"""Silences for which a line that never falls silent is waited for."""
 
 
 class ExchangeError(AdaptdriveError):
@@ -168,7 +171,7 @@ class Link:
 
     async def _await_silence(self) -> None:
         """Let what may still come from an earlier request pass by unread."""
-        silent_s = self._config.timeout_s
+        silent_s = _SILENT_TIMEOUTS * self._config.timeout_s
         end_s = self._clock() + _NOISE_ROUNDS * silent_s
         while self._suspect_s is not None:
             left_s = max(self._suspect_s, self._heard_s) + silent_s - self._clock()

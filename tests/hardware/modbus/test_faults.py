@@ -1,0 +1,321 @@
+"""Each fault of the wire: what is counted, what is said, what the drive gets, and how it ends.
+
+In every case no reading is older than it says or holds what was never measured, a safe command
+reaches a drive that can still hear, and readings come again once the fault has gone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import struct
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.control.signals import SAFE_COMMAND
+from tests.hardware.modbus.bench import (
+    RUN,
+    Bench,
+    Peer,
+    Pieces,
+    RtuPeer,
+    Spoil,
+    TcpPeer,
+    TIMEOUT_s,
+    bench,
+    framed,
+    until,
+)
+
+Fault = Callable[[Peer], None]
+
+
+def spoiled(spoil: Spoil) -> Fault:
+    def set_in(peer: Peer) -> None:
+        peer.spoil = spoil
+
+    return set_in
+
+
+def answered(answer: Callable[[bytes], bytes]) -> Fault:
+    def set_in(peer: Peer) -> None:
+        peer.answer = answer
+
+    return set_in
+
+
+def measuring(**values: object) -> Fault:
+    def set_in(peer: Peer) -> None:
+        for name, value in values.items():
+            setattr(peer, name, value)
+
+    return set_in
+
+
+def silence(_: bytes) -> Pieces:
+    return []
+
+
+def late(reply: bytes) -> Pieces:
+    return [(1.8 * TIMEOUT_s, reply)]
+
+
+def cut(reply: bytes) -> Pieces:
+    return [(0.0, reply[:-3])]
+
+
+def flipped(reply: bytes) -> Pieces:
+    return [(0.0, reply[:4] + bytes((reply[4] ^ 1,)) + reply[5:])]
+
+
+def noisy(reply: bytes) -> Pieces:
+    return [(0.0, b"\x00\xff\x7e" + reply)]
+
+
+def foreign_device(reply: bytes) -> Pieces:
+    return [(0.0, framed(b"\x02" + reply[1:-2]))]
+
+
+def other_transaction(reply: bytes) -> Pieces:
+    number = struct.unpack(">H", reply[:2])[0]
+    return [(0.0, struct.pack(">H", number + 7) + reply[2:])]
+
+
+def no_transaction(reply: bytes) -> Pieces:
+    return [(0.0, b"\0\0" + reply[2:])]
+
+
+def other_protocol(reply: bytes) -> Pieces:
+    return [(0.0, reply[:2] + b"\0\x01" + reply[4:])]
+
+
+def exception(pdu: bytes) -> bytes:
+    return bytes((pdu[0] | 0x80, 2))
+
+
+def busy(pdu: bytes) -> bytes:
+    return bytes((pdu[0] | 0x80, 6))
+
+
+def fewer(pdu: bytes) -> bytes:
+    return bytes((pdu[0], pdu[1] - 2)) + pdu[2:-2] if pdu[0] == 4 else pdu
+
+
+def other_function(pdu: bytes) -> bytes:
+    return b"\x03" + pdu[1:] if pdu[0] == 4 else pdu
+
+
+FAULTS: dict[str, tuple[str, Fault, str]] = {
+    "tcp exception": ("tcp", answered(exception), "exceptions"),
+    "rtu exception": ("rtu", answered(exception), "exceptions"),
+    "tcp busy": ("tcp", answered(busy), "exceptions"),
+    "rtu silence": ("rtu", spoiled(silence), "timeouts"),
+    "tcp late": ("tcp", spoiled(late), "foreign"),
+    "rtu late": ("rtu", spoiled(late), "foreign"),
+    "tcp cut": ("tcp", spoiled(cut), "timeouts"),
+    "rtu cut": ("rtu", spoiled(cut), "wrong_length"),
+    "rtu checksum": ("rtu", spoiled(flipped), "wrong_checksum"),
+    "rtu noise": ("rtu", spoiled(noisy), "timeouts"),
+    "rtu other device": ("rtu", spoiled(foreign_device), "timeouts"),
+    "tcp transaction": ("tcp", spoiled(other_transaction), "foreign"),
+    "tcp transaction 0": ("tcp", spoiled(no_transaction), "foreign"),
+    "tcp protocol": ("tcp", spoiled(other_protocol), "timeouts"),
+    "tcp fewer registers": ("tcp", answered(fewer), "foreign"),
+    "rtu fewer registers": ("rtu", answered(fewer), "foreign"),
+    "tcp other function": ("tcp", answered(other_function), "foreign"),
+    "rtu other function": ("rtu", answered(other_function), "foreign"),
+    "tcp NaN": ("tcp", measuring(speed=float("nan")), "out_of_range"),
+    "rtu infinite": ("rtu", measuring(speed=float("inf")), "out_of_range"),
+    "tcp out of range": ("tcp", measuring(voltage=60001), "out_of_range"),
+    "rtu not available": ("rtu", measuring(voltage=0xFFFF), "out_of_range"),
+    "tcp heartbeat stuck": ("tcp", measuring(state=0), "counter_stuck"),
+    "rtu heartbeat stuck": ("rtu", measuring(state=0), "counter_stuck"),
+}
+HEALTHY = measuring(
+    speed=3.25, voltage=30012, state=None, spoil=lambda reply: [(0.0, reply)], answer=lambda a: a
+)
+
+
+@contextlib.asynccontextmanager
+async def watched(kind: str, tmp_path: Path, port: int) -> AsyncIterator[Bench]:
+    """A drive that shows a heartbeat and has been told to run."""
+    async with bench(kind, tmp_path, port, bus__heartbeat__drive='"state"') as one:
+        one.port.send(RUN)
+        await one.hears(3)
+        await until(lambda: bool(one.peer.writes))
+        yield one
+
+
+@pytest.mark.parametrize("name", FAULTS)
+async def test_no_bad_value_is_used_and_the_drive_can_be_made_safe(
+    name: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    kind, fault, count = FAULTS[name]
+    async with watched(kind, tmp_path, free_tcp_port) as one:
+        fault(one.peer)
+        await one.asks(2)  # one that was under way, and the first that is spoiled
+        heard = len(one.ear.readings)
+        await until(lambda: getattr(one.port.statistics, count) >= 3)
+        assert len(one.ear.readings) <= heard + 1
+        one.port.send(SAFE_COMMAND)
+        await until(lambda: one.told() == [0, 0])
+        HEALTHY(one.peer)
+        await one.hears(3)
+        one.check_honesty()
+        assert one.told() == [0, 0]
+
+
+@pytest.mark.parametrize("kind", ["tcp", "rtu"])
+@pytest.mark.parametrize("delay", [1.05, 1.5, 2.5])
+async def test_a_reply_that_is_late_never_answers_the_next_request(
+    kind: str, delay: float, tmp_path: Path, free_tcp_port: int
+) -> None:
+    numbers = itertools.count()
+
+    def now_and_then(reply: bytes) -> Pieces:
+        return [(delay * TIMEOUT_s if next(numbers) % 5 == 0 else 0.0, reply)]
+
+    async with bench(kind, tmp_path, free_tcp_port) as one:
+        one.peer.spoil = now_and_then
+        await until(lambda: one.port.statistics.timeouts >= 5)
+        await one.hears(3)
+        one.check_honesty()
+        assert one.port.statistics.foreign >= 3
+
+
+@pytest.mark.parametrize("delay", [1.2, 1.8, 2.4])
+async def test_replies_that_are_always_late_are_never_taken_for_later_ones(
+    delay: float, tmp_path: Path, free_tcp_port: int
+) -> None:
+    """Each comes while the next request would be waiting, if the port did not wait for silence."""
+    async with bench("rtu", tmp_path, free_tcp_port) as one:
+        one.peer.spoil = lambda reply: [(delay * TIMEOUT_s, reply)]
+        await one.asks(2)
+        heard = len(one.ear.readings)
+        await until(lambda: one.port.statistics.timeouts >= 5)
+        assert len(one.ear.readings) <= heard + 1
+        HEALTHY(one.peer)
+        await one.hears(3)
+        one.check_honesty()
+
+
+async def test_a_drive_that_does_not_answer_is_reported_and_its_return_too(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with watched("rtu", tmp_path, free_tcp_port) as one:
+        one.peer.spoil = silence
+        await until(lambda: bool(one.ear.bus))
+        HEALTHY(one.peer)
+        await until(lambda: len(one.ear.bus) == 2)
+        down, up = one.ear.bus
+        assert down[0] is False
+        assert "no reply within 0.04 s" in down[1]
+        assert up[0] is True
+
+
+async def test_an_exception_is_named(tmp_path: Path, free_tcp_port: int) -> None:
+    async with watched("tcp", tmp_path, free_tcp_port) as one:
+        one.peer.answer = exception
+        await until(lambda: bool(one.ear.bus))
+        assert "exception reply 2 to function 4" in one.ear.bus[0][1]
+
+
+async def test_a_half_open_connection_is_given_up_and_made_anew(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with watched("tcp", tmp_path, free_tcp_port) as one:
+        assert isinstance(one.peer, TcpPeer)
+        one.peer.spoil = silence
+        await until(lambda: one.peer.connections >= 2)  # type: ignore[attr-defined]
+        assert "no reply" in one.ear.bus[0][1]
+        HEALTHY(one.peer)
+        await one.hears(3)
+        assert one.ear.bus[-1][0] is True
+        assert one.port.statistics.reconnects >= 1
+        one.check_honesty()
+
+
+async def test_a_server_that_restarts_is_found_again(tmp_path: Path, free_tcp_port: int) -> None:
+    async with watched("tcp", tmp_path, free_tcp_port) as one:
+        assert isinstance(one.peer, TcpPeer)
+        await one.peer.stop()
+        await until(lambda: bool(one.ear.bus))
+        assert one.ear.bus[0][0] is False
+        assert not one.port.send(SAFE_COMMAND)
+        heard = len(one.ear.readings)
+        await asyncio.sleep(0.1)
+        assert len(one.ear.readings) == heard
+        one.peer.writes.clear()
+        await one.peer.start()
+        await one.hears(3)
+        assert one.ear.bus[-1][0] is True
+        assert {tuple(words[:2]) for _, words in one.peer.writes} == {(0, 0)}
+        one.check_honesty()
+
+
+async def test_a_serial_adapter_that_is_pulled_and_put_back_is_found_again(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with watched("rtu", tmp_path, free_tcp_port) as one:
+        assert isinstance(one.peer, RtuPeer)
+        await one.peer.stop()
+        await until(lambda: bool(one.ear.bus))
+        assert one.ear.bus[0][0] is False
+        one.port.send(SAFE_COMMAND)
+        one.peer.writes.clear()
+        await one.peer.start()
+        await one.hears(3)
+        assert one.ear.bus[-1][0] is True
+        assert {tuple(words[:2]) for _, words in one.peer.writes} == {(0, 0)}
+        one.check_honesty()
+
+
+async def test_noise_between_the_exchanges_is_waited_out(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with watched("rtu", tmp_path, free_tcp_port) as one:
+        assert isinstance(one.peer, RtuPeer)
+        for _ in range(10):
+            one.peer.put(b"\x01\x04\x0c\x75\x30")
+            await asyncio.sleep(0.02)
+        await one.hears(3)
+        assert one.port.statistics.foreign >= 1
+        one.check_honesty()
+
+
+async def test_a_line_that_is_never_silent_gives_no_readings_and_still_takes_the_safe_command(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with watched("rtu", tmp_path, free_tcp_port) as one:
+        peer = one.peer
+        assert isinstance(peer, RtuPeer)
+
+        async def babble() -> None:
+            while True:
+                peer.put(b"\x55")
+                await asyncio.sleep(0.004)
+
+        task = asyncio.create_task(babble())
+        await until(lambda: one.port.statistics.foreign >= 10)
+        one.port.send(SAFE_COMMAND)
+        await until(lambda: one.told() == [0, 0])
+        task.cancel()
+        await one.hears(3)
+        one.check_honesty()
+
+
+async def test_a_heartbeat_may_be_slower_than_the_polls_where_that_is_said(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    slow = {"bus__heartbeat__drive": '"state"', "bus__heartbeat__drive_timeout_s": "0.4"}
+    async with bench("tcp", tmp_path, free_tcp_port, **slow) as one:
+        one.peer.state = 7
+        await one.hears(4)
+        await until(lambda: one.port.statistics.counter_stuck >= 2)
+        heard = len(one.ear.readings)
+        one.peer.state = 8
+        await one.hears(2)
+        assert len(one.ear.readings) >= heard + 2

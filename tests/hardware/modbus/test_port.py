@@ -1,0 +1,150 @@
+"""The port against a drive that answers as it should."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.errors import BusError
+from tests.hardware.modbus.bench import (
+    FUNCTION_23,
+    RUN,
+    Ear,
+    TcpPeer,
+    bench,
+    build,
+    serial,
+    until,
+)
+
+both = pytest.mark.parametrize("kind", ["tcp", "rtu"])
+
+
+@both
+async def test_a_reading_holds_what_the_drive_measured(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with bench(kind, tmp_path, free_tcp_port) as one:
+        await one.hears(5)
+        one.check_honesty()
+        reading = one.ear.readings[-1]
+        assert reading.boost_voltage_V == pytest.approx(300.12)
+        assert reading.line_voltage_V == pytest.approx(120.4)
+        assert reading.output == 3.25
+        assert (reading.counter, reading.fault, reading.bridge) == (None, 0, False)
+        assert one.ear.bus == []
+
+
+@both
+async def test_whoever_only_listens_writes_nothing(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    for changes in ({}, FUNCTION_23):
+        async with bench(kind, tmp_path, free_tcp_port, **changes) as one:
+            await one.hears(3)
+        assert one.peer.writes == []
+
+
+@both
+async def test_the_newest_command_goes_out_with_each_poll_and_a_heartbeat(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with bench(kind, tmp_path, free_tcp_port) as one:
+        for voltage in (250.0, 260.0, 287.65):
+            assert one.port.send(Command(0.0, voltage, bridge=True))
+        await until(lambda: len(one.peer.writes) >= 4)
+    addresses = {address for address, _ in one.peer.writes}
+    assert addresses == {0}
+    assert [words[:2] for _, words in one.peer.writes[:4]] == [[28765, 1]] * 4
+    beats = [words[2] for _, words in one.peer.writes]
+    assert beats == list(range(beats[0], beats[0] + len(beats)))
+    assert one.port.statistics.send_drops == 0
+
+
+@both
+async def test_function_23_carries_both_ways_and_a_new_command_does_not_wait(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with bench(kind, tmp_path, free_tcp_port, **FUNCTION_23) as one:
+        one.port.send(RUN)
+        await until(lambda: bool(one.peer.writes))
+        known = len(one.peer.requests)
+        await one.hears(5)
+        assert {request[0] for request in one.peer.requests[known:]} == {23}
+        one.check_honesty()
+        told = Command(0.0, 290.0, bridge=True)
+        one.port.send(told)
+        await one.asks(3)
+        assert one.told() == [29000, 1]
+
+
+@both
+async def test_the_safe_command_does_not_wait_for_the_next_poll(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    slow = {
+        "bus__poll_ticks": "120",
+        "load__latency_ticks": "120",
+        "load__period_s": "2.0",
+        "interlocks__stale_s": "2.0",
+    }
+    async with bench(kind, tmp_path, free_tcp_port, **slow) as one:
+        one.port.send(RUN)
+        await until(lambda: bool(one.peer.writes))
+        await one.hears(1)
+        await until(lambda: one.port.statistics.sent >= 2)
+        polled = len(one.ear.readings)
+        one.port.send(SAFE_COMMAND)
+        await until(lambda: one.told() == [0, 0])
+        assert len(one.ear.readings) == polled
+        one.port.send(SAFE_COMMAND)
+        writes = len(one.peer.writes)
+        await one.hears(1)
+        assert len(one.peer.writes) <= writes + 1
+
+
+@both
+async def test_a_port_that_is_closed_leaves_the_drive_safe(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with bench(kind, tmp_path, free_tcp_port) as one:
+        one.port.send(RUN)
+        await until(lambda: bool(one.peer.writes))
+    assert one.told() == [0, 0]
+
+
+@both
+async def test_what_a_register_cannot_hold_is_not_sent(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with bench(kind, tmp_path, free_tcp_port) as one:
+        for voltage in (float("nan"), -1.0, 700.0):
+            with pytest.raises(ValueError, match=r"outside|cannot hold"):
+                one.port.send(Command(0.0, voltage, bridge=True))
+        await one.hears(3)
+        assert one.peer.writes == []
+
+
+async def test_a_serial_port_that_is_not_there_ends_the_start(tmp_path: Path) -> None:
+    port = build(**serial(tmp_path / "none"))
+    with pytest.raises(BusError, match="no such serial port"):
+        await port.run(Ear(), lambda: None)
+
+
+async def test_a_drive_on_tcp_that_is_switched_off_is_waited_for(free_tcp_port: int) -> None:
+    port, peer, ear = build(bus__port=str(free_tcp_port)), TcpPeer(free_tcp_port), Ear()
+    opened: list[bool] = []
+    task = asyncio.create_task(port.run(ear, lambda: opened.append(True)))
+    await until(lambda: bool(ear.bus))
+    assert opened == [True]
+    assert ear.bus[0][0] is False
+    assert not port.send(RUN)
+    await peer.start()
+    await until(lambda: bool(ear.readings))
+    assert ear.bus[-1][0] is True
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+    await peer.stop()
