@@ -12,6 +12,7 @@ from adaptdrive_sim.demo.record import Mark, Point
 
 REFERENCE_STYLE = "bright_black"
 CONTROLLER_STYLES = {"fixed": "yellow", "adaptive": "green"}
+OFF_STYLE = "red"
 AXIS_STYLE = "bright_black"
 MARK_STYLE = "magenta"
 
@@ -106,7 +107,8 @@ def plot(
     frame = Frame(now_s, window_s, *_range(shown), columns, rows)
     canvas = Canvas(columns, rows)
     _trace(canvas, frame, [(p.time_s, p.reference, REFERENCE_STYLE) for p in shown])
-    _trace(canvas, frame, [(p.time_s, p.output, CONTROLLER_STYLES[p.controller]) for p in shown])
+    speeds = [(p.time_s, p.output, CONTROLLER_STYLES.get(p.controller, OFF_STYLE)) for p in shown]
+    _trace(canvas, frame, speeds)
     references = [reference for reference, _ in groupby(p.reference for p in shown)]
     labels = _labels(frame, references[-_LEVELS:])
     labelled = [

@@ -20,7 +20,11 @@ Clock = Callable[[], float]
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """Speed and reference at one time, in tachometer volts, and the controller in force."""
+    """Speed and reference at one time, in tachometer volts.
+
+    Attributes:
+        controller: The controller in force, `off` when there is none.
+    """
 
     time_s: float
     reference: float
@@ -135,9 +139,10 @@ class Record:
         self.last = Counts(now_s, drive.ticks, drive.missed, drive.held)
         if drive.lateness_us.max is not None:
             self.lateness.append(drive.lateness_us)
-        if drive.output is not None and self.load is not None and self.running:
-            load = self.load
-            self.trace.append(Point(now_s, load.reference, drive.output, load.controller))
+        if drive.output is not None and self.load is not None:
+            controller = self.load.controller if self.running else "off"
+            point = Point(now_s, self.load.reference, drive.output, controller)
+            self.trace.append(point)
 
     def hear_load(self, load: heard.Load) -> None:
         """Take a slow period."""

@@ -79,7 +79,13 @@ def _header(record: Record, around: Surroundings) -> Text:
     line.append(f"   {_elapsed(record, around)}", _DIM)
     if not record.connected:
         line.append("   broker not heard", "bold red")
-    return Text("\n").join([_cut(line), _cut(Text(f" {record.caption}", "italic"))])
+    return Text("\n").join([_cut(line), _cut(Text(f" {_caption(record)}", "italic"))])
+
+
+def _caption(record: Record) -> str:
+    if record.state is not None and record.state.trip is not None:
+        return f"The drive is safe. adaptdrive reset {DRIVE}, then enable {DRIVE}, starts it again."
+    return record.caption
 
 
 def _controller(controller: str, mode: str, reason: str, trip: str | None) -> Text:
@@ -159,8 +165,8 @@ def _drive(record: Record, *, wide: bool) -> Table:
     voltage = known(drive.boost_voltage_V) if drive else math.nan
     asked = load.boost_reference_V if load else math.nan
     table.add_row("V_c / v_bst", f"{_number(asked, 0)} / {_number(voltage, 0)} V")
-    table.add_row("late p50/p99/max" if wide else "late", _lateness(record.lateness))
-    table.add_row("missed, held", _losses(record, wide=wide))
+    table.add_row("late p50/p99/max, ms" if wide else "late, ms", _lateness(record.lateness))
+    table.add_row("missed/held", _losses(record, wide=wide))
     return table
 
 
@@ -173,7 +179,7 @@ def _lateness(reports: Sequence[Quantiles]) -> str:
     # A report covers about a dozen ticks: the 99th percentile of them all is among the maxima.
     p99 = worst[int(0.88 * (len(worst) - 1))]
     times = (middles[len(middles) // 2], p99, worst[-1])
-    return "/".join(f"{time_us / 1e3:.1f}" for time_us in times) + " ms"
+    return "/".join(f"{time_us / 1e3:.1f}" for time_us in times)
 
 
 def _losses(record: Record, *, wide: bool) -> str:
@@ -182,7 +188,7 @@ def _losses(record: Record, *, wide: bool) -> str:
     if counts is None:
         return "–"
     whole = f" of {counts.ticks}" if wide else ""
-    return f"{counts.missed}, {counts.held}{whole}"
+    return f"{counts.missed}/{counts.held}{whole}"
 
 
 def _estimates(record: Record, *, wide: bool) -> Table:

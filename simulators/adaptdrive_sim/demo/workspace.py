@@ -16,6 +16,9 @@ from adaptdrive_sim.demo.toml_text import toml_text
 
 LEARN_AFTER_s = 10.0
 WARM_UP_s = 40.0
+STALE_s = 0.2
+"""A busy desktop may keep a process waiting for longer than a drive in service should wait."""
+
 _HEAD = "# Written by `adaptdrive-sim demo`. The commented original is in deploy/examples.\n\n"
 
 
@@ -95,7 +98,10 @@ def _configured(
         "bus": {**bus.section, "database": workspace.database.name},
         "mqtt": {"host": broker.host, "port": broker.port},
         "recording": {"directory": str(workspace.sessions)},
-        "estimator": {"settle_s": LEARN_AFTER_s},
+        # No torque but friction brakes the shaft. A constant that need not be learned leaves the
+        # estimator free to follow disks that come every half minute.
+        "estimator": {"settle_s": LEARN_AFTER_s, "bias": False},
+        "interlocks": {"stale_s": STALE_s},
         "supervisor": {"warm_up_s": WARM_UP_s},
     }
     return document | {
