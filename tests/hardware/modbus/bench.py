@@ -94,13 +94,14 @@ class Peer:
             address, count = struct.unpack(">HH", request[1:5])
             return self.answer(self._registers(function, address, count))
         if function == 16:
-            self._write(*struct.unpack(">HHB", request[1:6]), request[6:])
+            self._write(request[1:6], request[6:])
             return self.answer(request[:5])
         address, count = struct.unpack(">HH", request[1:5])
-        self._write(*struct.unpack(">HHB", request[5:10]), request[10:])
+        self._write(request[5:10], request[10:])
         return self.answer(self._registers(function, address, count))
 
-    def _write(self, address: int, count: int, length: int, data: bytes) -> None:
+    def _write(self, head: bytes, data: bytes) -> None:
+        address, count, length = struct.unpack(">HHB", head)
         assert (length, len(data)) == (2 * count, 2 * count)
         self.writes.append((address, list(struct.unpack(f">{count}H", data))))
 

@@ -1,0 +1,269 @@
+"""The simulated drive in its own process: as mbpoll sees it, and as the daemon drives it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import paho.mqtt.client as mqtt
+import pytest
+
+from tests.support import Broker, Process, Spawn
+
+EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
+PATIENCE_s = 60.0
+MBPOLL = shutil.which("mbpoll")
+needs_mbpoll = pytest.mark.skipif(MBPOLL is None, reason="mbpoll is not installed")
+_LINE = re.compile(r"^\[(\d+)\]:\s+(-?\d+)", re.MULTILINE)
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """A configuration of its own for a test.
+
+    Attributes:
+        kind: `tcp` or `rtu`.
+        config: The configuration's file.
+        link: How mbpoll reaches the drive.
+        log: Output of the drive's process.
+    """
+
+    kind: str
+    config: Path
+    link: tuple[str, ...]
+    target: str
+    log: Path
+
+    def mbpoll(self, *words: str, values: Sequence[int] = ()) -> dict[int, int]:
+        """Run mbpoll once; the registers that it shows, by zero-based address."""
+        assert MBPOLL is not None
+        command = [MBPOLL, *self.link, "-a", "1", "-0", "-1", *words, self.target]
+        done = subprocess.run(
+            [*command, *(str(value) for value in values)],
+            check=False,
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE_s,
+        )
+        assert done.returncode == 0, done.stderr
+        assert "failed" not in done.stderr, done.stderr
+        return {int(address): int(word) for address, word in _LINE.findall(done.stdout)}
+
+
+@pytest.fixture(params=["tcp", "rtu"])
+def site(request: pytest.FixtureRequest, tmp_path: Path, free_tcp_port: int) -> Site:
+    """The example of each kind, on a link of its own."""
+    kind = str(request.param)
+    text = (EXAMPLES / f"motor-modbus-{kind}.toml").read_text()
+    config = tmp_path / "motor.toml"
+    config.write_text(text.replace("port = 5020", f"port = {free_tcp_port}"))
+    log = tmp_path / "process-0.log"
+    if kind == "tcp":
+        return Site(kind, config, ("-m", "tcp", "-p", str(free_tcp_port)), "127.0.0.1", log)
+    link = ("-m", "rtu", "-b", "19200", "-P", "none", "-s", "2")
+    return Site(kind, config, link, str(tmp_path / "motor.tty"), log)
+
+
+def start_drive(site: Site, spawn: Spawn, *options: str) -> Process:
+    """Start the simulated drive and wait until it serves."""
+    command = (sys.executable, "-m", "adaptdrive_sim", "device", site.config, *options)
+    process = spawn(*command)
+    wait_for(lambda: "simulated drive motor on modbus-" in site.log.read_text())
+    return process
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE_s
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def value(site: Site, name: str, words: dict[int, int]) -> float:
+    """What the documented map says that mbpoll's registers mean."""
+    big = {"boost": 16, "line": 17, "speed": 19, "status": 21, "beat": 23}
+    small = {"boost": 0, "line": 1, "speed": 4, "status": 6, "beat": 8}
+    address = (big if site.kind == "tcp" else small)[name]
+    word = words[address] & 0xFFFF
+    match name:
+        case "boost":
+            return word * 0.01
+        case "line":
+            return word * 0.1
+        case "speed":
+            other = words[address + 1] & 0xFFFF
+            if site.kind == "tcp":
+                return float(struct.unpack(">i", struct.pack(">HH", word, other))[0]) * 1e-6
+            return float(struct.unpack(">f", struct.pack(">HH", other, word))[0])
+    return float(word)
+
+
+def measured(site: Site) -> dict[int, int]:
+    if site.kind == "tcp":
+        return site.mbpoll("-t", "4", "-r", "16", "-c", "8")
+    return site.mbpoll("-t", "3", "-r", "0", "-c", "9")
+
+
+@needs_mbpoll
+def test_mbpoll_sees_the_documented_map(site: Site, spawn: Spawn) -> None:
+    start_drive(site, spawn, "--initial-voltage", "300")
+    first, second = measured(site), measured(site)
+    assert value(site, "boost", first) == pytest.approx(300.0, abs=0.1)
+    assert value(site, "line", first) == pytest.approx(120.0, abs=0.1)
+    assert value(site, "speed", first) == pytest.approx(0.011 * 300.0, rel=0.05)
+    assert value(site, "status", first) == 0
+    assert value(site, "beat", second) > value(site, "beat", first)
+
+
+@needs_mbpoll
+def test_mbpoll_commands_the_drive_which_holds_its_own_voltage(site: Site, spawn: Spawn) -> None:
+    start_drive(site, spawn)
+    reached = 0.0
+    for beat in range(1, 40):
+        site.mbpoll("-t", "4", "-r", "0", values=(25000, 1, beat))
+        words = measured(site)
+        reached = value(site, "boost", words)
+        if reached > 240.0 and value(site, "status", words) == 1:
+            break
+    assert reached > 240.0
+    kept = site.mbpoll("-t", "4", "-r", "0", "-c", "3")
+    assert (kept[0], kept[1]) == (25000, 1)
+    wait_for(lambda: value(site, "status", measured(site)) == 0)  # nobody commands it any more
+    assert '"reason": "command timeout"' in site.log.read_text()
+
+
+@needs_mbpoll
+def test_a_command_whose_heartbeat_stands_still_is_not_obeyed(site: Site, spawn: Spawn) -> None:
+    start_drive(site, spawn)
+    for _ in range(6):
+        site.mbpoll("-t", "4", "-r", "0", values=(25000, 1, 7))
+    wait_for(lambda: value(site, "status", measured(site)) == 0)
+    assert '"reason": "counter_stuck"' in site.log.read_text()
+
+
+@needs_mbpoll
+def test_a_value_out_of_range_is_answered_with_an_exception(site: Site, spawn: Spawn) -> None:
+    start_drive(site, spawn)
+    with pytest.raises(AssertionError, match="Illegal data value"):
+        site.mbpoll("-t", "4", "-r", "0", values=(65000, 1, 1))
+
+
+class Operator:
+    """An operator on the broker, made from paho alone."""
+
+    def __init__(self, broker: Broker, drive: str) -> None:
+        self.messages: dict[str, dict[str, object]] = {}
+        self._drive = drive
+        self._client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+        self._client.on_message = self._hear
+        self._client.connect(broker.host, broker.port)
+        self._client.subscribe(f"adaptdrive/{drive}/#", qos=1)
+        self._client.loop_start()
+        self._number = 0
+
+    def close(self) -> None:
+        self._client.loop_stop()
+        self._client.disconnect()
+
+    def ask(self, verb: str, asked: object = None) -> None:
+        """Ask for something, and be answered."""
+        self._number += 1
+        name = f"{self._drive}-{self._number}"
+        payload = {"id": name} if asked is None else {"id": name, "value": asked}
+        self._client.publish(
+            f"adaptdrive/{self._drive}/command/{verb}", json.dumps(payload), qos=1
+        ).wait_for_publish(PATIENCE_s)
+        wait_for(lambda: self.messages.get("reply", {}).get("id") == name)
+        assert self.messages["reply"]["accepted"], self.messages["reply"]
+
+    def state(self) -> object:
+        return self.messages.get("state", {}).get("state")
+
+    def drive(self, name: str) -> float:
+        found = self.messages.get("telemetry/drive", {}).get(name)
+        return float(found) if isinstance(found, int | float) else float("nan")
+
+    def _hear(self, _: object, __: object, message: mqtt.MQTTMessage) -> None:
+        if message.payload.startswith(b"{"):
+            name = message.topic.removeprefix(f"adaptdrive/{self._drive}/")
+            self.messages[name] = json.loads(message.payload)
+
+
+@pytest.fixture
+def operator(site: Site, mosquitto: Broker, tmp_path: Path) -> Iterator[Operator]:
+    """An operator of the site's drive, which has a name of its own on the broker."""
+    name = f"modbus-{site.kind}-{tmp_path.name[-8:]}"
+    name = re.sub(r"[^A-Za-z0-9_-]", "-", name)
+    text = site.config.read_text().replace('name = "motor"', f'name = "{name}"')
+    text = text.replace("port = 1883", f"port = {mosquitto.port}")
+    text += "\n[recording]\nenabled = false\n"
+    site.config.write_text(text)
+    one = Operator(mosquitto, name)
+    yield one
+    one.close()
+
+
+def start_daemon(site: Site, spawn: Spawn, folder: Path) -> Process:
+    return spawn("env", f"STATE_DIRECTORY={folder}", sys.executable, "-c", _RUN, site.config)
+
+
+_RUN = "import sys; from adaptdrive.cli import main; sys.argv[1:1] = ['run']; main()"
+
+
+@pytest.mark.slow
+def test_the_daemon_holds_the_motor_and_survives_its_drive(
+    site: Site, spawn: Spawn, operator: Operator, tmp_path: Path
+) -> None:
+    name = operator._drive
+    spawn(sys.executable, "-m", "adaptdrive_sim", "device", site.config, "--initial-voltage", "273")
+    wait_for(lambda: f"simulated drive {name} on modbus-" in site.log.read_text())
+    daemon = start_daemon(site, spawn, tmp_path / "state")
+    wait_for(lambda: operator.drive("ticks") > 5)
+    operator.ask("enable")
+    wait_for(lambda: operator.state() == "running")
+    operator.ask("setpoint", 3.0)
+    wait_for(lambda: abs(operator.drive("boost_voltage_V") - 273.0) < 15.0)
+    started = time.monotonic()
+    held = []
+    while time.monotonic() - started < 20.0:
+        time.sleep(0.5)
+        held.append(operator.drive("output"))
+    assert held[-1] == pytest.approx(3.0, abs=0.03)
+    assert operator.state() == "running"
+    daemon.terminate()
+    assert daemon.wait(PATIENCE_s) == 0
+    log = site.log.read_text()
+    assert "Traceback" not in (tmp_path / "process-1.log").read_text()
+    assert "Traceback" not in log
+
+
+@pytest.mark.slow
+def test_a_drive_that_dies_trips_the_daemon_and_its_return_lets_it_be_reset(
+    site: Site, spawn: Spawn, operator: Operator, tmp_path: Path
+) -> None:
+    name = operator._drive
+    command = (sys.executable, "-m", "adaptdrive_sim", "device", site.config)
+    drive = spawn(*command, "--initial-voltage", "273")
+    wait_for(lambda: f"simulated drive {name} on modbus-" in site.log.read_text())
+    start_daemon(site, spawn, tmp_path / "state")
+    wait_for(lambda: operator.drive("ticks") > 5)
+    operator.ask("enable")
+    wait_for(lambda: operator.state() == "running")
+    drive.terminate()
+    assert drive.wait(PATIENCE_s) == 0
+    wait_for(lambda: operator.state() == "tripped")
+    assert "stale" in str(operator.messages["state"]["trip"])
+    spawn(*command)
+    wait_for(lambda: operator.drive("age_s") < 0.3)
+    operator.ask("reset")
+    wait_for(lambda: operator.state() == "standby")
+    operator.ask("enable")
+    wait_for(lambda: operator.state() == "running")
