@@ -15,6 +15,7 @@ from pathlib import Path
 
 import paho.mqtt.client as mqtt
 import pytest
+from paho.mqtt.enums import CallbackAPIVersion
 
 from tests.support import Broker, Process, Spawn
 
@@ -74,8 +75,7 @@ def site(request: pytest.FixtureRequest, tmp_path: Path, free_tcp_port: int) -> 
 
 def start_drive(site: Site, spawn: Spawn, *options: str) -> Process:
     """Start the simulated drive and wait until it serves."""
-    command = (sys.executable, "-m", "adaptdrive_sim", "device", site.config, *options)
-    process = spawn(*command)
+    process = spawn(sys.executable, "-m", "adaptdrive_sim", "device", site.config, *options)
     wait_for(lambda: "simulated drive motor on modbus-" in site.log.read_text())
     return process
 
@@ -162,7 +162,7 @@ class Operator:
     def __init__(self, broker: Broker, drive: str) -> None:
         self.messages: dict[str, dict[str, object]] = {}
         self._drive = drive
-        self._client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+        self._client = mqtt.Client(CallbackAPIVersion.VERSION2)
         self._client.on_message = self._hear
         self._client.connect(broker.host, broker.port)
         self._client.subscribe(f"adaptdrive/{drive}/#", qos=1)

@@ -1,0 +1,54 @@
+"""What the manual shows is valid, and fits on the links that it names."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.config import load_configuration
+from adaptdrive.config.bus import CanBus
+from adaptdrive.config.modbus import ModbusRtu
+from adaptdrive.config.references import modbus_flaws
+from adaptdrive.hardware.modbus.blocks import plan_blocks
+from adaptdrive.hardware.modbus.capacity import Exchange, capacity_flaws, exchange_bytes, exchange_s
+from adaptdrive.hardware.modbus.mapping import map_drive
+
+ROOT = Path(__file__).parents[3]
+PAGE = (ROOT / "docs" / "hardware.md").read_text(encoding="utf-8")
+BLOCKS = [tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)]
+HALF_CYCLE_s = 1.0 / 120.0
+
+
+@pytest.mark.parametrize("tables", BLOCKS, ids=range(len(BLOCKS)))
+def test_every_map_is_valid_and_can_be_polled(tables: dict[str, dict[str, object]]) -> None:
+    bus = ModbusRtu.model_validate(tables["bus"])
+    blocks = plan_blocks(bus.registers.values(), bus.max_gap, bus.max_block)
+    exchanges = [Exchange(read=block) for block in blocks]
+    assert list(capacity_flaws(bus, exchanges, HALF_CYCLE_s)) == []
+    for name in tables.get("signals", {}).values():
+        assert isinstance(name, dict) or name in bus.registers
+
+
+def test_a_map_of_the_page_has_no_flaw_with_its_signals() -> None:
+    whole = load_configuration(ROOT / "deploy" / "examples" / "motor-modbus-rtu.toml")
+    tables = next(tables for tables in BLOCKS if "signals" in tables)
+    signals = type(whole.signals).model_validate(tables["signals"])
+    bus = ModbusRtu.model_validate(tables["bus"])
+    assert list(modbus_flaws(bus, signals)) == []
+    assert len(map_drive(bus, signals, HALF_CYCLE_s).writes) == 2
+
+
+@pytest.mark.parametrize("kind", ["tcp", "rtu"])
+def test_the_figures_of_the_examples_are_those_of_the_page(kind: str) -> None:
+    name = f"motor-modbus-{kind}.toml"
+    whole = load_configuration(ROOT / "deploy" / "examples" / name)
+    assert not isinstance(whole.bus, CanBus)
+    exchanges = list(map_drive(whole.bus, whole.signals, HALF_CYCLE_s).exchanges())
+    total = sum(exchange_bytes(whole.bus, exchange) for exchange in exchanges)
+    time_ms = 1e3 * sum(exchange_s(whole.bus, exchange) for exchange in exchanges)
+    row = next(line for line in PAGE.splitlines() if line.startswith(f"| `{name}`"))
+    assert f"{len(exchanges)} exchanges, {total} bytes" in row
+    assert f"{time_ms:.0f} ms" in row
