@@ -146,15 +146,17 @@ class World:
         Returns:
             The frame at the end of the half cycle.
         """
+        disturbance = 0.0 if self._draws is None else next(self._draws)
+        return self.step_disturbed(current_scale_S, bridge, disturbance)
+
+    def step_disturbed(self, current_scale_S: float, bridge: bool, disturbance: float) -> Sample:
+        """Run one half cycle like `step`, with a given measurement noise."""
         line, boost = self.line, self.boost
         line.advance()
         duration_s = line.half_cycle_s
         boost_V = self._run(line.voltage_V, duration_s)
         if self.parameters.sampling_phase_rad:
             boost_V += boost.ripple_V(self.parameters.sampling_phase_rad, duration_s)
-        output = self.load.output
-        if self._draws is not None:
-            output += next(self._draws)
         self.tick += 1
         self.current_scale_S = current_scale_S
         self.bridge = bridge
@@ -164,7 +166,7 @@ class World:
             boost_V,
             line.voltage_V,
             boost.mean_load_W,
-            output,
+            self.load.output + disturbance,
             self.load_current_A,
         )
 

@@ -5,9 +5,10 @@ State x = v_bst², for which the stage is linear in its command:
     dx/dt = (2/C)·(k·V_rms² − v·i_boost(v)),   i_boost(v) = G·v − H
 
 k is the line-current scale (line current over line voltage). One call integrates one half line
-cycle, averaged over the line: two fourth-order Runge-Kutta steps, since the load's 2G/C is about
-31 1/s. The 120 Hz ripple that averaging removes comes back as an analytic term: with the input
-power P·(1 − cos 2ωt), v carries −P·sin(2ωt)/(2·C·ω·v), which vanishes at the zero crossing.
+cycle, averaged over the line: one fourth-order Runge-Kutta step, since the load's 2G/C is only
+about 31 1/s, with the cubic through both ends for the middle. The 120 Hz ripple that averaging
+removes comes back as an analytic term: with the input power P·(1 − cos 2ωt), v carries
+−P·sin(2ωt)/(2·C·ω·v), which vanishes at the zero crossing.
 
 While the line is on, the rectifier's diodes do not let v fall below the line's peak; a capacitor
 below it is charged towards it through the precharge resistor.
@@ -88,12 +89,11 @@ class Boost:
         if supply_W < 0.0 and self._lowest == 0.0:
             supply_W = 0.0
         first = self.squared_V2
-        step_s = 0.5 * duration_s
-        middle = self._integrate(first, supply_W, conductance_S, offset_A, step_s)
-        last = self._integrate(middle, supply_W, conductance_S, offset_A, step_s)
+        middle, last = self._integrate(first, supply_W, conductance_S, offset_A, duration_s)
         load_W = supply_W - (last - first) / (self._rate * duration_s)
         floor = 2.0 * squared_line
-        if last < floor and (held := self._rectified(first, floor, duration_s)) > last:
+        held = self._rectified(first, floor, duration_s) if last < floor else last
+        if held > last:
             last, middle = held, 0.5 * (first + held)
             mean_V = math.sqrt(middle)
             load_W = mean_V * max(self._lowest, conductance_S * mean_V - offset_A)
@@ -112,22 +112,30 @@ class Boost:
 
     def _integrate(
         self, x: float, supply_W: float, conductance_S: float, offset_A: float, step_s: float
-    ) -> float:
-        """One Runge-Kutta step of x, written out because every half cycle runs it twice."""
-        sqrt, lowest, rate = math.sqrt, self._lowest, self._rate
+    ) -> tuple[float, float]:
+        """x in the middle and at the end of a step; written out, as every half cycle runs it."""
+        sqrt, lowest = math.sqrt, self._lowest
+        whole = self._rate * step_s
+        half = 0.5 * whole
+        supplied = half * supply_W
         v = sqrt(x)
         i = conductance_S * v - offset_A
-        k1 = rate * (supply_W - v * (i if i > lowest else lowest))
-        v = sqrt(abs(x + 0.5 * step_s * k1))
+        p1 = v * (i if i > lowest else lowest)
+        v = sqrt(abs(x + supplied - half * p1))
         i = conductance_S * v - offset_A
-        k2 = rate * (supply_W - v * (i if i > lowest else lowest))
-        v = sqrt(abs(x + 0.5 * step_s * k2))
+        p2 = v * (i if i > lowest else lowest)
+        v = sqrt(abs(x + supplied - half * p2))
         i = conductance_S * v - offset_A
-        k3 = rate * (supply_W - v * (i if i > lowest else lowest))
-        v = sqrt(abs(x + step_s * k3))
+        p3 = v * (i if i > lowest else lowest)
+        v = sqrt(abs(x + 2.0 * supplied - whole * p3))
         i = conductance_S * v - offset_A
-        k4 = rate * (supply_W - v * (i if i > lowest else lowest))
-        return max(0.0, x + step_s / 6.0 * (k1 + 2.0 * (k2 + k3) + k4))
+        p4 = v * (i if i > lowest else lowest)
+        drawn_W = (p1 + 2.0 * (p2 + p3) + p4) / 6.0
+        last = max(0.0, x + whole * (supply_W - drawn_W))
+        v = sqrt(last)
+        i = conductance_S * v - offset_A
+        p5 = v * (i if i > lowest else lowest)
+        return max(0.0, 0.5 * (x + last) + 0.125 * whole * (p5 - p1)), last
 
     def _rectified(self, first: float, floor: float, duration_s: float) -> float:
         """Where the diodes keep x: at the line's peak, or on the way there from below."""

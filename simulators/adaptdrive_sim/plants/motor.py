@@ -60,8 +60,9 @@ class Motor:
         self.output = 0.0
         self._torque_Nm = 0.0
         self._disks = 1
-        self._driven = _NO_STEP
-        self._coasting = _NO_STEP
+        self._inertia_kgm2 = parameters.disk_kgm2
+        self._driven = _Step()
+        self._coasting = _Step()
         self.disks = disks
 
     @property
@@ -80,12 +81,18 @@ class Motor:
         if self.parameters.dropped_at_rest and disks > self._disks:
             self.speed_rad_s *= self._disks / disks
         self._disks = disks
-        self._driven = self._coasting = _NO_STEP
+        self.set_inertia(self.parameters.disk_kgm2 * disks)
 
     @property
     def inertia_kgm2(self) -> float:
         """Inertia of the shaft with its disks, J."""
-        return self.parameters.disk_kgm2 * self._disks
+        return self._inertia_kgm2
+
+    def set_inertia(self, inertia_kgm2: float) -> None:
+        """Turn any inertia in place of the disks; the speed stays."""
+        self._inertia_kgm2 = inertia_kgm2
+        self._driven.forget()
+        self._coasting.forget()
 
     @property
     def torque_Nm(self) -> float:
@@ -101,7 +108,7 @@ class Motor:
         """Advance while a constant voltage behind a resistance feeds the armature."""
         step = self._driven
         if step.duration_s != duration_s or step.source_Ohm != source_Ohm:
-            step = self._driven = self._step(self._damping(source_Ohm), source_Ohm, duration_s)
+            self._tune(step, self._damping(source_Ohm), source_Ohm, duration_s)
         constant = self.parameters.constant_Vs
         per_Ohm = 1.0 / (source_Ohm + self.resistance_Ohm)
         torque_Nm = constant * per_Ohm * source_V - self._torque_Nm
@@ -111,8 +118,7 @@ class Motor:
         """Advance with the armature open: friction and load torque alone act."""
         step = self._coasting
         if step.duration_s != duration_s:
-            friction = self.parameters.friction_Nms
-            step = self._coasting = self._step(friction, math.inf, duration_s)
+            self._tune(step, self.parameters.friction_Nms, math.inf, duration_s)
         self._advance(step, -self._torque_Nm)
 
     def settle(self, source_V: float, source_Ohm: float) -> None:
@@ -153,9 +159,9 @@ class Motor:
             source_Ohm + self.resistance_Ohm
         )
 
-    def _step(self, damping: float, source_Ohm: float, duration_s: float) -> _Step:
+    def _tune(self, step: _Step, damping: float, source_Ohm: float, duration_s: float) -> None:
         rate = damping / self.inertia_kgm2
-        return _Step.of(rate, damping, self.parameters.filter_s, source_Ohm, duration_s)
+        step.tune(rate, damping, self.parameters.filter_s, source_Ohm, duration_s)
 
     def _advance(self, step: _Step, torque_Nm: float) -> float:
         """Advance under a constant torque; the mean speed over the step is returned."""
@@ -181,12 +187,12 @@ class Motor:
         return mean
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Step:
     """What one step of given length does to shaft and filter.
 
     Attributes:
-        duration_s: Length of the step.
+        duration_s: Length of the step; NaN before it is known.
         source_Ohm: Source resistance it was made for.
         damping: Torque per speed.
         decay: What is left of a speed excess at the end.
@@ -195,36 +201,32 @@ class _Step:
         filter_share: What a speed excess at the start adds to the output at the end.
     """
 
-    duration_s: float
-    source_Ohm: float
-    damping: float
-    decay: float
-    mean: float
-    filter_decay: float
-    filter_share: float
+    duration_s: float = math.nan
+    source_Ohm: float = math.nan
+    damping: float = 0.0
+    decay: float = 0.0
+    mean: float = 0.0
+    filter_decay: float = 0.0
+    filter_share: float = 0.0
 
-    @staticmethod
-    def of(
-        rate: float, damping: float, filter_s: float, source_Ohm: float, duration_s: float
-    ) -> _Step:
+    def forget(self) -> None:
+        """Have it worked out again before it is used."""
+        self.duration_s = math.nan
+
+    def tune(
+        self, rate: float, damping: float, filter_s: float, source_Ohm: float, duration_s: float
+    ) -> None:
         """Work out the step of a shaft that decays at `rate` (1/s)."""
         angle = rate * duration_s
         half_gap = 0.5 * (duration_s / filter_s - angle)
         middle = math.exp(-0.5 * (duration_s / filter_s + angle))
-        return _Step(
-            duration_s=duration_s,
-            source_Ohm=source_Ohm,
-            damping=damping,
-            decay=math.exp(-angle),
-            mean=-math.expm1(-angle) / angle if angle else 1.0,
-            filter_decay=math.exp(-duration_s / filter_s),
-            filter_share=duration_s / filter_s * middle * _sinhc(half_gap),
-        )
+        self.duration_s, self.source_Ohm, self.damping = duration_s, source_Ohm, damping
+        self.decay = math.exp(-angle)
+        self.mean = -math.expm1(-angle) / angle if angle else 1.0
+        self.filter_decay = math.exp(-duration_s / filter_s)
+        self.filter_share = duration_s / filter_s * middle * _sinhc(half_gap)
 
 
 def _sinhc(z: float) -> float:
     """sinh(z)/z, also at 0, where shaft and filter have the same time constant."""
     return math.sinh(z) / z if abs(z) > 1e-4 else 1.0 + z * z / 6.0
-
-
-_NO_STEP = _Step(math.nan, math.nan, 0.0, 0.0, 0.0, 0.0, 0.0)
