@@ -19,7 +19,8 @@ DRIFT = 3.0
 LARGEST = 20.0
 THRESHOLD = 25.0
 SETTLE_PERIODS = 40
-HOLD_PERIODS = 60
+HOLD_PERIODS = 45
+SOON_PERIODS = 10
 
 _FLOOR = 1.0e-8
 _FAST_RATE = 0.1
@@ -72,7 +73,7 @@ def is_surprising(state: Surprise, squared: float) -> bool:
     if state.sum <= THRESHOLD or state.held_periods > 0:
         return False
     state.sum = 0.0
-    state.repeated = state.alarms > 0 and state.calm_periods <= 2 * HOLD_PERIODS
+    state.repeated = state.alarms > 0 and state.calm_periods <= HOLD_PERIODS + SOON_PERIODS
     state.held_periods = HOLD_PERIODS
     state.calm_periods = 0
     state.alarms += 1
