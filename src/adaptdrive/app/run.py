@@ -12,6 +12,7 @@ from pathlib import Path
 from adaptdrive import __version__
 from adaptdrive.app.log import log_events, set_up_logging
 from adaptdrive.app.ports import build_port
+from adaptdrive.app.realtime import choose_loop, prepare
 from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.controller import Controller
@@ -21,6 +22,7 @@ from adaptdrive.recording.recorder import Feed, Pace, Recorder
 from adaptdrive.recording.session import SessionInfo, create_session, sessions_directory
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub, Subscription
+from adaptdrive.runtime.realtime import Grant, thaw
 from adaptdrive.runtime.reports import Event
 from adaptdrive.runtime.watchdog import ServiceManager
 
@@ -41,10 +43,14 @@ def run(path: Path) -> int:
     """
     configuration = load_configuration(path)
     text = path.read_text(encoding="utf-8")
+    make_loop, loop_grant = choose_loop(uvloop_wanted=configuration.realtime.uvloop)
     try:
-        asyncio.run(_serve(configuration, text, path))
+        with asyncio.Runner(loop_factory=make_loop) as runner:
+            runner.run(_serve(configuration, text, path, loop_grant))
     except* AdaptdriveError as group:
         raise _first(group) from None
+    finally:
+        thaw()
     return 0
 
 
@@ -57,7 +63,9 @@ def _first(group: BaseExceptionGroup[AdaptdriveError]) -> AdaptdriveError:
     return error
 
 
-async def _serve(configuration: Configuration, text: str, path: Path) -> None:
+async def _serve(
+    configuration: Configuration, text: str, path: Path, loop_grant: Grant | None
+) -> None:
     logger, hub, stop = set_up_logging(), Hub(), asyncio.Event()
     events = hub.subscribe(Event, size=_EVENTS_HELD)
     port = build_port(configuration, time.monotonic, path)
@@ -81,6 +89,7 @@ async def _serve(configuration: Configuration, text: str, path: Path) -> None:
         recorder = _recorder(configuration, text, hub)
         if recorder is not None:
             services.append(tasks.create_task(recorder.run(), name="recorder"))
+        prepare(configuration, path, hub, loop_grant)
         await daemon.run(stop)
         await _settle(events)
         for service in services:

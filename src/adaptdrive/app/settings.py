@@ -24,10 +24,12 @@ from adaptdrive.runtime.fast_loop import FastLoopSettings
 from adaptdrive.runtime.guard import CommandLimits
 from adaptdrive.runtime.interlocks import Limits
 from adaptdrive.runtime.machine import MachineLimits
+from adaptdrive.runtime.realtime import RealtimeSettings
 
 _LOWEST_LINE = 0.5
 _SWING_SHARE = 0.01
 _SHORTEST_WAVE_PERIODS = 4
+_COLLECT_TICKS = 120
 
 
 def build_load(configuration: Configuration) -> Load:
@@ -89,6 +91,20 @@ def daemon_settings(configuration: Configuration) -> DaemonSettings:
         pole=configuration.load.pole,
         fast=_fast_loop(configuration),
         report_s=1.0 / configuration.mqtt.telemetry_Hz,
+        late_us=configuration.realtime.late_us,
+        spin_s=configuration.realtime.spin_us * 1e-6,
+        collect_ticks=_COLLECT_TICKS if configuration.realtime.freeze_gc else 0,
+    )
+
+
+def realtime_settings(configuration: Configuration) -> RealtimeSettings:
+    """What the kernel is asked for."""
+    realtime = configuration.realtime
+    return RealtimeSettings(
+        priority=realtime.priority,
+        cpus=tuple(realtime.cpus),
+        lock_memory=realtime.lock_memory,
+        freeze_gc=realtime.freeze_gc,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Section
 
@@ -51,3 +51,33 @@ class Realtime(Section):
     late_fraction: float = Field(
         default=0.5, gt=0.0, lt=1.0, description="lateness of a frame, in ticks, that calls it in"
     )
+    priority: int | None = Field(
+        default=None, ge=1, le=98, description="SCHED_FIFO priority; ordinary scheduling without"
+    )
+    cpus: list[int] = Field(
+        default=[], description="CPUs that the daemon may run on; all when empty"
+    )
+    lock_memory: bool = Field(default=False, description="keep the daemon's memory in RAM")
+    freeze_gc: bool = Field(
+        default=True, description="collect garbage in the slack after a tick, and only what is new"
+    )
+    warm_up: bool = Field(
+        default=True, description="rehearse ticks and slow steps before the bus is opened"
+    )
+    uvloop: bool = Field(default=False, description="use uvloop where it is installed")
+    spin_us: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=1000.0,
+        description="busy wait before a deadline of the timer; costs that share of a CPU",
+    )
+    late_us: PositiveFloat = Field(
+        default=2000.0, description="lateness of a tick that is told as an event, with its cause"
+    )
+
+    @field_validator("cpus")
+    @classmethod
+    def _are_cpus(cls, cpus: list[int]) -> list[int]:
+        if any(cpu < 0 for cpu in cpus):
+            raise ValueError(f"{cpus}: CPUs are counted from 0")
+        return cpus

@@ -79,6 +79,7 @@ class DriveMessage(msgspec.Struct, frozen=True):
     held: int
     lateness_us: Quantiles
     turnaround_us: Quantiles
+    tick_us: Quantiles
     bus: dict[str, int]
 
 
@@ -171,6 +172,7 @@ def drive_message(report: DriveReport, time: datetime) -> DriveMessage:
         held=report.held,
         lateness_us=report.lateness_us,
         turnaround_us=report.turnaround_us,
+        tick_us=report.tick_us,
         bus=report.bus,
     )
 

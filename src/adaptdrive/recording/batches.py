@@ -56,6 +56,7 @@ TICK_COLUMNS = (
     TickColumn("bridge", "b", attrgetter("command.bridge")),
     TickColumn("lateness_us", "d", attrgetter("lateness_us")),
     TickColumn("turnaround_us", "d", attrgetter("turnaround_us")),
+    TickColumn("tick_us", "d", attrgetter("tick_us")),
 )
 
 

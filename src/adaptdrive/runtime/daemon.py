@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
@@ -11,7 +12,9 @@ from adaptdrive.control.signals import Decision, Mode, Snapshot
 from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.fast_loop import FastLoop, FastLoopSettings
 from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.latency import LatencyDetector, WatchedLoop
 from adaptdrive.runtime.machine import Machine, MachineLimits
+from adaptdrive.runtime.realtime import IdleCollector
 from adaptdrive.runtime.reports import (
     DriveReport,
     Event,
@@ -39,12 +42,18 @@ class DaemonSettings:
         pole: Closed-loop pole at start.
         fast: The fast loop.
         report_s: Time between two drive reports.
+        late_us: Lateness of a tick that is told as an event.
+        spin_s: Busy wait before a deadline of the timer.
+        collect_ticks: Ticks between two collections of garbage, 0 to leave that to Python.
     """
 
     machine: MachineLimits
     pole: float
     fast: FastLoopSettings
     report_s: float
+    late_us: float = math.inf
+    spin_s: float = 0.0
+    collect_ticks: int = 0
 
 
 class Daemon:
@@ -79,6 +88,8 @@ class Daemon:
         self._fast = FastLoop(port, controller, self._machine, settings.fast, self)
         self._slow = SlowLoop(controller, self._fast.deliver)
         self._timer: TickTimer | None = None
+        self._collector = IdleCollector(settings.collect_ticks)
+        self._detector: LatencyDetector | None = None
         self._timer_failure: asyncio.Future[None] | None = None
         self._decision: Decision | None = None
         self._told = self._state_report()
@@ -95,7 +106,8 @@ class Daemon:
         """
         loop = asyncio.get_running_loop()
         self._timer_failure = loop.create_future()
-        self._timer = TickTimer(loop, self._on_deadline)
+        self._timer = TickTimer(loop, self._on_deadline, self._settings.spin_s)
+        self._detector = self._watch_latency(loop)
         self._hub.publish(self._told)
         try:
             async with asyncio.TaskGroup() as tasks:
@@ -107,7 +119,18 @@ class Daemon:
                 serving.cancel()
         finally:
             self._timer.close()
+            self._detector.close()
             self._manager.close()
+
+    def _watch_latency(self, loop: asyncio.AbstractEventLoop) -> LatencyDetector:
+        detector = LatencyDetector(
+            self._settings.late_us,
+            lambda detail: self._tell("latency", Severity.WARNING, detail),
+            self._clock,
+            loop.ring if isinstance(loop, WatchedLoop) else None,
+        )
+        detector.open()
+        return detector
 
     async def _work(self, stop: asyncio.Event) -> None:
         """Everything that needs the port; it ends before the port does."""
@@ -185,6 +208,10 @@ class Daemon:
         self._hub.publish(report)
         if self._machine.state is not self._told.state:
             self._publish_state()
+        if self._detector is not None:
+            self._detector.ticked(report.lateness_us, report.tick_us)
+        if self._collector.is_due():
+            asyncio.get_running_loop().call_soon(self._collector.collect)
 
     def snapshot_taken(self, snapshot: Snapshot) -> bool:
         """Queue a snapshot for the slow loop."""
@@ -288,4 +315,5 @@ class Daemon:
             lateness_us=fast.lateness.take(),
             turnaround_us=fast.turnaround.take(),
             bus=asdict(self._port.statistics),
+            tick_us=fast.tick_time.take(),
         )

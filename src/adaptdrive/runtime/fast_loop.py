@@ -142,6 +142,7 @@ class FastLoop:
         self.counts = TickCounts()
         self.lateness = TimeWindow()
         self.turnaround = TimeWindow()
+        self.tick_time = TimeWindow()
 
     @property
     def cause(self) -> str | None:
@@ -162,11 +163,13 @@ class FastLoop:
         )
         if tick <= self.tick:
             return
-        lateness_us = (self._surroundings.now_s() - reading.arrival_s) * 1e6
+        began_s = self._surroundings.now_s()
+        lateness_us = (began_s - reading.arrival_s) * 1e6
         self._run(tick, lateness_us, fresh=True)
-        turnaround_us = (self._surroundings.now_s() - reading.arrival_s) * 1e6
+        ended_s = self._surroundings.now_s()
+        turnaround_us = (ended_s - reading.arrival_s) * 1e6
         self.turnaround.add(turnaround_us)
-        self._report(lateness_us, turnaround_us)
+        self._report(lateness_us, turnaround_us, (ended_s - began_s) * 1e6)
 
     def on_deadline(self, deadline_s: float) -> None:
         """No frame came in time: run a stand-in tick on the held values."""
@@ -180,7 +183,7 @@ class FastLoop:
         lateness_us = (now_s - deadline_s) * 1e6
         self.counts.held += 1
         self._run(self._half_cycles.following(self.tick, skipped), lateness_us, fresh=False)
-        self._report(lateness_us, math.nan)
+        self._report(lateness_us, math.nan, (self._surroundings.now_s() - now_s) * 1e6)
 
     def _watch_silence(self, now_s: float) -> None:
         """Without stand-in ticks: trip when the drive is silent for too long, and stay alive."""
@@ -300,7 +303,8 @@ class FastLoop:
         self._controller.apply(decision)
         self._applied_k = decision.k
 
-    def _report(self, lateness_us: float, turnaround_us: float) -> None:
+    def _report(self, lateness_us: float, turnaround_us: float, tick_us: float) -> None:
+        self.tick_time.add(tick_us)
         if self.measurement is None or self._order is None:
             return
         self._surroundings.ticked(
@@ -312,6 +316,7 @@ class FastLoop:
                 command=self._wanted,
                 lateness_us=lateness_us,
                 turnaround_us=turnaround_us,
+                tick_us=tick_us,
             )
         )
         self._sequence += 1

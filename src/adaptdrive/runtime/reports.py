@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -70,6 +71,9 @@ class Quantiles:
     max: float
 
 
+NO_TIMES = Quantiles(math.nan, math.nan, math.nan)
+
+
 @dataclass(frozen=True, slots=True)
 class DriveReport:
     """The fast loop, at most ten times a second.
@@ -84,6 +88,7 @@ class DriveReport:
         lateness_us: Lateness of the ticks since the last report.
         turnaround_us: Status frame in to command frame out, since the last report.
         bus: Frame counts of the port, by name.
+        tick_us: Duration of the ticks themselves, since the last report.
     """
 
     measurement: Measurement | None
@@ -95,6 +100,7 @@ class DriveReport:
     lateness_us: Quantiles
     turnaround_us: Quantiles
     bus: dict[str, int]
+    tick_us: Quantiles = NO_TIMES
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +133,7 @@ class TickReport:
         command: What the controller answered.
         lateness_us: How late the tick was.
         turnaround_us: Status frame in to command frame out; NaN on a stand-in tick.
+        tick_us: How long the tick took, from interlocks to wire.
     """
 
     sequence: int
@@ -136,6 +143,7 @@ class TickReport:
     command: Command
     lateness_us: float
     turnaround_us: float
+    tick_us: float = math.nan
 
 
 Report = StateReport | LoadReport | DriveReport | Event | TickReport

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Callable
+from time import monotonic
 
 from adaptdrive.runtime.timerfd import acknowledge, arm_timer, create_timer
 
@@ -12,15 +13,22 @@ from adaptdrive.runtime.timerfd import acknowledge, arm_timer, create_timer
 class TickTimer:
     """Calls back at an absolute monotonic time; arming again replaces the deadline."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, callback: Callable[[float], None]) -> None:
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        callback: Callable[[float], None],
+        spin_s: float = 0.0,
+    ) -> None:
         """Open the timer.
 
         Args:
             loop: Event loop to call back in.
             callback: Called with the deadline that has passed.
+            spin_s: Wake up so much earlier, and wait for the deadline without giving up the CPU.
         """
         self._loop = loop
         self._callback = callback
+        self._spin_s = spin_s
         self._deadline_s = 0.0
         self._descriptor = create_timer()
         loop.add_reader(self._descriptor, self._expired)
@@ -28,7 +36,7 @@ class TickTimer:
     def arm(self, deadline_s: float) -> None:
         """Call back at `deadline_s`, at once when it is past."""
         self._deadline_s = deadline_s
-        arm_timer(self._descriptor, deadline_s)
+        arm_timer(self._descriptor, deadline_s - self._spin_s)
 
     def close(self) -> None:
         """Never call back again."""
@@ -39,4 +47,6 @@ class TickTimer:
 
     def _expired(self) -> None:
         acknowledge(self._descriptor)
+        while monotonic() < self._deadline_s:
+            pass
         self._callback(self._deadline_s)

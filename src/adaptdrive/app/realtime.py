@@ -1,0 +1,61 @@
+"""`[realtime]` at start: rehearse, ask the kernel, and tell what came of it."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from adaptdrive.app.ports import build_port
+from adaptdrive.app.settings import realtime_settings
+from adaptdrive.app.warm_up import warm_up
+from adaptdrive.config import Configuration
+from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.latency import WatchedLoop
+from adaptdrive.runtime.realtime import Grant, set_up
+from adaptdrive.runtime.reports import Event, Severity
+
+LoopMaker = Callable[[], asyncio.AbstractEventLoop]
+
+
+def choose_loop(*, uvloop_wanted: bool) -> tuple[LoopMaker, Grant | None]:
+    """The event loop to run on, and what to tell about it when uvloop was asked for."""
+    if not uvloop_wanted:
+        return WatchedLoop, None
+    try:
+        import uvloop  # noqa: PLC0415 - an optional extra
+    except ImportError:
+        meaning = "it is not installed: asyncio's own loop is used"
+        return WatchedLoop, Grant("uvloop = true", granted=False, meaning=meaning)
+    meaning = "callbacks cost less, and late ticks are told without naming what ran"
+    return uvloop.new_event_loop, Grant("uvloop = true", granted=True, meaning=meaning)
+
+
+def prepare(configuration: Configuration, path: Path, hub: Hub, *more: Grant | None) -> None:
+    """Rehearse, ask for what is configured, and publish an event for each answer.
+
+    Args:
+        configuration: The drive.
+        path: Configuration file.
+        hub: Where the events go.
+        more: Answers that are known already.
+    """
+    grants = [grant for grant in more if grant is not None]
+    if configuration.realtime.warm_up:
+        grants.append(_rehearse(configuration, path))
+    grants += set_up(realtime_settings(configuration))
+    for grant in grants:
+        severity = Severity.INFO if grant.granted else Severity.WARNING
+        answer = "granted" if grant.granted else "refused"
+        detail = f"{grant.asked} {answer}: {grant.meaning}"
+        hub.publish(Event("realtime", severity, detail, -1))
+
+
+def _rehearse(configuration: Configuration, path: Path) -> Grant:
+    began_s = time.monotonic()
+    ticks = warm_up(configuration, build_port(configuration, time.monotonic, path))
+    spent_ms = (time.monotonic() - began_s) * 1e3
+    return Grant(
+        "warm_up = true", granted=True, meaning=f"{ticks} ticks rehearsed in {spent_ms:.0f} ms"
+    )
