@@ -25,7 +25,13 @@ Sections that a file must have: {required}. The others have defaults throughout.
 `make docs` writes this page from the models in `src/adaptdrive/config`.
 """
 _HEAD = "| key | type | default | meaning |\n|---|---|---|---|"
-_TYPES = {"boolean": "boolean", "integer": "integer", "number": "float", "string": "string"}
+_TYPES = {
+    "array": "list",
+    "boolean": "boolean",
+    "integer": "integer",
+    "number": "float",
+    "string": "string",
+}
 _BOUNDS = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
 
 
