@@ -78,7 +78,7 @@ class ModbusDrive:
             try:
                 yield
             finally:
-                await server.shutdown()
+                await server.shutdown()  # type: ignore[no-untyped-call]
 
     def _server(self, stack: contextlib.ExitStack) -> ModbusTcpServer | ModbusSerialServer:
         config, device = self._config, self._device()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 
 from adaptdrive.config import Configuration, load_configuration
@@ -11,13 +12,18 @@ from adaptdrive.config import Configuration, load_configuration
 def check(config: Path, /) -> int:
     """Validate a configuration; list every error with its place.
 
+    The DBC or register map and the capacity of the link are checked too; no bus is opened.
+
     Args:
         config: Configuration file.
 
     Returns:
         0 when it can be used; otherwise `ConfigurationError` lists what is wrong.
     """
+    from adaptdrive.app.ports import build_port  # noqa: PLC0415 - `schema` needs no bus
+
     configuration = load_configuration(config)
+    build_port(configuration, time.monotonic, config)
     print(f"{config}: drive {configuration.drive.name} is configured correctly")
     return 0
 

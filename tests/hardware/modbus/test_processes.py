@@ -21,6 +21,7 @@ from tests.support import Broker, Process, Spawn
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
 PATIENCE_s = 60.0
+_MAIN = "import sys; from adaptdrive.cli import main; sys.exit(main())"
 MBPOLL = shutil.which("mbpoll")
 needs_mbpoll = pytest.mark.skipif(MBPOLL is None, reason="mbpoll is not installed")
 _LINE = re.compile(r"^\[(\d+)\]:\s+(-?\d+)", re.MULTILINE)
@@ -156,6 +157,23 @@ def test_a_value_out_of_range_is_answered_with_an_exception(site: Site, spawn: S
         site.mbpoll("-t", "4", "-r", "0", values=(65000, 1, 1))
 
 
+def test_a_rate_that_the_line_cannot_carry_is_found_by_check(tmp_path: Path) -> None:
+    text = (EXAMPLES / "motor-modbus-rtu.toml").read_text()
+    config = tmp_path / "slow.toml"
+    config.write_text(text.replace("baud = 19200", "baud = 4800"))
+    done = subprocess.run(
+        [sys.executable, "-c", _MAIN, "check", config],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_s,
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "bus.poll_ticks: 12 half cycles ask for a poll every 100.0 ms" in done.stderr
+    assert "54 bytes of 11 bits at 4800 baud, 5 ms turnaround each" in done.stderr
+    assert "bus.timeout_s" in done.stderr
+
+
 class Operator:
     """An operator on the broker, made from paho alone."""
 
@@ -212,10 +230,8 @@ def operator(site: Site, mosquitto: Broker, tmp_path: Path) -> Iterator[Operator
 
 
 def start_daemon(site: Site, spawn: Spawn, folder: Path) -> Process:
-    return spawn("env", f"STATE_DIRECTORY={folder}", sys.executable, "-c", _RUN, site.config)
-
-
-_RUN = "import sys; from adaptdrive.cli import main; sys.argv[1:1] = ['run']; main()"
+    command = (sys.executable, "-c", _MAIN, "run", site.config)
+    return spawn("env", f"STATE_DIRECTORY={folder}", *command)
 
 
 @pytest.mark.slow
