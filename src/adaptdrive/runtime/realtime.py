@@ -132,7 +132,7 @@ def may_lock_memory() -> bool:
 
 
 def _capabilities() -> int:
-    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+    for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
         if line.startswith("CapEff:"):
             return int(line.split()[1], base=16)
     return 0

@@ -1,0 +1,147 @@
+"""What the kernel is asked for, seen from outside: its own files, and users who are refused."""
+
+from __future__ import annotations
+
+import gc
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.runtime.realtime import IdleCollector, RealtimeSettings, set_up, thaw
+
+ROOT = Path(__file__).parents[2]
+NOBODY = 65534
+
+ASK = """
+import os, sys
+from pathlib import Path
+from adaptdrive.runtime.realtime import RealtimeSettings, set_up
+if {user}:
+    os.setresgid({user}, {user}, {user})
+    os.setresuid({user}, {user}, {user})
+for grant in set_up(RealtimeSettings({settings})):
+    print(grant.asked, grant.granted, grant.meaning, sep="|")
+print(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO)
+print(Path("/proc/self/status").read_text())
+child = os.fork()
+if not child:
+    print("child", os.sched_getscheduler(0) == os.SCHED_OTHER, flush=True)
+    os._exit(0)
+os.waitpid(child, 0)
+"""
+
+
+def ask(settings: str, user: int = 0) -> str:
+    """Ask in a process of its own, perhaps as an ordinary user."""
+    code = ASK.format(settings=settings, user=user)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "PYTHONUNBUFFERED": "1"}
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+        env=environment,
+    )
+    assert run.returncode == 0, run.stderr
+    return run.stdout
+
+
+def may_be_granted(settings: str) -> str:
+    """The output, unless this user or machine is refused."""
+    output = ask(settings)
+    if "|False|" in output:
+        pytest.skip(output.splitlines()[0])
+    return output
+
+
+def locked_kB(output: str) -> int:
+    found = re.search(r"VmLck:\s+(\d+) kB", output)
+    assert found is not None
+    return int(found[1])
+
+
+def test_a_granted_priority_is_for_the_thread_and_not_for_what_it_starts() -> None:
+    output = may_be_granted("priority=10")
+    assert "priority = 10|True|ordinary processes cannot delay a tick" in output
+    assert "\nTrue\n" in output
+    assert "child True" in output
+
+
+def test_locked_memory_shows_in_the_kernel_but_is_not_made_resident() -> None:
+    output = may_be_granted("lock_memory=True")
+    assert locked_kB(output) > 0
+    resident = re.search(r"VmRSS:\s+(\d+) kB", output)
+    assert resident is not None
+    assert int(resident[1]) < 80 * 1024
+
+
+def test_cpus_are_those_asked_for() -> None:
+    cpu = min(os.sched_getaffinity(0))
+    output = ask(f"cpus=({cpu},)")
+    assert f"cpus = [{cpu}]|True" in output
+    assert re.search(rf"Cpus_allowed_list:\s+{cpu}\n", output)
+
+
+def test_cpus_that_do_not_exist_are_refused_in_words() -> None:
+    assert "cpus = [1000]|False|Invalid argument: no such CPUs" in ask("cpus=(1000,)")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root to become an ordinary user")
+def test_an_ordinary_user_is_refused_in_words_and_goes_on() -> None:
+    output = ask("priority=10, lock_memory=True, freeze_gc=True", user=NOBODY)
+    assert "priority = 10|False|Operation not permitted: any busy process" in output
+    assert "lock_memory = true|False|Operation not permitted: a tick can wait" in output
+    assert "freeze_gc = true|True|" in output
+    assert locked_kB(output) == 0
+
+
+def test_nothing_is_asked_for_unless_wanted() -> None:
+    assert set_up(RealtimeSettings()) == []
+
+
+def test_after_the_freeze_garbage_waits_for_the_collector() -> None:
+    class Knot:
+        def __init__(self) -> None:
+            self.itself = self
+
+    collected: list[int] = []
+    collector = IdleCollector(every_ticks=3)
+    try:
+        (grant,) = set_up(RealtimeSettings(freeze_gc=True))
+        assert grant.granted
+        assert not gc.isenabled()
+        knot = Knot()
+        gc.callbacks.append(lambda _, info: collected.append(info.get("collected", 0)))
+        del knot
+        assert [collector.is_due() for _ in range(6)] == [False, False, True, False, False, True]
+        collector.collect()
+        assert collected[-1] > 0
+    finally:
+        gc.callbacks.pop()
+        thaw()
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == 0
+
+
+def test_without_a_freeze_nothing_is_collected_after_ticks() -> None:
+    collector = IdleCollector(every_ticks=0)
+    assert not any(collector.is_due() for _ in range(1000))
+
+
+def test_the_daemon_imports_nothing_heavy() -> None:
+    """Nor does it wake up threads of a linear algebra library."""
+    code = (
+        "import sys, adaptdrive.cli, adaptdrive.app.run, adaptdrive.hardware.can.port\n"
+        "import adaptdrive.hardware.modbus.port\n"
+        "print({'numpy', 'scipy', 'pyarrow', 'numba'} & sys.modules.keys())"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
+    run = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, env=environment
+    )
+    assert run.stdout.strip() == "set()"
