@@ -45,7 +45,8 @@ def learn_filtered(
         if n % TICKS == 0:
             y, *rest = fast.take_means(bank)
             est.fill_filtered_regressor(state.regressor, learning, MOTOR, rest[:2], rest[2:])
-            est.learn(state, learning, MOTOR, y, usable=True)
+            target = est.learning_target(learning, y, rest[:2])
+            est.learn(state, learning, MOTOR, target, usable=True)
     return state
 
 
@@ -269,3 +270,57 @@ def test_the_structure_decides_how_many_parameters_there_are() -> None:
     assert est.parameter_count(PLAIN_LEARNING, MOTOR, 5) == 3
     assert est.parameter_count(replace(PLAIN_LEARNING, filtered=False), MOTOR, 5) == 7
     assert est.parameter_count(replace(PLAIN_LEARNING, bias=True), MOTOR, 5) == 4
+
+
+KNOWN = replace(SCALED_LEARNING, known_filter_s=10.0, bias=True, gate=0.0)
+FREE = replace(KNOWN, known_filter_s=0.0)
+
+
+@pytest.mark.parametrize("samples", [1, 60])
+@pytest.mark.parametrize("disks", [1, 2, 3])
+@pytest.mark.parametrize("tau_s", [4.0, 10.0, 25.0])
+def test_with_a_known_filter_two_parameters_and_a_constant_tell_the_motor(
+    disks: int, samples: int, tau_s: float
+) -> None:
+    learning = replace(KNOWN, tau_lambda_s=tau_s)
+    state = learn_filtered(learning, *simulate(disks, 240), samples)
+    assert len(state.theta) == 3
+    tau_motor = 11.7 * disks
+    truth = [0.011, tau_motor + 10.0, tau_motor * 10.0]
+    assert physical(state, learning) == pytest.approx(truth, rel=1e-3)
+
+
+def test_a_known_filter_starts_at_the_nominal_model_too() -> None:
+    state = est.new_estimator(KNOWN, MOTOR, 3)
+    assert physical(state, KNOWN) == pytest.approx([0.011, 21.7, 117.0], rel=1e-12)
+
+
+def test_a_known_filter_makes_the_estimate_surer() -> None:
+    voltages, clean = simulate(2, 150)
+    noisy = clean + 0.002 * np.random.default_rng(4).normal(size=len(clean))
+    spreads = []
+    for learning in (KNOWN, FREE):
+        state = learn_filtered(learning, voltages, noisy, 1)
+        values = physical(state, learning)
+        spreads.append(est.parameter_deviations(state, learning, MOTOR, values))
+    known, free = spreads
+    assert known[1] < 0.6 * free[1]
+    assert known[2] < free[2]
+
+
+def test_an_unmodelled_voltage_is_told_from_the_load_behind_a_known_filter() -> None:
+    voltages, outputs = simulate(2, 300)
+    state = learn_filtered(KNOWN, voltages + 20.0, outputs, 1)
+    assert physical(state, KNOWN)[0] == pytest.approx(0.011, rel=2e-3)
+    assert est.input_offset(state.theta, KNOWN, MOTOR) == pytest.approx(-20.0, rel=0.02)
+
+
+@pytest.mark.parametrize(("filter_s", "sign"), [(12.0, -1.0), (8.0, 1.0)])
+def test_a_filter_that_is_not_what_it_should_be_biases_the_rest(
+    filter_s: float, sign: float
+) -> None:
+    learning = replace(KNOWN, known_filter_s=filter_s)
+    state = learn_filtered(learning, *simulate(3, 300), 1)
+    errors = np.array(physical(state, learning)) / [0.011, 45.1, 351.0] - 1.0
+    assert 0.02 < sign * errors[1] < 0.35
+    assert math.isfinite(errors[0])

@@ -152,8 +152,16 @@ def _learning(configuration: Configuration, *, exact: bool) -> Learning:
         start_at_nominal=exact,
         alert=exact and estimator.alert,
         covariance_max=estimator.covariance_max if exact else 0.0,
+        known_filter_s=_known_filter_s(configuration),
         bias=(exact and estimator.bias) or isinstance(configuration.load, Battery),
     )
+
+
+def _known_filter_s(configuration: Configuration) -> float:
+    load = configuration.load
+    if not configuration.estimator.known_filter or not isinstance(load, Motor):
+        return 0.0
+    return load.model.tau_filter_s
 
 
 def _jacket(configuration: Configuration) -> Jacket:

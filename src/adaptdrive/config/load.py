@@ -165,6 +165,11 @@ class Estimator(Section):
         description="estimate a constant too, such as a load torque (`exact` only); a battery "
         "always has one",
     )
+    known_filter: bool = Field(
+        default=False,
+        description="take `load.model.tau_filter_s` of a motor as known and learn the rest: faster "
+        "and surer where it is right, biased where it is not (`exact` and `lm-rls` only)",
+    )
     settle_s: float = Field(
         default=30.0, ge=0.0, description="time after start before the first update"
     )

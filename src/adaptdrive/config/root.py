@@ -53,6 +53,7 @@ class Configuration(Section):
             *_bus_flaws(self),
             *_command_flaws(self),
             *_trip_flaws(self),
+            *_filter_flaws(self),
         ]
         if flaws:
             raise inconsistent(flaws)
@@ -102,6 +103,16 @@ def _command_flaws(configuration: Configuration) -> Iterator[Flaw]:
             yield Flaw(
                 f"signals.command.{name}", f"is missing: voltage_loop.where = {where!r} needs it"
             )
+
+
+def _filter_flaws(configuration: Configuration) -> Iterator[Flaw]:
+    load, estimator = configuration.load, configuration.estimator
+    if not estimator.known_filter:
+        return
+    if not isinstance(load, Motor):
+        yield Flaw("estimator.known_filter", f"a load of type {load.type!r} has no output filter")
+    elif estimator.method != "lm-rls" or load.design != "exact":
+        yield Flaw("estimator.known_filter", "needs method 'lm-rls' and load.design 'exact'")
 
 
 def _trip_flaws(configuration: Configuration) -> Iterator[Flaw]:

@@ -195,11 +195,10 @@ def _take_sample(
         est.fill_direct_regressor(estimator.regressor, learning, load, state.outputs, state.inputs)
     moved = abs(sample.output - state.outputs[0]) >= learning.dead_band
     usable = moved and sample.held_share <= _HELD_SHARE
-    est.learn(estimator, learning, load, sample.output, usable)
+    target = est.learning_target(learning, sample.output, sample.output_filtered)
+    est.learn(estimator, learning, load, target, usable)
     if learning.filtered:
-        fixed = sample.output / learning.output_scale - predict(
-            state.nominal_theta, estimator.regressor
-        )
+        fixed = target / learning.output_scale - predict(state.nominal_theta, estimator.regressor)
         own = est.own_residual(estimator, learning)
         sup.compare_residuals(state.supervisor, own, fixed * fixed)
     shift_in(state.outputs, sample.output)
