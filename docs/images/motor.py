@@ -1,0 +1,79 @@
+"""Draw docs/images/motor.png: one motor, two controllers, disks that drop onto the shaft.
+
+Both runs are those of `adaptdrive-sim reproduce motor --design exact --seed 0`.
+
+Run it with `.venv/bin/python docs/images/motor.py`.
+"""
+
+# ruff: noqa: INP001 - a script, not part of a package
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from adaptdrive_sim.experiments import style
+from adaptdrive_sim.experiments.case import Case, Disturbance, Variant
+from adaptdrive_sim.experiments.figure import save
+from adaptdrive_sim.experiments.motor import MOTOR
+from adaptdrive_sim.experiments.runner import Record, run_case
+from adaptdrive_sim.experiments.settings import case_settings
+
+FIRST_min, LAST_min = 8.0, 20.0
+
+
+def run(variant: Variant) -> Record:
+    """The standard experiment under one controller."""
+    settings = case_settings(MOTOR, variant, "exact")
+    return run_case(Case(MOTOR, variant, settings, Disturbance(MOTOR.noise), seed=0))
+
+
+def draw_speed(axes: Axes, record: Record, look: style.Look, title: str) -> None:
+    """Speed and reference."""
+    minutes = [time_s / 60.0 for time_s in record.time_s]
+    axes.step(minutes, record.reference, where="post", **style.REFERENCE)
+    axes.plot(minutes, record.output, **(look | {"linewidth": 1.3}))
+    axes.set_title(title, color=look["color"])
+    axes.set_ylabel("speed (V)")
+    axes.set_ylim(2.93, 3.28)
+    axes.set_yticks((3.0, 3.1, 3.2))
+
+
+def draw_inertia(axes: Axes, record: Record) -> None:
+    """What the adaptive controller has learnt: the mechanical time constant, in disks."""
+    nominal_s = MOTOR.nominal().physical(
+        list(MOTOR.nominal().numerator), list(MOTOR.nominal().denominator)
+    )[2]
+    minutes = [time_s / 60.0 for time_s in record.time_s]
+    learnt = [value / nominal_s for value in record.estimates["tau_product_s2"]]
+    axes.step(minutes, record.size, where="post", **style.TRUTH)
+    axes.plot(minutes, learnt, **(style.ADAPTIVE | {"linewidth": 1.3}))
+    axes.set_title("Inertia as the adaptive controller has learnt it, and the truth (dashed)")
+    axes.set_ylabel("disks")
+    axes.set_ylim(0.7, 3.4)
+    axes.set_yticks((1, 2, 3))
+
+
+def draw(fixed: Record, adaptive: Record, path: Path) -> None:
+    """The whole picture."""
+    with style.journal():
+        figure = Figure(figsize=(style.WIDTH_in, 4.3), layout="constrained")
+        axes = figure.subplots(3, 1, sharex=True, height_ratios=(1.3, 1.3, 0.8))
+        draw_speed(axes[0], fixed, style.FIXED, "Fixed controller, designed for one disk")
+        draw_speed(axes[1], adaptive, style.ADAPTIVE, "Adaptive controller")
+        draw_inertia(axes[2], adaptive)
+        for one in axes:
+            for change in MOTOR.changes:
+                one.axvline(change.time_s / 60.0, color="0.4", linewidth=0.7, linestyle=":")
+        for minute, text in ((9.0, "1 disk"), (13.0, "2 disks"), (18.0, "3 disks")):
+            axes[0].text(minute, 3.265, text, ha="center", va="top", fontsize=9.0)
+        axes[2].set_xlim(FIRST_min, LAST_min)
+        axes[2].set_xlabel("time (min)")
+        figure.align_ylabels(list(axes))
+        save(figure, path)
+
+
+if __name__ == "__main__":
+    draw(run("fixed"), run("adaptive"), Path(__file__).with_suffix(".png"))
