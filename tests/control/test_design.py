@@ -94,3 +94,13 @@ def test_gains_grow_with_the_inertia() -> None:
 def test_a_model_without_gain_gives_gains_that_are_not_finite() -> None:
     a, b = discrete_model(EXACT, MOTOR, [0.0, 0.0, 0.0], list(MOTOR.denominator), 1.0)
     assert not np.isfinite(compensator_gains(a, b, MOTOR.order, 0.7)).any()
+
+
+def test_a_zero_slower_than_the_pole_is_cancelled_and_the_gains_stay_small() -> None:
+    a, b = [1.0, -0.9565], [0.0, 0.208, -0.208 * 0.9674]
+    gains = compensator_gains(a, b, 1, 0.7)
+    r, s = [1.0, *gains[:2]], gains[2:]
+    closed = np.convolve(a, r) + np.convolve(b, s)
+    roots = np.sort(np.abs(np.roots(closed)))
+    assert roots[-2:] == pytest.approx([0.7, 0.9674], abs=1e-9)
+    assert max(abs(gain) for gain in s) < 2.0 / 0.208

@@ -74,7 +74,8 @@ def taper(
     allowed = state.current_A + TAPER_GAIN * margin_V / charging.internal_Ohm
     state.current_A = min(max(allowed, 0.0), setpoint_A)
     near = terminal_V >= _NEAR_LIMIT * charging.voltage_max_V
-    ending = near and max(state.current_A, current_A) < charging.end_current_A
+    tapers = allowed < setpoint_A  # a small set-point alone is not the end
+    ending = near and tapers and max(state.current_A, current_A) < charging.end_current_A
     state.ending_periods = state.ending_periods + 1 if ending else 0
     return state.current_A
 

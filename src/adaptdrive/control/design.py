@@ -11,8 +11,10 @@ from adaptdrive.control.discretise import held_model, input_taps
 from adaptdrive.control.load import Load
 from adaptdrive.control.pole_placement import desired_polynomial, place_poles
 from adaptdrive.control.settings import ControllerSettings, Rates
-from adaptdrive.control.vectors import Vector
+from adaptdrive.control.vectors import Vector, multiply
 from adaptdrive.control.voltage_loop import LAG_TICKS
+
+_HALVINGS = 50
 
 
 def loop_delay_ticks(rates: Rates) -> float:
@@ -66,6 +68,10 @@ def discrete_model(
 def compensator_gains(a: Vector, b: Vector, order: int, pole: float) -> Vector:
     """The gains of the compensator for 2m equal poles.
 
+    A zero of the load that is slower than the pole takes the place of one of them, so that it is
+    cancelled. A battery has one close to its pole, and moving that pole away would take enormous
+    gains.
+
     Args:
         a: A of the model.
         b: B of the model.
@@ -75,10 +81,33 @@ def compensator_gains(a: Vector, b: Vector, order: int, pole: float) -> Vector:
     Returns:
         r_1 ... r_n, s_0 ... s_m; NaNs where the model cannot be controlled.
     """
-    r, s = place_poles(a, b, desired_polynomial(pole, 2 * order))
+    desired = desired_polynomial(pole, 2 * order)
+    if _value(b, pole) * _value(b, 1.0) < 0.0:
+        desired = multiply(desired_polynomial(pole, 2 * order - 1), [1.0, -_zero(b, pole)])
+    r, s = place_poles(a, b, desired)
     gains = [0.0] * (len(r) - 1 + len(s))
     for i in range(len(r) - 1):
         gains[i] = r[i + 1]
     for i in range(len(s)):
         gains[len(r) - 1 + i] = s[i]
     return gains
+
+
+def _value(b: Vector, z: float) -> float:
+    """z^n B(z)."""
+    value = 0.0
+    for coefficient in b:
+        value = value * z + coefficient
+    return value
+
+
+def _zero(b: Vector, low: float) -> float:
+    """The zero of B between `low` and 1, where its sign changes."""
+    high, below = 1.0, _value(b, low)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        if _value(b, middle) * below > 0.0:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
