@@ -54,10 +54,10 @@ def device(  # noqa: PLR0913 - one parameter for each option
     Args:
         config: The drive's configuration, the same file that the daemon reads.
         broker: HOST:PORT of an MQTT broker for disturbances; none when left out.
-        noise: Standard deviation of each sample of the output, in volts.
-        spikes: SHARE,SIGMA: share of samples that carry a spike, and its deviation in volts.
+        noise: Standard deviation of each sample of the output, in the unit of the output.
+        spikes: SHARE,SIGMA: share of samples that carry a spike, and its deviation, likewise.
         seed: Seed of the noise.
-        disks: Disks on the shaft.
+        disks: Disks on the shaft of a motor.
         initial_voltage: Start at rest at this boost voltage instead of at standstill.
         line_drift: Amplitude of the line's frequency drift, in hertz.
         line_wander: Amplitude of the line's slow voltage wander, as a fraction.

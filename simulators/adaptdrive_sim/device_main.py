@@ -29,7 +29,7 @@ from adaptdrive_sim.devices.voltage_holder import VoltageHolder
 from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.plants.boost import BoostParameters
-from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from adaptdrive_sim.plants.kinds import new_load
 from adaptdrive_sim.world import World, WorldParameters
 
 PATIENCE_READINGS = 4
@@ -126,7 +126,7 @@ def build_world(configuration: Configuration, settings: DeviceSettings) -> World
     share, sigma = _spikes(settings.spikes)
     noise = NoiseParameters(sigma=settings.noise_V, spike_share=share, spike_sigma=sigma)
     parameters = WorldParameters(line=line, boost=boost, noise=noise, seed=settings.seed)
-    world = World(Motor(MotorParameters(), settings.disks), parameters)
+    world = World(new_load(configuration.load.type, settings.disks), parameters)
     if settings.initial_voltage_V is not None:
         world.settle(settings.initial_voltage_V)
     return world
