@@ -93,3 +93,16 @@ def test_with_a_known_filter_the_loop_is_as_good_and_the_estimates_are_there_soo
         assert last_overshoot(found, 2) < 0.02
         reached[known] = max(i for i, e in enumerate(errors) if e > 0.05) - SEGMENT_s
     assert reached[True] < reached[False] < CYCLE_s
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_the_check_against_uncertainty_does_not_stand_in_the_way_of_a_change(noise: float) -> None:
+    learning = replace(EXACT.learning, bias=True, alert=True)
+    found = []
+    for confidence in (0.0, 2.0):
+        jacket = replace(EXACT.jacket, deviation_max=0.1, dwell_periods=3, confidence=confidence)
+        settings = replace(EXACT, learning=learning, jacket=jacket)
+        found.append(
+            experiment(settings, Mode.ADAPTIVE, segment_s=2 * CYCLE_s, disks=(1, 3, 1), noise=noise)
+        )
+    assert found[0].output == found[1].output

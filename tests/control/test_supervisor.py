@@ -27,6 +27,7 @@ WRONG = [
     Verdict.OUT_OF_BOUNDS,
     Verdict.UNSTABLE_LOOP,
     Verdict.WORSE_THAN_FIXED,
+    Verdict.AT_ODDS,
 ]
 
 
@@ -102,10 +103,11 @@ def test_a_refused_estimate_keeps_the_trusted_gains_until_patience_ends(refusal:
     assert state.verdict == refusal
 
 
-def test_an_uncertain_estimate_keeps_the_trusted_gains_for_ever() -> None:
+@pytest.mark.parametrize("doubt", [Verdict.UNCERTAIN, Verdict.FRAGILE])
+def test_an_uncertain_estimate_keeps_the_trusted_gains_for_ever(doubt: Verdict) -> None:
     state = SupervisorState(verdict=Verdict.TRUSTED, trusted=True)
     for _ in range(100 * JACKET.patience_periods):
-        assert not take_verdict(state, Verdict.UNCERTAIN, JACKET, 100)
+        assert not take_verdict(state, doubt, JACKET, 100)
         assert state.trusted
 
 

@@ -194,6 +194,11 @@ class Supervisor(Section):
     residual_margin: NonNegativeFloat = Field(
         default=1.5, description="largest prediction error over the nominal model's; 0: any"
     )
+    confidence: NonNegativeFloat = Field(
+        default=2.0,
+        description="standard deviations by which an estimate may be wrong without its gains "
+        "making the loop unstable; 0: any, whatever the last trusted estimate was",
+    )
     dwell_periods: int = Field(
         default=3, ge=1, description="good estimates in a row before the first goes live"
     )

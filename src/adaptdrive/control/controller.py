@@ -222,6 +222,8 @@ _REASONS = {
     Verdict.NOT_FINITE: "estimate is not finite",
     Verdict.UNSTABLE_LOAD: "estimated load is unstable",
     Verdict.UNSTABLE_LOOP: "designed loop would be unstable",
+        if not math.isfinite(share):
+            return f"how sure estimate {name} is, is not known yet"
     Verdict.WORSE_THAN_FIXED: "estimate predicts worse than the nominal model",
     Verdict.SETTLING: "estimate is good, but not yet for long enough",
 }
@@ -232,3 +234,5 @@ _FALLBACKS = {
     Fallback.OSCILLATING: "fell back: growing oscillation",
     Fallback.BLIND: "fell back: measurements failed",
 }
+    Verdict.FRAGILE: "designed loop might be unstable within the uncertainty of the estimate",
+    Verdict.AT_ODDS: "designed loop would be unstable with the last trusted estimate",

@@ -19,6 +19,9 @@ Discretise = Callable[[Vector, Vector, float], tuple[Vector, Vector]]
 Physical = Callable[[Vector, Vector], Vector]
 """(numerator, denominator) to the physical parameters, in the order of `Load.names`."""
 
+Realise = Callable[[Vector], tuple[Vector, Vector]]
+"""Physical parameters to (numerator, denominator): the inverse of `Physical`."""
+
 
 @dataclass(frozen=True, slots=True)
 class Load:
@@ -32,6 +35,7 @@ class Load:
         input_exponent: 1 or 2.
         names: Names of the physical parameters.
         physical: Physical parameters of a model.
+        realise: The model that has given physical parameters.
         paper_model: The discretisation that the paper uses for this load.
         paper_taps: Past inputs in that model, trailing zeros included.
         charging: For a battery: when its current must taper and end.
@@ -44,6 +48,7 @@ class Load:
     input_exponent: int
     names: tuple[str, ...]
     physical: Physical
+    realise: Realise
     paper_model: Discretise
     paper_taps: int
     charging: Charging | None = None

@@ -107,6 +107,8 @@ class Jacket:
         swing_min: Smallest peak that counts as a swing, in the unit of the output.
         response_periods: Longest wait at a limit for the output to move.
         response_distance: How far it must have moved by then, in the unit of the output.
+        confidence: Standard deviations by which the estimate may be wrong without new gains
+            becoming unstable; with 0 the last trusted model is not tried either.
         paced: Whether the pole slows down while the actuator cannot follow.
     """
 
@@ -124,6 +126,7 @@ class Jacket:
     response_periods: int = 0
     response_distance: float = 0.0
     paced: bool = False
+    confidence: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

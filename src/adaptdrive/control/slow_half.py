@@ -20,6 +20,7 @@ from adaptdrive.control.load import Load, to_input
 from adaptdrive.control.pace import Pace, paced_pole
 from adaptdrive.control.pole_placement import closed_loop_polynomial
 from adaptdrive.control.rls import predict
+from adaptdrive.control.robustness import STABLE_RADIUS, closes_stably, stands_uncertainty
 from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.control.vectors import Vector, copy_into, shift_in, total
 from adaptdrive.control.watch import (
@@ -56,6 +57,11 @@ class SlowState:
         reference: r[k-1].
         nominal_theta: θ of the nominal model.
         deviations: Standard deviations of the physical parameters.
+        model_a: A of this period's estimate.
+        model_b: B of it.
+        trusted_a: A of the last trusted estimate.
+        trusted_b: B of it.
+        trusted_alarms: Abrupt changes noticed when it was accepted.
         saturated: Whether the last input was at a limit or could not be followed.
         blend: Share of the adaptive law in what is sent, 0 to 1.
         watch: The watch over the adaptive law.
@@ -83,6 +89,11 @@ class SlowState:
     deviations: Vector
     watch: WatchState
     pace: Pace
+    model_a: Vector
+    model_b: Vector
+    trusted_a: Vector
+    trusted_b: Vector
+    trusted_alarms: int = 0
     saturated: bool = False
     blend: float = 0.0
     pole_in_force: float = math.nan
@@ -149,6 +160,10 @@ def new_slow_state(
         deviations=[math.nan] * len(nominal),
         watch=WatchState(),
         pace=Pace(),
+        model_a=[1.0] + [0.0] * load.order,
+        model_b=[0.0] * (taps + 1),
+        trusted_a=[1.0] + [0.0] * load.order,
+        trusted_b=[0.0] * (taps + 1),
     )
 
 
@@ -224,6 +239,8 @@ def _adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: S
     state.accepted = sup.take_verdict(state.supervisor, verdict, settings.jacket, periods)
     if state.accepted:
         copy_into(state.adaptive_gains, gains)
+        state.trusted_a, state.trusted_b = state.model_a, state.model_b
+        state.trusted_alarms = state.estimator.surprise.alarms
 
 
 def _redesign(
@@ -242,7 +259,28 @@ def _redesign(
     copy_into(gains, compensator_gains(a, b, load.order, state.pole_in_force))
     taps = len(state.inputs)
     r = [1.0, *gains[:taps]]
-    return sup.judge_loop(closed_loop_polynomial(a, b, r, gains[taps:]))
+    verdict = sup.judge_loop(closed_loop_polynomial(a, b, r, gains[taps:]))
+    if verdict != sup.Verdict.TRUSTED:
+        return verdict
+    state.model_a, state.model_b = a, b
+    return _judge_robustness(settings, load, state, gains, sample.period_s)
+
+
+def _judge_robustness(
+    settings: ControllerSettings, load: Load, state: SlowState, gains: Vector, period_s: float
+) -> int:
+    """Whether the gains stand what the estimate may be wrong by, and the last trusted load."""
+    if not settings.jacket.confidence > 0.0:
+        return sup.Verdict.TRUSTED
+    values, deviations = state.values, state.deviations
+    if not stands_uncertainty(settings, load, gains, values, deviations, period_s):
+        return sup.Verdict.FRAGILE
+    changed = state.estimator.surprise.alarms != state.trusted_alarms
+    if changed or not state.supervisor.trusted:
+        return sup.Verdict.TRUSTED
+    a, b = state.trusted_a, state.trusted_b
+    stable = closes_stably(gains, a, b, load.order, STABLE_RADIUS)
+    return sup.Verdict.TRUSTED if stable else sup.Verdict.AT_ODDS
 
 
 def _estimated_model(

@@ -30,6 +30,8 @@ class Verdict(IntEnum):
     UNCERTAIN = 6
     WORSE_THAN_FIXED = 7
     SETTLING = 8
+    FRAGILE = 9
+    AT_ODDS = 10
 
 
 @dataclass(slots=True)
@@ -123,8 +125,8 @@ def judge_loop(closed_loop: Vector) -> int:
 def take_verdict(state: SupervisorState, verdict: int, jacket: Jacket, periods: int) -> bool:
     """Remember a verdict; says whether the new gains may go live.
 
-    An estimate that is merely uncertain, for lack of excitation, keeps the last trusted gains for
-    as long as it takes; one that is wrong loses them after a while.
+    An estimate that is merely uncertain, or too uncertain for its own gains, keeps the last
+    trusted gains for as long as it takes; one that is wrong loses them after a while.
 
     Args:
         state: Overwritten.
@@ -134,7 +136,7 @@ def take_verdict(state: SupervisorState, verdict: int, jacket: Jacket, periods: 
     """
     state.verdict = verdict
     if verdict != Verdict.TRUSTED:
-        if verdict != Verdict.UNCERTAIN:
+        if not _is_doubt(verdict):
             state.refused_periods += 1
         state.good_periods = 0
         if state.refused_periods > jacket.patience_periods:
@@ -150,3 +152,10 @@ def take_verdict(state: SupervisorState, verdict: int, jacket: Jacket, periods: 
         return False
     state.trusted = True
     return True
+
+
+def _is_doubt(verdict: int) -> bool:
+    """Whether the estimate is not wrong, but not known well enough."""
+    if verdict == Verdict.UNCERTAIN:
+        return True
+    return verdict == Verdict.FRAGILE

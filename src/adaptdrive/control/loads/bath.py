@@ -40,6 +40,7 @@ def bath_load(
         input_exponent=2,
         names=NAMES,
         physical=physical,
+        realise=realise,
         paper_model=paper_model,
         paper_taps=1,
     )
@@ -48,6 +49,11 @@ def bath_load(
 def physical(numerator: Vector, denominator: Vector) -> Vector:
     """R and R C of a model."""
     return [numerator[1] / denominator[1], 1.0 / denominator[1]]
+
+
+def realise(values: Vector) -> tuple[Vector, Vector]:
+    """The model with given R and R C."""
+    return [0.0, values[0] / values[1]], [1.0, 1.0 / values[1]]
 
 
 def paper_model(numerator: Vector, denominator: Vector, period_s: float) -> tuple[Vector, Vector]:

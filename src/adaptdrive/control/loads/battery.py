@@ -44,6 +44,7 @@ def battery_load(
         input_exponent=1,
         names=NAMES,
         physical=physical,
+        realise=realise,
         paper_model=paper_model,
         paper_taps=2,
         charging=charging,
@@ -53,6 +54,11 @@ def battery_load(
 def physical(numerator: Vector, denominator: Vector) -> Vector:
     """Direct admittance, dc admittance and time constant of a model."""
     return [numerator[0], numerator[1] / denominator[1], 1.0 / denominator[1]]
+
+
+def realise(values: Vector) -> tuple[Vector, Vector]:
+    """The model with given direct admittance, dc admittance and time constant."""
+    return [values[0], values[1] / values[2]], [1.0, 1.0 / values[2]]
 
 
 def paper_model(numerator: Vector, denominator: Vector, period_s: float) -> tuple[Vector, Vector]:

@@ -34,6 +34,7 @@ def motor_load(gain: float, tau_motor_s: float, tau_filter_s: float) -> Load:
         input_exponent=1,
         names=NAMES,
         physical=physical,
+        realise=realise,
         paper_model=paper_model,
         paper_taps=2,
     )
@@ -46,6 +47,12 @@ def physical(numerator: Vector, denominator: Vector) -> Vector:
         denominator[1] / denominator[2],
         1.0 / denominator[2],
     ]
+
+
+def realise(values: Vector) -> tuple[Vector, Vector]:
+    """The model with given g, τ_m + τ_f and τ_m τ_f."""
+    product = values[2]
+    return [0.0, 0.0, values[0] / product], [1.0, values[1] / product, 1.0 / product]
 
 
 def paper_model(numerator: Vector, denominator: Vector, period_s: float) -> tuple[Vector, Vector]:
