@@ -1,0 +1,224 @@
+"""One experiment from start to end: the order of calls is the daemon's own.
+
+A frame, a tick of the controller, at n = kQ the slow half, at n = kQ + L its decision takes
+effect. This module is only ever run compiled; what it calls is the source of controller and
+plant.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptdrive.control import fast_half as fast
+from adaptdrive.control.discretise import held_model
+from adaptdrive.control.load import Load, to_input, to_voltage
+from adaptdrive.control.pole_placement import desired_polynomial
+from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.control.signals import Measurement
+from adaptdrive.control.slow_half import SlowSample, SlowState, slow_step
+from adaptdrive.control.vectors import Vector, total
+from adaptdrive_sim.compiled.wire import Wire, delayed, rounded
+from adaptdrive_sim.world import Sample, World
+
+OVER_VOLTAGE = 1
+OVER_OUTPUT = 2
+NOT_FINITE = 3
+
+OUTPUT = 0
+MEASURED = 1
+REFERENCE_V = 2
+APPLIED_V = 3
+ADAPTIVE = 4
+ACCEPTED = 5
+VERDICT = 6
+INNOVATION = 7
+HANDOVER_V = 8
+VALUES = 9
+
+Array = NDArray[np.float64]
+
+
+def run(
+    settings: ControllerSettings,
+    load: Load,
+    state: fast.FastState,
+    bank: fast.FilterBank,
+    slow: SlowState,
+    world: World,
+    wire: Wire,
+    measurement: Measurement,
+    sample: SlowSample,
+    references: Array,
+    disturbances: Array,
+    inertias: Array,
+    voltage_max_V: float,
+    output_max: float,
+    trace: Array,
+) -> int:
+    """Run an experiment on a controller that has just been started at rest.
+
+    Args:
+        settings: What the controller is told.
+        load: Its nominal load.
+        state: Its fast half, overwritten.
+        bank: Its filters, overwritten.
+        slow: Its slow half, overwritten.
+        world: The plant at rest, overwritten.
+        wire: Resolution and delay.
+        measurement: Room for the present one.
+        sample: Room for the present one; its mode, pole and limits are used.
+        references: r[k].
+        disturbances: Measurement noise of every tick.
+        inertias: Inertia in each slow period, in kg m².
+        voltage_max_V: Interlock.
+        output_max: Interlock.
+        trace: What happened, one row for each slow period, overwritten.
+
+    Returns:
+        0, or the interlock that ended the run.
+    """
+    rates, stage = settings.rates, settings.stage
+    motor: Any = world.load  # a motor, whatever else a world could turn
+    ticks, latency = rates.ticks_per_period, rates.latency_ticks
+    decided_V = state.boost_reference_V
+    scale_S = world.current_scale_S
+    frame = world.step_disturbed(scale_S, True, disturbances[0])
+    for k in range(len(references)):
+        if inertias[k] != motor.inertia_kgm2:
+            motor.set_inertia(inertias[k])
+        for into in range(ticks):
+            n = k * ticks + into
+            receive(measurement, wire, n, frame)
+            cause = find_cause(measurement, voltage_max_V, output_max)
+            if cause:
+                return cause
+            if into == latency:
+                state.boost_reference_V = decided_V
+            if fast.take_in(settings, load, state, bank, measurement):
+                trace[k, OUTPUT] = motor.output
+                sample.reference = references[k]
+                decided_V = decide(settings, load, state, bank, slow, measurement, sample)
+                note(trace[k], slow, sample, decided_V, load)
+            scale_S = fast.drive(state, stage, measurement)[0]
+            scale_S = rounded(scale_S, wire.scale_quantum_S)
+            frame = world.step_disturbed(scale_S, True, disturbances[n + 1])
+    return 0
+
+
+def receive(measurement: Any, wire: Wire, tick: int, frame: Sample) -> None:
+    """Overwrite what the controller sees by what the drive measured now."""
+    measurement.tick = tick
+    measurement.tick_period_s = frame.tick_period_s
+    measurement.boost_voltage_V = rounded(frame.boost_voltage_V, wire.voltage_quantum_V)
+    measurement.line_voltage_V = rounded(frame.line_voltage_V, wire.voltage_quantum_V)
+    measurement.load_power_W = rounded(frame.load_power_W, wire.power_quantum_W)
+    measurement.output = delayed(wire, frame.output)
+
+
+def find_cause(measurement: Measurement, voltage_max_V: float, output_max: float) -> int:
+    """The interlock that a measurement trips, or 0."""
+    if measurement.boost_voltage_V > voltage_max_V:
+        return OVER_VOLTAGE
+    if measurement.output > output_max:
+        return OVER_OUTPUT
+    if not math.isfinite(measurement.boost_voltage_V + measurement.output):
+        return NOT_FINITE
+    return 0
+
+
+def decide(
+    settings: ControllerSettings,
+    load: Load,
+    state: fast.FastState,
+    bank: fast.FilterBank,
+    slow: SlowState,
+    measurement: Measurement,
+    sample: SlowSample,
+) -> float:
+    """The slow half, from the end of the slow period to V_c."""
+    rates, order = settings.rates, load.order
+    means = fast.take_means(bank)
+    applied_V, followed, held = fast.close_period(state, settings)
+    fast.tune_filters(bank, measurement.tick_period_s, settings.learning.tau_lambda_s)
+    sample.period_s = rates.ticks_per_period * measurement.tick_period_s
+    sample.output = means[0]
+    sample.output_filtered = means[1 : order + 1]
+    sample.input_filtered = means[order + 1 :]
+    sample.applied = to_input(applied_V, load.input_gain, load.input_exponent)
+    sample.followed = followed
+    sample.held_share = held / rates.ticks_per_period
+    load_input = slow_step(settings, load, slow, sample)
+    return to_voltage(load_input, load.input_gain, load.input_exponent)
+
+
+def note(
+    row: Array,
+    slow: SlowState,
+    sample: SlowSample,
+    decided_V: float,
+    load: Load,
+) -> None:
+    """Keep what happened in a slow period."""
+    row[MEASURED] = sample.output
+    row[REFERENCE_V] = decided_V
+    row[APPLIED_V] = to_voltage(sample.applied, load.input_gain, load.input_exponent)
+    row[ADAPTIVE] = slow.adaptive
+    row[ACCEPTED] = slow.accepted
+    row[VERDICT] = slow.supervisor.verdict
+    row[INNOVATION] = slow.estimator.innovation
+    row[HANDOVER_V] = slow.handover_step
+    for i in range(len(slow.values)):
+        row[VALUES + i] = slow.values[i]
+
+
+def follow_ideal(
+    references: Array, numerators: Array, denominators: Array, pole: float, period_s: float
+) -> Array:
+    """Output of the loop as it was designed: true load, no limits, delays or noise.
+
+    Args:
+        references: r[k].
+        numerators: Of the true load in each slow period.
+        denominators: Likewise.
+        pole: Closed-loop pole.
+        period_s: T_k.
+
+    Returns:
+        y[k], from rest on the first reference.
+    """
+    order = denominators.shape[1] - 1
+    desired = desired_polynomial(pole, 2 * order)
+    outputs = np.zeros(len(references))
+    weights = desired
+    for k in range(len(references)):
+        if k == 0 or changed(denominators, k) or changed(numerators, k):
+            weights = ideal_weights(numerators[k], denominators[k], desired, period_s)
+        for i in range(min(k + 1, len(weights))):
+            outputs[k] += weights[i] * (references[k - i] - references[0])
+        for i in range(1, min(k + 1, len(desired))):
+            outputs[k] -= desired[i] * outputs[k - i]
+    outputs += references[0]
+    return outputs
+
+
+def ideal_weights(
+    numerator: Vector, denominator: Vector, desired: Vector, period_s: float
+) -> Vector:
+    """A_m(1)/B(1) · B."""
+    _, b = held_model(numerator, denominator, period_s, 0.0, 0.0)
+    scale = total(desired) / total(b)
+    for i in range(len(b)):
+        b[i] *= scale
+    return b
+
+
+def changed(rows: Array, k: int) -> bool:
+    """Whether a row differs from the one before."""
+    for i in range(rows.shape[1]):
+        if rows[k, i] != rows[k - 1, i]:
+            return True
+    return False

@@ -1,0 +1,74 @@
+"""A motor experiment on compiled code, from the same objects as the interpreted one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.load import Load, to_input
+from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.control.signals import Measurement, Mode
+from adaptdrive.control.slow_half import SlowSample
+from adaptdrive_sim.compiled import bench
+from adaptdrive_sim.compiled.course import Course, Interlocks
+from adaptdrive_sim.compiled.objects import Memory
+from adaptdrive_sim.compiled.sources import compiled_modules
+from adaptdrive_sim.compiled.wire import Wire
+from adaptdrive_sim.world import World
+
+Array = NDArray[np.float64]
+
+
+def run_compiled(
+    controller: Controller, world: World, wire: Wire, course: Course, interlocks: Interlocks
+) -> tuple[Array, int]:
+    """Run a controller that was started on a plant at rest.
+
+    Returns:
+        What happened, a row of `bench` columns for each slow period, and the interlock that ended
+        it or 0.
+    """
+    parts = _parts(controller)
+    settings, load, *_ = parts
+    sample = _sample(settings, load, course)
+    measurement = Measurement(0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    objects = [Memory(part) for part in (*parts, world, wire, measurement, sample)]
+    trace = np.full((len(course.references), bench.VALUES + len(load.names)), np.nan)
+    function: Any = compiled_modules()[bench.__name__].run
+    cause = function(
+        *objects,
+        course.references,
+        course.disturbances,
+        course.inertias,
+        interlocks.boost_voltage_max_V,
+        interlocks.output_max,
+        trace,
+    )
+    return trace, int(cause)
+
+
+def _parts(controller: Controller) -> tuple[Any, ...]:
+    """What the deployed controller consists of, once it has been started."""
+    own = controller
+    return own._settings, own._load, own._fast, own._bank, own._slow  # noqa: SLF001
+
+
+def _sample(settings: ControllerSettings, load: Load, course: Course) -> SlowSample:
+    stage, gain, exponent = settings.stage, load.input_gain, load.input_exponent
+    return SlowSample(
+        period_s=0.0,
+        output=0.0,
+        output_filtered=[0.0] * load.order,
+        input_filtered=[0.0] * (load.order + 1),
+        applied=0.0,
+        followed=True,
+        held_share=0.0,
+        reference=0.0,
+        adaptive=course.mode is Mode.ADAPTIVE,
+        pole=course.pole,
+        low=to_input(stage.boost_reference_min_V, gain, exponent),
+        high=to_input(stage.boost_reference_max_V, gain, exponent),
+    )

@@ -1,0 +1,35 @@
+"""Which modules are compiled, and a lazy way to their functions."""
+
+from __future__ import annotations
+
+import pkgutil
+from functools import cache
+from types import ModuleType
+
+import adaptdrive.control
+from adaptdrive_sim.compiled.objects import copies
+from adaptdrive_sim.compiled.translate import translate
+
+_PLANT = (
+    "adaptdrive_sim.line",
+    "adaptdrive_sim.plants.boost",
+    "adaptdrive_sim.plants.coupling",
+    "adaptdrive_sim.plants.motor",
+    "adaptdrive_sim.world",
+    "adaptdrive_sim.compiled.wire",
+    "adaptdrive_sim.compiled.bench",
+)
+
+_OUTSIDE = "adaptdrive.control.controller"
+"""Texts and enumerations for people, around what is compiled."""
+
+
+@cache
+def compiled_modules() -> dict[str, ModuleType]:
+    """All of the controller, the plant, and the bench that joins them, by original name."""
+    package = adaptdrive.control
+    found = pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
+    names = [module.name for module in found if module.name != _OUTSIDE]
+    modules = translate([*names, *_PLANT])
+    copies.add(modules)
+    return modules

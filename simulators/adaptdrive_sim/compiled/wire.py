@@ -1,0 +1,46 @@
+"""What lies between the drive and its controller: rounding, and a sensor that is late.
+
+Numbers on a bus are whole multiples of a quantum. The regulated output may come from a sensor of
+its own, some half cycles older than the drive's frame.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adaptdrive.control.vectors import Vector, shift_in
+
+
+@dataclass(slots=True)
+class Wire:
+    """Resolution and delay; a quantum of 0 does not round.
+
+    Attributes:
+        output_quantum: Of the output, in its unit.
+        voltage_quantum_V: Of boost and line voltage.
+        power_quantum_W: Of the load power.
+        scale_quantum_S: Of the commanded current scale.
+        output_delay: Age of the output in half cycles.
+        outputs: The last outputs, newest first: as many as the delay needs.
+    """
+
+    output_quantum: float
+    voltage_quantum_V: float
+    power_quantum_W: float
+    scale_quantum_S: float
+    output_delay: int
+    outputs: Vector
+
+
+def rounded(value: float, quantum: float) -> float:
+    """The nearest multiple of a quantum."""
+    if quantum > 0.0:
+        return quantum * math.floor(value / quantum + 0.5)
+    return value
+
+
+def delayed(wire: Wire, output: float) -> float:
+    """What arrives of the output now, when `output` is measured."""
+    shift_in(wire.outputs, output)
+    return rounded(wire.outputs[wire.output_delay], wire.output_quantum)

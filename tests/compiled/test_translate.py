@@ -1,0 +1,109 @@
+"""Compiled copies must do what the interpreter does with the same source."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from adaptdrive.control import estimator, pole_placement, vectors
+from adaptdrive.control.charging import Charging
+from adaptdrive.control.loads.motor import motor_load
+from adaptdrive.control.supervisor import Verdict
+from adaptdrive_sim.compiled.layout import layout_of
+from adaptdrive_sim.compiled.objects import Memory
+from adaptdrive_sim.compiled.sources import compiled_modules
+from adaptdrive_sim.compiled.vectors import compiled
+
+
+def copy_of(module: Any, name: str) -> Any:
+    return getattr(compiled_modules()[module.__name__], name)
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.7, 0.95])
+def test_lists_become_arrays_with_the_same_numbers(pole: float) -> None:
+    function = copy_of(pole_placement, "desired_polynomial")
+    found = function(pole, 4)
+    assert isinstance(found, np.ndarray)
+    assert found.tolist() == pole_placement.desired_polynomial(pole, 4)
+
+
+def test_what_is_overwritten_is_overwritten_in_place() -> None:
+    history = np.array([3.0, 2.0, 1.0])
+    copy_of(vectors, "shift_in")(history, 4.0)
+    assert history.tolist() == [4.0, 3.0, 2.0]
+
+
+def test_a_singular_system_gives_nan_compiled_too() -> None:
+    solve = copy_of(vectors, "solve_linear")
+    assert np.isnan(solve(np.zeros(4), np.ones(2))).all()
+
+
+def test_a_slice_is_a_copy_and_a_sum_of_lists_is_their_concatenation() -> None:
+    a, b = np.array([1.0, -1.8, 0.81]), np.array([0.0, 0.1, 0.2])
+    desired = np.array([1.0, -1.2, 0.36])
+    r, s = copy_of(pole_placement, "place_poles")(a, b, desired)
+    expected = pole_placement.place_poles(a.tolist(), b.tolist(), desired.tolist())
+    assert (r.tolist(), s.tolist()) == expected
+
+
+@dataclass(slots=True)
+class Inner:
+    level: float = 1.5
+
+
+@dataclass(slots=True)
+class Outer:
+    inner: Inner = field(default_factory=Inner)
+    count: int = 3
+    good: bool = True
+    values: list[float] = field(default_factory=lambda: [1.0, 2.0])
+    verdict: int = Verdict.UNSTABLE_LOAD
+    name: str = "not for compiled code"
+    charging: Charging | None = None
+
+
+@compiled
+def touch(outer: Any) -> Any:
+    outer.count += 1
+    outer.good = not outer.good
+    outer.inner.level = 2.5
+    outer.values[1] = 7.0
+    return outer.charging is None, outer.verdict, math.sqrt(outer.values[0])
+
+
+def test_compiled_code_reads_and_writes_an_object_of_objects() -> None:
+    outer = Outer()
+    memory = Memory(outer)
+    assert touch(memory) == (True, int(Verdict.UNSTABLE_LOAD), 1.0)
+    floats = memory.words.view(np.float64)
+    places = {one.name: one for one in memory.layout.fields}
+    assert "name" not in places
+    assert floats[places["inner"].offset] == 2.5
+    assert floats[places["values"].offset + 1] == 7.0
+    assert memory.words[places["count"].offset] == 4
+    assert memory.words[places["good"].offset] == 0
+
+
+def test_a_layout_tells_lengths_apart() -> None:
+    assert layout_of(Outer()) == layout_of(Outer(count=9))
+    assert layout_of(Outer()) != layout_of(Outer(values=[1.0]))
+
+
+def test_properties_functions_and_tuples_of_a_load_are_there() -> None:
+    load = motor_load(0.011, 11.7, 10.0)
+
+    @compiled
+    def ask(load: Any, numerator: Any, denominator: Any) -> Any:
+        return load.order, load.physical(numerator, denominator)
+
+    order, values = ask(Memory(load), np.array(load.numerator), np.array(load.denominator))
+    assert order == 2
+    assert values.tolist() == load.physical(list(load.numerator), list(load.denominator))
+
+
+def test_a_long_name_leads_to_the_copy_of_a_module() -> None:
+    assert copy_of(estimator, "residual_noise").__module__ != estimator.__name__
