@@ -156,6 +156,38 @@ def reproduce(  # noqa: PLR0913 - one parameter for each option
     print_claims(f"{experiment}, {design} design, seed {seed}: {output}", claims)
 
 
+@app.command
+def campaign(  # noqa: PLR0913 - one parameter for each option
+    file: Path,
+    /,
+    *,
+    output: Path,
+    scheduler: str | None = None,
+    processes: int | None = None,
+    runs: int | None = None,
+    only: int | None = None,
+) -> None:
+    """Run thousands of randomised motors, each with the fixed and the adaptive controller.
+
+    Writes results.parquet (one row for each run) and plots, and prints what fraction was worse
+    than fixed, what broke, and how to repeat it. The status is 0 when it ran, whatever was found.
+
+    Args:
+        file: What to draw from; campaign/standard.toml comes along.
+        output: Folder for the results; made when it is not there.
+        scheduler: Address of a Dask scheduler, HOST:PORT; this machine when left out.
+        processes: Processes on this machine; one for each processor when left out.
+        runs: Number of runs instead of the file's.
+        only: Seed of one run to repeat on the deployed controller itself, recorded and drawn.
+    """
+    from adaptdrive_sim.campaign.main import repeat_run, run_campaign  # noqa: PLC0415
+
+    if only is not None:
+        repeat_run(file, only, output)
+    else:
+        run_campaign(file, output, scheduler=scheduler, processes=processes, runs=runs)
+
+
 demo = App(name="demo", help="Watch a simulated drive being controlled.")
 app.command(demo)
 

@@ -1,0 +1,156 @@
+"""Runs a scenario: plant, controller and course from what was drawn."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptdrive.app.settings import build_load, controller_settings
+from adaptdrive.config.file import validate_configuration
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.load import Load
+from adaptdrive.control.loads.motor import motor_load
+from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.control.signals import Decision, Mode
+from adaptdrive_sim.campaign.scenario import Scenario
+from adaptdrive_sim.compiled import bench
+from adaptdrive_sim.compiled.course import Course, Interlocks
+from adaptdrive_sim.compiled.deployed import run_deployed, start_at_rest
+from adaptdrive_sim.compiled.motor_run import run_compiled
+from adaptdrive_sim.compiled.sources import compiled_modules
+from adaptdrive_sim.experiments.examples import FOLDER
+from adaptdrive_sim.plants.coupling import CouplingParameters
+from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from adaptdrive_sim.world import World, WorldParameters
+
+Array = NDArray[np.float64]
+
+WARM_UP_s = 90.0
+
+
+@dataclass(frozen=True, slots=True)
+class Deployed:
+    """The daemon's default controller for the motor."""
+
+    settings: ControllerSettings
+    load: Load
+    interlocks: Interlocks
+    pole: float
+    period_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One run with one controller.
+
+    Attributes:
+        trace: A row of `compiled.bench` columns for each slow period.
+        interlock: What ended the run, 0 for nothing.
+    """
+
+    trace: Array
+    interlock: int
+
+
+@cache
+def deployed() -> Deployed:
+    """The example configuration, for a run that starts at rest."""
+    path = FOLDER / "motor.toml"
+    tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    configuration = validate_configuration(tables, path)
+    settings = controller_settings(configuration)
+    period_s = configuration.load.period_s
+    settings = dataclasses.replace(
+        settings,
+        learning=dataclasses.replace(settings.learning, settle_periods=0),
+        jacket=dataclasses.replace(settings.jacket, warm_up_periods=round(WARM_UP_s / period_s)),
+    )
+    limits = configuration.interlocks
+    return Deployed(
+        settings=settings,
+        load=build_load(configuration),
+        interlocks=Interlocks(limits.boost_voltage_max_V, limits.output_max),
+        pole=configuration.load.pole,
+        period_s=period_s,
+    )
+
+
+class Stand:
+    """The course of one scenario, for as many controllers as are to run it."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        own = deployed()
+        self.scenario = scenario
+        periods = round(scenario.duration_s / own.period_s)
+        self.times_s: Array = own.period_s * np.arange(periods, dtype=np.float64)
+        self.inertias = scenario.inertias_at(self.times_s)
+        values = [scenario.reference.value(time_s) for time_s in self.times_s.tolist()]
+        self.references = np.array(values)
+        ticks = self.times_s.size * own.settings.rates.ticks_per_period
+        self._disturbances = scenario.disturbances(ticks + 1)
+
+    def run(self, mode: Mode) -> Outcome:
+        """Run compiled code."""
+        own, course = deployed(), self._course(mode)
+        _, world, controller = self._start(course)
+        wire = self.scenario.wire()
+        return Outcome(*run_compiled(controller, world, wire, course, own.interlocks))
+
+    def run_deployed(self, mode: Mode) -> tuple[Outcome, list[Decision]]:
+        """Run the deployed controller itself, interpreted."""
+        own, course = deployed(), self._course(mode)
+        motor, world, controller = self._start(course)
+        wire, rates = self.scenario.wire(), own.settings.rates
+        trace, interlock, decisions = run_deployed(
+            controller,
+            motor,
+            world,
+            wire,
+            course,
+            own.interlocks,
+            rates.ticks_per_period,
+            rates.latency_ticks,
+        )
+        return Outcome(trace, interlock), decisions
+
+    def ideal(self) -> Array:
+        """Output of the loop as designed, at each slow instant."""
+        own = deployed()
+        models = {inertia: self._true_load(inertia) for inertia in self.scenario.inertias}
+        numerators = np.array([models[inertia].numerator for inertia in self.inertias.tolist()])
+        denominators = np.array([models[one].denominator for one in self.inertias.tolist()])
+        follow: Any = compiled_modules()[bench.__name__].follow_ideal
+        found: Array = follow(self.references, numerators, denominators, own.pole, own.period_s)
+        return found
+
+    def truth_of(self, inertia: float) -> Array:
+        """True physical parameters at an inertia."""
+        load = self._true_load(inertia)
+        return np.array(load.physical(list(load.numerator), list(load.denominator)))
+
+    def _true_load(self, inertia: float) -> Load:
+        motor, coupling = Motor(self.scenario.motor()), CouplingParameters()
+        motor.set_inertia(MotorParameters().disk_kgm2 * inertia)
+        model = motor.model(coupling.ratio, coupling.droop_Ohm)
+        return motor_load(model["gain"], model["tau_motor_s"], model["tau_filter_s"])
+
+    def _course(self, mode: Mode) -> Course:
+        inertias = MotorParameters().disk_kgm2 * self.inertias
+        return Course(self.references, inertias, self._disturbances, mode, deployed().pole)
+
+    def _start(self, course: Course) -> tuple[Motor, World, Controller]:
+        """Everything at rest on the first reference."""
+        own, output = deployed(), float(course.references[0])
+        motor = Motor(self.scenario.motor())
+        motor.set_inertia(float(course.inertias[0]))
+        world = World(motor, WorldParameters(line=self.scenario.line()))
+        world.settle(world.boost_voltage_for(output))
+        controller = Controller(own.settings, own.load)
+        start_at_rest(controller, world, course, output)
+        return motor, world, controller

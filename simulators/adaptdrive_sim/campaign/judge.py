@@ -1,0 +1,104 @@
+"""What a run is judged by.
+
+The cost of a controller is the squared error against the loop as it was designed, summed over the
+slow instants, plus (0.005 · step)² for each: errors that nobody could see cost nothing relative to
+that.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptdrive.control.signals import Mode
+from adaptdrive.control.supervisor import Verdict
+from adaptdrive_sim.campaign.bench import Outcome, Stand
+from adaptdrive_sim.campaign.scenario import Scenario, draw
+from adaptdrive_sim.campaign.settings import Campaign
+from adaptdrive_sim.compiled import bench
+
+Array = NDArray[np.float64]
+Row = dict[str, Any]
+
+FLOOR = 0.005
+WORSE = 1.05
+_UNSTABLE = 0.5
+
+
+def run_seed(campaign: Campaign, seed: int) -> Row:
+    """Run one scenario with both controllers and judge them."""
+    stand = Stand(draw(campaign, seed))
+    return judge(stand, stand.run(Mode.FIXED), stand.run(Mode.ADAPTIVE))
+
+
+def judge(stand: Stand, fixed: Outcome, adaptive: Outcome) -> Row:
+    """One row of the results."""
+    ideal = stand.ideal()
+    row = parameters(stand.scenario)
+    for name, outcome in (("fixed", fixed), ("adaptive", adaptive)):
+        errors = (outcome.trace[:, bench.OUTPUT] - ideal) / stand.scenario.step
+        row[f"cost_{name}"] = cost(errors)
+        row[f"rms_{name}"] = float(np.sqrt(np.mean(errors**2)))
+        row[f"largest_{name}"] = float(np.max(np.abs(errors)))
+        row[f"unstable_{name}"] = is_unstable(stand.scenario, errors)
+        row[f"interlock_{name}"] = outcome.interlock
+    row["ratio"] = row["cost_adaptive"] / row["cost_fixed"]
+    row |= _supervision(stand, adaptive.trace)
+    return row
+
+
+def parameters(scenario: Scenario) -> Row:
+    """What was drawn, as columns."""
+    return {
+        "seed": scenario.seed,
+        "inertia_first": scenario.inertias[0],
+        "inertia_last": scenario.inertias[-1],
+        "inertia_largest": max(scenario.inertias),
+        "changes": len(scenario.change_times_s),
+        "gain": scenario.gain,
+        "filter": scenario.filter,
+        "shape": scenario.reference.shape.value,
+        "step": scenario.step,
+        "period_s": scenario.reference.period_s,
+        "sigma": scenario.sigma / scenario.step,
+        "spike_share": scenario.spike_share,
+        "line_voltage": scenario.line_voltage,
+        "drift_Hz": scenario.drift_Hz,
+        "output_delay_ticks": scenario.output_delay_ticks,
+    }
+
+
+def cost(errors: Array) -> float:
+    """Mean squared error, as a fraction of the step, with the floor; infinite if it ended early."""
+    if not np.all(np.isfinite(errors)):
+        return float("inf")
+    return float(np.mean(errors**2)) + FLOOR**2
+
+
+def is_unstable(scenario: Scenario, errors: Array) -> bool:
+    """Whether the last period of the reference is nothing like what was designed."""
+    last = errors[-round(scenario.reference.period_s) :]
+    return not float(np.sqrt(np.mean(last**2))) < _UNSTABLE
+
+
+def _supervision(stand: Stand, trace: Array) -> Row:
+    in_force = trace[:, bench.ADAPTIVE] > 0.0
+    verdicts = trace[:, bench.VERDICT]
+    estimates = trace[-1, bench.VALUES :]
+    truth = stand.truth_of(stand.scenario.inertias[-1])
+    row: Row = {
+        "adaptive_share": float(np.mean(in_force)),
+        "accepted_share": float(np.mean(trace[:, bench.ACCEPTED] > 0.0)),
+        "switches": int(np.count_nonzero(np.diff(in_force.astype(int)))),
+        "estimate_error": float(np.max(np.abs(estimates / truth - 1.0))),
+        "saturated_share": float(np.mean(_at_limit(trace[:, bench.REFERENCE_V]))),
+    }
+    for verdict in Verdict:
+        row[f"verdict_{verdict.name.lower()}"] = int(np.count_nonzero(verdicts == verdict))
+    return row
+
+
+def _at_limit(voltage_V: Array) -> NDArray[np.bool_]:
+    return (voltage_V <= 200.0 + 1e-9) | (voltage_V >= 400.0 - 1e-9)

@@ -1,0 +1,62 @@
+"""The command `adaptdrive-sim campaign`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+from adaptdrive_sim.campaign.judge import Row, run_seed
+from adaptdrive_sim.campaign.pool import run_all, workers
+from adaptdrive_sim.campaign.repeat import repeat
+from adaptdrive_sim.campaign.report import print_results, write_results
+from adaptdrive_sim.campaign.settings import Campaign, read_campaign
+
+
+def run_campaign(
+    path: Path, output: Path, *, scheduler: str | None, processes: int | None, runs: int | None
+) -> list[Row]:
+    """Run a campaign and write what was found.
+
+    Args:
+        path: The campaign's file.
+        output: Folder for the results; made when it is not there.
+        scheduler: Address of a Dask scheduler; this machine when left out.
+        processes: Processes of this machine; one for each processor when left out.
+        runs: How many runs instead of the file's number.
+    """
+    campaign = read_campaign(path)
+    if runs is not None:
+        campaign = campaign.model_copy(update={"runs": runs})
+    output.mkdir(parents=True, exist_ok=True)
+    console = Console()
+    run_seed(campaign, campaign.seed)  # compiles once, on disk, for every worker
+    with workers(processes, scheduler) as executor:
+        started_s = time.monotonic()
+        rows = _with_progress(campaign, run_all(campaign, executor), console)
+        seconds = time.monotonic() - started_s
+    rows.sort(key=lambda row: row["seed"])
+    write_results(rows, output)
+    print_results(rows, seconds, path, console)
+    return rows
+
+
+def repeat_run(path: Path, seed: int, output: Path) -> None:
+    """Run one seed again on the deployed controller, and record it."""
+    output.mkdir(parents=True, exist_ok=True)
+    repeat(read_campaign(path), seed, output, Console())
+
+
+def _with_progress(campaign: Campaign, batches: Iterator[list[Row]], console: Console) -> list[Row]:
+    """Collect batches; the bar is for people at a terminal only."""
+    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    rows: list[Row] = []
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        task = progress.add_task("", total=campaign.runs)
+        for batch in batches:
+            rows += batch
+            progress.advance(task, len(batch))
+    return rows

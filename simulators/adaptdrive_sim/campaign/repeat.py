@@ -1,0 +1,94 @@
+"""One run again, on the deployed controller itself, recorded and drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.console import Console
+
+from adaptdrive.control.signals import Decision, Mode
+from adaptdrive_sim.campaign.bench import Outcome, Stand
+from adaptdrive_sim.campaign.judge import judge
+from adaptdrive_sim.campaign.scenario import draw
+from adaptdrive_sim.campaign.settings import Campaign
+from adaptdrive_sim.compiled import bench
+
+Array = NDArray[np.float64]
+
+
+def repeat(campaign: Campaign, seed: int, output: Path, console: Console) -> None:
+    """Run one seed with both controllers, interpreted; write run-SEED.parquet and run-SEED.png."""
+    stand = Stand(draw(campaign, seed))
+    fixed, _ = stand.run_deployed(Mode.FIXED)
+    adaptive, decisions = stand.run_deployed(Mode.ADAPTIVE)
+    pq.write_table(_table(stand, fixed, adaptive, decisions), output / f"run-{seed}.parquet")
+    picture(stand, fixed, adaptive).savefig(output / f"run-{seed}.png", dpi=120)
+    for name, value in judge(stand, fixed, adaptive).items():
+        console.print(f"{name:26} {value}")
+    console.print(f"changes at {stand.scenario.change_times_s} s to {stand.scenario.inertias}")
+    console.print(f"recorded: {output / f'run-{seed}.parquet'}, {output / f'run-{seed}.png'}")
+
+
+def _table(stand: Stand, fixed: Outcome, adaptive: Outcome, decisions: list[Decision]) -> pa.Table:
+    columns: dict[str, Array | list[str]] = {
+        "time_s": stand.times_s,
+        "reference": stand.references,
+        "inertia": stand.inertias,
+        "ideal": stand.ideal(),
+        "output_fixed": fixed.trace[:, bench.OUTPUT],
+        "boost_reference_fixed_V": fixed.trace[:, bench.REFERENCE_V],
+        "output_adaptive": adaptive.trace[:, bench.OUTPUT],
+        "boost_reference_adaptive_V": adaptive.trace[:, bench.REFERENCE_V],
+        "innovation": adaptive.trace[:, bench.INNOVATION],
+        "handover_step_V": adaptive.trace[:, bench.HANDOVER_V],
+    }
+    count = len(stand.times_s)
+    columns["reason"] = [decision.reason for decision in decisions] + [""] * (
+        count - len(decisions)
+    )
+    for name in decisions[0].estimates:
+        values = [decision.estimates[name].value for decision in decisions]
+        columns[name] = np.pad(values, (0, count - len(values)), constant_values=np.nan)
+    return pa.table(columns)
+
+
+def picture(stand: Stand, fixed: Outcome, adaptive: Outcome) -> Figure:
+    """Output, boost voltage and estimates of one run."""
+    figure = Figure(figsize=(11, 8), layout="constrained")
+    top, middle, bottom = figure.subplots(3, 1, sharex=True)
+    times_s = stand.times_s
+    top.plot(times_s, stand.ideal(), "k", lw=0.8, label="as designed")
+    for name, outcome, colour in (
+        ("fixed", fixed, "tab:orange"),
+        ("adaptive", adaptive, "tab:blue"),
+    ):
+        top.plot(times_s, outcome.trace[:, bench.OUTPUT], color=colour, lw=1.0, label=name)
+        voltage_V = outcome.trace[:, bench.REFERENCE_V]
+        middle.plot(times_s, voltage_V, color=colour, lw=1.0, label=name)
+    truth = np.array([stand.truth_of(inertia) for inertia in stand.inertias.tolist()])
+    for i, name in enumerate(("g", "τ_m + τ_f", "τ_m τ_f")):
+        estimates = adaptive.trace[:, bench.VALUES + i] / truth[:, i]
+        bottom.plot(times_s, estimates, lw=1.0, label=name)
+    bottom.fill_between(
+        times_s,
+        0.0,
+        0.05,
+        where=(adaptive.trace[:, bench.ADAPTIVE] > 0.0).tolist(),
+        transform=bottom.get_xaxis_transform(),
+        color="tab:green",
+        label="adaptive in force",
+    )
+    top.set(ylabel="output, V", title=f"seed {stand.scenario.seed}")
+    middle.set(ylabel="V_c, V")
+    bottom.set(xlabel="time, s", ylabel="estimate over truth", ylim=(0.0, 2.5))
+    for axes in (top, middle, bottom):
+        for time_s in stand.scenario.change_times_s:
+            axes.axvline(time_s, color="k", lw=0.6, ls=":")
+        axes.grid(visible=True, alpha=0.3)
+        axes.legend(loc="upper right")
+    return figure

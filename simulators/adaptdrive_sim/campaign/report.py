@@ -1,0 +1,125 @@
+"""The results of a campaign: a file, a table, pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.table import Table
+
+from adaptdrive_sim.campaign.judge import WORSE, Row
+from adaptdrive_sim.campaign.verdict import Claim, Failure, claims, failures
+
+_SHOWN = 20
+
+
+def write_results(rows: list[Row], output: Path) -> None:
+    """Write results.parquet and the pictures."""
+    pq.write_table(pa.Table.from_pylist(rows), output / "results.parquet")
+    costs(rows).savefig(output / "costs.png", dpi=120)
+    influences(rows).savefig(output / "influences.png", dpi=120)
+
+
+def print_results(rows: list[Row], seconds: float, campaign: Path, console: Console) -> None:
+    """Print what was found and how to repeat what failed."""
+    speed = 2.0 * len(rows) / seconds
+    console.print(
+        f"{len(rows)} runs, each fixed and adaptive, in {seconds:.1f} s: "
+        f"{speed:.1f} experiments per second"
+    )
+    console.print(_claim_table(claims(rows)))
+    console.print(_cost_table(rows))
+    found = failures(rows)
+    if found:
+        console.print(_failure_table(found, campaign))
+
+
+def _claim_table(found: list[Claim]) -> Table:
+    table = Table("claim", "found", "")
+    for claim in found:
+        mark = "[green]holds[/]" if claim.holds else "[red]fails[/]"
+        table.add_row(claim.text, claim.found, mark)
+    return table
+
+
+def _cost_table(rows: list[Row]) -> Table:
+    table = Table("runs", "count", "fixed", "adaptive", "ratio, median", "95 %", "worst")
+    groups = {
+        "load changed": [row for row in rows if row["changes"]],
+        "load unchanged": [row for row in rows if not row["changes"]],
+    }
+    for name, group in groups.items():
+        if not group:
+            continue
+        ratios = np.array([row["ratio"] for row in group])
+        rms = [
+            f"{float(np.median([row[f'rms_{one}'] for row in group])):.4f}"
+            for one in ("fixed", "adaptive")
+        ]
+        marks = [f"{float(np.quantile(ratios, share)):.3f}" for share in (0.5, 0.95, 1.0)]
+        table.add_row(name, str(len(group)), *rms, *marks)
+    table.caption = "rms error against the designed loop, fraction of the step, median; cost ratio"
+    return table
+
+
+def _failure_table(found: list[Failure], campaign: Path) -> Table:
+    table = Table("failure", "seed", "cost ratio", "repeat")
+    for failure in found[:_SHOWN]:
+        command = f"adaptdrive-sim campaign {campaign} --output DIR --only {failure.seed}"
+        table.add_row(failure.cause, str(failure.seed), f"{failure.ratio:.3f}", command)
+    if len(found) > _SHOWN:
+        table.caption = f"and {len(found) - _SHOWN} more, see results.parquet"
+    return table
+
+
+def costs(rows: list[Row]) -> Figure:
+    """Cost of the adaptive controller over that of the fixed one, run by run."""
+    figure = Figure(figsize=(10, 5), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for changed, colour, label in ((True, "tab:blue", "changed"), (False, "tab:orange", "same")):
+        group = [row for row in rows if bool(row["changes"]) is changed]
+        fixed = [row["cost_fixed"] for row in group]
+        adaptive = [row["cost_adaptive"] for row in group]
+        left.loglog(fixed, adaptive, ".", ms=4, alpha=0.6, color=colour, label=f"load {label}")
+        ratios = np.sort([row["ratio"] for row in group])
+        share = (np.arange(ratios.size) + 1.0) / max(1, ratios.size)
+        right.semilogx(ratios, share, color=colour, label=f"load {label}")
+    ends = [row[f"cost_{one}"] for row in rows for one in ("fixed", "adaptive")]
+    ends = [value for value in ends if np.isfinite(value)]
+    left.loglog([min(ends), max(ends)], [min(ends), max(ends)], "k-", lw=0.8)
+    left.set(xlabel="cost of the fixed controller", ylabel="cost of the adaptive controller")
+    right.axvline(WORSE, color="k", lw=0.8, ls="--", label="5 % worse")
+    right.set(xlabel="cost ratio, adaptive over fixed", ylabel="share of the runs below")
+    for axes in (left, right):
+        axes.grid(visible=True, alpha=0.3)
+        axes.legend()
+    return figure
+
+
+def influences(rows: list[Row]) -> Figure:
+    """How the cost ratio depends on what was drawn."""
+    names = {
+        "inertia_largest": "largest inertia, disks",
+        "sigma": "noise σ, fraction of the step",
+        "gain": "gain, relative",
+        "filter": "τ_f, relative",
+        "step": "step, V",
+        "period_s": "period of the reference, s",
+    }
+    figure = Figure(figsize=(12, 6.5), layout="constrained")
+    ratios = [row["ratio"] for row in rows]
+    shapes = sorted({row["shape"] for row in rows})
+    for axes, (name, label) in zip(figure.subplots(2, 3).flat, names.items(), strict=True):
+        for shape in shapes:
+            chosen = [i for i, row in enumerate(rows) if row["shape"] == shape]
+            values = [rows[i][name] for i in chosen]
+            axes.semilogy(values, [ratios[i] for i in chosen], ".", ms=4, alpha=0.6, label=shape)
+        axes.axhline(WORSE, color="k", lw=0.8, ls="--")
+        axes.set(xlabel=label, ylabel="cost ratio")
+        axes.grid(visible=True, alpha=0.3)
+    figure.axes[0].legend()
+    return figure

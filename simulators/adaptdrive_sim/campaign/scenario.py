@@ -1,0 +1,165 @@
+"""One run of a campaign: everything it depends on is drawn from its seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive_sim.campaign.settings import Campaign, LoadRanges
+from adaptdrive_sim.compiled.wire import Wire
+from adaptdrive_sim.line import LineParameters
+from adaptdrive_sim.plants.motor import MotorParameters
+
+Array = NDArray[np.float64]
+
+_OLDEST_OUTPUT = 21
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """What was drawn.
+
+    Attributes:
+        seed: It was drawn from this.
+        duration_s: Length.
+        inertias: Inertia in disks, first the initial one.
+        change_times_s: When it changes.
+        gain: Of the tachometer, relative.
+        filter: Time constant of its filter, relative.
+        reference: The set-point.
+        sigma: Noise of every sample, in the unit of the output.
+        spike_share: Share of spikes.
+        spike_sigma: Noise of the spikes, in the unit of the output.
+        line_voltage: Relative line voltage.
+        drift_Hz: Amplitude of the line's drift.
+        output_delay_ticks: Age of the output's samples.
+        output_V: Resolution of the output.
+        voltage_V: Resolution of voltages.
+        power_W: Resolution of the load power.
+        scale_S: Resolution of the current scale.
+    """
+
+    seed: int
+    duration_s: float
+    inertias: tuple[float, ...]
+    change_times_s: tuple[float, ...]
+    gain: float
+    filter: float
+    reference: Waveform
+    sigma: float
+    spike_share: float
+    spike_sigma: float
+    line_voltage: float
+    drift_Hz: float
+    output_delay_ticks: int
+    output_V: float
+    voltage_V: float
+    power_W: float
+    scale_S: float
+
+    @property
+    def step(self) -> float:
+        """Height of the reference's step."""
+        return self.reference.high - self.reference.low
+
+    def inertias_at(self, times_s: Array) -> Array:
+        """Inertia in disks at each time."""
+        return np.array(self.inertias)[np.searchsorted(self.change_times_s, times_s, "right")]
+
+    def disturbances(self, count: int) -> Array:
+        """Measurement noise of every tick."""
+        generator = np.random.default_rng([self.seed, 1])
+        noise = self.sigma * generator.standard_normal(count)
+        if self.spike_share > 0.0:
+            struck = np.flatnonzero(generator.random(count) < self.spike_share)
+            noise[struck] += self.spike_sigma * generator.standard_normal(struck.size)
+        return noise
+
+    def motor(self) -> MotorParameters:
+        """The true motor, with one disk."""
+        nominal = MotorParameters()
+        return MotorParameters(
+            tachometer_Vs=nominal.tachometer_Vs * self.gain,
+            filter_s=nominal.filter_s * self.filter,
+        )
+
+    def line(self) -> LineParameters:
+        """The true line."""
+        voltage_V = LineParameters().voltage_V * self.line_voltage
+        return LineParameters(voltage_V=voltage_V, drift_Hz=self.drift_Hz)
+
+    def wire(self) -> Wire:
+        """What lies between drive and controller, at rest."""
+        return Wire(
+            output_quantum=self.output_V,
+            voltage_quantum_V=self.voltage_V,
+            power_quantum_W=self.power_W,
+            scale_quantum_S=self.scale_S,
+            output_delay=self.output_delay_ticks,
+            outputs=[self.reference.value(0.0)] * _OLDEST_OUTPUT,
+        )
+
+
+def draw(campaign: Campaign, seed: int) -> Scenario:
+    """The run of a campaign that a seed stands for."""
+    generator = np.random.default_rng([seed, 0])
+    load, reference, noise = campaign.load, campaign.reference, campaign.noise
+    inertias, times_s = _inertias(generator, load, campaign.duration_s)
+    step = _uniform(generator, reference.step)
+    shape = reference.shapes[int(generator.integers(len(reference.shapes)))]
+    period_s = round(_uniform(generator, reference.period_s))
+    line, wire = campaign.line, campaign.wire
+    return Scenario(
+        seed=seed,
+        duration_s=campaign.duration_s,
+        inertias=inertias,
+        change_times_s=times_s,
+        gain=_uniform(generator, load.gain),
+        filter=_uniform(generator, load.filter),
+        reference=Waveform(Shape(shape), reference.low, reference.low + step, float(period_s)),
+        sigma=step * _uniform(generator, noise.sigma),
+        spike_share=_uniform(generator, noise.spike_share),
+        spike_sigma=step * noise.spike_sigma,
+        line_voltage=_uniform(generator, line.voltage),
+        drift_Hz=_uniform(generator, line.drift_Hz),
+        output_delay_ticks=_whole(generator, wire.output_delay_ticks),
+        output_V=_uniform(generator, wire.output_V),
+        voltage_V=_uniform(generator, wire.voltage_V),
+        power_W=_uniform(generator, wire.power_W),
+        scale_S=_uniform(generator, wire.scale_S),
+    )
+
+
+def _inertias(
+    generator: np.random.Generator, load: LoadRanges, duration_s: float
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    inertias = [_uniform(generator, load.inertia)]
+    if generator.random() < load.unchanged or duration_s <= 2.0 * load.quiet_s:
+        return tuple(inertias), ()
+    count = _whole(generator, load.changes)
+    for _ in range(count):
+        inertias.append(_other_inertia(generator, load, inertias[-1]))
+    times_s = generator.uniform(load.quiet_s, duration_s - load.quiet_s, count)
+    return tuple(inertias), tuple(sorted(np.round(times_s).tolist()))
+
+
+def _other_inertia(generator: np.random.Generator, load: LoadRanges, present: float) -> float:
+    """An inertia that differs by the least factor, in either direction."""
+    low, high = load.inertia
+    below, above = present / load.change_min, present * load.change_min
+    room_below, room_above = max(0.0, below - low), max(0.0, high - above)
+    if room_below + room_above == 0.0:
+        return low if present > 0.5 * (low + high) else high
+    place = generator.uniform(0.0, room_below + room_above)
+    return float(low + place if place < room_below else above + place - room_below)
+
+
+def _uniform(generator: np.random.Generator, ends: tuple[float, float]) -> float:
+    return float(generator.uniform(*ends))
+
+
+def _whole(generator: np.random.Generator, ends: tuple[int, int]) -> int:
+    return int(generator.integers(ends[0], ends[1] + 1))

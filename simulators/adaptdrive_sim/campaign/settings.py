@@ -1,0 +1,134 @@
+"""What a campaign's file may say."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
+
+from adaptdrive.errors import AdaptdriveError
+
+FOLDER = Path(__file__).resolve().parent
+
+
+class CampaignError(AdaptdriveError):
+    """A campaign's file cannot be used."""
+
+    def __init__(self, path: Path, problems: list[str]) -> None:
+        self.path = path
+        self.problems = problems
+        super().__init__("\n".join(f"{path}: {problem}" for problem in problems))
+
+
+def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] > pair[1]:
+        raise ValueError(f"the lower end {pair[0]:g} is above the upper end {pair[1]:g}")
+    return pair
+
+
+def _within(low: float, high: float) -> AfterValidator:
+    def check(pair: tuple[float, float]) -> tuple[float, float]:
+        if not (low <= pair[0] and pair[1] <= high):
+            raise ValueError(f"must lie within {low:g}…{high:g}")
+        return _ordered(pair)
+
+    return AfterValidator(check)
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+Range = tuple[float, float]
+WholeRange = tuple[int, int]
+ShapeName = Literal["square", "triangle", "sine"]
+
+
+class LoadRanges(_Section):
+    """The motor: inertia in disks, the rest relative to what the controller is told."""
+
+    inertia: Annotated[Range, _within(0.2, 10.0)]
+    gain: Annotated[Range, _within(0.5, 2.0)]
+    filter: Annotated[Range, _within(0.5, 2.0)]
+    unchanged: float = Field(ge=0.0, le=1.0)
+    changes: Annotated[WholeRange, _within(1, 20)]
+    change_min: float = Field(ge=1.0, le=10.0)
+    quiet_s: float = Field(ge=0.0)
+
+
+class ReferenceRanges(_Section):
+    """The set-point's waveform."""
+
+    low: float = Field(ge=2.0, le=4.0)
+    step: Annotated[Range, _within(1e-3, 1.0)]
+    period_s: Annotated[Range, _within(10.0, 1e4)]
+    shapes: list[ShapeName] = Field(min_length=1)
+
+
+class NoiseRanges(_Section):
+    """Measurement noise, as fractions of the step."""
+
+    sigma: Annotated[Range, _within(0.0, 1.0)]
+    spike_share: Annotated[Range, _within(0.0, 1.0)]
+    spike_sigma: float = Field(ge=0.0, le=10.0)
+
+
+class LineRanges(_Section):
+    """The ac line."""
+
+    voltage: Annotated[Range, _within(0.5, 1.1)]
+    drift_Hz: Annotated[Range, _within(0.0, 1.0)]
+
+
+class WireRanges(_Section):
+    """Resolution of what is measured and commanded, and the age of the output's samples."""
+
+    output_delay_ticks: Annotated[WholeRange, _within(0, 20)]
+    output_V: Annotated[Range, _within(0.0, 1.0)]
+    voltage_V: Annotated[Range, _within(0.0, 10.0)]
+    power_W: Annotated[Range, _within(0.0, 100.0)]
+    scale_S: Annotated[Range, _within(0.0, 0.01)]
+
+
+class Campaign(_Section):
+    """A whole file."""
+
+    runs: int = Field(ge=1, le=10_000_000)
+    seed: int = Field(ge=0)
+    duration_s: float = Field(ge=120.0, le=1e6)
+    load: LoadRanges
+    reference: ReferenceRanges
+    noise: NoiseRanges
+    line: LineRanges
+    wire: WireRanges
+
+
+def read_campaign(path: Path) -> Campaign:
+    """Read a file; a bare name that is no file is looked up among those that come along.
+
+    Raises:
+        CampaignError: It cannot be read, or a value is not allowed.
+    """
+    shipped = FOLDER / path.name
+    found = path if path.exists() or not shipped.exists() else shipped
+    try:
+        # strict validation takes arrays for tuples from JSON only
+        tables = tomllib.loads(found.read_text(encoding="utf-8"))
+        return Campaign.model_validate_json(json.dumps(tables))
+    except OSError as problem:
+        raise CampaignError(path, [problem.strerror or str(problem)]) from problem
+    except tomllib.TOMLDecodeError as problem:
+        raise CampaignError(path, [str(problem)]) from problem
+    except ValidationError as problem:
+        raise CampaignError(path, [_told(error) for error in problem.errors()]) from problem
+
+
+def _told(error: ErrorDetails) -> str:
+    place = ".".join(str(part) for part in error["loc"])
+    if error["type"] in {"missing", "extra_forbidden"}:
+        return f"{place}: {error['msg']}"
+    return f"{place} = {error['input']!r}: {error['msg']}"

@@ -1,0 +1,87 @@
+"""Campaigns from end to end, small ones."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from adaptdrive.control.signals import Mode
+from adaptdrive_sim.campaign.bench import Stand, deployed
+from adaptdrive_sim.campaign.judge import FLOOR, cost, judge, run_seed
+from adaptdrive_sim.campaign.main import repeat_run, run_campaign
+from adaptdrive_sim.campaign.pool import ClusterError, workers
+from adaptdrive_sim.campaign.scenario import draw
+from adaptdrive_sim.campaign.settings import read_campaign
+from adaptdrive_sim.campaign.verdict import claims, failures
+from adaptdrive_sim.compiled import bench
+
+STANDARD = Path("standard.toml")
+
+
+def test_a_campaign_leaves_a_row_for_each_seed_and_pictures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = run_campaign(STANDARD, tmp_path, scheduler=None, processes=2, runs=12)
+    assert [row["seed"] for row in rows] == list(range(1, 13))
+    table = pq.read_table(tmp_path / "results.parquet").to_pylist()
+    assert [row["ratio"] for row in table] == [row["ratio"] for row in rows]
+    assert (tmp_path / "costs.png").stat().st_size > 10_000
+    assert (tmp_path / "influences.png").stat().st_size > 10_000
+    told = capsys.readouterr().out
+    assert "12 runs, each fixed and adaptive" in told
+    assert "\x1b" not in told
+
+
+def test_the_same_seed_gives_the_same_row_in_any_process(tmp_path: Path) -> None:
+    rows = run_campaign(STANDARD, tmp_path, scheduler=None, processes=1, runs=3)
+    assert rows[2] == run_seed(read_campaign(STANDARD), 3)
+
+
+def test_a_run_is_repeated_on_the_deployed_controller_with_the_same_result(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "short.toml"
+    text = (Path(bench.__file__).parent.parent / "campaign" / STANDARD).read_text(encoding="utf-8")
+    path.write_text(text.replace("duration_s = 1320.0", "duration_s = 180.0"), encoding="utf-8")
+    repeat_run(path, 5, tmp_path)
+    recorded = pq.read_table(tmp_path / "run-5.parquet")
+    stand = Stand(draw(read_campaign(path), 5))
+    compiled = stand.run(Mode.ADAPTIVE).trace[:, bench.OUTPUT]
+    np.testing.assert_allclose(recorded["output_adaptive"].to_numpy(), compiled, rtol=1e-9)
+    assert (tmp_path / "run-5.png").exists()
+
+
+def test_the_ideal_loop_reaches_every_set_point_with_the_designed_poles() -> None:
+    stand = Stand(draw(read_campaign(STANDARD), 12))
+    stand.references = np.concatenate([np.full(5, 3.0), np.full(75, 3.2)])
+    stand.inertias = np.full(80, stand.scenario.inertias[0])
+    ideal = stand.ideal()
+    assert ideal[:6] == pytest.approx(3.0)
+    assert ideal[-1] == pytest.approx(3.2, abs=1e-6)
+    late = (3.2 - ideal)[50:]
+    assert late[1:] / late[:-1] == pytest.approx(deployed().pole, abs=0.08)
+
+
+def test_a_run_that_ended_early_costs_infinitely_much_and_is_a_failure() -> None:
+    stand = Stand(draw(read_campaign(STANDARD), 2))
+    fixed, adaptive = stand.run(Mode.FIXED), stand.run(Mode.ADAPTIVE)
+    adaptive.trace[100:] = math.nan
+    row = judge(stand, fixed, adaptive)
+    assert row["ratio"] == math.inf
+    causes = {failure.cause for failure in failures([row])}
+    assert causes == {"unstable", "worse than fixed"}
+    assert not all(claim.holds for claim in claims([row]))
+
+
+def test_an_error_that_nobody_sees_costs_the_floor() -> None:
+    assert cost(np.zeros(10)) == FLOOR**2
+    assert cost(np.full(10, 0.1)) == pytest.approx(0.01 + FLOOR**2)
+
+
+def test_without_a_scheduler_there_the_address_is_named() -> None:
+    with pytest.raises(ClusterError, match=r"127\.0\.0\.1:1"), workers(None, "127.0.0.1:1"):
+        pass

@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adaptdrive_sim.campaign.scenario import Scenario, draw
+from adaptdrive_sim.campaign.settings import Campaign, read_campaign
+
+
+@pytest.fixture(scope="module")
+def campaign() -> Campaign:
+    return read_campaign(Path("standard.toml"))
+
+
+@pytest.fixture(scope="module")
+def drawn(campaign: Campaign) -> list[Scenario]:
+    return [draw(campaign, seed) for seed in range(2000)]
+
+
+def test_a_seed_draws_the_same_run_again(campaign: Campaign) -> None:
+    assert draw(campaign, 7) == draw(campaign, 7)
+    noise = draw(campaign, 7).disturbances(100)
+    assert np.array_equal(noise, draw(campaign, 7).disturbances(100))
+
+
+def test_everything_stays_within_its_range(campaign: Campaign, drawn: list[Scenario]) -> None:
+    low, high = campaign.load.inertia
+    for scenario in drawn:
+        assert all(low <= inertia <= high for inertia in scenario.inertias)
+        ratios = np.array(scenario.inertias[1:]) / np.array(scenario.inertias[:-1])
+        assert np.all(np.abs(np.log(ratios)) >= np.log(campaign.load.change_min) - 1e-12)
+        assert 0.06 <= scenario.step <= 0.2
+        assert scenario.sigma <= 0.02 * scenario.step
+        assert scenario.output_delay_ticks in {0, 1, 2}
+
+
+def test_enough_runs_have_no_load_change(drawn: list[Scenario]) -> None:
+    unchanged = sum(not scenario.change_times_s for scenario in drawn)
+    assert 0.30 < unchanged / len(drawn) < 0.40
+
+
+def test_noise_has_the_share_and_the_size_of_spikes_that_were_drawn(campaign: Campaign) -> None:
+    scenario = draw(campaign, 11)
+    noise = scenario.disturbances(400_000)
+    share = scenario.spike_share
+    variance = scenario.sigma**2 + share * scenario.spike_sigma**2
+    assert np.var(noise) == pytest.approx(variance, rel=0.03)
+
+
+def test_inertia_changes_at_its_time(campaign: Campaign) -> None:
+    scenario = next(one for seed in range(50) if len((one := draw(campaign, seed)).inertias) == 2)
+    at = scenario.change_times_s[0]
+    before, after = scenario.inertias_at(np.array([at - 1.0, at]))
+    assert (before, after) == scenario.inertias

@@ -1,0 +1,42 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from adaptdrive_sim.campaign.settings import FOLDER, CampaignError, read_campaign
+
+STANDARD = (FOLDER / "standard.toml").read_text(encoding="utf-8")
+
+
+def test_the_campaign_that_comes_along_covers_what_it_promises() -> None:
+    campaign = read_campaign(Path("campaign/standard.toml"))
+    assert campaign.runs == 2000
+    assert campaign.load.inertia == (1.0, 4.0)
+    assert campaign.load.unchanged >= 0.3
+    assert campaign.wire.output_delay_ticks == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("runs = 2000", "runs = 0", "runs = 0: "),
+        ("inertia = [1.0, 4.0]", "inertia = [4.0, 1.0]", "load.inertia = [4.0, 1.0]: "),
+        ("sigma = [0.0, 0.02]", 'sigma = "much"', "noise.sigma = 'much': "),
+        ("seed = 1 ", "seeds = 1 ", "seeds: Extra inputs are not permitted"),
+        ("drift_Hz = [0.0, 0.1]", "", "line.drift_Hz: Field required"),
+        ('"sine"]', '"saw"]', "reference.shapes.4 = 'saw': "),
+    ],
+)
+def test_an_error_names_key_and_value(tmp_path: Path, old: str, new: str, told: str) -> None:
+    path = tmp_path / "mine.toml"
+    assert old in STANDARD
+    path.write_text(STANDARD.replace(old, new), encoding="utf-8")
+    with pytest.raises(CampaignError) as problem:
+        read_campaign(path)
+    assert f"{path}: {told}" in str(problem.value)
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(CampaignError, match=r"missing\.toml: No such file"):
+        read_campaign(tmp_path / "missing.toml")
