@@ -23,11 +23,17 @@ from tests.recording.material import make_tick
 NOW = datetime(2026, 11, 21, 1, 30, tzinfo=UTC)
 PATIENCE_S = 60.0
 
+ROOMY = 1 << 24
+"""Backlog for a writer that is slow on a busy machine: nothing may be dropped."""
+
+TIGHT = 50_000
+"""Backlog that a stalled writer fills within a second."""
+
 
 class Bench:
     """A recorder at work, and what a control process would do beside it."""
 
-    def __init__(self, session: NewSession, backlog_bytes: int) -> None:
+    def __init__(self, session: NewSession, backlog_bytes: int = ROOMY) -> None:
         self.hub = Hub()
         self.directory = session.directory
         self.published = 0
@@ -76,7 +82,7 @@ class Bench:
 
 
 @asynccontextmanager
-async def recording(session: NewSession, *, backlog_bytes: int = 50_000) -> AsyncIterator[Bench]:
+async def recording(session: NewSession, *, backlog_bytes: int = ROOMY) -> AsyncIterator[Bench]:
     bench = Bench(session, backlog_bytes)
     async with asyncio.TaskGroup() as group:
         bench.running = group.create_task(bench.recorder.run())
@@ -89,8 +95,7 @@ def sequences(session: Session) -> list[int]:
 
 
 async def test_an_orderly_end_records_every_tick_up_to_the_last(session: NewSession) -> None:
-    # Room for a writer that is slow to start on a busy machine: nothing may be dropped here.
-    async with recording(session, backlog_bytes=1 << 24) as bench:
+    async with recording(session) as bench:
         await bench.publish_until(lambda: bench.rows() > 500)
         await bench.publish(37)
         await bench.stop()
@@ -148,7 +153,7 @@ async def test_a_killed_writer_loses_only_what_it_had_not_written(session: NewSe
 
 
 async def test_a_stalled_writer_costs_ticks_which_are_counted(session: NewSession) -> None:
-    async with recording(session) as bench:
+    async with recording(session, backlog_bytes=TIGHT) as bench:
         await bench.publish_until(lambda: bench.rows() > 100)
         writer = bench.writer()
         os.kill(writer, signal.SIGSTOP)
@@ -180,7 +185,7 @@ async def test_a_stalled_writer_costs_ticks_which_are_counted(session: NewSessio
 
 
 async def test_an_event_during_a_stall_is_recorded_after_it(session: NewSession) -> None:
-    async with recording(session) as bench:
+    async with recording(session, backlog_bytes=TIGHT) as bench:
         await bench.publish_until(lambda: bench.rows() > 100)
         writer = bench.writer()
         os.kill(writer, signal.SIGSTOP)
