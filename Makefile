@@ -9,7 +9,7 @@ bin := $(venv)/bin
 # The stamp's name follows the content of both files: an unchanged checkout never reinstalls.
 installed := $(venv)/.installed-$(firstword $(shell cat pyproject.toml constraints.txt | cksum))
 
-.PHONY: help demo test lint docs wheel constraints clean
+.PHONY: help demo test lint bench docs wheel constraints clean
 
 help:
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 20
@@ -26,6 +26,9 @@ lint: $(installed) ## lint, formatting, types and import layers
 	$(bin)/ruff format --check
 	$(bin)/mypy
 	$(bin)/lint-imports
+
+bench: $(installed) ## measure speed and real time as a table and as build/bench.json
+	$(bin)/python -m tests.benchmarks
 
 docs: $(installed) ## write the pages that are made from the code
 	$(bin)/python -m adaptdrive.config.reference docs/configuration.md

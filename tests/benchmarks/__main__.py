@@ -1,0 +1,57 @@
+"""`make bench`: all benchmarks, one table, and `build/bench.json`.
+
+`python -m tests.benchmarks --quick --only compute` runs a part of it for a short time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import platform
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+from tests.benchmarks.rows import Row, table, write_json
+
+PARTS = ("compute", "experiment", "lateness", "turnaround", "load", "daemons")
+RESULT = Path("build/bench.json")
+
+
+def main() -> int:
+    """Run them."""
+    parser = argparse.ArgumentParser(prog="make bench")
+    parser.add_argument("--quick", action="store_true", help="seconds instead of minutes")
+    parser.add_argument("--only", choices=PARTS, action="append", help="a part; may be repeated")
+    parser.add_argument("--output", type=Path, default=RESULT)
+    options = parser.parse_args()
+    rows: list[Row] = []
+    facts: dict[str, object] = {
+        "time": datetime.now(UTC).isoformat(),
+        "machine": platform.platform(),
+        "python": platform.python_version(),
+        "cpus": os.cpu_count(),
+        "load_before": os.getloadavg()[0],
+        "quick": options.quick,
+    }
+    for name in options.only or PARTS:
+        part = importlib.import_module(f"tests.benchmarks.{name}")
+        try:
+            found = list(part.rows() if name == "compute" else part.rows(quick=options.quick))
+        except (OSError, RuntimeError) as problem:
+            sys.stderr.write(f"{name}: not measured: {problem}\n")
+            continue
+        rows += found
+        facts["load_after"] = os.getloadavg()[0]
+        write_json(rows, facts, options.output)
+    sys.stdout.write("\n".join(table(rows)) + "\n")
+    sys.stdout.write(
+        f"\n{os.cpu_count()} CPUs, load {facts['load_before']:.1f} before; "
+        f"{sum(row.met is False for row in rows)} targets not met; {options.output}\n"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

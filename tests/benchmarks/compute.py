@@ -1,0 +1,322 @@
+"""What a tick, a slow step and a frame cost, without a clock and without a wire."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import can
+import numpy as np
+import padasip
+
+from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
+from adaptdrive.control import rls
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.signals import (
+    Command,
+    Decision,
+    Measurement,
+    Mode,
+    Order,
+    Snapshot,
+    Stage,
+)
+from adaptdrive.hardware.can.port import build_can_port
+from adaptdrive.hardware.loopback.port import LoopbackPort
+from adaptdrive.hardware.port import Reading
+from adaptdrive.runtime.fast_loop import FastLoop
+from adaptdrive.runtime.machine import Machine
+from adaptdrive.runtime.reports import State, TickReport
+from adaptdrive.runtime.requests import Enable
+from tests.benchmarks.rows import Row, alternating, quantile
+from tests.hardware.bench import EXAMPLES, LOAD, MOTOR, MOTOR_BUS, STATUS, Drive
+
+TICK_US = 0.5e6 / MOTOR.drive.line_frequency_Hz
+CALLS, ROUNDS = 2000, 21
+
+
+def rows() -> Iterator[Row]:
+    """All rows of this file."""
+    yield from _estimator("RLS update, n = 3", 3, filtered=False)
+    yield from _estimator("LM-RLS update, n = 3, with its regressor", 3, filtered=True)
+    yield from _tick()
+    yield from _frames()
+
+
+# -- estimator -------------------------------------------------------------------------------
+
+
+def _estimator(name: str, size: int, *, filtered: bool) -> Iterator[Row]:
+    source = np.random.default_rng(1)
+    regressors = source.normal(size=(997, size))
+    targets = [float(one) for one in regressors @ source.normal(size=size)]
+    jobs = [
+        _ours(regressors.tolist(), targets, filtered),
+        _padasip(regressors, targets, filtered),
+        _textbook(regressors, targets, filtered),
+    ]
+    ours, peer, textbook = alternating(jobs, CALLS, ROUNDS)
+    faster = "at least 5 times faster"
+    yield Row(name, ours, "us", peer, "padasip FilterRLS", faster, 5.0 * ours <= peer)
+    yield Row(name, ours, "us", textbook, "textbook form in numpy")
+
+
+def _ours(
+    regressors: list[list[float]], targets: list[float], filtered: bool
+) -> Callable[[], object]:
+    size = len(regressors[0])
+    theta, upper, diagonal = [0.0] * size, [0.0] * size**2, [0.0] * size
+    rls.reset(theta, upper, diagonal, 1e4)
+    samples = itertools.cycle(zip(regressors, targets, strict=True))
+    regressor = [0.0] * size
+
+    def plain() -> object:
+        values, target = next(samples)
+        return rls.update(theta, upper, diagonal, values, target, 0.97)
+
+    def with_regressor() -> object:
+        values, target = next(samples)
+        regressor[0], regressor[1] = -values[0] / 3.0, -values[1] / 3.0
+        regressor[2] = values[2] / 280.0
+        return rls.update(theta, upper, diagonal, regressor, target, 0.97)
+
+    return with_regressor if filtered else plain
+
+
+def _padasip(
+    regressors: np.ndarray[tuple[int, int], np.dtype[np.float64]],
+    targets: list[float],
+    filtered: bool,
+) -> Callable[[], object]:
+    adaptive = padasip.filters.FilterRLS(n=regressors.shape[1], mu=0.97)
+    samples = itertools.cycle(zip(regressors, targets, strict=True))
+    scales = np.array([-3.0, -3.0, 280.0])
+
+    def job() -> object:
+        values, target = next(samples)
+        return adaptive.adapt(target, values / scales if filtered else values)
+
+    return job
+
+
+def _textbook(
+    regressors: np.ndarray[tuple[int, int], np.dtype[np.float64]],
+    targets: list[float],
+    filtered: bool,
+) -> Callable[[], object]:
+    size = regressors.shape[1]
+    theta, covariance = np.zeros(size), 1e4 * np.eye(size)
+    samples = itertools.cycle(zip(regressors, targets, strict=True))
+    scales = np.array([-3.0, -3.0, 280.0])
+
+    def job() -> object:
+        nonlocal theta, covariance
+        values, target = next(samples)
+        r = values / scales if filtered else values
+        gain = covariance @ r / (0.97 + r @ covariance @ r)
+        theta = theta + gain * (target - r @ theta)
+        covariance = (covariance - np.outer(gain, r) @ covariance) / 0.97
+        return theta
+
+    return job
+
+
+# -- the tick --------------------------------------------------------------------------------
+
+
+class Quiet:
+    """Surroundings of a fast loop that measure nothing and keep nothing."""
+
+    def __init__(self) -> None:
+        self.time_s = 1000.0
+        self.snapshot: Snapshot | None = None
+
+    def now_s(self) -> float:
+        return self.time_s
+
+    def arm(self, deadline_s: float) -> None: ...
+
+    def met_deadline(self, now_s: float) -> None: ...
+
+    def ticked(self, report: TickReport) -> None: ...
+
+    def snapshot_taken(self, snapshot: Snapshot) -> bool:
+        self.snapshot = snapshot
+        return True
+
+    def decided(self, snapshot: Snapshot, decision: Decision) -> None: ...
+
+    def run_ended(self) -> None: ...
+
+
+CALM = Reading(0.0, 0.0, 0, 300.1, 120.4, 431.7, 3.12, 0, True)
+
+
+def running_controller() -> tuple[Controller, Order]:
+    """A controller in stage RUN, and the order that keeps it there."""
+    controller = Controller(controller_settings(MOTOR), build_load(MOTOR))
+    order = Order(Stage.RUN, 3.1, Mode.ADAPTIVE, MOTOR.load.pole)
+    return controller, order
+
+
+def _tick() -> Iterator[Row]:
+    controller, order = running_controller()
+    plain, slow = _times_of_ticks(controller, order)
+    target = "at most 15 us"
+    median = quantile(plain, 0.5)
+    note = f"{median / TICK_US:.2%} of the half cycle; p99 {quantile(plain, 0.99):.1f} us"
+    yield Row("controller alone: voltage loop, filters", median, "us", note=note)
+    yield _whole_tick(target)
+    note = f"p99 {quantile(slow, 0.99):.0f} us; once per {MOTOR.ticks_per_period} ticks"
+    median = quantile(slow, 0.5)
+    yield Row("slow step: estimate, supervise, design", median, "us", note=note)
+
+
+def _times_of_ticks(controller: Controller, order: Order) -> tuple[list[float], list[float]]:
+    plain, slow = [], []
+    for n in range(12_000):
+        output = 3.1 + 0.05 * math.sin(0.001 * n)
+        measurement = Measurement(n, TICK_US * 1e-6, 300.1, 120.4, 431.7, output)
+        began_s = time.perf_counter()
+        controller.tick(measurement, order)
+        plain.append((time.perf_counter() - began_s) * 1e6)
+        snapshot = controller.take_snapshot()
+        if snapshot is not None:
+            began_s = time.perf_counter()
+            controller.apply(controller.decide(snapshot))
+            slow.append((time.perf_counter() - began_s) * 1e6)
+    return plain, slow
+
+
+def running_loop(send: Callable[[Command], None]) -> tuple[FastLoop, Quiet]:
+    """A fast loop in state running on a port without a wire."""
+    quiet = Quiet()
+    settings = daemon_settings(MOTOR)
+    machine = Machine(settings.machine, settings.pole)
+    controller = Controller(controller_settings(MOTOR), build_load(MOTOR))
+    port = LoopbackPort(send, counter_modulus=65536)
+    loop = FastLoop(port, controller, machine, settings.fast, quiet)
+    for number in range(6):
+        feed(loop, quiet, number)
+        if number == 2:
+            machine.carry_out(Enable(), loop.tick, 3.1, loop.cause)
+    assert machine.state is State.RUNNING, machine.state
+    return loop, quiet
+
+
+def feed(loop: FastLoop, quiet: Quiet, number: int) -> None:
+    """The next reading, a half cycle after the last."""
+    quiet.time_s += TICK_US * 1e-6
+    now_s = quiet.time_s
+    loop.on_reading(replace(CALM, arrival_s=now_s, oldest_s=now_s, counter=number % 65536))
+
+
+def _whole_tick(target: str) -> Row:
+    sent: list[Command] = []
+    loop, quiet = running_loop(sent.append)
+    times = []
+    for number in range(6, 12_006):
+        quiet.time_s += TICK_US * 1e-6
+        now_s = quiet.time_s
+        reading = replace(CALM, arrival_s=now_s, oldest_s=now_s, counter=number % 65536)
+        began_s = time.perf_counter()
+        loop.on_reading(reading)
+        times.append((time.perf_counter() - began_s) * 1e6)
+        if quiet.snapshot is not None:
+            quiet.snapshot = None
+        sent.clear()
+    median = quantile(times, 0.5)
+    note = f"{median / TICK_US:.2%} of the half cycle; p99 {quantile(times, 0.99):.1f} us"
+    name = "whole tick: time base, interlocks, controller, guard, report"
+    return Row(name, median, "us", target=target, met=median <= 15.0, note=note)
+
+
+# -- the wire --------------------------------------------------------------------------------
+
+
+class _Frames(can.BusABC):
+    """A bus that keeps nothing; it only counts."""
+
+    def __init__(self) -> None:
+        self.frames: list[can.Message] = []
+        super().__init__(channel="benchmark")
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        self.frames.append(msg)
+
+
+def status_frames(count: int) -> list[tuple[can.Message, can.Message]]:
+    """Frames of so many half cycles, made by cantools and crccheck."""
+    bus = _Frames()
+    drive = Drive(bus)
+    for _ in range(count):
+        drive.send_status(BoostVoltage=STATUS["BoostVoltage"])
+        drive.send_load(Tachometer=LOAD["Tachometer"])
+    bus.shutdown()
+    return list(zip(bus.frames[::2], bus.frames[1::2], strict=True))
+
+
+class _Clocked:
+    """A listener that runs the ticks of a fast loop, and a clock."""
+
+    def __init__(self) -> None:
+        self.quiet = Quiet()
+        self.loop: FastLoop | None = None
+
+    def on_reading(self, reading: Reading) -> None:
+        if self.loop is not None:
+            self.loop.on_reading(reading)
+
+    def on_bus(self, up: bool, detail: str) -> None: ...
+
+
+def _frames() -> Iterator[Row]:
+    listener, bus = _Clocked(), _Frames()
+    source = EXAMPLES / "motor.toml"
+    port = build_can_port(
+        MOTOR_BUS, MOTOR.signals, lambda: listener.quiet.time_s, wall_clock=time.time, source=source
+    )
+    port._listener, port._bus = listener, bus
+    pairs = status_frames(8000)
+    decode = _times_of_pairs(port.take, listener, pairs[:3000])
+    command = Command(0.0512, 301.25, True)
+    encode = []
+    for _ in range(6000):
+        began_s = time.perf_counter()
+        port.send(command)
+        encode.append((time.perf_counter() - began_s) * 1e6)
+    settings = daemon_settings(MOTOR)
+    machine = Machine(settings.machine, settings.pole)
+    controller = Controller(controller_settings(MOTOR), build_load(MOTOR))
+    listener.loop = FastLoop(port, controller, machine, settings.fast, listener.quiet)
+    _times_of_pairs(port.take, listener, pairs[3000:3003])
+    machine.carry_out(Enable(), listener.loop.tick, 3.1, listener.loop.cause)
+    whole = _times_of_pairs(port.take, listener, pairs[3003:])
+    assert machine.state is State.RUNNING, machine.trip
+    bus.shutdown()
+    for name, times in (("decode two frames", decode), ("encode one frame", encode)):
+        median = quantile(times, 0.5)
+        note = f"{median / TICK_US:.2%} of the half cycle; p99 {quantile(times, 0.99):.1f} us"
+        yield Row(name, median, "us", note=note)
+    median = quantile(whole, 0.5)
+    note = f"{median / TICK_US:.2%} of the half cycle; p99 {quantile(whole, 0.99):.1f} us"
+    name = "tick with decode of two frames and encode of one"
+    yield Row(name, median, "us", target="at most 60 us", met=median <= 60.0, note=note)
+
+
+def _times_of_pairs(
+    take: Callable[[can.Message], None],
+    listener: _Clocked,
+    pairs: list[tuple[can.Message, can.Message]],
+) -> list[float]:
+    times = []
+    for status, load in pairs:
+        listener.quiet.time_s += TICK_US * 1e-6
+        began_s = time.perf_counter()
+        take(status)
+        take(load)
+        times.append((time.perf_counter() - began_s) * 1e6)
+    return times

@@ -1,0 +1,171 @@
+"""What a daemon costs: CPU, memory, its start, and how many of them two cores hold."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from tests.benchmarks.rows import Row
+from tests.benchmarks.site import Running, broker, start_daemon
+from tests.benchmarks.tools import (
+    PRIORITY,
+    bus_socket,
+    children,
+    cpu_s,
+    is_command,
+    process,
+    resident_MiB,
+)
+
+WANTED = 16
+COUNTS = (1, 4, 8, 16, 24, 32)
+
+
+@dataclass(frozen=True)
+class Census:
+    """So many daemons at work for some time.
+
+    Attributes:
+        missed: Half cycles without a tick, and stand-in ticks, of all of them.
+        cpu_share: CPU share of one daemon in the mean, in percent.
+        resident: Largest resident memory of a daemon.
+        recorder: Largest resident memory of a recorder process, NaN without one.
+    """
+
+    missed: int
+    cpu_share: float
+    resident: float
+    recorder: float
+
+
+def rows(*, quick: bool) -> Iterator[Row]:
+    """All rows of this file."""
+    yield _start()
+    seconds = 10.0 if quick else 60.0
+    counts = COUNTS[:4] if quick else COUNTS
+    held = 0
+    for count in counts:
+        census = measure(count, seconds, recording=count == 1)
+        if count == 1:
+            yield from _one(census)
+        note = f"{census.missed} missed or stand-in ticks in {seconds:.0f} s"
+        yield Row(f"CPU share of each of {count} daemons", census.cpu_share, "%", note=note)
+        if census.missed:
+            break
+        held = count
+    target = f"at least {WANTED}"
+    met = held >= WANTED
+    note = f"on {os.cpu_count()} CPUs, without recorders; the next step tried missed ticks"
+    if met and held == counts[-1]:
+        note = f"on {os.cpu_count()} CPUs, without recorders; no more were tried"
+    yield Row(
+        "daemons at 120 Hz without a missed tick", held, "", target=target, met=met, note=note
+    )
+
+
+def _one(census: Census) -> Iterator[Row]:
+    share, resident, recorder = census.cpu_share, census.resident, census.recorder
+    yield Row("CPU share of a daemon", share, "%", target="at most 4 %", met=share <= 4.0)
+    note = "memory locked as it is touched"
+    met = resident <= 80.0
+    yield Row("resident memory of a daemon", resident, "MiB", None, "", "at most 80", met, note)
+    met = recorder <= 120.0
+    yield Row("resident memory of its recorder", recorder, "MiB", None, "", "at most 120", met)
+
+
+def _start() -> Row:
+    """From the start of the process to its first command on the bus."""
+    times = []
+    with TemporaryDirectory() as name, ExitStack() as stack:
+        folder = Path(name)
+        _, port = stack.enter_context(broker(folder))
+        for number in range(3):
+            with ExitStack() as one:
+                began_s = time.monotonic()
+                running = start_daemon(one, folder / str(number), port, {})
+                bus = one.enter_context(bus_socket(running.bus_port))
+                _await_command(bus.fileno(), began_s + 30.0)
+                while not is_command(bus.recv(512)):
+                    pass
+                times.append(time.monotonic() - began_s)
+    median = sorted(times)[1]
+    name = "start of the process to first command on the bus"
+    return Row(name, median, "s", target="at most 1.5 s", met=median <= 1.5)
+
+
+def _await_command(fileno: int, deadline_s: float) -> None:
+    if not select.select([fileno], [], [], deadline_s - time.monotonic())[0]:
+        raise RuntimeError("no command on the bus")
+
+
+def measure(count: int, seconds: float, *, recording: bool) -> Census:
+    """Run so many daemons with their drives' frames replayed."""
+    with TemporaryDirectory() as name, ExitStack() as stack:
+        folder = Path(name)
+        _, broker_port = stack.enter_context(broker(folder))
+        daemons = []
+        for i in range(count):
+            changes = {
+                "drive.name": f'"d{i}"',
+                "recording.enabled": str(recording).lower(),
+                "realtime.late_us": "4000.0",
+            }
+            daemons.append(start_daemon(stack, folder / f"d{i}", broker_port, changes))
+        time.sleep(3.0 + 0.7 * count)
+        ports = ",".join(str(daemon.bus_port) for daemon in daemons)
+        player = [sys.executable, "-m", "tests.benchmarks.player", ports, str(PRIORITY + 10)]
+        stack.enter_context(process(player))
+        time.sleep(4.0)
+        _run_drives(daemons)
+        return _count(daemons, broker_port, seconds)
+
+
+def _run_drives(daemons: list[Running]) -> None:
+    for i, daemon in enumerate(daemons):
+        daemon.ask("enable", drive=f"d{i}")
+    time.sleep(2.0)
+    for daemon in daemons:
+        log = daemon.log.read_text(encoding="utf-8")
+        if "starting to running" not in log:
+            raise RuntimeError(f"a drive does not run: {log[-2000:]}")
+
+
+def _count(daemons: list[Running], broker_port: int, seconds: float) -> Census:
+    pids = [daemon.daemon.pid for daemon in daemons]
+    before = _ticks(broker_port, len(pids))
+    used, began_s = [cpu_s(pid) for pid in pids], time.monotonic()
+    time.sleep(seconds)
+    shares = [cpu_s(pid) - one for pid, one in zip(pids, used, strict=True)]
+    passed_s = time.monotonic() - began_s
+    after = _ticks(broker_port, len(pids))
+    recorders = [resident_MiB(child) for pid in pids for child in children(pid)]
+    return Census(
+        missed=sum(after.values()) - sum(before.values()),
+        cpu_share=100.0 * sum(shares) / passed_s / len(pids),
+        resident=max(map(resident_MiB, pids)),
+        recorder=max(recorders, default=float("nan")),
+    )
+
+
+def _ticks(broker_port: int, count: int) -> dict[str, int]:
+    """Missed and stand-in ticks so far, by drive."""
+    command = ["mosquitto_sub", "-p", str(broker_port), "-t", "adaptdrive/+/telemetry/drive"]
+    command += ["-F", "%t %p", "-C", str(6 * count), "-W", "10"]
+    run = subprocess.run(command, check=False, capture_output=True, text=True, timeout=30.0)
+    found = {}
+    for line in run.stdout.splitlines():
+        topic, _, payload = line.partition(" ")
+        content = json.loads(payload)
+        found[topic] = int(content["missed"]) + int(content["held"])
+    if len(found) != count:
+        raise RuntimeError(f"{len(found)} of {count} drives were heard")
+    return found

@@ -1,0 +1,81 @@
+"""Rows of the table: ours, what it is held against, and the target."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table.
+
+    Attributes:
+        name: What is measured.
+        ours: Our figure.
+        reference: The figure it is held against, measured in the same run.
+        against: What that is.
+        unit: Of both.
+        target: What is wanted, in words.
+        met: Whether it is so; None without a target.
+        note: What else must be known.
+    """
+
+    name: str
+    ours: float
+    unit: str
+    reference: float | None = None
+    against: str = ""
+    target: str = ""
+    met: bool | None = None
+    note: str = ""
+
+    @property
+    def ratio(self) -> float | None:
+        """Ours over the reference."""
+        return self.ours / self.reference if self.reference else None
+
+
+def quantile(values: Sequence[float], share: float) -> float:
+    """The value that a share of the values does not exceed."""
+    ordered = sorted(values)
+    return ordered[min(len(ordered) - 1, int(share * len(ordered)))]
+
+
+def alternating(jobs: Sequence[Callable[[], object]], calls: int, rounds: int) -> list[float]:
+    """Median time of one call of each job, in microseconds; the jobs take turns."""
+    times: list[list[float]] = [[] for _ in jobs]
+    for _ in range(rounds):
+        for job, found in zip(jobs, times, strict=True):
+            began_s = time.perf_counter()
+            for _ in range(calls):
+                job()
+            found.append((time.perf_counter() - began_s) / calls * 1e6)
+    return [quantile(found, 0.5) for found in times]
+
+
+def table(rows: Sequence[Row]) -> Iterator[str]:
+    """The rows as text."""
+    head = f"{'':58} {'ours':>10} {'against':>10} {'ratio':>7}  unit  target"
+    yield head
+    for row in rows:
+        reference = "" if row.reference is None else f"{row.reference:.4g}"
+        ratio = "" if row.ratio is None else f"{row.ratio:.3g}"
+        verdict = {None: "", True: "met", False: "NOT MET"}[row.met]
+        yield (
+            f"{row.name:58} {row.ours:10.4g} {reference:>10} {ratio:>7}  {row.unit:4}  "
+            f"{row.target} {verdict}"
+        ).rstrip()
+        extra = "; ".join(part for part in (row.against, row.note) if part)
+        if extra:
+            yield f"    {extra}"
+
+
+def write_json(rows: Sequence[Row], facts: dict[str, object], path: Path) -> None:
+    """Write the rows, with their ratios, and what is known of the machine."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content = facts | {"rows": [asdict(row) | {"ratio": row.ratio} for row in rows]}
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,85 @@
+"""One daemon as a process, with a broker, set up in real time as far as it is granted."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from tests.benchmarks.tools import PRIORITY, process
+from tests.support import MosquittoLauncher, Process, free_port, stop_process
+from tests.system.site import motor_configuration
+
+REALTIME = {
+    "realtime.priority": str(PRIORITY),
+    "realtime.lock_memory": "true",
+    "interlocks.stale_s": "0.2",
+}
+
+
+@dataclass
+class Running:
+    """A running daemon."""
+
+    daemon: subprocess.Popen[bytes]
+    bus_port: int
+    broker_port: int
+    log: Path
+
+    def ask(self, verb: str, value: object = None, drive: str = "motor") -> None:
+        """Send a command."""
+        payload = json.dumps({"id": f"{verb}-{time.monotonic_ns()}", "value": value})
+        topic = f"adaptdrive/{drive}/command/{verb}"
+        command = ["mosquitto_pub", "-p", str(self.broker_port), "-t", topic, "-q", "1"]
+        subprocess.run([*command, "-m", payload], check=True, timeout=20.0)
+
+
+def start_daemon(
+    stack: ExitStack, folder: Path, broker_port: int, changes: dict[str, str]
+) -> Running:
+    """Start a daemon, and wait until its commands are on the bus."""
+    folder.mkdir(parents=True, exist_ok=True)
+    bus_port = free_port(socket.SOCK_DGRAM)
+    config = folder / "motor.toml"
+    config.write_text(motor_configuration(broker_port, bus_port, REALTIME | changes))
+    log = folder / "daemon.log"
+    output = stack.enter_context(log.open("ab"))
+    command = [sys.executable, "-m", "adaptdrive.cli", "run", str(config)]
+    daemon = stack.enter_context(process(command, stdout=output, stderr=output, cwd=folder))
+    return Running(daemon, bus_port, broker_port, log)
+
+
+@contextmanager
+def broker(folder: Path) -> Iterator[tuple[Process, int]]:
+    """A mosquitto, and its port."""
+    port = free_port(socket.SOCK_STREAM)
+    started = MosquittoLauncher("/usr/sbin/mosquitto", folder).start(port)
+    try:
+        yield started, port
+    finally:
+        stop_process(started)
+
+
+@contextmanager
+def site(changes: dict[str, str]) -> Iterator[tuple[Running, Process]]:
+    """A daemon and its broker, in a folder that is removed."""
+    with TemporaryDirectory() as name, ExitStack() as stack:
+        folder = Path(name)
+        mosquitto, port = stack.enter_context(broker(folder))
+        yield start_daemon(stack, folder, port, changes), mosquitto
+
+
+def await_log(running: Running, words: str, patience_s: float = 30.0) -> None:
+    """Wait until the daemon has logged some words."""
+    deadline_s = time.monotonic() + patience_s
+    while words not in running.log.read_text(encoding="utf-8"):
+        if time.monotonic() > deadline_s or running.daemon.poll() is not None:
+            raise RuntimeError(f"no {words!r}: {running.log.read_text(encoding='utf-8')}")
+        time.sleep(0.05)

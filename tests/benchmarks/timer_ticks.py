@@ -1,0 +1,66 @@
+"""Ticks of the timer, in a process of its own: `timer_ticks.py SECONDS PRIORITY SPIN_US`.
+
+The fast loop without a drive, on the kernel's timer, set up as the daemon sets itself up. Prints
+the lateness of every tick, in microseconds.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+import time
+
+from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
+from adaptdrive.control.controller import Controller
+from adaptdrive.hardware.loopback.port import LoopbackPort
+from adaptdrive.runtime.fast_loop import FastLoop
+from adaptdrive.runtime.latency import WatchedLoop
+from adaptdrive.runtime.machine import Machine
+from adaptdrive.runtime.realtime import RealtimeSettings, set_up
+from adaptdrive.runtime.tick_timer import TickTimer
+from tests.benchmarks.compute import Quiet
+from tests.hardware.bench import MOTOR
+
+
+class Timed(Quiet):
+    """Surroundings with the real clock and the real timer."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.timer: TickTimer | None = None
+
+    def now_s(self) -> float:
+        return time.monotonic()
+
+    def arm(self, deadline_s: float) -> None:
+        if self.timer is not None:
+            self.timer.arm(deadline_s)
+
+
+async def main(duration_s: float, priority: int, spin_us: float) -> list[float]:
+    """Run ticks for so long."""
+    around, settings = Timed(), daemon_settings(MOTOR)
+    machine = Machine(settings.machine, settings.pole)
+    controller = Controller(controller_settings(MOTOR), build_load(MOTOR))
+    port = LoopbackPort(lambda _: None, counter_modulus=None)
+    loop = FastLoop(port, controller, machine, settings.fast, around)
+    times: list[float] = []
+
+    def on_deadline(deadline_s: float) -> None:
+        times.append((time.monotonic() - deadline_s) * 1e6)
+        loop.on_deadline(deadline_s)
+
+    around.timer = TickTimer(asyncio.get_running_loop(), on_deadline, spin_us * 1e-6)
+    wanted = RealtimeSettings(priority=priority or None, lock_memory=bool(priority), freeze_gc=True)
+    set_up(wanted)
+    loop.begin()
+    await asyncio.sleep(duration_s)
+    around.timer.close()
+    return times[10:]
+
+
+if __name__ == "__main__":
+    with asyncio.Runner(loop_factory=WatchedLoop) as runner:
+        found = runner.run(main(float(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])))
+    sys.stdout.write(json.dumps({"lateness_us": found}))

@@ -1,0 +1,100 @@
+"""What the benchmarks with processes share: raw frames, real-time processes, the kernel's books."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgpack
+from can.interfaces.udp_multicast.utils import pack_message
+
+from tests.benchmarks.compute import status_frames
+
+ROOT = Path(__file__).parents[2]
+GROUP = "239.74.163.2"
+COMMAND_ID = 0x080
+PRIORITY = 50
+BUSY = {**os.environ, "PYTHONPATH": f"{ROOT}/src:{ROOT}/simulators:{ROOT}"}
+
+
+def packed_frames(count: int) -> list[tuple[bytes, bytes]]:
+    """Datagrams of so many half cycles, as python-can puts them on the bus."""
+    return [(pack_message(one), pack_message(other)) for one, other in status_frames(count)]
+
+
+def is_command(datagram: bytes) -> bool:
+    """Whether a datagram is a command frame."""
+    return bool(msgpack.unpackb(datagram)["arbitration_id"] == COMMAND_ID)
+
+
+def bus_socket(port: int) -> socket.socket:
+    """A bare socket on the bus, on the loopback interface only."""
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    loopback = socket.inet_aton("127.0.0.1")
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+    sock.bind((GROUP, port))
+    membership = struct.pack("4s4s", socket.inet_aton(GROUP), loopback)
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+    return sock
+
+
+def try_fifo(priority: int) -> bool:
+    """Real-time scheduling for this process, where it is granted."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    except PermissionError:
+        return False
+    return True
+
+
+def cpu_s(pid: int) -> float:
+    """CPU time that a process has used."""
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def resident_MiB(pid: int) -> float:
+    """Memory of a process that is resident."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="utf-8").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def children(pid: int) -> list[int]:
+    """Processes that a process has started."""
+    text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8")
+    return [int(one) for one in text.split()]
+
+
+def run_json(module: str, *words: object) -> dict[str, list[float]]:
+    """Run a module in a process of its own; what it prints is JSON."""
+    command = [sys.executable, "-m", module, *map(str, words)]
+    run = subprocess.run(command, check=False, capture_output=True, text=True, env=BUSY)
+    if run.returncode != 0:
+        raise RuntimeError(run.stderr)
+    found = json.loads(run.stdout)
+    assert isinstance(found, dict)
+    return found
+
+
+@contextmanager
+def process(command: Sequence[str | Path], **options: object) -> Iterator[subprocess.Popen[bytes]]:
+    """A process that ends with the block."""
+    started = subprocess.Popen(command, env=BUSY, **options)  # type: ignore[call-overload]
+    try:
+        yield started
+    finally:
+        started.terminate()
+        try:
+            started.wait(10.0)
+        except subprocess.TimeoutExpired:
+            started.kill()
+            started.wait()

@@ -1,0 +1,85 @@
+"""Status frame in to command frame out, against bare echoes on the same bus."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from tests.benchmarks.prober import SETTLE_S
+from tests.benchmarks.rows import Row, quantile
+from tests.benchmarks.site import Running, site
+from tests.benchmarks.tools import PRIORITY, process, run_json
+from tests.support import free_port
+
+
+def rows(*, quick: bool) -> Iterator[Row]:
+    """All rows of this file."""
+    seconds = 10 if quick else 120
+    with TemporaryDirectory() as name, ExitStack() as stack:
+        running, _ = stack.enter_context(site({}))
+        ports = [running.bus_port, *(free_port(socket.SOCK_DGRAM) for _ in range(2))]
+        stack.enter_context(process([sys.executable, "-m", "tests.benchmarks.echo", str(ports[1])]))
+        stack.enter_context(process([*_fifo(), compile_echo(Path(name)), str(ports[2])]))
+        time.sleep(3.0)
+        times = probe(running, seconds, ports)
+    ours, python, c = ([one for one in times[str(port)] if one >= 0.0] for port in ports)
+    if not (ours and python and c):
+        raise RuntimeError("no answers on the bus")
+    missing = sum(one < 0.0 for one in times[str(ports[0])])
+    note = f"{len(ours)} half cycles, {missing} without an answer in 6 ms"
+    for share, name_of in ((0.50, "p50"), (0.99, "p99"), (0.999, "p99.9")):
+        found, held = quantile(ours, share), quantile(python, share)
+        target = "at most 2.5 times" if name_of == "p50" else ""
+        met = found <= 2.5 * held if name_of == "p50" else None
+        label = f"turn-around {name_of}"
+        yield Row(label, found, "us", held, "bare-socket echo in Python", target, met, note)
+        yield Row(label, found, "us", quantile(c, share), "bare-socket echo in C")
+
+
+def probe(running: Running, seconds: float, ports: list[int]) -> dict[str, list[float]]:
+    """Replay frames for so long, with the drive running."""
+    enable = threading.Thread(target=_enable, args=(running,))
+    enable.start()
+    words = ",".join(map(str, ports))
+    times = run_json("tests.benchmarks.prober", seconds + SETTLE_S, words)
+    enable.join()
+    if not runs(running):
+        log = running.log.read_text(encoding="utf-8")
+        raise RuntimeError(f"the drive did not run: {log}")
+    return times
+
+
+def _enable(running: Running) -> None:
+    """Ask until the drive runs: its first frames are still to come."""
+    deadline_s = time.monotonic() + 15.0
+    while not runs(running) and time.monotonic() < deadline_s:
+        running.ask("enable")
+        time.sleep(0.4)
+
+
+def runs(running: Running) -> bool:
+    """Whether the drive has been running."""
+    return "starting to running" in running.log.read_text(encoding="utf-8")
+
+
+def compile_echo(folder: Path) -> Path:
+    """The echo in C."""
+    if shutil.which("cc") is None:
+        raise RuntimeError("no C compiler")
+    program = folder / "echo"
+    source = Path(__file__).with_name("echo.c")
+    subprocess.run(["cc", "-O2", "-Wall", "-o", program, source], check=True)
+    return program
+
+
+def _fifo() -> list[str]:
+    probe = subprocess.run(["chrt", "-f", str(PRIORITY), "true"], check=False, capture_output=True)
+    return ["chrt", "-f", str(PRIORITY)] if probe.returncode == 0 else []
