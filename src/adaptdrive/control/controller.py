@@ -208,6 +208,8 @@ class Controller:
         share = state.deviations[index] / abs(state.values[index])
         if state.estimator.idle_periods > _IDLE_PERIODS:
             return f"not identifiable now: nothing excites {name}"
+        if not math.isfinite(share):
+            return f"how sure estimate {name} is, is not known yet"
         return f"estimate {name} is uncertain: ±{100 * share:.3g} %, limit {100 * limit:g} %"
 
     def _out_of_bounds(self, state: SlowState) -> str:
@@ -222,9 +224,9 @@ _REASONS = {
     Verdict.NOT_FINITE: "estimate is not finite",
     Verdict.UNSTABLE_LOAD: "estimated load is unstable",
     Verdict.UNSTABLE_LOOP: "designed loop would be unstable",
-        if not math.isfinite(share):
-            return f"how sure estimate {name} is, is not known yet"
     Verdict.WORSE_THAN_FIXED: "estimate predicts worse than the nominal model",
+    Verdict.FRAGILE: "designed loop might be unstable within the uncertainty of the estimate",
+    Verdict.AT_ODDS: "designed loop would be unstable with the last trusted estimate",
     Verdict.SETTLING: "estimate is good, but not yet for long enough",
 }
 
@@ -234,5 +236,3 @@ _FALLBACKS = {
     Fallback.OSCILLATING: "fell back: growing oscillation",
     Fallback.BLIND: "fell back: measurements failed",
 }
-    Verdict.FRAGILE: "designed loop might be unstable within the uncertainty of the estimate",
-    Verdict.AT_ODDS: "designed loop would be unstable with the last trusted estimate",
