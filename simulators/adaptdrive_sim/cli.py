@@ -247,3 +247,60 @@ def motor(  # noqa: PLR0913 - one parameter for each option
         directory=directory,
     )
     sys.exit(run_demo(settings))
+
+
+@demo.command
+def bath(  # noqa: PLR0913 - one parameter for each option
+    *,
+    speed: float = 60.0,
+    duration: float | None = None,
+    headless: Annotated[bool, Parameter(negative=())] = False,
+    mode: Literal["alternate", "fixed", "adaptive"] = "alternate",
+    noise: float = 0.05,
+    seed: int = 0,
+) -> None:
+    """Watch a bath follow a square wave while its drain is raised and lowered.
+
+    The daemon's controller, with the settings of bath.toml, runs against the simulated bath in
+    virtual time: one process, no bus. The status is 0 when control worked and 1 when it failed.
+
+    Args:
+        speed: Times real time.
+        duration: Seconds of control, in virtual time; until interrupted when left out.
+        headless: Show nothing; print one line of JSON at the end.
+        mode: Controller to ask for; alternate shows both in turn, the others ask once.
+        noise: Standard deviation of each sample of the temperature, in kelvin.
+        seed: Seed of the noise.
+    """
+    from adaptdrive_sim.demo.virtual import VirtualSettings, run_virtual  # noqa: PLC0415
+
+    sys.exit(run_virtual(VirtualSettings("bath", speed, duration, headless, mode, noise, seed)))
+
+
+@demo.command
+def battery(  # noqa: PLR0913 - one parameter for each option
+    *,
+    speed: float = 60.0,
+    duration: float | None = None,
+    headless: Annotated[bool, Parameter(negative=())] = False,
+    mode: Literal["alternate", "fixed", "adaptive"] = "alternate",
+    noise: float = 0.02,
+    seed: int = 0,
+) -> None:
+    """Watch a battery being charged: constant current, voltage limit, taper, end.
+
+    The daemon's controller, with the settings of battery.toml, runs against the simulated battery
+    in virtual time: one process, no bus. The status is 0 when control worked and 1 when it failed.
+
+    Args:
+        speed: Times real time.
+        duration: Seconds of control, in virtual time; until the battery is full, or interrupted
+            while it is watched, when left out.
+        headless: Show nothing; print one line of JSON at the end.
+        mode: Controller to ask for; alternate starts fixed and turns adaptive.
+        noise: Standard deviation of each sample of the current, in ampere.
+        seed: Seed of the noise.
+    """
+    from adaptdrive_sim.demo.virtual import VirtualSettings, run_virtual  # noqa: PLC0415
+
+    sys.exit(run_virtual(VirtualSettings("battery", speed, duration, headless, mode, noise, seed)))

@@ -163,7 +163,7 @@ def _times(frame: Frame) -> Text:
     line = [" "] * (_LABEL_WIDTH + frame.columns)
     apart_s = next(s for s in _APART_s if frame.window_s <= 5 * s)
     for back in range(1, int(frame.window_s / apart_s) + 1):
-        text = f"-{back * apart_s} s"
+        text = f"-{back * apart_s} s" if apart_s < 300 else f"-{back * apart_s // 60} min"
         start = _LABEL_WIDTH + frame.column(frame.now_s - back * apart_s) // 2
         line[start : start + len(text)] = text
     line[-3:] = "now"

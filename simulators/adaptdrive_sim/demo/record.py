@@ -75,6 +75,7 @@ class Record:
         halves: Overshoot of the half waves.
         lateness: The last reports of lateness.
         caption: What is happening, for people.
+        size: What a half wave has to move, where it is no number of disks.
     """
 
     began: datetime
@@ -99,6 +100,7 @@ class Record:
         default_factory=lambda: deque(maxlen=_LATENESS_REPORTS)
     )
     caption: str = ""
+    size: int = 0
 
     @property
     def control(self) -> Counts | None:
@@ -152,7 +154,7 @@ class Record:
             self.mark(load.controller)
         self.load = load
         if load.output is not None:
-            disks = self.truth.disks if self.truth else 0
+            disks = self.truth.disks if self.truth else self.size
             point = Point(self.clock(), load.reference, load.output, load.controller)
             self.slow.append(point)
             self.halves.add(load.reference, load.output, load.controller, disks)

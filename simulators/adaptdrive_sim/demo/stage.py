@@ -84,7 +84,7 @@ async def perform(settings: DemoSettings, show: Show) -> Outcome:
     Raises:
         AdaptdriveError: It cannot even begin.
     """
-    asked = _end_on_signals()
+    asked = end_on_signals()
     scene = await _set_up(settings)
     record = Record(datetime.now(UTC), time.monotonic)
     failure: AdaptdriveError | None = None
@@ -106,7 +106,8 @@ async def perform(settings: DemoSettings, show: Show) -> Outcome:
     return Outcome(summarise(record, places, str(failure) if failure else None), failure)
 
 
-def _end_on_signals() -> asyncio.Event:
+def end_on_signals() -> asyncio.Event:
+    """An event that SIGINT, SIGTERM and SIGHUP set."""
     asked = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

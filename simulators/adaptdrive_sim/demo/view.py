@@ -16,6 +16,8 @@ from adaptdrive_sim.demo.heard import Quantiles, known
 from adaptdrive_sim.demo.plot import CONTROLLER_STYLES, REFERENCE_STYLE, plot
 from adaptdrive_sim.demo.record import Record
 from adaptdrive_sim.demo.settings import DRIVE
+from adaptdrive_sim.demo.subject import Subject
+from adaptdrive_sim.demo.tables import figure, number, overshoot, percent, rows
 
 WIDE, TALL = 110, 32
 FIGURES_ROWS = 7
@@ -36,6 +38,7 @@ class Surroundings:
         program: How to call `adaptdrive` from another terminal.
         duration_s: Seconds until the end, None when it goes on.
         longest_window_s: Longest time that the plot shows.
+        subject: The load, None for the motor on a bus.
     """
 
     bus: str
@@ -43,6 +46,12 @@ class Surroundings:
     program: str
     duration_s: float | None
     longest_window_s: float
+    subject: Subject | None = None
+
+    @property
+    def drive(self) -> str:
+        """Name of the drive."""
+        return self.subject.drive if self.subject else DRIVE
 
 
 def screen(record: Record, around: Surroundings, size: tuple[int, int]) -> Layout:
@@ -61,7 +70,7 @@ def screen(record: Record, around: Surroundings, size: tuple[int, int]) -> Layou
     layout.split_column(
         Layout(_header(record, around), size=2),
         Layout(_plot_panel(record, around, (width, height - fixed))),
-        Layout(_figures(record, wide=width >= WIDE), size=FIGURES_ROWS),
+        Layout(_figures(record, around, wide=width >= WIDE), size=FIGURES_ROWS),
         Layout(_events(record, events), size=events),
         Layout(Text("\n").join(hints), size=len(hints)),
     )
@@ -71,19 +80,18 @@ def screen(record: Record, around: Surroundings, size: tuple[int, int]) -> Layou
 def _header(record: Record, around: Surroundings) -> Text:
     state = record.state
     name = state.state if state else "starting"
-    line = Text.assemble(
-        (f" {DRIVE} ", "bold reverse"), " ", (f" {name} ", _STATE_STYLES.get(name, "bold yellow"))
-    )
+    style = _STATE_STYLES.get(name, "bold yellow")
+    line = Text.assemble((f" {around.drive} ", "bold reverse"), " ", (f" {name} ", style))
     if state is not None:
         line.append_text(_controller(state.controller, state.mode, state.reason, state.trip))
     line.append(f"   {_elapsed(record, around)}", _DIM)
     if not record.connected:
         line.append("   broker not heard", "bold red")
-    return Text("\n").join([_cut(line), _cut(Text(f" {_caption(record)}", "italic"))])
+    return _cut(Text("\n").join([line, Text(f" {_caption(record, around)}", "italic")]))
 
 
-def _caption(record: Record) -> str:
-    if record.state is not None and record.state.trip is not None:
+def _caption(record: Record, around: Surroundings) -> str:
+    if around.subject is None and record.state is not None and record.state.trip is not None:
         return f"The drive is safe. adaptdrive reset {DRIVE}, then enable {DRIVE}, starts it again."
     return record.caption
 
@@ -115,7 +123,7 @@ def _plot_panel(record: Record, around: Surroundings, size: tuple[int, int]) -> 
     now_s, points = record.clock(), list(record.trace)
     since_s = now_s - points[0].time_s if points else 0.0
     window_s = min(max(since_s, _SHORTEST_WINDOW_s), around.longest_window_s)
-    title = Text("speed in tachometer volts")
+    title = Text(around.subject.title if around.subject else "speed in tachometer volts")
     for name, style in {**CONTROLLER_STYLES, "reference": REFERENCE_STYLE}.items():
         title.append(f"  ━ {name}", style)
     inner = (size[0] - 4, size[1] - 2)
@@ -123,12 +131,15 @@ def _plot_panel(record: Record, around: Surroundings, size: tuple[int, int]) -> 
     return Panel(content, title=title, box=ROUNDED, border_style=_DIM, title_align="left")
 
 
-def _figures(record: Record, *, wide: bool) -> Table:
-    contents = {
-        "drive": _drive(record, wide=wide),
-        "the load": _estimates(record, wide=wide),
-        "overshoot": _overshoots(record),
-    }
+def _figures(record: Record, around: Surroundings, *, wide: bool) -> Table:
+    if around.subject is not None:
+        contents = around.subject.figures()
+    else:
+        contents = {
+            "drive": _drive(record, wide=wide),
+            "the load": _estimates(record, wide=wide),
+            "overshoot": _overshoots(record),
+        }
     grid = Table.grid(expand=True)
     for ratio in (28, 30, 22):
         grid.add_column(ratio=ratio)
@@ -148,23 +159,15 @@ def _boxed(title: str, content: Table, *, wide: bool) -> Panel:
     )
 
 
-def _rows(*columns: str) -> Table:
-    """A table without lines; `l` and `r` say how its columns are aligned."""
-    table = Table.grid(expand=True, padding=(0, 1))
-    for column in columns:
-        table.add_column(justify="right" if column == "r" else "left", no_wrap=True)
-    return table
-
-
 def _drive(record: Record, *, wide: bool) -> Table:
-    table, drive, load = _rows("l", "r"), record.drive, record.load
+    table, drive, load = rows("l", "r"), record.drive, record.load
     output = known(drive.output) if drive else math.nan
     shaft = f" {record.truth.speed_rad_s:.0f} rad/s" if wide and record.truth else ""
-    table.add_row("speed", f"{_number(output, 3)} V{shaft}")
-    table.add_row("reference", f"{_number(load.reference if load else math.nan, 3)} V")
+    table.add_row("speed", f"{number(output, 3)} V{shaft}")
+    table.add_row("reference", f"{number(load.reference if load else math.nan, 3)} V")
     voltage = known(drive.boost_voltage_V) if drive else math.nan
     asked = load.boost_reference_V if load else math.nan
-    table.add_row("V_c / v_bst", f"{_number(asked, 0)} / {_number(voltage, 0)} V")
+    table.add_row("V_c / v_bst", f"{number(asked, 0)} / {number(voltage, 0)} V")
     table.add_row("late p50/p99/max, ms" if wide else "late, ms", _lateness(record.lateness))
     table.add_row("missed/held", _losses(record, wide=wide))
     return table
@@ -192,7 +195,7 @@ def _losses(record: Record, *, wide: bool) -> str:
 
 
 def _estimates(record: Record, *, wide: bool) -> Table:
-    table = _rows("l", "r", "r", "r")
+    table = rows("l", "r", "r", "r")
     table.add_row("", "learned", "truth", "error", style="bold")
     truth = record.truth.parameters if record.truth else {}
     estimates = record.load.estimates if record.load else {}
@@ -200,9 +203,9 @@ def _estimates(record: Record, *, wide: bool) -> Table:
         found = estimates.get(name)
         value, real = known(found.value) if found else math.nan, truth.get(name, math.nan)
         label = f"{symbol} [{unit}]" if wide else symbol
-        table.add_row(label, _figure(value), _figure(real), _percent(value / real - 1.0))
+        table.add_row(Text(label), figure(value), figure(real), percent(value / real - 1.0))
     disks = str(record.truth.disks) if record.truth else "–"
-    table.add_row("disks", _figure(_learned_disks(record)), disks, "")
+    table.add_row("disks", figure(_learned_disks(record)), disks, "")
     return table
 
 
@@ -217,17 +220,13 @@ def _learned_disks(record: Record) -> float:
 
 
 def _overshoots(record: Record) -> Table:
-    table = _rows("l", "r", "r")
+    table = rows("l", "r", "r")
     fixed, adaptive = (Text(name, style) for name, style in CONTROLLER_STYLES.items())
     table.add_row("disks", fixed, adaptive, style="bold")
     for disks in (1, 2, 3):
         found = (record.halves.overshoot(name, disks) for name in CONTROLLER_STYLES)
-        table.add_row(str(disks), *(_share(one) for one in found))
+        table.add_row(str(disks), *(overshoot(one) for one in found))
     return table
-
-
-def _share(overshoot: float | None) -> str:
-    return "·" if overshoot is None else f"{100.0 * overshoot:.1f}%"
 
 
 def _events(record: Record, rows: int) -> Text:
@@ -243,6 +242,9 @@ def _events(record: Record, rows: int) -> Text:
 
 
 def _hints(record: Record, around: Surroundings, *, tall: bool) -> Iterator[Text]:
+    if around.subject is not None:
+        yield from (_cut(Text(f" {line}", _DIM)) for line in around.subject.foot)
+        return
     yield _cut(Text(f" bus {around.bus}   broker {around.broker}   Ctrl-C ends", _DIM))
     other = "fixed" if record.state and record.state.mode == "adaptive" else "adaptive"
     call = f"{around.program} mode {DRIVE} {other} --broker {around.broker}"
@@ -260,15 +262,3 @@ def _hints(record: Record, around: Surroundings, *, tall: bool) -> Iterator[Text
 def _cut(line: Text) -> Text:
     line.no_wrap, line.overflow = True, "ellipsis"
     return line
-
-
-def _number(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if math.isfinite(value) else "–"
-
-
-def _figure(value: float) -> str:
-    return f"{value:#.3g}".rstrip(".") if math.isfinite(value) else "–"
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:+.1f}%" if math.isfinite(share) else ""

@@ -1,0 +1,113 @@
+"""A drive in virtual time, and the record that the live view shows of it.
+
+What the daemon would say over MQTT goes straight into the record, and its clock is the drive's.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+from adaptdrive.config.root import Configuration
+from adaptdrive.control.signals import Decision, Snapshot
+from adaptdrive.runtime.requests import Request
+from adaptdrive_sim.demo import heard
+from adaptdrive_sim.demo.record import Record
+from adaptdrive_sim.virtual import VirtualDrive
+from adaptdrive_sim.world import World
+
+_NO_LATENESS = heard.Quantiles(None, None, None)
+_REPORT_TICKS = 240
+
+
+class Play:
+    """One drive and what is said about it.
+
+    Attributes:
+        drive: The drive.
+        record: What was heard.
+    """
+
+    def __init__(self, configuration: Configuration, world: World) -> None:
+        self.drive = VirtualDrive(configuration, world)
+        self.record = Record(datetime.now(UTC), lambda: self.drive.time_s, connected=True)
+        self._report_ticks = max(_REPORT_TICKS, configuration.ticks_per_period // 2)
+        self._told = ""
+        self._tell_state()
+
+    def ask(self, request: Request) -> None:
+        """Carry out an operator's request.
+
+        Raises:
+            RefusedError: The drive refuses it.
+        """
+        self.drive.carry_out(request)
+        self._tell_state()
+
+    def event(self, kind: str, detail: str, severity: str = "info") -> None:
+        """Add an event."""
+        self.record.hear_event(heard.Event(self._now(), kind, severity, detail))
+
+    def tick(self) -> bool:
+        """Run one half line cycle; says whether a slow period has ended with it."""
+        drive = self.drive
+        decided = drive.tick()
+        if drive.ticks % self._report_ticks == 0:
+            self.report()
+        if decided and drive.snapshot is not None and drive.decision is not None:
+            self._tell_decision(drive.snapshot, drive.decision)
+        if drive.machine.state != self._told:
+            self._tell_state()
+        return decided
+
+    def report(self) -> None:
+        """Tell what the fast loop does."""
+        drive = self.drive
+        values = drive.boost_voltage_V, drive.load_power_W, drive.output
+        self.record.hear_drive(heard.Drive(*values, drive.ticks, 0, 0, _NO_LATENESS))
+
+    def _now(self) -> datetime:
+        return self.record.began + timedelta(seconds=self.drive.time_s)
+
+    def _tell_decision(self, snapshot: Snapshot, decision: Decision) -> None:
+        estimates = {
+            name: heard.Estimate(estimate.value, estimate.std)
+            for name, estimate in decision.estimates.items()
+        }
+        self.record.hear_load(
+            heard.Load(
+                k=decision.k,
+                reference=snapshot.order.reference,
+                output=snapshot.output,
+                boost_reference_V=decision.boost_reference_V,
+                estimates=estimates,
+                controller=str(decision.controller),
+                handover_step_V=decision.handover_step_V,
+            )
+        )
+        self._tell_state()
+
+    def _tell_state(self) -> None:
+        """Tell the state, and its change as an event."""
+        drive, machine = self.drive, self.drive.machine
+        decision = drive.decision
+        self.record.hear_state(
+            heard.State(
+                time=self._now(),
+                state=str(machine.state),
+                mode=str(machine.mode),
+                controller=str(decision.controller) if decision else "fixed",
+                reason=decision.reason if decision else "",
+                setpoint=drive.reference,
+                waveform=None,
+                pole=machine.pole,
+                trip=machine.trip,
+            )
+        )
+        if machine.state != self._told:
+            if self._told:
+                self.event("state", f"{self._told} to {machine.state}")
+            if machine.trip is not None:
+                self.event("trip", machine.trip, "alarm")
+            if drive.completed:
+                self.event("complete", "charging is complete")
+            self._told = str(machine.state)
