@@ -1,0 +1,67 @@
+"""What the daemon's default design reaches in the paper's experiment, with the noise it may meet."""
+
+from __future__ import annotations
+
+import statistics
+
+import pytest
+
+from adaptdrive_sim.experiments.case import Disturbance
+from adaptdrive_sim.experiments.metrics import convergence_cycles, cycles
+from adaptdrive_sim.experiments.motor import MOTOR
+from adaptdrive_sim.experiments.runner import Record, run_case
+from tests.experiments.cases import make_case, run_all
+
+ORACLE = 0.030
+"""Model error with three disks of a noise-free controller that knows the load."""
+
+LAST = {"one disk": 4, "two disks": 7, "three disks": 10}
+
+
+def error(record: Record, segment: str) -> float:
+    """Model error in the last cycle of a segment, as a fraction of the step."""
+    return cycles(MOTOR, "exact", record)[LAST[segment]].model_error_rms
+
+
+def runs(disturbance: Disturbance) -> list[Record]:
+    return run_all(
+        make_case(MOTOR, "adaptive", "exact", disturbance=disturbance, seed=seed)
+        for seed in range(20)
+    )
+
+
+@pytest.fixture(scope="module")
+def silent() -> Record:
+    return run_case(make_case(MOTOR, "adaptive", "exact", disturbance=Disturbance(0.0)))
+
+
+def test_without_noise_only_saturation_is_left_of_the_model_error(silent: Record) -> None:
+    assert error(silent, "one disk") < 0.003
+    assert error(silent, "two disks") < 0.008
+    assert error(silent, "three disks") < 1.10 * ORACLE
+
+
+def test_a_change_of_the_load_does_not_show(silent: Record) -> None:
+    assert max(cycle.overshoot for cycle in cycles(MOTOR, "exact", silent)) < 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_spikes_stop_mattering() -> None:
+    records = runs(Disturbance(0.002, 0.02, 0.1))
+    found = [error(record, "three disks") for record in records]
+    assert statistics.median(found) <= 1.10 * ORACLE
+    assert max(found) <= 1.25 * ORACLE
+    for record in records:
+        for change_s in MOTOR.changes:
+            taken = convergence_cycles(MOTOR, record, change_s)
+            assert taken is not None
+            assert taken <= 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize(("noise", "factor"), [(0.02, 1.15), (0.05, 1.40)])
+def test_noise_stops_mattering(noise: float, factor: float) -> None:
+    found = [error(record, "three disks") for record in runs(Disturbance(noise))]
+    assert statistics.median(found) <= factor * ORACLE
