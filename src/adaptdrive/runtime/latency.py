@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterator
 from time import monotonic
 from typing import Any
 
-_RING = 64
+_RING = 256
 _NAMED = 3
-_WORTH_NAMING_S = 2e-4
+_SHARE_WORTH_NAMING = 0.2
 _QUIET_S = 10.0
 
 SLEEP = "sleep"
@@ -130,11 +130,13 @@ class LatencyDetector:
         for name, spent_s in self._spent(due_s, began_s):
             times[name] = times.get(name, 0.0) + spent_s
         longest = sorted(times.items(), key=lambda item: -item[1])[:_NAMED]
-        named = [f"{name} {s * 1e3:.2f} ms" for name, s in longest if s >= _WORTH_NAMING_S]
-        if named:
-            return ", ".join(named)
+        named = ", ".join(f"{name} {spent_s * 1e3:.2f} ms" for name, spent_s in longest)
+        if sum(times.values()) >= _SHARE_WORTH_NAMING * (began_s - due_s):
+            return named
         if not self._watching:
             return "this event loop does not tell what ran"
+        if self._ring and self._ring[0][0] > due_s:
+            return f"more callbacks than are remembered, the last of them {named}"
         return "nothing of the daemon ran; another process had the CPU, or the frame was late"
 
     def _spent(self, due_s: float, began_s: float) -> Iterator[tuple[str, float]]:
