@@ -31,7 +31,10 @@ def replay(name: str, settings: Sequence[str] = ()) -> int:
     path = find_session(name, sessions_directory(None, os.environ))
     session = read_session(path)
     configuration = reconfigured(session.config_text, path / "config.toml", settings)
-    controller = Controller(controller_settings(configuration), build_load(configuration))
+    load, prior = build_load(configuration), session.info.prior
+    if prior is not None and len(prior) != len(load.names):
+        prior = None  # the settings ask for another kind of load
+    controller = Controller(controller_settings(configuration), load, prior)
     report = run_again(session, controller)
     sys.stdout.write(f"{report}\n")
     return 0 if report.exact or settings else 1

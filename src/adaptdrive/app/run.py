@@ -10,6 +10,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from adaptdrive import __version__
+from adaptdrive.app.checkpoint import (
+    Keeper,
+    Values,
+    checkpoint_path,
+    configuration_key,
+    is_kept,
+    recall,
+    write_checkpoint,
+)
 from adaptdrive.app.log import log_events, set_up_logging
 from adaptdrive.app.ports import build_port
 from adaptdrive.app.realtime import choose_loop, prepare
@@ -69,9 +78,14 @@ async def _serve(
     logger, hub, stop = set_up_logging(), Hub(), asyncio.Event()
     events = hub.subscribe(Event, size=_EVENTS_HELD)
     port = build_port(configuration, time.monotonic, path)
+    settings, load = controller_settings(configuration), build_load(configuration)
+    state = state_directory(os.environ.get("STATE_DIRECTORY", ""))
+    checkpoint = checkpoint_path(state, configuration.drive.name)
+    prior, told = recall(checkpoint, configuration, settings, load)
+    controller = Controller(settings, load, prior)
     daemon = Daemon(
         port=port,
-        controller=Controller(controller_settings(configuration), build_load(configuration)),
+        controller=controller,
         settings=daemon_settings(configuration),
         clock=time.monotonic,
         hub=hub,
@@ -86,11 +100,18 @@ async def _serve(
             tasks.create_task(log_events(events, logger), name="log"),
             tasks.create_task(_mqtt(configuration, daemon, hub).run(), name="mqtt"),
         ]
-        recorder = _recorder(configuration, text, hub)
+        recorder = _recorder(configuration, text, hub, prior)
         if recorder is not None:
             services.append(tasks.create_task(recorder.run(), name="recorder"))
+        keeper = _keeper(configuration, checkpoint, controller, hub)
+        if is_kept(settings):
+            services.append(tasks.create_task(keeper.run(), name="checkpoint"))
+        if told is not None:
+            hub.publish(told)
         prepare(configuration, path, hub, loop_grant)
         await daemon.run(stop)
+        if is_kept(settings):
+            await keeper.save()
         await _settle(events)
         for service in services:
             service.cancel()
@@ -122,7 +143,16 @@ def state_directory(given: str) -> Path:
     return Path(first) if first else Path("state")
 
 
-def _recorder(configuration: Configuration, text: str, hub: Hub) -> Recorder | None:
+def _keeper(configuration: Configuration, path: Path, controller: Controller, hub: Hub) -> Keeper:
+    key, names = configuration_key(configuration), build_load(configuration).names
+    return Keeper(
+        lambda values: write_checkpoint(path, key, names, values), controller, hub, time.monotonic
+    )
+
+
+def _recorder(
+    configuration: Configuration, text: str, hub: Hub, prior: Values | None
+) -> Recorder | None:
     recording = configuration.recording
     if not recording.enabled:
         return None
@@ -133,6 +163,7 @@ def _recorder(configuration: Configuration, text: str, hub: Hub) -> Recorder | N
         ticks_per_period=configuration.ticks_per_period,
         latency_ticks=configuration.load.latency_ticks,
         line_frequency_Hz=configuration.drive.line_frequency_Hz,
+        prior=prior,
     )
     directory = sessions_directory(recording.directory, os.environ)
     session = create_session(directory, info, text)

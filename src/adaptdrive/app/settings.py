@@ -179,6 +179,7 @@ def _jacket(configuration: Configuration) -> Jacket:
         basics,
         deviation_max=supervisor.deviation_max,
         residual_margin=supervisor.residual_margin,
+        confirm_periods=_periods(configuration, supervisor.confirm_s),
         confidence=supervisor.confidence,
         dwell_periods=supervisor.dwell_periods,
         blend_periods=supervisor.blend_periods,

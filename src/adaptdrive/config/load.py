@@ -181,6 +181,10 @@ class Supervisor(Section):
     warm_up_s: NonNegativeFloat = Field(
         default=90.0, description="time after start before adaptive may take over"
     )
+    confirm_s: NonNegativeFloat = Field(
+        default=30.0,
+        description="the same after a start from estimates that an earlier run had trusted",
+    )
     ratio_min: Fraction = Field(default=0.2, description="smallest accepted estimate over nominal")
     ratio_max: float = Field(
         default=8.0,

@@ -8,10 +8,11 @@ calls in the same order give the same commands bit for bit, live, simulated and 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from adaptdrive.control import fast_half as fast
 from adaptdrive.control.charging import is_complete
-from adaptdrive.control.estimator import input_offset, parameter_deviations
+from adaptdrive.control.estimator import input_offset, parameter_deviations, start_from
 from adaptdrive.control.load import Load, to_input, to_voltage
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import (
@@ -37,14 +38,20 @@ _UNRESPONSIVE = "no response: input at its limit for long, and the output has no
 class Controller:
     """Both halves of the controller of one drive and one load."""
 
-    def __init__(self, settings: ControllerSettings, load: Load) -> None:
+    def __init__(
+        self, settings: ControllerSettings, load: Load, prior: tuple[float, ...] | None = None
+    ) -> None:
         """Build a controller at rest.
 
         Args:
             settings: Designs, rates and rules.
             load: The load and its nominal model.
+            prior: Physical parameters that an earlier run had trusted, in the order of
+                `Load.names`: each run starts from them. Direct least squares has no use for them.
         """
-        self._settings = settings
+        self._prior = prior if settings.learning.filtered else None
+        self._settings = settings if self._prior is None else _confirming(settings)
+        self._trusted: tuple[float, ...] | None = None
         self._load = load
         self._stage = Stage.OFF
         self._fast = fast.FastState(tick=0, boost_reference_V=0.0, error_sum=0.0)
@@ -80,6 +87,8 @@ class Controller:
         state, settings = self._slow, self._settings
         load_input = slow_step(settings, self._load, state, self._sample(snapshot))
         voltage = to_voltage(load_input, self._load.input_gain, self._load.input_exponent)
+        if state.accepted and state.watch.fallback == Fallback.NONE:
+            self._trusted = tuple(state.values)
         taps = len(state.inputs)
         gains = state.adaptive_gains if state.adaptive else state.fixed_gains
         return Decision(
@@ -97,6 +106,11 @@ class Controller:
             fault=_UNRESPONSIVE if state.unresponsive else "",
             complete=self._load.charging is not None and is_complete(state.charge),
         )
+
+    @property
+    def trusted(self) -> tuple[float, ...] | None:
+        """The physical parameters that were trusted last; None before there are any."""
+        return self._trusted
 
     def apply(self, decision: Decision) -> None:
         """Let a decision take effect from the next tick on."""
@@ -121,6 +135,9 @@ class Controller:
             output = measurement.output
             self._bank = self._new_bank(measurement.tick_period_s, output, voltage)
             self._slow = new_slow_state(self._settings, self._load, output, voltage)
+            if self._prior is not None:
+                learning, values = self._settings.learning, list(self._prior)
+                start_from(self._slow.estimator, learning, self._load, values)
 
     def _new_bank(self, tick_period_s: float, output: float, voltage: float) -> fast.FilterBank:
         tau = self._settings.learning.tau_lambda_s
@@ -218,6 +235,13 @@ class Controller:
         low, high = jacket.ratio_min * nominal, jacket.ratio_max * nominal
         name, value = self._load.names[index], state.values[index]
         return f"estimate {name} = {value:.4g} outside {low:.4g}…{high:.4g}"
+
+
+def _confirming(settings: ControllerSettings) -> ControllerSettings:
+    """With a prior, a short confirmation takes the place of the warm-up."""
+    jacket = settings.jacket
+    periods = min(jacket.confirm_periods, jacket.warm_up_periods)
+    return replace(settings, jacket=replace(jacket, warm_up_periods=periods))
 
 
 _REASONS = {

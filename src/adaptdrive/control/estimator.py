@@ -35,6 +35,7 @@ from adaptdrive.control.surprise import Surprise, is_surprising
 from adaptdrive.control.vectors import Vector, copy_into, multiply
 
 _TINY = 1e-12
+_PRIOR_SHARE = 0.2
 
 
 @dataclass(slots=True)
@@ -94,6 +95,25 @@ def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:
     if learning.start_at_nominal and learning.filtered:
         copy_into(state.theta, nominal_theta(learning, load, taps))
     return state
+
+
+def start_from(state: EstimatorState, learning: Learning, load: Load, values: Vector) -> None:
+    """Start from a load that an earlier run has learnt, moderately sure of it.
+
+    Sure enough to be confirmed without much excitation, and doubtful enough to be corrected within
+    seconds by data that say otherwise; nothing is known of the bias.
+
+    Args:
+        state: A new estimator of the λ-method, overwritten.
+        learning: Scales.
+        load: The load.
+        values: Its physical parameters.
+    """
+    numerator, denominator = load.realise(values)
+    theta = theta_of(learning, load, numerator, denominator)
+    copy_into(state.theta, theta)
+    for i in range(len(theta)):
+        state.diagonal[i] = _PRIOR_SHARE * learning.initial_covariance
 
 
 def nominal_theta(learning: Learning, load: Load, taps: int) -> Vector:

@@ -107,6 +107,7 @@ class Jacket:
         swing_min: Smallest peak that counts as a swing, in the unit of the output.
         response_periods: Longest wait at a limit for the output to move.
         response_distance: How far it must have moved by then, in the unit of the output.
+        confirm_periods: The same after a start from estimates that an earlier run had trusted.
         confidence: Standard deviations by which the estimate may be wrong without new gains
             becoming unstable; with 0 the last trusted model is not tried either.
         paced: Whether the pole slows down while the actuator cannot follow.
@@ -126,6 +127,7 @@ class Jacket:
     response_periods: int = 0
     response_distance: float = 0.0
     paced: bool = False
+    confirm_periods: int = 0
     confidence: float = 0.0
 
 

@@ -62,6 +62,7 @@ class SessionInfo(msgspec.Struct, frozen=True):
         line_frequency_Hz: Nominal line frequency.
         ended: How it ended.
         dropped: What is missing from it.
+        prior: Estimates of an earlier run that its controller started from.
         format: Version of the layout of the files.
     """
 
@@ -73,6 +74,7 @@ class SessionInfo(msgspec.Struct, frozen=True):
     line_frequency_Hz: float
     ended: Ending = Ending.OPEN
     dropped: Dropped = Dropped()
+    prior: tuple[float, ...] | None = None
     format: int = FORMAT
 
 

@@ -1,0 +1,244 @@
+"""The checkpoint: trusted estimates that survive a restart.
+
+One small JSON file beside the other state of a drive, replaced as a whole. It counts only for the
+configuration that it was made with, of which it carries a hash; anything else is left alone, with
+a warning. Writing waits for the disk in a thread, never in the control loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+import os
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Protocol
+
+import msgspec
+
+from adaptdrive.config import Configuration
+from adaptdrive.control.load import Load
+from adaptdrive.control.settings import ControllerSettings, Jacket
+from adaptdrive.errors import AdaptdriveError
+from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.reports import Event, LoadReport, Severity
+
+FORMAT = 1
+EVERY_S = 60.0
+
+_REPORTS_HELD = 8
+_SECTIONS = {"drive", "load", "estimator"}
+
+Values = tuple[float, ...]
+
+
+class Source(Protocol):
+    """Where trusted estimates come from: a controller."""
+
+    @property
+    def trusted(self) -> Values | None:
+        """The last trusted estimates, None before there are any."""
+
+
+class CheckpointError(AdaptdriveError):
+    """A checkpoint cannot be used."""
+
+    def __init__(self, path: Path, problem: str) -> None:
+        self.path = path
+        self.problem = problem
+        super().__init__(f"{path}: {problem}")
+
+
+class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What the file says.
+
+    Attributes:
+        key: Hash of the configuration that the estimates were made with.
+        saved: When, UTC.
+        estimates: Physical parameters by name.
+        format: Version of this layout.
+    """
+
+    key: str
+    saved: datetime
+    estimates: dict[str, float]
+    format: int
+
+
+class _Format(msgspec.Struct):
+    format: int
+
+
+def checkpoint_path(state: Path, drive: str) -> Path:
+    """Where the checkpoint of a drive lies."""
+    return state / f"{drive}.estimates.json"
+
+
+def configuration_key(configuration: Configuration) -> str:
+    """Hash of everything in a configuration that gives estimates their meaning."""
+    sections = configuration.model_dump(mode="json", include=_SECTIONS)
+    text = json.dumps(sections, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def is_kept(settings: ControllerSettings) -> bool:
+    """Whether this controller's estimates are physical parameters that it can start from."""
+    return settings.exact and settings.learning.filtered
+
+
+def write_checkpoint(path: Path, key: str, names: tuple[str, ...], values: Values) -> None:
+    """Replace the checkpoint, so that a reader sees the old one or the new one, whole.
+
+    Raises:
+        OSError: The disk refuses.
+    """
+    estimates = dict(zip(names, values, strict=True))
+    checkpoint = Checkpoint(key, datetime.now(UTC), estimates, FORMAT)
+    unfinished = path.with_name(f"{path.name}.unfinished")
+    with unfinished.open("wb") as file:
+        file.write(msgspec.json.format(msgspec.json.encode(checkpoint), indent=2) + b"\n")
+        file.flush()
+        os.fsync(file.fileno())
+    unfinished.replace(path)
+    _sync_directory(path.parent)
+
+
+def _sync_directory(directory: Path) -> None:
+    """Make a rename outlast a power cut."""
+    descriptor = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def read_checkpoint(path: Path, key: str, load: Load, jacket: Jacket) -> Values | None:
+    """Trusted estimates of an earlier run.
+
+    Args:
+        path: The file.
+        key: Hash of the present configuration.
+        load: What the estimates are of.
+        jacket: Bounds that they must be within.
+
+    Returns:
+        Physical parameters in the order of `Load.names`; None where there is no file.
+
+    Raises:
+        CheckpointError: There is one that must not be used.
+    """
+    try:
+        text = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as problem:
+        raise CheckpointError(path, problem.strerror or str(problem)) from problem
+    checkpoint = _decode(path, text)
+    if checkpoint.key != key:
+        raise CheckpointError(path, "it was made with another configuration")
+    if set(checkpoint.estimates) != set(load.names):
+        raise CheckpointError(path, f"it holds {', '.join(checkpoint.estimates) or 'nothing'}")
+    values = tuple(checkpoint.estimates[name] for name in load.names)
+    nominal = load.physical(list(load.numerator), list(load.denominator))
+    for name, value, usual in zip(load.names, values, nominal, strict=True):
+        if not jacket.ratio_min <= value / usual <= jacket.ratio_max:
+            raise CheckpointError(path, f"{name} = {value:.4g} is out of bounds")
+    return values
+
+
+def _decode(path: Path, text: bytes) -> Checkpoint:
+    try:
+        version = msgspec.json.decode(text, type=_Format).format
+        if version != FORMAT:
+            raise CheckpointError(path, f"format {version} is not {FORMAT}, the one known here")
+        return msgspec.json.decode(text, type=Checkpoint)
+    except (msgspec.DecodeError, UnicodeDecodeError) as problem:
+        raise CheckpointError(path, f"damaged: {problem}") from problem
+
+
+def recall(
+    path: Path, configuration: Configuration, settings: ControllerSettings, load: Load
+) -> tuple[Values | None, Event | None]:
+    """What to start from, and what to tell about it.
+
+    Args:
+        path: The checkpoint.
+        configuration: Of the drive.
+        settings: Of its controller.
+        load: Its load.
+    """
+    if not is_kept(settings):
+        return None, None
+    try:
+        values = read_checkpoint(path, configuration_key(configuration), load, settings.jacket)
+    except CheckpointError as problem:
+        return None, _event(Severity.WARNING, f"checkpoint not used: {problem}")
+    if values is None:
+        return None, None
+    known = ", ".join(f"{n} {v:.4g}" for n, v in zip(load.names, values, strict=True))
+    confirm = settings.jacket.confirm_periods
+    detail = f"start from trusted estimates: {known}; to be confirmed for {confirm} slow periods"
+    return values, _event(Severity.INFO, detail)
+
+
+def _event(severity: Severity, detail: str) -> Event:
+    return Event("checkpoint", severity, detail, 0)
+
+
+class Keeper:
+    """Writes trusted estimates to disk: when they are accepted, at most once a minute."""
+
+    def __init__(
+        self,
+        write: Callable[[Values], None],
+        source: Source,
+        hub: Hub,
+        clock: Callable[[], float],
+        every_s: float = EVERY_S,
+    ) -> None:
+        """Join the controller to its file.
+
+        Args:
+            write: Replaces the file; may raise `OSError`.
+            source: The controller.
+            hub: Where slow periods are reported, and trouble.
+            clock: Monotonic clock in seconds.
+            every_s: Shortest time between two writes.
+        """
+        self._write = write
+        self._source = source
+        self._hub = hub
+        self._clock = clock
+        self._every_s = every_s
+        self._reports = hub.subscribe(LoadReport, size=_REPORTS_HELD)
+        self._written: Values | None = None
+        self._next_s = clock()
+        self._failed = False
+
+    async def run(self) -> None:
+        """Keep what is accepted until cancelled."""
+        while True:
+            await self._reports.take()
+            if self._clock() >= self._next_s:
+                await self.save()
+
+    async def save(self) -> None:
+        """Write the trusted estimates now, if they are new."""
+        values = self._source.trusted
+        if values is None or values == self._written:
+            return
+        self._next_s = self._clock() + self._every_s
+        try:
+            await asyncio.to_thread(self._write, values)
+        except OSError as problem:
+            self._tell_once(problem)
+        else:
+            self._written, self._failed = values, False
+
+    def _tell_once(self, problem: OSError) -> None:
+        if not self._failed:
+            detail = f"checkpoint not written: {problem.strerror or problem}"
+            self._hub.publish(_event(Severity.WARNING, detail))
+        self._failed = True

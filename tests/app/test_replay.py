@@ -1,0 +1,64 @@
+"""A session that started from a checkpoint replays from it, bit for bit."""
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from adaptdrive.app.replay import replay
+from adaptdrive.app.settings import build_load, controller_settings
+from adaptdrive.config import load_configuration
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.signals import Mode, Stage
+from adaptdrive.recording.batches import Header
+from adaptdrive.recording.session import create_session, read_info, write_info
+from adaptdrive.runtime.reports import LoadReport, TickReport
+from adaptdrive_sim.noise import NoiseParameters
+from tests.closed_loop.bench import STEP, Bench, order, square_wave
+from tests.recording.material import INFO, make_batch, record_messages
+
+EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml"
+PRIOR = (0.0113, 40.0 + 1.0 / 3.0, 300.7)
+SECONDS = 50
+
+
+def lived(prior: tuple[float, ...]) -> tuple[list[TickReport], list[LoadReport]]:
+    """Ticks and slow periods of a run that ends under adaptive control."""
+    configuration = load_configuration(EXAMPLE)
+    bench = Bench(noise=NoiseParameters(sigma=0.002 * STEP), seed=3)
+    bench.motor.disks = 3
+    settings = controller_settings(configuration)
+    controller = Controller(settings, build_load(configuration), prior)
+    ticks: list[TickReport] = []
+    slow: list[LoadReport] = []
+    due = -1
+    for n in range(SECONDS * 120):
+        wanted = order(square_wave(n / 120), Mode.ADAPTIVE, Stage.RUN)
+        applied = slow[-1].decision.k if n == due else -1
+        if applied >= 0:
+            controller.apply(slow[-1].decision)
+        bench.n = n
+        sample = bench.measurement()
+        command = controller.tick(sample, wanted)
+        ticks.append(TickReport(n, sample, wanted, applied, command, 0.0, 0.0))
+        if (snapshot := controller.take_snapshot()) is not None:
+            slow.append(LoadReport(snapshot, controller.decide(snapshot)))
+            due = n + settings.rates.latency_ticks
+        bench._sample = bench.world.step(command.current_scale_S, command.bridge)
+    assert slow[-1].decision.controller is Mode.ADAPTIVE
+    return ticks, slow
+
+
+def test_the_prior_is_part_of_the_record(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    info = msgspec.structs.replace(INFO, prior=PRIOR)
+    session = create_session(tmp_path, info, EXAMPLE.read_text(encoding="utf-8"))
+    ticks, slow = lived(PRIOR)
+    header = Header(info, session.config_text)
+    record_messages(session.directory, header, make_batch(ticks, slow, last=True))
+    recorded = read_info(session.directory)
+    assert recorded.prior == PRIOR
+    assert replay(str(session.directory)) == 0, capsys.readouterr().out
+    write_info(session.directory, INFO)
+    assert replay(str(session.directory)) == 1

@@ -1,0 +1,68 @@
+"""A controller that starts from what an earlier run has learnt."""
+
+from dataclasses import replace
+
+import pytest
+
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.control.signals import Mode
+from adaptdrive_sim.noise import NoiseParameters
+from tests.closed_loop.bench import EXACT, MOTOR, STEP, Bench, order, square_wave
+
+THREE_DISKS = (0.011, 45.1, 351.0)
+JACKET = replace(
+    EXACT.jacket, confirm_periods=20, deviation_max=0.1, residual_margin=1.5, dwell_periods=3
+)
+CAREFUL = replace(EXACT, jacket=JACKET, learning=replace(EXACT.learning, bias=True))
+
+
+def first_adaptive(
+    prior: tuple[float, ...] | None, disks: int, settings: ControllerSettings = CAREFUL
+) -> tuple[int, Bench]:
+    """The slow period in which adaptive takes over, within two minutes of a square wave."""
+    bench = Bench(settings, noise=NoiseParameters(sigma=0.002 * STEP), seed=1)
+    bench.motor.disks = disks
+    bench.controller = Controller(settings, MOTOR, prior)
+    for second in range(120):
+        bench.run(1.0, order(square_wave(second), Mode.ADAPTIVE))
+    modes = [decision.controller for decision in bench.decisions]
+    return (modes.index(Mode.ADAPTIVE) if Mode.ADAPTIVE in modes else 120), bench
+
+
+def test_what_an_earlier_run_has_learnt_is_confirmed_in_a_fraction_of_the_warm_up() -> None:
+    assert 20 <= first_adaptive(THREE_DISKS, 3)[0] <= 30
+    assert first_adaptive(None, 3)[0] >= 90
+
+
+def test_the_trusted_values_are_those_of_the_last_accepted_estimate() -> None:
+    _, bench = first_adaptive(THREE_DISKS, 3)
+    assert bench.controller.trusted == pytest.approx(THREE_DISKS, rel=0.01)
+    accepted = [d for d in bench.decisions if d.accepted][-1]
+    assert bench.controller.trusted == tuple(accepted.estimates[name].value for name in MOTOR.names)
+
+
+def test_nothing_is_trusted_before_it_is_accepted() -> None:
+    controller = Controller(CAREFUL, MOTOR, THREE_DISKS)
+    assert controller.trusted is None
+
+
+def test_a_load_that_is_another_one_by_now_is_not_confirmed() -> None:
+    start, bench = first_adaptive(THREE_DISKS, 1)
+    assert start > 30
+    assert all(abs(d.boost_reference_V) <= 400.0 for d in bench.decisions)
+
+
+def test_the_first_estimate_is_the_prior() -> None:
+    bench = Bench(CAREFUL)
+    bench.controller = Controller(CAREFUL, MOTOR, THREE_DISKS)
+    bench.run(1.0, order())
+    bench.run(1.0, order())
+    values = [bench.decisions[0].estimates[name].value for name in MOTOR.names]
+    assert values == pytest.approx(THREE_DISKS, rel=1e-3)
+
+
+def test_a_prior_changes_nothing_of_direct_least_squares() -> None:
+    direct = replace(EXACT, learning=replace(EXACT.learning, filtered=False))
+    found = [first_adaptive(prior, 3, direct)[1].commands for prior in (None, THREE_DISKS)]
+    assert found[0] == found[1]
