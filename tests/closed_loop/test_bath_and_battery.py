@@ -1,0 +1,146 @@
+"""Bath and battery as configured for the daemon, in virtual time: its controller and machine."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import pytest
+
+from adaptdrive.config.file import validate_configuration
+from adaptdrive.config.root import Configuration
+from adaptdrive.control.signals import Mode
+from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint, SetWaveform
+from adaptdrive_sim.experiments.examples import FOLDER, example_tables
+from adaptdrive_sim.noise import NoiseParameters
+from adaptdrive_sim.plants.bath import Bath, BathParameters
+from adaptdrive_sim.plants.battery import Battery, BatteryParameters
+from adaptdrive_sim.plants.load import Load
+from adaptdrive_sim.virtual import VirtualDrive
+from adaptdrive_sim.world import World, WorldParameters
+
+HALF_s = 1200.0
+ONE = BatteryParameters()
+TWO = BatteryParameters(relaxation_2_Ohm=0.2, relaxation_2_s=300.0)
+
+
+def configured(name: str) -> Configuration:
+    return validate_configuration(example_tables(f"{name}.toml"), FOLDER / f"{name}.toml")
+
+
+def world(load: Load, noise: float) -> World:
+    return World(load, WorldParameters(noise=NoiseParameters(sigma=noise)))
+
+
+def enabled(name: str, plant: World) -> VirtualDrive:
+    """A drive that has just reached `running`."""
+    drive = VirtualDrive(configured(name), plant)
+    drive.tick()
+    drive.carry_out(Enable())
+    while drive.machine.state is not State.RUNNING:
+        drive.tick()
+    drive.tick()
+    return drive
+
+
+def periods(drive: VirtualDrive, seconds: float) -> Iterator[None]:
+    """Run for a while, and stop after each slow period."""
+    end_s = drive.time_s + seconds
+    while drive.time_s < end_s:
+        if drive.tick():
+            yield
+
+
+def overshoots(mode: Mode) -> list[float]:
+    """Overshoot of each half wave of 10 and 13 K, with the drain raised in the fourth."""
+    bath = Bath(BathParameters())
+    plant = world(bath, 0.05)
+    plant.settle(plant.boost_voltage_for(10.0))
+    drive = enabled("bath", plant)
+    drive.carry_out(SetMode(mode))
+    drive.carry_out(SetWaveform(Waveform(Shape.SQUARE, 10.0, 13.0, 2 * HALF_s)))
+    found = []
+    for half in range(8):
+        if half == 4:
+            bath.fill(1.5, 300.0)
+        sign, limit = (1.0, 13.0) if half % 2 == 0 else (-1.0, 10.0)
+        found.append(max(sign * (bath.output - limit) / 3.0 for _ in periods(drive, HALF_s)))
+    assert drive.machine.trip is None
+    return found
+
+
+def test_an_adaptive_bath_does_not_overshoot_whatever_its_volume() -> None:
+    assert max(overshoots(Mode.ADAPTIVE)) < 0.02
+
+
+def test_a_fixed_bath_overshoots_once_it_is_larger() -> None:
+    found = overshoots(Mode.FIXED)
+    assert max(found[:4]) < 0.01
+    assert all(overshoot > 0.07 for overshoot in found[5:])
+
+
+@pytest.mark.parametrize("battery", [ONE, TWO], ids=["one element", "two elements"])
+@pytest.mark.parametrize("mode", list(Mode))
+def test_a_battery_is_charged_tapers_and_is_complete(
+    battery: BatteryParameters, mode: Mode
+) -> None:
+    plant = Battery(dataclasses.replace(battery, charge=0.45, capacity_Ah=4.0))
+    drive = enabled("battery", world(plant, 0.02))
+    drive.carry_out(SetMode(mode))
+    drive.carry_out(SetSetpoint(12.0))
+    for _ in periods(drive, 40.0):
+        assert plant.output < 13.0
+    currents, highest_V = [], 0.0
+    for _ in periods(drive, 4000.0):
+        if drive.completed:
+            break
+        currents.append(plant.output)
+        highest_V = max(highest_V, plant.terminal_voltage_V)
+    limit_V = 82.0
+    constant = [i for i, current in enumerate(currents) if current < 0.99 * 12.0][0]
+    assert max(currents) < 1.01 * 12.0
+    assert constant > 10
+    assert max(currents[constant + 100 :]) < 11.9
+    assert highest_V < 1.005 * limit_V
+    assert drive.completed
+    assert drive.machine.state is State.STANDBY
+    assert currents[-1] < 1.05
+    assert plant.charge > 0.85
+    drive.tick()
+    drive.tick()
+    assert plant.output == 0.0
+
+
+@pytest.mark.parametrize("battery", [ONE, TWO], ids=["one element", "two elements"])
+def test_the_current_of_a_battery_follows_a_wave_under_adaptive_control(
+    battery: BatteryParameters,
+) -> None:
+    plant = Battery(battery)
+    drive = enabled("battery", world(plant, 0.02))
+    drive.carry_out(SetMode(Mode.ADAPTIVE))
+    drive.carry_out(SetSetpoint(8.0))
+    for _ in periods(drive, 60.0):
+        pass
+    drive.carry_out(SetWaveform(Waveform(Shape.SQUARE, 6.0, 10.0, 60.0)))
+    adaptive, beyond = 0, 0.0
+    for _ in periods(drive, 300.0):
+        assert drive.decision is not None
+        adaptive += drive.decision.controller is Mode.ADAPTIVE
+        beyond = max(beyond, plant.output - 10.0, 6.0 - plant.output)
+    assert adaptive > 100
+    assert beyond < 0.03 * 4.0
+    assert drive.decision is not None
+    assert drive.decision.estimates["direct_S"].value == pytest.approx(0.25 / 1.2, rel=0.05)
+
+
+def test_a_steady_current_teaches_nothing_and_says_so() -> None:
+    drive = enabled("battery", world(Battery(ONE), 0.02))
+    drive.carry_out(SetMode(Mode.ADAPTIVE))
+    drive.carry_out(SetSetpoint(12.0))
+    for _ in periods(drive, 200.0):
+        pass
+    assert drive.decision is not None
+    assert drive.decision.controller is Mode.FIXED
+    assert drive.decision.reason.startswith("not identifiable now")
