@@ -13,7 +13,7 @@ from adaptdrive.config import load_configuration
 from adaptdrive.control import rls
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.noise import NoiseParameters
-from tests.closed_loop.bench import CYCLE_s, HIGH, LOW, STEP, Bench, order, square_wave
+from tests.closed_loop.bench import HIGH, LOW, STEP, Bench, CYCLE_s, order, square_wave
 
 DAEMON = controller_settings(
     load_configuration(Path(__file__).parents[2] / "deploy/examples/motor.toml")

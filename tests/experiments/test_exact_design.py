@@ -1,4 +1,4 @@
-"""What the daemon's default design reaches in the paper's experiment, with the noise it may meet."""
+"""What the daemon's default design reaches in the paper's experiment, whatever the noise."""
 
 from __future__ import annotations
 
