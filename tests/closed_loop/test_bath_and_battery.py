@@ -71,10 +71,12 @@ def overshoots(mode: Mode) -> list[float]:
     return found
 
 
+@pytest.mark.slow
 def test_an_adaptive_bath_does_not_overshoot_whatever_its_volume() -> None:
     assert max(overshoots(Mode.ADAPTIVE)) < 0.02
 
 
+@pytest.mark.slow
 def test_a_fixed_bath_overshoots_once_it_is_larger() -> None:
     found = overshoots(Mode.FIXED)
     assert max(found[:4]) < 0.01
@@ -99,7 +101,7 @@ def test_a_battery_is_charged_tapers_and_is_complete(
         currents.append(plant.output)
         highest_V = max(highest_V, plant.terminal_voltage_V)
     limit_V = 82.0
-    constant = [i for i, current in enumerate(currents) if current < 0.99 * 12.0][0]
+    constant = next(i for i, current in enumerate(currents) if current < 0.99 * 12.0)
     assert max(currents) < 1.01 * 12.0
     assert constant > 10
     assert max(currents[constant + 100 :]) < 11.9
