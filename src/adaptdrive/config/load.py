@@ -141,7 +141,7 @@ class Estimator(Section):
     method: Literal["lm-rls", "rls"] = Field(
         default="lm-rls", description="λ-filtered or direct recursive least squares"
     )
-    forgetting: float = Field(default=0.97, gt=0.5, le=1.0, description="forgetting factor ρ")
+    forgetting: float = Field(default=0.985, gt=0.5, le=1.0, description="forgetting factor ρ")
     tau_lambda_s: PositiveFloat = Field(default=10.0, description="time constant of the λ filters")
     dead_band: float = Field(
         default=0.0, ge=0.0, description="skip updates while the output moves less than this"

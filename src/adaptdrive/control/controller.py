@@ -119,6 +119,7 @@ class Controller:
 
     def _enter(self, stage: Stage, measurement: Measurement) -> None:
         """Start a stage from what is measured now, so that it begins without a bump."""
+        fed = self._stage is not Stage.PRECHARGE  # until now the bridge was off: no input at all
         self._stage = stage
         self._snapshot = None
         limits = self._settings.stage
@@ -133,11 +134,24 @@ class Controller:
         )
         if stage is Stage.RUN:
             output = measurement.output
-            self._bank = self._new_bank(measurement.tick_period_s, output, voltage)
+            at_rest = voltage if fed else self._resting_voltage(output, voltage)
+            self._bank = self._new_bank(measurement.tick_period_s, output, at_rest)
             self._slow = new_slow_state(self._settings, self._load, output, voltage)
             if self._prior is not None:
                 learning, values = self._settings.learning, list(self._prior)
                 start_from(self._slow.estimator, learning, self._load, values)
+
+    def _resting_voltage(self, output: float, voltage: float) -> float:
+        """The voltage at which the load would rest at this output: 0 for one at a standstill.
+
+        The λ filters of a load that has not been fed must not remember the voltage that was kept
+        from it. A battery rests at its own EMF, whatever that is; there the measured one is kept.
+        """
+        load = self._load
+        if load.charging is not None:
+            return voltage
+        load_input = output * load.denominator[-1] / load.numerator[-1]
+        return max(0.0, to_voltage(load_input, load.input_gain, load.input_exponent))
 
     def _new_bank(self, tick_period_s: float, output: float, voltage: float) -> fast.FilterBank:
         tau = self._settings.learning.tau_lambda_s

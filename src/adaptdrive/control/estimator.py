@@ -36,6 +36,7 @@ from adaptdrive.control.vectors import Vector, copy_into, multiply
 
 _TINY = 1e-12
 _PRIOR_SHARE = 0.2
+_GAIN_DOUBT = 0.5
 
 
 @dataclass(slots=True)
@@ -235,14 +236,17 @@ def _open_up(state: EstimatorState, learning: Learning, load: Load) -> None:
 
     A load changes its inertia or its volume far more often than its gain, and a constant
     disturbance comes and goes. So the first alarm widens P along the directions that keep the dc
-    gain, Σβ / (1 + Σα), and along the bias; an alarm soon after it starts P anew.
+    gain, Σβ / (1 + Σα), and along the bias; an alarm soon after it doubts the gain, too, by half.
     """
-    doubted = state.surprise.repeated or not learning.filtered
-    if doubted:
+    if not learning.filtered:
         rls.open_up(state.upper, state.diagonal, learning.initial_covariance)
         return
     count, order = len(state.theta), fitted_order(learning, load)
     last = order + len(load.input_powers) - 1
+    if state.surprise.repeated:
+        direction = [0.0] * count
+        direction[last] = _GAIN_DOUBT * state.theta[last]
+        rls.widen(state.upper, state.diagonal, direction, 1.0)
     for i in range(count):
         if i == last:
             continue
