@@ -119,13 +119,22 @@ def test_after_the_freeze_garbage_waits_for_the_collector() -> None:
         gc.callbacks.append(lambda _, info: collected.append(info.get("collected", 0)))
         del knot
         assert [collector.is_due() for _ in range(6)] == [False, False, True, False, False, True]
-        collector.collect()
+        assert collector.collect(idle=False) == 0
         assert collected[-1] > 0
     finally:
         gc.callbacks.pop()
         thaw()
     assert gc.isenabled()
     assert gc.get_freeze_count() == 0
+
+
+def test_a_full_collection_waits_until_the_drive_is_off() -> None:
+    collector = IdleCollector(every_ticks=1)
+    running = [collector.collect(idle=False) for _ in range(7000)]
+    assert running[:20].count(1) == 2
+    assert max(running) == 1
+    assert collector.collect(idle=True) == 2
+    assert collector.collect(idle=True) < 2
 
 
 def test_without_a_freeze_nothing_is_collected_after_ticks() -> None:

@@ -29,7 +29,7 @@ from adaptdrive.runtime.realtime import RealtimeSettings
 _LOWEST_LINE = 0.5
 _SWING_SHARE = 0.01
 _SHORTEST_WAVE_PERIODS = 4
-_COLLECT_TICKS = 120
+_COLLECT_TICKS = 12
 
 
 def build_load(configuration: Configuration) -> Load:

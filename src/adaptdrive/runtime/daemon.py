@@ -211,7 +211,11 @@ class Daemon:
         if self._detector is not None:
             self._detector.ticked(report.lateness_us, report.tick_us)
         if self._collector.is_due():
-            asyncio.get_running_loop().call_soon(self._collector.collect)
+            asyncio.get_running_loop().call_soon(self._collect)
+
+    def _collect(self) -> None:
+        """Collect garbage now that a tick has ended and the next one is far."""
+        self._collector.collect(idle=not self._machine.energised)
 
     def snapshot_taken(self, snapshot: Snapshot) -> bool:
         """Queue a snapshot for the slow loop."""
