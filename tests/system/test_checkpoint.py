@@ -1,0 +1,70 @@
+"""What was learnt survives a restart of the daemon, and the record says so."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.system.conftest import MakeSite
+from tests.system.site import Site, until
+
+WARM_UP = 12
+QUICK = {
+    "supervisor.warm_up_s": f"{WARM_UP}.0",
+    "supervisor.confirm_s": "2.0",
+    "supervisor.deviation_max": "0.0",
+    "supervisor.residual_margin": "0.0",
+    "supervisor.confidence": "0.0",
+    "estimator.settle_s": "0.0",
+    "interlocks.stale_s": "0.5",
+    "recording.flush_s": "0.5",
+}
+WAVE = {"shape": "square", "low": 2.9, "high": 3.2, "period_s": 12.0}
+
+
+def restart(site: Site) -> None:
+    site.start_daemon()
+    site.await_availability("online")
+    site.await_measurement()
+
+
+def periods_to_adaptive(site: Site) -> int:
+    """Slow periods of a new run until the adaptive controller is in force."""
+    before = len(site.ear.on("telemetry/load"))
+    site.run_drive()
+    site.demand("waveform", WAVE)
+    site.demand("mode", "adaptive")
+
+    def controllers() -> list[str]:
+        loads = site.ear.on("telemetry/load")[before:]
+        return [heard.content["controller"] for heard in loads]
+
+    until(lambda: "adaptive" in controllers(), "adaptive is in force", 90.0)
+    return controllers().index("adaptive")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(240)
+def test_a_restarted_daemon_needs_a_confirmation_only(make_site: MakeSite) -> None:
+    site = make_site(QUICK)
+    site.start("--initial-voltage", "280", "--noise", "0.0004")
+    first = periods_to_adaptive(site)
+    assert site.stop_daemon() == 0
+    assert site.session().info.prior is None
+
+    restart(site)
+    assert (site.state["state"], site.state["controller"]) == ("standby", "fixed")
+    again = periods_to_adaptive(site)
+    assert again < WARM_UP - 1 <= first
+    assert site.stop_daemon() == 0
+    assert "start from trusted estimates" in site.daemon_log
+    prior = site.session().info.prior
+    assert prior is not None
+    assert prior == pytest.approx([0.011, 21.7, 117.0], rel=0.5)
+    replayed = site.replay()
+    assert replayed.returncode == 0, replayed.stdout + replayed.stderr
+
+    (checkpoint,) = site.folder.glob("*.estimates.json")
+    checkpoint.write_bytes(checkpoint.read_bytes()[:50])
+    restart(site)
+    assert site.stop_daemon() == 0
+    assert "checkpoint not used" in site.daemon_log
