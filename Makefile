@@ -19,7 +19,7 @@ demo: $(installed) ## watch the motor being held while disks drop onto its shaft
 
 test: $(installed) ## run the whole test suite
 	@tests/install-peers
-	$(bin)/python -m pytest -rs
+	$(bin)/python -m pytest -rfEs
 
 lint: $(installed) ## lint, formatting, types and import layers
 	$(bin)/ruff check
