@@ -200,7 +200,7 @@ class IdleCollector:
 
 
 def thaw() -> None:
-    """Give threads and garbage collection back to Python; for what goes on after a daemon in one process."""
+    """Give threads and garbage back to Python, for what goes on after a daemon."""
     gc.enable()
     gc.unfreeze()
     sys.setswitchinterval(_PYTHONS_SWITCH_S)
