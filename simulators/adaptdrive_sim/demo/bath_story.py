@@ -32,7 +32,7 @@ OVERSHOOT_MAX = 0.05
 
 _ROUND_s = 6 * CYCLE_s
 _SIZES = {1: f"{SMALL_gal:g} gal", 2: f"{LARGE_gal:g} gal", 3: "between"}
-_SYMBOLS = {"resistance_K_per_W": "R in K/W", "tau_s": "RC in s"}
+_SYMBOLS = {"resistance_K_per_W": "R", "tau_s": "RC"}
 
 
 class BathStory:
@@ -101,7 +101,7 @@ class BathStory:
         """Drive, estimates and overshoots."""
         return lambda: {
             "drive": self._drive(),
-            "the load": self._estimates(),
+            "R in K/W, RC in s": self._estimates(),
             "overshoot": self._overshoots(),
         }
 
@@ -130,10 +130,10 @@ class BathStory:
     def _overshoots(self) -> Table:
         table = rows("l", "r", "r")
         fixed, adaptive = (Text(name, style) for name, style in CONTROLLER_STYLES.items())
-        table.add_row("", fixed, adaptive, style="bold")
+        table.add_row("gal", fixed, adaptive, style="bold")
         for size in (1, 2):
             found = (self.play.record.halves.overshoot(one, size) for one in CONTROLLER_STYLES)
-            table.add_row(_SIZES[size], *map(overshoot, found))
+            table.add_row(_SIZES[size].removesuffix(" gal"), *map(overshoot, found))
         return table
 
     def ended(self) -> bool:

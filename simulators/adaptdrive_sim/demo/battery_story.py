@@ -28,7 +28,7 @@ LEARN_FROM_s, CHARGE_FROM_s = 60.0, 420.0
 CHARGE_AT_START = 0.15
 VOLTAGE_MARGIN = 1.005
 
-_SYMBOLS = {"direct_S": "at once, S", "gain_S": "in the end, S", "tau_s": "τ, s"}
+_SYMBOLS = {"direct_S": "Y(0)", "gain_S": "Y(∞)", "tau_s": "τ"}
 
 
 class BatteryStory:
@@ -82,7 +82,7 @@ class BatteryStory:
 
     @property
     def phase(self) -> str:
-        """Where the charge is."""
+        """Where the charge is: constant current, constant voltage, or its end."""
         if self.play.drive.completed:
             return "complete"
         if not self.play.record.running:
@@ -90,14 +90,14 @@ class BatteryStory:
         limit_V = self._limits.voltage_max_V
         tapers = self.battery.output < 0.98 * self.play.drive.reference
         near = self.battery.terminal_voltage_V > 0.995 * limit_V
-        return "constant voltage" if tapers and near else "current held"
+        return "CV" if tapers and near else "CC"
 
     @property
     def figures(self) -> Figures:
         """Drive, estimates and charge."""
         return lambda: {
             "drive": self._drive(),
-            "the load": self._estimates(),
+            "admittance Y in S, τ in s": self._estimates(),
             "charge": self._charge_table(),
         }
 
@@ -113,7 +113,7 @@ class BatteryStory:
 
     def _estimates(self) -> Table:
         table, load = rows("l", "r", "r", "r"), self.play.record.load
-        table.add_row("admittance", "learned", "truth", "error", style="bold")
+        table.add_row("", "learned", "truth", "error", style="bold")
         truth = self.play.drive.world.true_model
         estimates = load.estimates if load else {}
         for name, symbol in _SYMBOLS.items():
@@ -126,9 +126,9 @@ class BatteryStory:
         table, battery = rows("l", "r"), self.battery
         table.add_row("phase", self.phase)
         table.add_row("charge", f"{100.0 * battery.charge:.1f} %")
-        table.add_row("terminals", f"{battery.terminal_voltage_V:.2f} V")
+        table.add_row("voltage", f"{battery.terminal_voltage_V:.2f} V")
         table.add_row("limit", f"{self._limits.voltage_max_V:.2f} V")
-        table.add_row("ends below", f"{self._limits.end_current_A:g} A")
+        table.add_row("ends at", f"{self._limits.end_current_A:g} A")
         return table
 
     def ended(self) -> bool:
