@@ -143,6 +143,15 @@ async def _conversation(broker: Mqtt, drive: str) -> AsyncIterator[Client]:
         async with connection(broker, ProtocolVersion.V311, None, None) as client:
             yield client
     except TimeoutError as problem:
+        _pass_on_cancellation(problem)
         raise NoAnswerError(drive, f"no answer by way of {broker.host}:{broker.port}") from problem
     except (MqttError, OSError) as problem:
+        _pass_on_cancellation(problem)
         raise NoAnswerError(drive, f"broker {broker.host}:{broker.port}: {problem}") from problem
+
+
+def _pass_on_cancellation(problem: Exception) -> None:
+    """A client that fails while it is being cancelled hides the cancellation; bring it back."""
+    task = asyncio.current_task()
+    if task is not None and task.cancelling():
+        raise asyncio.CancelledError from problem
