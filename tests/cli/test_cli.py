@@ -6,6 +6,7 @@ import asyncio
 import json
 import os
 import signal
+import subprocess
 import sys
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
@@ -238,3 +239,10 @@ async def test_an_interrupted_command_is_quiet(mosquitto: Broker) -> None:
     process.send_signal(signal.SIGINT)
     output, errors = await process.communicate()
     assert (process.returncode, output, errors) == (130, b"", b"")
+
+
+def test_a_reader_that_has_had_enough_is_no_error_to_complain_about() -> None:
+    command = f"{sys.executable} -m adaptdrive.cli schema | head -n 1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
+    assert done.stdout == "{\n"
+    assert done.stderr == ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 
@@ -43,18 +44,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         outcome = _app()(arguments)
+        sys.stdout.flush()
     except UnknownCommandError as problem:
         words = " ".join(problem.unused_tokens or ())
         return _complain(f"unknown command {words!r}; see adaptdrive --help", UNUSABLE)
     except CycloptsError as problem:
         return _complain(" ".join(str(problem).split()), UNUSABLE)
-    except ConfigurationError as problem:
-        return _complain(str(problem), UNUSABLE)
     except AdaptdriveError as problem:
-        return _complain(str(problem), FAILED)
+        unusable = isinstance(problem, ConfigurationError)
+        return _complain(str(problem), UNUSABLE if unusable else FAILED)
     except KeyboardInterrupt:
         return INTERRUPTED
+    except BrokenPipeError:
+        return _close_quietly()
     return outcome if isinstance(outcome, int) else 0
+
+
+def _close_quietly() -> int:
+    """Who reads the output has had enough: keep the interpreter from complaining at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return FAILED
 
 
 def _app() -> App:
