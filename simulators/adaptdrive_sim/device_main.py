@@ -194,6 +194,9 @@ def _say_bus(configuration: Configuration) -> Callable[[str], None]:
     return say
 
 
+_CANCEL_AGAIN_S = 1.0
+
+
 async def _until_signal(jobs: list[Job]) -> None:
     """Run all jobs until one fails or the process is asked to end."""
     asked = asyncio.Event()
@@ -203,8 +206,11 @@ async def _until_signal(jobs: list[Job]) -> None:
     async with asyncio.TaskGroup() as tasks:
         running = [tasks.create_task(job()) for job in jobs]
         await asked.wait()
-        for task in running:
-            task.cancel()
+        # More than once: a client that fails while it is being cancelled loses the cancellation.
+        while pending := [task for task in running if not task.done()]:
+            for task in pending:
+                task.cancel()
+            await asyncio.wait(pending, timeout=_CANCEL_AGAIN_S)
 
 
 def _root_cause(problems: ExceptionGroup[Exception]) -> Exception:

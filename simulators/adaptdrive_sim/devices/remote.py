@@ -43,9 +43,6 @@ class Remote:
             except* aiomqtt.MqttError as problems:
                 reason = str(problems.exceptions[0])
                 self._report("broker away", reason=reason, retry_s=self._retry_s)
-            # A client that fails while it is being cancelled hides the cancellation.
-            if (task := asyncio.current_task()) is not None and task.cancelling():
-                raise asyncio.CancelledError
             await asyncio.sleep(self._retry_s)
             self._retry_s = min(2.0 * self._retry_s, RETRY_LAST_s)
 
