@@ -2,7 +2,7 @@
 # `make` on its own lists the targets.
 
 PYTHON ?= python3
-EXTRAS := sim,panel,dev
+EXTRAS := sim,panel,realtime,cluster,dev
 
 venv := .venv
 bin := $(venv)/bin
