@@ -24,7 +24,7 @@ def test_the_campaign_that_comes_along_covers_what_it_promises() -> None:
         ("inertia = [1.0, 4.0]", "inertia = [4.0, 1.0]", "load.inertia = [4.0, 1.0]: "),
         ("sigma = [0.0, 0.02]", 'sigma = "much"', "noise.sigma = 'much': "),
         ("seed = 1 ", "seeds = 1 ", "seeds: Extra inputs are not permitted"),
-        ("drift_Hz = [0.0, 0.1]", "", "line.drift_Hz: Field required"),
+        ("frequency_Hz = [59.9, 60.1]", "", "line.frequency_Hz: Field required"),
         ('"sine"]', '"saw"]', "reference.shapes.4 = 'saw': "),
     ],
 )

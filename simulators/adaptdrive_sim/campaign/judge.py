@@ -65,7 +65,7 @@ def parameters(scenario: Scenario) -> Row:
         "sigma": scenario.sigma / scenario.step,
         "spike_share": scenario.spike_share,
         "line_voltage": scenario.line_voltage,
-        "drift_Hz": scenario.drift_Hz,
+        "frequency_Hz": scenario.frequency_Hz,
         "output_delay_ticks": scenario.output_delay_ticks,
     }
 

@@ -34,7 +34,7 @@ class Scenario:
         spike_share: Share of spikes.
         spike_sigma: Noise of the spikes, in the unit of the output.
         line_voltage: Relative line voltage.
-        drift_Hz: Amplitude of the line's drift.
+        frequency_Hz: Of the line.
         output_delay_ticks: Age of the output's samples.
         output_V: Resolution of the output.
         voltage_V: Resolution of voltages.
@@ -53,7 +53,7 @@ class Scenario:
     spike_share: float
     spike_sigma: float
     line_voltage: float
-    drift_Hz: float
+    frequency_Hz: float
     output_delay_ticks: int
     output_V: float
     voltage_V: float
@@ -89,7 +89,7 @@ class Scenario:
     def line(self) -> LineParameters:
         """The true line."""
         voltage_V = LineParameters().voltage_V * self.line_voltage
-        return LineParameters(voltage_V=voltage_V, drift_Hz=self.drift_Hz)
+        return LineParameters(voltage_V=voltage_V, frequency_Hz=self.frequency_Hz)
 
     def wire(self) -> Wire:
         """What lies between drive and controller, at rest."""
@@ -124,7 +124,7 @@ def draw(campaign: Campaign, seed: int) -> Scenario:
         spike_share=_uniform(generator, noise.spike_share),
         spike_sigma=step * noise.spike_sigma,
         line_voltage=_uniform(generator, line.voltage),
-        drift_Hz=_uniform(generator, line.drift_Hz),
+        frequency_Hz=_uniform(generator, line.frequency_Hz),
         output_delay_ticks=_whole(generator, wire.output_delay_ticks),
         output_V=_uniform(generator, wire.output_V),
         voltage_V=_uniform(generator, wire.voltage_V),

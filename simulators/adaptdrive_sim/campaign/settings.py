@@ -81,7 +81,7 @@ class LineRanges(_Section):
     """The ac line."""
 
     voltage: Annotated[Range, _within(0.5, 1.1)]
-    drift_Hz: Annotated[Range, _within(0.0, 1.0)]
+    frequency_Hz: Annotated[Range, _within(55.0, 65.0)]
 
 
 class WireRanges(_Section):

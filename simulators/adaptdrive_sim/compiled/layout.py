@@ -14,6 +14,7 @@ import types
 import typing
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -158,6 +159,7 @@ def _size(field: Field) -> int:
     return 0 if field.kind == "function" else field.length
 
 
+@cache
 def _hints(cls: type) -> dict[str, Any]:
     return typing.get_type_hints(cls) if dataclasses.is_dataclass(cls) else {}
 

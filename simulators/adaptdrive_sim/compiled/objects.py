@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import operator
+from functools import cache
 from types import ModuleType
 from typing import Any
 
@@ -139,9 +140,14 @@ register_model(ObjectType)(
 )
 
 
+@cache
+def _type_of_layout(layout: Layout) -> ObjectType:
+    return ObjectType(layout)
+
+
 @typeof_impl.register(Memory)
 def _typeof_memory(value: Memory, _: Any) -> ObjectType:
-    return ObjectType(value.layout)
+    return _type_of_layout(value.layout)
 
 
 @unbox(ObjectType)
