@@ -11,7 +11,7 @@ import pytest
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import load_configuration
 from adaptdrive.control import rls
-from adaptdrive.control.signals import Mode
+from adaptdrive.control.signals import Measurement, Mode
 from adaptdrive_sim.noise import NoiseParameters
 from tests.closed_loop.bench import HIGH, LOW, STEP, Bench, CYCLE_s, order, square_wave
 
@@ -27,6 +27,32 @@ def covariance_trace(bench: Bench) -> float:
     count = len(estimator.theta)
     flat = rls.covariance(estimator.upper, estimator.diagonal)
     return float(np.trace(np.reshape(flat, (count, count))))
+
+
+class QuantisedBench(Bench):
+    """The bench behind the bus of the reference drive, which carries steps of 10 mV of v_bst."""
+
+    def measurement(self) -> Measurement:
+        exact = super().measurement()
+        return replace(
+            exact,
+            boost_voltage_V=round(exact.boost_voltage_V, 2),
+            line_voltage_V=round(exact.line_voltage_V, 1),
+            load_power_W=round(exact.load_power_W, 1),
+            output=round(exact.output, 6),
+        )
+
+
+@pytest.mark.parametrize("bias", [False, True])
+def test_at_rest_without_noise_the_adaptive_controller_stays_trusted(bias: bool) -> None:
+    bench = QuantisedBench(replace(DAEMON, learning=replace(DAEMON.learning, bias=bias)))
+    for second in range(90):
+        wave = LOW + 0.1 if second % 40 < 20 else LOW - 0.1
+        bench.run(1.0, order(wave, Mode.ADAPTIVE))
+    bench.run(300.0, order(LOW, Mode.ADAPTIVE))
+    rest = bench.decisions[-200:]
+    assert all(one.controller is Mode.ADAPTIVE for one in rest), rest[-1].reason
+    assert max(abs(one.handover_step_V) for one in rest[-100:]) < 1.0
 
 
 def excited_bench() -> Bench:

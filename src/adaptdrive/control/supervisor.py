@@ -15,7 +15,7 @@ _TINY = 1e-12
 _STABLE_RADIUS = 0.9999
 _DESIGN_RADIUS = 0.995
 _RESIDUAL_RATE = 0.05
-_RESIDUAL_FLOOR = 1.0e-8
+_RESIDUAL_FLOOR = 1.0e-6  # a thousandth of the scale: at rest, less says nothing
 
 
 class Verdict(IntEnum):
