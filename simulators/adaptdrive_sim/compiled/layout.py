@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import types
 import typing
+from collections.abc import Hashable
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
@@ -71,7 +72,7 @@ class Layout:
 
 def layout_of(instance: Any) -> Layout:
     """The layout of an object and everything in it."""
-    hints = _hints(type(instance))
+    hints = _hints(instance.__class__)
     fields: list[Field] = []
     words = 0
     for name, value in _attributes(instance):
@@ -160,7 +161,7 @@ def _size(field: Field) -> int:
 
 
 @cache
-def _hints(cls: type) -> dict[str, Any]:
+def _hints(cls: Hashable) -> dict[str, Any]:
     return typing.get_type_hints(cls) if dataclasses.is_dataclass(cls) else {}
 
 
