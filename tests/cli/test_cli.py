@@ -233,6 +233,8 @@ async def test_wrong_words_end_with_2_and_one_line(words: str) -> None:
 
 
 async def test_an_interrupted_command_is_quiet(mosquitto: Broker) -> None:
+    # A suite that runs in the background may have been told to ignore interrupts, and pass it on.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     async with listening(mosquitto, "adaptdrive/nobody/command/enable") as ear:
         process = await start("enable", "nobody", "--timeout", "60", *at(mosquitto))
         await ear.on("adaptdrive/nobody/command/enable")
