@@ -74,8 +74,8 @@ def _cluster(address: str) -> Iterator[Executor]:
         reason = "needs the optional extra: pip install 'adaptdrive[cluster]'"
         raise ClusterError(address, reason) from problem
     try:
-        client = Client(address, timeout=10)  # type: ignore[no-untyped-call]
+        client = Client(address, timeout=10)
     except (OSError, ValueError) as problem:
         raise ClusterError(address, str(problem)) from problem
     with client:
-        yield client.get_executor()  # type: ignore[no-untyped-call]
+        yield client.get_executor()
