@@ -93,7 +93,6 @@ class Daemon:
         self._timer_failure: asyncio.Future[None] | None = None
         self._decision: Decision | None = None
         self._told = self._state_report()
-        self._bus_up = False
 
     async def run(self, stop: asyncio.Event) -> None:
         """Serve the drive until `stop` is set; leave it in its safe state, whatever happens.
@@ -185,7 +184,6 @@ class Daemon:
 
     def on_bus(self, up: bool, detail: str) -> None:
         """The bus was lost or came back."""
-        self._bus_up = up
         severity = Severity.INFO if up else Severity.WARNING
         self._tell("bus", severity, detail)
         self._manager.status(detail)
@@ -243,7 +241,6 @@ class Daemon:
         self._slow.forget()
 
     def _opened(self) -> None:
-        self._bus_up = True
         self._fast.begin()
         self._manager.ready()
         self._manager.status(f"{self._port.description}: waiting for the drive")
