@@ -68,6 +68,13 @@ class FailingPort(LoopbackPort):
     def __init__(self, commanded: Callable[[Command], None]) -> None:
         super().__init__(commanded)
         self.problem: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.fault_resets = 0
+        self.keeps_fault = False
+
+    async def reset_fault(self) -> None:
+        self.fault_resets += 1
+        if not self.keeps_fault:
+            self.complaint = None
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         if self.problem.done():
@@ -208,6 +215,39 @@ async def test_the_state_is_reported_when_it_changes_and_only_then() -> None:
         ]
         details = [event.detail for event in bench.events("state")]
         assert details == ["standby to starting", "starting to running"]
+
+
+async def test_only_the_operators_reset_lets_the_drive_leave_its_fault() -> None:
+    async with daemon_bench() as bench:
+        await bench.start()
+        bench.port.complaint = "drive fault"
+        bench.frames(2)
+        assert bench.states[-1].trip == "drive fault"
+        for request in (Disable(), SetMode(Mode.ADAPTIVE)):
+            await bench.daemon.execute(request)
+        assert bench.port.fault_resets == 0
+        assert await bench.daemon.execute(Reset()) is State.STANDBY
+        assert bench.port.fault_resets == 1
+
+
+async def test_a_drive_that_keeps_its_fault_refuses_the_reset() -> None:
+    async with daemon_bench() as bench:
+        bench.port.keeps_fault = True
+        bench.frames(2)
+        bench.port.complaint = "drive fault"
+        with pytest.raises(RefusedError, match="drive fault"):
+            await bench.daemon.execute(Enable())
+        await bench.daemon.execute(Reset())  # nothing is latched here: standby is not left
+        with pytest.raises(RefusedError, match="drive fault"):
+            await bench.daemon.execute(Enable())
+        assert set(bench.sent) == {SAFE_COMMAND}
+
+
+async def test_a_running_drive_is_not_told_to_leave_a_fault() -> None:
+    async with daemon_bench() as bench:
+        await bench.start()
+        await bench.daemon.execute(Reset())
+        assert bench.port.fault_resets == 0
 
 
 async def test_a_refusal_reaches_the_operator_and_changes_nothing() -> None:

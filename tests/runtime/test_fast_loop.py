@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Stage
+from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import Disable, Enable, SetSetpoint
+from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
 from tests.runtime.bench import FAST, TICK_S, fast_bench
 
 TIMERLESS = replace(FAST, timer_standin=False)
@@ -209,6 +210,29 @@ async def test_a_bridge_that_goes_off_by_itself_trips() -> None:
             ticks += 1
         assert (bench.machine.trip or "").startswith("drive stopped")
         assert 10 < ticks < 60
+
+
+async def test_what_the_drives_protocol_complains_of_trips_in_the_next_tick() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        bench.port.complaint = "node 5 has been restarted"
+        bench.frame()
+        assert bench.state() is State.TRIPPED
+        assert bench.machine.trip == "node 5 has been restarted"
+        assert bench.sent[-1] == SAFE_COMMAND
+        with pytest.raises(RefusedError, match="node 5"):
+            bench.ask(Reset())
+        bench.port.complaint = None
+        bench.ask(Reset())
+        assert bench.state() is State.STANDBY
+
+
+async def test_a_silent_drive_that_complained_trips_with_its_own_words() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        bench.port.complaint = "emergency 0x3210"
+        bench.wait(2 * TICK_S)
+        assert bench.machine.trip == "emergency 0x3210"
 
 
 async def test_a_bridge_that_takes_its_time_does_not_trip() -> None:

@@ -85,6 +85,10 @@ class Port(Protocol):
     def statistics(self) -> PortStatistics:
         """Counts since opening."""
 
+    @property
+    def complaint(self) -> str | None:
+        """Why the drive must not be energised, where its protocol tells; None for no reason."""
+
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
 
@@ -94,3 +98,9 @@ class Port(Protocol):
 
     def send(self, command: Command) -> bool:
         """Send one command now; False when the bus did not take it (counted, not retried)."""
+
+    async def reset_fault(self) -> None:
+        """Have the drive leave a fault that it keeps until told; ends in bounded time.
+
+        Called when the operator resets, and at no other time.
+        """

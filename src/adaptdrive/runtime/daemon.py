@@ -24,7 +24,7 @@ from adaptdrive.runtime.reports import (
     StateReport,
     TickReport,
 )
-from adaptdrive.runtime.requests import Disable, Request
+from adaptdrive.runtime.requests import Disable, Request, Reset
 from adaptdrive.runtime.slow_loop import SlowLoop
 from adaptdrive.runtime.tick_timer import TickTimer
 from adaptdrive.runtime.watchdog import ServiceManager
@@ -168,6 +168,8 @@ class Daemon:
         Raises:
             RefusedError: It cannot be carried out; nothing was changed.
         """
+        if isinstance(request, Reset) and not self._machine.energised:
+            await self._port.reset_fault()
         fast, mode = self._fast, self._machine.mode
         output = fast.reading.output if fast.reading is not None else float("nan")
         self._machine.carry_out(request, fast.tick, output, fast.cause)

@@ -146,8 +146,10 @@ class FastLoop:
 
     @property
     def cause(self) -> str | None:
-        """The interlock that is active now."""
-        return find_cause(self.reading, self._surroundings.now_s(), self._settings.limits)
+        """The interlock that is active now; what the drive's protocol says comes first."""
+        return self._port.complaint or find_cause(
+            self.reading, self._surroundings.now_s(), self._settings.limits
+        )
 
     def begin(self) -> None:
         """Start the stand-in timer; the first frame takes over from it."""

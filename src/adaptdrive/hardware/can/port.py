@@ -64,6 +64,9 @@ def build_can_port(
 class CanPort:
     """One connection to one drive on a CAN bus."""
 
+    complaint = None
+    """A DBC tells of a fault by a signal."""
+
     def __init__(
         self,
         config: CanBus,
@@ -140,6 +143,9 @@ class CanPort:
         if all(taken):
             self._bridge_sent = command.bridge
         return all(taken)
+
+    async def reset_fault(self) -> None:
+        """A DBC knows no way to reset a fault: the drive clears its fault word by itself."""
 
     def take(self, frame: can.Message) -> None:
         """Take one frame from the bus."""

@@ -15,6 +15,7 @@ class LoopbackPort:
     Attributes:
         description: The bus in one phrase for people.
         counter_modulus: Where the counter of the readings wraps, None when they carry none.
+        complaint: Why the drive must not be energised; set it to whatever it shall say.
     """
 
     description = "loopback"
@@ -31,6 +32,7 @@ class LoopbackPort:
         self.counter_modulus = counter_modulus
         self._commanded = commanded
         self._listener: Listener | None = None
+        self.complaint: str | None = None
         self._up = False
         self._received = self._sent = self._dropped = self._reconnects = 0
 
@@ -68,6 +70,9 @@ class LoopbackPort:
         self._sent += 1
         self._commanded(command)
         return True
+
+    async def reset_fault(self) -> None:
+        """Who delivers the readings decides what becomes of a fault."""
 
     def deliver(self, reading: Reading) -> None:
         """Hand a reading to the listener, as if the drive had sent it; lost while down."""

@@ -63,6 +63,9 @@ class ModbusPort:
     counter_modulus = None
     """A poll is no frame of the drive: its counter cannot be the time base."""
 
+    complaint = None
+    """A register map tells of a fault by a register."""
+
     def __init__(
         self,
         config: ModbusTcp | ModbusRtu,
@@ -146,6 +149,9 @@ class ModbusPort:
         if self._urgent:
             self._wake.set()
         return True
+
+    async def reset_fault(self) -> None:
+        """A register map knows no way to reset a fault: the drive clears its word by itself."""
 
     @property
     def _urgent(self) -> bool:
