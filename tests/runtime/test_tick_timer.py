@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import time
 from collections.abc import AsyncIterator
 
@@ -62,6 +63,28 @@ async def test_arming_again_replaces_the_deadline(timer: TickTimer, expiries: Ex
     timer.arm(now_s)
     await until(lambda: bool(expiries.times_s))
     assert expiries.deadlines_s == [now_s]
+
+
+async def test_armed_anew_in_the_round_it_expired_in_it_waits_for_its_new_deadline(
+    timer: TickTimer, expiries: Expiries
+) -> None:
+    """A late frame and the deadline of its stand-in wake the loop together, the frame first."""
+    far_s = time.monotonic() + 2.0
+
+    def take_frame() -> None:
+        frame.recv(1)
+        timer.arm(far_s)
+
+    loop = asyncio.get_running_loop()
+    frame, sender = socket.socketpair()
+    with frame, sender:
+        loop.add_reader(frame.fileno(), take_frame)
+        timer.arm(time.monotonic() + 0.01)
+        sender.send(b"f")
+        time.sleep(0.02)  # noqa: ASYNC251 - both are ready when the loop looks next
+        await asyncio.sleep(0.05)
+        loop.remove_reader(frame.fileno())
+    assert expiries.times_s == []
 
 
 async def test_deadlines_on_a_grid_do_not_drift(expiries: Expiries) -> None:

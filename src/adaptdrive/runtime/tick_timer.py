@@ -46,7 +46,8 @@ class TickTimer:
             self._descriptor = -1
 
     def _expired(self) -> None:
-        acknowledge(self._descriptor)
+        if not acknowledge(self._descriptor):
+            return  # armed anew since it woke the loop: by a frame that came in the same round
         while monotonic() < self._deadline_s:
             pass
         self._callback(self._deadline_s)

@@ -8,22 +8,18 @@ from __future__ import annotations
 
 import ctypes
 import os
+import struct
 
 _CLOCK_MONOTONIC = 1
 _TFD_NONBLOCK = os.O_NONBLOCK
 _TFD_CLOEXEC = os.O_CLOEXEC
 _TFD_TIMER_ABSTIME = 1
 
-
-class _Timespec(ctypes.Structure):
-    _fields_ = (("seconds", ctypes.c_long), ("nanoseconds", ctypes.c_long))
-
-
-class _Itimerspec(ctypes.Structure):
-    _fields_ = (("interval", _Timespec), ("value", _Timespec))
-
+_SETTING = struct.Struct("@llll")
+"""struct itimerspec: seconds and nanoseconds of the interval, then of the deadline."""
 
 _libc = ctypes.CDLL(None, use_errno=True)
+_settime = _libc.timerfd_settime
 
 
 def create_timer() -> int:
@@ -46,14 +42,19 @@ def arm_timer(descriptor: int, deadline_s: float) -> None:
     """
     seconds = int(deadline_s)
     nanoseconds = int((deadline_s - seconds) * 1e9)
-    setting = _Itimerspec(_Timespec(0, 0), _Timespec(seconds, nanoseconds))
-    if _libc.timerfd_settime(descriptor, _TFD_TIMER_ABSTIME, ctypes.byref(setting), None) != 0:
+    setting = _SETTING.pack(0, 0, seconds, nanoseconds)
+    if _settime(descriptor, _TFD_TIMER_ABSTIME, setting, None) != 0:
         raise OSError(ctypes.get_errno(), "timerfd_settime failed")
 
 
-def acknowledge(descriptor: int) -> None:
-    """Take note of an expiry, so that the descriptor is no longer readable."""
+def acknowledge(descriptor: int) -> bool:
+    """Take note of an expiry, so that the descriptor is no longer readable.
+
+    Returns:
+        Whether there was one. Arming a timer anew takes back an expiry that nobody has noted yet.
+    """
     try:
         os.read(descriptor, 8)
     except BlockingIOError:
-        return
+        return False
+    return True
