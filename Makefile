@@ -9,7 +9,7 @@ bin := $(venv)/bin
 # The stamp's name follows the content of both files: an unchanged checkout never reinstalls.
 installed := $(venv)/.installed-$(firstword $(shell cat pyproject.toml constraints.txt | cksum))
 
-.PHONY: help demo test lint bench docs wheel constraints clean
+.PHONY: help demo test lint bench docs wheel deb constraints clean
 
 help:
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 20
@@ -36,6 +36,10 @@ docs: $(installed) ## write the pages that are made from the code
 wheel: $(installed) ## build the wheel into dist/
 	rm -rf dist
 	$(bin)/python -m build --wheel --no-isolation
+
+deb: wheel ## build the Debian package into build/
+	mkdir -p build
+	deploy/debian/build $(bin)/python dist/*.whl build
 
 constraints: ## pin the newest versions of all dependencies
 	rm -rf build/constraints

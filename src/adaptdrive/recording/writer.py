@@ -97,7 +97,7 @@ def _batches(frames: Iterator[bytes]) -> Iterator[Batch]:
 def _step_aside() -> None:
     """Leave the processor and the signals to the control process, whose child this is."""
     # A service manager and a terminal signal every process; this one ends with its input.
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGABRT):
         signal.signal(number, signal.SIG_IGN)
     # Real-time priority is inherited.
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
