@@ -223,6 +223,24 @@ def test_it_obeys_commands_and_is_safe_100_ms_after_the_last(host: Host, node: S
     host.command_until(lambda status: status["BridgeOn"] == 1, bridge=True)
 
 
+def test_a_drive_that_holds_its_own_voltage_obeys_v_c_and_not_the_current_scale(
+    host: Host, config: Path, node: StartNode
+) -> None:
+    given = 'command.bridge = "DriveCommand.BridgeEnable"'
+    more = 'command.boost_reference_V = "DriveCommand.BoostReference"'
+    text = config.read_text().replace(given, f"{given}\n{more}")
+    config.write_text(f'{text}[voltage_loop]\nwhere = "drive"\n')
+    running = node("--initial-voltage", "250")
+    host.command_until(lambda status: status["BoostVoltage"] > 299.0, bridge=True)
+    heard: list[float] = []
+    host.command_until(
+        lambda status: heard.append(status["BoostVoltage"]) or len(heard) > 240,  # type: ignore[func-returns-value]
+        bridge=True,
+    )
+    assert heard[-120:] == pytest.approx([300.0] * 120, abs=3.0)
+    assert running.wait_for("safe")["reason"] == "command timeout"
+
+
 def test_a_damaged_command_is_ignored(host: Host, node: StartNode) -> None:
     running = node("--initial-voltage", "300")
     for _ in range(30):

@@ -73,9 +73,10 @@ class CanDrive:
             self._refuse(decoded.verdict.value)
             return
         self.counts["obeyed"] += 1
-        scale_S = decoded.values[self._command.current_scale]
+        value = decoded.values[self._command.value]
         bridge = bool(decoded.values[self._command.bridge])
-        self._drive.command(scale_S, bridge, self._clock())
+        obey = self._drive.hold if self._drive.holds_voltage else self._drive.command
+        obey(value, bridge, self._clock())
 
     def take_garbage(self) -> None:
         """Count what is no frame."""

@@ -83,6 +83,11 @@ class Drive:
         self._injected = 0
         world.shut()
 
+    @property
+    def holds_voltage(self) -> bool:
+        """Whether it takes V_c instead of a line-current scale."""
+        return self._holder is not None
+
     def command(self, current_scale_S: float, bridge: bool, now_s: float) -> None:
         """Take one valid command.
 

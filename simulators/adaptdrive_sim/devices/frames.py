@@ -78,10 +78,16 @@ class StatusMessage:
 
 @dataclass(frozen=True, slots=True)
 class CommandMessage:
-    """The message that the drive obeys."""
+    """The message that the drive obeys.
+
+    Attributes:
+        codec: The message.
+        value: Signal of the line-current scale, or of V_c for a drive that holds its own voltage.
+        bridge: Signal of the bridge.
+    """
 
     codec: MessageCodec
-    current_scale: str
+    value: str
     bridge: str
 
 
@@ -179,13 +185,11 @@ def _command_message(
     database: Database, bus: CanBus, configuration: Configuration, source: Path
 ) -> CommandMessage:
     command = configuration.signals.command
-    if configuration.voltage_loop.where == "drive":
-        problem = "the simulated drive does not hold its boost voltage by itself"
-        raise ConfigurationError(source, [Flaw("voltage_loop.where", problem)])
-    scale_message, _, scale = (command.current_scale_S or "").partition(".")
+    holds_voltage = configuration.voltage_loop.where == "drive"
+    given = command.boost_reference_V if holds_voltage else command.current_scale_S
+    message, _, value = (given or "").partition(".")
     bridge_message, _, bridge = (command.bridge or "").partition(".")
-    if scale_message != bridge_message:
-        problem = f"{command.bridge!r} is not in the message of {command.current_scale_S!r}"
+    if message != bridge_message:
+        problem = f"{command.bridge!r} is not in the message of {given!r}"
         raise ConfigurationError(source, [Flaw("signals.command.bridge", problem)])
-    codec = message_codec(database, bus, scale_message, source)
-    return CommandMessage(codec, scale, bridge)
+    return CommandMessage(message_codec(database, bus, message, source), value, bridge)
