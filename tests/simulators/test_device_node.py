@@ -233,10 +233,12 @@ def test_a_drive_that_holds_its_own_voltage_obeys_v_c_and_not_the_current_scale(
     running = node("--initial-voltage", "250")
     host.command_until(lambda status: status["BoostVoltage"] > 299.0, bridge=True)
     heard: list[float] = []
-    host.command_until(
-        lambda status: heard.append(status["BoostVoltage"]) or len(heard) > 240,  # type: ignore[func-returns-value]
-        bridge=True,
-    )
+
+    def heard_enough(status: dict[str, Any]) -> bool:
+        heard.append(status["BoostVoltage"])
+        return len(heard) > 240
+
+    host.command_until(heard_enough, bridge=True)
     assert heard[-120:] == pytest.approx([300.0] * 120, abs=3.0)
     assert running.wait_for("safe")["reason"] == "command timeout"
 
