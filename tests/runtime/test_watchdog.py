@@ -49,6 +49,14 @@ def test_it_speaks_the_protocol(ear: Ear) -> None:
     assert ear.heard() == ["READY=1", "STATUS=waiting for the drive", "STOPPING=1"]
 
 
+def test_a_status_is_said_once(ear: Ear) -> None:
+    manager = ServiceManager({"NOTIFY_SOCKET": ear.address})
+    for status in ("standby", "standby", "running", "standby"):
+        manager.status(status)
+    manager.close()
+    assert ear.heard() == ["STATUS=standby", "STATUS=running", "STATUS=standby"]
+
+
 def test_ticks_feed_the_watchdog_four_times_per_period(ear: Ear) -> None:
     manager = ServiceManager({"NOTIFY_SOCKET": ear.address, "WATCHDOG_USEC": "1000000"})
     heard: list[str] = []

@@ -15,6 +15,8 @@ from tests.system.conftest import MakeSite
 from tests.system.site import until
 
 WATCHDOG_S = 0.4
+RUNNING = "STATUS=running, fixed controller"
+ENABLE = "STATUS=standby, waiting for enable"
 
 
 class NotifySocket:
@@ -76,12 +78,13 @@ def test_the_service_manager_is_told_what_matters(
     until(lambda: manager.fed >= fed + 5, "the watchdog is fed without a drive")
     site.start_device("--initial-voltage", "280")
     site.await_measurement()
+    until(lambda: ENABLE in manager.messages, "the status says what is awaited")
     site.run_drive()
-    until(lambda: "STATUS=running" in manager.messages, "the status follows the state")
+    until(lambda: RUNNING in manager.messages, "the status follows the state")
     _feeds_only_while_it_runs(site.stalled(site.daemon), manager)
     assert site.stop_daemon() == 0
     until(lambda: "STOPPING=1" in manager.messages, "the stop is told")
-    assert manager.messages.index("STOPPING=1") > manager.messages.index("STATUS=running")
+    assert manager.messages.index("STOPPING=1") > manager.messages.index(RUNNING)
 
 
 def _feeds_only_while_it_runs(

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
+from collections.abc import Mapping
+from typing import TextIO
 
 import structlog
 
@@ -15,21 +18,44 @@ _LEVELS = {
     Severity.WARNING: logging.WARNING,
     Severity.ALARM: logging.ERROR,
 }
+# sd-daemon(3): the journal takes the priority of a line from its beginning, and takes it off.
+_PRIORITIES = {"info": "<6>", "warning": "<4>", "error": "<3>"}
 
 
 def set_up_logging() -> structlog.typing.FilteringBoundLogger:
-    """Log as JSON to stderr."""
+    """Log as JSON to stderr, with priorities where that is the journal."""
+    processors: list[structlog.typing.Processor] = [
+        structlog.processors.add_log_level,
+        structlog.processors.TimeStamper(fmt="iso", utc=True),
+        structlog.processors.JSONRenderer(ensure_ascii=False),
+    ]
+    if leads_to_journal(sys.stderr, os.environ):
+        processors.append(_with_priority)
     structlog.configure(
-        processors=[
-            structlog.processors.add_log_level,
-            structlog.processors.TimeStamper(fmt="iso", utc=True),
-            structlog.processors.JSONRenderer(ensure_ascii=False),
-        ],
+        processors=processors,
         wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
         logger_factory=structlog.PrintLoggerFactory(sys.stderr),
     )
     logger: structlog.typing.FilteringBoundLogger = structlog.get_logger()
     return logger
+
+
+def leads_to_journal(stream: TextIO, environment: Mapping[str, str]) -> bool:
+    """Whether what is written to a stream goes to the journal itself.
+
+    Args:
+        stream: The stream.
+        environment: Process environment, with JOURNAL_STREAM where the service manager set it.
+    """
+    try:
+        place = os.fstat(stream.fileno())
+    except (OSError, ValueError):
+        return False
+    return environment.get("JOURNAL_STREAM") == f"{place.st_dev}:{place.st_ino}"
+
+
+def _with_priority(_: object, method: str, line: object) -> str:
+    return f"{_PRIORITIES.get(method, '')}{line}"
 
 
 async def log_events(events: Subscription, logger: structlog.typing.FilteringBoundLogger) -> None:

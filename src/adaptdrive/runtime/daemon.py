@@ -26,6 +26,7 @@ from adaptdrive.runtime.reports import (
 )
 from adaptdrive.runtime.requests import Disable, Request, Reset
 from adaptdrive.runtime.slow_loop import SlowLoop
+from adaptdrive.runtime.status import status_line
 from adaptdrive.runtime.tick_timer import TickTimer
 from adaptdrive.runtime.watchdog import ServiceManager
 
@@ -92,6 +93,7 @@ class Daemon:
         self._detector: LatencyDetector | None = None
         self._timer_failure: asyncio.Future[None] | None = None
         self._decision: Decision | None = None
+        self._bus_problem: str | None = None
         self._told = self._state_report()
 
     async def run(self, stop: asyncio.Event) -> None:
@@ -188,7 +190,8 @@ class Daemon:
         """The bus was lost or came back."""
         severity = Severity.INFO if up else Severity.WARNING
         self._tell("bus", severity, detail)
-        self._manager.status(detail)
+        self._bus_problem = None if up else detail
+        self._tell_manager()
 
     def now_s(self) -> float:
         """Monotonic time."""
@@ -252,6 +255,7 @@ class Daemon:
             await asyncio.sleep(self._settings.report_s)
             self._hub.publish(self._drive_report())
             self._publish_state()
+            self._tell_manager()
 
     async def _shut_down(self) -> None:
         """Bring the drive to zero; more than once, because a frame can be lost."""
@@ -276,7 +280,10 @@ class Daemon:
         if report.trip is not None and told.trip is None:
             self._tell("trip", Severity.ALARM, report.trip)
         self._tell("state", Severity.INFO, f"{told.state} to {report.state}")
-        self._manager.status(str(report.state) if report.trip is None else report.trip)
+        self._tell_manager()
+
+    def _tell_manager(self) -> None:
+        self._manager.status(status_line(self._told, self._bus_problem, self._fast.cause))
 
     def _tell_controller(self, report: StateReport) -> None:
         fell_back = report.mode is Mode.ADAPTIVE and report.controller is Mode.FIXED

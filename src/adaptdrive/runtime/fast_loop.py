@@ -135,6 +135,7 @@ class FastLoop:
         self._applied_k = -1
         self._wanted = SAFE_COMMAND
         self._sequence = 0
+        self._deadline_s = math.inf
         self.tick = -1
         self.reading: Reading | None = None
         self.measurement: Measurement | None = None
@@ -159,6 +160,7 @@ class FastLoop:
         """A complete reading came in: run its tick, unless a stand-in already did."""
         tick = self._half_cycles.place(reading.counter, reading.arrival_s, self.tick)
         self.reading = reading
+        due_s = min(reading.arrival_s, self._deadline_s)
         self._arm(
             reading.arrival_s
             + (1.0 + self._settings.late_fraction) * self._half_cycles.reading_period_s
@@ -169,6 +171,7 @@ class FastLoop:
         lateness_us = (began_s - reading.arrival_s) * 1e6
         self._run(tick, lateness_us, fresh=True)
         ended_s = self._surroundings.now_s()
+        self._judge(due_s, ended_s)
         turnaround_us = (ended_s - reading.arrival_s) * 1e6
         self.turnaround.add(turnaround_us)
         self._report(lateness_us, turnaround_us, (ended_s - began_s) * 1e6)
@@ -180,19 +183,30 @@ class FastLoop:
         skipped = max(0, int((now_s - deadline_s) / period_s))
         self._arm(deadline_s + (1 + skipped) * period_s)
         if not self._settings.timer_standin and self.reading is not None:
-            self._watch_silence(now_s)
+            self._watch_silence()
+            self._judge(deadline_s, now_s)
             return
         lateness_us = (now_s - deadline_s) * 1e6
         self.counts.held += 1
         self._run(self._half_cycles.following(self.tick, skipped), lateness_us, fresh=False)
-        self._report(lateness_us, math.nan, (self._surroundings.now_s() - now_s) * 1e6)
+        ended_s = self._surroundings.now_s()
+        self._judge(deadline_s, ended_s)
+        self._report(lateness_us, math.nan, (ended_s - now_s) * 1e6)
 
-    def _watch_silence(self, now_s: float) -> None:
+    def _watch_silence(self) -> None:
         """Without stand-in ticks: trip when the drive is silent for too long, and stay alive."""
         self._watch_interlocks()
         if not self._machine.energised:
             self.send_safe()
-        self._surroundings.met_deadline(now_s)
+
+    def _judge(self, due_s: float, ended_s: float) -> None:
+        """Tell when a tick was complete within half a period of its time.
+
+        A frame that waited while the loop overslept its deadline was due at that deadline, however
+        fast its own tick was.
+        """
+        if ended_s - due_s < 0.5 * self._half_cycles.reading_period_s:
+            self._surroundings.met_deadline(ended_s)
 
     def deliver(self, snapshot: Snapshot, decision: Decision) -> None:
         """Take a decision of the slow loop; it takes effect at its fixed tick."""
@@ -216,6 +230,7 @@ class FastLoop:
             self._port.send(SAFE_COMMAND)
 
     def _arm(self, deadline_s: float) -> None:
+        self._deadline_s = deadline_s
         self._surroundings.arm(deadline_s)
 
     def _run(self, tick: int, lateness_us: float, *, fresh: bool) -> None:
@@ -231,8 +246,6 @@ class FastLoop:
             self.send_safe()
         else:
             self._control(tick, self.reading, fresh=fresh)
-        if lateness_us < 0.5e6 * self._half_cycles.tick_period_s:
-            self._surroundings.met_deadline(self._surroundings.now_s())
 
     def _watch_interlocks(self) -> None:
         machine, reading = self._machine, self.reading

@@ -27,14 +27,17 @@ class ServiceManager:
         watchdog_us = environment.get("WATCHDOG_USEC", "")
         self._feed_every_s = int(watchdog_us) * 1e-6 / 4.0 if watchdog_us.isdigit() else 0.0
         self._fed_s = float("-inf")
+        self._status = ""
 
     def ready(self) -> None:
         """Configuration, bus and loop are up."""
         self._notify("READY=1")
 
     def status(self, text: str) -> None:
-        """Say in one line what is going on."""
-        self._notify(f"STATUS={text}")
+        """Say in one line what is going on; passed on when it has changed."""
+        if text != self._status:
+            self._status = text
+            self._notify(f"STATUS={text}")
 
     def stopping(self) -> None:
         """An orderly stop has begun."""

@@ -1,0 +1,29 @@
+"""One line for the service manager: where the drive is, and what is awaited."""
+
+from __future__ import annotations
+
+from adaptdrive.runtime.reports import State, StateReport
+
+
+def status_line(report: StateReport, bus_problem: str | None, cause: str | None) -> str:
+    """The state of a drive and what it waits for.
+
+    Args:
+        report: The state.
+        bus_problem: Why the bus is lost, None while it is there.
+        cause: Interlock that is active now, None for none. Only what comes before its colon is
+            told: the figures behind it change all the time.
+    """
+    obstacle = bus_problem or (cause and cause.partition(":")[0])
+    match report.state:
+        case State.STANDBY:
+            awaited = f"the drive ({obstacle})" if obstacle else "enable"
+            return f"standby, waiting for {awaited}"
+        case State.STARTING:
+            return "starting, waiting for the boost voltage"
+        case State.TRIPPED:
+            awaited = f"its cause to go ({obstacle})" if obstacle else "reset"
+            return f"tripped, waiting for {awaited}: {report.trip}"
+        case State.RUNNING:
+            why = f": {report.reason}" if report.reason else ""
+            return f"running, {report.controller} controller{why}"
