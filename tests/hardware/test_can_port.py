@@ -188,6 +188,7 @@ async def test_a_frame_that_fails_a_check_changes_nothing_and_is_counted(  # noq
 async def test_good_frames_follow_bad_ones(port: CanPort, drive: Drive, ear: Ear) -> None:
     async with running(port, ear):
         drive.send_both()
+        await ear.hears(1)
         for spoil in (flipped, leapt, short, unavailable):
             for name in ("DriveStatus", "DriveLoad"):
                 drive.put(name, spoil(drive, name))
@@ -199,6 +200,7 @@ async def test_good_frames_follow_bad_ones(port: CanPort, drive: Drive, ear: Ear
 async def test_a_small_jump_is_believed_and_counted(port: CanPort, drive: Drive, ear: Ear) -> None:
     async with running(port, ear):
         drive.send_both()
+        await ear.hears(1)
         drive.frame("DriveLoad")
         drive.frame("DriveLoad")
         drive.send_both()
@@ -212,6 +214,7 @@ async def test_the_fault_word_and_the_bridge_are_passed_on(
     async with running(port, ear):
         drive.send_status(Fault=9, BridgeOn=0)
         drive.send_load()
+        await ear.hears(1)
         drive.send_status(Fault=127)
         drive.send_load()
         await ear.hears(2)
@@ -219,6 +222,49 @@ async def test_the_fault_word_and_the_bridge_are_passed_on(
         (9, False),
         (127, True),
     ]
+
+
+async def test_of_readings_that_piled_up_only_the_newest_is_handed_out(
+    port: CanPort, drive: Drive, ear: Ear
+) -> None:
+    """All frames wait in the kernel when the loop looks: as after a while without the CPU."""
+    async with running(port, ear):
+        for number in range(40):
+            drive.send_status()
+            drive.send_load(Tachometer=0.01 * number)
+        await heard_by(port, 80)
+        assert [reading.counter for reading in ear.readings] == [39]
+        assert ear.readings[0].output == pytest.approx(0.39)
+        assert port.statistics.counter_lost == 0
+        drive.send_both()
+        await ear.hears(2)
+
+
+async def test_a_fault_among_readings_that_piled_up_is_not_forgotten(
+    port: CanPort, drive: Drive, ear: Ear
+) -> None:
+    async with running(port, ear):
+        for fault in (0, 4, 0, 0):
+            drive.send_status(Fault=fault)
+            drive.send_load()
+        await ear.hears(1)
+        drive.send_both()
+        await ear.hears(2)
+    assert [reading.fault for reading in ear.readings] == [4, 0]
+
+
+async def test_what_waits_is_handed_out_when_it_is_asked_for(
+    port: CanPort, drive: Drive, ear: Ear
+) -> None:
+    port.catch_up()
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        drive.send_both()
+        port.catch_up()  # without a turn of the event loop in between
+        assert len(ear.readings) == 2
+        port.catch_up()
+        assert len(ear.readings) == 2
 
 
 async def test_scale_and_offset_convert_to_si(

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import math
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from adaptdrive.app.ports import build_port
 from adaptdrive.app.warm_up import warm_up
+from adaptdrive.hardware.loopback.port import LoopbackPort
+from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.tick_timer import TickTimer
-from tests.runtime.bench import MOTOR, TICK_S, FastBench, fast_bench, until
+from tests.runtime.bench import CALM, FAST, MOTOR, TICK_S, FastBench, fast_bench, until
 
 EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml"
 
@@ -39,6 +43,62 @@ async def test_a_drive_that_skips_half_cycles_costs_one_tick_each_time() -> None
         assert bench.loop.counts.missed >= missed
         assert bench.loop.counts.ticks > ticks
         assert bench.state() is State.RUNNING
+
+
+class LateReader(LoopbackPort):
+    """A port whose frames nobody looks at until it is asked to catch up."""
+
+    waiting: Reading | None = None
+
+    def catch_up(self) -> None:
+        if self.waiting is not None:
+            reading, self.waiting = self.waiting, None
+            self.deliver(reading)
+
+
+async def overslept(bench: FastBench, half_cycles: int) -> None:
+    """The timer wakes the loop after so many half cycles, whose frames all wait to be read."""
+    around, port = bench.around, LateReader(bench.sent.append)
+    bench.loop._port = port
+    serving = asyncio.create_task(port.run(bench, lambda: None))
+    await asyncio.sleep(0)
+    around.now += half_cycles * TICK_S + 0.3 * TICK_S
+    newest_s = around.now - 0.3 * TICK_S
+    port.waiting = replace(
+        CALM, arrival_s=newest_s, oldest_s=newest_s, counter=bench.counter + half_cycles
+    )
+    bench.loop.on_deadline(around.deadline_s)
+    serving.cancel()
+    await asyncio.wait([serving])
+
+
+async def test_a_loop_that_overslept_ticks_once_on_the_newest_frame_and_does_not_trip() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        ticks, tick, sent = bench.loop.counts.ticks, bench.loop.tick, len(bench.sent)
+        half_cycles = 2 + round(FAST.limits.stale_s / TICK_S)
+        await overslept(bench, half_cycles)
+        assert bench.state() is State.RUNNING
+        assert (bench.loop.counts.ticks, len(bench.sent)) == (ticks + 1, sent + 1)
+        assert (bench.loop.tick, bench.loop.counts.missed) == (tick + half_cycles, half_cycles - 1)
+        assert bench.loop.counts.held == 0
+        assert bench.reports[-1].measurement.fresh
+        assert bench.around.deadline_s > bench.around.now
+
+
+async def test_what_was_overslept_reaches_the_filters_as_a_drive_that_skipped_it() -> None:
+    """The same half cycles lost on the bus instead: controller and filters end up the same."""
+    async with fast_bench() as bench, fast_bench() as other:
+        bench.start()
+        other.start()
+        await overslept(bench, 9)
+        other.around.deadline_s = math.inf
+        other.measured = CALM
+        other.frame(after_s=9 * TICK_S, steps=9, bridge=False)
+        mine, others = bench.loop._controller, other.loop._controller
+        assert bench.loop.tick == other.loop.tick
+        assert mine._bank == others._bank
+        assert mine._fast == others._fast
 
 
 async def test_each_tick_tells_how_long_it_took() -> None:

@@ -1,9 +1,9 @@
 """The port that every backend meets: how a reading arrives and a command leaves.
 
 A port decodes frames, stamps them on arrival with the monotonic clock and hands each complete
-`Reading` to one listener, from within the event loop. Sending never blocks and never retries:
-what the bus does not take at once is dropped and counted, because the next tick brings a fresher
-command.
+`Reading` to one listener, from within the event loop: of readings that piled up, the newest alone.
+Sending never blocks and never retries: what the bus does not take at once is dropped and counted,
+because the next tick brings a fresher command.
 """
 
 from __future__ import annotations
@@ -98,6 +98,9 @@ class Port(Protocol):
 
     def send(self, command: Command) -> bool:
         """Send one command now; False when the bus did not take it (counted, not retried)."""
+
+    def catch_up(self) -> None:
+        """Hand the listener what has arrived already and has not been looked at yet."""
 
     async def reset_fault(self) -> None:
         """Have the drive leave a fault that it keeps until told; ends in bounded time.

@@ -3,6 +3,9 @@
 A frame runs its tick at once. When a frame is late, the timer runs a stand-in tick on the held
 values; the frame, if it still comes, then replaces those values and makes no second tick. Whatever
 goes wrong, every tick sends a command, and without a reason to do otherwise it is the safe one.
+
+Within a tick the command comes first. What can wait until it is on the wire (the timer, the slow
+loop, the watchdog, the books and the report) comes after it.
 """
 
 from __future__ import annotations
@@ -148,9 +151,10 @@ class FastLoop:
     @property
     def cause(self) -> str | None:
         """The interlock that is active now; what the drive's protocol says comes first."""
-        return self._port.complaint or find_cause(
-            self.reading, self._surroundings.now_s(), self._settings.limits
-        )
+        return self._cause(self._surroundings.now_s())
+
+    def _cause(self, now_s: float) -> str | None:
+        return self._port.complaint or find_cause(self.reading, now_s, self._settings.limits)
 
     def begin(self) -> None:
         """Start the stand-in timer; the first frame takes over from it."""
@@ -158,44 +162,39 @@ class FastLoop:
 
     def on_reading(self, reading: Reading) -> None:
         """A complete reading came in: run its tick, unless a stand-in already did."""
-        tick = self._half_cycles.place(reading.counter, reading.arrival_s, self.tick)
+        half_cycles, arrival_s = self._half_cycles, reading.arrival_s
+        tick = half_cycles.place(reading.counter, arrival_s, self.tick)
         self.reading = reading
-        due_s = min(reading.arrival_s, self._deadline_s)
-        self._arm(
-            reading.arrival_s
-            + (1.0 + self._settings.late_fraction) * self._half_cycles.reading_period_s
-        )
-        if tick <= self.tick:
-            return
-        began_s = self._surroundings.now_s()
-        lateness_us = (began_s - reading.arrival_s) * 1e6
-        self._run(tick, lateness_us, fresh=True)
-        ended_s = self._surroundings.now_s()
-        self._judge(due_s, ended_s)
-        turnaround_us = (ended_s - reading.arrival_s) * 1e6
-        self.turnaround.add(turnaround_us)
-        self._report(lateness_us, turnaround_us, (ended_s - began_s) * 1e6)
+        if tick > self.tick:
+            self._run(tick, arrival_s, self._surroundings.now_s(), fresh=True)
+        late_s = (1.0 + self._settings.late_fraction) * half_cycles.reading_period_s
+        self._arm(arrival_s + late_s)
 
     def on_deadline(self, deadline_s: float) -> None:
-        """No frame came in time: run a stand-in tick on the held values."""
+        """No frame came in time: run a stand-in tick on the held values.
+
+        A frame that came and could not be looked at yet, because the process did not run, is
+        better than a stand-in: it is looked at first.
+        """
+        armed_s = self._deadline_s
+        self._port.catch_up()
+        if self._deadline_s != armed_s:
+            return
         period_s = self._half_cycles.reading_period_s
         now_s = self._surroundings.now_s()
         skipped = max(0, int((now_s - deadline_s) / period_s))
         self._arm(deadline_s + (1 + skipped) * period_s)
         if not self._settings.timer_standin and self.reading is not None:
-            self._watch_silence()
+            self._watch_silence(now_s)
             self._judge(deadline_s, now_s)
             return
-        lateness_us = (now_s - deadline_s) * 1e6
         self.counts.held += 1
-        self._run(self._half_cycles.following(self.tick, skipped), lateness_us, fresh=False)
-        ended_s = self._surroundings.now_s()
-        self._judge(deadline_s, ended_s)
-        self._report(lateness_us, math.nan, (ended_s - now_s) * 1e6)
+        tick = self._half_cycles.following(self.tick, skipped)
+        self._run(tick, deadline_s, now_s, fresh=False)
 
-    def _watch_silence(self) -> None:
+    def _watch_silence(self, now_s: float) -> None:
         """Without stand-in ticks: trip when the drive is silent for too long, and stay alive."""
-        self._watch_interlocks()
+        self._watch_interlocks(now_s)
         if not self._machine.energised:
             self.send_safe()
 
@@ -233,25 +232,47 @@ class FastLoop:
         self._deadline_s = deadline_s
         self._surroundings.arm(deadline_s)
 
-    def _run(self, tick: int, lateness_us: float, *, fresh: bool) -> None:
-        """One tick: interlocks, state, controller, guard, wire."""
-        self.counts.ticks += 1
-        if self.tick >= 0:
-            self.counts.missed += (tick - self.tick) // self._settings.ticks_per_reading - 1
-        self.lateness.add(lateness_us)
+    def _run(self, tick: int, due_s: float, began_s: float, *, fresh: bool) -> None:
+        """One tick: first the command, then what can wait for it."""
+        passed = tick - self.tick if self.tick >= 0 else 0
         self.tick = tick
         self._applied_k = -1
-        self._watch_interlocks()
+        self._watch_interlocks(began_s)
         if self.reading is None:
             self.send_safe()
         else:
             self._control(tick, self.reading, fresh=fresh)
+        ended_s = self._surroundings.now_s()
+        self._hand_over_snapshot()
+        self._judge(min(due_s, self._deadline_s), ended_s)
+        self._count(passed)
+        self._keep_time(due_s, began_s, ended_s, fresh=fresh)
 
-    def _watch_interlocks(self) -> None:
+    def _hand_over_snapshot(self) -> None:
+        snapshot = self._controller.take_snapshot()
+        if snapshot is not None and not self._surroundings.snapshot_taken(snapshot):
+            self._machine.latch("slow loop: no decision for three slow periods")
+
+    def _count(self, passed: int) -> None:
+        """Count a tick, and the readings that should have had one since the last."""
+        self.counts.ticks += 1
+        if passed:
+            self.counts.missed += passed // self._settings.ticks_per_reading - 1
+
+    def _keep_time(self, due_s: float, began_s: float, ended_s: float, *, fresh: bool) -> None:
+        lateness_us, tick_us = (began_s - due_s) * 1e6, (ended_s - began_s) * 1e6
+        turnaround_us = (ended_s - due_s) * 1e6 if fresh else math.nan
+        self.lateness.add(lateness_us)
+        self.tick_time.add(tick_us)
+        if fresh:
+            self.turnaround.add(turnaround_us)
+        self._report(lateness_us, turnaround_us, tick_us)
+
+    def _watch_interlocks(self, now_s: float) -> None:
         machine, reading = self._machine, self.reading
         if not machine.energised:
             return
-        cause = self.cause or self._bridge_cause(reading)
+        cause = self._cause(now_s) or self._bridge_cause(reading)
         if cause is None and reading is not None:
             machine.advance(self.tick, reading.boost_voltage_V)
         elif cause is not None:
@@ -284,9 +305,6 @@ class FastLoop:
         self.measurement = measurement
         self._wanted = command
         self._send(command)
-        snapshot = self._controller.take_snapshot()
-        if snapshot is not None and not self._surroundings.snapshot_taken(snapshot):
-            self._machine.latch("slow loop: no decision for three slow periods")
 
     def _current_order(self, tick: int) -> Order:
         """The order of this tick; a new object only when something changed."""
@@ -319,7 +337,6 @@ class FastLoop:
         self._applied_k = decision.k
 
     def _report(self, lateness_us: float, turnaround_us: float, tick_us: float) -> None:
-        self.tick_time.add(tick_us)
         if self.measurement is None or self._order is None:
             return
         self._surroundings.ticked(

@@ -1,8 +1,9 @@
 """The port of a drive on a CAN bus.
 
 Every message keeps its last good values and their arrival. When a good clocking frame arrives and
-every quantity has been heard once, the port hands out a reading, as old as its oldest value. A
-frame that fails a check changes nothing and is counted.
+every quantity has been heard once, there is a reading, as old as its oldest value. It is handed out
+when no more frames wait: of readings that piled up while the process did not run, only the newest
+is worth a tick. A frame that fails a check changes nothing and is counted.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from adaptdrive.hardware.can.bus import describe_bus, frame_key, open_bus
 from adaptdrive.hardware.can.codec import MessageCodec
 from adaptdrive.hardware.can.integrity import Verdict
 from adaptdrive.hardware.can.mapping import DriveMapping, Status, map_drive
-from adaptdrive.hardware.can.reader import read_frames
+from adaptdrive.hardware.can.reader import FrameReader
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 
 _FIRST_DELAY_S = 0.1
@@ -85,6 +86,8 @@ class CanPort:
         self._arrivals: dict[str, float] = {}
         self._bridge_sent = False
         self._bus: can.BusABC | None = None
+        self._reader: FrameReader | None = None
+        self._newest: Reading | None = None
         self._listener: Listener | None = None
 
     @property
@@ -144,6 +147,11 @@ class CanPort:
             self._bridge_sent = command.bridge
         return all(taken)
 
+    def catch_up(self) -> None:
+        """Hand out what has arrived and has not been looked at yet."""
+        if self._reader is not None:
+            self._reader.drain()
+
     async def reset_fault(self) -> None:
         """A DBC knows no way to reset a fault: the drive clears its fault word by itself."""
 
@@ -179,7 +187,7 @@ class CanPort:
                 self._values[source.quantity] = value * source.scale + source.offset
                 self._arrivals[source.quantity] = arrival_s
         if status.codec.name == self._mapping.clock:
-            self._emit(arrival_s)
+            self._compose(arrival_s)
 
     def _arrival(self, frame: can.Message) -> float:
         """When the frame reached the machine, by the monotonic clock.
@@ -193,26 +201,32 @@ class CanPort:
         waited_s = self._wall_clock() - frame.timestamp
         return now_s - min(max(waited_s, 0.0), _OLDEST_S)
 
-    def _emit(self, arrival_s: float) -> None:
+    def _compose(self, arrival_s: float) -> None:
+        """Make a reading of the newest values; a fault in one that it replaces is not forgotten."""
         oldest_s = min(self._arrivals.values())
-        if oldest_s == -math.inf or self._listener is None:
+        if oldest_s == -math.inf:
             return
-        values = self._values
+        values, replaced = self._values, self._newest
         counter, bridge = values.get("counter"), values.get("bridge")
-        self._listener.on_reading(
-            Reading(
-                arrival_s=arrival_s,
-                oldest_s=oldest_s,
-                counter=None if counter is None else int(counter),
-                boost_voltage_V=values["boost_voltage_V"],
-                line_voltage_V=values["line_voltage_V"],
-                load_power_W=values["load_power_W"],
-                output=values["output"],
-                fault=int(values.get("fault", 0)),
-                # a drive that does not say is taken to do what it was told last
-                bridge=self._bridge_sent if bridge is None else bridge == 1,
-            )
+        fault = int(values.get("fault", 0))
+        self._newest = Reading(
+            arrival_s=arrival_s,
+            oldest_s=oldest_s,
+            counter=None if counter is None else int(counter),
+            boost_voltage_V=values["boost_voltage_V"],
+            line_voltage_V=values["line_voltage_V"],
+            load_power_W=values["load_power_W"],
+            output=values["output"],
+            fault=fault if replaced is None else fault | replaced.fault,
+            # a drive that does not say is taken to do what it was told last
+            bridge=self._bridge_sent if bridge is None else bridge == 1,
         )
+
+    def _hand_out(self) -> None:
+        """No more frames wait."""
+        reading, self._newest = self._newest, None
+        if reading is not None and self._listener is not None:
+            self._listener.on_reading(reading)
 
     def _put(self, frame: can.Message) -> bool:
         try:
@@ -242,9 +256,10 @@ class CanPort:
         self._forget()
         try:
             announce()
-            return await read_frames(bus, self)
+            self._reader = FrameReader(bus, self, self._hand_out)
+            return await self._reader.run()
         finally:
-            self._bus = None
+            self._bus = self._reader = None
             bus.shutdown()
 
     def _announce_return(self) -> None:
@@ -254,6 +269,7 @@ class CanPort:
 
     def _forget(self) -> None:
         """Nothing that was heard before a bus was opened is used after it."""
+        self._newest = None
         for status in self._mapping.statuses:
             status.codec.reset()
             for source in status.sources:

@@ -2,6 +2,9 @@
 
 python-can's own adapter spins when a bus dies and tells nobody. This one reads a bounded number of
 frames per wake-up, so that a flood cannot starve the loop, and ends when the bus does.
+
+After each wake-up it says that no more frames wait. Whoever was kept from running for a while can
+then act once, on the newest of what has piled up, and not once for each.
 """
 
 from __future__ import annotations
@@ -13,8 +16,9 @@ from typing import Protocol
 
 import can
 
-_BUDGET = 32
-"""Frames read per wake-up; the rest stays in the kernel's queue until the loop has been round."""
+_BUDGET = 256
+"""Frames read per wake-up; the rest stays in the kernel's queue until the loop has been round. By
+default that queue holds as many: one wake-up clears what piled up while the process did not run."""
 
 _POLL_S = 0.001
 """How often a bus without a file descriptor is looked at."""
@@ -37,35 +41,51 @@ class FrameTaker(Protocol):
 
 
 async def read_frames(bus: can.BusABC, taker: FrameTaker) -> str:
-    """Hand every frame to `taker` until the bus is lost.
+    """Hand every frame to `taker` until the bus is lost; why it is lost."""
+    return await FrameReader(bus, taker).run()
 
-    Args:
-        bus: An open bus.
-        taker: Who gets the frames; an error it raises ends the reading and is raised here.
 
-    Returns:
-        Why the bus is lost.
-    """
-    loop = asyncio.get_running_loop()
-    lost: asyncio.Future[str] = loop.create_future()
+class FrameReader:
+    """Reads one open bus."""
 
-    def drain() -> None:
-        if lost.done():
+    def __init__(
+        self, bus: can.BusABC, taker: FrameTaker, caught_up: Callable[[], None] = lambda: None
+    ) -> None:
+        """Read nothing yet; an event loop must be running.
+
+        Args:
+            bus: An open bus.
+            taker: Who gets the frames; an error it raises ends the reading, and `run` raises it.
+            caught_up: Called after each wake-up that brought a frame, when no more of them wait.
+        """
+        self._bus = bus
+        self._taker = taker
+        self._caught_up = caught_up
+        self._loop = asyncio.get_running_loop()
+        self._lost: asyncio.Future[str] = self._loop.create_future()
+
+    async def run(self) -> str:
+        """Read until the bus is lost; why it is lost."""
+        lost = self._lost
+        with _wake_ups(self._loop, _fileno(self._bus), self.drain):
+            while not lost.done():
+                await asyncio.wait([lost], timeout=_HEALTH_S)
+                if not lost.done() and _fileno(self._bus) == _CLOSED:
+                    return "closed"
+            return lost.result()
+
+    def drain(self) -> None:
+        """Take the frames that wait, now."""
+        if self._lost.done():
             return
         try:
-            problem = _drain(bus, taker)
+            problem = _drain(self._bus, self._taker)
+            self._caught_up()
         except Exception as error:  # noqa: BLE001 - it is raised again, where it can be seen
-            lost.set_exception(error)
+            self._lost.set_exception(error)
             return
         if problem:
-            lost.set_result(problem)
-
-    with _wake_ups(loop, _fileno(bus), drain):
-        while not lost.done():
-            await asyncio.wait([lost], timeout=_HEALTH_S)
-            if not lost.done() and _fileno(bus) == _CLOSED:
-                return "closed"
-        return lost.result()
+            self._lost.set_result(problem)
 
 
 def _fileno(bus: can.BusABC) -> int:

@@ -71,6 +71,9 @@ class LoopbackPort:
         self._commanded(command)
         return True
 
+    def catch_up(self) -> None:
+        """What is delivered is handed over at once."""
+
     async def reset_fault(self) -> None:
         """Who delivers the readings decides what becomes of a fault."""
 

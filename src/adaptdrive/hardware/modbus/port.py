@@ -150,6 +150,9 @@ class ModbusPort:
             self._wake.set()
         return True
 
+    def catch_up(self) -> None:
+        """A reply is handed over by the task that polls, and only one is ever awaited."""
+
     async def reset_fault(self) -> None:
         """A register map knows no way to reset a fault: the drive clears its word by itself."""
 
