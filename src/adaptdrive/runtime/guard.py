@@ -41,28 +41,19 @@ class Guard:
 
     def check(self, command: Command) -> Command:
         """The command to send: the given one wherever it is within limits."""
-        if not (
-            math.isfinite(command.current_scale_S) and math.isfinite(command.boost_reference_V)
-        ):
+        scale_S, reference_V = command.current_scale_S, command.boost_reference_V
+        if not (math.isfinite(scale_S) and math.isfinite(reference_V)):
             self.refused += 1
-            command = SAFE_COMMAND
-        if command == SAFE_COMMAND:
+            scale_S, reference_V, command = 0.0, 0.0, SAFE_COMMAND
+        if not (command.bridge or scale_S or reference_V):
             self._last_scale_S = 0.0
             return SAFE_COMMAND
-        checked = self._limited(command)
-        if checked != command:
-            self.corrected += 1
-        self._last_scale_S = checked.current_scale_S
-        return checked
-
-    def _limited(self, command: Command) -> Command:
-        limits, last = self._limits, self._last_scale_S
-        low = max(limits.current_scale_min_S, last - limits.current_scale_slew_S)
-        high = min(limits.current_scale_max_S, last + limits.current_scale_slew_S)
-        return Command(
-            current_scale_S=min(max(command.current_scale_S, low), high),
-            boost_reference_V=min(
-                max(command.boost_reference_V, 0.0), limits.boost_reference_max_V
-            ),
-            bridge=command.bridge,
-        )
+        limits, last_S = self._limits, self._last_scale_S
+        low_S = max(limits.current_scale_min_S, last_S - limits.current_scale_slew_S)
+        high_S = min(limits.current_scale_max_S, last_S + limits.current_scale_slew_S)
+        self._last_scale_S = min(max(scale_S, low_S), high_S)
+        limited_V = min(max(reference_V, 0.0), limits.boost_reference_max_V)
+        if self._last_scale_S == scale_S and limited_V == reference_V:
+            return command
+        self.corrected += 1
+        return Command(self._last_scale_S, limited_V, command.bridge)

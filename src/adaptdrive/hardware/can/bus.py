@@ -6,11 +6,9 @@ on the loopback interface: a drive must not be commanded by, nor shown to, the n
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import fcntl
 import ipaddress
-import os
 import socket
 import struct
 from collections.abc import Iterable
@@ -19,9 +17,7 @@ import can
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.errors import BusError, Flaw
-
-_IP_MULTICAST_ALL = 49
-"""Linux: whether a socket hears groups that other sockets of the machine have joined."""
+from adaptdrive.hardware.can.multicast import LoopbackMulticast
 
 _SIOCGIFFLAGS = 0x8913
 _IFF_UP = 0x1
@@ -60,7 +56,7 @@ def open_bus(config: CanBus, listen: Iterable[int] = ()) -> can.BusABC:
         if config.interface == "socketcan":
             return _open_socketcan(config, listen)
         if config.interface == "udp_multicast":
-            return _open_multicast(config)
+            return LoopbackMulticast(config.channel, config.udp_port, fd=False)
         return can.Bus(interface="virtual", channel=config.channel, ignore_config=True)
     except (can.CanError, OSError, ValueError) as problem:
         raise BusError(describe_bus(config), str(problem)) from problem
@@ -117,40 +113,3 @@ def _check_interface_up(config: CanBus) -> None:
     if not struct.unpack_from("h", answer, _IFNAMSIZ)[0] & _IFF_UP:
         advice = f"the interface is down; try: ip link set {config.channel} up"
         raise BusError(describe_bus(config), advice)
-
-
-def _open_multicast(config: CanBus) -> can.BusABC:
-    bus = can.Bus(
-        interface="udp_multicast",
-        channel=config.channel,
-        port=config.udp_port,
-        hop_limit=0,
-        fd=False,
-        ignore_config=True,
-    )
-    try:
-        _confine_to_loopback(bus.fileno(), config.channel)
-    except OSError:
-        bus.shutdown()
-        raise
-    return bus
-
-
-def _confine_to_loopback(fileno: int, channel: str) -> None:
-    group, loopback = socket.inet_aton(channel), socket.inet_aton("127.0.0.1")
-    default = socket.inet_aton("0.0.0.0")  # noqa: S104 - names the membership to give up
-    with socket.socket(fileno=os.dup(fileno)) as sock:
-        with contextlib.suppress(PermissionError):  # kernels before 5.7 ask for a capability
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
-        sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
-        sock.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
-        _join(sock, group + loopback)
-        sock.setsockopt(socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, group + default)
-
-
-def _join(sock: socket.socket, membership: bytes) -> None:
-    try:
-        sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
-    except OSError as problem:
-        if problem.errno != errno.EADDRINUSE:  # the default interface already is loopback
-            raise

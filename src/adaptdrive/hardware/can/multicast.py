@@ -1,0 +1,110 @@
+"""python-can's multicast bus, confined to the loopback interface and quick.
+
+A daemon reads what waits and sends at once, on a socket that is known to be open. That takes one
+system call for each frame, in place of python-can's general way, which can wait, filter and log.
+Cold, as after each sleep between two half cycles, that way takes tens of microseconds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import socket
+import struct
+
+import can
+from can.interfaces.udp_multicast import UdpMulticastBus
+from can.interfaces.udp_multicast.utils import pack_message, unpack_message
+
+_IP_MULTICAST_ALL = 49
+"""Linux: whether a socket hears groups that other sockets of the machine have joined."""
+
+_LARGEST = 4096
+_TIMESPEC = struct.Struct("@ll")
+_ANCILLARY = socket.CMSG_SPACE(_TIMESPEC.size)
+
+
+class LoopbackMulticast(UdpMulticastBus):
+    """A group on the loopback interface; python-can's own buses in it are peers."""
+
+    def __init__(self, group: str, port: int, *, fd: bool) -> None:
+        """Join a group; call `shutdown()` at the end.
+
+        Args:
+            group: An IPv4 multicast group.
+            port: UDP port.
+            fd: Whether frames of CAN FD may be sent.
+
+        Raises:
+            CanError: The socket cannot be opened.
+            OSError: The loopback interface cannot be used.
+        """
+        super().__init__(group, port=port, hop_limit=0, fd=fd)
+        self._destination = (group, port)
+        self._socket = socket.socket(fileno=os.dup(self.fileno()))
+        try:
+            confine_to_loopback(self._socket, group)
+        except OSError:
+            self.shutdown()
+            raise
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame, None when there is none within `timeout` seconds.
+
+        Raises:
+            CanOperationError: The bus is lost; or, with what is wrong as its cause, something came
+                that is no frame.
+        """
+        if timeout != 0.0:
+            return super().recv(timeout)
+        try:
+            received = self._socket.recvmsg(_LARGEST, _ANCILLARY, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return None
+        seconds, nanoseconds = _TIMESPEC.unpack(received[1][0][2])
+        stamp = {"timestamp": seconds + nanoseconds * 1e-9}
+        try:
+            return unpack_message(received[0], stamp, check=True)
+        except Exception as problem:
+            raise can.CanOperationError("not a frame") from problem
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 - as in the base class
+        """Send a frame at once.
+
+        Raises:
+            OSError: The bus does not take it.
+            CanError: It is a frame of CAN FD on a bus that is not.
+        """
+        if msg.is_fd and self.protocol is not can.CanProtocol.CAN_FD:
+            raise can.CanOperationError("the bus is not one of CAN FD")
+        self._socket.sendto(pack_message(msg), socket.MSG_DONTWAIT, self._destination)
+
+    def shutdown(self) -> None:
+        """Leave the group."""
+        self._socket.close()
+        super().shutdown()
+
+
+def confine_to_loopback(sock: socket.socket, group: str) -> None:
+    """Hear and send on the loopback interface only, and that group only.
+
+    Raises:
+        OSError: The kernel refuses.
+    """
+    address, loopback = socket.inet_aton(group), socket.inet_aton("127.0.0.1")
+    default = socket.inet_aton("0.0.0.0")  # noqa: S104 - names the membership to give up
+    with contextlib.suppress(PermissionError):  # kernels before 5.7 ask for a capability
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
+    sock.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
+    _join(sock, address + loopback)
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, address + default)
+
+
+def _join(sock: socket.socket, membership: bytes) -> None:
+    try:
+        sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+    except OSError as problem:
+        if problem.errno != errno.EADDRINUSE:  # the default interface already is loopback
+            raise
