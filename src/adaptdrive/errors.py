@@ -55,3 +55,12 @@ class RecordingError(AdaptdriveError):
         self.session = session
         self.problem = problem
         super().__init__(f"{session}: {problem}")
+
+
+def first_error(group: BaseExceptionGroup[AdaptdriveError]) -> AdaptdriveError:
+    """The one error to tell about: tasks die together, and the first one is the cause."""
+    error: BaseException = group
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    assert isinstance(error, AdaptdriveError)  # noqa: S101 - the group holds nothing else
+    return error

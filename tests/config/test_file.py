@@ -44,6 +44,7 @@ def test_relative_paths_start_at_the_folder_of_the_file(tmp_path: Path) -> None:
 def test_a_name_alone_is_a_quantity_in_SI() -> None:
     named = parse(signals__output='"DriveLoad.Tachometer"').signals.output
     whole = parse(signals__output="{ signal = 'DriveLoad.Tachometer', scale = 1.0 }")
+    assert named is not None
     assert named == whole.signals.output
     assert (named.signal, named.scale, named.offset) == ("DriveLoad.Tachometer", 1.0, 0.0)
 

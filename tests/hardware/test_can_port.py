@@ -91,6 +91,7 @@ async def test_a_reading_holds_what_the_drive_sent(port: CanPort, drive: Drive, 
         "output": pytest.approx(3.123456),
         "fault": 0,
         "bridge": True,
+        "other": {},
     }
 
 

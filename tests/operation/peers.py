@@ -27,7 +27,14 @@ from adaptdrive.control.signals import (
 from adaptdrive.errors import RefusedError
 from adaptdrive.operation.service import MqttService, Surroundings
 from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.reports import DriveReport, LoadReport, Quantiles, State, StateReport
+from adaptdrive.runtime.reports import (
+    DriveReport,
+    LoadReport,
+    Quantiles,
+    SensorReport,
+    State,
+    StateReport,
+)
 from adaptdrive.runtime.requests import Request, SetMode, SetSetpoint
 from tests.support import Broker
 
@@ -260,7 +267,26 @@ def drive_report(ticks: int) -> DriveReport:
     times = Quantiles(10.0, 20.0, 30.0)
     nothing = Quantiles(float("nan"), float("nan"), float("nan"))
     bus = {"received": ticks, "sent": ticks}
-    return DriveReport(measurement, 0.004, SAFE_COMMAND, ticks, 1, 2, times, nothing, bus)
+    thermocouples = SensorReport(
+        name="thermocouples",
+        up=False,
+        detail="unplugged",
+        values={"hot": 310.0},
+        age_s={"hot": 1.5},
+        bus={"timeouts": 3},
+    )
+    return DriveReport(
+        measurement=measurement,
+        age_s=0.004,
+        command=SAFE_COMMAND,
+        ticks=ticks,
+        missed=1,
+        held=2,
+        lateness_us=times,
+        turnaround_us=nothing,
+        bus=bus,
+        sensors=(thermocouples,),
+    )
 
 
 def load_report(k: int) -> LoadReport:

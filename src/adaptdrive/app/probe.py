@@ -8,10 +8,11 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
-from adaptdrive.app.ports import build_port
+from adaptdrive.app.sensors import build_whole_port, sensor_reports
 from adaptdrive.config import Configuration, load_configuration
-from adaptdrive.errors import AdaptdriveError
+from adaptdrive.errors import AdaptdriveError, first_error
 from adaptdrive.hardware.port import Port, Reading
+from adaptdrive.runtime.reports import SensorReport
 
 _EVERY_S = 0.5
 
@@ -44,23 +45,35 @@ def probe(path: Path) -> int:
     try:
         asyncio.run(_show(configuration, path))
     except* AdaptdriveError as group:
-        raise group.exceptions[0] from None
+        raise first_error(group) from None
     return 0
 
 
 async def _show(configuration: Configuration, path: Path) -> None:
-    port = build_port(configuration, time.monotonic, path)
+    port = build_whole_port(configuration, time.monotonic, path)
     listener = _Probe()
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(port.run(listener, lambda: _say(port.description)))
         while True:
             await asyncio.sleep(_EVERY_S)
             _say(_line(configuration, port, listener.reading))
+            for report in sensor_reports(port)():
+                _say(_sensor_line(report))
 
 
 def _say(text: str) -> None:
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
+
+
+def _sensor_line(report: SensorReport) -> str:
+    values = "  ".join(
+        f"{name} {value:.6g} (age {report.age_s[name] * 1e3:.0f} ms)"
+        for name, value in report.values.items()
+    )
+    counts = ", ".join(f"{name} {count}" for name, count in report.bus.items() if count)
+    lost = "" if report.up else f"lost: {report.detail}  "
+    return f"  {report.name}: {lost}{values or 'no value yet'}  ({counts or 'no replies'})"
 
 
 def _line(configuration: Configuration, port: Port, reading: Reading | None) -> str:

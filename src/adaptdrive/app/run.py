@@ -20,12 +20,12 @@ from adaptdrive.app.checkpoint import (
     write_checkpoint,
 )
 from adaptdrive.app.log import log_events, set_up_logging
-from adaptdrive.app.ports import build_port
 from adaptdrive.app.realtime import choose_loop, prepare
+from adaptdrive.app.sensors import build_whole_port, sensor_reports
 from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.errors import AdaptdriveError
+from adaptdrive.errors import AdaptdriveError, first_error
 from adaptdrive.operation.service import MqttService, Surroundings
 from adaptdrive.recording.recorder import Feed, Pace, Recorder
 from adaptdrive.recording.session import SessionInfo, create_session, sessions_directory
@@ -57,19 +57,10 @@ def run(path: Path) -> int:
         with asyncio.Runner(loop_factory=make_loop) as runner:
             runner.run(_serve(configuration, text, path, loop_grant))
     except* AdaptdriveError as group:
-        raise _first(group) from None
+        raise first_error(group) from None
     finally:
         thaw()
     return 0
-
-
-def _first(group: BaseExceptionGroup[AdaptdriveError]) -> AdaptdriveError:
-    """The one error to tell about: tasks die together, and the first one is the cause."""
-    error: BaseException = group
-    while isinstance(error, BaseExceptionGroup):
-        error = error.exceptions[0]
-    assert isinstance(error, AdaptdriveError)  # noqa: S101 - the group holds nothing else
-    return error
 
 
 async def _serve(
@@ -77,7 +68,7 @@ async def _serve(
 ) -> None:
     logger, hub, stop = set_up_logging(), Hub(), asyncio.Event()
     events = hub.subscribe(Event, size=_EVENTS_HELD)
-    port = build_port(configuration, time.monotonic, path)
+    port = build_whole_port(configuration, time.monotonic, path)
     settings, load = controller_settings(configuration), build_load(configuration)
     state = state_directory(os.environ.get("STATE_DIRECTORY", ""))
     checkpoint = checkpoint_path(state, configuration.drive.name)
@@ -90,6 +81,7 @@ async def _serve(
         clock=time.monotonic,
         hub=hub,
         manager=ServiceManager(os.environ),
+        sensors=sensor_reports(port),
     )
     _stop_on_signals(stop)
     logger.info(

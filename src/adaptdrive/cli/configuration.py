@@ -12,7 +12,7 @@ from adaptdrive.config import Configuration, load_configuration
 def check(config: Path, /) -> int:
     """Validate a configuration; list every error with its place.
 
-    The DBC or register map and the capacity of the link are checked too; no bus is opened.
+    The DBC or register map and the capacity of each link are checked too; no bus is opened.
 
     Args:
         config: Configuration file.
@@ -20,10 +20,10 @@ def check(config: Path, /) -> int:
     Returns:
         0 when it can be used; otherwise `ConfigurationError` lists what is wrong.
     """
-    from adaptdrive.app.ports import build_port  # noqa: PLC0415 - `schema` needs no bus
+    from adaptdrive.app.sensors import build_whole_port  # noqa: PLC0415 - `schema` needs no bus
 
     configuration = load_configuration(config)
-    build_port(configuration, time.monotonic, config)
+    build_whole_port(configuration, time.monotonic, config)
     print(f"{config}: drive {configuration.drive.name} is configured correctly")
     return 0
 

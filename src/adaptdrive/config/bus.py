@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from adaptdrive.config.section import FilePath, FiniteFloat, Section
+from adaptdrive.config.units import Unit, in_si
 
 
 class FrameIntegrity(Section):
@@ -40,13 +41,26 @@ class CanBus(Section):
 
 
 class SignalSource(Section):
-    """One measured quantity: a signal, and a conversion to SI where its map has none."""
+    """One measured quantity: a signal, and a conversion to SI where its map has none.
+
+    Scale and offset lead to `unit`, which is converted to SI.
+    """
 
     signal: str = Field(
         min_length=1, description="`Message.Signal` on CAN, the register's name on Modbus"
     )
     scale: FiniteFloat = Field(default=1.0, description="SI units per unit of the signal")
     offset: FiniteFloat = Field(default=0.0, description="SI value of a zero signal")
+    unit: Unit | None = Field(
+        default=None,
+        description="unit that scale and offset lead to, or that of the signal without them; it is "
+        "converted to SI (K, rad/s, V, A, W), which it is taken to be when left out",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _in_si(cls, table: object) -> object:
+        return in_si(table) if isinstance(table, dict) else table
 
 
 def _table(value: object) -> object:
@@ -69,11 +83,16 @@ class CommandSignals(Section):
 class Signals(Section):
     """`[signals]`: which signal is which quantity."""
 
-    boost_voltage_V: Quantity = Field(description="boost capacitor voltage v_bst")
-    line_voltage_V: Quantity = Field(description="line voltage, rms")
-    load_power_W: Quantity = Field(description="power into the load")
-    output: Quantity = Field(description="the regulated quantity")
+    boost_voltage_V: Quantity | None = Field(
+        default=None, description="boost capacitor voltage v_bst"
+    )
+    line_voltage_V: Quantity | None = Field(default=None, description="line voltage, rms")
+    load_power_W: Quantity | None = Field(default=None, description="power into the load")
+    output: Quantity | None = Field(default=None, description="the regulated quantity")
     counter: Quantity | None = Field(default=None, description="half-cycle counter of the drive")
     fault: Quantity | None = Field(default=None, description="fault word, 0 = healthy")
     bridge: Quantity | None = Field(default=None, description="bridge is on")
+    other: dict[str, Quantity] = Field(
+        default={}, description="more values of the drive, for `[derived]`"
+    )
     command: CommandSignals = Field(default_factory=CommandSignals)

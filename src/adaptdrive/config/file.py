@@ -13,7 +13,7 @@ from adaptdrive.config.root import BUS_TYPES, Configuration
 from adaptdrive.config.section import Section
 from adaptdrive.errors import ConfigurationError, Flaw
 
-_TYPES = {"load": LOAD_TYPES, "bus": BUS_TYPES}
+_TYPES = {"load": LOAD_TYPES, "bus": BUS_TYPES, "sensor_bus": BUS_TYPES}
 _BUS_PATHS = {"can": ("database",), "modbus-rtu": ("device",)}
 _MESSAGES = {"extra_forbidden": "Unknown key", "union_tag_not_found": "Field required"}
 
@@ -80,20 +80,25 @@ def _flaw(error: dict[str, Any]) -> Flaw:
 
 def _place(location: tuple[int | str, ...]) -> str:
     """The dotted key; pydantic counts a type of load or bus as a table of its own."""
-    if location[1:2] and location[1] in _TYPES.get(str(location[0]), ()):
-        location = (location[0], *location[2:])
+    at = 2 if location[1:2] and isinstance(location[1], int) else 1  # of a list, or not
+    if location[at : at + 1] and location[at] in _TYPES.get(str(location[0]), ()):
+        location = (*location[:at], *location[at + 1 :])
     return ".".join(str(part) for part in location)
 
 
 def _anchored(configuration: Configuration, folder: Path) -> Configuration:
-    bus_type = configuration.bus.type
     return configuration.model_copy(
         update={
-            "bus": _placed(configuration.bus, folder, *_BUS_PATHS.get(bus_type, ())),
+            "bus": _placed_bus(configuration.bus, folder),
+            "sensor_bus": [_placed_bus(bus, folder) for bus in configuration.sensor_bus],
             "mqtt": _placed(configuration.mqtt, folder, "ca_file", "password_file"),
             "recording": _placed(configuration.recording, folder, "directory"),
         }
     )
+
+
+def _placed_bus(bus: Section, folder: Path) -> Section:
+    return _placed(bus, folder, *_BUS_PATHS.get(getattr(bus, "type", ""), ()))
 
 
 def _placed(section: Section, folder: Path, *keys: str) -> Section:

@@ -68,27 +68,48 @@ class Heartbeat(Section):
     )
 
 
-class ModbusBus(Section):
-    """What `[bus]` holds for every kind of Modbus."""
+class ModbusLink(Section):
+    """What every link to devices on Modbus has."""
 
     device_id: int = Field(default=1, ge=1, le=255, description="device (slave, unit) id")
-    poll_ticks: int = Field(
-        default=12, ge=1, description="half line cycles from one poll of the drive to the next"
-    )
     timeout_s: PositiveFloat = Field(
         default=0.05, description="longest time from a request to its reply"
     )
     turnaround_s: float = Field(
-        default=0.005, ge=0.0, description="time that the drive and the link take for a reply"
-    )
-    read_write: bool = Field(
-        default=False, description="write and read in one exchange (function 23)"
+        default=0.005, ge=0.0, description="time that the device and the link take for a reply"
     )
     max_gap: int = Field(
         default=4, ge=0, le=123, description="unmapped registers that a read may run across"
     )
     max_block: int = Field(
-        default=125, ge=2, le=125, description="registers that the drive gives in one reply"
+        default=125, ge=2, le=125, description="registers that the device gives in one reply"
+    )
+
+
+class TcpLink(ModbusLink):
+    """A link over TCP."""
+
+    host: str = Field(description="name or address of the device or its gateway")
+    port: int = Field(default=502, ge=1, le=65535, description="port of the device")
+
+
+class RtuLink(ModbusLink):
+    """A link over a serial line."""
+
+    device: FilePath = Field(description="serial port, relative to the configuration file")
+    baud: int = Field(default=19200, ge=300, le=4_000_000, description="bits per second")
+    parity: Literal["even", "odd", "none"] = Field(default="even", description="parity bit")
+    stop_bits: Literal[1, 2] = Field(default=1, description="stop bits")
+
+
+class ModbusBus(ModbusLink):
+    """What `[bus]` holds for every kind of Modbus."""
+
+    poll_ticks: int = Field(
+        default=12, ge=1, description="half line cycles from one poll of the drive to the next"
+    )
+    read_write: bool = Field(
+        default=False, description="write and read in one exchange (function 23)"
     )
     heartbeat: Heartbeat = Field(default_factory=Heartbeat)
     registers: dict[str, Register] = Field(
@@ -96,19 +117,13 @@ class ModbusBus(Section):
     )
 
 
-class ModbusTcp(ModbusBus):
+class ModbusTcp(ModbusBus, TcpLink):
     """`[bus]` with `type = "modbus-tcp"`."""
 
     type: Literal["modbus-tcp"] = Field(description="kind of bus")
-    host: str = Field(description="name or address of the drive or its gateway")
-    port: int = Field(default=502, ge=1, le=65535, description="port of the drive")
 
 
-class ModbusRtu(ModbusBus):
+class ModbusRtu(ModbusBus, RtuLink):
     """`[bus]` with `type = "modbus-rtu"`."""
 
     type: Literal["modbus-rtu"] = Field(description="kind of bus")
-    device: FilePath = Field(description="serial port, relative to the configuration file")
-    baud: int = Field(default=19200, ge=300, le=4_000_000, description="bits per second")
-    parity: Literal["even", "odd", "none"] = Field(default="even", description="parity bit")
-    stop_bits: Literal[1, 2] = Field(default=1, description="stop bits")

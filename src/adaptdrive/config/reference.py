@@ -30,6 +30,7 @@ _TYPES = {
     "boolean": "boolean",
     "integer": "integer",
     "number": "float",
+    "object": "table",
     "string": "string",
 }
 _BOUNDS = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
@@ -55,8 +56,9 @@ def _sections(schema: Schema, definitions: Schema) -> Iterator[str]:
 
 
 def _references(key: Schema) -> Iterator[str]:
-    nested = key.get("additionalProperties", {})
-    for option in [key, *key.get("anyOf", ()), *key.get("oneOf", ()), nested]:
+    nested, items = key.get("additionalProperties", {}), key.get("items", {})
+    choices = [*key.get("anyOf", ()), *key.get("oneOf", ()), *items.get("oneOf", ())]
+    for option in [key, *choices, nested]:
         if "$ref" in option:
             yield option["$ref"].removeprefix("#/$defs/")
 
@@ -74,7 +76,9 @@ def _section(schema: Schema) -> str:
 
 
 def _is_section(key: Schema) -> bool:
-    return not {"$ref", "oneOf", "additionalProperties"}.isdisjoint(key)
+    if "oneOf" in key.get("items", ()):
+        return True
+    return not {"$ref", "oneOf"}.isdisjoint(key) or "$ref" in key.get("additionalProperties", ())
 
 
 def _row(name: str, key: Schema, *, required: bool) -> str:

@@ -22,12 +22,14 @@ def can_flaws(signals: Signals) -> Iterator[Flaw]:
     for place, name in (*measured_names(signals), *commanded_names(signals)):
         if not _CAN_SIGNAL.fullmatch(name):
             yield Flaw(place, f"{name!r} must be `Message.Signal` on a CAN bus")
+    if signals.other:
+        yield Flaw("signals.other", "cannot be had of a drive on CAN yet")
 
 
 def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
     """What is wrong with a register map, or with what refers to it."""
     for name, register in bus.registers.items():
-        yield from _register_flaws(f"bus.registers.{name}", register)
+        yield from register_flaws(f"bus.registers.{name}", register)
     for place, name in (*measured_names(signals), *_heartbeat(bus, "drive")):
         yield from _known(bus, place, name)
     for place, name in _written(bus, signals):
@@ -42,6 +44,7 @@ def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
 def measured_names(signals: Signals) -> list[tuple[str, str]]:
     """Place and name of each signal that carries a measurement."""
     given = [(quantity, getattr(signals, quantity)) for quantity in (*MEASURED, *WORDS)]
+    given += [(f"other.{name}", one) for name, one in signals.other.items()]
     return [(f"signals.{name}.signal", one.signal) for name, one in given if one is not None]
 
 
@@ -65,7 +68,8 @@ def _known(bus: ModbusBus, place: str, name: str) -> Iterator[Flaw]:
         yield Flaw(place, f"[bus.registers] has no register {name!r}")
 
 
-def _register_flaws(place: str, register: Register) -> Iterator[Flaw]:
+def register_flaws(place: str, register: Register) -> Iterator[Flaw]:
+    """What is wrong with a register by itself."""
     if register.end > 0x10000:
         yield Flaw(f"{place}.address", f"{register.address} leaves no room for two registers")
     if register.scale == 0.0:

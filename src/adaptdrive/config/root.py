@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.cadence import poll_flaws
+from adaptdrive.config.derived import Derived
 from adaptdrive.config.drive import Drive, VoltageLoop
 from adaptdrive.config.load import Bath, Battery, Estimator, Motor, Supervisor
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.config.references import can_flaws, modbus_flaws
 from adaptdrive.config.section import Section, inconsistent
+from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors, sensor_flaws
 from adaptdrive.config.services import Interlocks, Mqtt, Realtime, Recording
+from adaptdrive.config.supply import supply_flaws
 from adaptdrive.errors import Flaw
 
 BUS_TYPES = ("can", "modbus-tcp", "modbus-rtu")
+
+SensorBus = Annotated[ModbusTcpSensors | ModbusRtuSensors, Field(discriminator="type")]
 
 
 class Configuration(Section):
@@ -27,6 +32,8 @@ class Configuration(Section):
     drive: Drive
     bus: CanBus | ModbusTcp | ModbusRtu = Field(discriminator="type")
     signals: Signals
+    sensor_bus: list[SensorBus] = Field(default=[])
+    derived: dict[str, Derived] = Field(default={})
     voltage_loop: VoltageLoop = Field(default_factory=VoltageLoop)
     load: Motor | Bath | Battery = Field(discriminator="type")
     estimator: Estimator = Field(default_factory=Estimator)
@@ -51,6 +58,7 @@ class Configuration(Section):
         flaws = [
             *_rate_flaws(self),
             *_bus_flaws(self),
+            *_sensor_flaws(self),
             *_command_flaws(self),
             *_trip_flaws(self),
             *_filter_flaws(self),
@@ -93,6 +101,13 @@ def _bus_flaws(configuration: Configuration) -> Iterator[Flaw]:
         )
     elif signals.command.current_scale_S is not None:
         yield Flaw("signals.command.current_scale_S", "a drive that is polled takes V_c only")
+
+
+def _sensor_flaws(configuration: Configuration) -> Iterator[Flaw]:
+    buses = configuration.sensor_bus
+    yield from supply_flaws(configuration.bus, configuration.signals, buses, configuration.derived)
+    for number, bus in enumerate(buses):
+        yield from sensor_flaws(bus, f"sensor_bus.{number}", configuration.load.period_s)
 
 
 def _command_flaws(configuration: Configuration) -> Iterator[Flaw]:

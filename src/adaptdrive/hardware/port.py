@@ -8,8 +8,8 @@ because the next tick brings a fresher command.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from adaptdrive.control.signals import Command
@@ -29,6 +29,8 @@ class Reading:
         output: Regulated quantity in its own unit.
         fault: Fault word of the drive, 0 when healthy.
         bridge: Whether the drive says that its bridge is on.
+        other: More values of the drive, by name. A quantity that the drive does not give is NaN
+            until somebody else has given it.
     """
 
     arrival_s: float
@@ -40,6 +42,7 @@ class Reading:
     output: float
     fault: int
     bridge: bool
+    other: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,3 +110,28 @@ class Port(Protocol):
 
         Called when the operator resets, and at no other time.
         """
+
+
+class SensorListener(Protocol):
+    """Who is told what a sensor bus says. Called in the event loop; must return at once."""
+
+    def on_values(self, values: Mapping[str, float], taken_s: float) -> None:
+        """Take checked values by name, none of which was measured before `taken_s`."""
+
+    def on_bus(self, up: bool, detail: str) -> None:
+        """Take note that the bus was lost (`up` False) or came back."""
+
+
+class SensorPort(Protocol):
+    """One connection to the sensors on one bus."""
+
+    @property
+    def description(self) -> str:
+        """The bus in one phrase for people."""
+
+    @property
+    def statistics(self) -> PortStatistics:
+        """Counts since the port was built."""
+
+    async def run(self, listener: SensorListener) -> None:
+        """Serve the bus until cancelled; one that cannot be opened is tried again for ever."""

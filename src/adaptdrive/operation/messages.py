@@ -18,6 +18,7 @@ from adaptdrive.runtime.reports import (
     Event,
     LoadReport,
     Quantiles,
+    SensorReport,
     Severity,
     State,
     StateReport,
@@ -64,6 +65,16 @@ class LoadMessage(msgspec.Struct, frozen=True):
     held_ticks: int
 
 
+class SensorMessage(msgspec.Struct, frozen=True):
+    """One sensor bus in `telemetry/drive`; values and their ages by name."""
+
+    up: bool
+    detail: str
+    values: dict[str, float]
+    age_s: dict[str, float]
+    bus: dict[str, int]
+
+
 class DriveMessage(msgspec.Struct, frozen=True):
     """Payload of `telemetry/drive`; measured values are null before the first measurement."""
 
@@ -81,6 +92,7 @@ class DriveMessage(msgspec.Struct, frozen=True):
     turnaround_us: Quantiles
     tick_us: Quantiles
     bus: dict[str, int]
+    sensors: dict[str, SensorMessage]
 
 
 class EventMessage(msgspec.Struct, frozen=True):
@@ -156,6 +168,17 @@ def load_message(report: LoadReport, time: datetime) -> LoadMessage:
     )
 
 
+def sensor_message(report: SensorReport) -> SensorMessage:
+    """A sensor bus as `telemetry/drive` shows it."""
+    return SensorMessage(
+        up=report.up,
+        detail=report.detail,
+        values=report.values,
+        age_s=report.age_s,
+        bus=report.bus,
+    )
+
+
 def drive_message(report: DriveReport, time: datetime) -> DriveMessage:
     """The payload of `telemetry/drive` for a report that arrived at `time`."""
     measured = report.measurement
@@ -174,6 +197,7 @@ def drive_message(report: DriveReport, time: datetime) -> DriveMessage:
         turnaround_us=report.turnaround_us,
         tick_us=report.tick_us,
         bus=report.bus,
+        sensors={sensor.name: sensor_message(sensor) for sensor in report.sensors},
     )
 
 

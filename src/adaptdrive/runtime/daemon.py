@@ -19,6 +19,7 @@ from adaptdrive.runtime.reports import (
     DriveReport,
     Event,
     LoadReport,
+    SensorReport,
     Severity,
     State,
     StateReport,
@@ -69,6 +70,7 @@ class Daemon:
         clock: Callable[[], float],
         hub: Hub,
         manager: ServiceManager,
+        sensors: Callable[[], tuple[SensorReport, ...]] = tuple,
     ) -> None:
         """Join port, controller and reports.
 
@@ -79,7 +81,9 @@ class Daemon:
             clock: Monotonic clock in seconds.
             hub: Where reports go.
             manager: The service manager.
+            sensors: Gives the state of the sensor buses beside the drive.
         """
+        self._sensors = sensors
         self._port = port
         self._settings = settings
         self._clock = clock
@@ -326,4 +330,5 @@ class Daemon:
             turnaround_us=fast.turnaround.take(),
             bus=asdict(self._port.statistics),
             tick_us=fast.tick_time.take(),
+            sensors=self._sensors(),
         )

@@ -75,6 +75,27 @@ NO_TIMES = Quantiles(math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True, slots=True)
+class SensorReport:
+    """One sensor bus.
+
+    Attributes:
+        name: Name of the bus.
+        up: Whether it answers.
+        detail: What it said of itself last, empty while all has been well.
+        values: Latest values by name, in SI.
+        age_s: Age of each.
+        bus: Counts of its port, by name.
+    """
+
+    name: str
+    up: bool
+    detail: str
+    values: dict[str, float]
+    age_s: dict[str, float]
+    bus: dict[str, int]
+
+
+@dataclass(frozen=True, slots=True)
 class DriveReport:
     """The fast loop, at most ten times a second.
 
@@ -89,6 +110,7 @@ class DriveReport:
         turnaround_us: Status frame in to command frame out, since the last report.
         bus: Frame counts of the port, by name.
         tick_us: Duration of the ticks themselves, since the last report.
+        sensors: Sensor buses beside the drive.
     """
 
     measurement: Measurement | None
@@ -101,6 +123,7 @@ class DriveReport:
     turnaround_us: Quantiles
     bus: dict[str, int]
     tick_us: Quantiles = NO_TIMES
+    sensors: tuple[SensorReport, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 
-from adaptdrive.config.modbus import ModbusBus, ModbusRtu, ModbusTcp
+from adaptdrive.config.modbus import ModbusLink, RtuLink, TcpLink
 from adaptdrive.errors import BusError
 
 Client = AsyncModbusTcpClient | AsyncModbusSerialClient
@@ -18,12 +18,12 @@ _CONNECT_S = 1.0
 """Longest time to connect: a gateway may be slower to accept than a drive is to answer."""
 
 
-def describe_bus(config: ModbusBus) -> str:
+def describe_bus(config: ModbusLink) -> str:
     """The link in one phrase for people, such as `modbus-rtu /dev/ttyUSB0 9600 8E1 device 1`."""
     return f"{_medium(config)} device {config.device_id}"
 
 
-async def open_client(config: ModbusTcp | ModbusRtu, trace: Trace) -> Client:
+async def open_client(config: TcpLink | RtuLink, trace: Trace) -> Client:
     """Connect; whoever opens a client closes it.
 
     Args:
@@ -50,8 +50,8 @@ async def open_client(config: ModbusTcp | ModbusRtu, trace: Trace) -> Client:
     return client
 
 
-def _client(config: ModbusTcp | ModbusRtu, trace: Trace) -> Client:
-    if isinstance(config, ModbusTcp):
+def _client(config: TcpLink | RtuLink, trace: Trace) -> Client:
+    if isinstance(config, TcpLink):
         return AsyncModbusTcpClient(
             config.host,
             port=config.port,
@@ -72,17 +72,17 @@ def _client(config: ModbusTcp | ModbusRtu, trace: Trace) -> Client:
     )
 
 
-def _medium(config: ModbusBus) -> str:
-    if isinstance(config, ModbusTcp):
+def _medium(config: ModbusLink) -> str:
+    if isinstance(config, TcpLink):
         return f"modbus-tcp {config.host}:{config.port}"
-    if isinstance(config, ModbusRtu):
+    if isinstance(config, RtuLink):
         form = f"8{config.parity[0].upper()}{config.stop_bits}"
         return f"modbus-rtu {config.device} {config.baud} {form}"
     return "modbus"
 
 
-def _why_not(config: ModbusTcp | ModbusRtu) -> str:
-    if isinstance(config, ModbusTcp):
+def _why_not(config: TcpLink | RtuLink) -> str:
+    if isinstance(config, TcpLink):
         return "no connection: refused, or nobody answers"
     if not config.device.exists():
         return "there is no such serial port"

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from adaptdrive.config.modbus import ModbusBus, ModbusRtu
+from adaptdrive.config.modbus import ModbusBus, ModbusLink, RtuLink
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.modbus.blocks import Block
 
@@ -31,10 +31,12 @@ class Exchange:
     Attributes:
         read: Registers asked for, None for a write alone.
         write: Registers written, None for a read alone.
+        device_id: Device on the link, None for the one that the link is configured for.
     """
 
     read: Block | None = None
     write: Block | None = None
+    device_id: int | None = None
 
     @property
     def request_bytes(self) -> int:
@@ -49,22 +51,22 @@ class Exchange:
         return 2 + 2 * self.read.count if self.read else 5
 
 
-def silence_s(bus: ModbusBus) -> float:
+def silence_s(bus: ModbusLink) -> float:
     """Silence that separates two frames; none on TCP."""
-    if not isinstance(bus, ModbusRtu):
+    if not isinstance(bus, RtuLink):
         return 0.0
     return max(_LEAST_SILENCE_S, _SILENCE_CHARACTERS * _character_bits(bus) / bus.baud)
 
 
-def exchange_bytes(bus: ModbusBus, exchange: Exchange) -> int:
+def exchange_bytes(bus: ModbusLink, exchange: Exchange) -> int:
     """Bytes of one exchange on this kind of link."""
-    frame = RTU_FRAME if isinstance(bus, ModbusRtu) else _TCP_HEADER
+    frame = RTU_FRAME if isinstance(bus, RtuLink) else _TCP_HEADER
     return exchange.request_bytes + exchange.reply_bytes + 2 * frame
 
 
-def exchange_s(bus: ModbusBus, exchange: Exchange) -> float:
+def exchange_s(bus: ModbusLink, exchange: Exchange) -> float:
     """Time that one exchange takes, from request to request."""
-    if not isinstance(bus, ModbusRtu):
+    if not isinstance(bus, RtuLink):
         return bus.turnaround_s
     wire_s = exchange_bytes(bus, exchange) * _character_bits(bus) / bus.baud
     return wire_s + bus.turnaround_s + 2.0 * silence_s(bus)
@@ -100,15 +102,43 @@ def capacity_flaws(
         )
 
 
-def _figures(bus: ModbusBus, exchanges: list[Exchange]) -> str:
+def cycle_flaws(
+    bus: ModbusLink, exchanges: Iterable[Exchange], cycle_s: float, place: str
+) -> Iterator[Flaw]:
+    """Why the exchanges of one cycle do not fit into it, in the link's own figures.
+
+    Args:
+        bus: The link.
+        exchanges: The exchanges of one cycle.
+        cycle_s: The wanted cycle time.
+        place: Where the link stands in the configuration.
+    """
+    exchanges = list(exchanges)
+    needed_s = sum(exchange_s(bus, exchange) for exchange in exchanges)
+    if needed_s > USABLE_SHARE * cycle_s:
+        yield Flaw(
+            f"{place}.cycle_s",
+            f"{cycle_s:g} s is too short: {_figures(bus, exchanges)} take {needed_s * 1e3:.1f} ms, "
+            f"and {USABLE_SHARE:.0%} of the cycle may be used: "
+            f"{needed_s / USABLE_SHARE:.3g} s fits",
+        )
+    slowest_s = max((exchange_s(bus, exchange) for exchange in exchanges), default=0.0)
+    if bus.timeout_s <= slowest_s:
+        yield Flaw(
+            f"{place}.timeout_s",
+            f"{bus.timeout_s} s must be above the slowest exchange, {slowest_s * 1e3:.1f} ms",
+        )
+
+
+def _figures(bus: ModbusLink, exchanges: list[Exchange]) -> str:
     total = sum(exchange_bytes(bus, exchange) for exchange in exchanges)
     wire = ""
-    if isinstance(bus, ModbusRtu):
+    if isinstance(bus, RtuLink):
         wire = f" of {_character_bits(bus)} bits at {bus.baud} baud"
     turnaround = f"{bus.turnaround_s * 1e3:g} ms turnaround each"
     return f"{len(exchanges)} exchanges with {total} bytes{wire}, {turnaround},"
 
 
-def _character_bits(bus: ModbusRtu) -> int:
+def _character_bits(bus: RtuLink) -> int:
     """Start bit, data, parity and stop bits."""
     return 9 + (bus.parity != "none") + bus.stop_bits

@@ -16,7 +16,7 @@ from collections.abc import Awaitable, Callable
 from pymodbus.exceptions import ModbusException
 from pymodbus.pdu import ModbusPDU
 
-from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
+from adaptdrive.config.modbus import RtuLink, TcpLink
 from adaptdrive.errors import AdaptdriveError
 from adaptdrive.hardware.modbus.bus import Client, open_client
 from adaptdrive.hardware.modbus.capacity import RTU_FRAME, Exchange, silence_s
@@ -52,12 +52,12 @@ class Link:
     """
 
     def __init__(
-        self, config: ModbusTcp | ModbusRtu, counts: Counter[str], clock: Callable[[], float]
+        self, config: TcpLink | RtuLink, counts: Counter[str], clock: Callable[[], float]
     ) -> None:
         self._config = config
         self._counts = counts
         self._clock = clock
-        self._serial = isinstance(config, ModbusRtu)
+        self._serial = isinstance(config, RtuLink)
         self._client: Client | None = None
         self._waiting = False
         self._heard = b""
@@ -121,7 +121,8 @@ class Link:
     def _request(
         self, client: Client, exchange: Exchange, words: list[int]
     ) -> Awaitable[ModbusPDU]:
-        read, write, device = exchange.read, exchange.write, self._config.device_id
+        read, write = exchange.read, exchange.write
+        device = self._config.device_id if exchange.device_id is None else exchange.device_id
         if read is None:
             address = 0 if write is None else write.address
             return client.write_registers(address, words, device_id=device)

@@ -20,6 +20,7 @@ from adaptdrive.hardware.modbus.codec import decode_value, encode_count, encode_
 
 HEARTBEAT = "heartbeat"
 _MAX_WRITE = 121
+_COUNTS = (*WORDS, HEARTBEAT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +43,7 @@ class Source:
         """The quantity from the registers of its block, None when it must not be used."""
         start = self.register.address - block.address
         taken = words[start : start + self.register.words]
-        value = decode_value(self.register, taken, measured=self.quantity in MEASURED)
+        value = decode_value(self.register, taken, measured=self.quantity not in _COUNTS)
         return None if value is None else value * self.scale + self.offset
 
 
@@ -76,11 +77,13 @@ class Poll:
         reads: Blocks to read, and what is taken from each.
         writes: Blocks to write, and what goes into each.
         combined: Whether the only write travels with the first read.
+        other: Names of more values of the drive.
     """
 
     reads: tuple[tuple[Block, tuple[Source, ...]], ...]
     writes: tuple[tuple[Block, tuple[Sink, ...]], ...]
     combined: bool
+    other: tuple[str, ...] = ()
 
     def exchanges(self) -> Iterator[Exchange]:
         """Every exchange of a poll in which a new command goes out."""
@@ -114,6 +117,7 @@ def map_drive(
         reads=tuple((block, tuple(_inside(block, sources))) for block in reads),
         writes=tuple((block, tuple(_within(block, sinks))) for block in writes),
         combined=bus.read_write,
+        other=tuple(signals.other),
     )
     flaws = [*_command_flaws(sinks), *_combined_flaws(bus, reads, writes)]
     flaws += [] if flaws else capacity_flaws(bus, poll.exchanges(), half_cycle_s)
@@ -128,8 +132,8 @@ def heartbeat_modulus(register: Register) -> int:
 
 
 def _sources(bus: ModbusBus, signals: Signals) -> Iterator[Source]:
-    for quantity in (*MEASURED, *WORDS):
-        given = getattr(signals, quantity)
+    named = [(quantity, getattr(signals, quantity)) for quantity in (*MEASURED, *WORDS)]
+    for quantity, given in (*named, *signals.other.items()):
         if given is not None:
             register = bus.registers[given.signal]
             yield Source(quantity, register, given.scale, given.offset)

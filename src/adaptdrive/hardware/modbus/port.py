@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -327,13 +328,14 @@ class ModbusPort:
                     arrival_s=self._clock(),
                     oldest_s=start_s,
                     counter=None if counter is None else int(counter),
-                    boost_voltage_V=values["boost_voltage_V"],
-                    line_voltage_V=values["line_voltage_V"],
-                    load_power_W=values["load_power_W"],
-                    output=values["output"],
+                    boost_voltage_V=values.get("boost_voltage_V", math.nan),
+                    line_voltage_V=values.get("line_voltage_V", math.nan),
+                    load_power_W=values.get("load_power_W", math.nan),
+                    output=values.get("output", math.nan),
                     fault=int(values.get("fault", 0)),
                     # a drive that does not say is taken to do what it was told last
                     bridge=self._bridge if bridge is None else bridge != 0,
+                    other={name: values[name] for name in self._poll.other},
                 )
             )
 

@@ -1,0 +1,107 @@
+"""The port of a drive with the sensors beside it, as its configuration asks for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from adaptdrive.app.ports import build_port
+from adaptdrive.config import Configuration
+from adaptdrive.config.derived import Rule, in_order
+from adaptdrive.config.sensors import AnySensorBus
+from adaptdrive.config.supply import needed_names
+from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.hardware.port import Port, SensorPort
+from adaptdrive.runtime.reports import SensorReport
+from adaptdrive.runtime.sensored_port import SensoredPort
+from adaptdrive.runtime.sensors import (
+    Derivation,
+    SensorBus,
+    difference,
+    largest,
+    mean,
+    ratio,
+    smallest,
+)
+
+_RULES: dict[Rule, Callable[[Sequence[float]], float]] = {
+    "sum": sum,
+    "mean": mean,
+    "difference": difference,
+    "product": math.prod,
+    "ratio": ratio,
+    "smallest": smallest,
+    "largest": largest,
+}
+
+
+def build_whole_port(
+    configuration: Configuration, clock: Callable[[], float], source: Path | str
+) -> Port:
+    """Build the port of a drive and of its sensor buses; nothing is opened yet.
+
+    Args:
+        configuration: The drive.
+        clock: Monotonic clock in seconds.
+        source: The configuration's file, for error messages.
+
+    Raises:
+        ConfigurationError: A bus and its signals do not fit; every flaw of every bus is listed.
+    """
+    flaws: list[Flaw] = []
+    ports: list[Port] = []
+    buses: list[SensorBus] = []
+    try:
+        ports.append(build_port(configuration, clock, source))
+    except ConfigurationError as error:
+        flaws += error.flaws
+    needed = needed_names(configuration.derived)
+    for number, bus in enumerate(configuration.sensor_bus):
+        try:
+            port = build_sensor_port(bus, f"sensor_bus.{number}", clock, source)
+        except ConfigurationError as error:
+            flaws += error.flaws
+        else:
+            names = tuple(name for name in bus.signals if name in needed)
+            buses.append(SensorBus(bus.name, port, bus.oldest_s, names))
+    if flaws:
+        raise ConfigurationError(source, flaws)
+    if not buses and not configuration.derived:
+        return ports[0]
+    return SensoredPort(ports[0], buses, derivations(configuration), clock)
+
+
+def build_sensor_port(
+    bus: AnySensorBus, place: str, clock: Callable[[], float], source: Path | str
+) -> SensorPort:
+    """Build the port of one sensor bus; nothing is opened yet.
+
+    Args:
+        bus: One entry of `[[sensor_bus]]`.
+        place: Where it stands in the configuration.
+        clock: Monotonic clock in seconds.
+        source: The configuration's file, for error messages.
+
+    Raises:
+        ConfigurationError: Bus and signals do not fit; every flaw is listed.
+    """
+    from adaptdrive.hardware.modbus.sensors import (  # noqa: PLC0415 - load what is used
+        build_modbus_sensors,
+    )
+
+    return build_modbus_sensors(bus, place, clock, source)
+
+
+def derivations(configuration: Configuration) -> list[Derivation]:
+    """What `[derived]` makes, each after those that it is made of."""
+    given = configuration.derived
+    return [
+        Derivation(name, _RULES[one.rule], tuple(one.of), one.scale, one.offset)
+        for name, one in ((name, given[name]) for name in in_order(given))
+    ]
+
+
+def sensor_reports(port: Port) -> Callable[[], tuple[SensorReport, ...]]:
+    """What gives the state of the sensor buses of a port; of none where it has none."""
+    return port.sensor_reports if isinstance(port, SensoredPort) else tuple

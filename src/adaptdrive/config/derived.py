@@ -1,0 +1,68 @@
+"""`[derived.NAME]`: values that are computed from measured ones, by a rule that is data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from graphlib import CycleError, TopologicalSorter
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from adaptdrive.config.section import FiniteFloat, Section
+from adaptdrive.config.units import Unit, in_si
+from adaptdrive.errors import Flaw
+
+Rule = Literal["sum", "mean", "difference", "product", "ratio", "smallest", "largest"]
+
+_PAIRS = ("difference", "ratio")
+
+
+class Derived(Section):
+    """`[derived.NAME]`: a quantity of `[signals]`, or any other name, from measured values.
+
+    Scale and offset lead to `unit`, which is converted to SI.
+    """
+
+    rule: Rule = Field(
+        description="what is made of the values: `difference` is the first less the second, "
+        "`ratio` the first over the second"
+    )
+    of: list[str] = Field(
+        min_length=1, description="names of values: of the drive, of sensor buses, or derived"
+    )
+    scale: FiniteFloat = Field(default=1.0, description="factor of the result")
+    offset: FiniteFloat = Field(default=0.0, description="added to the scaled result")
+    unit: Unit | None = Field(
+        default=None, description="unit of the scaled result; it is converted to SI"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _in_si(cls, table: object) -> object:
+        return in_si(table) if isinstance(table, dict) else table
+
+
+def rule_flaws(name: str, derived: Derived) -> Iterator[Flaw]:
+    """A rule that does not fit the number of its values."""
+    if derived.rule in _PAIRS and len(derived.of) != 2:
+        problem = f"{derived.rule!r} takes two values, not {len(derived.of)}"
+        yield Flaw(f"derived.{name}.of", problem)
+
+
+def in_order(derived: Mapping[str, Derived]) -> list[str]:
+    """Names, each after those that it is made of.
+
+    Raises:
+        CycleError: A value is made of itself.
+    """
+    order = TopologicalSorter({name: one.of for name, one in derived.items()}).static_order()
+    return [name for name in order if name in derived]
+
+
+def cycle_flaws(derived: Mapping[str, Derived]) -> Iterator[Flaw]:
+    """A value that is made of itself, by whatever detour."""
+    try:
+        in_order(derived)
+    except CycleError as problem:
+        names = problem.args[1]
+        yield Flaw(f"derived.{names[-1]}.of", f"is made of itself: {' from '.join(names[::-1])}")

@@ -1,0 +1,108 @@
+"""`[[sensor_bus]]`: sensors on other buses than the drive, each with a cycle time of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+from pydantic import Field
+
+from adaptdrive.config.bus import Quantity
+from adaptdrive.config.modbus import ModbusLink, Register, RtuLink, TcpLink
+from adaptdrive.config.references import WORDS, register_flaws
+from adaptdrive.config.section import PositiveFloat, Section
+from adaptdrive.errors import Flaw
+
+SENSOR_BUS_TYPES = ("modbus-tcp", "modbus-rtu")
+
+STALE_CYCLES = 1.5
+"""Cycles that a value must be allowed to age: it is one old when the next one comes."""
+
+DEFAULT_STALE_CYCLES = 3.0
+"""Cycles that a value may age when nothing else is said: two replies in a row may be lost."""
+
+
+class SensorRegister(Register):
+    """`[sensor_bus.registers.NAME]`: one value of a module's register map."""
+
+    device_id: int | None = Field(
+        default=None,
+        ge=1,
+        le=255,
+        description="device on the same link that has the register; the bus's when left out",
+    )
+
+
+class SensorBus(Section):
+    """What `[[sensor_bus]]` holds for every kind of bus."""
+
+    name: str = Field(
+        pattern=r"^[A-Za-z0-9_-]{1,64}$", description="name in telemetry, events and messages"
+    )
+    cycle_s: PositiveFloat = Field(description="time from one measurement to the next")
+    stale_s: PositiveFloat | None = Field(
+        default=None,
+        description="oldest usable value; one that is needed and older trips the drive. Three "
+        "cycles when left out",
+    )
+    signals: dict[str, Quantity] = Field(
+        description="values by name: a quantity of `[signals]`, or any other name for `[derived]`"
+    )
+
+    @property
+    def oldest_s(self) -> float:
+        """The oldest usable value."""
+        return DEFAULT_STALE_CYCLES * self.cycle_s if self.stale_s is None else self.stale_s
+
+
+class ModbusSensors(SensorBus, ModbusLink):
+    """What `[[sensor_bus]]` holds for every kind of Modbus."""
+
+    registers: dict[str, SensorRegister] = Field(
+        default_factory=dict, description="register map, by name"
+    )
+
+
+class ModbusTcpSensors(ModbusSensors, TcpLink):
+    """`[[sensor_bus]]` with `type = "modbus-tcp"`."""
+
+    type: Literal["modbus-tcp"] = Field(description="kind of bus")
+
+
+class ModbusRtuSensors(ModbusSensors, RtuLink):
+    """`[[sensor_bus]]` with `type = "modbus-rtu"`."""
+
+    type: Literal["modbus-rtu"] = Field(description="kind of bus")
+
+
+AnySensorBus = ModbusTcpSensors | ModbusRtuSensors
+
+
+def sensor_flaws(bus: AnySensorBus, place: str, period_s: float) -> Iterator[Flaw]:
+    """What is wrong with one sensor bus by itself.
+
+    Args:
+        bus: The bus.
+        place: Where it stands in the configuration.
+        period_s: The load's slow period.
+    """
+    if bus.oldest_s < STALE_CYCLES * bus.cycle_s:
+        lowest = f"{STALE_CYCLES * bus.cycle_s:.4g} s, {STALE_CYCLES} times cycle_s"
+        yield Flaw(f"{place}.stale_s", f"{bus.stale_s} must be at least {lowest}")
+    if bus.cycle_s > period_s:
+        yield Flaw(f"{place}.cycle_s", f"{bus.cycle_s} must not exceed load.period_s = {period_s}")
+    for name in WORDS:
+        if name in bus.signals:
+            yield Flaw(f"{place}.signals.{name}", "comes from the drive alone")
+    yield from _modbus_flaws(bus, place)
+
+
+def _modbus_flaws(bus: ModbusSensors, place: str) -> Iterator[Flaw]:
+    for name, register in bus.registers.items():
+        yield from register_flaws(f"{place}.registers.{name}", register)
+    for name, source in bus.signals.items():
+        if source.signal not in bus.registers:
+            problem = f"[sensor_bus.registers] has no register {source.signal!r}"
+            yield Flaw(f"{place}.signals.{name}.signal", problem)
+    if bus.timeout_s >= bus.cycle_s:
+        yield Flaw(f"{place}.timeout_s", f"{bus.timeout_s} must be below cycle_s = {bus.cycle_s}")

@@ -1,0 +1,118 @@
+"""Who gives which value: every quantity needs one giver, and no name may have two."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from adaptdrive.config.bus import Signals
+from adaptdrive.config.derived import Derived, cycle_flaws, rule_flaws
+from adaptdrive.config.modbus import RtuLink
+from adaptdrive.config.references import MEASURED, WORDS
+from adaptdrive.config.section import Section
+from adaptdrive.config.sensors import AnySensorBus
+from adaptdrive.errors import Flaw
+
+_DRIVE = (*MEASURED, *WORDS, "heartbeat")
+
+
+def supply_flaws(
+    bus: Section,
+    signals: Signals,
+    buses: Sequence[AnySensorBus],
+    derived: Mapping[str, Derived],
+) -> Iterator[Flaw]:
+    """Names that are given twice, needed and not given, or derived from nothing.
+
+    Args:
+        bus: `[bus]`.
+        signals: `[signals]`.
+        buses: `[[sensor_bus]]`.
+        derived: `[derived]`.
+    """
+    givers: dict[str, str] = {}
+    for name, place in _givers(signals, buses, derived):
+        if name in givers:
+            yield Flaw(place, f"{name!r} is given by {givers[name]} already")
+        givers.setdefault(name, place)
+    for name in MEASURED:
+        if name not in givers:
+            yield Flaw(
+                f"signals.{name}",
+                "Field required: neither [signals], nor a [[sensor_bus]], nor [derived] gives it",
+            )
+    yield from _reserved(signals, derived)
+    for name, one in derived.items():
+        yield from rule_flaws(name, one)
+        for part in one.of:
+            if part not in givers:
+                yield Flaw(f"derived.{name}.of", f"nobody gives {part!r}")
+    yield from cycle_flaws(derived)
+    yield from _name_flaws(buses)
+    yield from _line_flaws(bus, buses)
+
+
+def needed_names(derived: Mapping[str, Derived]) -> set[str]:
+    """Every name that a quantity is made of, and the quantities themselves."""
+    needed: set[str] = set()
+    wanted = list(MEASURED)
+    while wanted:
+        name = wanted.pop()
+        if name not in needed:
+            needed.add(name)
+            wanted += derived[name].of if name in derived else []
+    return needed
+
+
+def _givers(
+    signals: Signals, buses: Sequence[AnySensorBus], derived: Mapping[str, Derived]
+) -> Iterator[tuple[str, str]]:
+    """Name and place of every value that is given."""
+    for name in MEASURED:
+        if getattr(signals, name) is not None:
+            yield name, f"signals.{name}"
+    for name in signals.other:
+        yield name, f"signals.other.{name}"
+    for number, bus in enumerate(buses):
+        for name in bus.signals:
+            yield name, f"sensor_bus.{number}.signals.{name}"
+    for name in derived:
+        yield name, f"derived.{name}"
+
+
+def _reserved(signals: Signals, derived: Mapping[str, Derived]) -> Iterator[Flaw]:
+    """Names of quantities in places that cannot give them."""
+    for name in signals.other:
+        if name in _DRIVE:
+            yield Flaw(f"signals.other.{name}", "is a name of the drive itself")
+    for name in derived:
+        if name in WORDS:
+            yield Flaw(f"derived.{name}", "comes from the drive alone")
+
+
+def _name_flaws(buses: Sequence[AnySensorBus]) -> Iterator[Flaw]:
+    """Buses of the same name."""
+    seen: dict[str, int] = {}
+    for number, bus in enumerate(buses):
+        if bus.name in seen:
+            yield Flaw(
+                f"sensor_bus.{number}.name",
+                f"{bus.name!r} is the name of sensor_bus.{seen[bus.name]} already",
+            )
+        seen.setdefault(bus.name, number)
+
+
+def _line_flaws(bus: Section, buses: Sequence[AnySensorBus]) -> Iterator[Flaw]:
+    """A serial line has one master."""
+    links = [("bus", bus), *((f"sensor_bus.{number}", one) for number, one in enumerate(buses))]
+    seen: dict[Path, str] = {}
+    for place, link in links:
+        if not isinstance(link, RtuLink):
+            continue
+        if link.device in seen:
+            yield Flaw(
+                f"{place}.device",
+                f"'{link.device}' is the line of {seen[link.device]} already; modules on one line "
+                "are one [[sensor_bus]], with a device_id for each register",
+            )
+        seen.setdefault(link.device, place)

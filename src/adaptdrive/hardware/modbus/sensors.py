@@ -1,0 +1,200 @@
+"""Sensors on a Modbus link: modules that are polled in a cycle of their own.
+
+Each block that comes is handed out as old as its request. A value that must not be used is left
+out, a module that does not answer leaves out its own: what is held then grows old at whoever holds
+it. Nothing is ever written.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
+from adaptdrive.errors import BusError, ConfigurationError
+from adaptdrive.hardware.modbus.blocks import plan_blocks
+from adaptdrive.hardware.modbus.bus import describe_bus
+from adaptdrive.hardware.modbus.capacity import Exchange, cycle_flaws
+from adaptdrive.hardware.modbus.link import ExchangeError, Link
+from adaptdrive.hardware.modbus.mapping import Source
+from adaptdrive.hardware.port import PortStatistics, SensorListener
+
+_FIRST_DELAY_S = 0.1
+"""First wait before a lost link is opened again: a server that restarts is soon back."""
+
+_LAST_DELAY_S = 2.0
+"""Longest wait: a cable that is plugged in again should not be waited for."""
+
+_SILENT_CYCLES = 3
+"""Cycles without any reply after which the modules are said to be gone."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorBlock:
+    """Registers that are asked for at once, and what is taken from them."""
+
+    exchange: Exchange
+    sources: tuple[Source, ...]
+
+
+def build_modbus_sensors(
+    bus: ModbusTcpSensors | ModbusRtuSensors,
+    place: str,
+    clock: Callable[[], float],
+    source: Path | str = "configuration",
+) -> ModbusSensors:
+    """Build the port of one sensor bus; nothing is opened yet.
+
+    Args:
+        bus: One entry of `[[sensor_bus]]`; its references are those of a validated configuration.
+        place: Where it stands in the configuration.
+        clock: Monotonic clock in seconds.
+        source: The configuration, for the error message.
+
+    Raises:
+        ConfigurationError: The wanted cycle does not fit on the link.
+    """
+    blocks = tuple(_blocks(bus))
+    flaws = list(cycle_flaws(bus, (one.exchange for one in blocks), bus.cycle_s, place))
+    if flaws:
+        raise ConfigurationError(source, flaws)
+    return ModbusSensors(bus, blocks, clock)
+
+
+class ModbusSensors:
+    """One connection to the modules on one link."""
+
+    def __init__(
+        self,
+        config: ModbusTcpSensors | ModbusRtuSensors,
+        blocks: tuple[SensorBlock, ...],
+        clock: Callable[[], float],
+    ) -> None:
+        self._config = config
+        self._blocks = blocks
+        self._clock = clock
+        self._counts: Counter[str] = Counter()
+        self._closing = asyncio.Event()
+        self._silent = 0
+        self._up: bool | None = None
+
+    @property
+    def description(self) -> str:
+        """The link in one phrase for people, such as `modbus-tcp 10.0.0.8:502 device 1`."""
+        return describe_bus(self._config)
+
+    @property
+    def statistics(self) -> PortStatistics:
+        """Counts since the port was built."""
+        return PortStatistics(**self._counts)
+
+    async def run(self, listener: SensorListener) -> None:
+        """Poll until cancelled; a link that is lost or not there is opened again.
+
+        Args:
+            listener: Who is told what comes.
+        """
+        worker = asyncio.create_task(self._work(listener), name="modbus sensors")
+        try:
+            await asyncio.shield(worker)
+        finally:
+            self._closing.set()  # an exchange on a serial line is never cut short
+            await worker
+
+    async def _work(self, listener: SensorListener) -> None:
+        """Serve one link after the other until the port is closed."""
+        delay_s = _FIRST_DELAY_S
+        while not self._closing.is_set():
+            heard = self._counts["received"]
+            problem = await self._try(listener)
+            self._tell(listener, up=False, problem=problem)
+            delay_s = _FIRST_DELAY_S if self._counts["received"] > heard else delay_s
+            await self._sleep(delay_s)
+            delay_s = min(2.0 * delay_s, _LAST_DELAY_S)
+
+    async def _try(self, listener: SensorListener) -> str:
+        """Open the link and poll it until it is lost; why it was."""
+        link = Link(self._config, self._counts, self._clock)
+        try:
+            await link.open()
+        except BusError as problem:
+            return problem.problem
+        if self._up is not None:
+            self._counts["reconnects"] += 1
+        try:
+            return await self._serve(link, listener)
+        finally:
+            link.close()
+
+    async def _serve(self, link: Link, listener: SensorListener) -> str:
+        next_s = self._clock()
+        while link.lost is None and not self._closing.is_set():
+            await self._poll(link, listener)
+            late_s = max(0.0, self._clock() - next_s)
+            next_s += (1 + int(late_s / self._config.cycle_s)) * self._config.cycle_s
+            await self._sleep(next_s - self._clock())
+        return link.lost or "closed"
+
+    async def _poll(self, link: Link, listener: SensorListener) -> None:
+        """Ask for every block; one that does not come leaves the others alone."""
+        heard, problem = False, ""
+        for block in self._blocks:
+            if link.lost is not None or self._closing.is_set():
+                return
+            start_s = self._clock()
+            try:
+                words = await link.exchange(block.exchange, [])
+            except ExchangeError as failure:
+                problem = failure.problem
+                continue
+            heard = True
+            self._tell(listener, up=True)
+            listener.on_values(self._values(block, words), start_s)
+        self._silent = 0 if heard else self._silent + 1
+        if self._silent >= _SILENT_CYCLES:
+            self._tell(listener, up=False, problem=problem)
+
+    def _values(self, block: SensorBlock, words: list[int]) -> dict[str, float]:
+        """The values of a block that may be used, by name."""
+        read = block.exchange.read
+        assert read is not None  # noqa: S101 - sensors are read, never written
+        values = {one.quantity: one.value(read, words) for one in block.sources}
+        good = {name: value for name, value in values.items() if value is not None}
+        self._counts["out_of_range"] += len(values) - len(good)
+        return good
+
+    def _tell(self, listener: SensorListener, *, up: bool, problem: str = "") -> None:
+        """Tell of a change; that everything is well at the start is no news."""
+        if up is self._up or self._closing.is_set():
+            return
+        news, self._up = self._up is not None or not up, up
+        if news:
+            detail = self.description if up else f"{self.description}: {problem}"
+            listener.on_bus(up=up, detail=detail)
+
+    async def _sleep(self, seconds: float) -> None:
+        """Sleep, unless the port is closed."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(max(0.0, seconds)):
+                await self._closing.wait()
+
+
+def _blocks(bus: ModbusTcpSensors | ModbusRtuSensors) -> Iterator[SensorBlock]:
+    """Blocks of every device on the link, one device after the other."""
+
+    def device(name: str) -> int:
+        return bus.registers[bus.signals[name].signal].device_id or bus.device_id
+
+    for device_id, names in groupby(sorted(bus.signals, key=device), key=device):
+        sources = [
+            Source(name, bus.registers[given.signal], given.scale, given.offset)
+            for name, given in ((name, bus.signals[name]) for name in names)
+        ]
+        for block in plan_blocks((one.register for one in sources), bus.max_gap, bus.max_block):
+            inside = tuple(one for one in sources if block.holds(one.register))
+            yield SensorBlock(Exchange(read=block, device_id=device_id), inside)

@@ -1,0 +1,128 @@
+"""The port of a drive whose quantities come from several buses.
+
+The drive's own port clocks and commands. Each of its readings is completed with what the sensor
+buses said last and with what is derived from all of it. Nothing is waited for: a sensor that is
+silent leaves its last value, which grows old until this port complains.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from adaptdrive.control.signals import Command
+from adaptdrive.hardware.port import Listener, Port, PortStatistics, Reading
+from adaptdrive.runtime.reports import SensorReport
+from adaptdrive.runtime.sensors import Derivation, SensorBus
+
+QUANTITIES = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
+
+
+class SensoredPort:
+    """A drive and the sensors beside it, as one port."""
+
+    def __init__(
+        self,
+        drive: Port,
+        buses: Sequence[SensorBus],
+        derivations: Sequence[Derivation],
+        clock: Callable[[], float],
+    ) -> None:
+        """Join a drive and its sensors.
+
+        Args:
+            drive: The drive's own port.
+            buses: Its sensor buses.
+            derivations: Values made of others, each after those that it is made of.
+            clock: Monotonic clock in seconds.
+        """
+        self._drive = drive
+        self._buses = tuple(buses)
+        self._derivations = tuple(derivations)
+        self._clock = clock
+        self._listener: Listener | None = None
+
+    @property
+    def description(self) -> str:
+        """The drive's bus and those of the sensors in one phrase for people."""
+        sensors = [f"sensors {bus.name} on {bus.port.description}" for bus in self._buses]
+        return "; ".join([self._drive.description, *sensors])
+
+    @property
+    def counter_modulus(self) -> int | None:
+        """Where the drive's half-cycle counter wraps, None for a drive without a counter."""
+        return self._drive.counter_modulus
+
+    @property
+    def statistics(self) -> PortStatistics:
+        """Counts of the drive's own port."""
+        return self._drive.statistics
+
+    @property
+    def complaint(self) -> str | None:
+        """What the drive's protocol says, else the sensor value that is too old."""
+        complaint, now_s = self._drive.complaint, self._clock()
+        for bus in self._buses:
+            complaint = complaint or bus.complaint(now_s)
+        return complaint
+
+    async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
+        """Serve the drive and the sensors until cancelled; the sensors end first.
+
+        Args:
+            listener: Who is told what the ports hear.
+            opened: Called once, when the drive's bus is open.
+
+        Raises:
+            ExceptionGroup: A task died; a `BusError` in it when the drive's bus cannot be opened.
+        """
+        self._listener = listener
+        for bus in self._buses:
+            bus.tell = listener.on_bus
+        async with asyncio.TaskGroup() as tasks:
+            for bus in self._buses:
+                tasks.create_task(bus.port.run(bus), name=f"sensor bus {bus.name}")
+            tasks.create_task(self._drive.run(self, opened), name="drive")
+
+    def send(self, command: Command) -> bool:
+        """Send one command to the drive now."""
+        return self._drive.send(command)
+
+    def catch_up(self) -> None:
+        """Have the drive's port hand over what has arrived; sensors are never caught up with."""
+        self._drive.catch_up()
+
+    async def reset_fault(self) -> None:
+        """Have the drive leave a fault that it keeps until told."""
+        await self._drive.reset_fault()
+
+    def on_reading(self, reading: Reading) -> None:
+        """Complete a reading of the drive and pass it on."""
+        if self._listener is not None:
+            self._listener.on_reading(self.completed(reading))
+
+    def on_bus(self, up: bool, detail: str) -> None:
+        """Pass on that the drive's bus was lost or came back."""
+        if self._listener is not None:
+            self._listener.on_bus(up, detail)
+
+    def completed(self, reading: Reading) -> Reading:
+        """A reading with the values of the sensors and those that are derived.
+
+        Args:
+            reading: What the drive said.
+        """
+        values = {name: getattr(reading, name) for name in QUANTITIES}
+        values.update(reading.other)
+        for bus in self._buses:
+            values.update(bus.values)
+        for one in self._derivations:
+            values[one.name] = one.value(values)
+        return replace(reading, **{name: values.get(name, math.nan) for name in QUANTITIES})
+
+    def sensor_reports(self) -> tuple[SensorReport, ...]:
+        """The sensor buses as they are now."""
+        now_s = self._clock()
+        return tuple(bus.report(now_s) for bus in self._buses)

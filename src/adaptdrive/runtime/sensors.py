@@ -1,0 +1,130 @@
+"""What sensor buses say, kept with the time at which it was measured, and what is made of it.
+
+A value keeps the time of its measurement for as long as it is held. Nothing here waits: the buses
+bring their values when they have them, and the fast loop takes those that are there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+
+from adaptdrive.hardware.port import SensorPort
+from adaptdrive.runtime.reports import SensorReport
+
+
+@dataclass(frozen=True, slots=True)
+class Derivation:
+    """A value that is made of others.
+
+    Attributes:
+        name: Its name.
+        rule: What is made of the others.
+        of: Names of the others.
+        scale: Factor of the result.
+        offset: Added to the scaled result.
+    """
+
+    name: str
+    rule: Callable[[Sequence[float]], float]
+    of: tuple[str, ...]
+    scale: float = 1.0
+    offset: float = 0.0
+
+    def value(self, values: Mapping[str, float]) -> float:
+        """The value, NaN while one of the others is not there."""
+        parts = [values.get(name, math.nan) for name in self.of]
+        return self.rule(parts) * self.scale + self.offset
+
+
+@dataclass(slots=True)
+class SensorBus:
+    """One sensor bus, and what it said last. Listens to its port.
+
+    Attributes:
+        name: Name of the bus.
+        port: Where its values come from.
+        stale_s: Oldest usable value.
+        needed: Names of those values without which the drive must not be energised.
+        tell: Told when the bus is lost or back.
+        values: Latest values by name.
+        taken_s: When each was measured, at the earliest; monotonic.
+        up: Whether the bus answers.
+        detail: What it said of itself last.
+    """
+
+    name: str
+    port: SensorPort
+    stale_s: float
+    needed: tuple[str, ...]
+    tell: Callable[[bool, str], None] = lambda _up, _detail: None
+    values: dict[str, float] = field(default_factory=dict)
+    taken_s: dict[str, float] = field(default_factory=dict)
+    up: bool = True
+    detail: str = ""
+
+    def on_values(self, values: Mapping[str, float], taken_s: float) -> None:
+        """Keep checked values."""
+        self.values.update(values)
+        self.taken_s.update(dict.fromkeys(values, taken_s))
+
+    def on_bus(self, up: bool, detail: str) -> None:
+        """Keep the state, and tell of it."""
+        self.up, self.detail = up, detail
+        self.tell(up, f"sensor bus {self.name}: {detail}")
+
+    def complaint(self, now_s: float) -> str | None:
+        """The needed value that is too old, or that never came, in words."""
+        for name in self.needed:
+            taken_s = self.taken_s.get(name)
+            if taken_s is None:
+                return f"stale: {self.name}.{name}: no measurement yet{self._why()}"
+            age_s = now_s - taken_s
+            if not age_s <= self.stale_s:
+                return (
+                    f"stale: {self.name}.{name} is {age_s * 1e3:.0f} ms old, "
+                    f"limit {self.stale_s * 1e3:g} ms{self._why()}"
+                )
+        return None
+
+    def report(self, now_s: float) -> SensorReport:
+        """The bus as it is now."""
+        return SensorReport(
+            name=self.name,
+            up=self.up,
+            detail=self.detail,
+            values=dict(self.values),
+            age_s={name: now_s - taken_s for name, taken_s in self.taken_s.items()},
+            bus=asdict(self.port.statistics),
+        )
+
+    def _why(self) -> str:
+        return "" if self.up else f" ({self.detail})"
+
+
+def difference(values: Sequence[float]) -> float:
+    """The first less the second."""
+    first, second = values
+    return first - second
+
+
+def ratio(values: Sequence[float]) -> float:
+    """The first over the second; NaN where that is 0."""
+    first, second = values
+    return first / second if second else math.nan
+
+
+def mean(values: Sequence[float]) -> float:
+    """The arithmetic mean."""
+    return sum(values) / len(values)
+
+
+def smallest(values: Sequence[float]) -> float:
+    """The smallest, NaN when any is."""
+    return math.nan if any(map(math.isnan, values)) else min(values)
+
+
+def largest(values: Sequence[float]) -> float:
+    """The largest, NaN when any is."""
+    return math.nan if any(map(math.isnan, values)) else max(values)

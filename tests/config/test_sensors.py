@@ -1,0 +1,183 @@
+"""Sensors beside the drive: what gives which quantity, and every contradiction by its place."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptdrive.config import Configuration, parse_configuration
+from adaptdrive.config.derived import in_order
+from adaptdrive.config.sensors import ModbusRtuSensors
+from adaptdrive.config.supply import needed_names
+from adaptdrive.errors import ConfigurationError
+from tests.config import modbus_documents
+from tests.config.documents import SOURCE, document
+
+THERMOCOUPLES = """
+[[sensor_bus]]
+name = "thermocouples"
+type = "modbus-rtu"
+device = "thermo.tty"
+cycle_s = 0.25
+registers.hot = { address = 0, table = "input", type = "int16", scale = 0.1, unit = "degC" }
+registers.cold = { address = 1, table = "input", type = "int16", scale = 0.1, unit = "degC" }
+signals.hot = { signal = "hot", unit = "degC" }
+signals.cold = { signal = "cold", unit = "degC" }
+"""
+DIFFERENCE = '[derived.output]\nrule = "difference"\nof = ["hot", "cold"]\n'
+
+
+def whole(text: str, **changes: str | None) -> Configuration:
+    """The small configuration on CAN, without an output of its own, and more sections."""
+    given = {"signals__output__signal": None, **changes}
+    return parse_configuration(f"{document(**given)}\n{text}", SOURCE)
+
+
+def flaws(text: str, **changes: str | None) -> dict[str, str]:
+    try:
+        whole(text, **changes)
+    except ConfigurationError as error:
+        return {flaw.place: flaw.message for flaw in error.flaws}
+    return {}
+
+
+def test_a_derived_output_from_sensors_beside_the_drive() -> None:
+    configuration = whole(THERMOCOUPLES + DIFFERENCE)
+    (bus,) = configuration.sensor_bus
+    assert isinstance(bus, ModbusRtuSensors)
+    assert bus.device == SOURCE.parent / "thermo.tty"
+    assert bus.oldest_s == 0.75
+    hot = bus.signals["hot"]
+    assert (hot.scale, hot.offset) == (1.0, 273.15)
+    assert {"hot", "cold", "output"} <= needed_names(configuration.derived)
+
+
+def test_a_quantity_that_nobody_gives_is_a_flaw() -> None:
+    (flaw,) = flaws(THERMOCOUPLES).items()
+    assert flaw[0] == "signals.output"
+    assert "neither [signals], nor a [[sensor_bus]], nor [derived]" in flaw[1]
+
+
+def test_a_quantity_that_two_give_is_a_flaw_that_names_both() -> None:
+    given = {"signals__output__signal": '"DriveLoad.Tachometer"'}
+    assert flaws(THERMOCOUPLES + DIFFERENCE, **given) == {
+        "derived.output": "'output' is given by signals.output already"
+    }
+    direct = THERMOCOUPLES.replace("signals.hot", "signals.output")
+    found = flaws(direct, **given)
+    place = "sensor_bus.0.signals.output"
+    assert found == {place: "'output' is given by signals.output already"}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place", "words"),
+    [
+        ('signal = "hot"', 'signal = "hto"', "sensor_bus.0.signals.hot.signal", "'hto'"),
+        ("cycle_s = 0.25", "cycle_s = 0.0", "sensor_bus.0.cycle_s", "0.0"),
+        ("cycle_s = 0.25", "cycle_s = 2.5", "sensor_bus.0.cycle_s", "load.period_s = 1.0"),
+        ("cycle_s", "stale_s = 0.3\ncycle_s", "sensor_bus.0.stale_s", "at least 0.375 s"),
+        ("cycle_s", "timeout_s = 0.25\ncycle_s", "sensor_bus.0.timeout_s", "cycle_s = 0.25"),
+        ("cycle_s", 'parity = "mark"\ncycle_s', "sensor_bus.0.parity", "'mark'"),
+        ("cycle_s", "colour = 1\ncycle_s", "sensor_bus.0.colour", "Unknown key"),
+        ('"modbus-rtu"', '"spi"', "sensor_bus.0.type", "'spi'"),
+        ("signals.cold", "signals.fault", "sensor_bus.0.signals.fault", "the drive alone"),
+        (
+            'unit = "degC" }\nsignals',
+            "bit = 16 }\nsignals",
+            "sensor_bus.0.registers.cold.bit",
+            "16",
+        ),
+        (
+            'unit = "degC" }\nsignals.c',
+            'unit = "C" }\nsignals.c',
+            "sensor_bus.0.signals.hot.unit",
+            "",
+        ),
+        ('["hot", "cold"]', '["hot", "tepid"]', "derived.output.of", "nobody gives 'tepid'"),
+        ('["hot", "cold"]', '["hot"]', "derived.output.of", "takes two values, not 1"),
+        ('["hot", "cold"]', '["hot", "output"]', "derived.output.of", "made of itself"),
+        ('"difference"', '"eval"', "derived.output.rule", "'eval'"),
+    ],
+)
+def test_what_does_not_fit_is_a_flaw_with_its_place(
+    old: str, new: str, place: str, words: str
+) -> None:
+    text = THERMOCOUPLES + DIFFERENCE
+    assert old in text
+    found = flaws(text.replace(old, new, 1))
+    assert place in found
+    assert words in found[place]
+
+
+def test_two_buses_need_two_names_and_two_lines() -> None:
+    second = THERMOCOUPLES.replace("signals.hot", "signals.a").replace("signals.cold", "signals.b")
+    found = flaws(THERMOCOUPLES + second + DIFFERENCE)
+    assert set(found) == {"sensor_bus.1.name", "sensor_bus.1.device"}
+    assert "a device_id for each register" in found["sensor_bus.1.device"]
+
+
+def test_a_line_of_the_drive_is_no_line_for_sensors() -> None:
+    rtu: dict[str, str | None] = {"bus__type": '"modbus-rtu"', "bus__host": None}
+    drive = modbus_documents.document(**rtu, bus__device='"thermo.tty"', signals__output=None)
+    with pytest.raises(ConfigurationError) as caught:
+        parse_configuration(drive + THERMOCOUPLES + DIFFERENCE, SOURCE)
+    assert [flaw.place for flaw in caught.value.flaws] == ["sensor_bus.0.device"]
+    assert "the line of bus already" in str(caught.value)
+
+
+def test_derived_values_are_made_in_an_order_in_which_they_can_be() -> None:
+    chain = """
+[derived.output]
+rule = "largest"
+of = ["mean", "hot"]
+[derived.mean]
+rule = "mean"
+of = ["hot", "cold"]
+"""
+    assert in_order(whole(THERMOCOUPLES + chain).derived) == ["mean", "output"]
+
+
+@pytest.mark.parametrize(
+    ("unit", "value", "si"),
+    [
+        ("degC", 25.0, 298.15),
+        ("degF", 77.0, 298.15),
+        ("rpm", 60.0, 2.0 * math.pi),
+        ("Hz", 1.0, 2.0 * math.pi),
+        ("kW", 1.2, 1200.0),
+        ("mV", 7.0, 0.007),
+        ("K", 300.0, 300.0),
+    ],
+)
+def test_units_are_converted_to_si(unit: str, value: float, si: float) -> None:
+    source = whole(
+        THERMOCOUPLES + DIFFERENCE,
+        signals__load_power_W=f"{{ signal = 'A.B', unit = '{unit}' }}",
+    ).signals.load_power_W
+    assert source is not None
+    assert value * source.scale + source.offset == pytest.approx(si)
+
+
+@given(
+    raw=st.floats(-1e4, 1e4),
+    scale=st.floats(-1e3, 1e3),
+    offset=st.floats(-1e3, 1e3),
+)
+def test_scale_and_offset_lead_to_the_unit(raw: float, scale: float, offset: float) -> None:
+    given = f"{{ signal = 'A.B', scale = {scale!r}, offset = {offset!r}, unit = 'degF' }}"
+    configuration = whole(THERMOCOUPLES + DIFFERENCE, signals__load_power_W=given)
+    source = configuration.signals.load_power_W
+    assert source is not None
+    kelvin = (raw * scale + offset + 459.67) / 1.8
+    assert raw * source.scale + source.offset == pytest.approx(kelvin, abs=1e-6)
+
+
+def test_a_path_that_is_absolute_stays() -> None:
+    text = THERMOCOUPLES.replace("thermo.tty", "/dev/ttyUSB1") + DIFFERENCE
+    (bus,) = whole(text).sensor_bus
+    assert isinstance(bus, ModbusRtuSensors)
+    assert bus.device == Path("/dev/ttyUSB1")

@@ -1,0 +1,224 @@
+"""Sensors on Modbus, whose wire a test spoils: nothing is used that was not measured."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import struct
+import time
+from collections.abc import AsyncIterator, Mapping
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
+from adaptdrive.errors import ConfigurationError
+from adaptdrive.hardware.modbus.sensors import ModbusSensors, build_modbus_sensors
+from tests.hardware.modbus.bench import Pieces, RtuPeer, TcpPeer, until
+
+CYCLE_s = 0.03
+COMMON = {
+    "name": "bench",
+    "cycle_s": CYCLE_s,
+    "timeout_s": 0.02,
+    "turnaround_s": 0.001,
+    "registers": {
+        "speed": {"address": 3, "table": "input", "type": "float32"},
+        "number": {"address": 2, "table": "input"},
+        "voltage": {
+            "address": 0,
+            "table": "input",
+            "scale": 0.01,
+            "range": {"low": 0.0, "high": 600.0},
+        },
+    },
+    "signals": {
+        "speed": {"signal": "speed", "unit": "rpm"},
+        "number": {"signal": "number"},
+        "voltage": {"signal": "voltage"},
+    },
+}
+RPM = 0.10471975511965977
+
+
+class Ear:
+    """Listens to sensors."""
+
+    def __init__(self) -> None:
+        self.heard: list[tuple[dict[str, float], float, float]] = []
+        self.bus: list[tuple[bool, str]] = []
+
+    def on_values(self, values: Mapping[str, float], taken_s: float) -> None:
+        self.heard.append((dict(values), taken_s, time.monotonic()))
+
+    def on_bus(self, up: bool, detail: str) -> None:
+        self.bus.append((up, detail))
+
+    @property
+    def latest(self) -> dict[str, float]:
+        return self.heard[-1][0]
+
+
+class Bench:
+    def __init__(self, peer: TcpPeer | RtuPeer, port: ModbusSensors, ear: Ear) -> None:
+        self.peer = peer
+        self.port = port
+        self.ear = ear
+
+    async def hears(self, more: int) -> None:
+        count = len(self.ear.heard) + more
+        await until(lambda: len(self.ear.heard) >= count)
+
+    def check_honesty(self) -> None:
+        """No value is said to be younger than it is, and none was never measured."""
+        for values, taken_s, heard_s in self.ear.heard:
+            if "number" in values:
+                assert taken_s <= self.peer.taken[round(values["number"])] <= heard_s
+            if "speed" in values:
+                assert values["speed"] == pytest.approx(3.25 * RPM)
+
+
+@contextlib.asynccontextmanager
+async def bench(
+    kind: str, folder: Path, tcp_port: int, *, there: bool = True
+) -> AsyncIterator[Bench]:
+    peer: TcpPeer | RtuPeer
+    config: ModbusTcpSensors | ModbusRtuSensors
+    if kind == "tcp":
+        peer = TcpPeer(tcp_port)
+        link = {"type": "modbus-tcp", "host": "127.0.0.1", "port": tcp_port}
+        config = ModbusTcpSensors.model_validate(COMMON | link)
+    else:
+        peer = RtuPeer(folder / "sensor.tty")
+        line = {"type": "modbus-rtu", "device": str(peer.link), "baud": 115200, "parity": "none"}
+        config = ModbusRtuSensors.model_validate(COMMON | line)
+    port = build_modbus_sensors(config, "sensor_bus.0", time.monotonic)
+    ear = Ear()
+    if there:
+        await peer.start()
+    task = asyncio.create_task(port.run(ear))
+    try:
+        yield Bench(peer, port, ear)
+    finally:
+        task.cancel()
+        (outcome,) = await asyncio.gather(task, return_exceptions=True)
+        await peer.stop()
+    assert isinstance(outcome, asyncio.CancelledError)
+
+
+@pytest.fixture(params=["tcp", "rtu"])
+def kind(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+async def test_values_come_in_si_and_as_old_as_their_request(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with bench(kind, tmp_path, free_tcp_port) as one:
+        await one.hears(10)
+        assert one.ear.latest["voltage"] == pytest.approx(300.12)
+        one.check_honesty()
+        assert one.ear.bus == []
+        assert one.peer.writes == []
+
+
+@pytest.mark.parametrize("speed", [float("nan"), float("inf"), -float("inf")])
+async def test_a_value_that_is_none_is_left_out_alone(
+    kind: str, tmp_path: Path, free_tcp_port: int, speed: float
+) -> None:
+    async with bench(kind, tmp_path, free_tcp_port) as one:
+        one.peer.speed = speed
+        await one.hears(3)
+        assert set(one.ear.latest) == {"number", "voltage"}
+        one.peer.speed, one.peer.voltage = 3.25, 60001
+        await one.hears(3)
+        assert set(one.ear.latest) == {"number", "speed"}
+        assert one.port.statistics.out_of_range >= 3
+        one.check_honesty()
+
+
+async def test_late_and_missing_replies_are_never_taken_for_others(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with bench(kind, tmp_path, free_tcp_port) as one:
+        await one.hears(3)
+
+        def late(reply: bytes) -> Pieces:
+            return [(0.03 if len(one.peer.requests) % 3 == 0 else 0.0, reply)]
+
+        one.peer.spoil = late
+        await one.hears(10)
+        one.peer.spoil = lambda _: []
+        await until(lambda: len(one.ear.bus) == 1)
+        silent = len(one.ear.heard)
+        assert not one.ear.bus[0][0]
+        await asyncio.sleep(5 * CYCLE_s)
+        assert len(one.ear.heard) == silent
+        one.peer.spoil = lambda reply: [(0.0, reply)]
+        await one.hears(3)
+        assert one.ear.bus[-1][0]
+        assert one.port.statistics.timeouts > 0
+        one.check_honesty()
+
+
+async def test_an_exception_reply_gives_no_value(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with bench(kind, tmp_path, free_tcp_port) as one:
+        await one.hears(2)
+        one.peer.answer = lambda pdu: bytes((pdu[0] | 0x80, 4))
+        await until(lambda: bool(one.ear.bus))
+        assert "exception reply 4" in one.ear.bus[0][1]
+        count = len(one.ear.heard)
+        await asyncio.sleep(3 * CYCLE_s)
+        assert len(one.ear.heard) == count
+
+
+async def test_a_bus_that_is_not_there_is_told_waited_for_and_found_again(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with bench(kind, tmp_path, free_tcp_port, there=False) as one:
+        await until(lambda: bool(one.ear.bus))
+        reason = "no connection" if kind == "tcp" else "no such serial port"
+        assert reason in one.ear.bus[0][1]
+        await one.peer.start()
+        await one.hears(3)
+        await one.peer.stop()
+        await until(lambda: len(one.ear.bus) == 3)
+        await one.peer.start()
+        await one.hears(3)
+        assert [up for up, _ in one.ear.bus] == [False, True, False, True]
+        assert one.port.statistics.reconnects >= 1
+        one.check_honesty()
+
+
+def test_each_device_on_the_line_is_asked_for_its_own_registers() -> None:
+    registers = {
+        name: {"address": 0, "table": "input", "device_id": device}
+        for name, device in (("a", 7), ("b", None), ("c", 7))
+    }
+    registers["c"]["address"] = 2
+    given = {
+        "registers": registers,
+        "signals": {name: {"signal": name} for name in registers},
+        "type": "modbus-tcp",
+        "host": "127.0.0.1",
+        "device_id": 3,
+    }
+    port = build_modbus_sensors(
+        ModbusTcpSensors.model_validate(COMMON | given), "sensor_bus.0", time.monotonic
+    )
+    asked = [(one.exchange.device_id, one.exchange.read.count) for one in port._blocks]  # type: ignore[union-attr]
+    assert asked == [(3, 1), (7, 3)]
+
+
+def test_a_cycle_that_the_line_cannot_carry_is_refused_with_its_figures() -> None:
+    line = {"type": "modbus-rtu", "device": "x.tty", "baud": 4800, "parity": "none"}
+    with pytest.raises(ConfigurationError) as caught:
+        build_modbus_sensors(
+            ModbusRtuSensors.model_validate(COMMON | line), "sensor_bus.2", time.monotonic
+        )
+    place, message = caught.value.flaws[0].place, caught.value.flaws[0].message
+    assert place == "sensor_bus.2.cycle_s"
+    assert "23 bytes of 10 bits at 4800 baud" in message
+    assert struct.calcsize(">5H") + 13 == 23  # five registers; 8 bytes ask, 5 frame the reply
