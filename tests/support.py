@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -26,11 +27,23 @@ def free_port(kind: socket.SocketKind) -> int:
         return int(probe.getsockname()[1])
 
 
-def start_process(command: Sequence[str | Path], log: Path) -> Process:
-    """Start a process without standard input; its output goes to `log`."""
+def start_process(
+    command: Sequence[str | Path], log: Path, environment: Mapping[str, str] | None = None
+) -> Process:
+    """Start a process without standard input; its output goes to `log`.
+
+    Args:
+        command: Program and words.
+        log: Takes what it says.
+        environment: What it finds in its environment beside this process's own.
+    """
     with log.open("ab") as output:
         return subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            env=os.environ | dict(environment or {}),
         )
 
 

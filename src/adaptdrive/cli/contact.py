@@ -38,7 +38,7 @@ DriveName = Annotated[str, Parameter(validator=_check_drive)]
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Where the broker is and how long to wait.
+    """Where the broker is and how long to wait; each but the time-out also from the environment.
 
     Attributes:
         broker: Broker as HOST or HOST:PORT.
@@ -53,10 +53,10 @@ class Contact:
         "127.0.0.1:1883"
     )
     timeout: Annotated[float, Parameter(validator=_check_timeout)] = 5.0
-    username: str | None = None
-    password_file: Path | None = None
-    tls: bool = False
-    ca_file: Path | None = None
+    username: Annotated[str | None, Parameter(env_var="ADAPTDRIVE_USERNAME")] = None
+    password_file: Annotated[Path | None, Parameter(env_var="ADAPTDRIVE_PASSWORD_FILE")] = None
+    tls: Annotated[bool, Parameter(env_var="ADAPTDRIVE_TLS")] = False
+    ca_file: Annotated[Path | None, Parameter(env_var="ADAPTDRIVE_CA_FILE")] = None
 
     @property
     def settings(self) -> Mqtt:

@@ -1,0 +1,101 @@
+"""Who may do what on the shipped broker, as mosquitto itself sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import count
+from pathlib import Path
+
+import pytest
+
+from tests.deploy.broker import Ear, GuardedBroker, password
+
+Listen = Callable[[str], Ear]
+
+NAMES = ("availability", "state", "telemetry/load", "telemetry/drive", "event", "reply")
+OWN = [f"adaptdrive/motor/{name}" for name in NAMES]
+OTHERS = [f"adaptdrive/bath/{name}" for name in NAMES]
+COMMANDS = [f"adaptdrive/{drive}/command/{verb}" for drive in ("motor", "bath") for verb in "ab"]
+ELSEWHERE = ["adaptdrive", "adaptdrive/motor", "adaptdrive/motor/state/x", "adaptdrive//state"]
+
+
+@pytest.fixture
+def listen(guarded: GuardedBroker, tmp_path: Path) -> Iterator[Listen]:
+    """Let a user hear all that he may until the test ends."""
+    ears: list[Ear] = []
+    numbers = count()
+
+    def start(user: str) -> Ear:
+        ears.append(Ear(guarded, user, tmp_path / f"{user}-{next(numbers)}.log"))
+        return ears[-1]
+
+    yield start
+    for ear in ears:
+        ear.close()
+
+
+def heard(
+    broker: GuardedBroker, listen: Listen, listener: str, speaker: str, topics: list[str]
+) -> list[str]:
+    """What a listener hears of all that a speaker tries to publish."""
+    ear = listen(listener)
+    for topic in topics:
+        broker.publish(speaker, topic)
+    return ear.topics()
+
+
+def test_a_drive_speaks_for_itself_alone(guarded: GuardedBroker, listen: Listen) -> None:
+    tried = [*OWN, *OTHERS, *COMMANDS, *ELSEWHERE, "adaptdrive/operator/state"]
+    assert heard(guarded, listen, "operator", "motor", tried) == OWN
+
+
+def test_a_drive_hears_its_own_commands_only(guarded: GuardedBroker, listen: Listen) -> None:
+    own = [topic for topic in COMMANDS if topic.startswith("adaptdrive/motor/")]
+    assert heard(guarded, listen, "motor", "operator", COMMANDS) == own
+    assert heard(guarded, listen, "motor", "bath", OTHERS) == []
+
+
+def test_an_operator_commands_and_speaks_for_no_drive(
+    guarded: GuardedBroker, listen: Listen
+) -> None:
+    tried = [*COMMANDS, *OWN, *OTHERS, *ELSEWHERE, "adaptdrive/operator/state"]
+    assert heard(guarded, listen, "viewer", "operator", tried) == COMMANDS
+
+
+def test_a_viewer_hears_everything_and_says_nothing(guarded: GuardedBroker, listen: Listen) -> None:
+    tried = [*COMMANDS, *OWN, *OTHERS, *ELSEWHERE, "adaptdrive/viewer/state"]
+    assert heard(guarded, listen, "operator", "viewer", tried) == []
+    assert heard(guarded, listen, "viewer", "motor", OWN) == OWN
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        ((), "not authorised"),
+        (("-u", "operator"), "not authorised"),
+        (("-u", "operator", "-P", password("viewer")), "not authorised"),
+        (("-u", "stranger", "-P", password("stranger")), "not authorised"),
+    ],
+    ids=["anonymous", "no password", "another's password", "unknown user"],
+)
+def test_strangers_are_refused(guarded: GuardedBroker, words: list[str], problem: str) -> None:
+    tried = guarded.attempt(*words, "--cafile", str(guarded.authority))
+    assert tried.returncode != 0
+    assert problem in tried.stderr
+
+
+def test_nobody_enters_without_tls(guarded: GuardedBroker) -> None:
+    tried = guarded.attempt("-u", "operator", "-P", password("operator"))
+    assert tried.returncode != 0
+
+
+def test_a_client_that_trusts_another_authority_stays_away(guarded: GuardedBroker) -> None:
+    words = ("-u", "operator", "-P", password("operator"), "--tls-use-os-certs")
+    tried = guarded.attempt(*words)
+    assert tried.returncode != 0
+    assert "TLS error" in tried.stderr
+
+
+def test_one_who_may_enter_does(guarded: GuardedBroker) -> None:
+    tried = guarded.attempt(*guarded.credentials("operator"))
+    assert tried.returncode == 0, tried.stderr
