@@ -27,6 +27,15 @@ def free_port(kind: socket.SocketKind) -> int:
         return int(probe.getsockname()[1])
 
 
+def has_can() -> bool:
+    """Whether the kernel of this machine knows CAN."""
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except OSError:
+        return False
+    return True
+
+
 def start_process(
     command: Sequence[str | Path], log: Path, environment: Mapping[str, str] | None = None
 ) -> Process:

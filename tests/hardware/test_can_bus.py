@@ -10,6 +10,7 @@ from adaptdrive.config.bus import CanBus
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.can.bus import describe_bus, frame_key, open_bus
 from tests.hardware.bench import motor_bus
+from tests.support import has_can
 
 FRAME = can.Message(arbitration_id=0x321, is_extended_id=False, data=b"hello")
 
@@ -83,14 +84,6 @@ def test_an_interface_that_is_not_there_is_one_clear_error() -> None:
         r"multicast|there is no such interface)$",
     ):
         open_bus(config)
-
-
-def has_can() -> bool:
-    try:
-        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
-    except OSError:
-        return False
-    return True
 
 
 @pytest.mark.skipif(has_can(), reason="this kernel has AF_CAN")

@@ -31,7 +31,9 @@ COMMAND = Command(current_scale_S=0.04321, boost_reference_V=287.65, bridge=True
 _names = itertools.count()
 
 
-@pytest.fixture(params=["udp_multicast", "virtual", "socketcan"])
+@pytest.fixture(
+    params=["udp_multicast", "virtual", pytest.param("socketcan", marks=pytest.mark.vcan)]
+)
 def config(request: pytest.FixtureRequest, free_udp_port: int) -> CanBus:
     """A bus of its own for each test, on every kind of bus that the machine has."""
     channel = {

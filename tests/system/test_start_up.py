@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.cli import FAILED, UNUSABLE
+from tests.support import has_can
 from tests.system.site import motor_configuration
 
 
@@ -23,13 +22,6 @@ def run_daemon(config: Path) -> subprocess.CompletedProcess[str]:
         timeout=60.0,
         cwd=config.parent,
     )
-
-
-def has_can() -> bool:
-    with contextlib.suppress(OSError, AttributeError):
-        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
-        return True
-    return False
 
 
 def test_every_flaw_of_a_configuration_is_listed(tmp_path: Path) -> None:

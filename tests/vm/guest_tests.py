@@ -1,0 +1,49 @@
+"""Tests that run in the virtual machine, shown here one by one."""
+
+from __future__ import annotations
+
+import sys
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from tests.vm import machine
+
+ROOT = Path(__file__).parents[2]
+
+
+def pytest_script(words: Sequence[str]) -> str:
+    """A script that runs pytest in the guest and leaves its report where `show` finds it."""
+    options = "-q -p no:cacheprovider -o addopts='--import-mode=importlib -p pytester'"
+    report = "--junitxml=/run/vm/report.xml"
+    return f"cd {ROOT}\n{sys.executable} -m pytest {options} {report} {' '.join(words)}\n"
+
+
+def show(folder: Path, outcome: machine.Outcome, subtests: pytest.Subtests) -> None:
+    """Show each test of the guest as a subtest of this one.
+
+    Args:
+        folder: What was shared with the guest.
+        outcome: How its script ended.
+        subtests: The fixture.
+    """
+    report = folder / "report.xml"
+    if not report.exists():
+        ending = "\n".join([outcome.output[-4000:], outcome.console[-2000:]])
+        pytest.fail(f"the virtual machine ended without a report\n{ending}", pytrace=False)
+    cases = list(ET.parse(report).iter("testcase"))
+    for case in cases:
+        with subtests.test(f"{case.get('classname')}::{case.get('name')}"):
+            _show_case(case)
+    if outcome.status != 0:
+        pytest.fail("\n".join(outcome.output.splitlines()[-5:]), pytrace=False)
+
+
+def _show_case(case: ET.Element) -> None:
+    for kind in ("failure", "error"):
+        for problem in case.findall(kind):
+            pytest.fail(problem.text or kind, pytrace=False)
+    for skipped in case.findall("skipped"):
+        pytest.skip(skipped.get("message", ""))
