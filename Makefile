@@ -2,6 +2,7 @@
 # `make` on its own lists the targets.
 
 PYTHON ?= python3
+MINUTES ?= 1
 EXTRAS := sim,panel,realtime,cluster,dev
 
 venv := .venv
@@ -27,8 +28,8 @@ lint: $(installed) ## lint, formatting, types and import layers
 	$(bin)/mypy
 	$(bin)/lint-imports
 
-bench: $(installed) ## measure speed and real time as a table and as build/bench.json
-	$(bin)/python -m tests.benchmarks
+bench: $(installed) ## measure speed and real time; MINUTES=10 looks longer for late ticks
+	$(bin)/python -m tests.benchmarks --minutes $(MINUTES)
 
 docs: $(installed) ## write the pages that are made from the code
 	$(bin)/python -m adaptdrive.config.reference docs/configuration.md

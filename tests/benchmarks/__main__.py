@@ -1,6 +1,7 @@
 """`make bench`: all benchmarks, one table, and `build/bench.json`.
 
-`python -m tests.benchmarks --quick --only compute` runs a part of it for a short time.
+`python -m tests.benchmarks --quick --only compute` runs a part of it for a short time, and
+`make bench MINUTES=10` looks for rare late ticks for longer.
 """
 
 from __future__ import annotations
@@ -11,10 +12,11 @@ import os
 import platform
 import signal
 import sys
+import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from tests.benchmarks.rows import Row, table, write_json
+from tests.benchmarks.rows import Extent, Row, table, write_json
 
 PARTS = ("compute", "experiment", "lateness", "turnaround", "load", "daemons")
 RESULT = Path("build/bench.json")
@@ -26,6 +28,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="make bench")
     parser.add_argument("--quick", action="store_true", help="seconds instead of minutes")
     parser.add_argument("--only", choices=PARTS, action="append", help="a part; may be repeated")
+    parser.add_argument(
+        "--minutes", type=float, default=1.0, help="of ticks on the timer, for their lateness"
+    )
     parser.add_argument("--output", type=Path, default=RESULT)
     options = parser.parse_args()
     rows: list[Row] = []
@@ -37,14 +42,17 @@ def main() -> int:
         "load_before": os.getloadavg()[0],
         "quick": options.quick,
     }
+    extent = Extent(options.quick, options.minutes)
+    began_s = time.monotonic()
     for name in options.only or PARTS:
         part = importlib.import_module(f"tests.benchmarks.{name}")
         try:
-            found = list(part.rows() if name == "compute" else part.rows(quick=options.quick))
+            found = list(part.rows(extent))
         except (OSError, RuntimeError) as problem:
             sys.stderr.write(f"{name}: not measured: {problem}\n")
             continue
         rows += found
+        facts["minutes"] = (time.monotonic() - began_s) / 60.0
         facts["load_after"] = os.getloadavg()[0]
         write_json(rows, facts, options.output)
     sys.stdout.write("\n".join(table(rows)) + "\n")

@@ -31,14 +31,14 @@ from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State, TickReport
 from adaptdrive.runtime.requests import Enable
-from tests.benchmarks.rows import Row, alternating, quantile
+from tests.benchmarks.rows import Extent, Row, alternating, quantile
 from tests.hardware.bench import EXAMPLES, LOAD, MOTOR, MOTOR_BUS, STATUS, Drive
 
 TICK_US = 0.5e6 / MOTOR.drive.line_frequency_Hz
 CALLS, ROUNDS = 2000, 21
 
 
-def rows() -> Iterator[Row]:
+def rows(_: Extent) -> Iterator[Row]:
     """All rows of this file."""
     yield from _estimator("RLS update, n = 3", 3, filtered=False)
     yield from _estimator("LM-RLS update, n = 3, with its regressor", 3, filtered=True)

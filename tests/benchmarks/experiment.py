@@ -13,17 +13,17 @@ from adaptdrive_sim.experiments.case import Case, Disturbance
 from adaptdrive_sim.experiments.motor import MOTOR
 from adaptdrive_sim.experiments.runner import run_case
 from adaptdrive_sim.experiments.settings import case_settings
-from tests.benchmarks.rows import Row
+from tests.benchmarks.rows import Extent, Row
 
 GAIN, TAU_MOTOR_S, TAU_FILTER_S, TAU_LAMBDA_S = 0.011, 11.7, 10.0, 10.0
 TICK_S, TICKS = 1.0 / 120.0, 120
 POLE = 0.70
 
 
-def rows(*, quick: bool) -> Iterator[Row]:
+def rows(extent: Extent) -> Iterator[Row]:
     """All rows of this file."""
     ours, textbook = [], []
-    for _ in range(1 if quick else 3):
+    for _ in range(1 if extent.quick else 3):
         ours.append(_ours())
         textbook.append(_textbook())
     simulated = MOTOR.duration_s

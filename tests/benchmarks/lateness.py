@@ -8,20 +8,24 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 
-from tests.benchmarks.rows import Row, quantile
+from tests.benchmarks.rows import Extent, Row, quantile
 from tests.benchmarks.tools import PRIORITY, run_json, try_fifo
 
 PERIOD_US = 8333
 SPIN_US = 300
+_ROUND_S = 10.0
+"""How long one of them runs before it is the other's turn."""
+
 SHARES = ((0.50, "p50"), (0.99, "p99"), (0.999, "p99.9"), (1.0, "max"))
 
 
-def rows(*, quick: bool) -> Iterator[Row]:
+def rows(extent: Extent) -> Iterator[Row]:
     """All rows of this file."""
     if shutil.which("cyclictest") is None:
         raise RuntimeError("cyclictest is missing; Debian has it in rt-tests")
     priority = PRIORITY if _fifo_is_granted() else 0
-    rounds, seconds = (2, 4) if quick else (10, 30)
+    seconds = 4.0 if extent.quick else _ROUND_S
+    rounds = 2 if extent.quick else max(1, round(60.0 * extent.minutes / seconds))
     ours: list[float] = []
     spun: list[float] = []
     peer: list[float] = []

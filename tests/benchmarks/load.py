@@ -14,10 +14,10 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
-from tests.benchmarks.rows import Row, quantile
-from tests.benchmarks.site import Running, site
+from tests.benchmarks.rows import Extent, Row, quantile
+from tests.benchmarks.site import Running, runs, site
 from tests.benchmarks.tools import children, process
-from tests.benchmarks.turnaround import probe, runs
+from tests.benchmarks.turnaround import probe
 from tests.support import Process
 
 HOG = "while True: pass"
@@ -26,9 +26,9 @@ LIMIT_US = 2000.0
 TELEMETRY = {"mqtt.telemetry_Hz": "10.0", "recording.flush_s": "0.5"}
 
 
-def rows(*, quick: bool) -> Iterator[Row]:
+def rows(extent: Extent) -> Iterator[Row]:
     """All rows of this file: each load against a quiet daemon, in turn."""
-    seconds = 6 if quick else 60
+    seconds = 6 if extent.quick else 15
     quiet: list[float] = []
     for name in ("nothing else", "disk stalled", "broker stalled", "commands", "hog", "all"):
         times = _under(name, seconds)

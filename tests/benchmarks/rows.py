@@ -10,6 +10,19 @@ from pathlib import Path
 
 
 @dataclass(frozen=True)
+class Extent:
+    """How long to measure.
+
+    Attributes:
+        quick: Seconds instead of minutes, for a first look.
+        minutes: Of ticks on the timer, for their lateness.
+    """
+
+    quick: bool
+    minutes: float
+
+
+@dataclass(frozen=True)
 class Row:
     """One line of the table.
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tests.benchmarks.tools import PRIORITY, process
+from tests.benchmarks.tools import PRIORITY, bus_ports, process
 from tests.support import MosquittoLauncher, Process, free_port, stop_process
 from tests.system.site import motor_configuration
 
@@ -42,11 +42,10 @@ class Running:
 
 
 def start_daemon(
-    stack: ExitStack, folder: Path, broker_port: int, changes: dict[str, str]
+    stack: ExitStack, folder: Path, bus_port: int, broker_port: int, changes: dict[str, str]
 ) -> Running:
-    """Start a daemon, and wait until its commands are on the bus."""
+    """Start a daemon."""
     folder.mkdir(parents=True, exist_ok=True)
-    bus_port = free_port(socket.SOCK_DGRAM)
     config = folder / "motor.toml"
     config.write_text(motor_configuration(broker_port, bus_port, REALTIME | changes))
     log = folder / "daemon.log"
@@ -73,13 +72,18 @@ def site(changes: dict[str, str]) -> Iterator[tuple[Running, Process]]:
     with TemporaryDirectory() as name, ExitStack() as stack:
         folder = Path(name)
         mosquitto, port = stack.enter_context(broker(folder))
-        yield start_daemon(stack, folder, port, changes), mosquitto
+        (bus_port,) = bus_ports(1)
+        yield start_daemon(stack, folder, bus_port, port, changes), mosquitto
 
 
-def await_log(running: Running, words: str, patience_s: float = 30.0) -> None:
-    """Wait until the daemon has logged some words."""
+def enable(running: Running, drive: str = "motor", patience_s: float = 30.0) -> None:
+    """Ask until the drive runs or patience ends: its first frames may be still to come."""
     deadline_s = time.monotonic() + patience_s
-    while words not in running.log.read_text(encoding="utf-8"):
-        if time.monotonic() > deadline_s or running.daemon.poll() is not None:
-            raise RuntimeError(f"no {words!r}: {running.log.read_text(encoding='utf-8')}")
-        time.sleep(0.05)
+    while not runs(running) and time.monotonic() < deadline_s:
+        running.ask("enable", drive=drive)
+        time.sleep(0.4)
+
+
+def runs(running: Running) -> bool:
+    """Whether the drive has been running."""
+    return "starting to running" in running.log.read_text(encoding="utf-8")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import socket
 import subprocess
 import sys
 import threading
@@ -14,18 +13,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from tests.benchmarks.prober import SETTLE_S
-from tests.benchmarks.rows import Row, quantile
-from tests.benchmarks.site import Running, site
-from tests.benchmarks.tools import PRIORITY, process, run_json
-from tests.support import free_port
+from tests.benchmarks.rows import Extent, Row, quantile
+from tests.benchmarks.site import Running, enable, runs, site
+from tests.benchmarks.tools import PRIORITY, bus_ports, process, run_json
 
 
-def rows(*, quick: bool) -> Iterator[Row]:
+def rows(extent: Extent) -> Iterator[Row]:
     """All rows of this file."""
-    seconds = 10 if quick else 120
+    seconds = 10 if extent.quick else 60
     with TemporaryDirectory() as name, ExitStack() as stack:
         running, _ = stack.enter_context(site({}))
-        ports = [running.bus_port, *(free_port(socket.SOCK_DGRAM) for _ in range(2))]
+        ports = [running.bus_port, *bus_ports(2)]
         stack.enter_context(process([sys.executable, "-m", "tests.benchmarks.echo", str(ports[1])]))
         stack.enter_context(process([*_fifo(), compile_echo(Path(name)), str(ports[2])]))
         time.sleep(3.0)
@@ -46,28 +44,15 @@ def rows(*, quick: bool) -> Iterator[Row]:
 
 def probe(running: Running, seconds: float, ports: list[int]) -> dict[str, list[float]]:
     """Replay frames for so long, with the drive running."""
-    enable = threading.Thread(target=_enable, args=(running,))
-    enable.start()
+    operator = threading.Thread(target=enable, args=(running,))
+    operator.start()
     words = ",".join(map(str, ports))
     times = run_json("tests.benchmarks.prober", seconds + SETTLE_S, words)
-    enable.join()
+    operator.join()
     if not runs(running):
         log = running.log.read_text(encoding="utf-8")
         raise RuntimeError(f"the drive did not run: {log}")
     return times
-
-
-def _enable(running: Running) -> None:
-    """Ask until the drive runs: its first frames are still to come."""
-    deadline_s = time.monotonic() + 15.0
-    while not runs(running) and time.monotonic() < deadline_s:
-        running.ask("enable")
-        time.sleep(0.4)
-
-
-def runs(running: Running) -> bool:
-    """Whether the drive has been running."""
-    return "starting to running" in running.log.read_text(encoding="utf-8")
 
 
 def compile_echo(folder: Path) -> Path:
