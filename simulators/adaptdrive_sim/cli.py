@@ -17,7 +17,7 @@ app = App(
     version=adaptdrive.__version__,
 )
 
-Action = Literal["add-disk", "remove-disk", "torque", "sag", "noise", "fault"]
+Action = Literal["add-disk", "remove-disk", "torque", "sag", "noise", "fault", "sensor-fault"]
 
 NO_ANSWER = 3
 INTERRUPTED = 130
@@ -98,7 +98,8 @@ def disturb(
 
     Args:
         drive: Name of the drive.
-        action: add-disk, remove-disk, torque N_m, sag FRACTION SECONDS, noise V, or fault WORD.
+        action: add-disk, remove-disk, torque N_m, sag FRACTION SECONDS, noise V, fault WORD, or
+            sensor-fault KIND (1 broken wire, 2 frozen, 3 unplugged, 0 none).
         values: What the action needs.
         broker: HOST:PORT of the MQTT broker.
     """

@@ -21,10 +21,12 @@ from adaptdrive.config.root import Configuration
 from adaptdrive.errors import AdaptdriveError, RefusedError
 from adaptdrive_sim.broker import parse_address
 from adaptdrive_sim.devices.can_drive import CanDrive
-from adaptdrive_sim.devices.drive import COMMAND_TIMEOUT_s, Drive, Report
+from adaptdrive_sim.devices.drive import COMMAND_TIMEOUT_s, Drive, Frame, Report
 from adaptdrive_sim.devices.frames import load_messages
 from adaptdrive_sim.devices.modbus_drive import ModbusDrive
+from adaptdrive_sim.devices.modbus_sensors import ModbusSensors
 from adaptdrive_sim.devices.remote import Remote
+from adaptdrive_sim.devices.sensor_values import check_names, values_of
 from adaptdrive_sim.devices.voltage_holder import VoltageHolder
 from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.noise import NoiseParameters
@@ -65,7 +67,10 @@ def run_device(path: Path, settings: DeviceSettings) -> None:
     report = make_report()
     drive = build_drive(configuration, settings, report)
     node = build_node(configuration, drive, report, path)
-    jobs: list[Job] = [functools.partial(node.run, _say_bus(configuration))]
+    sensors = build_sensors(configuration, drive, path)
+    jobs: list[Job] = [functools.partial(node.run, _say_bus("drive", configuration.drive.name))]
+    for bus, modules in zip(configuration.sensor_bus, sensors, strict=True):
+        jobs.append(functools.partial(modules.run, _say_bus("sensors", bus.name)))
     if settings.broker is not None:
         address = parse_address(settings.broker)
         jobs.append(Remote(address, configuration.drive.name, drive, report).run)
@@ -104,6 +109,23 @@ def build_node(
     if isinstance(bus, CanBus):
         return CanDrive(drive, bus, load_messages(bus, configuration, path), report)
     return ModbusDrive(drive, bus, configuration.signals, report)
+
+
+def build_sensors(configuration: Configuration, drive: Drive, path: Path) -> list[ModbusSensors]:
+    """Put sensors beside the drive on the buses that its configuration names.
+
+    Raises:
+        ConfigurationError: They are to measure what the plant does not have.
+    """
+    buses = configuration.sensor_bus
+    known = values_of(drive.world, Frame(drive.world.at_rest(), 0, bridge=False))
+    names = [
+        (f"sensor_bus.{number}.signals.{name}", name)
+        for number, bus in enumerate(buses)
+        for name in bus.signals
+    ]
+    check_names(names, known, path)
+    return [ModbusSensors(drive, bus) for bus in buses]
 
 
 def build_world(configuration: Configuration, settings: DeviceSettings) -> World:
@@ -186,9 +208,9 @@ def _spikes(text: str) -> tuple[float, float]:
     return share, sigma
 
 
-def _say_bus(configuration: Configuration) -> Callable[[str], None]:
+def _say_bus(what: str, name: str) -> Callable[[str], None]:
     def say(bus: str) -> None:
-        sys.stdout.write(f"simulated drive {configuration.drive.name} on {bus}\n")
+        sys.stdout.write(f"simulated {what} {name} on {bus}\n")
         sys.stdout.flush()
 
     return say

@@ -7,6 +7,8 @@ A request is a JSON object with an `id` and exactly one disturbance:
     {"id": "3", "sag": 0.2, "duration_s": 1.0}  take 20 % off the line for a second
     {"id": "4", "noise_V": 0.0004}              noise of the output from now on
     {"id": "5", "fault": 1}                     fault word of the drive (0: clear)
+    {"id": "6", "sensor_fault": 1}              sensors beside the drive: 1 broken wire, 2 values
+                                                that stand still, 3 unplugged (0: none)
 """
 
 from __future__ import annotations
@@ -18,7 +20,8 @@ import msgspec
 
 from adaptdrive.errors import RefusedError
 from adaptdrive_sim.devices.drive import Drive
-from adaptdrive_sim.parameters import ParameterError
+from adaptdrive_sim.devices.sensor_values import SensorFault
+from adaptdrive_sim.parameters import ParameterError, check_range
 from adaptdrive_sim.plants.motor import Motor
 
 
@@ -32,6 +35,7 @@ class Request(msgspec.Struct, forbid_unknown_fields=True, frozen=True, omit_defa
     duration_s: float | None = None
     noise_V: float | None = None
     fault: int | None = None
+    sensor_fault: int | None = None
 
 
 def parse_request(payload: bytes) -> Request:
@@ -103,12 +107,18 @@ def _inject_fault(request: Request, drive: Drive) -> None:
     drive.inject(request.fault or 0)
 
 
+def _spoil_sensors(request: Request, drive: Drive) -> None:
+    check_range("sensor_fault", request.sensor_fault or 0, 0, max(SensorFault), "")
+    drive.world.sensor_fault = request.sensor_fault or 0
+
+
 _ACTIONS = {
     "disks": _change_disks,
     "torque_Nm": _load_shaft,
     "sag": _sag_line,
     "noise_V": _set_noise,
     "fault": _inject_fault,
+    "sensor_fault": _spoil_sensors,
 }
 
 
@@ -138,4 +148,5 @@ _WORDS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
     "sag": (("sag", "duration_s"), {}),
     "noise": (("noise_V",), {}),
     "fault": (("fault",), {}),
+    "sensor-fault": (("sensor_fault",), {}),
 }

@@ -84,6 +84,7 @@ class World:
         self.load_current_A = 0.0
         self.current_scale_S = 0.0
         self.bridge = False
+        self.sensor_fault = 0
         self._generator = np.random.default_rng(self.parameters.seed)
         self.noise = self.parameters.noise
 
@@ -135,6 +136,18 @@ class World:
         self.current_scale_S = 0.0
         self.bridge = False
         self.load_current_A = 0.0
+
+    def at_rest(self) -> Sample:
+        """What would be measured now, without any time passing."""
+        return Sample(
+            self.tick,
+            self.line.half_cycle_s,
+            self.boost.voltage_V,
+            self.line.voltage_V,
+            0.0,
+            self.load.output,
+            self.load_current_A,
+        )
 
     def step(self, current_scale_S: float, bridge: bool) -> Sample:
         """Run one half cycle under the latched command, then latch the given one.

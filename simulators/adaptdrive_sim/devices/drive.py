@@ -53,6 +53,7 @@ class Drive:
     Attributes:
         world: The plant.
         fault: Fault word of the last half cycle.
+        frame: What was measured in the last half cycle, None before the first.
     """
 
     def __init__(
@@ -75,6 +76,7 @@ class Drive:
         self._reference_V = 0.0
         self.world = world
         self.fault = 0
+        self.frame: Frame | None = None
         self._report = report
         self._scale_S = 0.0
         self._bridge = False
@@ -141,7 +143,8 @@ class Drive:
         self.fault = self._word(sample.line_voltage_V)
         if self._holder is not None:
             self._scale_S = self._holder.scale_S(self._reference_V, sample)
-        return Frame(sample, self.fault, self.world.bridge)
+        self.frame = Frame(sample, self.fault, self.world.bridge)
+        return self.frame
 
     def _watch_command(self, now_s: float) -> None:
         """Shut down when the last valid command is too old."""

@@ -6,7 +6,8 @@ register to its last; what lies between and is not mapped reads as 0.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from adaptdrive.config.bus import Signals, SignalSource
 from adaptdrive.config.modbus import ModbusBus, Register
@@ -28,8 +29,7 @@ class RegisterImage:
         self._bus = bus
         self._signals = signals
         self.tables: dict[str, Table] = {
-            "input": _addresses(bus, "input"),
-            "holding": _addresses(bus, "holding"),
+            table: addresses(bus.registers.values(), table) for table in ("input", "holding")
         }
 
     def show(self, quantities: Mapping[str, float]) -> None:
@@ -39,7 +39,7 @@ class RegisterImage:
             register = self._bus.registers[source.signal]
             value = (quantities[name] - source.offset) / source.scale
             if name in MEASURED:
-                _place(words, register, encode_value(register, _bounded(register, value)))
+                _place(words, register, encode_value(register, bounded(register, value)))
             else:
                 _place(words, register, encode_count(register, _wrapped(register, int(value))))
         for (table, address), word in words.items():
@@ -77,11 +77,19 @@ class RegisterImage:
             yield "counter", SignalSource(signal=self._bus.heartbeat.drive)
 
 
-def _addresses(bus: ModbusBus, table: str) -> Table:
-    spans = [(one.address, one.end) for one in bus.registers.values() if one.table == table]
+def addresses(registers: Iterable[Register], table: str) -> Table:
+    """A table from the first register to the last, filled with 0."""
+    spans = [(one.address, one.end) for one in registers if one.table == table]
     if not spans:
         return {}
     return dict.fromkeys(range(min(a for a, _ in spans), max(b for _, b in spans)), 0)
+
+
+def not_available(register: Register) -> float:
+    """The count that means `no value`."""
+    if register.not_available is not None:
+        return register.not_available
+    return _NO_VALUE[register.type]
 
 
 def _place(words: dict[tuple[str, int], int], register: Register, content: Sequence[int]) -> None:
@@ -97,7 +105,7 @@ def _place(words: dict[tuple[str, int], int], register: Register, content: Seque
     words[key] = words.get(key, 0) | (bool(any(content)) << register.bit % 16)
 
 
-def _bounded(register: Register, value: float) -> float:
+def bounded(register: Register, value: float) -> float:
     """Like a converter's, a value ends at the range of its register."""
     low, high = _LIMITS.get(register.type, (-3.0e38, 3.0e38))
     low, high = sorted((low * register.scale, high * register.scale))
@@ -115,4 +123,12 @@ _LIMITS = {  # without the count that means `no value`
     "int16": (-0x7FFF, 0x7FFF),
     "uint32": (0.0, 0xFFFF_FFFE),
     "int32": (-0x7FFF_FFFF, 0x7FFF_FFFF),
+}
+
+_NO_VALUE = {
+    "uint16": 0xFFFF,
+    "int16": -0x8000,
+    "uint32": 0xFFFF_FFFF,
+    "int32": -0x8000_0000,
+    "float32": math.nan,
 }

@@ -18,6 +18,7 @@ from adaptdrive_sim.parameters import check_quantities, check_range, quantity
 
 HEAT_J_per_kgK = 4186.0
 GALLON_kg = 3.785411784
+INFLOW_K = 285.0
 VOLUME_MIN_gal = 0.05
 VOLUME_MAX_gal = 100.0
 FILLING_MAX_s = 86_400.0
@@ -42,6 +43,7 @@ class Bath:
 
     Attributes:
         output: Temperature above that of the inflow.
+        inflow_K: Temperature of the inflow.
         heater_W: Mean power of the heater over the last step.
     """
 
@@ -51,6 +53,7 @@ class Bath:
         self.parameters = parameters
         self.resistance_Ohm = parameters.heater_Ohm
         self.output = 0.0
+        self.inflow_K = INFLOW_K
         self.heater_W = 0.0
         self._mass_kg = parameters.volume_gal * GALLON_kg
         self._target_kg = self._mass_kg

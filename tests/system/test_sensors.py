@@ -1,0 +1,118 @@
+"""Thermocouples on a serial line beside a drive on CAN, as processes: mbpoll, and the daemon."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+
+import pytest
+
+from tests.system.conftest import MakeSite
+from tests.system.sensor_site import bath_site, mbpoll
+from tests.system.site import Site, until
+
+pytestmark = pytest.mark.slow
+
+INPUT, HOLDING = "3", "4"
+INFLOW_C = 11.85
+
+
+def temperatures(site: Site) -> tuple[float, float]:
+    """Bath and inflow in degrees, as the documented map says that mbpoll's registers mean."""
+    words = mbpoll(site, INPUT, 0)
+    return words[0] * 0.01, words[1] * 0.01
+
+
+def test_mbpoll_reads_and_writes_the_documented_map(make_site: MakeSite) -> None:
+    site = bath_site(make_site)
+    site.start_broker()
+    site.start_device("--initial-voltage", "300")
+    bath_C, inflow_C = temperatures(site)
+    assert inflow_C == pytest.approx(INFLOW_C, abs=0.006)
+    assert bath_C - inflow_C == pytest.approx(11.8, abs=0.3)  # (0.25 · 300 / 8.87)² · 7.87 · R
+    mbpoll(site, HOLDING, 0, values=(15, 14))
+    assert mbpoll(site, HOLDING, 0) == {0: 15, 1: 14}
+    site.disturb("sensor-fault", "1")
+    assert set(mbpoll(site, INPUT, 0).values()) <= {0x8000, -0x8000}
+    site.disturb("sensor-fault", "0")
+    assert temperatures(site)[1] == pytest.approx(INFLOW_C, abs=0.006)
+
+
+def sensors(site: Site) -> dict[str, object]:
+    heard = site.ear.on("telemetry/drive")
+    found = heard[-1].content["sensors"] if heard else {}
+    assert isinstance(found, dict)
+    return found.get("thermocouples", {})
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [("1", "bath_temperature is"), ("3", "bath_temperature is")],
+    ids=["broken wire", "unplugged"],
+)
+def test_a_sensor_that_fails_trips_the_drive_and_its_return_lets_it_be_reset(
+    make_site: MakeSite, fault: str, words: str
+) -> None:
+    site = bath_site(make_site)
+    site.start("--initial-voltage", "300")
+    until(lambda: sensors(site).get("values"), "values of the thermocouples")
+    site.run_drive()
+    site.disturb("sensor-fault", fault)
+    began_s = time.monotonic()
+    tripped = site.await_state(state="tripped")
+    assert time.monotonic() - began_s < 10.0
+    assert tripped["trip"].startswith(f"stale: thermocouples.{words}")
+    assert not site.ask("reset")["accepted"]
+    assert site.ear.on("telemetry/drive")[-1].content["age_s"] < 0.2  # the drive itself is fresh
+    site.disturb("sensor-fault", "0")
+    until(lambda: site.ask("reset")["accepted"], "the trip is reset")
+    site.run_drive()
+    if fault == "3":
+        told = [heard.content["detail"] for heard in site.ear.on("event")]
+        assert any(detail.startswith("sensor bus thermocouples: modbus-rtu") for detail in told)
+
+
+def test_without_its_sensors_the_daemon_starts_waits_and_does_not_enable(
+    make_site: MakeSite,
+) -> None:
+    site = bath_site(make_site)
+    text = site.config.read_text()
+    site.config.write_text(text.replace("thermocouples.tty", "elsewhere.tty"))
+    site.start_broker()
+    site.start_device()
+    site.config.write_text(text)
+    site.start_daemon()
+    site.await_measurement()
+    reply = site.ask("enable")
+    assert not reply["accepted"]
+    assert "thermocouples.bath_temperature: no measurement yet" in reply["reason"]
+    assert "there is no such serial port" in reply["reason"]
+    until(lambda: sensors(site).get("up") is False, "telemetry tells that the bus is down")
+
+
+def test_probe_and_check_show_the_sensors(make_site: MakeSite) -> None:
+    site = bath_site(make_site)
+    site.start_broker()
+    site.start_device("--initial-voltage", "300")
+    probe = site._start("probe.log", "-m", "adaptdrive.cli", "probe", site.config)
+
+    def shown() -> bool:
+        lines = site._read("probe.log").splitlines()
+        return any("thermocouples: bath_temperature 29" in line for line in lines)
+
+    until(shown, "probe shows the thermocouples")
+    probe.terminate()
+    lines = [line for line in site._read("probe.log").splitlines() if "temperature  1" in line]
+    assert lines, site._read("probe.log")
+    text = site.config.read_text().replace("cycle_s = 0.25", "cycle_s = 0.05")
+    site.config.write_text(text.replace("timeout_s = 0.06", "timeout_s = 0.01"))
+    done = subprocess.run(
+        [sys.executable, "-m", "adaptdrive.cli", "check", site.config],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+    )
+    assert done.returncode == 2
+    assert "sensor_bus.0.timeout_s: 0.01 s must be above the slowest exchange" in done.stderr
