@@ -32,7 +32,7 @@ from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State, TickReport
 from adaptdrive.runtime.requests import Enable
 from tests.benchmarks.rows import Extent, Row, alternating, quantile
-from tests.hardware.bench import EXAMPLES, LOAD, MOTOR, MOTOR_BUS, STATUS, Drive
+from tests.hardware.bench import EXAMPLES, LOAD, MOTOR, MOTOR_BUS, STATUS, TIMING, Drive
 
 TICK_US = 0.5e6 / MOTOR.drive.line_frequency_Hz
 CALLS, ROUNDS = 2000, 21
@@ -277,7 +277,12 @@ def _frames() -> Iterator[Row]:
     listener, bus = _Clocked(), _Frames()
     source = EXAMPLES / "motor.toml"
     port = build_can_port(
-        MOTOR_BUS, MOTOR.signals, lambda: listener.quiet.time_s, wall_clock=time.time, source=source
+        MOTOR_BUS,
+        MOTOR.signals,
+        TIMING,
+        lambda: listener.quiet.time_s,
+        wall_clock=time.time,
+        source=source,
     )
     port._listener, port._bus = listener, bus
     pairs = status_frames(8000)

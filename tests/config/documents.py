@@ -19,7 +19,7 @@ MINIMAL = {
     "signals.line_voltage_V.signal": '"DriveStatus.LineVoltage"',
     "signals.load_power_W.signal": '"DriveStatus.LoadPower"',
     "signals.output.signal": '"DriveLoad.Tachometer"',
-    "signals.command.current_scale_S": '"DriveCommand.CurrentScale"',
+    "signals.command.current_scale_S.signal": '"DriveCommand.CurrentScale"',
     "signals.command.bridge": '"DriveCommand.BridgeEnable"',
     "load.type": '"motor"',
     "load.reference_max": "6.0",

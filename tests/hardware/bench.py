@@ -18,6 +18,7 @@ from crccheck.crc import Crc8SaeJ1850
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus, Signals
+from adaptdrive.hardware.can.mapping import Timing
 from adaptdrive.hardware.can.port import CanPort, build_can_port
 from adaptdrive.hardware.port import Reading
 
@@ -26,6 +27,7 @@ MOTOR = load_configuration(EXAMPLES / "motor.toml")
 assert isinstance(MOTOR.bus, CanBus)
 MOTOR_BUS = MOTOR.bus
 _PATIENCE_S = 20.0
+TIMING = Timing(half_cycle_s=1.0 / 120.0, stale_s=0.05, daemon_holds_voltage=True)
 
 STATUS = {"BoostVoltage": 300.12, "LineVoltage": 120.4, "LoadPower": 431.7, "BridgeOn": 1}
 LOAD = {"Tachometer": 3.123456, "LoadCurrent": 5.76}
@@ -50,7 +52,7 @@ def motor_bus(**changes: object) -> CanBus:
 
 def motor_signals(**changes: object) -> Signals:
     """`[signals]` of the example, changed."""
-    return MOTOR.signals.model_copy(update=changes)
+    return Signals.model_validate({**dict(MOTOR.signals), **changes})
 
 
 def with_crc(data: bytes) -> bytes:
@@ -130,8 +132,8 @@ def build_port(config: CanBus, clock: Clock | None = None, **signals: object) ->
     """A port; with a clock of the test, arrivals are exactly what that clock says."""
     chosen = motor_signals(**signals)
     if clock is None:
-        return build_can_port(config, chosen, time.monotonic)
-    return build_can_port(config, chosen, clock, wall_clock=lambda: 0.0)
+        return build_can_port(config, chosen, TIMING, time.monotonic)
+    return build_can_port(config, chosen, TIMING, clock, wall_clock=lambda: 0.0)
 
 
 @contextlib.asynccontextmanager

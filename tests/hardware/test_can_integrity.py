@@ -3,29 +3,70 @@ from crccheck.crc import Crc8GsmA, Crc8SaeJ1850
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.hardware.can.integrity import AliveCounter, Verdict, checksum_function
+from adaptdrive.config.bus import FrameIntegrity
+from adaptdrive.hardware.can.integrity import (
+    AliveCounter,
+    Checksum,
+    Verdict,
+    checksum_function,
+)
+
+SAE_J1850 = checksum_function(FrameIntegrity(algorithm="sae-j1850"))
 
 
-@given(st.binary(max_size=64))
-def test_sae_j1850_agrees_with_crccheck(data: bytes) -> None:
-    assert checksum_function("sae-j1850", 0)(data) == Crc8SaeJ1850.calc(data)
+def autosar(data_id: int, mode: str) -> Checksum:
+    form = {"algorithm": "autosar-p01", "data_id": data_id, "data_id_mode": mode}
+    return checksum_function(FrameIntegrity.model_validate(form))
 
 
-@given(st.binary(max_size=64), st.integers(0, 0xFFFF))
-def test_autosar_runs_over_the_data_id_first(data: bytes, data_id: int) -> None:
+@given(st.binary(max_size=64), st.integers(0, 15))
+def test_sae_j1850_agrees_with_crccheck(data: bytes, counter: int) -> None:
+    assert SAE_J1850(data, counter) == Crc8SaeJ1850.calc(data)
+
+
+def id_bytes(data_id: int, mode: str, counter: int) -> bytes:
+    """What the standard puts in front of a frame."""
+    low, high = data_id & 0xFF, data_id >> 8
+    if mode == "alternating":
+        return bytes((high if counter % 2 else low,))
+    return bytes({"both": (low, high), "low": (low,), "nibble": (low, 0)}[mode])
+
+
+@given(
+    st.binary(max_size=64),
+    st.integers(0, 0xFFFF),
+    st.sampled_from(["both", "alternating", "low", "nibble"]),
+    st.integers(0, 14),
+)
+def test_autosar_runs_over_the_data_id_first(
+    data: bytes, data_id: int, mode: str, counter: int
+) -> None:
     # crccheck calls the polynomial 0x1D with start 0 and no final XOR "GSM A"
-    expected = Crc8GsmA.calc(bytes((data_id & 0xFF, data_id >> 8)) + data)
-    assert checksum_function("autosar-p01", data_id)(data) == expected
+    expected = Crc8GsmA.calc(id_bytes(data_id, mode, counter) + data)
+    assert autosar(data_id, mode)(data, counter) == expected
 
 
-@pytest.mark.parametrize(("counter", "checksum"), [(0, 0xCC), (1, 0x91)])
-def test_autosar_meets_the_examples_of_its_standard(counter: int, checksum: int) -> None:
-    # data id 0x123, eight zero bytes, the counter in byte 1 and the checksum in byte 0
-    assert checksum_function("autosar-p01", 0x123)(bytes((counter,)) + bytes(6)) == checksum
+@pytest.mark.parametrize(
+    ("mode", "frame"),
+    [
+        ("both", "cc00000000000000"),  # these two are printed in the standard
+        ("both", "9101000000000000"),
+        ("alternating", "ce00000000000000"),  # and these were made by the package autosar-e2e 1.0.0
+        ("alternating", "0201000000000000"),
+        ("low", "ce00000000000000"),
+        ("low", "9301000000000000"),
+        ("nibble", "2a10000000000000"),
+        ("nibble", "7711000000000000"),
+    ],
+)
+def test_autosar_meets_the_frames_of_others(mode: str, frame: str) -> None:
+    # data id 0x123, the checksum in byte 0, the counter in the lower half of byte 1
+    data = bytes.fromhex(frame)
+    assert autosar(0x123, mode)(data[1:], data[1] & 0xF) == data[0]
 
 
 def test_the_published_check_value() -> None:
-    assert checksum_function("sae-j1850", 0)(b"123456789") == 0x4B
+    assert SAE_J1850(b"123456789", 0) == 0x4B
 
 
 @given(st.integers(2, 256), st.data())

@@ -6,7 +6,7 @@ from adaptdrive.config.bus import CommandSignals, FrameIntegrity, SignalSource
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.can.database import load_database, message_codec
 from adaptdrive.hardware.can.mapping import map_drive
-from tests.hardware.bench import EXAMPLES, MOTOR, MOTOR_BUS, motor_bus, motor_signals
+from tests.hardware.bench import EXAMPLES, MOTOR, MOTOR_BUS, TIMING, motor_bus, motor_signals
 
 
 def integrity(message: str, **changes: object) -> dict[str, FrameIntegrity]:
@@ -16,18 +16,18 @@ def integrity(message: str, **changes: object) -> dict[str, FrameIntegrity]:
 
 
 def commanding(**changes: str) -> CommandSignals:
-    return MOTOR.signals.command.model_copy(update=changes)
+    return CommandSignals.model_validate({**dict(MOTOR.signals.command), **changes})
 
 
 def test_the_example_maps_without_a_flaw() -> None:
-    mapping = map_drive(MOTOR_BUS, MOTOR.signals)
+    mapping = map_drive(MOTOR_BUS, MOTOR.signals, TIMING)
     assert mapping.counter_modulus == 65536
     assert {status.codec.name for status in mapping.statuses} == {"DriveStatus", "DriveLoad"}
     assert [order.codec.name for order in mapping.orders] == ["DriveCommand"]
 
 
 def test_a_drive_without_a_counter_has_no_modulus() -> None:
-    assert map_drive(MOTOR_BUS, motor_signals(counter=None)).counter_modulus is None
+    assert map_drive(MOTOR_BUS, motor_signals(counter=None), TIMING).counter_modulus is None
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_each_flaw_names_its_place(
     bus: dict[str, object], signals: dict[str, object], place: str, words: str
 ) -> None:
     with pytest.raises(ConfigurationError) as caught:
-        map_drive(motor_bus(**bus), motor_signals(**signals))
+        map_drive(motor_bus(**bus), motor_signals(**signals), TIMING)
     found = {flaw.place: flaw.message for flaw in caught.value.flaws}
     assert place in found
     assert words in found[place]
@@ -127,7 +127,7 @@ def test_all_flaws_are_listed_at_once() -> None:
     bus = motor_bus(clock="A", channel="can0", integrity=integrity("DriveLoad", counter="C"))
     signals = motor_signals(output="DriveLoad.B", command=commanding(bridge="D"))
     with pytest.raises(ConfigurationError) as caught:
-        map_drive(bus, signals, "motor.toml")
+        map_drive(bus, signals, TIMING, "motor.toml")
     assert {flaw.place for flaw in caught.value.flaws} == {
         "bus.clock",
         "bus.channel",
@@ -143,26 +143,18 @@ def test_a_signal_that_excludes_zero_cannot_command(tmp_path: Path) -> None:
     changed = tmp_path / "changed.dbc"
     changed.write_text(text.replace("(0.01,0) [0|600]", "(0.01,0) [200|600]"))
     with pytest.raises(ConfigurationError, match=r"signals\.command\.boost_reference_V.*200…600"):
-        map_drive(motor_bus(database=changed), MOTOR.signals)
+        map_drive(motor_bus(database=changed), MOTOR.signals, TIMING)
 
 
-def test_a_multiplexed_signal_cannot_command(tmp_path: Path) -> None:
+def test_what_selects_a_page_cannot_be_commanded_itself(tmp_path: Path) -> None:
     text = (EXAMPLES / "adaptdrive.dbc").read_text()
     changed = tmp_path / "changed.dbc"
     text = text.replace("BridgeEnable : 32", "BridgeEnable M : 32")
     changed.write_text(text.replace("BoostReference : 16", "BoostReference m1 : 16"))
     with pytest.raises(ConfigurationError) as caught:
-        map_drive(motor_bus(database=changed), MOTOR.signals)
-    places = {flaw.place for flaw in caught.value.flaws}
-    assert {"signals.command.bridge", "signals.command.boost_reference_V"} <= places
-
-
-def test_messages_of_can_fd_are_refused(tmp_path: Path) -> None:
-    text = (EXAMPLES / "adaptdrive.dbc").read_text()
-    changed = tmp_path / "changed.dbc"
-    changed.write_text(text.replace("DriveLoad: 8", "DriveLoad: 12"))
-    with pytest.raises(ConfigurationError, match="CAN FD"):
-        map_drive(motor_bus(database=changed), MOTOR.signals)
+        map_drive(motor_bus(database=changed), MOTOR.signals, TIMING)
+    assert {flaw.place for flaw in caught.value.flaws} == {"signals.command.bridge"}
+    assert "selects what else" in str(caught.value)
 
 
 @pytest.mark.parametrize("content", [None, "no database\n", "VERSION 1\nBO_ one"])
@@ -171,7 +163,7 @@ def test_a_file_that_is_no_database_is_one_flaw(tmp_path: Path, content: str | N
     if content is not None:
         path.write_text(content)
     with pytest.raises(ConfigurationError) as caught:
-        map_drive(motor_bus(database=path), MOTOR.signals)
+        map_drive(motor_bus(database=path), MOTOR.signals, TIMING)
     assert [flaw.place for flaw in caught.value.flaws] == ["bus.database"]
     assert "\n" not in str(caught.value)
 

@@ -94,6 +94,8 @@ async def test_a_reading_holds_what_the_drive_sent(port: CanPort, drive: Drive, 
         "fault": 0,
         "bridge": True,
         "other": {},
+        "slack_s": 0.0,
+        "fault_name": "",
     }
 
 
@@ -326,8 +328,8 @@ async def test_our_own_commands_are_no_strangers(port: CanPort, drive: Drive, ea
 async def test_what_is_not_mapped_is_sent_as_zero(
     config: CanBus, drive: Drive, ear: Ear, clock: Clock
 ) -> None:
-    command = CommandSignals(
-        current_scale_S="DriveCommand.CurrentScale", bridge="DriveCommand.BridgeEnable"
+    command = CommandSignals.model_validate(
+        {"current_scale_S": "DriveCommand.CurrentScale", "bridge": "DriveCommand.BridgeEnable"}
     )
     port = build_port(config, clock, command=command)
     async with running(port, ear):
@@ -345,7 +347,9 @@ async def test_a_command_may_be_spread_over_messages(
     extra = 'BO_ 129 Switch: 8 Controller\n SG_ On : 0|1@1+ (1,0) [0|1] "" Drive\n\nBO_ 256'
     database = tmp_path / "two.dbc"
     database.write_text(text.replace("BO_ 256", extra, 1))
-    command = CommandSignals(current_scale_S="DriveCommand.CurrentScale", bridge="Switch.On")
+    command = CommandSignals.model_validate(
+        {"current_scale_S": "DriveCommand.CurrentScale", "bridge": "Switch.On"}
+    )
     port = build_port(config.model_copy(update={"database": database}), command=command)
     async with running(port, ear):
         assert port.send(COMMAND)

@@ -1,8 +1,10 @@
 """The simulated drive as a node on a CAN bus.
 
-Each half line cycle, on an absolute grid that follows the line, it sends its status messages, the
-clocking one last. It obeys command frames whose length, checksum, alive counter and ranges are
-right, ignores and counts the others, and leaves what is not addressed to it alone.
+At the end of each half line cycle, on an absolute grid that follows the line, it sends the status
+messages that are due by their cycle times, the clocking one last; the pages of a multiplexed
+message take turns. It obeys command frames whose length, checksum, alive counter, ranges and
+constants are right, ignores and counts the others, and leaves what is not addressed to it alone. A
+command that is spread over several frames is obeyed when the one with the bridge has come.
 """
 
 from __future__ import annotations
@@ -11,13 +13,14 @@ import asyncio
 import collections
 import functools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import can
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.can.bus import describe_bus, open_bus
+from adaptdrive.hardware.can.codec import MessageCodec
 from adaptdrive.hardware.can.integrity import Verdict
 from adaptdrive.hardware.can.reader import read_frames
 from adaptdrive_sim.devices.drive import Drive, Frame, Report
@@ -44,7 +47,10 @@ class CanDrive:
         self._drive = drive
         self._config = config
         self._status = messages.status
-        self._command = messages.command
+        self._orders = messages.orders
+        self._codecs = {_key(codec): codec for codec in messages.codecs}
+        self._wanted: dict[str, float] = {}
+        self._numbers: dict[str, int] = {}
         self._report = report
         self._clock = clock
 
@@ -65,18 +71,34 @@ class CanDrive:
 
     def take(self, frame: can.Message) -> None:
         """Obey a command frame that is whole and alive."""
-        codec = self._command.codec
-        if (frame.arbitration_id, frame.is_extended_id) != (codec.frame_id, codec.is_extended):
+        codec = self._codecs.get((frame.arbitration_id, frame.is_extended_id))
+        if codec is None:
             return
         decoded = codec.decode(bytes(frame.data))
         if decoded.verdict is not Verdict.GOOD:
             self._refuse(decoded.verdict.value)
             return
+        self._take_values(codec, decoded.values)
+
+    def _take_values(self, codec: MessageCodec, values: Mapping[str, float]) -> None:
+        orders = [order for order in self._orders if order.codec is codec]
+        order = next((one for one in orders if one.fixed.items() <= values.items()), None)
+        if order is None:
+            self._refuse("wrong_constant")
+            return
+        heard = {part.field: part.field_value(values[part.signal]) for part in order.parts}
+        self._wanted |= heard
+        if "bridge" in heard:
+            self._obey()
+
+    def _obey(self) -> None:
         self.counts["obeyed"] += 1
-        value = decoded.values[self._command.value]
-        bridge = bool(decoded.values[self._command.bridge])
-        obey = self._drive.hold if self._drive.holds_voltage else self._drive.command
-        obey(value, bridge, self._clock())
+        wanted, now_s = self._wanted, self._clock()
+        bridge = bool(wanted["bridge"])
+        if self._drive.holds_voltage:
+            self._drive.hold(wanted.get("boost_reference_V", 0.0), bridge, now_s)
+        else:
+            self._drive.command(wanted.get("current_scale_S", 0.0), bridge, now_s)
 
     def take_garbage(self) -> None:
         """Count what is no frame."""
@@ -96,12 +118,18 @@ class CanDrive:
         await run_half_cycles(self._drive, self._clock, deliver, self._report)
 
     def _send(self, bus: can.BusABC, frame: Frame) -> None:
-        quantities = quantities_of(frame)
+        quantities, tick = quantities_of(frame), frame.sample.tick
         for message in self._status:
-            codec = message.codec
-            data = message.encode(quantities)
+            codec, number = message.codec, message.number(tick)
+            if number == self._numbers.get(codec.name):
+                continue
+            self._numbers[codec.name] = number
             out = can.Message(
-                arbitration_id=codec.frame_id, is_extended_id=codec.is_extended, data=data
+                arbitration_id=codec.frame_id,
+                is_extended_id=codec.is_extended,
+                is_fd=codec.is_fd,
+                bitrate_switch=codec.is_fd and self._config.bitrate_switch,
+                data=message.encode(number, quantities),
             )
             try:
                 bus.send(out)
@@ -109,3 +137,7 @@ class CanDrive:
                 self.counts["dropped"] += 1
             else:
                 self.counts["sent"] += 1
+
+
+def _key(codec: MessageCodec) -> tuple[int, bool]:
+    return codec.frame_id, codec.is_extended

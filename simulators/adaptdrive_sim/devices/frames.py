@@ -6,18 +6,20 @@ is sent here, and what is commanded there is obeyed here.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from cantools.database.can.database import Database
+from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
-from adaptdrive.config.bus import CanBus, SignalSource
+from adaptdrive.config.bus import CanBus, SignalSource, SwitchSource
 from adaptdrive.config.root import Configuration
-from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.hardware.can.codec import MessageCodec
+from adaptdrive.errors import ConfigurationError
+from adaptdrive.hardware.can.codec import MessageCodec, counter_modulus
 from adaptdrive.hardware.can.database import Catalogue, load_database, message_codec
+from adaptdrive.hardware.can.layout import compile_field
+from adaptdrive.hardware.can.orders import Order, build_orders, find_orders, page_of, resolve
 from adaptdrive_sim.devices.drive import Frame
 
 LOAD_CURRENT = "LoadCurrent"
@@ -65,30 +67,36 @@ class Sink:
 
 
 @dataclass(frozen=True, slots=True)
-class StatusMessage:
-    """One message that the drive sends each half cycle."""
+class Page:
+    """What one frame of a message carries; a message that is not multiplexed has one page."""
 
-    codec: MessageCodec
+    selectors: Mapping[str, float]
     sinks: tuple[Sink, ...]
-
-    def encode(self, quantities: Mapping[str, float]) -> bytes:
-        """Make the next frame."""
-        return self.codec.encode({sink.signal: sink.value(quantities) for sink in self.sinks})
 
 
 @dataclass(frozen=True, slots=True)
-class CommandMessage:
-    """The message that the drive obeys.
+class StatusMessage:
+    """One message that the drive sends.
 
     Attributes:
-        codec: The message.
-        value: Signal of the line-current scale, or of V_c for a drive that holds its own voltage.
-        bridge: Signal of the bridge.
+        codec: Its codec.
+        pages: Its pages, which take turns.
+        every_ticks: Half cycles from one frame to the next.
     """
 
     codec: MessageCodec
-    value: str
-    bridge: str
+    pages: tuple[Page, ...]
+    every_ticks: int
+
+    def number(self, tick: int) -> int:
+        """How many frames are due by the end of a half cycle."""
+        return tick // self.every_ticks
+
+    def encode(self, number: int, quantities: Mapping[str, float]) -> bytes:
+        """Make the frame of a number."""
+        page = self.pages[number % len(self.pages)]
+        values = {sink.signal: sink.value(quantities) for sink in page.sinks}
+        return self.codec.encode({**page.selectors, **values})
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +105,16 @@ class DriveMessages:
 
     Attributes:
         status: Messages in the order of sending, the clocking one last.
-        command: The message that it obeys.
+        orders: The frames that it obeys, as the daemon sends them.
     """
 
     status: tuple[StatusMessage, ...]
-    command: CommandMessage
+    orders: tuple[Order, ...]
+
+    @property
+    def codecs(self) -> tuple[MessageCodec, ...]:
+        """One codec for each message that it obeys."""
+        return tuple(dict.fromkeys(order.codec for order in self.orders))
 
 
 def quantities_of(frame: Frame) -> dict[str, float]:
@@ -131,65 +144,78 @@ def load_messages(bus: CanBus, configuration: Configuration, source: Path) -> Dr
         ConfigurationError: The database and the configuration do not fit together.
     """
     database = load_database(bus.database, source)
-    return DriveMessages(
-        _status_messages(database, bus, configuration, source),
-        _command_message(database, bus, configuration, source),
-    )
-
-
-def _status_messages(
-    database: Database, bus: CanBus, configuration: Configuration, source: Path
-) -> tuple[StatusMessage, ...]:
-    sinks: dict[str, list[Sink]] = {bus.clock: []}
-    catalogue = Catalogue(database)
-    for quantity in _QUANTITIES:
-        given = getattr(configuration.signals, quantity)
-        if given is None:
-            continue
-        mapped = SignalSource(signal=given) if isinstance(given, str) else given
-        found = catalogue.signal(mapped.signal, f"signals.{quantity}")
-        if found is not None:
-            sinks.setdefault(found[0].name, []).append(_sink(quantity, found[1], mapped))
+    catalogue = Catalogue(database, fd=bus.fd)
+    sinks = _find_sinks(catalogue, configuration)
+    orders = find_orders(catalogue, bus, configuration.signals)
+    for name, integrity in bus.integrity.items():
+        catalogue.check_integrity(name, integrity)
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
+    half_cycle_ms = 500.0 / configuration.drive.line_frequency_Hz
     names = sorted(sinks, key=lambda name: (name == bus.clock, name))
-    return tuple(
-        StatusMessage(
-            message_codec(database, bus, name, source),
-            (*sinks[name], *_load_current(database, name)),
-        )
-        for name in names
+    return DriveMessages(
+        tuple(
+            StatusMessage(
+                message_codec(database, bus, name, source),
+                tuple(_pages(catalogue, catalogue.known(name), sinks[name])),
+                _every_ticks(catalogue.known(name), bus, half_cycle_ms),
+            )
+            for name in names
+        ),
+        tuple(build_orders(catalogue, bus, orders)),
     )
 
 
-def _sink(quantity: str, signal: Signal, mapped: SignalSource) -> Sink:
-    low, high = signal.minimum, signal.maximum
-    return Sink(
-        quantity,
-        signal.name,
-        mapped.scale,
-        mapped.offset,
-        float("-inf") if low is None else float(low),
-        float("inf") if high is None else float(high),
-        1 << signal.length if quantity == "counter" else 0,
-    )
+def _find_sinks(
+    catalogue: Catalogue, configuration: Configuration
+) -> dict[str, list[tuple[Signal, Sink]]]:
+    """Signals and what goes into them, by message."""
+    sinks: dict[str, list[tuple[Signal, Sink]]] = {}
+    for quantity in _QUANTITIES:
+        given: SignalSource | None = getattr(configuration.signals, quantity)
+        if given is None:
+            continue
+        hit = catalogue.signal(given.signal, f"signals.{quantity}")
+        if hit is not None:
+            sink = _sink(catalogue, quantity, hit[1], given)
+            sinks.setdefault(hit[0].name, []).append((hit[1], sink))
+    for name, found in sinks.items():
+        found.extend(_load_current(catalogue, name))
+    return sinks
 
 
-def _load_current(database: Database, message: str) -> list[Sink]:
-    signals = database.get_message_by_name(message).signals
+def _pages(
+    catalogue: Catalogue, message: Message, sinks: list[tuple[Signal, Sink]]
+) -> Iterator[Page]:
+    """Every page that carries something; what all pages have in common is in each."""
+    pages: dict[tuple[tuple[str, float], ...], list[Sink]] = {}
+    for signal, sink in sinks:
+        pages.setdefault(page_of(catalogue, message, signal, "signals"), []).append(sink)
+    common = pages.pop((), [])
+    for page, own in (pages or {(): []}).items():
+        yield Page(dict(page), (*common, *own))
+
+
+def _every_ticks(message: Message, bus: CanBus, half_cycle_ms: float) -> int:
+    if message.name == bus.clock:
+        return bus.clock_ticks
+    return max(1, round((message.cycle_time or 0) / half_cycle_ms))
+
+
+def _sink(catalogue: Catalogue, quantity: str, signal: Signal, given: SignalSource) -> Sink:
+    scale, offset = given.scale, given.offset
+    if isinstance(given, SwitchSource) and given.on is not None:
+        on = resolve(catalogue, signal, given.on, f"signals.{quantity}.on") or 0.0
+        off = 0.0 if on else 1.0
+        scale, offset = 1.0 / (on - off), -off / (on - off)
+    layout = compile_field(signal, measured=True)
+    low, high = sorted((layout.physical(layout.low), layout.physical(layout.high)))
+    modulus = counter_modulus(compile_field(signal)) if quantity == "counter" else 0
+    return Sink(quantity, signal.name, scale, offset, low, high, modulus)
+
+
+def _load_current(catalogue: Catalogue, message: str) -> Iterator[tuple[Signal, Sink]]:
     mapped = SignalSource(signal=f"{message}.{LOAD_CURRENT}")
-    return [_sink("load_current_A", one, mapped) for one in signals if one.name == LOAD_CURRENT]
-
-
-def _command_message(
-    database: Database, bus: CanBus, configuration: Configuration, source: Path
-) -> CommandMessage:
-    command = configuration.signals.command
-    holds_voltage = configuration.voltage_loop.where == "drive"
-    given = command.boost_reference_V if holds_voltage else command.current_scale_S
-    message, _, value = (given or "").partition(".")
-    bridge_message, _, bridge = (command.bridge or "").partition(".")
-    if message != bridge_message:
-        problem = f"{command.bridge!r} is not in the message of {given!r}"
-        raise ConfigurationError(source, [Flaw("signals.command.bridge", problem)])
-    return CommandMessage(message_codec(database, bus, message, source), value, bridge)
+    for signal in catalogue.known(message).signals:
+        if signal.name == LOAD_CURRENT:
+            yield signal, _sink(catalogue, "load_current_A", signal, mapped)

@@ -52,11 +52,13 @@ class RegisterImage:
             given = getattr(self._signals.command, name)
             if given is None:
                 continue
-            register = self._bus.registers[given]
+            register = self._bus.registers[given.signal]
             words = [tables[register.table][a] for a in range(register.address, register.end)]
             value = decode_value(register, words, measured=False)
             if value is None:
                 return None
+            if isinstance(given, SignalSource):
+                value = value * given.scale + given.offset
             found[name] = value == register.on if name == "bridge" else value
         return Command(**found)  # type: ignore[arg-type]
 

@@ -24,15 +24,19 @@ def build_port(
         ConfigurationError: Bus and signals do not fit; every flaw is listed.
     """
     bus, signals = configuration.bus, configuration.signals
+    half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
     if isinstance(bus, CanBus):
-        from adaptdrive.hardware.can.port import (  # noqa: PLC0415 - load what is used
-            build_can_port,
-        )
+        from adaptdrive.hardware.can.mapping import Timing  # noqa: PLC0415 - load what is used
+        from adaptdrive.hardware.can.port import build_can_port  # noqa: PLC0415
 
-        return build_can_port(bus, signals, clock, source=source)
+        timing = Timing(
+            half_cycle_s=half_cycle_s,
+            stale_s=configuration.interlocks.stale_s,
+            daemon_holds_voltage=configuration.voltage_loop.where == "daemon",
+        )
+        return build_can_port(bus, signals, timing, clock, source=source)
     from adaptdrive.hardware.modbus.port import (  # noqa: PLC0415 - load what is used
         build_modbus_port,
     )
 
-    half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
     return build_modbus_port(bus, signals, half_cycle_s, clock, source=source)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from adaptdrive.config.section import FilePath, FiniteFloat, Section
 from adaptdrive.config.units import Unit, in_si
@@ -22,6 +22,12 @@ class FrameIntegrity(Section):
         default="sae-j1850", description="CRC-8 form of the checksum"
     )
     data_id: int = Field(default=0, ge=0, le=0xFFFF, description="data id of AUTOSAR profile 1")
+    data_id_mode: Literal["both", "alternating", "low", "nibble"] = Field(
+        default="both", description="bytes of the data id that the checksum of profile 1 runs over"
+    )
+    nibble: str | None = Field(
+        default=None, description="signal with the low half of the data id's high byte (`nibble`)"
+    )
 
 
 class CanBus(Section):
@@ -33,8 +39,22 @@ class CanBus(Section):
     )
     channel: str = Field(description="`can0`, a multicast group, or the name of a virtual bus")
     udp_port: int = Field(default=43113, ge=1, le=65535, description="port of `udp_multicast`")
+    fd: bool = Field(default=False, description="the bus carries CAN FD frames too")
+    bitrate_switch: bool = Field(
+        default=True, description="send CAN FD frames with the faster data phase"
+    )
     database: FilePath = Field(description="DBC file, relative to the configuration file")
     clock: str = Field(description="message whose arrival is the fast tick")
+    clock_ticks: int = Field(
+        default=1, ge=1, description="half line cycles from one clocking message to the next"
+    )
+    stale_cycles: float = Field(
+        default=3.0,
+        ge=1.5,
+        allow_inf_nan=False,
+        description="age, in cycle times of its message (GenMsgCycleTime), at which a value is "
+        "stale; `interlocks.stale_s` where that is longer",
+    )
     integrity: dict[str, FrameIntegrity] = Field(
         default_factory=dict, description="alive counters and checksums by message"
     )
@@ -62,6 +82,13 @@ class SignalSource(Section):
     def _in_si(cls, table: object) -> object:
         return in_si(table) if isinstance(table, dict) else table
 
+    @field_validator("scale")
+    @classmethod
+    def _says_something(cls, scale: float) -> float:
+        if scale == 0.0:
+            raise ValueError("must not be 0")
+        return scale
+
 
 def _table(value: object) -> object:
     return {"signal": value} if isinstance(value, str) else value
@@ -72,12 +99,58 @@ Quantity = Annotated[
 ]
 
 
+class SwitchSource(SignalSource):
+    """One measured switch: a signal, and the value that means on."""
+
+    on: int | str | None = Field(
+        default=None,
+        description="value that means on, on CAN as a number or a name of the value table; 1 when "
+        "left out, on Modbus any but 0",
+    )
+
+
+SwitchQuantity = Annotated[
+    SwitchSource, BeforeValidator(_table, json_schema_input_type=SwitchSource | str)
+]
+
+
+class CommandSignal(SignalSource):
+    """One commanded quantity: a signal, and its conversion from SI where the map has none."""
+
+
+class CommandSwitch(Section):
+    """One commanded switch: a signal, and the values that switch; on CAN, names too."""
+
+    signal: str = Field(
+        min_length=1, description="`Message.Signal` on CAN, the register's name on Modbus"
+    )
+    on: int | str | None = Field(
+        default=None, description="value that switches on; 1, or the register's, when left out"
+    )
+    off: int | str | None = Field(
+        default=None, description="value that switches off; 0, or the register's, when left out"
+    )
+
+
+Commanded = Annotated[
+    CommandSignal, BeforeValidator(_table, json_schema_input_type=CommandSignal | str)
+]
+CommandedSwitch = Annotated[
+    CommandSwitch, BeforeValidator(_table, json_schema_input_type=CommandSwitch | str)
+]
+
+
 class CommandSignals(Section):
     """`[signals.command]`: which signals carry the command; absent ones are not sent."""
 
-    current_scale_S: str | None = Field(default=None, description="line-current scale k")
-    boost_reference_V: str | None = Field(default=None, description="V_c")
-    bridge: str | None = Field(default=None, description="bridge on (1) or off (0)")
+    current_scale_S: Commanded | None = Field(default=None, description="line-current scale k")
+    boost_reference_V: Commanded | None = Field(default=None, description="V_c")
+    bridge: CommandedSwitch | None = Field(default=None, description="bridge on (1) or off (0)")
+    constants: dict[str, float | str] = Field(
+        default={},
+        description="on CAN: values sent with every command by `Message.Signal`, as numbers or "
+        "names of the value table; signals named nowhere are sent as the DBC's start value",
+    )
 
 
 class Signals(Section):
@@ -91,7 +164,7 @@ class Signals(Section):
     output: Quantity | None = Field(default=None, description="the regulated quantity")
     counter: Quantity | None = Field(default=None, description="half-cycle counter of the drive")
     fault: Quantity | None = Field(default=None, description="fault word, 0 = healthy")
-    bridge: Quantity | None = Field(default=None, description="bridge is on")
+    bridge: SwitchQuantity | None = Field(default=None, description="bridge is on")
     other: dict[str, Quantity] = Field(
         default={}, description="more values of the drive, for `[derived]`"
     )

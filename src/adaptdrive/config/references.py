@@ -19,7 +19,8 @@ _CAN_SIGNAL = re.compile(r"[^.]+\.[^.]+")
 
 def can_flaws(signals: Signals) -> Iterator[Flaw]:
     """References that are no `Message.Signal`."""
-    for place, name in (*measured_names(signals), *commanded_names(signals)):
+    constants = [(f"signals.command.constants.{name}", name) for name in signals.command.constants]
+    for place, name in (*measured_names(signals), *commanded_names(signals), *constants):
         if not _CAN_SIGNAL.fullmatch(name):
             yield Flaw(place, f"{name!r} must be `Message.Signal` on a CAN bus")
     if signals.other:
@@ -38,6 +39,7 @@ def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
         if target is not None and (target.table == "input" or target.bit is not None):
             yield Flaw(place, f"{name!r} cannot be written: it must be a whole holding register")
     yield from _word_flaws(bus, signals)
+    yield from _switch_flaws(signals)
     yield from _overlap_flaws(bus, signals)
 
 
@@ -51,7 +53,7 @@ def measured_names(signals: Signals) -> list[tuple[str, str]]:
 def commanded_names(signals: Signals) -> list[tuple[str, str]]:
     """Place and name of each signal that carries a part of the command."""
     given = [(name, getattr(signals.command, name)) for name in COMMANDED]
-    return [(f"signals.command.{name}", signal) for name, signal in given if signal is not None]
+    return [(f"signals.command.{name}", one.signal) for name, one in given if one is not None]
 
 
 def _heartbeat(bus: ModbusBus, side: str) -> list[tuple[str, str]]:
@@ -93,11 +95,22 @@ def _word_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
             if (source.scale, source.offset) != (1.0, 0.0):
                 yield Flaw(f"signals.{word}", "is an integer: it takes no scale and no offset")
     if signals.command.bridge is not None:
-        names.append(("signals.command.bridge", signals.command.bridge))
+        names.append(("signals.command.bridge", signals.command.bridge.signal))
     for place, name in names:
         register = bus.registers.get(name)
         if register is not None and (register.type == "float32" or register.scale != 1.0):
             yield Flaw(place, f"register {name!r} must be an integer with scale 1")
+
+
+def _switch_flaws(signals: Signals) -> Iterator[Flaw]:
+    """On Modbus there are no value tables, and a register says itself what switches it."""
+    if signals.bridge is not None and isinstance(signals.bridge.on, str):
+        yield Flaw("signals.bridge.on", "names are for CAN; on Modbus it is a count")
+    switch = signals.command.bridge
+    if switch is not None and (switch.on, switch.off) != (None, None):
+        yield Flaw("signals.command.bridge", "on Modbus `on` and `off` stand with the register")
+    if signals.command.constants:
+        yield Flaw("signals.command.constants", "are for CAN")
 
 
 def _overlap_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:

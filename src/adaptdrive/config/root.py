@@ -51,7 +51,7 @@ class Configuration(Section):
     @property
     def ticks_per_reading(self) -> int:
         """Half cycles from one reading of the drive to the next: 1 for a drive that sends each."""
-        return 1 if isinstance(self.bus, CanBus) else self.bus.poll_ticks
+        return self.bus.clock_ticks if isinstance(self.bus, CanBus) else self.bus.poll_ticks
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -89,6 +89,7 @@ def _bus_flaws(configuration: Configuration) -> Iterator[Flaw]:
     bus, signals = configuration.bus, configuration.signals
     if isinstance(bus, CanBus):
         yield from can_flaws(signals)
+        yield from _clock_flaws(configuration, bus)
         return
     half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
     yield from modbus_flaws(bus, signals)
@@ -108,6 +109,24 @@ def _sensor_flaws(configuration: Configuration) -> Iterator[Flaw]:
     yield from supply_flaws(configuration.bus, configuration.signals, buses, configuration.derived)
     for number, bus in enumerate(buses):
         yield from sensor_flaws(bus, f"sensor_bus.{number}", configuration.load.period_s)
+
+
+def _clock_flaws(configuration: Configuration, bus: CanBus) -> Iterator[Flaw]:
+    """What a drive that sends less often than each half cycle contradicts."""
+    stride, load = bus.clock_ticks, configuration.load
+    if stride == 1:
+        return
+    if configuration.voltage_loop.where == "daemon":
+        problem = "'daemon' needs a drive that sends each half cycle: bus.clock_ticks = 1"
+        yield Flaw("voltage_loop.where", problem)
+    if configuration.signals.counter is not None:
+        yield Flaw("signals.counter", "counts half cycles, which needs bus.clock_ticks = 1")
+    for place, ticks in (
+        ("load.latency_ticks", load.latency_ticks),
+        ("load.period_s", configuration.ticks_per_period),
+    ):
+        if ticks % stride:
+            yield Flaw(place, f"its {ticks} ticks must be a multiple of bus.clock_ticks = {stride}")
 
 
 def _command_flaws(configuration: Configuration) -> Iterator[Flaw]:

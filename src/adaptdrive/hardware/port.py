@@ -31,6 +31,10 @@ class Reading:
         bridge: Whether the drive says that its bridge is on.
         other: More values of the drive, by name. A quantity that the drive does not give is NaN
             until somebody else has given it.
+        slack_s: How much older than `interlocks.stale_s` the frame of `oldest_s` may be, as the
+            drive sends it less often. Of several frames, `oldest_s` and `slack_s` are those of the
+            one that is out of date first.
+        fault_name: What the drive's description calls the fault, an empty string for nothing.
     """
 
     arrival_s: float
@@ -43,6 +47,8 @@ class Reading:
     fault: int
     bridge: bool
     other: Mapping[str, float] = field(default_factory=dict)
+    slack_s: float = 0.0
+    fault_name: str = ""
 
 
 @dataclass(frozen=True, slots=True)

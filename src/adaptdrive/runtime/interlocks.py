@@ -40,8 +40,9 @@ def find_cause(reading: Reading | None, now_s: float, limits: Limits) -> str | N
     if reading is None:
         return "stale: no measurement yet"
     age_s = now_s - reading.oldest_s
-    if not age_s <= limits.stale_s:
-        return f"stale: measurement is {age_s * 1e3:.0f} ms old, limit {limits.stale_s * 1e3:g} ms"
+    limit_s = limits.stale_s + reading.slack_s
+    if not age_s <= limit_s:
+        return f"stale: measurement is {age_s * 1e3:.0f} ms old, limit {limit_s * 1e3:g} ms"
     return _unhealthy(reading) or _exceeded(reading, limits)
 
 
@@ -49,7 +50,8 @@ def _unhealthy(reading: Reading) -> str | None:
     if not _all_finite(reading):
         return "invalid: a measurement is not a finite number"
     if reading.fault:
-        return f"drive fault: word {reading.fault:#x}"
+        name = f" ({reading.fault_name})" if reading.fault_name else ""
+        return f"drive fault: word {reading.fault:#x}{name}"
     return None
 
 

@@ -56,8 +56,11 @@ def open_bus(config: CanBus, listen: Iterable[int] = ()) -> can.BusABC:
         if config.interface == "socketcan":
             return _open_socketcan(config, listen)
         if config.interface == "udp_multicast":
-            return LoopbackMulticast(config.channel, config.udp_port, fd=False)
-        return can.Bus(interface="virtual", channel=config.channel, ignore_config=True)
+            return LoopbackMulticast(config.channel, config.udp_port, fd=config.fd)
+        protocol = can.CanProtocol.CAN_FD if config.fd else can.CanProtocol.CAN_20
+        return can.Bus(
+            interface="virtual", channel=config.channel, protocol=protocol, ignore_config=True
+        )
     except (can.CanError, OSError, ValueError) as problem:
         raise BusError(describe_bus(config), str(problem)) from problem
 
@@ -81,6 +84,7 @@ def _open_socketcan(config: CanBus, listen: Iterable[int]) -> can.BusABC:
     return can.Bus(
         interface="socketcan",
         channel=config.channel,
+        fd=config.fd,
         can_filters=filters or None,
         ignore_config=True,
     )

@@ -18,6 +18,9 @@ from adaptdrive.hardware.can.layout import (
     compile_unpack,
 )
 
+CLASSIC_LENGTH = 8
+"""Most bytes of a frame without CAN FD."""
+
 _UNPROTECTED = FrameIntegrity()
 
 
@@ -64,6 +67,7 @@ class MessageCodec:
         self.name = message.name
         self.frame_id = message.frame_id
         self.is_extended = message.is_extended_frame
+        self.is_fd = needs_fd(message)
         self._length = message.length
         self._fields = {
             signal.name: compile_field(signal, measured=signal.name in measured)
@@ -80,11 +84,15 @@ class MessageCodec:
         self._modulus = modulus
         self._next = 0
         self._alive = AliveCounter(modulus, integrity.max_jump)
-        self._checksum = checksum_function(integrity.algorithm, integrity.data_id)
+        self._checksum = checksum_function(integrity)
         self._checksum_at = (
             checksum_byte(message, integrity.checksum) if integrity.checksum else None
         )
-        self._proofs = {integrity.counter, integrity.checksum}
+        self._proofs = {integrity.counter, integrity.checksum, integrity.nibble}
+        self._fixed = {integrity.nibble: integrity.data_id >> 8 & 0xF} if integrity.nibble else {}
+        seen = [integrity.counter] if integrity.data_id_mode == "alternating" else []
+        seen += [integrity.nibble]
+        self._seen = compile_unpack(message, filter(None, seen)) if any(seen) else None
 
     def _prepare_decoding(self, message: Message, wanted: Collection[str] | None) -> None:
         names = self._fields.keys() if wanted is None else wanted
@@ -106,13 +114,15 @@ class MessageCodec:
             ValueError: A value is not finite, or outside the range of its signal.
             KeyError: The message has no signal of that name.
         """
-        raw = dict(self._sent_as_idle)
+        raw = {**self._sent_as_idle, **self._fixed}
         for name, value in values.items():
             raw[name] = self._fields[name].raw(value)
+        counter = self._next
         if self._counter:
-            raw[self._counter] = self._next
-            self._next = (self._next + 1) % self._modulus
-        return self._with_checksum(self._pack(raw))
+            raw[self._counter] = counter
+        data = self._with_checksum(self._pack(raw), counter)
+        self._next = (counter + 1) % self._modulus
+        return data
 
     def decode(self, data: bytes) -> Decoded:
         """Check a frame: length, checksum, alive counter and ranges, in this order.
@@ -122,8 +132,7 @@ class MessageCodec:
         """
         if len(data) != self._length:
             return Decoded(Verdict.WRONG_LENGTH)
-        at = self._checksum_at
-        if at is not None and data[at] != self._checksum(data[:at] + data[at + 1 :]):
+        if not self._is_whole(data):
             return Decoded(Verdict.WRONG_CHECKSUM)
         try:
             raw = self._unpack(data)
@@ -135,12 +144,22 @@ class MessageCodec:
         """Forget the alive counter received last; the next frame starts anew."""
         self._alive.reset()
 
-    def _with_checksum(self, data: bytes) -> bytes:
+    def _is_whole(self, data: bytes) -> bool:
+        at = self._checksum_at
+        if at is None:
+            return True
+        seen = self._seen(data) if self._seen else {}
+        counter = int(seen.get(self._counter or "", 0))
+        return data[at] == self._checksum(data[:at] + data[at + 1 :], counter) and all(
+            seen[name] == value for name, value in self._fixed.items()
+        )
+
+    def _with_checksum(self, data: bytes, counter: int) -> bytes:
         at = self._checksum_at
         if at is None:
             return data
         before, after = data[:at], data[at + 1 :]
-        return before + bytes((self._checksum(before + after),)) + after
+        return before + bytes((self._checksum(before + after, counter),)) + after
 
     def _judge(self, raw: Mapping[str, Raw]) -> Decoded:
         verdict, lost = self._follow(raw)
@@ -163,6 +182,11 @@ class MessageCodec:
         if value >= self._modulus:
             return Verdict.OUT_OF_RANGE, 0
         return self._alive.check(value)
+
+
+def needs_fd(message: Message) -> bool:
+    """Whether the frames of a message are those of CAN FD."""
+    return message.is_fd or message.length > CLASSIC_LENGTH
 
 
 def counter_modulus(counter: Field) -> int:

@@ -13,10 +13,19 @@ from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import CanBus, FrameIntegrity
 from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.hardware.can.codec import MessageCodec, checksum_byte, counter_modulus
-from adaptdrive.hardware.can.layout import compile_field
+from adaptdrive.hardware.can.codec import (
+    CLASSIC_LENGTH,
+    MessageCodec,
+    checksum_byte,
+    counter_modulus,
+    needs_fd,
+)
+from adaptdrive.hardware.can.layout import compile_field, is_multiplexed
 
-_CLASSIC_LENGTH = 8
+_FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
+"""Lengths above eight bytes that a frame of CAN FD can have."""
+
+_NIBBLE_BITS = 4
 
 
 def load_database(path: Path, source: Path | str = "configuration") -> Database:
@@ -53,7 +62,7 @@ def message_codec(
     Raises:
         ConfigurationError: The DBC has no such message, or its integrity does not fit it.
     """
-    catalogue = Catalogue(database)
+    catalogue = Catalogue(database, fd=bus.fd)
     message = catalogue.message(name, "bus")
     integrity = bus.integrity.get(name)
     if integrity:
@@ -66,8 +75,9 @@ def message_codec(
 class Catalogue:
     """Finds messages and signals by name, and gathers a flaw for each that is not there."""
 
-    def __init__(self, database: Database) -> None:
+    def __init__(self, database: Database, *, fd: bool) -> None:
         self._database = database
+        self._fd = fd
         self.flaws: list[Flaw] = []
 
     def note(self, place: str, message: str) -> None:
@@ -84,10 +94,14 @@ class Catalogue:
         if name not in known:
             self.note(place, f"the database has no message {name!r}{_suggestion(name, known)}")
             return None
-        if known[name].length > _CLASSIC_LENGTH:
-            self.note(place, f"message {name!r} needs CAN FD, which is not supported")
+        message = known[name]
+        if needs_fd(message) and not self._fd:
+            self.note(place, f"message {name!r} is one of CAN FD: it needs bus.fd = true")
             return None
-        return known[name]
+        if message.length > CLASSIC_LENGTH and message.length not in _FD_LENGTHS:
+            self.note(place, f"message {name!r} has {message.length} bytes, which no frame has")
+            return None
+        return message
 
     def signal(self, reference: str, place: str) -> tuple[Message, Signal] | None:
         """The message and signal that `Message.Signal` names, or None and a flaw at `place`."""
@@ -121,6 +135,26 @@ class Catalogue:
             self._check_checksum(message, integrity.checksum, f"{place}.checksum")
         if integrity.counter and integrity.counter == integrity.checksum:
             self.note(place, f"{integrity.counter!r} cannot be both counter and checksum")
+        self._check_data_id(message, integrity, place)
+
+    def _check_data_id(self, message: Message, integrity: FrameIntegrity, place: str) -> None:
+        mode, plain = integrity.data_id_mode, integrity.algorithm == "sae-j1850"
+        if plain and (mode != "both" or integrity.nibble or integrity.data_id):
+            self.note(f"{place}.algorithm", "'sae-j1850' has no data id; 'autosar-p01' has one")
+        if mode == "alternating" and not integrity.counter:
+            self.note(f"{place}.counter", "is missing: an alternating data id follows it")
+        if (mode == "nibble") != (integrity.nibble is not None):
+            self.note(f"{place}.nibble", "is what data_id_mode = 'nibble' needs, and no other mode")
+        elif integrity.nibble:
+            self._check_nibble(message, integrity.nibble, f"{place}.nibble")
+
+    def _check_nibble(self, message: Message, name: str, place: str) -> None:
+        signal = self.signal_of(message, name, place)
+        if signal is None:
+            return
+        plain = is_word(signal) and not signal.is_signed and not is_multiplexed(signal)
+        if signal.length != _NIBBLE_BITS or not plain:
+            self.note(place, f"signal {name!r} must be four bits of every frame")
 
     def _check_counter(self, message: Message, integrity: FrameIntegrity, place: str) -> None:
         signal = self.signal_of(message, integrity.counter or "", place)
@@ -159,11 +193,6 @@ class Catalogue:
 def is_word(signal: Signal) -> bool:
     """Whether the physical value of a signal is its raw integer."""
     return not signal.is_float and signal.scale == 1 and signal.offset == 0
-
-
-def is_multiplexed(signal: Signal) -> bool:
-    """Whether only some frames of its message carry a signal."""
-    return bool(signal.multiplexer_ids)
 
 
 def _suggestion(name: str, known: Iterable[str]) -> str:

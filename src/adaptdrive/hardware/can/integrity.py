@@ -4,17 +4,21 @@ Both checksums use the polynomial x⁸+x⁴+x³+x²+1 (0x1D), most significant b
 of the frame but the one that holds the checksum:
 
 * `sae-j1850`: start value 0xFF, final XOR 0xFF.
-* `autosar-p01`: end-to-end profile 1 with both bytes of the data id: start value 0, no final XOR,
-  over the low byte of the data id, its high byte, and then the frame.
+* `autosar-p01`: end-to-end profile 1: start value 0, no final XOR, over the data id and then the
+  frame. Of the data id come its low byte and its high byte (`both`), its low byte alone (`low`),
+  its low byte with an even and its high byte with an odd alive counter (`alternating`), or its low
+  byte and a zero, while the lower half of its high byte travels in the frame (`nibble`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from enum import StrEnum
-from typing import Literal
 
-Checksum = Callable[[bytes], int]
+from adaptdrive.config.bus import FrameIntegrity
+
+Checksum = Callable[[bytes, int], int]
+"""From a frame without its checksum, and its alive counter, to the checksum."""
 
 
 def _table(polynomial: int) -> bytes:
@@ -48,20 +52,21 @@ def sae_j1850(data: bytes) -> int:
     return crc8(data, 0xFF) ^ 0xFF
 
 
-def checksum_function(algorithm: Literal["sae-j1850", "autosar-p01"], data_id: int) -> Checksum:
+def checksum_function(integrity: FrameIntegrity) -> Checksum:
     """The checksum of a message.
 
     Args:
-        algorithm: Form of the checksum.
-        data_id: Data id of AUTOSAR profile 1; SAE J1850 has none.
-
-    Returns:
-        A function from the bytes of a frame, without its checksum, to the checksum.
+        integrity: Its form, and the data id of AUTOSAR profile 1; SAE J1850 has none.
     """
-    if algorithm == "sae-j1850":
-        return sae_j1850
-    start = crc8(data_id.to_bytes(2, "little"), 0x00)
-    return lambda data: crc8(data, start)
+    if integrity.algorithm == "sae-j1850":
+        return lambda data, _: sae_j1850(data)
+    low, high = integrity.data_id.to_bytes(2, "little")
+    if integrity.data_id_mode == "alternating":
+        starts = crc8(bytes((low,)), 0x00), crc8(bytes((high,)), 0x00)
+        return lambda data, counter: crc8(data, starts[counter % 2])
+    begin = {"both": (low, high), "low": (low,), "nibble": (low, 0)}[integrity.data_id_mode]
+    start = crc8(bytes(begin), 0x00)
+    return lambda data, _: crc8(data, start)
 
 
 class Verdict(StrEnum):

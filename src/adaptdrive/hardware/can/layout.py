@@ -1,16 +1,16 @@
 """Where the bits of a signal lie: a DBC's layout, compiled for the fast path.
 
-Little-endian integers, which is what drives send, are cut out of one big integer by shift and mask.
-Whatever else a DBC can describe (big-endian, floating point and multiplexed signals) takes the slow
-way through cantools, with the same results.
+Integers of either byte order are cut out of one big integer by shift and mask. Whatever else a DBC
+can describe (floating point and multiplexed signals) takes the slow way through cantools, with the
+same results.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
-from typing import cast
+from typing import Literal, NamedTuple, cast
 
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
@@ -74,12 +74,16 @@ def compile_field(signal: Signal, *, measured: bool = False) -> Field:
     Args:
         signal: The signal.
         measured: Whether the largest raw value means "not available" even where the range that the
-            DBC declares (or fails to declare) has room for it.
+            DBC declares (or fails to declare) has room for it, and whatever its value table names
+            next to the ends ("error") is no value either.
     """
-    top = _natural_limits(signal)[1]
+    bottom, top = _natural_limits(signal)
     low, high = _declared_limits(signal)
     if measured and not signal.is_float and signal.length > 1:
-        high = min(high, top - 1)
+        names = list(signal.choices or ())
+        high = high if high < top - 1 else _below_names(names, top - 1)
+        if signal.is_signed and low == bottom:
+            low = -_below_names([-raw for raw in names], -low)
     return Field(
         name=signal.name,
         scale=signal.scale,
@@ -113,6 +117,13 @@ def _declared_limits(signal: Signal) -> tuple[Raw, Raw]:
     return max(low, math.ceil(ends[0] - _ROUNDING)), min(high, math.floor(ends[1] + _ROUNDING))
 
 
+def _below_names(names: Collection[int], end: Raw) -> Raw:
+    """The end of a range without the raw values there that have names, such as "error"."""
+    while end in names:
+        end -= 1
+    return end
+
+
 def compile_unpack(message: Message, names: Iterable[str]) -> Unpack:
     """A function from the bytes of a frame to the raw values of some of its signals.
 
@@ -121,42 +132,77 @@ def compile_unpack(message: Message, names: Iterable[str]) -> Unpack:
         names: The signals wanted.
     """
     signals = [message.get_signal_by_name(name) for name in names]
-    if message.is_multiplexed() or not all(map(_is_plain, signals)):
+    if not all(map(_is_plain, signals)):
         return _slow_unpack(message, frozenset(signal.name for signal in signals))
-    cuts = [_cut(signal) for signal in signals]
-
-    def unpack(data: bytes) -> dict[str, Raw]:
-        word = int.from_bytes(data, "little")
-        # (x ^ sign) - sign extends the sign; an unsigned signal has sign = 0
-        return {name: ((word >> shift & mask) ^ sign) - sign for name, shift, mask, sign in cuts}
-
-    return unpack
+    little, big = _cuts(message, signals, "little"), _cuts(message, signals, "big")
+    if not big:
+        return lambda data: _cut_out(int.from_bytes(data, "little"), little)
+    return lambda data: {
+        **_cut_out(int.from_bytes(data, "little"), little),
+        **_cut_out(int.from_bytes(data, "big"), big),
+    }
 
 
 def compile_pack(message: Message) -> Pack:
     """A function from the raw values of all signals of a message to the bytes of its frame."""
-    if message.is_multiplexed() or not all(map(_is_plain, message.signals)):
+    if not all(map(_is_plain, message.signals)):
         return lambda raw: message.encode(dict(raw), scaling=False, strict=False)
-    cuts = [_cut(signal) for signal in message.signals]
+    little, big = (_cuts(message, message.signals, order) for order in ("little", "big"))
     length = message.length
 
     def pack(raw: Mapping[str, Raw]) -> bytes:
-        word = 0
-        for name, shift, mask, _ in cuts:
-            word |= (cast("int", raw[name]) & mask) << shift
+        mirrored = _put_in(raw, big).to_bytes(length, "big")
+        word = _put_in(raw, little) | int.from_bytes(mirrored, "little")
         return word.to_bytes(length, "little")
 
     return pack
 
 
+def is_multiplexed(signal: Signal) -> bool:
+    """Whether only some frames of its message carry a signal."""
+    return bool(signal.multiplexer_ids)
+
+
 def _is_plain(signal: Signal) -> bool:
-    return signal.byte_order == "little_endian" and not signal.is_float
+    return not signal.is_float and not is_multiplexed(signal)
 
 
-def _cut(signal: Signal) -> tuple[str, int, int, int]:
-    mask = (1 << signal.length) - 1
+class _Cut(NamedTuple):
+    """Where an integer lies in the whole frame as one number of its byte order."""
+
+    name: str
+    shift: int
+    mask: int
+    sign: int
+
+
+def _cuts(
+    message: Message, signals: Iterable[Signal], order: Literal["little", "big"]
+) -> list[_Cut]:
+    chosen = [signal for signal in signals if signal.byte_order == f"{order}_endian"]
+    return [_cut(signal, message.length) for signal in chosen]
+
+
+def _cut(signal: Signal, frame_length: int) -> _Cut:
+    shift = signal.start
+    if signal.byte_order == "big_endian":
+        # a DBC counts bits from the right within a byte, and names the highest bit of the signal
+        first = 8 * (signal.start // 8) + 7 - signal.start % 8
+        shift = 8 * frame_length - first - signal.length
     sign = 1 << (signal.length - 1) if signal.is_signed else 0
-    return signal.name, signal.start, mask, sign
+    return _Cut(signal.name, shift, (1 << signal.length) - 1, sign)
+
+
+def _cut_out(word: int, cuts: Iterable[_Cut]) -> dict[str, Raw]:
+    # (x ^ sign) - sign extends the sign; an unsigned signal has sign = 0
+    return {name: ((word >> shift & mask) ^ sign) - sign for name, shift, mask, sign in cuts}
+
+
+def _put_in(raw: Mapping[str, Raw], cuts: Iterable[_Cut]) -> int:
+    word = 0
+    for name, shift, mask, _ in cuts:
+        word |= (cast("int", raw[name]) & mask) << shift
+    return word
 
 
 def _slow_unpack(message: Message, names: frozenset[str]) -> Unpack:

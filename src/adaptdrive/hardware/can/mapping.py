@@ -5,23 +5,38 @@ Everything that can be wrong is found here, before a bus is opened, and all of i
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
-from adaptdrive.config.bus import CanBus, Signals, SignalSource
+from adaptdrive.config.bus import CanBus, Signals, SignalSource, SwitchSource
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.can.bus import channel_flaws
 from adaptdrive.hardware.can.codec import MessageCodec, counter_modulus
-from adaptdrive.hardware.can.database import Catalogue, is_multiplexed, is_word, load_database
-from adaptdrive.hardware.can.layout import compile_field
+from adaptdrive.hardware.can.database import Catalogue, is_word, load_database
+from adaptdrive.hardware.can.layout import compile_field, is_multiplexed
+from adaptdrive.hardware.can.orders import Order, build_orders, find_orders, resolve
 
 _MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
 _WORDS = ("counter", "fault", "bridge")
-_COMMANDED = ("current_scale_S", "boost_reference_V", "bridge")
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """What of the configuration decides how old a value may be.
+
+    Attributes:
+        half_cycle_s: Half a line cycle.
+        stale_s: Oldest usable measurement, `interlocks.stale_s`.
+        daemon_holds_voltage: Whether the voltage loop runs in the daemon.
+    """
+
+    half_cycle_s: float
+    stale_s: float
+    daemon_holds_voltage: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,12 +48,15 @@ class Source:
         signal: Signal of the DBC.
         scale: SI units per unit of the signal.
         offset: SI value of a zero signal.
+        slack_s: How much older than `interlocks.stale_s` its values may be, as their message comes
+            less often.
     """
 
     quantity: str
     signal: Signal
     scale: float
     offset: float
+    slack_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,45 +68,49 @@ class Status:
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
-    """A message that carries the command: fields of `Command`, and the signals they go into."""
-
-    codec: MessageCodec
-    signals: tuple[tuple[str, str], ...]
-
-
-@dataclass(frozen=True, slots=True)
 class DriveMapping:
     """Everything that the port of one drive needs to know.
 
     Attributes:
         statuses: Messages with measurements.
-        orders: Messages with the command.
+        orders: Frames of the command, in the order of sending.
         clock: Message whose arrival is the fast tick.
         counter_modulus: Where the half-cycle counter wraps, None for a drive without one.
+        bridge_on: Value of the signal that says that the bridge is on.
+        fault_names: Value table of the fault word.
     """
 
     statuses: tuple[Status, ...]
     orders: tuple[Order, ...]
     clock: str
     counter_modulus: int | None
+    bridge_on: float
+    fault_names: Mapping[int, str]
 
 
-def map_drive(bus: CanBus, signals: Signals, source: Path | str = "configuration") -> DriveMapping:
+_Sources = dict[str, list[Source]]
+"""Sources by message."""
+
+
+def map_drive(
+    bus: CanBus, signals: Signals, timing: Timing, source: Path | str = "configuration"
+) -> DriveMapping:
     """Find every configured signal in the DBC.
 
     Args:
         bus: `[bus]`.
         signals: `[signals]`.
+        timing: How old a value may be.
         source: The configuration, for the error message.
 
     Raises:
         ConfigurationError: Something does not fit; every flaw is listed.
     """
-    catalogue = Catalogue(load_database(bus.database, source))
+    catalogue = Catalogue(load_database(bus.database, source), fd=bus.fd)
     catalogue.flaws.extend(channel_flaws(bus))
-    sources = _find_sources(catalogue, signals)
-    orders = _find_orders(catalogue, bus, signals)
+    sources = _find_sources(catalogue, bus, signals, timing)
+    bridge_on = _bridge_on(catalogue, signals.bridge, sources)
+    orders = find_orders(catalogue, bus, signals)
     _check_clock(catalogue, bus.clock, sources)
     for name, integrity in bus.integrity.items():
         catalogue.check_integrity(name, integrity)
@@ -98,35 +120,64 @@ def map_drive(bus: CanBus, signals: Signals, source: Path | str = "configuration
         raise ConfigurationError(source, catalogue.flaws)
     return DriveMapping(
         statuses=tuple(_status(catalogue, bus, *item) for item in sources.items()),
-        orders=tuple(_order(catalogue, bus, *item) for item in orders.items()),
+        orders=tuple(build_orders(catalogue, bus, orders)),
         clock=bus.clock,
         counter_modulus=_modulus(sources),
+        bridge_on=bridge_on,
+        fault_names=_names(sources, "fault"),
     )
 
 
-def _find_sources(catalogue: Catalogue, signals: Signals) -> dict[str, list[Source]]:
-    """Sources by message."""
-    found: dict[str, list[Source]] = {}
+def _find_sources(catalogue: Catalogue, bus: CanBus, signals: Signals, timing: Timing) -> _Sources:
+    found: _Sources = {}
     for quantity in (*_MEASURED, *_WORDS):
-        entry: SignalSource | str | None = getattr(signals, quantity)
+        entry: SignalSource | None = getattr(signals, quantity)
         if entry is None:
             continue
         place = f"signals.{quantity}"
-        reference, scale, offset = _parts(entry)
-        hit = catalogue.signal(reference, place)
+        hit = catalogue.signal(entry.signal, place)
         if hit is None:
             continue
         message, signal = hit
-        found.setdefault(message.name, []).append(Source(quantity, signal, scale, offset))
+        slack_s = _slack_s(message, signal, bus, timing)
+        if slack_s and quantity == "boost_voltage_V" and timing.daemon_holds_voltage:
+            _note_slow(catalogue, message, place)
+        source = Source(quantity, signal, entry.scale, entry.offset, slack_s)
+        found.setdefault(message.name, []).append(source)
         if quantity in _WORDS:
-            _check_word(catalogue, signal, place, plain=(scale, offset) == (1.0, 0.0))
+            _check_word(catalogue, signal, place, plain=(entry.scale, entry.offset) == (1.0, 0.0))
     return found
 
 
-def _parts(entry: SignalSource | str) -> tuple[str, float, float]:
-    if isinstance(entry, str):
-        return entry, 1.0, 0.0
-    return entry.signal, entry.scale, entry.offset
+def _slack_s(message: Message, signal: Signal, bus: CanBus, timing: Timing) -> float:
+    cycle_s = 1e-3 * (message.cycle_time or 0.0)
+    if message.name == bus.clock:
+        cycle_s = max(cycle_s, bus.clock_ticks * timing.half_cycle_s)
+    cycle_s *= _pages(message, signal)
+    return max(0.0, bus.stale_cycles * cycle_s - timing.stale_s)
+
+
+def _pages(message: Message, signal: Signal) -> int:
+    """How many pages of a multiplexed message take turns until a signal comes again."""
+    if not is_multiplexed(signal):
+        return 1
+    selector = signal.multiplexer_signal
+    siblings = [one for one in message.signals if one.multiplexer_signal == selector]
+    pages = {page for one in siblings for page in one.multiplexer_ids or ()}
+    return len(pages) * _pages(message, message.get_signal_by_name(selector or ""))
+
+
+def _note_slow(catalogue: Catalogue, message: Message, place: str) -> None:
+    problem = f"message {message.name!r} (GenMsgCycleTime {message.cycle_time} ms) comes too seldom"
+    catalogue.note(place, f"{problem} for voltage_loop.where = 'daemon'")
+
+
+def _bridge_on(catalogue: Catalogue, bridge: SwitchSource | None, sources: _Sources) -> float:
+    source = _source(sources, "bridge")
+    if bridge is None or bridge.on is None or source is None:
+        return 1.0
+    value = resolve(catalogue, source.signal, bridge.on, "signals.bridge.on")
+    return 1.0 if value is None else float(value)
 
 
 def _check_word(catalogue: Catalogue, signal: Signal, place: str, *, plain: bool) -> None:
@@ -139,44 +190,9 @@ def _check_word(catalogue: Catalogue, signal: Signal, place: str, *, plain: bool
         catalogue.note(place, problem)
 
 
-def _check_clock(catalogue: Catalogue, clock: str, sources: dict[str, list[Source]]) -> None:
+def _check_clock(catalogue: Catalogue, clock: str, sources: _Sources) -> None:
     if catalogue.message(clock, "bus.clock") and clock not in sources:
         catalogue.note("bus.clock", f"no entry of [signals] is taken from message {clock!r}")
-
-
-def _find_orders(
-    catalogue: Catalogue, bus: CanBus, signals: Signals
-) -> dict[str, list[tuple[str, str]]]:
-    """Fields of `Command` and their signals, by message."""
-    found: dict[str, list[tuple[str, str]]] = {}
-    for name in _COMMANDED:
-        reference: str | None = getattr(signals.command, name)
-        if reference is None:
-            continue
-        place = f"signals.command.{name}"
-        hit = catalogue.signal(reference, place)
-        if hit is None:
-            continue
-        message, signal = hit
-        found.setdefault(message.name, []).append((name, signal.name))
-        _check_commanded(catalogue, bus, message, signal, place)
-    return found
-
-
-def _check_commanded(
-    catalogue: Catalogue, bus: CanBus, message: Message, signal: Signal, place: str
-) -> None:
-    integrity = bus.integrity.get(message.name)
-    if integrity and signal.name in {integrity.counter, integrity.checksum}:
-        catalogue.note(place, f"signal {signal.name!r} is the message's counter or checksum")
-    if is_multiplexed(signal) or signal.is_multiplexer:
-        catalogue.note(place, f"signal {signal.name!r} is multiplexed: it cannot be commanded")
-    needed = (0, 1) if place.endswith(".bridge") else (0,)
-    for value in needed:
-        try:
-            compile_field(signal).raw(value)
-        except ValueError as problem:
-            catalogue.note(place, f"the drive could not be switched: {problem}")
 
 
 def _status(catalogue: Catalogue, bus: CanBus, name: str, sources: Iterable[Source]) -> Status:
@@ -190,14 +206,18 @@ def _status(catalogue: Catalogue, bus: CanBus, name: str, sources: Iterable[Sour
     return Status(codec, sources)
 
 
-def _order(
-    catalogue: Catalogue, bus: CanBus, name: str, signals: Iterable[tuple[str, str]]
-) -> Order:
-    return Order(MessageCodec(catalogue.known(name), bus.integrity.get(name)), tuple(signals))
+def _source(sources: _Sources, quantity: str) -> Source | None:
+    every = (source for found in sources.values() for source in found)
+    return next((source for source in every if source.quantity == quantity), None)
 
 
-def _modulus(sources: dict[str, list[Source]]) -> int | None:
-    for source in (source for found in sources.values() for source in found):
-        if source.quantity == "counter":
-            return counter_modulus(compile_field(source.signal))
-    return None
+def _modulus(sources: _Sources) -> int | None:
+    source = _source(sources, "counter")
+    return None if source is None else counter_modulus(compile_field(source.signal))
+
+
+def _names(sources: _Sources, quantity: str) -> dict[int, str]:
+    """The value table of a quantity's signal."""
+    source = _source(sources, quantity)
+    choices = source.signal.choices if source else None
+    return {raw: str(name) for raw, name in (choices or {}).items()}

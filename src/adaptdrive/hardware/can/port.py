@@ -13,7 +13,7 @@ import contextlib
 import math
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import can
@@ -24,7 +24,8 @@ from adaptdrive.errors import BusError
 from adaptdrive.hardware.can.bus import describe_bus, frame_key, open_bus
 from adaptdrive.hardware.can.codec import MessageCodec
 from adaptdrive.hardware.can.integrity import Verdict
-from adaptdrive.hardware.can.mapping import DriveMapping, Status, map_drive
+from adaptdrive.hardware.can.mapping import DriveMapping, Status, Timing, map_drive
+from adaptdrive.hardware.can.orders import Order
 from adaptdrive.hardware.can.reader import FrameReader
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 
@@ -39,9 +40,10 @@ _OLDEST_S = 1.0
 with the wall clock, and a step of that clock must not send an arrival into the distant past."""
 
 
-def build_can_port(
+def build_can_port(  # noqa: PLR0913 - what the configuration says, and both clocks
     bus: CanBus,
     signals: Signals,
+    timing: Timing,
     clock: Callable[[], float],
     *,
     wall_clock: Callable[[], float] = time.time,
@@ -52,6 +54,7 @@ def build_can_port(
     Args:
         bus: `[bus]`.
         signals: `[signals]`.
+        timing: How old a value may be.
         clock: Monotonic clock, in seconds.
         wall_clock: The clock with which the bus stamps frames, in seconds.
         source: The configuration, for error messages.
@@ -59,7 +62,7 @@ def build_can_port(
     Raises:
         ConfigurationError: Configuration and DBC do not fit; every flaw is listed.
     """
-    return CanPort(bus, map_drive(bus, signals, source), clock, wall_clock)
+    return CanPort(bus, map_drive(bus, signals, timing, source), clock, wall_clock)
 
 
 class CanPort:
@@ -81,9 +84,10 @@ class CanPort:
         self._wall_clock = wall_clock
         self._statuses = {_key(status.codec): status for status in mapping.statuses}
         self._own = {_key(order.codec) for order in mapping.orders}
+        self._sources = [source for status in mapping.statuses for source in status.sources]
         self._counts: Counter[str] = Counter()
         self._values: dict[str, float] = {}
-        self._arrivals: dict[str, float] = {}
+        self._dues: dict[str, tuple[float, float]] = {}
         self._bridge_sent = False
         self._bus: can.BusABC | None = None
         self._reader: FrameReader | None = None
@@ -138,10 +142,7 @@ class CanPort:
         Raises:
             ValueError: A value is not finite, or its signal cannot hold it; nothing is sent.
         """
-        frames = [
-            _frame(order.codec, {signal: getattr(command, name) for name, signal in order.signals})
-            for order in self._mapping.orders
-        ]
+        frames = [self._frame(order, command) for order in self._mapping.orders]
         taken = [self._put(frame) for frame in frames]
         if all(taken):
             self._bridge_sent = command.bridge
@@ -185,7 +186,7 @@ class CanPort:
             value = decoded.values.get(source.signal.name)
             if value is not None:
                 self._values[source.quantity] = value * source.scale + source.offset
-                self._arrivals[source.quantity] = arrival_s
+                self._dues[source.quantity] = arrival_s + source.slack_s, source.slack_s
         if status.codec.name == self._mapping.clock:
             self._compose(arrival_s)
 
@@ -203,23 +204,29 @@ class CanPort:
 
     def _compose(self, arrival_s: float) -> None:
         """Make a reading of the newest values; a fault in one that it replaces is not forgotten."""
-        oldest_s = min(self._arrivals.values())
-        if oldest_s == -math.inf:
+        due_s, slack_s = min(self._dues.values())
+        if due_s == -math.inf:
             return
         values, replaced = self._values, self._newest
         counter, bridge = values.get("counter"), values.get("bridge")
-        fault = int(values.get("fault", 0))
+        fault, fault_name = int(values.get("fault", 0)), ""
+        if fault:
+            fault_name = _name(fault, self._mapping.fault_names)
+        elif replaced is not None:
+            fault_name = replaced.fault_name
         self._newest = Reading(
             arrival_s=arrival_s,
-            oldest_s=oldest_s,
+            oldest_s=due_s - slack_s,
+            slack_s=slack_s,
             counter=None if counter is None else int(counter),
             boost_voltage_V=values.get("boost_voltage_V", math.nan),
             line_voltage_V=values.get("line_voltage_V", math.nan),
             load_power_W=values.get("load_power_W", math.nan),
             output=values.get("output", math.nan),
             fault=fault if replaced is None else fault | replaced.fault,
+            fault_name=fault_name,
             # a drive that does not say is taken to do what it was told last
-            bridge=self._bridge_sent if bridge is None else bridge == 1,
+            bridge=self._bridge_sent if bridge is None else bridge == self._mapping.bridge_on,
         )
 
     def _hand_out(self) -> None:
@@ -238,6 +245,16 @@ class CanPort:
             return False
         self._counts["sent"] += 1
         return True
+
+    def _frame(self, order: Order, command: Command) -> can.Message:
+        codec = order.codec
+        return can.Message(
+            arbitration_id=codec.frame_id,
+            is_extended_id=codec.is_extended,
+            is_fd=codec.is_fd,
+            bitrate_switch=codec.is_fd and self._config.bitrate_switch,
+            data=order.encode(command),
+        )
 
     def _open(self) -> can.BusABC:
         return open_bus(self._config, self._statuses)
@@ -272,17 +289,17 @@ class CanPort:
         self._newest = None
         for status in self._mapping.statuses:
             status.codec.reset()
-            for source in status.sources:
-                self._arrivals[source.quantity] = -math.inf
+        for source in self._sources:
+            self._dues[source.quantity] = -math.inf, 0.0
 
 
 def _key(codec: MessageCodec) -> int:
     return frame_key(codec.frame_id, extended=codec.is_extended)
 
 
-def _frame(codec: MessageCodec, values: dict[str, float | None]) -> can.Message:
-    return can.Message(
-        arbitration_id=codec.frame_id,
-        is_extended_id=codec.is_extended,
-        data=codec.encode(values),
-    )
+def _name(word: int, names: Mapping[int, str]) -> str:
+    """A fault word's name, or the names of its bits."""
+    if word in names:
+        return names[word]
+    bits = (1 << number for number in range(word.bit_length()))
+    return ", ".join(names[bit] for bit in bits if word & bit and bit in names)

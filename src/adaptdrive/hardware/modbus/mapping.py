@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from adaptdrive.config.bus import Signals
+from adaptdrive.config.bus import Signals, SignalSource, SwitchSource
 from adaptdrive.config.modbus import ModbusBus, Register
 from adaptdrive.config.references import COMMANDED, MEASURED, WORDS
 from adaptdrive.control.signals import SAFE_COMMAND, Command
@@ -32,19 +32,25 @@ class Source:
         register: Register of the map.
         scale: SI units per unit of the register.
         offset: SI value of a zero register.
+        on: Count of a switch that means on, None where any but 0 does.
     """
 
     quantity: str
     register: Register
     scale: float = 1.0
     offset: float = 0.0
+    on: float | None = None
 
     def value(self, block: Block, words: list[int]) -> float | None:
         """The quantity from the registers of its block, None when it must not be used."""
         start = self.register.address - block.address
         taken = words[start : start + self.register.words]
         value = decode_value(self.register, taken, measured=self.quantity not in _COUNTS)
-        return None if value is None else value * self.scale + self.offset
+        if value is None:
+            return None
+        if self.on is not None:
+            return float(value == self.on)
+        return value * self.scale + self.offset
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +59,8 @@ class Sink:
 
     name: str
     register: Register
+    scale: float = 1.0
+    offset: float = 0.0
 
     def words(self, command: Command, heartbeat: int) -> list[int]:
         """The registers of its part of the command.
@@ -66,7 +74,7 @@ class Sink:
             return encode_count(
                 self.register, self.register.on if command.bridge else self.register.off
             )
-        return encode_value(self.register, getattr(command, self.name))
+        return encode_value(self.register, (getattr(command, self.name) - self.offset) / self.scale)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +144,9 @@ def _sources(bus: ModbusBus, signals: Signals) -> Iterator[Source]:
     for quantity, given in (*named, *signals.other.items()):
         if given is not None:
             register = bus.registers[given.signal]
-            yield Source(quantity, register, given.scale, given.offset)
+            on = given.on if isinstance(given, SwitchSource) else None
+            count = None if on is None else float(on)
+            yield Source(quantity, register, given.scale, given.offset, count)
     if bus.heartbeat.drive is not None:
         yield Source(HEARTBEAT, bus.registers[bus.heartbeat.drive])
 
@@ -145,7 +155,9 @@ def _sinks(bus: ModbusBus, signals: Signals) -> Iterator[Sink]:
     for name in COMMANDED:
         given = getattr(signals.command, name)
         if given is not None:
-            yield Sink(name, bus.registers[given])
+            scaled = isinstance(given, SignalSource)
+            conversion = (given.scale, given.offset) if scaled else ()
+            yield Sink(name, bus.registers[given.signal], *conversion)
     if bus.heartbeat.daemon is not None:
         yield Sink(HEARTBEAT, bus.registers[bus.heartbeat.daemon])
 

@@ -1,0 +1,218 @@
+"""The command on its way out: which parts of it travel in which frames.
+
+A multiplexed message is sent once for each page that carries something; what all of its pages have
+in common travels in each of them.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+from cantools.database.can.message import Message
+from cantools.database.can.signal import Signal
+
+from adaptdrive.config.bus import CanBus, CommandSwitch, Signals
+from adaptdrive.control.signals import Command
+from adaptdrive.hardware.can.codec import MessageCodec
+from adaptdrive.hardware.can.database import Catalogue, is_word
+from adaptdrive.hardware.can.layout import compile_field
+
+_VALUES = ("current_scale_S", "boost_reference_V")
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One field of `Command` on its way into a signal: base + factor × field.
+
+    Attributes:
+        field: Field of `Command`.
+        signal: Name of the signal.
+        base: Value of the signal where the field is 0 or False.
+        factor: Units of the signal per unit of the field.
+    """
+
+    field: str
+    signal: str
+    base: float
+    factor: float
+
+    def value(self, command: Command) -> float:
+        """The signal's value, in the unit of the DBC."""
+        return self.base + self.factor * float(getattr(command, self.field))
+
+    def field_value(self, value: float) -> float:
+        """The field that a value of the signal stands for."""
+        return (value - self.base) / self.factor
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """One frame that carries a part of the command.
+
+    Attributes:
+        codec: Codec of its message; frames of one message share it, and its alive counter.
+        parts: What is taken from the command.
+        fixed: Values that are always the same: constants, and what selects the page.
+    """
+
+    codec: MessageCodec
+    parts: tuple[Part, ...]
+    fixed: Mapping[str, float]
+
+    def encode(self, command: Command) -> bytes:
+        """Make the next frame.
+
+        Raises:
+            ValueError: A value is not finite, or its signal cannot hold it.
+        """
+        values = {part.signal: part.value(command) for part in self.parts}
+        return self.codec.encode({**self.fixed, **values})
+
+
+Page = tuple[tuple[str, float], ...]
+"""The multiplexers of a frame, outermost first, and their values."""
+
+
+@dataclass(slots=True)
+class _Draft:
+    """What one page of a message will carry."""
+
+    parts: list[Part] = field(default_factory=list)
+    fixed: dict[str, float] = field(default_factory=dict)
+
+
+_Drafts = dict[str, dict[Page, _Draft]]
+
+
+def find_orders(catalogue: Catalogue, bus: CanBus, signals: Signals) -> _Drafts:
+    """What each page of each message has to carry; flaws go to the catalogue."""
+    drafts: _Drafts = {}
+    _find_constants(catalogue, bus, signals, drafts)
+    for name in _VALUES:
+        given = getattr(signals.command, name)
+        if given is not None:
+            part = Part(name, "", -given.offset / given.scale, 1.0 / given.scale)
+            _add(catalogue, bus, drafts, given.signal, part)
+    if signals.command.bridge is not None:
+        _find_switch(catalogue, bus, signals.command.bridge, drafts)
+    return drafts
+
+
+def build_orders(catalogue: Catalogue, bus: CanBus, drafts: _Drafts) -> Iterator[Order]:
+    """The frames of a command, from drafts without a flaw."""
+    for name, pages in drafts.items():
+        codec = MessageCodec(catalogue.known(name), bus.integrity.get(name))
+        common = pages.get((), _Draft())
+        for page in [page for page in pages if page] or [()]:
+            draft = pages[page] if page else _Draft()
+            parts = (*common.parts, *draft.parts)
+            yield Order(codec, parts, {**common.fixed, **draft.fixed, **dict(page)})
+
+
+def resolve(catalogue: Catalogue, signal: Signal, given: float | str, place: str) -> float | None:
+    """A value, or the one that a name of the signal's value table stands for."""
+    if not isinstance(given, str):
+        return given
+    names = {str(name): raw for raw, name in (signal.choices or {}).items()}
+    if given in names:
+        return compile_field(signal).physical(names[given])
+    close = difflib.get_close_matches(given, list(names), n=1)
+    hint = f" (did you mean {close[0]!r}?)" if close else ""
+    catalogue.note(place, f"the value table of {signal.name!r} has no {given!r}{hint}")
+    return None
+
+
+def page_of(catalogue: Catalogue, message: Message, signal: Signal, place: str) -> Page:
+    """What selects the frames that carry a signal; nothing where all of its message do."""
+    return tuple(_selectors(catalogue, message, signal, place))
+
+
+def _find_constants(catalogue: Catalogue, bus: CanBus, signals: Signals, drafts: _Drafts) -> None:
+    for reference, given in signals.command.constants.items():
+        place = f"signals.command.constants.{reference}"
+        hit = catalogue.signal(reference, place)
+        if hit is None:
+            continue
+        message, signal = hit
+        value = resolve(catalogue, signal, given, place)
+        if value is None:
+            continue
+        _check_proof(catalogue, bus, message, signal, place)
+        if _check_values(catalogue, signal, (value,), place):
+            layout = compile_field(signal)
+            draft = _draft(drafts, catalogue, message, signal, place)
+            draft.fixed[signal.name] = layout.physical(layout.raw(value))
+
+
+def _find_switch(catalogue: Catalogue, bus: CanBus, switch: CommandSwitch, drafts: _Drafts) -> None:
+    place = "signals.command.bridge"
+    hit = catalogue.signal(switch.signal, place)
+    if hit is None:
+        return
+    on = resolve(catalogue, hit[1], 1 if switch.on is None else switch.on, place)
+    off = resolve(catalogue, hit[1], 0 if switch.off is None else switch.off, place)
+    if on is None or off is None:
+        return
+    if on == off:
+        catalogue.note(place, f"on and off are both {on:g}")
+    _add(catalogue, bus, drafts, switch.signal, Part("bridge", "", off, on - off))
+
+
+def _add(catalogue: Catalogue, bus: CanBus, drafts: _Drafts, reference: str, part: Part) -> None:
+    place = f"signals.command.{part.field}"
+    hit = catalogue.signal(reference, place)
+    if hit is None:
+        return
+    message, signal = hit
+    _check_proof(catalogue, bus, message, signal, place)
+    if signal.is_multiplexer:
+        problem = "selects what else its frame holds: it cannot be commanded"
+        catalogue.note(place, f"signal {signal.name!r} {problem}")
+    ends = (part.base, part.base + part.factor) if part.field == "bridge" else (part.base,)
+    _check_values(catalogue, signal, ends, place)
+    draft = _draft(drafts, catalogue, message, signal, place)
+    if signal.name in draft.fixed:
+        catalogue.note(place, f"signal {signal.name!r} is a constant too")
+    draft.parts.append(Part(part.field, signal.name, part.base, part.factor))
+
+
+def _check_proof(
+    catalogue: Catalogue, bus: CanBus, message: Message, signal: Signal, place: str
+) -> None:
+    proof = bus.integrity.get(message.name)
+    if proof and signal.name in {proof.counter, proof.checksum, proof.nibble}:
+        catalogue.note(place, f"signal {signal.name!r} is the message's counter or checksum")
+
+
+def _check_values(
+    catalogue: Catalogue, signal: Signal, values: Iterable[float], place: str
+) -> bool:
+    try:
+        for value in values:
+            compile_field(signal).raw(value)
+    except ValueError as problem:
+        catalogue.note(place, f"the drive could not be switched: {problem}")
+        return False
+    return True
+
+
+def _draft(
+    drafts: _Drafts, catalogue: Catalogue, message: Message, signal: Signal, place: str
+) -> _Draft:
+    page = page_of(catalogue, message, signal, place)
+    return drafts.setdefault(message.name, {}).setdefault(page, _Draft())
+
+
+def _selectors(
+    catalogue: Catalogue, message: Message, signal: Signal, place: str
+) -> Iterator[tuple[str, float]]:
+    if not signal.multiplexer_ids or signal.multiplexer_signal is None:
+        return
+    selector = message.get_signal_by_name(signal.multiplexer_signal)
+    yield from _selectors(catalogue, message, selector, place)
+    if not is_word(selector):
+        problem = f"its multiplexer {selector.name!r} has a factor or an offset"
+        catalogue.note(place, problem)
+    yield selector.name, float(signal.multiplexer_ids[0])
