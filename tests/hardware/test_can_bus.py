@@ -8,7 +8,7 @@ import pytest
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.can.bus import describe_bus, frame_key, open_bus
+from adaptdrive.hardware.can.bus import _check_on_the_bus, describe_bus, frame_key, open_bus
 from tests.hardware.bench import motor_bus
 from tests.support import has_can
 
@@ -113,3 +113,18 @@ def test_a_bus_is_described_in_one_phrase(changes: dict[str, object], expected: 
 
 def test_an_extended_id_never_equals_a_standard_one() -> None:
     assert frame_key(0x100, extended=False) != frame_key(0x100, extended=True)
+
+
+def test_a_controller_that_is_bus_off_is_not_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "can7").mkdir()
+    monkeypatch.setattr("adaptdrive.hardware.can.bus._INTERFACES", tmp_path)
+    config = motor_bus(interface="socketcan", channel="can7")
+    _check_on_the_bus(config)  # no such file: nothing is known
+    carrier = tmp_path / "can7" / "carrier"
+    carrier.write_text("1\n")
+    _check_on_the_bus(config)
+    carrier.write_text("0\n")
+    with pytest.raises(BusError, match=r"bus-off.*can7 type can restart-ms"):
+        _check_on_the_bus(config)

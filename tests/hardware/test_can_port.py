@@ -405,6 +405,20 @@ async def test_a_bus_closed_under_the_reader_is_reported_and_opened_again(
         assert port.statistics.reconnects == 1
 
 
+async def test_a_controller_that_goes_bus_off_is_reported_and_opened_again(
+    port: CanPort, drive: Drive, ear: Ear
+) -> None:
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        drive.bus.send(can.Message(arbitration_id=0x40, is_error_frame=True, dlc=8, data=bytes(8)))
+        await until(lambda: len(ear.bus) == 2)
+        assert [up for up, _ in ear.bus] == [False, True]
+        assert "bus-off" in ear.bus[0][1]
+        drive.send_both()
+        await ear.hears(2)
+
+
 async def test_a_bus_that_stays_away_is_reported_once(
     port: CanPort, ear: Ear, monkeypatch: pytest.MonkeyPatch
 ) -> None:

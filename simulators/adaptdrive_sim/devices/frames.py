@@ -187,10 +187,13 @@ def _find_sinks(
 def _pages(
     catalogue: Catalogue, message: Message, sinks: list[tuple[Signal, Sink]]
 ) -> Iterator[Page]:
-    """Every page that carries something; what all pages have in common is in each."""
-    pages: dict[tuple[tuple[str, float], ...], list[Sink]] = {}
+    """Every page, whether or not it carries something; what pages have in common is in each."""
+    place = f"bus.database.{message.name}"
+    pages: dict[tuple[tuple[str, float], ...], list[Sink]] = {
+        page_of(catalogue, message, signal, place): [] for signal in message.signals
+    }
     for signal, sink in sinks:
-        pages.setdefault(page_of(catalogue, message, signal, "signals"), []).append(sink)
+        pages[page_of(catalogue, message, signal, place)].append(sink)
     common = pages.pop((), [])
     for page, own in (pages or {(): []}).items():
         yield Page(dict(page), (*common, *own))

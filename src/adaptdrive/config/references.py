@@ -23,8 +23,6 @@ def can_flaws(signals: Signals) -> Iterator[Flaw]:
     for place, name in (*measured_names(signals), *commanded_names(signals), *constants):
         if not _CAN_SIGNAL.fullmatch(name):
             yield Flaw(place, f"{name!r} must be `Message.Signal` on a CAN bus")
-    if signals.other:
-        yield Flaw("signals.other", "cannot be had of a drive on CAN yet")
 
 
 def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:

@@ -12,6 +12,7 @@ import ipaddress
 import socket
 import struct
 from collections.abc import Iterable
+from pathlib import Path
 
 import can
 
@@ -22,6 +23,8 @@ from adaptdrive.hardware.can.multicast import LoopbackMulticast
 _SIOCGIFFLAGS = 0x8913
 _IFF_UP = 0x1
 _IFNAMSIZ = 16
+
+_INTERFACES = Path("/sys/class/net")
 
 
 def describe_bus(config: CanBus) -> str:
@@ -80,6 +83,7 @@ def _is_group(channel: str) -> bool:
 def _open_socketcan(config: CanBus, listen: Iterable[int]) -> can.BusABC:
     _check_kernel(config)
     _check_interface_up(config)
+    _check_on_the_bus(config)
     filters = [_filter(key) for key in listen]
     return can.Bus(
         interface="socketcan",
@@ -117,3 +121,15 @@ def _check_interface_up(config: CanBus) -> None:
     if not struct.unpack_from("h", answer, _IFNAMSIZ)[0] & _IFF_UP:
         advice = f"the interface is down; try: ip link set {config.channel} up"
         raise BusError(describe_bus(config), advice)
+
+
+def _check_on_the_bus(config: CanBus) -> None:
+    """A controller that is bus-off can be opened too, and loses its carrier until it restarts."""
+    try:
+        carrier = (_INTERFACES / config.channel / "carrier").read_text(encoding="ascii")
+    except OSError:
+        return
+    if carrier.strip() == "0":
+        advice = f"ip link set {config.channel} type can restart-ms 100"
+        problem = f"the controller is bus-off; to have it come back by itself: {advice}"
+        raise BusError(describe_bus(config), problem)

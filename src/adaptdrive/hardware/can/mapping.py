@@ -5,7 +5,7 @@ Everything that can be wrong is found here, before a bus is opened, and all of i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from adaptdrive.hardware.can.orders import Order, build_orders, find_orders, res
 
 _MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
 _WORDS = ("counter", "fault", "bridge")
+OTHER = "other."
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +45,7 @@ class Source:
     """Where a quantity comes from.
 
     Attributes:
-        quantity: Field of `Reading`.
+        quantity: Field of `Reading`; one of its other values by `OTHER` and its name.
         signal: Signal of the DBC.
         scale: SI units per unit of the signal.
         offset: SI value of a zero signal.
@@ -130,10 +131,7 @@ def map_drive(
 
 def _find_sources(catalogue: Catalogue, bus: CanBus, signals: Signals, timing: Timing) -> _Sources:
     found: _Sources = {}
-    for quantity in (*_MEASURED, *_WORDS):
-        entry: SignalSource | None = getattr(signals, quantity)
-        if entry is None:
-            continue
+    for quantity, entry in _named(signals):
         place = f"signals.{quantity}"
         hit = catalogue.signal(entry.signal, place)
         if hit is None:
@@ -147,6 +145,16 @@ def _find_sources(catalogue: Catalogue, bus: CanBus, signals: Signals, timing: T
         if quantity in _WORDS:
             _check_word(catalogue, signal, place, plain=(entry.scale, entry.offset) == (1.0, 0.0))
     return found
+
+
+def _named(signals: Signals) -> Iterator[tuple[str, SignalSource]]:
+    """Every measured quantity that the drive sends."""
+    for quantity in (*_MEASURED, *_WORDS):
+        entry: SignalSource | None = getattr(signals, quantity)
+        if entry is not None:
+            yield quantity, entry
+    for name, entry in signals.other.items():
+        yield OTHER + name, entry
 
 
 def _slack_s(message: Message, signal: Signal, bus: CanBus, timing: Timing) -> float:
@@ -201,7 +209,7 @@ def _status(catalogue: Catalogue, bus: CanBus, name: str, sources: Iterable[Sour
         catalogue.known(name),
         bus.integrity.get(name),
         wanted=dict.fromkeys(source.signal.name for source in sources),
-        measured={source.signal.name for source in sources if source.quantity in _MEASURED},
+        measured={source.signal.name for source in sources if source.quantity not in _WORDS},
     )
     return Status(codec, sources)
 

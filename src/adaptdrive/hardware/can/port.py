@@ -24,7 +24,7 @@ from adaptdrive.errors import BusError
 from adaptdrive.hardware.can.bus import describe_bus, frame_key, open_bus
 from adaptdrive.hardware.can.codec import MessageCodec
 from adaptdrive.hardware.can.integrity import Verdict
-from adaptdrive.hardware.can.mapping import DriveMapping, Status, Timing, map_drive
+from adaptdrive.hardware.can.mapping import OTHER, DriveMapping, Status, Timing, map_drive
 from adaptdrive.hardware.can.orders import Order
 from adaptdrive.hardware.can.reader import FrameReader
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
@@ -85,6 +85,11 @@ class CanPort:
         self._statuses = {_key(status.codec): status for status in mapping.statuses}
         self._own = {_key(order.codec) for order in mapping.orders}
         self._sources = [source for status in mapping.statuses for source in status.sources]
+        self._others = {
+            source.quantity: source.quantity.removeprefix(OTHER)
+            for source in self._sources
+            if source.quantity.startswith(OTHER)
+        }
         self._counts: Counter[str] = Counter()
         self._values: dict[str, float] = {}
         self._dues: dict[str, tuple[float, float]] = {}
@@ -227,6 +232,7 @@ class CanPort:
             fault_name=fault_name,
             # a drive that does not say is taken to do what it was told last
             bridge=self._bridge_sent if bridge is None else bridge == self._mapping.bridge_on,
+            other={name: values[key] for key, name in self._others.items()},
         )
 
     def _hand_out(self) -> None:

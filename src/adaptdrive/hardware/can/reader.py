@@ -26,6 +26,9 @@ _POLL_S = 0.001
 _HEALTH_S = 0.25
 """How often an idle bus is checked: a socket that is closed under the reader never wakes it."""
 
+_BUS_OFF = 0x40
+"""Linux: the error class, in the id of an error frame, of a controller that left the bus."""
+
 _CLOSED = -1
 _NO_FILE = -2
 
@@ -144,6 +147,8 @@ def _drain(bus: can.BusABC, taker: FrameTaker) -> str | None:
             return str(problem)
         if frame is None:
             return None
+        if frame.is_error_frame and frame.arbitration_id & _BUS_OFF:
+            return "bus-off: the controller has left the bus after too many errors"
         taker.take(frame)
     return None
 

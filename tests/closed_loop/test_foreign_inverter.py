@@ -1,0 +1,120 @@
+"""An inverter of another make, known from its DBC alone, is held in closed loop on a real bus.
+
+What is on the bus is read by python-can and cantools, and its checksums by crccheck.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import can
+import cantools
+import pytest
+from cantools.database.can.database import Database
+from crccheck.crc import Crc8GsmA
+
+from adaptdrive.control.signals import Mode
+from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.requests import Disable, SetMode, SetSetpoint
+from tests.support import Spawn
+from tests.wire.rig import EXAMPLES, Rig, rigged, until
+
+DATA_IDS = {0x18FF5F10: 0x5F10, 0x18FF5F11: 0x5F11, 0x18FF5F13: 0x5F13}
+START_V = 273.0
+VOLTS_PER_RPM = 2.1502e-3
+
+
+class Stranger:
+    """Listens to the bus with tools that nobody here wrote."""
+
+    def __init__(self, udp_port: int) -> None:
+        database = cantools.database.load_file(EXAMPLES / "inverter.dbc")
+        assert isinstance(database, Database)
+        self._database = database
+        self._bus = can.Bus(
+            interface="udp_multicast",
+            channel="239.74.163.2",
+            port=udp_port,
+            hop_limit=0,
+            ignore_config=True,
+        )
+        self.values: dict[str, object] = {}
+        self.pages: defaultdict[str, set[object]] = defaultdict(set)
+
+    async def listen(self) -> None:
+        """Check and keep every frame."""
+        while True:
+            frame = self._bus.recv(0)
+            if frame is None:
+                await asyncio.sleep(0.005)
+            else:
+                self._take(frame)
+
+    def _take(self, frame: can.Message) -> None:
+        assert frame.is_extended_id
+        data_id, data = DATA_IDS[frame.arbitration_id], bytes(frame.data)
+        assert data[7] == Crc8GsmA.calc(data_id.to_bytes(2, "little") + data[:7])
+        decoded = self._database.decode_message(frame.arbitration_id, data, allow_truncated=False)
+        assert isinstance(decoded, dict)
+        self.values |= decoded
+        for name in ("ACT_PAGE", "CMD_PAGE"):
+            if name in decoded:
+                self.pages[name].add(decoded[name])
+
+    def close(self) -> None:
+        self._bus.shutdown()
+
+    def number(self, name: str) -> float:
+        return float(str(self.values[name]))
+
+
+def example(udp_port: int) -> str:
+    text = (EXAMPLES / "motor-inverter.toml").read_text()
+    text = text.replace("udp_port = 43113", f"udp_port = {udp_port}")
+    text = text.replace('"inverter.dbc"', f'"{EXAMPLES / "inverter.dbc"}"')
+    return text.replace("stale_s = 0.1\n", "stale_s = 0.5\n")  # a busy machine is no failure
+
+
+@pytest.mark.slow
+async def test_an_inverter_is_held_that_is_known_from_its_dbc_alone(
+    free_udp_port: int, tmp_path: Path, spawn: Spawn
+) -> None:
+    config = tmp_path / "inverter.toml"
+    config.write_text(example(free_udp_port))
+    options = ("--initial-voltage", str(START_V))
+    spawn(sys.executable, "-m", "adaptdrive_sim", "device", config, *options)
+    stranger = Stranger(free_udp_port)
+    async with asyncio.TaskGroup() as tasks:
+        listening = tasks.create_task(stranger.listen())
+        async with rigged(config.read_text(), config) as rig:
+            await until(lambda: stranger.values)
+            await hold(rig, stranger)
+        listening.cancel()
+    stranger.close()
+
+
+async def hold(rig: Rig, stranger: Stranger) -> None:
+    """Run to a higher set-point, hold it, and stop."""
+    await rig.run()
+    await rig.ask(SetMode(Mode.ADAPTIVE))
+    await rig.ask(SetSetpoint(3.3))
+    await until(lambda: stranger.values.get("STATE") == "Run")
+    await until(lambda: stranger.number("N_ACT") * VOLTS_PER_RPM > 3.25)
+    settled_s = time.monotonic() + 8.0
+    await until(lambda: time.monotonic() > settled_s)
+    assert stranger.number("N_ACT") * VOLTS_PER_RPM == pytest.approx(3.3, abs=0.02)
+    await until(lambda: abs(stranger.number("U_DC") - stranger.number("U_DC_SET")) < 1.0)
+    assert (stranger.values["REQUEST"], stranger.values["MODE"]) == ("Run", "Remote")
+    assert stranger.number("I_LIMIT") == 20.0  # the DBC's start value: 400 × 0.05 A
+    assert stranger.pages == {"ACT_PAGE": {1, 2, 3}, "CMD_PAGE": {1, 2}}
+    assert rig.heard("trip") == []
+    statistics = rig.port.statistics
+    assert (statistics.wrong_checksum, statistics.out_of_range, statistics.foreign) == (0, 0, 0)
+    await rig.ask(Disable())
+    await rig.reaches(State.STANDBY)
+    await until(lambda: stranger.values["STATE"] == "Off")
+    assert stranger.values["REQUEST"] == "Stop"

@@ -1,0 +1,358 @@
+"""What a DBC of another make asks for: pages, names, constants, seldom messages, CAN FD."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import can
+import cantools
+import pytest
+from cantools.database.can.database import Database
+from crccheck.crc import Crc8GsmA
+
+from adaptdrive.app.ports import build_port
+from adaptdrive.config import Configuration, load_configuration
+from adaptdrive.config.bus import CanBus, SignalSource
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.errors import ConfigurationError
+from adaptdrive.hardware.can.bus import open_bus
+from adaptdrive.hardware.can.port import CanPort
+from adaptdrive.runtime.interlocks import Limits, find_cause
+from tests.hardware.bench import EXAMPLES, Drive, Ear, running, until, with_crc
+
+INVERTER = load_configuration(EXAMPLES / "motor-inverter.toml")
+DATA_IDS = {"INV_STATE": 0x5F10, "INV_ACT": 0x5F11, "HOST_CMD": 0x5F13}
+Values = dict[str, float | str]
+STATE: Values = {"STATE": "Run", "FAULT_CODE": "None", "N_ACT": 1500.0, "I_OUT": 3.0}
+VOLTAGES: Values = {"ACT_PAGE": 1, "U_DC": 300.0, "P_OUT": 420.0}
+MAINS: Values = {"ACT_PAGE": 2, "U_MAINS": 121.5, "T_HEATSINK": 40.0}
+HOURS: Values = {"ACT_PAGE": 3, "RUN_HOURS": 20.0}
+RUN = Command(current_scale_S=0.0, boost_reference_V=287.66, bridge=True)
+
+
+def configured(channel: str, **changes: object) -> Configuration:
+    """The example on a bus of its own, changed."""
+    assert isinstance(INVERTER.bus, CanBus)
+    update = {"interface": "virtual", "channel": channel} | changes
+    return INVERTER.model_copy(update={"bus": INVERTER.bus.model_copy(update=update)})
+
+
+def commanding(**changes: object) -> Configuration:
+    """The example with another `[signals.command]`, validated again."""
+    document = INVERTER.model_dump()
+    document["signals"]["command"] |= changes
+    return Configuration.model_validate(document, strict=False)
+
+
+def port_of(configuration: Configuration) -> CanPort:
+    port = build_port(configuration, time.monotonic, "inverter.toml")
+    assert isinstance(port, CanPort)
+    return port
+
+
+def load(path: Path) -> Database:
+    database = cantools.database.load_file(path)
+    assert isinstance(database, Database)
+    return database
+
+
+class Inverter:
+    """Speaks as the DBC says, by cantools and crccheck."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self.bus, self.database = bus, load(EXAMPLES / "inverter.dbc")
+        self._alive = dict.fromkeys(DATA_IDS, 0)
+
+    def send(self, name: str, values: Mapping[str, float | str]) -> None:
+        message = self.database.get_message_by_name(name)
+        prefix = name.removeprefix("INV_")
+        proofs = {f"{prefix}_ALIVE": self._alive[name], f"{prefix}_CRC": 0}
+        self._alive[name] = (self._alive[name] + 1) % 15
+        data = bytearray(message.encode({**values, **proofs}, strict=False))
+        data[7] = Crc8GsmA.calc(DATA_IDS[name].to_bytes(2, "little") + bytes(data[:7]))
+        self.bus.send(
+            can.Message(arbitration_id=message.frame_id, is_extended_id=True, data=bytes(data))
+        )
+
+    def decode(self, frame: can.Message) -> dict[str, object]:
+        """Whatever a frame says; its checksum is verified."""
+        message = self.database.get_message_by_frame_id(frame.arbitration_id)
+        data = bytes(frame.data)
+        assert data[7] == Crc8GsmA.calc(DATA_IDS[message.name].to_bytes(2, "little") + data[:7])
+        return dict(message.decode_simple(data))
+
+    def send_all(self) -> None:
+        self.send("INV_ACT", VOLTAGES)
+        self.send("INV_ACT", MAINS)
+        self.send("INV_STATE", STATE)
+
+
+@pytest.fixture
+def inverter(request: pytest.FixtureRequest) -> Iterator[Inverter]:
+    configuration = configured(request.node.name)
+    assert isinstance(configuration.bus, CanBus)
+    bus = open_bus(configuration.bus)
+    yield Inverter(bus)
+    bus.shutdown()
+
+
+async def test_a_reading_is_gathered_from_pages_of_either_order(
+    inverter: Inverter, request: pytest.FixtureRequest
+) -> None:
+    ear = Ear()
+    async with running(port_of(configured(request.node.name)), ear):
+        inverter.send_all()
+        await ear.hears(1)
+    (reading,) = ear.readings
+    assert reading.boost_voltage_V == pytest.approx(300.0)
+    assert reading.load_power_W == pytest.approx(420.0)
+    assert reading.line_voltage_V == pytest.approx(121.5)
+    assert reading.output == pytest.approx(1500.0 * 2.1502e-3)
+    assert (reading.bridge, reading.fault, reading.counter) == (True, 0, None)
+
+
+async def test_more_values_are_handed_on_by_name(
+    inverter: Inverter, request: pytest.FixtureRequest
+) -> None:
+    configuration = configured(request.node.name)
+    other = {"heat_sink": SignalSource(signal="INV_ACT.T_HEATSINK", offset=273.15)}
+    signals = configuration.signals.model_copy(update={"other": other})
+    ear = Ear()
+    async with running(port_of(configuration.model_copy(update={"signals": signals})), ear):
+        inverter.send_all()
+        await ear.hears(1)
+    assert ear.readings[0].other == {"heat_sink": pytest.approx(313.15)}
+
+
+async def test_names_of_the_value_tables_are_used_and_told(
+    inverter: Inverter, request: pytest.FixtureRequest
+) -> None:
+    ear = Ear()
+    async with running(port_of(configured(request.node.name)), ear):
+        inverter.send_all()
+        inverter.send("INV_STATE", STATE | {"STATE": "Fault", "FAULT_CODE": "Heat sink too hot"})
+        await ear.hears(1)
+        await until(lambda: ear.readings[-1].fault == 17)
+    reading = ear.readings[-1]
+    assert not reading.bridge
+    limits = Limits(1.0, 430.0, 5.0, "V")
+    assert find_cause(reading, reading.oldest_s, limits) == (
+        "drive fault: word 0x11 (Heat sink too hot)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "raw"),
+    [
+        ("INV_STATE", STATE, {"N_ACT": -8388.608}),  # "Encoder broken"
+        ("INV_STATE", STATE, {"N_ACT": 8388.607}),  # "SNA"
+        ("INV_ACT", MAINS, {"U_MAINS": 6553.4}),  # "Out of range"
+        ("INV_ACT", MAINS, {"U_MAINS": 6553.5}),  # "SNA"
+        ("INV_ACT", VOLTAGES, {"U_DC": 1310.7}),  # all ones, though the DBC's range has room for it
+    ],
+)
+async def test_a_count_that_has_a_name_is_no_measurement(
+    inverter: Inverter,
+    request: pytest.FixtureRequest,
+    name: str,
+    values: Values,
+    raw: Values,
+) -> None:
+    ear, port = Ear(), port_of(configured(request.node.name))
+    async with running(port, ear):
+        inverter.send_all()
+        inverter.send(name, values | raw)
+        await until(lambda: port.statistics.received == 4)
+        assert port.statistics.out_of_range == 1
+
+
+async def test_a_page_nobody_asked_for_is_read_over(
+    inverter: Inverter, request: pytest.FixtureRequest
+) -> None:
+    ear, port = Ear(), port_of(configured(request.node.name))
+    async with running(port, ear):
+        inverter.send("INV_ACT", HOURS)
+        inverter.send_all()
+        await ear.hears(1)
+        assert port.statistics.out_of_range == port.statistics.foreign == 0
+
+
+async def test_a_command_is_spread_over_pages_with_its_constants(
+    inverter: Inverter, request: pytest.FixtureRequest
+) -> None:
+    port = port_of(configured(request.node.name))
+    heard = []
+    async with running(port, Ear()):
+        for command in (RUN, SAFE_COMMAND):
+            assert port.send(command)
+            for _ in range(2):
+                frame = await asyncio.to_thread(inverter.bus.recv, 5.0)
+                assert frame is not None
+                assert (frame.arbitration_id, frame.is_extended_id) == (0x18FF5F13, True)
+                heard.append(inverter.decode(frame))
+
+    def sent(name: str) -> list[object]:
+        return [values[name] for values in heard if name in values]
+
+    assert [values["CMD_ALIVE"] for values in heard] == [0, 1, 2, 3]
+    assert sent("CMD_PAGE") == [1, 2, 1, 2]
+    assert sent("REQUEST") == ["Run", "Stop"]
+    assert sent("MODE") == ["Remote", "Remote"]
+    assert sent("U_DC_SET") == [287.66, 0.0]
+    assert sent("I_LIMIT") == [20.0, 20.0]
+
+
+async def test_a_seldom_value_may_be_as_old_as_its_cycle_time_says(
+    inverter: Inverter, request: pytest.FixtureRequest
+) -> None:
+    ear = Ear()
+    async with running(port_of(configured(request.node.name)), ear):
+        inverter.send_all()
+        await ear.hears(1)
+        inverter.send("INV_STATE", STATE)
+        await ear.hears(2)
+    # 4 cycles of 25 ms for the state; pages take three turns, so that theirs are 4 × 75 ms
+    limits = Limits(INVERTER.interlocks.stale_s, 430.0, 5.0, "V")
+    reading = ear.readings[1]
+    assert reading.slack_s == 0.0  # the state is out of date first
+    assert find_cause(reading, reading.arrival_s + 0.099, limits) is None
+    assert "limit 100 ms" in str(find_cause(reading, reading.arrival_s + 0.101, limits))
+    pages = replace(reading, slack_s=0.2)
+    assert find_cause(pages, pages.oldest_s + 0.299, limits) is None
+    assert "limit 300 ms" in str(find_cause(pages, pages.oldest_s + 0.301, limits))
+
+
+async def test_pages_that_stay_away_are_the_oldest_values_once_they_are_overdue(
+    inverter: Inverter, request: pytest.FixtureRequest
+) -> None:
+    ear = Ear()
+    async with running(port_of(configured(request.node.name)), ear):
+        inverter.send_all()
+        await ear.hears(1)
+        await asyncio.sleep(0.25)
+        inverter.send("INV_STATE", STATE)
+        await ear.hears(2)
+    first, second = ear.readings
+    assert second.slack_s == pytest.approx(0.2)
+    assert second.oldest_s <= first.arrival_s
+    assert second.arrival_s - second.oldest_s >= 0.25
+
+
+@pytest.mark.parametrize(
+    ("changes", "place", "words"),
+    [
+        ({"constants": {"HOST_CMD.MODE": "Remot"}}, "HOST_CMD.MODE", "did you mean 'Remote'"),
+        ({"constants": {"HOST_CMD.MODE": 256.0}}, "HOST_CMD.MODE", "is outside 0…255"),
+        ({"constants": {"HOST_CMD.REQUEST": 1.0}}, "signals.command.bridge", "a constant too"),
+        ({"constants": {"HOST_CMD.CMD_CRC": 1.0}}, "HOST_CMD.CMD_CRC", "counter or checksum"),
+        (
+            {"bridge": {"signal": "HOST_CMD.REQUEST", "on": "Go"}},
+            "signals.command.bridge",
+            "no 'Go'",
+        ),
+        (
+            {"bridge": {"signal": "HOST_CMD.REQUEST", "on": 0}},
+            "signals.command.bridge",
+            "both 0",
+        ),
+        ({"boost_reference_V": {"signal": "HOST_CMD.CMD_PAGE"}}, "boost_reference_V", "selects"),
+    ],
+)
+def test_each_flaw_of_a_command_names_its_place(
+    changes: dict[str, object], place: str, words: str
+) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        port_of(commanding(**changes))
+    found = "\n".join(f"{flaw.place}: {flaw.message}" for flaw in caught.value.flaws)
+    assert place in found
+    assert words in found
+
+
+async def test_a_command_is_converted_to_the_unit_of_its_signal(
+    inverter: Inverter, request: pytest.FixtureRequest
+) -> None:
+    configuration = commanding(boost_reference_V={"signal": "HOST_CMD.U_DC_SET", "scale": 2.0})
+    bus = configured(request.node.name).bus
+    port = port_of(configuration.model_copy(update={"bus": bus}))
+    async with running(port, Ear()):
+        assert port.send(RUN)
+        frames = [await asyncio.to_thread(inverter.bus.recv, 5.0) for _ in range(2)]
+    decoded = [inverter.decode(frame) for frame in frames if frame]
+    assert [values["U_DC_SET"] for values in decoded if "U_DC_SET" in values] == [143.84]
+
+
+def test_a_safe_command_that_no_signal_can_hold_is_a_flaw() -> None:
+    signal = {"signal": "HOST_CMD.U_DC_SET", "scale": 2.0, "offset": 100.0}
+    with pytest.raises(ConfigurationError, match=r"could not be switched: U_DC_SET = -50\.0"):
+        port_of(commanding(boost_reference_V=signal))
+
+
+def fd_drive(tmp_path: Path) -> Path:
+    """The reference DBC with one message of 48 bytes that holds all of the drive's status."""
+    text = (EXAMPLES / "adaptdrive.dbc").read_text()
+    text = text.replace("BO_ 257 DriveLoad: 8", "BO_ 257 DriveLoad: 48")
+    text = text.replace("LoadCrc : 56|8", "LoadCrc : 376|8")
+    path = tmp_path / "fd.dbc"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("interface", ["virtual", "udp_multicast"])
+async def test_long_frames_of_can_fd_are_exchanged(
+    tmp_path: Path, free_udp_port: int, interface: str
+) -> None:
+    motor = load_configuration(EXAMPLES / "motor.toml")
+    assert isinstance(motor.bus, CanBus)
+    channel = {"virtual": "fd", "udp_multicast": "239.74.163.2"}[interface]
+    fields = {"fd": True, "interface": interface, "channel": channel, "udp_port": free_udp_port}
+    bus = motor.bus.model_copy(update={"database": fd_drive(tmp_path), **fields})
+    port, ear = port_of(motor.model_copy(update={"bus": bus})), Ear()
+    peer = open_bus(bus)
+    drive = Drive(peer)
+    message = load(bus.database).get_message_by_name("DriveLoad")
+    async with running(port, ear):
+        drive.send_status()
+        names = [signal.name for signal in message.signals]
+        data = message.encode(dict.fromkeys(names, 0) | {"Tachometer": 2.5, "LoadAlive": 3})
+        peer.send(
+            can.Message(
+                arbitration_id=0x101,
+                is_extended_id=False,
+                is_fd=True,
+                bitrate_switch=True,
+                data=with_crc(data),
+            )
+        )
+        await ear.hears(1)
+        assert ear.readings[0].output == pytest.approx(2.5)
+        assert port.send(SAFE_COMMAND)
+    peer.shutdown()
+
+
+@pytest.mark.parametrize(
+    ("length", "fd", "words"), [(48, False, "bus.fd = true"), (40, True, "which no frame has")]
+)
+def test_a_frame_that_the_bus_cannot_carry_is_a_flaw(
+    tmp_path: Path, length: int, fd: bool, words: str
+) -> None:
+    path = fd_drive(tmp_path)
+    path.write_text(path.read_text().replace("DriveLoad: 48", f"DriveLoad: {length}"))
+    path.write_text(path.read_text().replace("LoadCrc : 376|8", "LoadCrc : 312|8"))
+    motor = load_configuration(EXAMPLES / "motor.toml")
+    bus = motor.bus.model_copy(update={"database": path, "fd": fd})
+    with pytest.raises(ConfigurationError, match=words):
+        port_of(motor.model_copy(update={"bus": bus}))
+
+
+def test_a_voltage_that_comes_seldom_is_no_business_of_the_fast_loop(tmp_path: Path) -> None:
+    path = tmp_path / "slow.dbc"
+    text = (EXAMPLES / "adaptdrive.dbc").read_text()
+    path.write_text(text.replace('"GenMsgCycleTime" BO_ 256 8', '"GenMsgCycleTime" BO_ 256 100'))
+    motor = load_configuration(EXAMPLES / "motor.toml")
+    bus = motor.bus.model_copy(update={"database": path})
+    with pytest.raises(ConfigurationError, match=r"signals\.boost_voltage_V.*too seldom"):
+        port_of(motor.model_copy(update={"bus": bus}))

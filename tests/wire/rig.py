@@ -1,0 +1,126 @@
+"""The whole daemon but its broker, in the test's own process, on whatever bus a test gives it.
+
+What an operator would see is kept: every event and every state, with the time at which it came.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from adaptdrive.app.ports import build_port
+from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
+from adaptdrive.app.warm_up import warm_up
+from adaptdrive.config.file import parse_configuration
+from adaptdrive.control.controller import Controller
+from adaptdrive.errors import RefusedError
+from adaptdrive.hardware.port import Port
+from adaptdrive.runtime.daemon import Daemon
+from adaptdrive.runtime.hub import Hub, Subscription
+from adaptdrive.runtime.reports import DriveReport, Event, State, StateReport
+from adaptdrive.runtime.requests import Enable, Request, Reset
+from adaptdrive.runtime.watchdog import ServiceManager
+
+EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
+PATIENCE_s = 30.0
+
+
+@dataclass
+class Rig:
+    """A running daemon, and what has been heard of it."""
+
+    daemon: Daemon
+    port: Port
+    reports: Subscription
+    events: list[tuple[float, Event]] = field(default_factory=list)
+    state: StateReport | None = None
+    drive: DriveReport | None = None
+
+    async def listen(self) -> None:
+        """Keep what is reported."""
+        while True:
+            for report in await self.reports.take():
+                match report:
+                    case Event():
+                        self.events.append((time.monotonic(), report))
+                    case StateReport():
+                        self.state = report
+                    case DriveReport():
+                        self.drive = report
+
+    async def ask(self, request: Request) -> None:
+        """Have a request carried out, as soon as it is not refused."""
+        await until(lambda: self._accepts(request))
+
+    async def _accepts(self, request: Request) -> bool:
+        try:
+            await self.daemon.execute(request)
+        except RefusedError:
+            return False
+        return True
+
+    async def run(self) -> None:
+        """Enable the drive, from a trip too, and wait until it runs."""
+        await self.ask(Reset())
+        await self.ask(Enable())
+        await self.reaches(State.RUNNING)
+
+    async def reaches(self, state: State) -> None:
+        """Wait for a state."""
+        await until(lambda: self.state is not None and self.state.state is state)
+
+    def heard(self, kind: str, since_s: float = 0.0) -> list[str]:
+        """What has been told of one kind since a monotonic time."""
+        return [
+            event.detail for when, event in self.events if event.kind == kind and when >= since_s
+        ]
+
+
+@contextlib.asynccontextmanager
+async def rigged(text: str, source: Path = EXAMPLES / "rig.toml") -> AsyncIterator[Rig]:
+    """Run a daemon until the block ends.
+
+    Args:
+        text: Its configuration, in TOML.
+        source: Where its files are looked for.
+    """
+    configuration, hub = parse_configuration(text, source), Hub()
+    reports = hub.subscribe(Event, StateReport, DriveReport, size=10_000)
+    warm_up(configuration, build_port(configuration, time.monotonic, source))
+    port = build_port(configuration, time.monotonic, source)
+    daemon = Daemon(
+        port=port,
+        controller=Controller(controller_settings(configuration), build_load(configuration)),
+        settings=daemon_settings(configuration),
+        clock=time.monotonic,
+        hub=hub,
+        manager=ServiceManager({}),
+    )
+    rig, stop = Rig(daemon, port, reports), asyncio.Event()
+    async with asyncio.TaskGroup() as tasks:
+        listening = tasks.create_task(rig.listen())
+        serving = tasks.create_task(daemon.run(stop))
+        try:
+            yield rig
+        finally:
+            stop.set()
+            await asyncio.wait([serving])
+            listening.cancel()
+
+
+async def until(
+    condition: Callable[[], object], patience_s: float = PATIENCE_s, poll_s: float = 0.001
+) -> float:
+    """Wait for a condition, which may be awaited; the monotonic time at which it held."""
+    async with asyncio.timeout(patience_s):
+        while True:
+            found = condition()
+            if asyncio.iscoroutine(found):
+                found = await found
+            if found:
+                return time.monotonic()
+            await asyncio.sleep(poll_s)
