@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import shutil
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -214,16 +214,25 @@ async def _await_subscription(broker: Broker, ear: Ear, ready: str) -> None:
     ear.start_over(ready)
 
 
+async def publish_lines(broker: Broker, topic: str, lines: Sequence[str]) -> None:
+    """Have mosquitto_pub publish a message for each line, as fast as it can."""
+    await _publish(broker, topic, "\n".join(lines).encode() + b"\n", "-l")
+
+
 async def publish(broker: Broker, topic: str, payload: str | bytes, *more: str) -> None:
     """Have mosquitto_pub publish one message with QoS 1."""
-    source = "-s" if payload else "-n"
+    content = payload if isinstance(payload, bytes) else payload.encode()
+    await _publish(broker, topic, content, "-s" if payload else "-n", *more)
+
+
+async def _publish(broker: Broker, topic: str, content: bytes, *options: str) -> None:
     process = await asyncio.create_subprocess_exec(
         _program("mosquitto_pub"),
         *_address(broker),
-        *("-t", topic, "-q", "1", source, *more),
+        *("-t", topic, "-q", "1", *options),
         stdin=asyncio.subprocess.PIPE,
     )
-    await process.communicate(payload if isinstance(payload, bytes) else payload.encode())
+    await process.communicate(content)
     assert process.returncode == 0
 
 

@@ -18,11 +18,12 @@ from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.clock import Monotonic
 from adaptdrive.operation.pace import Backoff
 from adaptdrive.operation.steady import SteadyClient
+from adaptdrive.operation.waiting import NewestMessages
 
 TIMEOUT_S = 5.0
 GOODBYE_S = 1.0
 KEEP_ALIVE_S = 15
-LARGEST_BACKLOG = 1000
+LARGEST_BACKLOG = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +35,7 @@ class Line:
         protocol: The MQTT version that the broker agreed to.
     """
 
-    client: Client
+    client: SteadyClient
     protocol: ProtocolVersion
 
 
@@ -115,7 +116,7 @@ class Link:
 @asynccontextmanager
 async def connection(
     settings: Mqtt, protocol: ProtocolVersion, identifier: str | None, will: Will | None
-) -> AsyncIterator[Client]:
+) -> AsyncIterator[SteadyClient]:
     """One connection to a broker, closed at the end whatever state it is in.
 
     It ends with a goodbye unless an error ends it: then the broker sends the last will.
@@ -158,6 +159,7 @@ async def _client(
         protocol=protocol,
         timeout=TIMEOUT_S,
         keepalive=KEEP_ALIVE_S,
+        queue_type=NewestMessages,
         max_queued_incoming_messages=LARGEST_BACKLOG,
     )
 

@@ -17,7 +17,11 @@ from adaptdrive.operation.messages import OFFLINE, ONLINE, Reply, encode
 from adaptdrive.operation.pace import Pace
 from adaptdrive.operation.topics import Topics
 
-COMMANDS_HELD = 100
+COMMANDS_HELD = 10
+PAUSE_S = 0.005
+"""From one answer to the next command: a flood of them must not keep a CPU busy."""
+
+TOLD_EVERY_S = 10.0
 FAREWELL_S = 1.0
 LOWEST_FAILURE_CODE = 128
 
@@ -43,6 +47,8 @@ class Session:
         self._ask = ask
         self._pace = pace
         self._commands: asyncio.Queue[Message] = asyncio.Queue(COMMANDS_HELD)
+        self._told = 0
+        self._told_s = -TOLD_EVERY_S
 
     async def run(self) -> None:
         """Serve until the connection is lost, or until cancelled: then say so and leave.
@@ -94,12 +100,22 @@ class Session:
     async def _answer_commands(self) -> None:
         while True:
             await self._answer(await self._commands.get())
+            self._tell_dropped()
+            await asyncio.sleep(PAUSE_S)
 
     async def _answer(self, message: Message) -> None:
         verb = self._topics.verb(message.topic.value)
         reply = await self._ask(verb, bytes(message.payload), message.retain)
         if reply is not None:
             await self._client.publish(self._topics.reply, encode(reply), qos=1)
+
+    def _tell_dropped(self) -> None:
+        """Log that commands went unread, and how many, but not each."""
+        now_s, dropped = asyncio.get_running_loop().time(), self._client.dropped
+        if dropped == self._told or now_s - self._told_s < TOLD_EVERY_S:
+            return
+        structlog.get_logger().warning("too many commands", dropped=dropped - self._told)
+        self._told, self._told_s = dropped, now_s
 
     async def _send_state(self) -> None:
         while True:

@@ -11,6 +11,8 @@ import paho.mqtt.client as paho
 from aiomqtt import Client, MqttError
 from aiomqtt.types import PahoSocket
 
+from adaptdrive.operation.waiting import NewestMessages
+
 T = TypeVar("T")
 
 
@@ -19,6 +21,11 @@ class SteadyClient(Client):
 
     What it overrides and calls is private to aiomqtt 2.
     """
+
+    @property
+    def dropped(self) -> int:
+        """Messages that nobody read in time, and that newer ones have pushed out."""
+        return self._queue.dropped if isinstance(self._queue, NewestMessages) else 0
 
     async def release(self) -> None:
         """Close the socket of a client that was never connected, or whose broker hangs.
