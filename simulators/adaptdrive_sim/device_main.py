@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import math
 import signal
 import sys
 import time
@@ -16,11 +17,13 @@ import structlog
 from structlog.typing import EventDict, WrappedLogger
 
 from adaptdrive.config.bus import CanBus
+from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.file import load_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.errors import AdaptdriveError, RefusedError
 from adaptdrive_sim.broker import parse_address
 from adaptdrive_sim.devices.can_drive import CanDrive
+from adaptdrive_sim.devices.canopen_drive import CanOpenDrive
 from adaptdrive_sim.devices.drive import COMMAND_TIMEOUT_s, Drive, Frame, Report
 from adaptdrive_sim.devices.frames import load_messages
 from adaptdrive_sim.devices.modbus_drive import ModbusDrive
@@ -90,16 +93,19 @@ def build_drive(configuration: Configuration, settings: DeviceSettings, report: 
         RefusedError: A setting cannot be read.
     """
     world, power = build_world(configuration, settings), configuration.drive
+    canopen = isinstance(configuration.bus, CanOpenBus)  # it watches a heartbeat, not commands
     if configuration.voltage_loop.where == "daemon":
-        return Drive(world, report)
+        return Drive(world, report, timeout_s=math.inf if canopen else COMMAND_TIMEOUT_s)
     holder = VoltageHolder(power.boost_capacitance_F, bidirectional=power.kind == "bidirectional")
+    if canopen:
+        return Drive(world, report, holder, math.inf)
     reading_s = 0.5 * configuration.ticks_per_reading / power.line_frequency_Hz
     return Drive(world, report, holder, max(COMMAND_TIMEOUT_s, PATIENCE_READINGS * reading_s))
 
 
 def build_node(
     configuration: Configuration, drive: Drive, report: Report, path: Path
-) -> CanDrive | ModbusDrive:
+) -> CanDrive | CanOpenDrive | ModbusDrive:
     """Put the drive on the bus that its configuration names.
 
     Raises:
@@ -108,6 +114,8 @@ def build_node(
     bus = configuration.bus
     if isinstance(bus, CanBus):
         return CanDrive(drive, bus, load_messages(bus, configuration, path), report)
+    if isinstance(bus, CanOpenBus):
+        return CanOpenDrive(drive, configuration, report, path)
     return ModbusDrive(drive, bus, configuration.signals, report)
 
 
@@ -194,6 +202,7 @@ def _overridden(configuration: Configuration, settings: DeviceSettings) -> Confi
 
 _OVERRIDES = {
     "can": {"interface": "interface", "channel": "channel", "port": "udp_port"},
+    "canopen": {"interface": "interface", "channel": "channel", "port": "udp_port"},
     "modbus-tcp": {"channel": "host", "port": "port"},
     "modbus-rtu": {"channel": "device"},
 }

@@ -151,14 +151,24 @@ class Drive:
         if self._commanded_s is None:
             return
         age_s = now_s - self._commanded_s
-        if age_s < self._timeout_s:
+        if age_s >= self._timeout_s:
+            self.shut_down("command timeout", age_s)
+
+    def shut_down(self, reason: str, age_s: float = 0.0) -> None:
+        """Enter the safe state by itself; the next valid command ends that.
+
+        Args:
+            reason: Why, for the log.
+            age_s: How long it took to notice.
+        """
+        if self._commanded_s is None:
             return
         self._commanded_s, self._scale_S, self._bridge = None, 0.0, False
         self._reference_V = 0.0
         self.world.shut()
         self._report(
             "safe",
-            reason="command timeout",
+            reason=reason,
             after_ms=round(1e3 * age_s, 1),
             current_scale_S=self.world.current_scale_S,
             bridge=self.world.bridge,

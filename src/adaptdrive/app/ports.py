@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanBus
+from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.port import Port
 
 
@@ -35,8 +38,25 @@ def build_port(
             daemon_holds_voltage=configuration.voltage_loop.where == "daemon",
         )
         return build_can_port(bus, signals, timing, clock, source=source)
+    if isinstance(bus, CanOpenBus):
+        with _canopen_installed(source):
+            from adaptdrive.hardware.canopen.port import (  # noqa: PLC0415 - load what is used
+                build_canopen_port,
+            )
+        return build_canopen_port(bus, signals, half_cycle_s, clock, source=source)
     from adaptdrive.hardware.modbus.port import (  # noqa: PLC0415 - load what is used
         build_modbus_port,
     )
 
     return build_modbus_port(bus, signals, half_cycle_s, clock, source=source)
+
+
+@contextlib.contextmanager
+def _canopen_installed(source: Path | str) -> Iterator[None]:
+    try:
+        yield
+    except ModuleNotFoundError as problem:
+        if problem.name != "canopen":
+            raise
+        advice = "'canopen' needs the package canopen: pip install 'adaptdrive[canopen]'"
+        raise ConfigurationError(source, [Flaw("bus.type", advice)]) from problem

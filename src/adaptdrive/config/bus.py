@@ -30,15 +30,20 @@ class FrameIntegrity(Section):
     )
 
 
-class CanBus(Section):
-    """`[bus]` with `type = "can"`."""
+class CanLink(Section):
+    """What `[bus]` holds for every kind of CAN bus."""
 
-    type: Literal["can"] = Field(description="kind of bus")
     interface: Literal["socketcan", "udp_multicast", "virtual"] = Field(
         description="python-can interface"
     )
     channel: str = Field(description="`can0`, a multicast group, or the name of a virtual bus")
     udp_port: int = Field(default=43113, ge=1, le=65535, description="port of `udp_multicast`")
+
+
+class CanBus(CanLink):
+    """`[bus]` with `type = "can"`."""
+
+    type: Literal["can"] = Field(description="kind of bus")
     fd: bool = Field(default=False, description="the bus carries CAN FD frames too")
     bitrate_switch: bool = Field(
         default=True, description="send CAN FD frames with the faster data phase"
@@ -67,7 +72,9 @@ class SignalSource(Section):
     """
 
     signal: str = Field(
-        min_length=1, description="`Message.Signal` on CAN, the register's name on Modbus"
+        min_length=1,
+        description="`Message.Signal` on CAN, the register's name on Modbus, an object such as "
+        "`0x6079`, `0x2001.2`, `Name` or `Record.Member` on CANopen",
     )
     scale: FiniteFloat = Field(default=1.0, description="SI units per unit of the signal")
     offset: FiniteFloat = Field(default=0.0, description="SI value of a zero signal")

@@ -14,7 +14,7 @@ from adaptdrive.config.section import Section
 from adaptdrive.errors import ConfigurationError, Flaw
 
 _TYPES = {"load": LOAD_TYPES, "bus": BUS_TYPES, "sensor_bus": BUS_TYPES}
-_BUS_PATHS = {"can": ("database",), "modbus-rtu": ("device",)}
+_BUS_PATHS = {"can": ("database",), "canopen": ("eds",), "modbus-rtu": ("device",)}
 _MESSAGES = {"extra_forbidden": "Unknown key", "union_tag_not_found": "Field required"}
 
 

@@ -10,10 +10,11 @@ from pydantic import Field, model_validator
 
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.cadence import poll_flaws
+from adaptdrive.config.canopen import CanOpenBus, canopen_flaws
 from adaptdrive.config.derived import Derived
 from adaptdrive.config.drive import Drive, VoltageLoop
 from adaptdrive.config.load import Bath, Battery, Estimator, Motor, Supervisor
-from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
+from adaptdrive.config.modbus import ModbusBus, ModbusRtu, ModbusTcp
 from adaptdrive.config.references import can_flaws, modbus_flaws
 from adaptdrive.config.section import Section, inconsistent
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors, sensor_flaws
@@ -21,7 +22,7 @@ from adaptdrive.config.services import Interlocks, Mqtt, Realtime, Recording
 from adaptdrive.config.supply import supply_flaws
 from adaptdrive.errors import Flaw
 
-BUS_TYPES = ("can", "modbus-tcp", "modbus-rtu")
+BUS_TYPES = ("can", "canopen", "modbus-tcp", "modbus-rtu")
 
 SensorBus = Annotated[ModbusTcpSensors | ModbusRtuSensors, Field(discriminator="type")]
 
@@ -30,7 +31,7 @@ class Configuration(Section):
     """One TOML file, one drive."""
 
     drive: Drive
-    bus: CanBus | ModbusTcp | ModbusRtu = Field(discriminator="type")
+    bus: CanBus | CanOpenBus | ModbusTcp | ModbusRtu = Field(discriminator="type")
     signals: Signals
     sensor_bus: list[SensorBus] = Field(default=[])
     derived: dict[str, Derived] = Field(default={})
@@ -51,7 +52,9 @@ class Configuration(Section):
     @property
     def ticks_per_reading(self) -> int:
         """Half cycles from one reading of the drive to the next: 1 for a drive that sends each."""
-        return self.bus.clock_ticks if isinstance(self.bus, CanBus) else self.bus.poll_ticks
+        if isinstance(self.bus, CanBus):
+            return self.bus.clock_ticks
+        return self.bus.poll_ticks if isinstance(self.bus, ModbusBus) else 1
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -90,6 +93,9 @@ def _bus_flaws(configuration: Configuration) -> Iterator[Flaw]:
     if isinstance(bus, CanBus):
         yield from can_flaws(signals)
         yield from _clock_flaws(configuration, bus)
+        return
+    if isinstance(bus, CanOpenBus):
+        yield from canopen_flaws(bus, signals)
         return
     half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
     yield from modbus_flaws(bus, signals)
@@ -131,8 +137,10 @@ def _clock_flaws(configuration: Configuration, bus: CanBus) -> Iterator[Flaw]:
 
 def _command_flaws(configuration: Configuration) -> Iterator[Flaw]:
     where = configuration.voltage_loop.where
-    needed = "current_scale_S" if where == "daemon" else "boost_reference_V"
-    for name in (needed, "bridge"):
+    needed = ["current_scale_S" if where == "daemon" else "boost_reference_V"]
+    if not isinstance(configuration.bus, CanOpenBus):  # there the controlword has it
+        needed.append("bridge")
+    for name in needed:
         if getattr(configuration.signals.command, name) is None:
             yield Flaw(
                 f"signals.command.{name}", f"is missing: voltage_loop.where = {where!r} needs it"

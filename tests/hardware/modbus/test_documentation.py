@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.config import load_configuration
-from adaptdrive.config.bus import CanBus
-from adaptdrive.config.modbus import ModbusRtu
+from adaptdrive.config.modbus import ModbusBus, ModbusRtu
 from adaptdrive.config.references import modbus_flaws
 from adaptdrive.hardware.modbus.blocks import plan_blocks
 from adaptdrive.hardware.modbus.capacity import Exchange, capacity_flaws, exchange_bytes, exchange_s
@@ -45,7 +44,7 @@ def test_a_map_of_the_page_has_no_flaw_with_its_signals() -> None:
 def test_the_figures_of_the_examples_are_those_of_the_page(kind: str) -> None:
     name = f"motor-modbus-{kind}.toml"
     whole = load_configuration(ROOT / "deploy" / "examples" / name)
-    assert not isinstance(whole.bus, CanBus)
+    assert isinstance(whole.bus, ModbusBus)
     exchanges = list(map_drive(whole.bus, whole.signals, HALF_CYCLE_s).exchanges())
     total = sum(exchange_bytes(whole.bus, exchange) for exchange in exchanges)
     time_ms = 1e3 * sum(exchange_s(whole.bus, exchange) for exchange in exchanges)

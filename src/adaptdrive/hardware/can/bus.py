@@ -16,7 +16,7 @@ from pathlib import Path
 
 import can
 
-from adaptdrive.config.bus import CanBus
+from adaptdrive.config.bus import CanBus, CanLink
 from adaptdrive.errors import BusError, Flaw
 from adaptdrive.hardware.can.multicast import LoopbackMulticast
 
@@ -27,13 +27,13 @@ _IFNAMSIZ = 16
 _INTERFACES = Path("/sys/class/net")
 
 
-def describe_bus(config: CanBus) -> str:
+def describe_bus(config: CanLink) -> str:
     """The bus in one phrase for people, such as `udp_multicast 239.74.163.2:43113`."""
     port = f":{config.udp_port}" if config.interface == "udp_multicast" else ""
     return f"{config.interface} {config.channel}{port}"
 
 
-def channel_flaws(config: CanBus) -> list[Flaw]:
+def channel_flaws(config: CanLink) -> list[Flaw]:
     """What is wrong with the channel, as far as it shows without opening it."""
     place, channel = "bus.channel", config.channel
     if config.interface == "udp_multicast" and not _is_group(channel):
@@ -44,7 +44,7 @@ def channel_flaws(config: CanBus) -> list[Flaw]:
     return []
 
 
-def open_bus(config: CanBus, listen: Iterable[int] = ()) -> can.BusABC:
+def open_bus(config: CanLink, listen: Iterable[int] = ()) -> can.BusABC:
     """Open a bus; whoever opens it calls its `shutdown()`.
 
     Args:
@@ -59,8 +59,8 @@ def open_bus(config: CanBus, listen: Iterable[int] = ()) -> can.BusABC:
         if config.interface == "socketcan":
             return _open_socketcan(config, listen)
         if config.interface == "udp_multicast":
-            return LoopbackMulticast(config.channel, config.udp_port, fd=config.fd)
-        protocol = can.CanProtocol.CAN_FD if config.fd else can.CanProtocol.CAN_20
+            return LoopbackMulticast(config.channel, config.udp_port, fd=_has_fd(config))
+        protocol = can.CanProtocol.CAN_FD if _has_fd(config) else can.CanProtocol.CAN_20
         return can.Bus(
             interface="virtual", channel=config.channel, protocol=protocol, ignore_config=True
         )
@@ -73,6 +73,11 @@ def frame_key(frame_id: int, *, extended: bool) -> int:
     return frame_id | socket.CAN_EFF_FLAG if extended else frame_id
 
 
+def _has_fd(config: CanLink) -> bool:
+    """Whether the bus carries CAN FD frames; CANopen's are classic."""
+    return isinstance(config, CanBus) and config.fd
+
+
 def _is_group(channel: str) -> bool:
     try:
         return ipaddress.IPv4Address(channel).is_multicast
@@ -80,7 +85,7 @@ def _is_group(channel: str) -> bool:
         return False
 
 
-def _open_socketcan(config: CanBus, listen: Iterable[int]) -> can.BusABC:
+def _open_socketcan(config: CanLink, listen: Iterable[int]) -> can.BusABC:
     _check_kernel(config)
     _check_interface_up(config)
     _check_on_the_bus(config)
@@ -88,7 +93,7 @@ def _open_socketcan(config: CanBus, listen: Iterable[int]) -> can.BusABC:
     return can.Bus(
         interface="socketcan",
         channel=config.channel,
-        fd=config.fd,
+        fd=_has_fd(config),
         can_filters=filters or None,
         ignore_config=True,
     )
@@ -100,7 +105,7 @@ def _filter(key: int) -> can.typechecking.CanFilter:
     return {"can_id": key & mask, "can_mask": mask, "extended": extended}
 
 
-def _check_kernel(config: CanBus) -> None:
+def _check_kernel(config: CanLink) -> None:
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except OSError as problem:
@@ -110,7 +115,7 @@ def _check_kernel(config: CanBus) -> None:
         raise BusError(describe_bus(config), advice) from problem
 
 
-def _check_interface_up(config: CanBus) -> None:
+def _check_interface_up(config: CanLink) -> None:
     """An interface that is down can be opened but carries nothing: say so at once."""
     request = struct.pack("16sh14x", config.channel.encode(), 0)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -123,7 +128,7 @@ def _check_interface_up(config: CanBus) -> None:
         raise BusError(describe_bus(config), advice)
 
 
-def _check_on_the_bus(config: CanBus) -> None:
+def _check_on_the_bus(config: CanLink) -> None:
     """A controller that is bus-off can be opened too, and loses its carrier until it restarts."""
     try:
         carrier = (_INTERFACES / config.channel / "carrier").read_text(encoding="ascii")

@@ -1,0 +1,297 @@
+"""The simulated drive as a CiA 402 node on CANopen.
+
+It serves its object dictionary over SDO, obeys NMT, sends heartbeats, emergencies and the PDOs that
+it has been given, and sends SYNC at the line's zero crossings where it is told to. It draws line
+current in *switched on* and feeds the load in *operation enabled* only, and it watches the host's
+heartbeat: when that stays away it switches off by itself.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import collections
+import functools
+import math
+import struct
+import time
+from collections.abc import Callable
+from enum import IntEnum
+from pathlib import Path
+
+import can
+
+from adaptdrive.config.bus import SignalSource
+from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.references import COMMANDED, MEASURED, WORDS
+from adaptdrive.config.root import Configuration
+from adaptdrive.errors import BusError, ConfigurationError
+from adaptdrive.hardware.can.bus import describe_bus, open_bus
+from adaptdrive.hardware.can.reader import read_frames
+from adaptdrive.hardware.canopen.dictionary import Catalogue, load_dictionary
+from adaptdrive_sim.devices.canopen_objects import Address, Objects, Wire
+from adaptdrive_sim.devices.drive import Drive, Frame, Report
+from adaptdrive_sim.devices.frames import quantities_of
+from adaptdrive_sim.devices.pacing import run_half_cycles
+from adaptdrive_sim.devices.power_states import PowerState, PowerStates
+
+_NMT, _SYNC = 0x000, 0x080
+_CONTROLWORD, _STATUSWORD = (0x6040, 0), (0x6041, 0)
+_SYNC_ID, _HEARD, _SENT = (0x1005, 0), (0x1016, 1), (0x1017, 0)
+_REGISTER, _ERROR, _ABORT = (0x1001, 0), (0x603F, 0), (0x6007, 0)
+_PRODUCES_SYNC = 1 << 30
+_FAULT_ON_ABORT = 1
+
+_NO_ERROR, _HEARTBEAT_LOST = 0x0000, 0x8130
+_GENERIC, _COMMUNICATION = 0x01, 0x10
+_CODES = {1: 0x2310, 2: 0x4310, 4: 0x3210, 8: 0x3130, 16: 0x5440, 32: 0x5110, 64: 0x6100}
+"""Error codes by the bits of the drive's fault word."""
+
+
+class _Nmt(IntEnum):
+    """State of the node, as its heartbeat says it."""
+
+    BOOT_UP = 0
+    STOPPED = 4
+    OPERATIONAL = 5
+    PRE_OPERATIONAL = 127
+
+
+_ORDERS = {0x01: _Nmt.OPERATIONAL, 0x02: _Nmt.STOPPED, 0x80: _Nmt.PRE_OPERATIONAL}
+_RESETS = frozenset({0x81, 0x82})
+
+
+class CanOpenDrive:
+    """One simulated drive on one bus.
+
+    Attributes:
+        counts: Frames sent, dropped, obeyed and refused, by name.
+    """
+
+    def __init__(
+        self,
+        drive: Drive,
+        configuration: Configuration,
+        report: Report,
+        source: Path,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Build the node; nothing is opened yet.
+
+        Raises:
+            ConfigurationError: EDS and configuration do not fit together.
+        """
+        assert isinstance(configuration.bus, CanOpenBus)  # noqa: S101 - who builds it has looked
+        self.counts: collections.Counter[str] = collections.Counter()
+        self._config = configuration.bus
+        self._drive = drive
+        self._report = report
+        self._clock = clock
+        self._holds = configuration.voltage_loop.where == "drive"
+        self._shown, self._obeyed = _addresses(configuration, self._config, source)
+        self._wire = Wire(self._put)
+        self._objects = Objects(str(self._config.eds), self._config.node_id, self._wire)
+        self._power = PowerStates()
+        self._nmt = _Nmt.BOOT_UP
+        self._beat_s = -math.inf
+        self._host_s: float | None = None
+        self._bus: can.BusABC | None = None
+
+    async def run(self, opened: Callable[[str], None]) -> None:
+        """Open the bus, tell `opened` which one it is, and serve it until cancelled.
+
+        Raises:
+            BusError: The bus cannot be opened, or is lost.
+        """
+        self._bus = bus = open_bus(self._config)
+        try:
+            opened(describe_bus(self._config))
+            self._boot()
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._hear(bus))
+                tasks.create_task(
+                    run_half_cycles(self._drive, self._clock, self._half_cycle, self._report)
+                )
+        finally:
+            self._bus = None
+            bus.shutdown()
+
+    def take(self, frame: can.Message) -> None:
+        """Take one frame from the bus."""
+        if frame.is_extended_id or frame.is_remote_frame or frame.is_error_frame:
+            return
+        can_id, data = frame.arbitration_id, bytes(frame.data)
+        if can_id == _NMT:
+            self._take_nmt(data)
+        elif can_id == _SYNC:
+            self._measure()
+        elif can_id == 0x700 + self._watched[0]:
+            self._take_heartbeat()
+        elif can_id == 0x600 + self._config.node_id:
+            if self._nmt is not _Nmt.STOPPED:
+                self._wire.notify(can_id, bytearray(data), 0.0)
+        elif self._nmt is _Nmt.OPERATIONAL and self._objects.take_pdo(can_id, data):
+            self._obey()
+
+    def take_garbage(self) -> None:
+        """Count what is no frame."""
+        self.counts["garbage"] += 1
+
+    @property
+    def _watched(self) -> tuple[int, float]:
+        """Whose heartbeat is watched, and the longest time between two of them; 0 for none."""
+        entry = int(self._objects.number(_HEARD))
+        return entry >> 16 & 0x7F, (entry & 0xFFFF) * 1e-3
+
+    async def _hear(self, bus: can.BusABC) -> None:
+        raise BusError(describe_bus(self._config), await read_frames(bus, self))
+
+    def _boot(self) -> None:
+        """Start as after power-on."""
+        self._objects.reset()
+        self._power = PowerStates()
+        self._host_s = None
+        self._drive.shut_down("restart")
+        self._put(0x700 + self._config.node_id, bytes((_Nmt.BOOT_UP,)))
+        self._nmt = _Nmt.PRE_OPERATIONAL
+        self._report("boot-up", node=self._config.node_id)
+
+    def _take_nmt(self, data: bytes) -> None:
+        if len(data) != 2 or data[1] not in {0, self._config.node_id}:
+            return
+        if data[0] in _RESETS:
+            self._boot()
+            return
+        self._nmt = _ORDERS.get(data[0], self._nmt)
+        if self._nmt is not _Nmt.OPERATIONAL:
+            self._switch_off("not operational")
+        self._send_heartbeat()
+
+    def _take_heartbeat(self) -> None:
+        if self._host_s is None and self._objects.number(_REGISTER) == _COMMUNICATION:
+            self._emergency(_NO_ERROR, 0)
+        self._host_s = self._clock()
+
+    def _obey(self) -> None:
+        """Follow the controlword and the values that came with it."""
+        self.counts["obeyed"] += 1
+        before, healthy = self._power.state, not self._drive.fault
+        self._power.obey(int(self._objects.number(_CONTROLWORD)), healthy=healthy)
+        if before is not self._power.state:
+            self._report("power state", state=self._power.state.name)
+            if before is PowerState.FAULT:
+                self._emergency(_NO_ERROR, 0)
+        self._apply()
+
+    def _apply(self) -> None:
+        """Tell the power stage what the present state lets through."""
+        power, now_s = self._power, self._clock()
+        bridge = power.state is PowerState.ENABLED
+        values = dict.fromkeys(COMMANDED, 0.0)
+        if power.charging:
+            values |= {
+                name: self._objects.number(address) * source.scale + source.offset
+                for name, (address, source) in self._obeyed.items()
+            }
+        if self._holds:
+            self._drive.hold(values["boost_reference_V"], bridge, now_s)
+        else:
+            self._drive.command(values["current_scale_S"], bridge, now_s)
+
+    def _half_cycle(self, frame: Frame) -> None:
+        """What happens at each zero crossing of the line."""
+        for name, value in quantities_of(frame).items():
+            if name in self._shown:
+                address, source = self._shown[name]
+                self._show(name, address, (value - source.offset) / source.scale)
+        self._watch_host()
+        self._watch_fault(frame.fault)
+        if self._clock() - self._beat_s >= self._objects.number(_SENT) * 1e-3 > 0.0:
+            self._send_heartbeat()
+        if int(self._objects.number(_SYNC_ID)) & _PRODUCES_SYNC and self._nmt >= _Nmt.OPERATIONAL:
+            self._put(_SYNC, b"")
+            self._measure()
+
+    def _show(self, name: str, address: Address, value: float) -> None:
+        self._objects.put(address, value % 65536 if name == "counter" else value)
+
+    def _measure(self) -> None:
+        """Send the PDOs that follow SYNC."""
+        if self._nmt is not _Nmt.OPERATIONAL:
+            return
+        self._objects.put(_STATUSWORD, self._power.state)
+        for can_id, data in self._objects.transmit_pdos():
+            self._put(can_id, data)
+
+    def _watch_host(self) -> None:
+        """Switch off when the host's heartbeat has stayed away for too long."""
+        timeout_s = self._watched[1]
+        if self._host_s is None or not timeout_s:
+            return
+        silent_s = self._clock() - self._host_s
+        if silent_s <= timeout_s:
+            return
+        self._host_s = None
+        self._nmt = _Nmt.PRE_OPERATIONAL
+        if self._objects.number(_ABORT) == _FAULT_ON_ABORT:
+            self._power.fail()
+        self._switch_off("heartbeat lost", silent_s)
+        self._emergency(_HEARTBEAT_LOST, _COMMUNICATION)
+
+    def _watch_fault(self, fault: int) -> None:
+        if not fault or self._power.state is PowerState.FAULT:
+            return
+        self._power.fail()
+        self._drive.shut_down("fault")
+        self._emergency(_CODES[fault & -fault], _GENERIC)
+
+    def _switch_off(self, reason: str, after_s: float = 0.0) -> None:
+        self._power.disable_voltage()
+        self._drive.shut_down(reason, after_s)
+
+    def _emergency(self, code: int, register: int) -> None:
+        self._objects.put(_REGISTER, register)
+        self._objects.put(_ERROR, code)
+        self._put(0x080 + self._config.node_id, struct.pack("<HB5x", code, register))
+        self._report("emergency", code=code)
+
+    def _send_heartbeat(self) -> None:
+        self._beat_s = self._clock()
+        self._put(0x700 + self._config.node_id, bytes((self._nmt,)))
+
+    def _put(self, can_id: int, data: bytes) -> None:
+        frame = can.Message(arbitration_id=can_id, is_extended_id=False, data=data)
+        try:
+            if self._bus is not None:
+                self._bus.send(frame)
+        except (can.CanError, OSError):
+            self.counts["dropped"] += 1
+        else:
+            self.counts["sent"] += 1
+
+
+_Places = dict[str, tuple[Address, SignalSource]]
+
+
+def _addresses(
+    configuration: Configuration, bus: CanOpenBus, source: Path
+) -> tuple[_Places, _Places]:
+    """Where each quantity is shown, and where each part of the command is found."""
+    catalogue = Catalogue(load_dictionary(bus.eds, bus.node_id, source))
+    find = functools.partial(_places, catalogue)
+    shown = find(configuration.signals, (*MEASURED, *WORDS), "signals")
+    obeyed = find(configuration.signals.command, COMMANDED, "signals.command")
+    if catalogue.flaws:
+        raise ConfigurationError(source, catalogue.flaws)
+    return shown, obeyed
+
+
+def _places(catalogue: Catalogue, section: object, names: tuple[str, ...], place: str) -> _Places:
+    found: _Places = {}
+    for name in names:
+        given: SignalSource | None = getattr(section, name)
+        if given is None:
+            continue
+        entry = catalogue.find(given.signal, f"{place}.{name}")
+        if entry is not None:
+            found[name] = entry.address, given
+    return found

@@ -1,0 +1,75 @@
+"""`[bus]` of a CiA 402 drive on CANopen: the node, its EDS, and who watches whom."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+from pydantic import Field
+
+from adaptdrive.config.bus import CanLink, Signals
+from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat
+from adaptdrive.errors import Flaw
+
+_LATE_HEARTBEATS = 2.0
+"""Heartbeats that must fit into a time-out: one may go missing."""
+
+
+class CanOpenBus(CanLink):
+    """`[bus]` with `type = "canopen"`: a CiA 402 drive."""
+
+    type: Literal["canopen"] = Field(description="kind of bus")
+    eds: FilePath = Field(
+        description="electronic data sheet of the drive, relative to the configuration file"
+    )
+    node_id: int = Field(ge=1, le=127, description="node id of the drive")
+    own_node_id: int = Field(
+        default=127, ge=1, le=127, description="node id of the daemon, for its heartbeat"
+    )
+    sync: Literal["drive", "daemon"] = Field(
+        default="daemon",
+        description="who sends SYNC each half line cycle; the drive does so at the same line phase",
+    )
+    heartbeat_s: PositiveFloat = Field(
+        default=0.04,
+        le=60.0,
+        description="time between two heartbeats, of the drive and of the daemon",
+    )
+    heartbeat_timeout_s: PositiveFloat = Field(
+        default=0.1,
+        le=60.0,
+        description="silence after which the drive makes itself safe, and the daemon trips",
+    )
+    sdo_timeout_s: PositiveFloat = Field(
+        default=0.3, le=10.0, description="longest time from an SDO request to its reply"
+    )
+    setup: dict[str, int | FiniteFloat] = Field(
+        default={},
+        description="objects and the values written to them before the drive is made operational",
+    )
+
+
+def canopen_flaws(bus: CanOpenBus, signals: Signals) -> Iterator[Flaw]:
+    """What contradicts the profile, as far as it shows without the EDS.
+
+    Args:
+        bus: `[bus]`.
+        signals: `[signals]`.
+    """
+    if bus.own_node_id == bus.node_id:
+        yield Flaw("bus.own_node_id", f"{bus.own_node_id} is the drive's own node id")
+    if bus.heartbeat_timeout_s < _LATE_HEARTBEATS * bus.heartbeat_s:
+        lowest = f"{_LATE_HEARTBEATS:g} times bus.heartbeat_s = {bus.heartbeat_s}"
+        yield Flaw(
+            "bus.heartbeat_timeout_s", f"{bus.heartbeat_timeout_s} must be at least {lowest}"
+        )
+    if signals.bridge is not None:
+        yield Flaw("signals.bridge", "the statusword 0x6041 tells it: leave it out")
+    if signals.command.bridge is not None:
+        yield Flaw("signals.command.bridge", "the controlword 0x6040 carries it: leave it out")
+    if signals.command.constants:
+        yield Flaw("signals.command.constants", "are for a DBC; use [bus.setup]")
+    if signals.counter is not None and bus.sync == "daemon":
+        yield Flaw(
+            "signals.counter", "bus.sync = 'daemon' makes the daemon the clock: leave it out"
+        )

@@ -1,0 +1,80 @@
+"""Putting the PDOs of one SYNC together: values that were measured at the same moment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from adaptdrive.hardware.canopen.mapping import Status
+from adaptdrive.hardware.port import Reading
+
+
+class Assembly:
+    """Collects PDOs until one of each kind has come since the last SYNC.
+
+    A PDO that comes again before the others have begins a new collection: what is left of the old
+    one is never mixed with it.
+    """
+
+    def __init__(self, statuses: tuple[Status, ...]) -> None:
+        self._count = len(statuses)
+        self._heard: dict[str, Mapping[str, float]] = {}
+        self._sampled_s: float | None = None
+        self._statuses = {status.codec.name: status for status in statuses}
+
+    def begin(self, sampled_s: float) -> None:
+        """A SYNC has passed: the drive measures now."""
+        self._heard.clear()
+        self._sampled_s = sampled_s
+
+    def forget(self) -> None:
+        """Nothing that was heard is used any more."""
+        self._heard.clear()
+        self._sampled_s = None
+
+    def take(self, name: str, values: Mapping[str, float], arrival_s: float) -> bool:
+        """Take one PDO.
+
+        Args:
+            name: Its name.
+            values: Raw values by label.
+            arrival_s: Its arrival, monotonic clock.
+
+        Returns:
+            Whether the collection is complete.
+        """
+        if name in self._heard:
+            self.forget()
+        if self._sampled_s is None:
+            self._sampled_s = arrival_s
+        self._heard[name] = values
+        return len(self._heard) == self._count
+
+    def reading(self, arrival_s: float, *, bridge: bool, fault: int) -> Reading:
+        """The reading of a complete collection, which ends with it.
+
+        Args:
+            arrival_s: Arrival of the PDO that completed it.
+            bridge: Whether the drive's operation is enabled.
+            fault: Fault of a reading that this one replaces: it is not forgotten.
+        """
+        found = {
+            source.quantity: self._heard[name][source.entry.label] * source.scale + source.offset
+            for name, status in self._statuses.items()
+            for source in status.sources
+        }
+        sampled_s = arrival_s if self._sampled_s is None else self._sampled_s
+        self.forget()
+        counter = found.pop("counter", None)
+        return Reading(
+            arrival_s=arrival_s,
+            oldest_s=sampled_s,
+            counter=None if counter is None else int(counter),
+            boost_voltage_V=found.pop("boost_voltage_V", math.nan),
+            line_voltage_V=found.pop("line_voltage_V", math.nan),
+            load_power_W=found.pop("load_power_W", math.nan),
+            output=found.pop("output", math.nan),
+            fault=int(found.pop("fault", 0)) | fault,
+            bridge=bridge,
+            other=found,
+        )

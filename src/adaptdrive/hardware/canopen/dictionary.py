@@ -1,0 +1,222 @@
+"""The object dictionary: reading an EDS, and finding in it what a configuration names."""
+
+from __future__ import annotations
+
+import configparser
+import difflib
+import re
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+from canopen.objectdictionary import (
+    INTEGER_TYPES,
+    REAL32,
+    REAL64,
+    SIGNED_TYPES,
+    ObjectDictionary,
+    ODArray,
+    ODRecord,
+    ODVariable,
+    import_od,
+)
+
+from adaptdrive.errors import ConfigurationError, Flaw
+
+Address = tuple[int, int]
+Thing = ODVariable | ODRecord | ODArray
+
+VENDOR = (0x1018, 1)
+PRODUCT = (0x1018, 2)
+
+_BY_NUMBER = re.compile(r"0[xX]([0-9A-Fa-f]{4})(?:\.(\d{1,3}))?")
+_SPOILT = (OSError, UnicodeDecodeError, ValueError, KeyError, TypeError, configparser.Error)
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One value of the drive.
+
+    Attributes:
+        index: Index of its object.
+        subindex: Index within the object, 0 for an object that is one value.
+        name: Its name in the EDS.
+        bits: Length.
+        signed: Whether it is a signed integer.
+        real: Whether it is a floating-point number.
+        low: Smallest raw value, None where the EDS sets no limit.
+        high: Largest raw value, likewise.
+        readable: Whether the drive tells it.
+        writable: Whether the drive takes it.
+        mappable: Whether it may travel in a PDO.
+    """
+
+    index: int
+    subindex: int
+    name: str
+    bits: int
+    signed: bool
+    real: bool
+    low: float | None
+    high: float | None
+    readable: bool
+    writable: bool
+    mappable: bool
+
+    @property
+    def address(self) -> Address:
+        """Index and subindex."""
+        return self.index, self.subindex
+
+    @property
+    def label(self) -> str:
+        """How people write it, such as `0x2001.2`."""
+        return label(self.address)
+
+    def encode(self, value: float) -> bytes:
+        """The bytes of a raw value.
+
+        Raises:
+            ValueError: It does not fit.
+        """
+        low, high = self.limits
+        if not low <= value <= high or not (self.real or value == int(value)):
+            kind = "number" if self.real else "integer"
+            raise ValueError(f"{value!r} is no {kind} from {low:g} to {high:g}")
+        if self.real:
+            return struct.pack("<f" if self.bits == 32 else "<d", value)
+        return int(value).to_bytes(self.bits // 8, "little", signed=self.signed)
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Smallest and largest raw value: the EDS's limits within those of the type."""
+        if self.real:
+            top = 3.4028234663852886e38 if self.bits == 32 else 1.7976931348623157e308
+            low, high = -top, top
+        elif self.signed:
+            low, high = -(1 << (self.bits - 1)), (1 << (self.bits - 1)) - 1
+        else:
+            low, high = 0, (1 << self.bits) - 1
+        return (
+            low if self.low is None else max(low, self.low),
+            high if self.high is None else min(high, self.high),
+        )
+
+
+def label(address: Address) -> str:
+    """How people write an address, such as `0x2001.2`."""
+    index, subindex = address
+    return f"0x{index:04X}.{subindex}" if subindex else f"0x{index:04X}"
+
+
+def load_dictionary(
+    path: Path, node_id: int, source: Path | str = "configuration"
+) -> ObjectDictionary:
+    """Read an EDS file.
+
+    Args:
+        path: The file.
+        node_id: The drive's node id, on which some of its defaults depend.
+        source: The configuration that names it, for the error message.
+
+    Raises:
+        ConfigurationError: The file cannot be read or is no EDS.
+    """
+    if path.suffix.lower() not in {".eds", ".dcf"}:
+        raise ConfigurationError(source, [Flaw("bus.eds", f"{path} is no .eds and no .dcf file")])
+    try:
+        return import_od(str(path), node_id)
+    except _SPOILT as problem:
+        flaw = Flaw("bus.eds", " ".join(f"{path} cannot be used: {problem}".split()))
+        raise ConfigurationError(source, [flaw]) from problem
+
+
+class Catalogue:
+    """Finds entries by name or number, and gathers a flaw for each that is not there."""
+
+    def __init__(self, dictionary: ObjectDictionary) -> None:
+        self._dictionary = dictionary
+        self.flaws: list[Flaw] = []
+
+    def note(self, place: str, message: str) -> None:
+        """Gather a flaw."""
+        self.flaws.append(Flaw(place, message))
+
+    @property
+    def identity(self) -> tuple[tuple[Address, int], ...]:
+        """Vendor and product as the EDS gives them, with the entries where the drive does."""
+        device = self._dictionary.device_information
+        told = (VENDOR, device.vendor_number), (PRODUCT, device.product_number)
+        return tuple((address, number) for address, number in told if number and self.at(address))
+
+    def has(self, index: int) -> bool:
+        """Whether the drive has an object."""
+        return index in self._dictionary
+
+    def at(self, address: Address) -> Entry | None:
+        """The entry at an address, None when the EDS has none."""
+        variable = self._dictionary.get_variable(*address)
+        return None if variable is None else _entry(variable)
+
+    def find(self, reference: str, place: str) -> Entry | None:
+        """The number that a reference names, or None and a flaw at `place`.
+
+        Args:
+            reference: `0x6079`, `0x2001.2`, `Name` or `Record.Member`.
+            place: Where the reference stands.
+        """
+        thing = self._look_up(reference)
+        if thing is None:
+            self.note(place, f"the EDS has no object {reference!r}{self._hint(reference)}")
+            return None
+        if not isinstance(thing, ODVariable):
+            self.note(place, f"object {reference!r} has members: name one of them")
+            return None
+        entry = _entry(thing)
+        if entry is None:
+            self.note(place, f"object {reference!r} is no number of at most 64 bits")
+        return entry
+
+    def _look_up(self, reference: str) -> Thing | None:
+        number = _BY_NUMBER.fullmatch(reference)
+        if number is None:
+            return self._named(reference)
+        index = int(number[1], 16)
+        if number[2] is None:
+            return self._dictionary.get(index)
+        return self._dictionary.get_variable(index, int(number[2]))
+
+    def _named(self, name: str) -> Thing | None:
+        found: Thing | None = self._dictionary.names.get(name)
+        if found is None and "." in name:
+            outer, _, inner = name.partition(".")
+            found = getattr(self._dictionary.names.get(outer), "names", {}).get(inner)
+        return found
+
+    def _hint(self, reference: str) -> str:
+        known = [
+            variable.qualname
+            for thing in self._dictionary.values()
+            for variable in ([thing] if isinstance(thing, ODVariable) else thing.values())
+        ]
+        close = difflib.get_close_matches(reference, known, n=1)
+        return f" (did you mean {close[0]!r}?)" if close else ""
+
+
+def _entry(variable: ODVariable) -> Entry | None:
+    real = variable.data_type in {REAL32, REAL64}
+    if not real and variable.data_type not in INTEGER_TYPES:
+        return None
+    return Entry(
+        index=variable.index,
+        subindex=variable.subindex,
+        name=variable.qualname,
+        bits=len(variable),
+        signed=variable.data_type in SIGNED_TYPES,
+        real=real,
+        low=variable.min,
+        high=variable.max,
+        readable=variable.readable,
+        writable=variable.writable,
+        mappable=variable.pdo_mappable,
+    )

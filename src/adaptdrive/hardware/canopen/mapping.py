@@ -1,0 +1,293 @@
+"""Which object is which quantity: the configuration and its EDS brought together, and checked.
+
+Everything that can be wrong is found here, before a bus is opened, and all of it at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from adaptdrive.config.bus import Signals
+from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.references import COMMANDED, MEASURED, WORDS
+from adaptdrive.errors import ConfigurationError
+from adaptdrive.hardware.can.bus import channel_flaws
+from adaptdrive.hardware.can.codec import MessageCodec
+from adaptdrive.hardware.canopen.dictionary import Address, Catalogue, Entry, label, load_dictionary
+from adaptdrive.hardware.canopen.pdo import (
+    Channel,
+    Pdo,
+    codec,
+    pack,
+    receive_channel,
+    transmit_channel,
+)
+from adaptdrive.hardware.canopen.profile import CONTROLWORD, STATUSWORD
+
+DEVICE_TYPE = (0x1000, 0)
+SYNC_ID = (0x1005, 0)
+SYNC_PERIOD = (0x1006, 0)
+HEARTBEATS_HEARD = (0x1016, 1)
+HEARTBEAT_SENT = (0x1017, 0)
+ABORT_OPTION = (0x6007, 0)
+
+_OPTIONAL = (SYNC_PERIOD, ABORT_OPTION)
+_CHANNELS = 4
+_NEEDED = {
+    SYNC_ID: "it could not be told when to measure",
+    HEARTBEATS_HEARD: "it could not watch the daemon, and make itself safe when that dies",
+    HEARTBEAT_SENT: "it could not be watched",
+    CONTROLWORD: "it is no CiA 402 drive",
+    STATUSWORD: "it is no CiA 402 drive",
+}
+_OURS = frozenset({SYNC_ID[0], SYNC_PERIOD[0], HEARTBEATS_HEARD[0], HEARTBEAT_SENT[0]})
+_FIRST_PDO, _BEHIND_PDOS = 0x1400, 0x1C00
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a quantity comes from.
+
+    Attributes:
+        quantity: Field of `Reading`, or a name in its `other`.
+        entry: Entry of the object dictionary.
+        scale: SI units per count.
+        offset: SI value of the count zero.
+    """
+
+    quantity: str
+    entry: Entry
+    scale: float
+    offset: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sink:
+    """Where a part of the command goes.
+
+    Attributes:
+        name: Field of `Command`.
+        entry: Entry of the object dictionary.
+        scale: SI units per count.
+        offset: SI value of the count zero.
+    """
+
+    name: str
+    entry: Entry
+    scale: float
+    offset: float
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """A PDO that carries measurements, and what is taken from it."""
+
+    codec: MessageCodec
+    sources: tuple[Source, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """A PDO that carries the command, its controlword or both."""
+
+    codec: MessageCodec
+    sinks: tuple[Sink, ...]
+    controlword: bool
+
+
+@dataclass(frozen=True, slots=True)
+class DriveMapping:
+    """Everything that the port of one drive needs to know.
+
+    Attributes:
+        transmits: PDOs that the drive sends.
+        receives: PDOs that the drive takes.
+        unused: PDOs of the drive that are switched off.
+        statuses: How to read what it sends.
+        orders: How to write what it takes.
+        counter_modulus: Where the half-cycle counter wraps, None for a drive without one.
+        setup: Entries that the operator wants written, and their bytes.
+        present: Optional entries that the drive has.
+        identity: What the drive must say of itself to be the one that the EDS describes.
+    """
+
+    transmits: tuple[Pdo, ...]
+    receives: tuple[Pdo, ...]
+    unused: tuple[Channel, ...]
+    statuses: tuple[Status, ...]
+    orders: tuple[Order, ...]
+    counter_modulus: int | None
+    setup: tuple[tuple[Entry, bytes], ...]
+    present: frozenset[Address]
+    identity: tuple[tuple[Address, int], ...]
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """Every quantity that is measured."""
+        return tuple(source for status in self.statuses for source in status.sources)
+
+
+def map_drive(
+    bus: CanOpenBus, signals: Signals, source: Path | str = "configuration"
+) -> DriveMapping:
+    """Find every configured object in the EDS and plan the PDOs.
+
+    Args:
+        bus: `[bus]`.
+        signals: `[signals]`.
+        source: The configuration, for the error message.
+
+    Raises:
+        ConfigurationError: Something does not fit; every flaw is listed.
+    """
+    dictionary = load_dictionary(bus.eds, bus.node_id, source)
+    catalogue = Catalogue(dictionary)
+    catalogue.flaws.extend(channel_flaws(bus))
+    plan = _Plan(catalogue, bus)
+    plan.find_sources(signals)
+    plan.find_sinks(signals)
+    mapping = plan.mapping()
+    if mapping is None or catalogue.flaws:
+        raise ConfigurationError(source, catalogue.flaws)
+    return mapping
+
+
+class _Plan:
+    """Gathers what is wanted, and the flaws of it."""
+
+    def __init__(self, catalogue: Catalogue, bus: CanOpenBus) -> None:
+        self._catalogue = catalogue
+        self._bus = bus
+        self._sources: list[Source] = []
+        self._sinks: list[Sink] = []
+        for address, consequence in _NEEDED.items():
+            if catalogue.at(address) is None:
+                missing = f"the EDS has no object {label(address)}: {consequence}"
+                catalogue.note("bus.eds", missing)
+
+    def find_sources(self, signals: Signals) -> None:
+        """Entries of the measured quantities."""
+        named = [(name, getattr(signals, name), f"signals.{name}") for name in (*MEASURED, *WORDS)]
+        others = [(name, one, f"signals.other.{name}") for name, one in signals.other.items()]
+        for quantity, given, place in (*named, *others):
+            if given is None:
+                continue
+            entry = self._catalogue.find(given.signal, place)
+            if entry is None:
+                continue
+            if not (entry.readable and entry.mappable):
+                self._catalogue.note(place, f"the drive does not send {entry.name!r} in a PDO")
+            source = Source(quantity, entry, given.scale, given.offset)
+            self._sources.append(source)
+            if quantity in WORDS:
+                self._check_word(source, place)
+
+    def find_sinks(self, signals: Signals) -> None:
+        """Entries of the commanded quantities."""
+        for name in COMMANDED:
+            given = getattr(signals.command, name)
+            if given is None:
+                continue
+            place = f"signals.command.{name}"
+            entry = self._catalogue.find(given.signal, place)
+            if entry is None:
+                continue
+            if not (entry.writable and entry.mappable):
+                self._catalogue.note(place, f"the drive does not take {entry.name!r} in a PDO")
+            if not entry.limits[0] <= -given.offset / given.scale <= entry.limits[1]:
+                self._catalogue.note(place, f"{entry.name!r} cannot be 0: it could not be safe")
+            self._sinks.append(Sink(name, entry, given.scale, given.offset))
+
+    def mapping(self) -> DriveMapping | None:
+        """What came of it; None when there were flaws."""
+        transmitted = [self._catalogue.at(STATUSWORD), *(source.entry for source in self._sources)]
+        received = [self._catalogue.at(CONTROLWORD), *(sink.entry for sink in self._sinks)]
+        transmits = self._pack("TPDO", transmitted, self._channels(transmit_channel))
+        receives = self._pack("RPDO", received, self._channels(receive_channel))
+        setup = self._setup()
+        if self._catalogue.flaws:
+            return None
+        return DriveMapping(
+            transmits=transmits,
+            receives=receives,
+            unused=self._unused((*transmits, *receives)),
+            statuses=tuple(self._status(pdo) for pdo in transmits),
+            orders=tuple(self._order(pdo) for pdo in receives),
+            counter_modulus=self._modulus(),
+            setup=setup,
+            present=frozenset(one for one in _OPTIONAL if self._catalogue.at(one)),
+            identity=self._catalogue.identity,
+        )
+
+    def _check_word(self, source: Source, place: str) -> None:
+        entry = source.entry
+        if (source.scale, source.offset) != (1.0, 0.0):
+            self._catalogue.note(place, "is an integer: it takes no scale and no offset")
+        if entry.real or (source.quantity == "counter" and entry.signed):
+            self._catalogue.note(place, f"{entry.name!r} is no unsigned integer")
+
+    def _channels(self, make: Callable[[int, int], Channel]) -> list[Channel]:
+        channels = [make(number, self._bus.node_id) for number in range(1, _CHANNELS + 1)]
+        has = self._catalogue.has
+        return [one for one in channels if has(one.communication) and has(one.mapping)]
+
+    def _pack(
+        self, name: str, entries: list[Entry | None], channels: list[Channel]
+    ) -> tuple[Pdo, ...]:
+        wanted = list(dict.fromkeys(entry for entry in entries if entry is not None))
+        pdos = pack(name, channels, wanted)
+        if pdos is None:
+            bits = sum(entry.bits for entry in wanted)
+            problem = f"{bits} bits do not fit into the drive's {len(channels)} {name}s"
+            self._catalogue.note("signals", problem)
+            return ()
+        for pdo in pdos:
+            count = self._catalogue.at((pdo.channel.mapping, 0))
+            if count is None or not count.writable:
+                self._catalogue.note("bus.eds", f"the mapping of {pdo.name} cannot be changed")
+        return tuple(pdos)
+
+    def _unused(self, used: tuple[Pdo, ...]) -> tuple[Channel, ...]:
+        taken = {pdo.channel for pdo in used}
+        channels = [*self._channels(transmit_channel), *self._channels(receive_channel)]
+        return tuple(channel for channel in channels if channel not in taken)
+
+    def _status(self, pdo: Pdo) -> Status:
+        sources = tuple(source for source in self._sources if source.entry in pdo.entries)
+        return Status(codec(pdo), sources)
+
+    def _order(self, pdo: Pdo) -> Order:
+        sinks = tuple(sink for sink in self._sinks if sink.entry in pdo.entries)
+        controlword = any(entry.address == CONTROLWORD for entry in pdo.entries)
+        return Order(codec(pdo), sinks, controlword)
+
+    def _modulus(self) -> int | None:
+        for source in self._sources:
+            if source.quantity == "counter":
+                return int(source.entry.limits[1]) + 1
+        return None
+
+    def _setup(self) -> tuple[tuple[Entry, bytes], ...]:
+        found = []
+        for reference, value in self._bus.setup.items():
+            place = f"bus.setup.{reference}"
+            entry = self._catalogue.find(reference, place)
+            if entry is None:
+                continue
+            if self._is_ours(entry):
+                self._catalogue.note(place, "is written by the daemon itself")
+                continue
+            if not entry.writable:
+                self._catalogue.note(place, f"{entry.name!r} cannot be written")
+            try:
+                found.append((entry, entry.encode(value)))
+            except ValueError as problem:
+                self._catalogue.note(place, str(problem))
+        return tuple(found)
+
+    def _is_ours(self, entry: Entry) -> bool:
+        commanded = {CONTROLWORD, *(sink.entry.address for sink in self._sinks)}
+        in_pdos = _FIRST_PDO <= entry.index < _BEHIND_PDOS
+        return entry.index in _OURS or in_pdos or entry.address in commanded

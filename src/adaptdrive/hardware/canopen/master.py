@@ -1,0 +1,201 @@
+"""The daemon as NMT master of one node: bringing it up, watching it, and doing so again.
+
+A node is set up in state pre-operational and started then. It is lost when it is restarted, leaves
+the state operational, or its heartbeat stays away; it is then set up anew, but whoever was using it
+is told first.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Protocol
+
+from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.errors import BusError
+from adaptdrive.hardware.canopen.mapping import DriveMapping
+from adaptdrive.hardware.canopen.setup import SdoLink, describe_node, set_up
+
+NMT = 0x000
+_START, _PRE_OPERATIONAL = 0x01, 0x80
+
+_RETRY_S = 2.0
+"""Wait before a node that did not answer, or refused, is asked again; its boot-up ends the wait."""
+
+_STARTED_S = 1.0
+"""Longest time from the start of a node to a heartbeat that says so."""
+
+
+class NodeState(IntEnum):
+    """What a heartbeat says."""
+
+    BOOT_UP = 0
+    STOPPED = 4
+    OPERATIONAL = 5
+    PRE_OPERATIONAL = 127
+
+
+class Tell(Protocol):
+    """Who is told what has become of the node."""
+
+    def __call__(self, *, up: bool, detail: str) -> None:
+        """It is ready (`up`), or it is not, and why."""
+
+
+class Master:
+    """Brings one node up and keeps watch over it.
+
+    Attributes:
+        ready: Whether the node is set up and operational.
+        problem: Why it is not.
+    """
+
+    def __init__(
+        self,
+        bus: CanOpenBus,
+        mapping: DriveMapping,
+        half_cycle_s: float,
+        send: Callable[[int, bytes], bool],
+        clock: Callable[[], float],
+    ) -> None:
+        """Know the node; nothing is sent yet.
+
+        Args:
+            bus: `[bus]`.
+            mapping: What its PDOs shall carry.
+            half_cycle_s: Half a line cycle.
+            send: Puts a frame on the bus.
+            clock: Monotonic clock in seconds.
+        """
+        self._bus = bus
+        self._mapping = mapping
+        self._half_cycle_s = half_cycle_s
+        self._send = send
+        self._clock = clock
+        self._link: SdoLink | None = None
+        self._heard = asyncio.Event()
+        self._heard_s = 0.0
+        self._state: int | None = None
+        self._booted = False
+        self.ready = False
+        self.problem = "not heard yet"
+
+    async def run(self, tell: Tell) -> None:
+        """Bring the node up whenever it is lost, until cancelled.
+
+        Args:
+            tell: Told when the node is ready, and when it is not and why; no reason twice in a row.
+        """
+        told = ""
+        while True:
+            try:
+                await self._bring_up()
+            except BusError as refusal:
+                self.problem = refusal.problem
+                if told != self.problem:
+                    told = self.problem
+                    tell(up=False, detail=told)
+                await self._wait_for_boot_up()
+                continue
+            self.ready = True
+            tell(up=True, detail="operational")
+            self._lose(await self._watch())
+            told = self.problem
+            tell(up=False, detail=told)
+
+    def hear(self, state: int) -> None:
+        """Take a heartbeat or a boot-up message."""
+        self._heard_s = self._clock()
+        self._state = state
+        self._booted = self._booted or state == NodeState.BOOT_UP
+        if self.ready and state != NodeState.OPERATIONAL:
+            self._lose(self._departure())
+        self._heard.set()
+
+    def leave(self, problem: str) -> None:
+        """The bus is gone, and the node with it."""
+        self._lose(problem)
+
+    def take_reply(self, can_id: int, data: bytes) -> None:
+        """Take a frame of the node's SDO server."""
+        if self._link is not None:
+            self._link.notify(can_id, bytearray(data), 0.0)
+
+    def _lose(self, problem: str) -> None:
+        self.ready, self.problem = False, problem
+
+    def _departure(self) -> str:
+        if self._booted:
+            return "has been restarted"
+        return f"is not operational any more (state {self._state})"
+
+    async def _bring_up(self) -> None:
+        """Set the node up and start it.
+
+        Raises:
+            BusError: It does not answer or refuses.
+        """
+        self._booted = False
+        self._command(_PRE_OPERATIONAL)
+        await self._set_up()
+        if self._booted:
+            raise BusError(describe_node(self._bus), "was restarted while it was set up")
+        self._command(_START)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_STARTED_S + self._bus.heartbeat_s):
+                while self._state != NodeState.OPERATIONAL:
+                    await self._next_heartbeat()
+        if self._state != NodeState.OPERATIONAL:
+            raise BusError(describe_node(self._bus), "does not become operational")
+
+    async def _set_up(self) -> None:
+        """Run the set-up in a thread; it has ended when this returns or is cancelled."""
+        loop = asyncio.get_running_loop()
+        self._link = link = SdoLink(
+            lambda can_id, data: _ignore(loop.call_soon_threadsafe(self._send, can_id, data))
+        )
+        client = link.client(self._bus)
+        work = asyncio.ensure_future(
+            asyncio.to_thread(set_up, client, self._bus, self._mapping, self._half_cycle_s)
+        )
+        try:
+            await asyncio.shield(work)
+        finally:
+            link.close()
+            self._link = None
+            await asyncio.wait([work])
+            if not work.cancelled():
+                work.exception()  # it has been raised above, or nobody wants it any more
+
+    async def _watch(self) -> str:
+        """Wait until the node is lost; why it is."""
+        timeout_s = self._bus.heartbeat_timeout_s
+        while True:
+            if self._booted or self._state != NodeState.OPERATIONAL:
+                return self._departure()
+            silent_s = self._clock() - self._heard_s
+            if silent_s > timeout_s:
+                return f"heartbeat lost for {1e3 * silent_s:.0f} ms"
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(timeout_s - silent_s + 0.001):
+                    await self._next_heartbeat()
+
+    async def _next_heartbeat(self) -> None:
+        self._heard.clear()
+        await self._heard.wait()
+
+    async def _wait_for_boot_up(self) -> None:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_RETRY_S):
+                while not self._booted:
+                    await self._next_heartbeat()
+
+    def _command(self, command: int) -> None:
+        self._state = None
+        self._send(NMT, bytes((command, self._bus.node_id)))
+
+
+def _ignore(_: object) -> None:
+    """Drop a value that nobody needs."""

@@ -1,0 +1,404 @@
+"""The port of a CiA 402 drive on CANopen.
+
+A reading is what the drive's PDOs carry after one SYNC, as old as that SYNC; of readings that piled
+up while the process did not run, only the newest is handed out. A command is a
+controlword and the commanded values. The daemon's heartbeat goes out with commands only: a daemon
+that commands no more falls silent, and the drive makes itself safe.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+import math
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+
+from adaptdrive.config.bus import Signals
+from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.control.signals import Command
+from adaptdrive.errors import BusError
+from adaptdrive.hardware.can.bus import describe_bus, open_bus
+from adaptdrive.hardware.can.integrity import Verdict
+from adaptdrive.hardware.can.reader import FrameReader
+from adaptdrive.hardware.canopen.assembly import Assembly
+from adaptdrive.hardware.canopen.dictionary import label
+from adaptdrive.hardware.canopen.emergency import Emergency, parse_emergency
+from adaptdrive.hardware.canopen.mapping import DriveMapping, Order, Status, map_drive
+from adaptdrive.hardware.canopen.master import NMT, Master, NodeState
+from adaptdrive.hardware.canopen.profile import CONTROLWORD, STATUSWORD, DriveControl, DriveState
+from adaptdrive.hardware.canopen.setup import SYNC_COB_ID, describe_node
+from adaptdrive.hardware.canopen.sync import SyncProducer
+from adaptdrive.hardware.port import Listener, PortStatistics, Reading
+
+_FIRST_DELAY_S = 0.1
+"""First wait before a lost bus is opened again: an interface that is restarted is soon back."""
+
+_LAST_DELAY_S = 2.0
+"""Longest wait: an adapter that is plugged in again should not be waited for."""
+
+_OLDEST_S = 1.0
+"""Longest time that a frame is believed to have waited to be read. The waiting time is measured
+with the wall clock, and a step of that clock must not send an arrival into the distant past."""
+
+_FAULT_RESET_S = 1.0
+"""Longest wait for a drive to leave its fault."""
+
+_LOOK_S = 0.005
+
+_UNFIT = frozenset({None, DriveState.UNKNOWN, DriveState.NOT_READY})
+
+
+def build_canopen_port(
+    bus: CanOpenBus,
+    signals: Signals,
+    half_cycle_s: float,
+    clock: Callable[[], float],
+    *,
+    source: Path | str = "configuration",
+) -> CanOpenPort:
+    """Build the port of one drive; nothing is opened yet.
+
+    Args:
+        bus: `[bus]`.
+        signals: `[signals]`.
+        half_cycle_s: Half a line cycle.
+        clock: Monotonic clock, in seconds.
+        source: The configuration, for error messages.
+
+    Raises:
+        ConfigurationError: Configuration and EDS do not fit; every flaw is listed.
+    """
+    return CanOpenPort(bus, map_drive(bus, signals, source), half_cycle_s, clock)
+
+
+class CanOpenPort:
+    """One connection to one drive on CANopen."""
+
+    def __init__(
+        self,
+        config: CanOpenBus,
+        mapping: DriveMapping,
+        half_cycle_s: float,
+        clock: Callable[[], float],
+        wall_clock: Callable[[], float] = time.time,
+    ) -> None:
+        """Know the drive; nothing is opened yet.
+
+        Args:
+            config: `[bus]`.
+            mapping: Which object is which quantity.
+            half_cycle_s: Half a line cycle.
+            clock: Monotonic clock, in seconds.
+            wall_clock: The clock with which the bus stamps frames, in seconds.
+        """
+        self._config = config
+        self._mapping = mapping
+        self._clock = clock
+        self._wall_clock = wall_clock
+        self._counts: Counter[str] = Counter()
+        self._control = DriveControl()
+        self._assembly = Assembly(mapping.statuses)
+        self._master = Master(config, mapping, half_cycle_s, self._put, clock)
+        self._sync = SyncProducer(half_cycle_s, clock, self._send_sync)
+        self._emergency: Emergency | None = None
+        self._beat_s = -math.inf
+        self._been_up = False
+        self._bus: can.BusABC | None = None
+        self._reader: FrameReader | None = None
+        self._newest: Reading | None = None
+        self._listener: Listener | None = None
+        self._takers = self._make_takers()
+        self._own = self._own_ids()
+
+    @property
+    def description(self) -> str:
+        """The bus in one phrase for people, such as `socketcan can0 node 5`."""
+        return f"{describe_bus(self._config)} {describe_node(self._config)}"
+
+    @property
+    def counter_modulus(self) -> int | None:
+        """Where the drive's half-cycle counter wraps, None for a drive without a counter."""
+        return self._mapping.counter_modulus
+
+    @property
+    def statistics(self) -> PortStatistics:
+        """Counts since the port was built."""
+        return PortStatistics(**self._counts)
+
+    @property
+    def complaint(self) -> str | None:
+        """Why the drive must not be energised, None for no reason."""
+        problem = self._problem()
+        return None if problem is None else f"{describe_node(self._config)}: {problem}"
+
+    def _problem(self) -> str | None:
+        if self._emergency is not None:
+            return str(self._emergency)
+        if self._control.fallen is not None:
+            return self._control.fallen
+        if self._bus is None:
+            return None  # without a bus there are no readings, and that says enough
+        if not self._master.ready:
+            return self._master.problem
+        state = self._control.state
+        if self._control.faulty or state in _UNFIT:
+            return f"the drive's state is {state or 'not known yet'}"
+        return None
+
+    async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
+        """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
+
+        A drive that is not there yet is waited for, like one that is switched off.
+
+        Args:
+            listener: Who is told what the port hears.
+            opened: Called once, when the bus is open.
+
+        Raises:
+            BusError: The bus cannot be opened at the first attempt.
+        """
+        self._listener = listener
+        problem = await self._serve(self._open(), opened)
+        delay_s = _FIRST_DELAY_S
+        while True:
+            listener.on_bus(up=False, detail=f"{self.description}: {problem}")
+            bus, delay_s = await self._reopen(delay_s)
+            heard = self._counts["received"]
+            problem = await self._serve(bus, self._announce_return)
+            if self._counts["received"] > heard:
+                delay_s = _FIRST_DELAY_S
+
+    def send(self, command: Command) -> bool:
+        """Send one command now, and the daemon's heartbeat when it is due.
+
+        Args:
+            command: What the drive is told; it must have passed the guard.
+
+        Returns:
+            Whether the bus took it; False is counted, and nothing is sent again.
+
+        Raises:
+            ValueError: A value is not finite, or its object cannot hold it; nothing is sent.
+        """
+        word = self._control.controlword(command)
+        frames = [
+            (order.codec.frame_id, order.codec.encode(_values(order, command, word)))
+            for order in self._mapping.orders
+        ]
+        self._beat()
+        if not self._master.ready:
+            self._counts["send_drops"] += 1
+            return False
+        taken = [self._put(*frame) for frame in frames]
+        return all(taken)
+
+    def catch_up(self) -> None:
+        """Hand out what has arrived and has not been looked at yet."""
+        if self._reader is not None:
+            self._reader.drain()
+
+    async def reset_fault(self) -> None:
+        """Have the drive leave its fault by an edge of the reset bit; ends in a second at most.
+
+        A drive that is in no fault any more has its emergency forgotten, too.
+        """
+        if not self._master.ready:
+            return
+        self._control.ask_reset()
+        deadline_s = self._clock() + _FAULT_RESET_S
+        while self._control.faulty and self._clock() < deadline_s:  # noqa: ASYNC110 - a frame
+            await asyncio.sleep(_LOOK_S)
+        if not self._control.faulty:
+            self._emergency = None
+
+    def take(self, frame: can.Message) -> None:
+        """Take one frame from the bus."""
+        if frame.arbitration_id in self._own and not frame.is_extended_id:
+            return  # multicast returns what we send
+        self._counts["received"] += 1
+        taker = self._takers.get(frame.arbitration_id)
+        odd = frame.is_extended_id or frame.is_error_frame or frame.is_remote_frame
+        if taker is None or odd:
+            self._counts["foreign"] += 1
+            return
+        taker(frame)
+
+    def take_garbage(self) -> None:
+        """Count something on the bus that is no frame."""
+        self._counts["received"] += 1
+        self._counts["foreign"] += 1
+
+    def _make_takers(self) -> dict[int, Callable[[can.Message], None]]:
+        """Who takes which frame."""
+        node = self._config.node_id
+        takers: dict[int, Callable[[can.Message], None]] = {
+            0x080 + node: self._take_emergency,
+            0x580 + node: self._take_reply,
+            0x700 + node: self._take_heartbeat,
+        }
+        if self._config.sync == "drive":
+            takers[SYNC_COB_ID] = self._take_sync
+        for status in self._mapping.statuses:
+            takers[status.codec.frame_id] = functools.partial(self._take_pdo, status)
+        return takers
+
+    def _own_ids(self) -> frozenset[int]:
+        """What the daemon itself sends."""
+        config = self._config
+        own = {NMT, 0x600 + config.node_id, 0x700 + config.own_node_id}
+        if config.sync == "daemon":
+            own.add(SYNC_COB_ID)
+        return frozenset(own | {order.codec.frame_id for order in self._mapping.orders})
+
+    def _take_sync(self, frame: can.Message) -> None:
+        self._assembly.begin(self._arrival(frame))
+
+    def _take_heartbeat(self, frame: can.Message) -> None:
+        if len(frame.data) != 1:
+            self._counts["wrong_length"] += 1
+            return
+        state = frame.data[0] & 0x7F
+        if state == NodeState.BOOT_UP:
+            self._emergency = None
+        self._master.hear(state)
+
+    def _take_emergency(self, frame: can.Message) -> None:
+        emergency = parse_emergency(bytes(frame.data))
+        if emergency is None:
+            self._counts["wrong_length"] += 1
+            return
+        self._emergency = None if emergency.over else emergency
+        if self._emergency is not None:
+            self._control.fall(str(emergency))
+
+    def _take_reply(self, frame: can.Message) -> None:
+        self._master.take_reply(frame.arbitration_id, bytes(frame.data))
+
+    def _take_pdo(self, status: Status, frame: can.Message) -> None:
+        if not self._master.ready:
+            return  # whatever it carries, it is not what the drive has been set up for
+        decoded = status.codec.decode(bytes(frame.data))
+        if decoded.verdict is not Verdict.GOOD:
+            self._counts[decoded.verdict] += 1
+            return
+        statusword = decoded.values.get(label(STATUSWORD))
+        if statusword is not None:
+            self._control.hear(int(statusword))
+        arrival_s = self._arrival(frame)
+        if self._assembly.take(status.codec.name, decoded.values, arrival_s):
+            bridge = self._control.state is DriveState.ENABLED
+            fault = 0 if self._newest is None else self._newest.fault
+            self._newest = self._assembly.reading(arrival_s, bridge=bridge, fault=fault)
+
+    def _hand_out(self) -> None:
+        """No more frames wait."""
+        reading, self._newest = self._newest, None
+        if reading is not None and self._listener is not None:
+            self._listener.on_reading(reading)
+
+    def _arrival(self, frame: can.Message) -> float:
+        """When the frame reached the machine, by the monotonic clock."""
+        now_s = self._clock()
+        if not frame.timestamp:
+            return now_s
+        waited_s = self._wall_clock() - frame.timestamp
+        return now_s - min(max(waited_s, 0.0), _OLDEST_S)
+
+    def _send_sync(self) -> None:
+        self.catch_up()  # what waits belongs to the SYNC before
+        if self._master.ready:
+            self._assembly.begin(self._clock())
+            self._put(SYNC_COB_ID, b"")
+
+    def _beat(self) -> None:
+        """Send the daemon's heartbeat when it is due."""
+        now_s = self._clock()
+        if now_s - self._beat_s >= self._config.heartbeat_s:
+            self._beat_s = now_s
+            self._put(0x700 + self._config.own_node_id, bytes((NodeState.OPERATIONAL,)))
+
+    def _put(self, can_id: int, data: bytes) -> bool:
+        frame = can.Message(arbitration_id=can_id, is_extended_id=False, data=data)
+        try:
+            if self._bus is None:
+                raise can.CanOperationError("not connected")
+            self._bus.send(frame, timeout=0.0)
+        except (can.CanError, OSError, ValueError):
+            self._counts["send_drops"] += 1
+            return False
+        self._counts["sent"] += 1
+        return True
+
+    def _open(self) -> can.BusABC:
+        return open_bus(self._config, self._takers)
+
+    async def _reopen(self, delay_s: float) -> tuple[can.BusABC, float]:
+        """Try again, less and less often; the bus, and the delay for the next time."""
+        while True:
+            await asyncio.sleep(delay_s)
+            delay_s = min(2.0 * delay_s, _LAST_DELAY_S)
+            with contextlib.suppress(BusError):
+                return self._open(), delay_s
+
+    async def _serve(self, bus: can.BusABC, announce: Callable[[], None]) -> str:
+        """Use an open bus until it is lost, and close it; why it was lost."""
+        self._bus = bus
+        if self._config.sync == "daemon":
+            self._sync.start()
+        try:
+            announce()
+            return await self._read_and_watch(bus)
+        finally:
+            self._sync.stop()
+            self._master.leave("bus lost")
+            self._on_node(up=False, detail="bus lost")
+            self._bus = self._reader = None
+            bus.shutdown()
+
+    async def _read_and_watch(self, bus: can.BusABC) -> str:
+        """Hear the bus and keep the node up; why the bus was lost."""
+        async with asyncio.TaskGroup() as tasks:
+            watch = tasks.create_task(self._master.run(self._tell), name="node")
+            self._reader = FrameReader(bus, self, self._hand_out)
+            problem = await self._reader.run()
+            watch.cancel()
+        return problem
+
+    def _tell(self, *, up: bool, detail: str) -> None:
+        """The node is ready, or is lost."""
+        if up:
+            self._counts["reconnects"] += self._been_up
+            self._been_up = True
+        self._on_node(up=up, detail=detail)
+        if self._listener is not None:
+            self._listener.on_bus(up=up, detail=f"{self.description}: {detail}")
+
+    def _on_node(self, *, up: bool, detail: str) -> None:
+        """Nothing that was heard before is used after it."""
+        if not up:
+            self._control.fall(detail)
+        self._control.forget()
+        self._assembly.forget()
+        self._newest = None
+
+    def _announce_return(self) -> None:
+        self._counts["reconnects"] += 1
+        if self._listener is not None:
+            self._listener.on_bus(up=True, detail=self.description)
+
+
+def _values(order: Order, command: Command, word: int) -> dict[str, float | None]:
+    """What a PDO carries: its part of the command, and the controlword where it has one."""
+    values: dict[str, float | None] = {
+        sink.entry.label: (getattr(command, sink.name) - sink.offset) / sink.scale
+        for sink in order.sinks
+    }
+    if order.controlword:
+        values[label(CONTROLWORD)] = word
+    return values

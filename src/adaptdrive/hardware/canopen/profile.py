@@ -1,0 +1,164 @@
+"""The state machine of CiA 402 (IEC 61800-7-201): statusword in, controlword out.
+
+A drive is brought up one transition at a time, each only once its statusword shows the one before:
+
+    switch on disabled → ready to switch on → switched on → operation enabled
+
+It is energised from rest only. One that falls back by itself, into a fault, a quick stop or a lower
+state, is told to disable its voltage and is not brought up again before it has been commanded safe.
+A fault is reset by an edge of bit 7, and only when that is asked for.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum, StrEnum
+
+from adaptdrive.control.signals import Command
+
+CONTROLWORD = (0x6040, 0)
+STATUSWORD = (0x6041, 0)
+
+DISABLE_VOLTAGE = 0x0000
+SHUTDOWN = 0x0006
+SWITCH_ON = 0x0007
+ENABLE_OPERATION = 0x000F
+FAULT_RESET = 0x0080
+
+_RESET_COMMANDS = 30
+"""Commands for which the reset bit stays up: a drive that takes its words with SYNC must see it."""
+
+
+class DriveState(StrEnum):
+    """What a statusword says."""
+
+    NOT_READY = "not ready to switch on"
+    SWITCH_ON_DISABLED = "switch on disabled"
+    READY = "ready to switch on"
+    SWITCHED_ON = "switched on"
+    ENABLED = "operation enabled"
+    QUICK_STOP = "quick stop active"
+    FAULT_REACTION = "fault reaction active"
+    FAULT = "fault"
+    UNKNOWN = "unknown"
+
+
+class Goal(IntEnum):
+    """How far a command wants the drive to be switched on."""
+
+    REST = 0
+    SWITCHED_ON = 2
+    ENABLED = 3
+
+
+_RUNGS = {
+    DriveState.SWITCH_ON_DISABLED: 0,
+    DriveState.READY: 1,
+    DriveState.SWITCHED_ON: 2,
+    DriveState.ENABLED: 3,
+}
+_NEXT = {0: SHUTDOWN, 1: SWITCH_ON, 2: ENABLE_OPERATION, 3: ENABLE_OPERATION}
+_HOLD = {Goal.SWITCHED_ON: SWITCH_ON, Goal.ENABLED: ENABLE_OPERATION}
+
+_SHORT_MASK = 0x4F
+_SHORT = {
+    0x00: DriveState.NOT_READY,
+    0x40: DriveState.SWITCH_ON_DISABLED,
+    0x0F: DriveState.FAULT_REACTION,
+    0x08: DriveState.FAULT,
+}
+_LONG_MASK = 0x6F
+_LONG = {
+    0x21: DriveState.READY,
+    0x23: DriveState.SWITCHED_ON,
+    0x27: DriveState.ENABLED,
+    0x07: DriveState.QUICK_STOP,
+}
+
+
+def state_of(statusword: int) -> DriveState:
+    """The state that a statusword shows; bits that do not name a state are left aside."""
+    short = _SHORT.get(statusword & _SHORT_MASK)
+    return short or _LONG.get(statusword & _LONG_MASK, DriveState.UNKNOWN)
+
+
+def goal_of(command: Command) -> Goal:
+    """How far the drive must be switched on for a command."""
+    if command.bridge:
+        return Goal.ENABLED
+    if command.current_scale_S or command.boost_reference_V:
+        return Goal.SWITCHED_ON
+    return Goal.REST
+
+
+class DriveControl:
+    """Follows one drive's state, and knows the controlword that it needs next.
+
+    Attributes:
+        state: State heard last, None before the first.
+        fallen: Why the drive is not brought up any further, None while all is well.
+    """
+
+    def __init__(self) -> None:
+        self.state: DriveState | None = None
+        self.fallen: str | None = None
+        self._goal = Goal.REST
+        self._rested = False
+        self._reached = 0
+        self._reset_left = 0
+
+    @property
+    def faulty(self) -> bool:
+        """Whether the drive is in a fault, or on its way there."""
+        return self.state in {DriveState.FAULT, DriveState.FAULT_REACTION}
+
+    def hear(self, statusword: int) -> None:
+        """Take the drive's state."""
+        self.state = state = state_of(statusword)
+        if state is DriveState.SWITCH_ON_DISABLED:
+            self._rested = True
+        if self._goal is Goal.REST or not self._rested:
+            return
+        rung = _RUNGS.get(state)
+        if rung is None or rung < self._reached:
+            self.fall(f"the drive left its state by itself: {state}")
+        else:
+            self._reached = min(rung, self._goal)
+
+    def fall(self, reason: str) -> None:
+        """Bring an energised drive to rest, and keep it there until it is commanded safe."""
+        if self._goal is not Goal.REST and self.fallen is None:
+            self.fallen = reason
+
+    def forget(self) -> None:
+        """Nothing is known of the drive any more: it begins from rest again."""
+        self.state, self._rested = None, False
+
+    def ask_reset(self) -> None:
+        """Let the coming controlwords reset a fault, if there is one."""
+        self._reset_left = _RESET_COMMANDS + 1  # the first one lowers the bit, for the edge
+
+    def controlword(self, command: Command) -> int:
+        """The word to send with a command.
+
+        Args:
+            command: What the drive is told.
+        """
+        goal = goal_of(command)
+        if goal is Goal.REST:
+            return self._rest()
+        self._goal, self._reset_left = goal, 0
+        self._reached = min(self._reached, goal)
+        if self.fallen or not self._rested:
+            return DISABLE_VOLTAGE
+        return _HOLD[goal] if self._reached >= goal else _NEXT[self._reached]
+
+    def _rest(self) -> int:
+        if self._goal is not Goal.REST:
+            self._goal, self._rested, self._reached = Goal.REST, False, 0
+        self.fallen = None
+        if not self._reset_left:
+            return DISABLE_VOLTAGE
+        self._reset_left -= 1
+        if self.state is not DriveState.FAULT or self._reset_left == _RESET_COMMANDS:
+            return DISABLE_VOLTAGE
+        return FAULT_RESET

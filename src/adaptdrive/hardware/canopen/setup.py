@@ -1,0 +1,220 @@
+"""Setting a node up over SDO: who it is, whom it watches, when it measures, what its PDOs carry.
+
+The canopen library speaks the SDO protocol. It blocks, so all of this runs in a thread of its own,
+while the event loop reads the bus and writes to it; the drive is not energised meanwhile.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+
+from canopen import Network
+from canopen.objectdictionary import ObjectDictionary
+from canopen.sdo.client import SdoClient
+from canopen.sdo.exceptions import SdoAbortedError, SdoError
+
+from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.errors import BusError
+from adaptdrive.hardware.canopen.dictionary import PRODUCT, VENDOR, Address, label
+from adaptdrive.hardware.canopen.mapping import (
+    ABORT_OPTION,
+    DEVICE_TYPE,
+    HEARTBEAT_SENT,
+    HEARTBEATS_HEARD,
+    SYNC_ID,
+    SYNC_PERIOD,
+    DriveMapping,
+)
+from adaptdrive.hardware.canopen.pdo import Channel, Pdo
+
+SYNC_COB_ID = 0x080
+
+_PROFILE = 402
+_DISABLE_VOLTAGE = 2
+_PRODUCES_SYNC = 1 << 30
+_INVALID = 1 << 31
+_NO_REMOTE_REQUEST = 1 << 30
+_EACH_SYNC = 1
+_ON_ARRIVAL = 255
+
+Write = tuple[Address, bytes]
+
+
+class SdoLink(Network):
+    """The bus as the canopen library sees it; frames are handed over, never sent from here."""
+
+    def __init__(self, send: Callable[[int, bytes], None]) -> None:
+        super().__init__()
+        self._send = send
+        self._closed = False
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:  # noqa: FBT002 - canopen's
+        """Hand one frame over.
+
+        Raises:
+            BusError: The link is closed, which ends the set-up under way.
+        """
+        if self._closed or remote:
+            raise BusError("set-up", "given up")
+        self._send(can_id, bytes(data))
+
+    def close(self) -> None:
+        """End whatever uses the link, at its next request."""
+        self._closed = True
+
+    def client(self, bus: CanOpenBus) -> SdoClient:
+        """A client of the drive's SDO server."""
+        client = SdoClient(0x600 + bus.node_id, 0x580 + bus.node_id, ObjectDictionary())
+        client.RESPONSE_TIMEOUT = bus.sdo_timeout_s
+        client.network = self
+        self.subscribe(client.tx_cobid, client.on_response)
+        return client
+
+
+def set_up(client: SdoClient, bus: CanOpenBus, mapping: DriveMapping, half_cycle_s: float) -> None:
+    """Write everything that the drive must know, and read back what safety hangs on.
+
+    Args:
+        client: The drive, in state pre-operational.
+        bus: `[bus]`.
+        mapping: What its PDOs shall carry.
+        half_cycle_s: Half a line cycle.
+
+    Raises:
+        BusError: The drive does not answer, refuses, or is not the one that the EDS describes.
+    """
+    server = Server(client, describe_node(bus))
+    _identify(server, bus, mapping)
+    for address, data in watch_writes(bus, mapping):
+        server.write_surely(address, data)
+    for address, data in sync_writes(bus, mapping, half_cycle_s):
+        server.write(address, data)
+    for channel in mapping.unused:
+        _switch_off(server, channel)
+    for pdo in mapping.transmits:
+        _describe(server, pdo, _EACH_SYNC)
+    for pdo in mapping.receives:
+        _describe(server, pdo, _ON_ARRIVAL)
+    for entry, data in mapping.setup:
+        server.write(entry.address, data)
+
+
+def watch_writes(bus: CanOpenBus, mapping: DriveMapping) -> Iterator[Write]:
+    """Heartbeats, and what the drive does when the daemon's stop."""
+    yield HEARTBEAT_SENT, _milliseconds(bus.heartbeat_s).to_bytes(2, "little")
+    consumer = bus.own_node_id << 16 | _milliseconds(bus.heartbeat_timeout_s)
+    yield HEARTBEATS_HEARD, consumer.to_bytes(4, "little")
+    if ABORT_OPTION in mapping.present:
+        yield ABORT_OPTION, _DISABLE_VOLTAGE.to_bytes(2, "little")
+
+
+def sync_writes(bus: CanOpenBus, mapping: DriveMapping, half_cycle_s: float) -> Iterator[Write]:
+    """Who sends SYNC, and how often."""
+    yield SYNC_ID, SYNC_COB_ID.to_bytes(4, "little")
+    if SYNC_PERIOD in mapping.present:
+        yield SYNC_PERIOD, round(1e6 * half_cycle_s).to_bytes(4, "little")
+    if bus.sync == "drive":
+        yield SYNC_ID, (SYNC_COB_ID | _PRODUCES_SYNC).to_bytes(4, "little")
+
+
+def describe_node(bus: CanOpenBus) -> str:
+    """The drive in one phrase for people, such as `node 5`."""
+    return f"node {bus.node_id}"
+
+
+class Server:
+    """The drive's object dictionary, with errors in our own words."""
+
+    def __init__(self, client: SdoClient, name: str) -> None:
+        self._client = client
+        self._name = name
+
+    def refuse(self, problem: str) -> BusError:
+        """An error of this drive."""
+        return BusError(self._name, problem)
+
+    def read(self, address: Address) -> bytes:
+        """The bytes of an entry.
+
+        Raises:
+            BusError: The drive does not tell.
+        """
+        try:
+            return self._client.upload(*address)
+        except (SdoError, struct.error) as problem:
+            raise self._failure("read", address, problem) from problem
+
+    def number(self, address: Address) -> int:
+        """An unsigned entry."""
+        return int.from_bytes(self.read(address), "little")
+
+    def write(self, address: Address, data: bytes) -> None:
+        """Write an entry.
+
+        Raises:
+            BusError: The drive does not take it.
+        """
+        try:
+            self._client.download(*address, data)
+        except (SdoError, struct.error) as problem:
+            raise self._failure("write", address, problem) from problem
+
+    def write_surely(self, address: Address, data: bytes) -> None:
+        """Write an entry and read it back.
+
+        Raises:
+            BusError: The drive does not take it, or keeps another value.
+        """
+        self.write(address, data)
+        kept = self.read(address)
+        if kept != data:
+            found, wanted = kept[::-1].hex(), data[::-1].hex()
+            raise self.refuse(f"{label(address)} is 0x{found} after 0x{wanted} was written")
+
+    def _failure(self, verb: str, address: Address, problem: Exception) -> BusError:
+        if not isinstance(problem, SdoAbortedError):
+            return self.refuse(f"no answer when asked to {verb} {label(address)}")
+        words = str(problem).partition(", ")[2] or f"abort code 0x{problem.code:08X}"
+        return self.refuse(f"cannot {verb} {label(address)}: {words[0].lower()}{words[1:]}")
+
+
+def _identify(server: Server, bus: CanOpenBus, mapping: DriveMapping) -> None:
+    profile = server.number(DEVICE_TYPE) & 0xFFFF
+    if profile != _PROFILE:
+        raise server.refuse(f"is no CiA 402 drive: its device type 0x1000 names profile {profile}")
+    names = {VENDOR: "vendor", PRODUCT: "product"}
+    for address, expected in mapping.identity:
+        found = server.number(address)
+        if found != expected:
+            raise server.refuse(
+                f"is not the drive of {bus.eds.name}: its {names[address]} is 0x{found:08X}, "
+                f"the EDS is for 0x{expected:08X}"
+            )
+
+
+def _describe(server: Server, pdo: Pdo, transmission: int) -> None:
+    """Tell the drive what a PDO carries; it is switched off meanwhile."""
+    channel = pdo.channel
+    remote = _switch_off(server, channel) & _NO_REMOTE_REQUEST
+    server.write((channel.communication, 2), bytes((transmission,)))
+    count = channel.mapping, 0
+    server.write(count, b"\0")
+    for number, entry in enumerate(pdo.entries, start=1):
+        mapped = entry.index << 16 | entry.subindex << 8 | entry.bits
+        server.write_surely((channel.mapping, number), mapped.to_bytes(4, "little"))
+    server.write_surely(count, bytes((len(pdo.entries),)))
+    server.write((channel.communication, 1), (channel.cob_id | remote).to_bytes(4, "little"))
+
+
+def _switch_off(server: Server, channel: Channel) -> int:
+    """Make a PDO invalid; its frame id as it was."""
+    address = channel.communication, 1
+    cob_id = server.number(address)
+    if not cob_id & _INVALID:
+        server.write(address, (cob_id | _INVALID).to_bytes(4, "little"))
+    return cob_id
+
+
+def _milliseconds(time_s: float) -> int:
+    return max(1, round(1e3 * time_s))

@@ -1,0 +1,45 @@
+"""Emergencies in words, held against those of the canopen library."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from canopen.emcy import EmcyError
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptdrive.hardware.canopen.emergency import parse_emergency
+
+
+def frame(code: int, register: int = 0x01) -> bytes:
+    return struct.pack("<HB5s", code, register, b"maker")
+
+
+@given(st.integers(0, 0xFFFF), st.integers(0, 0xFF))
+def test_code_register_and_detail_are_read(code: int, register: int) -> None:
+    emergency = parse_emergency(frame(code, register))
+    assert emergency is not None
+    assert (emergency.code, emergency.register, emergency.detail) == (code, register, b"maker")
+    assert emergency.over == (EmcyError(code, 0, b"", 0.0).get_desc() == "Error Reset / No Error")
+
+
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [
+        (0x2310, "continuous over-current at the output"),
+        (0x3299, "voltage inside the device"),
+        (0x4FFF, "temperature"),
+        (0x8130, "heartbeat of the daemon lost"),
+        (0xFF01, "device specific"),
+        (0xA000, "unknown"),
+    ],
+)
+def test_it_is_told_in_words(code: int, words: str) -> None:
+    text = str(parse_emergency(frame(code, 0x21)))
+    assert text == f"emergency 0x{code:04X}, {words} (error register 0x21)"
+
+
+@pytest.mark.parametrize("length", [0, 2, 7, 9])
+def test_a_frame_of_another_length_is_none(length: int) -> None:
+    assert parse_emergency(bytes(length)) is None

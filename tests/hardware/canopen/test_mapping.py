@@ -1,0 +1,143 @@
+"""What a configuration names is found in the EDS, and everything that is wrong is told at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adaptdrive.hardware.canopen.profile import CONTROLWORD, STATUSWORD
+from tests.hardware.canopen.documents import flaws, other_eds, plan, without
+
+
+def test_the_example_fits_into_two_pdos_of_the_drive_and_one_of_the_daemon() -> None:
+    mapping = plan()
+    sent = {pdo.name: [entry.label for entry in pdo.entries] for pdo in mapping.transmits}
+    taken = {pdo.name: [entry.label for entry in pdo.entries] for pdo in mapping.receives}
+    assert sent == {
+        "TPDO1": ["0x6041", "0x6079", "0x2000.1"],
+        "TPDO2": ["0x2001.1", "0x2001.2"],
+    }
+    assert taken == {"RPDO1": ["0x6040", "0x2000.4"]}
+    assert [pdo.channel.cob_id for pdo in mapping.transmits] == [0x185, 0x285]
+    assert [pdo.channel.cob_id for pdo in mapping.receives] == [0x205]
+    unused = [channel.communication for channel in mapping.unused]
+    assert unused == [0x1802, 0x1803, 0x1401, 0x1402, 0x1403]
+    assert mapping.identity == (((0x1018, 1), 0xAD0), ((0x1018, 2), 0x402))
+    assert mapping.counter_modulus is None
+
+
+@pytest.mark.parametrize("reference", ["0x2001.2", "0x2001.02", "0X2001.2", "Load.Tachometer"])
+def test_an_object_is_named_by_number_or_by_name(reference: str) -> None:
+    mapping = plan({"signals/output": {"signal": reference, "scale": 1e-6}})
+    (output,) = [source for source in mapping.sources if source.quantity == "output"]
+    assert output.entry.address == (0x2001, 2)
+    assert (output.scale, output.offset) == (1e-6, 0.0)
+
+
+def test_one_object_may_be_two_quantities() -> None:
+    mapping = plan({"signals/output": {"signal": "0x6079", "scale": 1e-3}})
+    labels = [entry.label for pdo in mapping.transmits for entry in pdo.entries]
+    assert labels.count("0x6079") == 1
+    assert {"output", "boost_voltage_V"} <= {source.quantity for source in mapping.sources}
+
+
+def test_a_counter_wraps_where_its_type_does() -> None:
+    changes = {"bus/sync": "drive", "signals/counter": "Boost stage.Half cycles"}
+    assert plan(changes).counter_modulus == 65536
+
+
+@pytest.mark.parametrize(
+    ("changes", "place", "message"),
+    [
+        ({"signals/output": "Load.Tacho"}, "signals.output", "did you mean 'Load.Tachometer'?"),
+        ({"signals/output": "0x2001.7"}, "signals.output", "no object '0x2001.7'"),
+        ({"signals/output": "0x2001"}, "signals.output", "has members: name one of them"),
+        ({"signals/output": "0x1008"}, "signals.output", "no number"),
+        ({"signals/output": "0x1017"}, "signals.output", "does not send"),
+        ({"signals/fault": "0x2001.3"}, "signals.fault", "no object"),
+        ({"signals/fault": "0x2000.3"}, "signals.fault", "no unsigned integer"),
+        (
+            {"signals/command/boost_reference_V": "0x6079"},
+            "signals.command.boost_reference_V",
+            "does not take",
+        ),
+        ({"signals/bridge": "0x6041"}, "signals.bridge", "the statusword 0x6041 tells it"),
+        ({"signals/command/bridge": "0x6040"}, "signals.command.bridge", "the controlword 0x6040"),
+        ({"signals/counter": "0x2000.2"}, "signals.counter", "makes the daemon the clock"),
+        (
+            {"signals/command/boost_reference_V": None},
+            "signals.command.boost_reference_V",
+            "is missing",
+        ),
+        ({"bus/own_node_id": 5}, "bus.own_node_id", "5 is the drive's own node id"),
+        ({"bus/heartbeat_timeout_s": 0.05}, "bus.heartbeat_timeout_s", "at least 2 times"),
+        ({"bus/node_id": 128}, "bus.node_id", "less than or equal to 127"),
+        ({"bus/channel": "can0"}, "bus.channel", "an IPv4 multicast group"),
+        ({"bus/eds": "none.eds"}, "bus.eds", "No such file"),
+        ({"bus/eds": "motor.toml"}, "bus.eds", "is no .eds and no .dcf file"),
+        ({"bus/setup/0x6040": 15}, "bus.setup.0x6040", "is written by the daemon itself"),
+        ({"bus/setup/0x1016.1": 0}, "bus.setup.0x1016.1", "is written by the daemon itself"),
+        ({"bus/setup/0x1A00.0": 0}, "bus.setup.0x1A00.0", "is written by the daemon itself"),
+        ({"bus/setup/0x2000.4": 300}, "bus.setup.0x2000.4", "is written by the daemon itself"),
+        ({"bus/setup/0x6060": 128}, "bus.setup.0x6060", "128 is no integer from -128 to 127"),
+        ({"bus/setup/0x6060": 1.5}, "bus.setup.0x6060", "1.5 is no integer"),
+        ({"bus/setup/0x6061": 1}, "bus.setup.0x6061", "cannot be written"),
+        ({"bus/setup/Mode": 1}, "bus.setup.Mode", "no object 'Mode'"),
+    ],
+)
+def test_each_flaw_is_told_with_its_place(
+    changes: dict[str, Any], place: str, message: str
+) -> None:
+    found = flaws(changes)
+    assert message in found[place]
+    assert len(found) == 1
+
+
+def test_all_flaws_are_told_at_once() -> None:
+    changes = {"signals/output": "Nothing", "signals/load_power_W": "0x9999", "bus/setup/0x6040": 1}
+    assert set(flaws(changes)) == {"signals.output", "signals.load_power_W", "bus.setup.0x6040"}
+
+
+@pytest.mark.parametrize(
+    ("index", "consequence"),
+    [
+        ("1016", "0x1016.1: it could not watch the daemon"),
+        ("1017", "0x1017: it could not be watched"),
+        ("1005", "0x1005: it could not be told when to measure"),
+        ("6040", "0x6040: it is no CiA 402 drive"),
+        ("6041", "0x6041: it is no CiA 402 drive"),
+    ],
+)
+def test_a_drive_that_cannot_be_kept_safe_is_refused(
+    tmp_path: Path, index: str, consequence: str
+) -> None:
+    eds = other_eds(tmp_path, without(index))
+    assert consequence in flaws({"bus/eds": str(eds)})["bus.eds"]
+
+
+def test_a_drive_with_too_few_pdos_is_refused(tmp_path: Path) -> None:
+    eds = other_eds(tmp_path, without("1801"), without("1802"), without("1803"))
+    assert flaws({"bus/eds": str(eds)}) == {
+        "signals": "128 bits do not fit into the drive's 1 TPDOs"
+    }
+
+
+def test_a_mapping_that_is_fixed_is_refused(tmp_path: Path) -> None:
+    fixed = "[1A00sub0]\nParameterName=Number of mapped objects\nObjectType=0x7\nDataType=0x0005\n"
+    eds = other_eds(tmp_path, (f"{fixed}AccessType=rw", f"{fixed}AccessType=const"))
+    assert flaws({"bus/eds": str(eds)}) == {"bus.eds": "the mapping of TPDO1 cannot be changed"}
+
+
+@pytest.mark.parametrize("spoilt", ["DataType=zzz", "DataTypo=0x0007", "= = ="])
+def test_a_spoilt_eds_is_one_clear_flaw(tmp_path: Path, spoilt: str) -> None:
+    eds = other_eds(tmp_path, ("DataType=0x0007\nAccessType=ro\nDefaultValue=0x00010192", spoilt))
+    assert str(eds) in flaws({"bus/eds": str(eds)})["bus.eds"]
+
+
+def test_the_words_of_the_profile_are_always_there() -> None:
+    mapping = plan()
+    assert mapping.transmits[0].entries[0].address == STATUSWORD
+    assert mapping.receives[0].entries[0].address == CONTROLWORD
+    assert mapping.orders[0].controlword

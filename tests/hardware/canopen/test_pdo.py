@@ -1,0 +1,107 @@
+"""What travels in a PDO is what the canopen library packs and unpacks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import canopen
+import pytest
+from canopen.pdo.base import PdoMap
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptdrive.hardware.can.integrity import Verdict
+from adaptdrive.hardware.canopen.dictionary import Catalogue, Entry, load_dictionary
+from adaptdrive.hardware.canopen.pdo import Channel, codec, pack, receive_channel, transmit_channel
+from tests.hardware.canopen.documents import EDS
+
+NODE = 5
+CATALOGUE = Catalogue(load_dictionary(EDS, NODE))
+ADDRESSES = [(0x6041, 0), (0x6079, 0), (0x2000, 1), (0x2001, 1), (0x2001, 2), (0x2000, 3)]
+
+
+def entry(address: tuple[int, int]) -> Entry:
+    found = CATALOGUE.at(address)
+    assert found is not None
+    return found
+
+
+ENTRIES = [entry(address) for address in ADDRESSES]
+
+
+def library_map(entries: tuple[Entry, ...]) -> PdoMap:
+    """The same PDO, as the library has it."""
+    node = canopen.RemoteNode(NODE, str(EDS))
+    pdo: PdoMap = node.tpdo[1]
+    pdo.clear()
+    for one in entries:
+        pdo.add_variable(one.index, one.subindex, one.bits)
+    return pdo
+
+
+def raw_values(one: Entry) -> st.SearchStrategy[Any]:
+    if one.real:
+        return st.floats(allow_nan=False, allow_infinity=False, width=32)
+    low, high = one.limits
+    return st.integers(int(low), int(high))
+
+
+fillings = st.lists(st.sampled_from(ENTRIES), min_size=1, max_size=4, unique=True).flatmap(
+    lambda entries: st.tuples(st.just(entries), st.tuples(*map(raw_values, entries)))
+)
+
+
+@given(fillings)
+def test_frames_are_those_of_the_library_in_both_directions(
+    filling: tuple[list[Entry], tuple[float, ...]],
+) -> None:
+    entries, values = filling
+    for pdo in pack("TPDO", [transmit_channel(n, NODE) for n in range(1, 5)], entries) or []:
+        given_values = {
+            one.label: value
+            for one, value in zip(entries, values, strict=True)
+            if one in pdo.entries
+        }
+        theirs = library_map(pdo.entries)
+        for variable, one in zip(theirs.map, pdo.entries, strict=True):
+            variable.raw = given_values[one.label]
+        ours = codec(pdo)
+        assert ours.encode(given_values) == bytes(theirs.data)
+        decoded = ours.decode(bytes(theirs.data))
+        assert decoded.verdict is Verdict.GOOD
+        assert decoded.values == given_values
+
+
+@given(st.lists(st.sampled_from(ENTRIES), unique=True))
+def test_everything_is_packed_once_and_no_frame_is_too_long(entries: list[Entry]) -> None:
+    channels = [transmit_channel(number, NODE) for number in range(1, 5)]
+    pdos = pack("TPDO", channels, entries)
+    assert pdos is not None
+    packed = [one for pdo in pdos for one in pdo.entries]
+    assert sorted(one.label for one in packed) == sorted(one.label for one in entries)
+    assert all(sum(one.bits for one in pdo.entries) <= 64 for pdo in pdos)
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    assert pack("TPDO", [transmit_channel(1, NODE)], ENTRIES) is None
+
+
+@pytest.mark.parametrize("length", [0, 7, 9])
+def test_a_frame_of_another_length_is_refused(length: int) -> None:
+    (pdo,) = pack("TPDO", [transmit_channel(1, NODE)], ENTRIES[:3]) or []
+    assert codec(pdo).decode(bytes(length)).verdict is Verdict.WRONG_LENGTH
+
+
+def test_a_number_that_is_none_is_refused() -> None:
+    (pdo,) = pack("RPDO", [receive_channel(1, NODE)], [entry((0x2000, 3))]) or []
+    assert codec(pdo).decode(bytes.fromhex("0000c07f")).verdict is Verdict.OUT_OF_RANGE
+    with pytest.raises(ValueError, match="outside"):
+        codec(pdo).encode({"0x2000.3": float("nan")})
+
+
+def test_channels_are_those_of_the_predefined_connection_set() -> None:
+    node = canopen.RemoteNode(NODE, str(EDS))
+    for number in range(1, 5):
+        channel: Channel = transmit_channel(number, NODE)
+        assert channel.cob_id == node.tpdo[number].predefined_cob_id
+        assert receive_channel(number, NODE).cob_id == 0x100 * (number + 1) + NODE
