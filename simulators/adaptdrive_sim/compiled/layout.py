@@ -105,8 +105,8 @@ def write(layout: Layout, instance: Any, words: NDArray[np.int64]) -> None:
 
 
 def _field(name: str, value: Any, hint: Any, offset: int) -> Field | None:
-    optional = _optional_class(hint)
     if value is None:
+        optional = _optional_class(hint)
         part = _absent(optional) if optional is not None else None
         return None if part is None else Field(name, "object", offset, part=part)
     scalar = _SCALARS.get(hint) or _SCALARS.get(type(value))

@@ -6,10 +6,12 @@ its own, some half cycles older than the drive's frame.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from adaptdrive.control.vectors import Vector, shift_in
+
+_WHOLE = 1.5 * 2.0**52
+"""So large that a sum with it is a whole number: half the cost of `floor` in compiled code."""
 
 
 @dataclass(slots=True)
@@ -34,9 +36,9 @@ class Wire:
 
 
 def rounded(value: float, quantum: float) -> float:
-    """The nearest multiple of a quantum."""
+    """The nearest multiple of a quantum, of two equally near ones the even one."""
     if quantum > 0.0:
-        return quantum * math.floor(value / quantum + 0.5)
+        return quantum * ((value / quantum + _WHOLE) - _WHOLE)
     return value
 
 

@@ -5,10 +5,15 @@ State x = v_bst², for which the stage is linear in its command:
     dx/dt = (2/C)·(k·V_rms² − v·i_boost(v)),   i_boost(v) = G·v − H
 
 k is the line-current scale (line current over line voltage). One call integrates one half line
-cycle, averaged over the line: one fourth-order Runge-Kutta step, since the load's 2G/C is only
-about 31 1/s, with the cubic through both ends for the middle. The 120 Hz ripple that averaging
-removes comes back as an analytic term: with the input power P·(1 − cos 2ωt), v carries
-−P·sin(2ωt)/(2·C·ω·v), which vanishes at the zero crossing.
+cycle, averaged over the line. While x moves by less than a tenth of itself, its Taylor series is
+summed: with t in half cycles of length T, g = 2TG/C, h = 2TH/C and x = Σ x_n tⁿ, v = Σ v_n tⁿ,
+
+    (n + 1)·x_(n+1) = h·v_n − g·x_n  (+ 2TkV_rms²/C for n = 0),   Σ v_i·v_(n−i) = x_n
+
+Otherwise, as where the load current stops, one fourth-order Runge-Kutta step is taken, with the
+cubic through both ends for the middle. The 120 Hz ripple that averaging removes comes back as an
+analytic term: with the input power P·(1 − cos 2ωt), v carries −P·sin(2ωt)/(2·C·ω·v), which
+vanishes at the zero crossing.
 
 While the line is on, the rectifier's diodes do not let v fall below the line's peak; a capacitor
 below it is charged towards it through the precharge resistor.
@@ -20,6 +25,14 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive_sim.parameters import check_quantities, quantity
+
+_HALF, _THIRD, _QUARTER, _FIFTH = 1.0 / 2.0, 1.0 / 3.0, 1.0 / 4.0, 1.0 / 5.0
+
+_GENTLE = 0.1
+"""Largest change of x within a half cycle for its series, as a share of x."""
+
+_SLOW = 0.5
+"""Largest g for the series; v is then right to 2 mV."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +52,7 @@ class Boost:
 
     Attributes:
         squared_V2: State x = v².
+        voltage_V: Capacitor voltage v, ripple left out.
         mean_voltage_V: Mean voltage over the last step.
         mean_load_W: Mean power into the dc/dc stage over the last step.
         mean_line_W: Mean power from the line over the last step, diode current included.
@@ -47,21 +61,16 @@ class Boost:
     def __init__(self, parameters: BoostParameters, voltage_V: float) -> None:
         self.parameters = parameters
         self.squared_V2 = voltage_V * voltage_V
-        self.mean_voltage_V = voltage_V
+        self.voltage_V = self.mean_voltage_V = voltage_V
         self.mean_load_W = 0.0
         self.mean_line_W = 0.0
         self._rate = 2.0 / parameters.capacitance_F
         self._lowest = -math.inf if parameters.bidirectional else 0.0
 
-    @property
-    def voltage_V(self) -> float:
-        """Capacitor voltage, ripple left out."""
-        return math.sqrt(self.squared_V2)
-
     def settle(self, voltage_V: float, load_W: float) -> None:
         """Put the stage at rest at a voltage, with the line supplying the load's power."""
         self.squared_V2 = voltage_V * voltage_V
-        self.mean_voltage_V = voltage_V
+        self.voltage_V = self.mean_voltage_V = voltage_V
         self.mean_load_W = self.mean_line_W = load_W
 
     def advance(
@@ -88,21 +97,21 @@ class Boost:
         supply_W = current_scale_S * squared_line
         if supply_W < 0.0 and self._lowest == 0.0:
             supply_W = 0.0
-        first = self.squared_V2
-        middle, last = self._integrate(first, supply_W, conductance_S, offset_A, duration_s)
-        load_W = supply_W - (last - first) / (self._rate * duration_s)
-        floor = 2.0 * squared_line
+        first, floor = self.squared_V2, 2.0 * squared_line
+        last, mean_V = self._integrate(supply_W, conductance_S, offset_A, duration_s)
+        gained_W = (last - first) / (self._rate * duration_s)
+        load_W = supply_W - gained_W
         held = self._rectified(first, floor, duration_s) if last < floor else last
         if held > last:
-            last, middle = held, 0.5 * (first + held)
-            mean_V = math.sqrt(middle)
-            load_W = mean_V * max(self._lowest, conductance_S * mean_V - offset_A)
-        end_V = math.sqrt(last)
-        self.squared_V2 = last
-        self.mean_voltage_V = (math.sqrt(first) + 4.0 * math.sqrt(middle) + end_V) / 6.0
+            last, middle_V = held, math.sqrt(0.5 * (first + held))
+            mean_V = (self.voltage_V + 4.0 * middle_V + math.sqrt(held)) / 6.0
+            gained_W = (last - first) / (self._rate * duration_s)
+            load_W = middle_V * max(self._lowest, conductance_S * middle_V - offset_A)
+        self.squared_V2, self.voltage_V = last, math.sqrt(last)
+        self.mean_voltage_V = mean_V
         self.mean_load_W = load_W
-        self.mean_line_W = load_W + (last - first) / (self._rate * duration_s)
-        return end_V
+        self.mean_line_W = load_W + gained_W
+        return self.voltage_V
 
     def ripple_V(self, phase_rad: float, duration_s: float) -> float:
         """The 120 Hz ripple at a phase of the line's double frequency (0 at zero crossings)."""
@@ -111,9 +120,22 @@ class Boost:
         return -self.mean_line_W * math.sin(phase_rad) / swing
 
     def _integrate(
+        self, supply_W: float, conductance_S: float, offset_A: float, duration_s: float
+    ) -> tuple[float, float]:
+        """x at the end of a half cycle without diodes, and the mean of v over it."""
+        x, v, whole = self.squared_V2, self.voltage_V, self._rate * duration_s
+        g, load_W = whole * conductance_S, v * (conductance_S * v - offset_A)
+        change = whole * (supply_W - load_W)
+        moves = abs(change)
+        flows = load_W - conductance_S * moves > self._lowest * v  # all the time
+        if flows and moves < _GENTLE * x and g < _SLOW:
+            return _sum_series(x, v, change, g, whole * offset_A)
+        return self._runge_kutta(x, supply_W, conductance_S, offset_A, duration_s)
+
+    def _runge_kutta(
         self, x: float, supply_W: float, conductance_S: float, offset_A: float, step_s: float
     ) -> tuple[float, float]:
-        """x in the middle and at the end of a step; written out, as every half cycle runs it."""
+        """The same, whatever happens in between; written out, as it may run for long."""
         sqrt, lowest = math.sqrt, self._lowest
         whole = self._rate * step_s
         half = 0.5 * whole
@@ -135,10 +157,34 @@ class Boost:
         v = sqrt(last)
         i = conductance_S * v - offset_A
         p5 = v * (i if i > lowest else lowest)
-        return max(0.0, 0.5 * (x + last) + 0.125 * whole * (p5 - p1)), last
+        middle = max(0.0, 0.5 * (x + last) + 0.125 * whole * (p5 - p1))
+        return last, (sqrt(x) + 4.0 * sqrt(middle) + v) / 6.0
 
     def _rectified(self, first: float, floor: float, duration_s: float) -> float:
         """Where the diodes keep x: at the line's peak, or on the way there from below."""
         if first >= floor:
             return floor
         return floor - (floor - first) * math.exp(-duration_s / self.parameters.precharge_s)
+
+
+def _sum_series(x: float, v: float, x1: float, g: float, h: float) -> tuple[float, float]:
+    """x at the end of a half cycle and the mean of v over it; written out, as nearly all run it.
+
+    Args:
+        x: State at the start.
+        v: Its square root.
+        x1: First term of the series of x.
+        g: 2TG/C.
+        h: 2TH/C.
+    """
+    per_v = 0.5 / v
+    v1 = x1 * per_v
+    x2 = (h * v1 - g * x1) * _HALF
+    v2 = (x2 - v1 * v1) * per_v
+    x3 = (h * v2 - g * x2) * _THIRD
+    v3 = (x3 - 2.0 * v1 * v2) * per_v
+    x4 = (h * v3 - g * x3) * _QUARTER
+    v4 = (x4 - 2.0 * v1 * v3 - v2 * v2) * per_v
+    x5 = (h * v4 - g * x4) * _FIFTH
+    mean = v + (v1 * _HALF + (v2 * _THIRD + (v3 * _QUARTER + v4 * _FIFTH)))
+    return x + (x1 + (x2 + (x3 + (x4 + x5)))), mean

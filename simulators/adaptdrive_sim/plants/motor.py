@@ -166,8 +166,8 @@ class Motor:
     def _advance(self, step: _Step, torque_Nm: float) -> float:
         """Advance under a constant torque; the mean speed over the step is returned."""
         speed = self.speed_rad_s
-        if step.damping > 0.0:
-            rest = torque_Nm / step.damping
+        if step.compliance > 0.0:
+            rest = torque_Nm * step.compliance
             excess = speed - rest
             mean = rest + excess * step.mean
             last = rest + excess * step.decay
@@ -194,7 +194,7 @@ class _Step:
     Attributes:
         duration_s: Length of the step; NaN before it is known.
         source_Ohm: Source resistance it was made for.
-        damping: Torque per speed.
+        compliance: Speed per torque at rest; 0 without damping.
         decay: What is left of a speed excess at the end.
         mean: Mean of that excess over the step.
         filter_decay: What is left of an output excess at the end.
@@ -203,7 +203,7 @@ class _Step:
 
     duration_s: float = math.nan
     source_Ohm: float = math.nan
-    damping: float = 0.0
+    compliance: float = 0.0
     decay: float = 0.0
     mean: float = 0.0
     filter_decay: float = 0.0
@@ -220,7 +220,8 @@ class _Step:
         angle = rate * duration_s
         half_gap = 0.5 * (duration_s / filter_s - angle)
         middle = math.exp(-0.5 * (duration_s / filter_s + angle))
-        self.duration_s, self.source_Ohm, self.damping = duration_s, source_Ohm, damping
+        self.duration_s, self.source_Ohm = duration_s, source_Ohm
+        self.compliance = 1.0 / damping if damping > 0.0 else 0.0
         self.decay = math.exp(-angle)
         self.mean = -math.expm1(-angle) / angle if angle else 1.0
         self.filter_decay = math.exp(-duration_s / filter_s)

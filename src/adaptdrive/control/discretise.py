@@ -22,7 +22,6 @@ from adaptdrive.control.vectors import Vector, copy_into
 
 _TAYLOR_TERMS = 30
 _LONGEST_STEP = 2.0
-_NEGLIGIBLE = 1e-18
 _LONGEST_REACH = 1.0e4
 _LARGEST_EXPONENT = 700.0
 
@@ -44,15 +43,18 @@ def held_model(
     """
     order = len(denominator) - 1
     count = order + input_taps(0, period_s, delay_s, window_s) + 1
-    system = _step_system(numerator, denominator)
+    system = _companion(numerator, denominator)
     transition = _transition(system, order + 2, period_s)
+    wanted = [0.0] * (order + 2)
     if window_s > 0.0:
-        row, before_s = order + 1, delay_s + window_s
-        late = _responses(system, transition, -delay_s, period_s, count, row)
-        early = _responses(system, transition, -before_s, period_s, count, row)
+        wanted[order + 1] = 1.0
+        late = _responses(system, transition, wanted, -delay_s, period_s, count)
+        before_s = delay_s + window_s
+        early = _responses(system, transition, wanted, -before_s, period_s, count)
         steps = [(late[j] - early[j]) / window_s for j in range(count)]
     else:
-        steps = _outputs(system, transition, numerator, -delay_s, period_s, count)
+        copy_into(wanted, system[order:])
+        steps = _responses(system, transition, wanted, -delay_s, period_s, count)
     a = _characteristic(transition, order)
     return a, _numerator_from_steps(a, steps)
 
@@ -62,86 +64,92 @@ def input_taps(order: int, period_s: float, delay_s: float, window_s: float) -> 
     return order + math.ceil((delay_s + window_s) / period_s - 1e-9)
 
 
-def _step_system(numerator: Vector, denominator: Vector) -> Vector:
-    """Matrix of z' = M z with z = (x, u, ∫y): companion form, constant input, integral."""
+def _companion(numerator: Vector, denominator: Vector) -> Vector:
+    """What is not 0 or 1 in the matrix M of z' = M z with z = (x, u, ∫y): the companion form.
+
+    x_1' = x_2, ..., x_m' = u - a_m x_1 - ... - a_1 x_m and u' = 0;
+    y = c_m x_1 + ... + c_1 x_m + b_0 u.
+
+    Returns:
+        -a_m ... -a_1, c_m ... c_1, b_0.
+    """
     order = len(denominator) - 1
-    size = order + 2
-    matrix = [0.0] * (size * size)
-    for i in range(order - 1):
-        matrix[i * size + i + 1] = 1.0
+    system = [0.0] * (2 * order + 1)
     for i in range(order):
-        matrix[(order - 1) * size + i] = -denominator[order - i]
-        matrix[(size - 1) * size + i] = numerator[order - i] - denominator[order - i] * numerator[0]
-    if order > 0:
-        matrix[(order - 1) * size + order] = 1.0
-    matrix[(size - 1) * size + order] = numerator[0]
-    return matrix
+        system[i] = -denominator[order - i]
+        system[order + i] = numerator[order - i] - denominator[order - i] * numerator[0]
+    system[2 * order] = numerator[0]
+    return system
 
 
-def propagate(matrix: Vector, state: Vector, duration_s: float) -> Vector:
-    """exp(M t) z by a Taylor series over steps short enough for full precision.
+def propagate(system: Vector, state: Vector, duration_s: float) -> None:
+    """z <- exp(M t) z by a Taylor series over steps short enough for full precision.
 
     A system too fast for the duration by four orders of magnitude gives NaNs: as a load model it
     is absurd, and working it out could keep a control loop waiting.
 
     Args:
-        matrix: M, flat, n by n.
-        state: z, n entries.
+        system: -a_m ... -a_1, c_m ... c_1, b_0.
+        state: z: x_1 ... x_m, u, ∫y; overwritten.
         duration_s: t.
     """
-    size = len(state)
-    reach = _norm(matrix, size) * duration_s
+    reach = _norm(system, len(state) - 2) * duration_s
+    term = [math.nan] * len(state)
     if not reach < _LONGEST_REACH:
-        return [math.nan] * size
+        copy_into(state, term)
+        return
     steps = max(1, math.ceil(reach / _LONGEST_STEP))
-    step_s = duration_s / steps
-    result = state
     for _ in range(steps):
-        result = _taylor_step(matrix, result, step_s)
-    return result
+        copy_into(term, state)
+        _taylor_step(system, state, term, duration_s / steps)
 
 
-def _taylor_step(matrix: Vector, state: Vector, step_s: float) -> Vector:
-    size = len(state)
-    result = list(state)
-    term = list(state)
-    following = list(state)
+def _taylor_step(system: Vector, state: Vector, term: Vector, step_s: float) -> None:
+    """Add t^n/n! M^n z for n = 1, 2, ... to z until it makes no difference; `term` begins as z."""
+    order = len(state) - 2
     for n in range(1, _TAYLOR_TERMS + 1):
-        largest = 0.0
-        for i in range(size):
-            derivative = 0.0
-            for j in range(size):
-                derivative += matrix[i * size + j] * term[j]
-            following[i] = derivative * step_s / n
-            result[i] += following[i]
-            largest = max(largest, abs(following[i]) - _NEGLIGIBLE * abs(result[i]))
-        if largest <= 0.0:
+        share = step_s / n
+        rise, slope = term[order], system[2 * order] * term[order]
+        for i in range(order):
+            rise += system[i] * term[i]
+            slope += system[order + i] * term[i]
+        for i in range(order - 1):
+            term[i] = share * term[i + 1]
+        if order > 0:
+            term[order - 1] = share * rise
+        term[order], term[order + 1] = 0.0, share * slope
+        if not _add(state, term):
             break
-        copy_into(term, following)
-    return result
 
 
-def _norm(matrix: Vector, size: int) -> float:
-    largest = 0.0
-    for i in range(size):
-        row = 0.0
-        for j in range(size):
-            row += abs(matrix[i * size + j])
-        largest = max(largest, row)
-    return largest
+def _add(state: Vector, term: Vector) -> bool:
+    """Add a term of a series; says whether it made a difference."""
+    counts = False
+    for i in range(len(state)):
+        grown = state[i] + term[i]
+        if grown != state[i]:
+            state[i] = grown
+            counts = True
+    return counts
 
 
-def _size_of(matrix: Vector) -> int:
-    return round(math.sqrt(len(matrix)))
+def _norm(system: Vector, order: int) -> float:
+    """The largest sum of sizes in a row of M."""
+    feedback, output = 1.0, abs(system[2 * order])
+    for i in range(order):
+        feedback += abs(system[i])
+        output += abs(system[order + i])
+    return max(feedback, output)
 
 
-def _transition(matrix: Vector, size: int, duration_s: float) -> Vector:
+def _transition(system: Vector, size: int, duration_s: float) -> Vector:
     """exp(M t), flat."""
     transition = [0.0] * (size * size)
+    column = [0.0] * size
     for j in range(size):
-        unit = [0.0] * size
-        unit[j] = 1.0
-        column = propagate(matrix, unit, duration_s)
+        for i in range(size):
+            column[i] = 1.0 if i == j else 0.0
+        propagate(system, column, duration_s)
         for i in range(size):
             transition[i * size + j] = column[i]
     return transition
@@ -152,54 +160,38 @@ def _transit(transition: Vector, state: Vector) -> Vector:
     size = len(state)
     result = [0.0] * size
     for i in range(size):
+        value = 0.0
         for j in range(size):
-            result[i] += transition[i * size + j] * state[j]
+            value += transition[i * size + j] * state[j]
+        result[i] = value
     return result
 
 
 def _responses(
-    system: Vector, transition: Vector, start_s: float, period_s: float, count: int, row: int
+    system: Vector,
+    transition: Vector,
+    wanted: Vector,
+    start_s: float,
+    period_s: float,
+    count: int,
 ) -> Vector:
-    """Entry `row` of the step response at start, start + T, ...; 0 before the step."""
-    size = _size_of(system)
+    """A weighted sum of z after a unit step of u, at start, start + T, ...; 0 before the step."""
+    size = len(wanted)
     responses = [0.0] * count
     state = [0.0] * size
-    state[size - 2] = 1.0
     begun = False
     for j in range(count):
         time_s = start_s + j * period_s
         if begun:
             state = _transit(transition, state)
-        elif time_s > 0.0:
-            state = propagate(system, state, time_s)
+        elif time_s >= 0.0:
+            state[size - 2] = 1.0
+            propagate(system, state, time_s)
             begun = True
         if begun:
-            responses[j] = state[row]
+            for i in range(size):
+                responses[j] += wanted[i] * state[i]
     return responses
-
-
-def _outputs(
-    system: Vector,
-    transition: Vector,
-    numerator: Vector,
-    start_s: float,
-    period_s: float,
-    count: int,
-) -> Vector:
-    """The step response itself, y = C x + b_0 u, at start, start + T, ..."""
-    order = len(numerator) - 1
-    size = order + 2
-    outputs = [0.0] * count
-    for j in range(count):
-        if start_s + j * period_s >= 0.0:
-            outputs[j] = numerator[0]
-    for i in range(order):
-        weight = system[(size - 1) * size + i]
-        if weight != 0.0:
-            states = _responses(system, transition, start_s, period_s, count, i)
-            for j in range(count):
-                outputs[j] += weight * states[j]
-    return outputs
 
 
 def _characteristic(transition: Vector, order: int) -> Vector:

@@ -22,9 +22,11 @@ from adaptdrive.control.vectors import Vector, multiply, solve_linear
 
 def desired_polynomial(pole: float, count: int) -> Vector:
     """(1 - pole q^-1)^count."""
-    polynomial = [1.0]
-    for _ in range(count):
-        polynomial = multiply(polynomial, [1.0, -pole])
+    polynomial = [0.0] * (count + 1)
+    polynomial[0] = 1.0
+    for degree in range(1, count + 1):
+        for i in range(degree, 0, -1):
+            polynomial[i] -= pole * polynomial[i - 1]
     return polynomial
 
 

@@ -124,8 +124,8 @@ def is_stable(polynomial: Vector, radius: float) -> bool:
         reflection = row[degree] / row[0]
         if not abs(reflection) < 1.0:
             return False
-        reduced = [0.0] * degree
-        for i in range(degree):
-            reduced[i] = row[i] - reflection * row[degree - i]
-        row = reduced
+        for i in range(degree // 2 + 1):
+            first, last = row[i], row[degree - i]
+            row[i] = first - reflection * last
+            row[degree - i] = last - reflection * first
     return True
