@@ -13,8 +13,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.deploy.licences import PACKED, closure
+
 CHECKOUT = Path(__file__).parents[2]
 PACKAGE = CHECKOUT / "build" / "adaptdrive.deb"
+LICENCE_FILE = re.compile("licen[cs]e|copying", re.IGNORECASE)
 SOURCE = CHECKOUT / "src" / "adaptdrive"
 
 
@@ -74,7 +77,15 @@ def test_every_library_is_of_the_version_that_the_tests_passed_in(tree: Path) ->
     }
     del packed["adaptdrive"]
     assert packed == {name: pinned[name] for name in packed}
-    assert {"aiomqtt", "pyarrow", "pydantic", "pymodbus", "python-can", "uvloop"} <= set(packed)
+    assert set(packed) == closure("adaptdrive", PACKED) - {"adaptdrive"}
+
+
+def test_the_full_text_of_each_licence_is_there(tree: Path) -> None:
+    notice = (tree / "usr/share/doc/adaptdrive/copyright").read_text(encoding="utf-8")
+    for folder in site_packages(tree).glob("*.dist-info"):
+        texts = [path for path in folder.rglob("*") if LICENCE_FILE.match(path.name)]
+        name, version = folder.stem.split("-")
+        assert texts or f"\n{name} {version}\n" in notice, name
 
 
 def test_it_is_light(tree: Path) -> None:

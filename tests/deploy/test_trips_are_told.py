@@ -1,0 +1,83 @@
+"""Operators find every trip that the code can name in a table that says what to do."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from typing_extensions import TypeIs
+
+CHECKOUT = Path(__file__).parents[2]
+SOURCE = CHECKOUT / "src" / "adaptdrive"
+RETURNING = {"find_cause", "_unhealthy", "_exceeded", "_bridge_cause", "complaint"} | {
+    "_problem",
+    "_watch",
+    "_departure",
+}
+"""Functions that return what trips a drive."""
+TAKING = {"latch", "fall"}
+"""Methods that are given what trips a drive."""
+
+Text = ast.JoinedStr | ast.Constant
+
+
+def trips() -> Iterator[str]:
+    """Every text that trips a drive, as a pattern: what is filled in may be anything."""
+    for path in sorted(SOURCE.rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            yield from map(_pattern, _texts(node))
+
+
+def _texts(node: ast.AST) -> Iterator[Text]:
+    match node:
+        case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name) if name in RETURNING:
+            returned = (each.value for each in ast.walk(node) if isinstance(each, ast.Return))
+            yield from filter(_is_text, returned)
+        case ast.Call(func=ast.Attribute(attr=name), args=[text]) if name in TAKING:
+            yield from filter(_is_text, [text])
+        case ast.Assign(targets=[ast.Name(id="_UNRESPONSIVE")], value=text) if _is_text(text):
+            yield text
+
+
+def _is_text(node: ast.expr | None) -> TypeIs[Text]:
+    return isinstance(node, ast.JoinedStr) or (
+        isinstance(node, ast.Constant) and isinstance(node.value, str)
+    )
+
+
+def _pattern(text: Text) -> str:
+    parts = text.values if isinstance(text, ast.JoinedStr) else [text]
+    return "".join(
+        re.escape(str(part.value)) if isinstance(part, ast.Constant) else ".*" for part in parts
+    )
+
+
+TRIPS = sorted({trip for trip in trips() if re.search("[a-z]", trip)})
+
+
+def told() -> list[str]:
+    """All trips of the two tables; a node on a bus puts its name before its own."""
+    operation = section("operation.md", "## Trips and what to do")
+    hardware = section("hardware.md", "**What trips, and in which words**")
+    cells = re.findall(r"\| `(.+?)` \|", operation + hardware)
+    return cells + [cell.removeprefix("node 5: ") for cell in cells]
+
+
+def section(page: str, start: str) -> str:
+    """What a page says from a line on, up to the next heading."""
+    text = (CHECKOUT / "docs" / page).read_text(encoding="utf-8")
+    return text.partition(f"\n{start}\n")[2].partition("\n## ")[0]
+
+
+@pytest.mark.parametrize("trip", TRIPS)
+def test_a_trip_is_in_a_table(trip: str) -> None:
+    assert any(re.fullmatch(trip, cell) for cell in told()), f"no page tells what to do: {trip}"
+
+
+def test_the_trips_are_found_in_the_source() -> None:
+    for known in ("over-voltage", "precharge", "no response", "slow loop", "stale", "drive fault"):
+        assert any(trip.startswith(re.escape(known)) for trip in TRIPS), known
