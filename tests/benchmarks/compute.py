@@ -320,6 +320,7 @@ def _times_of_pairs(
     times = []
     for status, load in pairs:
         listener.quiet.time_s += TICK_US * 1e-6
+        status.timestamp = load.timestamp = time.time()
         began_s = time.perf_counter()
         take(status)
         take(load)

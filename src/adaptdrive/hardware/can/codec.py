@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import NamedTuple
 
 from cantools.database import DecodeError
 from cantools.database.can.message import Message
@@ -24,8 +25,10 @@ CLASSIC_LENGTH = 8
 _UNPROTECTED = FrameIntegrity()
 
 
-@dataclass(frozen=True, slots=True)
-class Decoded:
+_NOTHING: Mapping[str, float] = MappingProxyType({})
+
+
+class Decoded(NamedTuple):
     """What became of a frame.
 
     Attributes:
@@ -36,7 +39,7 @@ class Decoded:
     """
 
     verdict: Verdict
-    values: Mapping[str, float] = field(default_factory=dict)
+    values: Mapping[str, float] = _NOTHING
     lost: int = 0
 
 
@@ -73,9 +76,9 @@ class MessageCodec:
             signal.name: compile_field(signal, measured=signal.name in measured)
             for signal in message.signals
         }
-        self._sent_as_idle = {name: field.idle for name, field in self._fields.items()}
-        self._pack = compile_pack(message)
         self._prepare_integrity(message, integrity)
+        idle = {name: field.idle for name, field in self._fields.items()}
+        self._pack = compile_pack(message, {**idle, **self._fixed})
         self._prepare_decoding(message, wanted)
 
     def _prepare_integrity(self, message: Message, integrity: FrameIntegrity) -> None:
@@ -114,9 +117,7 @@ class MessageCodec:
             ValueError: A value is not finite, or outside the range of its signal.
             KeyError: The message has no signal of that name.
         """
-        raw = {**self._sent_as_idle, **self._fixed}
-        for name, value in values.items():
-            raw[name] = self._fields[name].raw(value)
+        raw = {name: self._fields[name].raw(value) for name, value in values.items()}
         counter = self._next
         if self._counter:
             raw[self._counter] = counter
@@ -148,9 +149,12 @@ class MessageCodec:
         at = self._checksum_at
         if at is None:
             return True
-        seen = self._seen(data) if self._seen else {}
+        rest = data[:at] + data[at + 1 :]
+        if self._seen is None:
+            return data[at] == self._checksum(rest, 0)
+        seen = self._seen(data)
         counter = int(seen.get(self._counter or "", 0))
-        return data[at] == self._checksum(data[:at] + data[at + 1 :], counter) and all(
+        return data[at] == self._checksum(rest, counter) and all(
             seen[name] == value for name, value in self._fixed.items()
         )
 

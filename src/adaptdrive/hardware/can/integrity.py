@@ -47,11 +47,6 @@ def crc8(data: bytes, start: int) -> int:
     return register
 
 
-def sae_j1850(data: bytes) -> int:
-    """CRC-8 SAE J1850 of `data`."""
-    return crc8(data, 0xFF) ^ 0xFF
-
-
 def checksum_function(integrity: FrameIntegrity) -> Checksum:
     """The checksum of a message.
 
@@ -59,7 +54,7 @@ def checksum_function(integrity: FrameIntegrity) -> Checksum:
         integrity: Its form, and the data id of AUTOSAR profile 1; SAE J1850 has none.
     """
     if integrity.algorithm == "sae-j1850":
-        return lambda data, _: sae_j1850(data)
+        return lambda data, _: crc8(data, 0xFF) ^ 0xFF
     low, high = integrity.data_id.to_bytes(2, "little")
     if integrity.data_id_mode == "alternating":
         starts = crc8(bytes((low,)), 0x00), crc8(bytes((high,)), 0x00)

@@ -143,16 +143,25 @@ def compile_unpack(message: Message, names: Iterable[str]) -> Unpack:
     }
 
 
-def compile_pack(message: Message) -> Pack:
-    """A function from the raw values of all signals of a message to the bytes of its frame."""
+def compile_pack(message: Message, idle: Mapping[str, Raw]) -> Pack:
+    """A function from the raw values of some signals of a message to the bytes of its frame.
+
+    Args:
+        message: The message.
+        idle: Raw values of all its signals, for those that the function is not given.
+    """
     if not all(map(_is_plain, message.signals)):
-        return lambda raw: message.encode(dict(raw), scaling=False, strict=False)
+        return lambda raw: message.encode({**idle, **raw}, scaling=False, strict=False)
     little, big = (_cuts(message, message.signals, order) for order in ("little", "big"))
     length = message.length
+    if not big:
+        base, places = _put_in(idle, little), {cut.name: cut for cut in little}
+        return lambda raw: _replaced(base, places, raw).to_bytes(length, "little")
 
     def pack(raw: Mapping[str, Raw]) -> bytes:
-        mirrored = _put_in(raw, big).to_bytes(length, "big")
-        word = _put_in(raw, little) | int.from_bytes(mirrored, "little")
+        every = {**idle, **raw}
+        mirrored = _put_in(every, big).to_bytes(length, "big")
+        word = _put_in(every, little) | int.from_bytes(mirrored, "little")
         return word.to_bytes(length, "little")
 
     return pack
@@ -202,6 +211,13 @@ def _put_in(raw: Mapping[str, Raw], cuts: Iterable[_Cut]) -> int:
     word = 0
     for name, shift, mask, _ in cuts:
         word |= (cast("int", raw[name]) & mask) << shift
+    return word
+
+
+def _replaced(word: int, places: Mapping[str, _Cut], raw: Mapping[str, Raw]) -> int:
+    for name, value in raw.items():
+        _, shift, mask, _ = places[name]
+        word = word & ~(mask << shift) | (cast("int", value) & mask) << shift
     return word
 
 

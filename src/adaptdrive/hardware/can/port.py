@@ -1,9 +1,10 @@
 """The port of a drive on a CAN bus.
 
 Every message keeps its last good values and their arrival. When a good clocking frame arrives and
-every quantity has been heard once, there is a reading, as old as its oldest value. It is handed out
-when no more frames wait: of readings that piled up while the process did not run, only the newest
-is worth a tick. A frame that fails a check changes nothing and is counted.
+every quantity has been heard once, there is a reading, as old as its oldest value. One whose frame
+was read as soon as it came is handed out at once. One whose frame has waited is held back until no
+more frames wait: of readings that piled up while the process did not run, only the newest is worth
+a tick. A frame that fails a check changes nothing and is counted.
 """
 
 from __future__ import annotations
@@ -34,6 +35,9 @@ _FIRST_DELAY_S = 0.1
 
 _LAST_DELAY_S = 2.0
 """Longest wait: an adapter that is plugged in again should not be waited for."""
+
+_PROMPT_S = 0.002
+"""A clocking frame that has waited for less than this has no successor yet: half cycles last."""
 
 _OLDEST_S = 1.0
 """Longest time that a frame is believed to have waited to be read. The waiting time is measured
@@ -85,6 +89,7 @@ class CanPort:
         self._statuses = {_key(status.codec): status for status in mapping.statuses}
         self._own = {_key(order.codec) for order in mapping.orders}
         self._sources = [source for status in mapping.statuses for source in status.sources]
+        self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
         self._others = {
             source.quantity: source.quantity.removeprefix(OTHER)
             for source in self._sources
@@ -148,10 +153,13 @@ class CanPort:
             ValueError: A value is not finite, or its signal cannot hold it; nothing is sent.
         """
         frames = [self._frame(order, command) for order in self._mapping.orders]
-        taken = [self._put(frame) for frame in frames]
-        if all(taken):
-            self._bridge_sent = command.bridge
-        return all(taken)
+        taken = 0
+        for frame in frames:
+            taken += self._put(frame)
+        if taken < len(frames):
+            return False
+        self._bridge_sent = command.bridge
+        return True
 
     def catch_up(self) -> None:
         """Hand out what has arrived and has not been looked at yet."""
@@ -179,33 +187,40 @@ class CanPort:
         self._counts["foreign"] += 1
 
     def _take_status(self, status: Status, frame: can.Message) -> None:
-        arrival_s = self._arrival(frame)
+        waited_s = self._waited(frame)
+        arrival_s = self._clock() - min(waited_s, _OLDEST_S)
         decoded = status.codec.decode(bytes(frame.data))
-        self._counts["counter_lost"] += decoded.lost
+        if decoded.lost:
+            self._counts["counter_lost"] += decoded.lost
         if decoded.verdict is not Verdict.GOOD:
             # a counter that leapt is in `counter_lost` already, with the length of its leap
             if decoded.verdict is not Verdict.COUNTER_LOST:
                 self._counts[decoded.verdict] += 1
             return
-        for source in status.sources:
-            value = decoded.values.get(source.signal.name)
-            if value is not None:
-                self._values[source.quantity] = value * source.scale + source.offset
-                self._dues[source.quantity] = arrival_s + source.slack_s, source.slack_s
-        if status.codec.name == self._mapping.clock:
+        self._keep(status, decoded.values, arrival_s)
+        if status is self._clocking:
             self._compose(arrival_s)
+            if frame.timestamp and waited_s < _PROMPT_S:
+                self._hand_out()
 
-    def _arrival(self, frame: can.Message) -> float:
-        """When the frame reached the machine, by the monotonic clock.
+    def _keep(self, status: Status, found: Mapping[str, float], arrival_s: float) -> None:
+        values, dues = self._values, self._dues
+        for source in status.sources:
+            value = found.get(source.signal.name)
+            if value is not None:
+                quantity, slack_s = source.quantity, source.slack_s
+                values[quantity] = value * source.scale + source.offset
+                dues[quantity] = arrival_s + slack_s, slack_s
+
+    def _waited(self, frame: can.Message) -> float:
+        """How long ago the frame reached the machine, 0 where that is not known.
 
         The kernel stamps frames when they arrive: one that waited while the loop was busy must not
         look as fresh as one that was read at once.
         """
-        now_s = self._clock()
         if not frame.timestamp:
-            return now_s
-        waited_s = self._wall_clock() - frame.timestamp
-        return now_s - min(max(waited_s, 0.0), _OLDEST_S)
+            return 0.0
+        return max(self._wall_clock() - frame.timestamp, 0.0)
 
     def _compose(self, arrival_s: float) -> None:
         """Make a reading of the newest values; a fault in one that it replaces is not forgotten."""
