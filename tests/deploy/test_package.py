@@ -19,6 +19,7 @@ CHECKOUT = Path(__file__).parents[2]
 PACKAGE = CHECKOUT / "build" / "adaptdrive.deb"
 LICENCE_FILE = re.compile("licen[cs]e|copying", re.IGNORECASE)
 SOURCE = CHECKOUT / "src" / "adaptdrive"
+EXAMPLES = sorted(path.name for path in (CHECKOUT / "deploy" / "examples").glob("*.toml"))
 
 
 def normal(name: str) -> str:
@@ -100,7 +101,8 @@ def test_it_runs_without_anything_else(tree: Path) -> None:
     assert version.stdout.strip() == __version__, version.stderr
 
 
-@pytest.mark.parametrize("example", ["motor.toml", "bath.toml", "battery.toml"])
+@pytest.mark.slow
+@pytest.mark.parametrize("example", EXAMPLES)
 def test_its_examples_are_valid(tree: Path, example: str) -> None:
     checked = run(tree, "check", tree / "usr" / "share" / "adaptdrive" / "examples" / example)
     assert checked.returncode == 0, checked.stderr
