@@ -14,7 +14,11 @@ from adaptdrive.hardware.port import Port
 
 
 def build_port(
-    configuration: Configuration, clock: Callable[[], float], source: Path | str
+    configuration: Configuration,
+    clock: Callable[[], float],
+    source: Path | str,
+    *,
+    passive: bool = False,
 ) -> Port:
     """Build the port of a drive; nothing is opened yet.
 
@@ -22,6 +26,8 @@ def build_port(
         configuration: The drive.
         clock: Monotonic clock in seconds.
         source: The configuration's file, for error messages.
+        passive: Whether the drive must only be looked at: nothing is written to it, not even
+            what would have to be set up first.
 
     Raises:
         ConfigurationError: Bus and signals do not fit; every flaw is listed.
@@ -43,6 +49,10 @@ def build_port(
             from adaptdrive.hardware.canopen.port import (  # noqa: PLC0415 - load what is used
                 build_canopen_port,
             )
+            from adaptdrive.hardware.canopen.watch import build_canopen_watch  # noqa: PLC0415
+
+        if passive:
+            return build_canopen_watch(bus, signals, clock, source=source)
         return build_canopen_port(bus, signals, half_cycle_s, clock, source=source)
     from adaptdrive.hardware.modbus.port import (  # noqa: PLC0415 - load what is used
         build_modbus_port,

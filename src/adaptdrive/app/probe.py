@@ -50,7 +50,7 @@ def probe(path: Path) -> int:
 
 
 async def _show(configuration: Configuration, path: Path) -> None:
-    port = build_whole_port(configuration, time.monotonic, path)
+    port = build_whole_port(configuration, time.monotonic, path, passive=True)
     listener = _Probe()
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(port.run(listener, lambda: _say(port.description)))

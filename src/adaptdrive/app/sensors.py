@@ -37,7 +37,11 @@ _RULES: dict[Rule, Callable[[Sequence[float]], float]] = {
 
 
 def build_whole_port(
-    configuration: Configuration, clock: Callable[[], float], source: Path | str
+    configuration: Configuration,
+    clock: Callable[[], float],
+    source: Path | str,
+    *,
+    passive: bool = False,
 ) -> Port:
     """Build the port of a drive and of its sensor buses; nothing is opened yet.
 
@@ -45,6 +49,7 @@ def build_whole_port(
         configuration: The drive.
         clock: Monotonic clock in seconds.
         source: The configuration's file, for error messages.
+        passive: Whether the drive must only be looked at.
 
     Raises:
         ConfigurationError: A bus and its signals do not fit; every flaw of every bus is listed.
@@ -53,7 +58,7 @@ def build_whole_port(
     ports: list[Port] = []
     buses: list[SensorBus] = []
     try:
-        ports.append(build_port(configuration, clock, source))
+        ports.append(build_port(configuration, clock, source, passive=passive))
     except ConfigurationError as error:
         flaws += error.flaws
     needed = needed_names(configuration.derived)

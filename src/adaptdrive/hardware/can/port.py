@@ -9,8 +9,6 @@ a tick. A frame that fails a check changes nothing and is counted.
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 import math
 import time
 from collections import Counter
@@ -21,27 +19,15 @@ import can
 
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.control.signals import Command
-from adaptdrive.errors import BusError
+from adaptdrive.hardware.can.arrival import OLDEST_S, PROMPT_S, waiting_time_s
 from adaptdrive.hardware.can.bus import describe_bus, frame_key, open_bus
 from adaptdrive.hardware.can.codec import MessageCodec
 from adaptdrive.hardware.can.integrity import Verdict
 from adaptdrive.hardware.can.mapping import OTHER, DriveMapping, Status, Timing, map_drive
 from adaptdrive.hardware.can.orders import Order
 from adaptdrive.hardware.can.reader import FrameReader
+from adaptdrive.hardware.can.reconnect import serve_for_ever
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
-
-_FIRST_DELAY_S = 0.1
-"""First wait before a lost bus is opened again: an interface that is restarted is soon back."""
-
-_LAST_DELAY_S = 2.0
-"""Longest wait: an adapter that is plugged in again should not be waited for."""
-
-_PROMPT_S = 0.002
-"""A clocking frame that has waited for less than this has no successor yet: half cycles last."""
-
-_OLDEST_S = 1.0
-"""Longest time that a frame is believed to have waited to be read. The waiting time is measured
-with the wall clock, and a step of that clock must not send an arrival into the distant past."""
 
 
 def build_can_port(  # noqa: PLR0913 - what the configuration says, and both clocks
@@ -130,15 +116,14 @@ class CanPort:
             BusError: The bus cannot be opened at the first attempt.
         """
         self._listener = listener
-        problem = await self._serve(self._open(), opened)
-        delay_s = _FIRST_DELAY_S
-        while True:
-            listener.on_bus(up=False, detail=f"{self.description}: {problem}")
-            bus, delay_s = await self._reopen(delay_s)
-            heard = self._counts["received"]
-            problem = await self._serve(bus, self._announce_return)
-            if self._counts["received"] > heard:
-                delay_s = _FIRST_DELAY_S
+        await serve_for_ever(
+            self._open,
+            self._serve,
+            opened,
+            lost=self._announce_loss,
+            returned=self._announce_return,
+            heard=lambda: self._counts["received"],
+        )
 
     def send(self, command: Command) -> bool:
         """Send one command now.
@@ -187,8 +172,8 @@ class CanPort:
         self._counts["foreign"] += 1
 
     def _take_status(self, status: Status, frame: can.Message) -> None:
-        waited_s = self._waited(frame)
-        arrival_s = self._clock() - min(waited_s, _OLDEST_S)
+        waited_s = waiting_time_s(frame, self._wall_clock)
+        arrival_s = self._clock() - min(waited_s, OLDEST_S)
         decoded = status.codec.decode(bytes(frame.data))
         if decoded.lost:
             self._counts["counter_lost"] += decoded.lost
@@ -200,7 +185,7 @@ class CanPort:
         self._keep(status, decoded.values, arrival_s)
         if status is self._clocking:
             self._compose(arrival_s)
-            if frame.timestamp and waited_s < _PROMPT_S:
+            if frame.timestamp and waited_s < PROMPT_S:
                 self._hand_out()
 
     def _keep(self, status: Status, found: Mapping[str, float], arrival_s: float) -> None:
@@ -211,16 +196,6 @@ class CanPort:
                 quantity, slack_s = source.quantity, source.slack_s
                 values[quantity] = value * source.scale + source.offset
                 dues[quantity] = arrival_s + slack_s, slack_s
-
-    def _waited(self, frame: can.Message) -> float:
-        """How long ago the frame reached the machine, 0 where that is not known.
-
-        The kernel stamps frames when they arrive: one that waited while the loop was busy must not
-        look as fresh as one that was read at once.
-        """
-        if not frame.timestamp:
-            return 0.0
-        return max(self._wall_clock() - frame.timestamp, 0.0)
 
     def _compose(self, arrival_s: float) -> None:
         """Make a reading of the newest values; a fault in one that it replaces is not forgotten."""
@@ -280,14 +255,6 @@ class CanPort:
     def _open(self) -> can.BusABC:
         return open_bus(self._config, self._statuses)
 
-    async def _reopen(self, delay_s: float) -> tuple[can.BusABC, float]:
-        """Try again, less and less often; the bus, and the delay for the next time."""
-        while True:
-            await asyncio.sleep(delay_s)
-            delay_s = min(2.0 * delay_s, _LAST_DELAY_S)
-            with contextlib.suppress(BusError):
-                return self._open(), delay_s
-
     async def _serve(self, bus: can.BusABC, announce: Callable[[], None]) -> str:
         """Use an open bus until it is lost, and close it; why it was lost."""
         self._bus = bus
@@ -299,6 +266,10 @@ class CanPort:
         finally:
             self._bus = self._reader = None
             bus.shutdown()
+
+    def _announce_loss(self, problem: str) -> None:
+        if self._listener is not None:
+            self._listener.on_bus(up=False, detail=f"{self.description}: {problem}")
 
     def _announce_return(self) -> None:
         self._counts["reconnects"] += 1

@@ -87,6 +87,19 @@ class Entry:
             return struct.pack("<f" if self.bits == 32 else "<d", value)
         return int(value).to_bytes(self.bits // 8, "little", signed=self.signed)
 
+    def decode(self, data: bytes) -> float:
+        """The raw value of some bytes.
+
+        Raises:
+            ValueError: They are not as long as the entry.
+        """
+        if 8 * len(data) != self.bits:
+            raise ValueError(f"{len(data)} bytes are not the {self.bits} bits of {self.label}")
+        if self.real:
+            value: float = struct.unpack("<f" if self.bits == 32 else "<d", data)[0]
+            return value
+        return int.from_bytes(data, "little", signed=self.signed)
+
     @property
     def limits(self) -> tuple[float, float]:
         """Smallest and largest raw value: the EDS's limits within those of the type."""

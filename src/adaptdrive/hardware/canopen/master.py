@@ -16,7 +16,8 @@ from typing import Protocol
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.canopen.mapping import DriveMapping
-from adaptdrive.hardware.canopen.setup import SdoLink, describe_node, set_up
+from adaptdrive.hardware.canopen.sdo import SdoLink, describe_node, in_thread
+from adaptdrive.hardware.canopen.setup import set_up
 
 NMT = 0x000
 _START, _PRE_OPERATIONAL = 0x01, 0x80
@@ -152,22 +153,15 @@ class Master:
 
     async def _set_up(self) -> None:
         """Run the set-up in a thread; it has ended when this returns or is cancelled."""
-        loop = asyncio.get_running_loop()
-        self._link = link = SdoLink(
-            lambda can_id, data: _ignore(loop.call_soon_threadsafe(self._send, can_id, data))
-        )
-        client = link.client(self._bus)
-        work = asyncio.ensure_future(
-            asyncio.to_thread(set_up, client, self._bus, self._mapping, self._half_cycle_s)
-        )
+        self._link = link = SdoLink(self._send)
         try:
-            await asyncio.shield(work)
+            await in_thread(
+                self._bus,
+                link,
+                lambda server: set_up(server, self._bus, self._mapping, self._half_cycle_s),
+            )
         finally:
-            link.close()
             self._link = None
-            await asyncio.wait([work])
-            if not work.cancelled():
-                work.exception()  # it has been raised above, or nobody wants it any more
 
     async def _watch(self) -> str:
         """Wait until the node is lost; why it is."""
@@ -195,7 +189,3 @@ class Master:
     def _command(self, command: int) -> None:
         self._state = None
         self._send(NMT, bytes((command, self._bus.node_id)))
-
-
-def _ignore(_: object) -> None:
-    """Drop a value that nobody needs."""

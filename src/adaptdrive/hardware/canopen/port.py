@@ -9,7 +9,6 @@ that commands no more falls silent, and the drive makes itself safe.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import functools
 import math
 import time
@@ -22,36 +21,26 @@ import can
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.control.signals import Command
-from adaptdrive.errors import BusError
+from adaptdrive.hardware.can.arrival import OLDEST_S, PROMPT_S, waiting_time_s
 from adaptdrive.hardware.can.bus import describe_bus, open_bus
 from adaptdrive.hardware.can.integrity import Verdict
 from adaptdrive.hardware.can.reader import FrameReader
+from adaptdrive.hardware.can.reconnect import serve_for_ever
 from adaptdrive.hardware.canopen.assembly import Assembly
 from adaptdrive.hardware.canopen.dictionary import label
-from adaptdrive.hardware.canopen.emergency import Emergency, parse_emergency
+from adaptdrive.hardware.canopen.health import Health
 from adaptdrive.hardware.canopen.mapping import DriveMapping, Order, Status, map_drive
 from adaptdrive.hardware.canopen.master import NMT, Master, NodeState
 from adaptdrive.hardware.canopen.profile import CONTROLWORD, STATUSWORD, DriveControl, DriveState
-from adaptdrive.hardware.canopen.setup import SYNC_COB_ID, describe_node
+from adaptdrive.hardware.canopen.sdo import describe_node
+from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
 from adaptdrive.hardware.canopen.sync import SyncProducer
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
-
-_FIRST_DELAY_S = 0.1
-"""First wait before a lost bus is opened again: an interface that is restarted is soon back."""
-
-_LAST_DELAY_S = 2.0
-"""Longest wait: an adapter that is plugged in again should not be waited for."""
-
-_OLDEST_S = 1.0
-"""Longest time that a frame is believed to have waited to be read. The waiting time is measured
-with the wall clock, and a step of that clock must not send an arrival into the distant past."""
 
 _FAULT_RESET_S = 1.0
 """Longest wait for a drive to leave its fault."""
 
 _LOOK_S = 0.005
-
-_UNFIT = frozenset({None, DriveState.UNKNOWN, DriveState.NOT_READY})
 
 
 def build_canopen_port(
@@ -105,8 +94,8 @@ class CanOpenPort:
         self._control = DriveControl()
         self._assembly = Assembly(mapping.statuses)
         self._master = Master(config, mapping, half_cycle_s, self._put, clock)
+        self._health = Health(self._control, self._master)
         self._sync = SyncProducer(half_cycle_s, clock, self._send_sync)
-        self._emergency: Emergency | None = None
         self._beat_s = -math.inf
         self._been_up = False
         self._bus: can.BusABC | None = None
@@ -134,22 +123,10 @@ class CanOpenPort:
     @property
     def complaint(self) -> str | None:
         """Why the drive must not be energised, None for no reason."""
-        problem = self._problem()
-        return None if problem is None else f"{describe_node(self._config)}: {problem}"
-
-    def _problem(self) -> str | None:
-        if self._emergency is not None:
-            return str(self._emergency)
-        if self._control.fallen is not None:
-            return self._control.fallen
-        if self._bus is None:
+        if self._bus is None and self._control.fallen is None:
             return None  # without a bus there are no readings, and that says enough
-        if not self._master.ready:
-            return self._master.problem
-        state = self._control.state
-        if self._control.faulty or state in _UNFIT:
-            return f"the drive's state is {state or 'not known yet'}"
-        return None
+        problem = self._health.problem
+        return None if problem is None else f"{describe_node(self._config)}: {problem}"
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
@@ -164,15 +141,14 @@ class CanOpenPort:
             BusError: The bus cannot be opened at the first attempt.
         """
         self._listener = listener
-        problem = await self._serve(self._open(), opened)
-        delay_s = _FIRST_DELAY_S
-        while True:
-            listener.on_bus(up=False, detail=f"{self.description}: {problem}")
-            bus, delay_s = await self._reopen(delay_s)
-            heard = self._counts["received"]
-            problem = await self._serve(bus, self._announce_return)
-            if self._counts["received"] > heard:
-                delay_s = _FIRST_DELAY_S
+        await serve_for_ever(
+            self._open,
+            self._serve,
+            opened,
+            lost=self._announce_loss,
+            returned=self._announce_return,
+            heard=lambda: self._counts["received"],
+        )
 
     def send(self, command: Command) -> bool:
         """Send one command now, and the daemon's heartbeat when it is due.
@@ -215,7 +191,7 @@ class CanOpenPort:
         while self._control.faulty and self._clock() < deadline_s:  # noqa: ASYNC110 - a frame
             await asyncio.sleep(_LOOK_S)
         if not self._control.faulty:
-            self._emergency = None
+            self._health.forgive()
 
     def take(self, frame: can.Message) -> None:
         """Take one frame from the bus."""
@@ -257,7 +233,7 @@ class CanOpenPort:
         return frozenset(own | {order.codec.frame_id for order in self._mapping.orders})
 
     def _take_sync(self, frame: can.Message) -> None:
-        self._assembly.begin(self._arrival(frame))
+        self._assembly.begin(self._clock() - min(waiting_time_s(frame, self._wall_clock), OLDEST_S))
 
     def _take_heartbeat(self, frame: can.Message) -> None:
         if len(frame.data) != 1:
@@ -265,17 +241,12 @@ class CanOpenPort:
             return
         state = frame.data[0] & 0x7F
         if state == NodeState.BOOT_UP:
-            self._emergency = None
+            self._health.forgive()
         self._master.hear(state)
 
     def _take_emergency(self, frame: can.Message) -> None:
-        emergency = parse_emergency(bytes(frame.data))
-        if emergency is None:
+        if not self._health.take_emergency(bytes(frame.data)):
             self._counts["wrong_length"] += 1
-            return
-        self._emergency = None if emergency.over else emergency
-        if self._emergency is not None:
-            self._control.fall(str(emergency))
 
     def _take_reply(self, frame: can.Message) -> None:
         self._master.take_reply(frame.arbitration_id, bytes(frame.data))
@@ -290,25 +261,20 @@ class CanOpenPort:
         statusword = decoded.values.get(label(STATUSWORD))
         if statusword is not None:
             self._control.hear(int(statusword))
-        arrival_s = self._arrival(frame)
+        waited_s = waiting_time_s(frame, self._wall_clock)
+        arrival_s = self._clock() - min(waited_s, OLDEST_S)
         if self._assembly.take(status.codec.name, decoded.values, arrival_s):
             bridge = self._control.state is DriveState.ENABLED
             fault = 0 if self._newest is None else self._newest.fault
             self._newest = self._assembly.reading(arrival_s, bridge=bridge, fault=fault)
+            if frame.timestamp and waited_s < PROMPT_S:
+                self._hand_out()
 
     def _hand_out(self) -> None:
         """No more frames wait."""
         reading, self._newest = self._newest, None
         if reading is not None and self._listener is not None:
             self._listener.on_reading(reading)
-
-    def _arrival(self, frame: can.Message) -> float:
-        """When the frame reached the machine, by the monotonic clock."""
-        now_s = self._clock()
-        if not frame.timestamp:
-            return now_s
-        waited_s = self._wall_clock() - frame.timestamp
-        return now_s - min(max(waited_s, 0.0), _OLDEST_S)
 
     def _send_sync(self) -> None:
         self.catch_up()  # what waits belongs to the SYNC before
@@ -337,14 +303,6 @@ class CanOpenPort:
 
     def _open(self) -> can.BusABC:
         return open_bus(self._config, self._takers)
-
-    async def _reopen(self, delay_s: float) -> tuple[can.BusABC, float]:
-        """Try again, less and less often; the bus, and the delay for the next time."""
-        while True:
-            await asyncio.sleep(delay_s)
-            delay_s = min(2.0 * delay_s, _LAST_DELAY_S)
-            with contextlib.suppress(BusError):
-                return self._open(), delay_s
 
     async def _serve(self, bus: can.BusABC, announce: Callable[[], None]) -> str:
         """Use an open bus until it is lost, and close it; why it was lost."""
@@ -386,6 +344,10 @@ class CanOpenPort:
         self._control.forget()
         self._assembly.forget()
         self._newest = None
+
+    def _announce_loss(self, problem: str) -> None:
+        if self._listener is not None:
+            self._listener.on_bus(up=False, detail=f"{self.description}: {problem}")
 
     def _announce_return(self) -> None:
         self._counts["reconnects"] += 1

@@ -59,6 +59,8 @@ _RUNGS = {
 _NEXT = {0: SHUTDOWN, 1: SWITCH_ON, 2: ENABLE_OPERATION, 3: ENABLE_OPERATION}
 _HOLD = {Goal.SWITCHED_ON: SWITCH_ON, Goal.ENABLED: ENABLE_OPERATION}
 
+_FAULTS = frozenset({DriveState.FAULT, DriveState.FAULT_REACTION})
+
 _SHORT_MASK = 0x4F
 _SHORT = {
     0x00: DriveState.NOT_READY,
@@ -109,7 +111,7 @@ class DriveControl:
     @property
     def faulty(self) -> bool:
         """Whether the drive is in a fault, or on its way there."""
-        return self.state in {DriveState.FAULT, DriveState.FAULT_REACTION}
+        return self.state in _FAULTS
 
     def hear(self, statusword: int) -> None:
         """Take the drive's state."""
@@ -159,6 +161,9 @@ class DriveControl:
         if not self._reset_left:
             return DISABLE_VOLTAGE
         self._reset_left -= 1
-        if self.state is not DriveState.FAULT or self._reset_left == _RESET_COMMANDS:
+        if self._reset_left == _RESET_COMMANDS:
+            return DISABLE_VOLTAGE
+        if self.state is not DriveState.FAULT:
+            self._reset_left = 0  # nor does it reset a fault that comes later
             return DISABLE_VOLTAGE
         return FAULT_RESET

@@ -1,22 +1,14 @@
 """Setting a node up over SDO: who it is, whom it watches, when it measures, what its PDOs carry.
 
-The canopen library speaks the SDO protocol. It blocks, so all of this runs in a thread of its own,
-while the event loop reads the bus and writes to it; the drive is not energised meanwhile.
+The drive is not energised meanwhile.
 """
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Callable, Iterator
-
-from canopen import Network
-from canopen.objectdictionary import ObjectDictionary
-from canopen.sdo.client import SdoClient
-from canopen.sdo.exceptions import SdoAbortedError, SdoError
+from collections.abc import Iterator
 
 from adaptdrive.config.canopen import CanOpenBus
-from adaptdrive.errors import BusError
-from adaptdrive.hardware.canopen.dictionary import PRODUCT, VENDOR, Address, label
+from adaptdrive.hardware.canopen.dictionary import PRODUCT, VENDOR, Address
 from adaptdrive.hardware.canopen.mapping import (
     ABORT_OPTION,
     DEVICE_TYPE,
@@ -27,6 +19,7 @@ from adaptdrive.hardware.canopen.mapping import (
     DriveMapping,
 )
 from adaptdrive.hardware.canopen.pdo import Channel, Pdo
+from adaptdrive.hardware.canopen.sdo import Server
 
 SYNC_COB_ID = 0x080
 
@@ -41,42 +34,11 @@ _ON_ARRIVAL = 255
 Write = tuple[Address, bytes]
 
 
-class SdoLink(Network):
-    """The bus as the canopen library sees it; frames are handed over, never sent from here."""
-
-    def __init__(self, send: Callable[[int, bytes], None]) -> None:
-        super().__init__()
-        self._send = send
-        self._closed = False
-
-    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:  # noqa: FBT002 - canopen's
-        """Hand one frame over.
-
-        Raises:
-            BusError: The link is closed, which ends the set-up under way.
-        """
-        if self._closed or remote:
-            raise BusError("set-up", "given up")
-        self._send(can_id, bytes(data))
-
-    def close(self) -> None:
-        """End whatever uses the link, at its next request."""
-        self._closed = True
-
-    def client(self, bus: CanOpenBus) -> SdoClient:
-        """A client of the drive's SDO server."""
-        client = SdoClient(0x600 + bus.node_id, 0x580 + bus.node_id, ObjectDictionary())
-        client.RESPONSE_TIMEOUT = bus.sdo_timeout_s
-        client.network = self
-        self.subscribe(client.tx_cobid, client.on_response)
-        return client
-
-
-def set_up(client: SdoClient, bus: CanOpenBus, mapping: DriveMapping, half_cycle_s: float) -> None:
+def set_up(server: Server, bus: CanOpenBus, mapping: DriveMapping, half_cycle_s: float) -> None:
     """Write everything that the drive must know, and read back what safety hangs on.
 
     Args:
-        client: The drive, in state pre-operational.
+        server: The drive, in state pre-operational.
         bus: `[bus]`.
         mapping: What its PDOs shall carry.
         half_cycle_s: Half a line cycle.
@@ -84,7 +46,6 @@ def set_up(client: SdoClient, bus: CanOpenBus, mapping: DriveMapping, half_cycle
     Raises:
         BusError: The drive does not answer, refuses, or is not the one that the EDS describes.
     """
-    server = Server(client, describe_node(bus))
     _identify(server, bus, mapping)
     for address, data in watch_writes(bus, mapping):
         server.write_surely(address, data)
@@ -116,67 +77,6 @@ def sync_writes(bus: CanOpenBus, mapping: DriveMapping, half_cycle_s: float) -> 
         yield SYNC_PERIOD, round(1e6 * half_cycle_s).to_bytes(4, "little")
     if bus.sync == "drive":
         yield SYNC_ID, (SYNC_COB_ID | _PRODUCES_SYNC).to_bytes(4, "little")
-
-
-def describe_node(bus: CanOpenBus) -> str:
-    """The drive in one phrase for people, such as `node 5`."""
-    return f"node {bus.node_id}"
-
-
-class Server:
-    """The drive's object dictionary, with errors in our own words."""
-
-    def __init__(self, client: SdoClient, name: str) -> None:
-        self._client = client
-        self._name = name
-
-    def refuse(self, problem: str) -> BusError:
-        """An error of this drive."""
-        return BusError(self._name, problem)
-
-    def read(self, address: Address) -> bytes:
-        """The bytes of an entry.
-
-        Raises:
-            BusError: The drive does not tell.
-        """
-        try:
-            return self._client.upload(*address)
-        except (SdoError, struct.error) as problem:
-            raise self._failure("read", address, problem) from problem
-
-    def number(self, address: Address) -> int:
-        """An unsigned entry."""
-        return int.from_bytes(self.read(address), "little")
-
-    def write(self, address: Address, data: bytes) -> None:
-        """Write an entry.
-
-        Raises:
-            BusError: The drive does not take it.
-        """
-        try:
-            self._client.download(*address, data)
-        except (SdoError, struct.error) as problem:
-            raise self._failure("write", address, problem) from problem
-
-    def write_surely(self, address: Address, data: bytes) -> None:
-        """Write an entry and read it back.
-
-        Raises:
-            BusError: The drive does not take it, or keeps another value.
-        """
-        self.write(address, data)
-        kept = self.read(address)
-        if kept != data:
-            found, wanted = kept[::-1].hex(), data[::-1].hex()
-            raise self.refuse(f"{label(address)} is 0x{found} after 0x{wanted} was written")
-
-    def _failure(self, verb: str, address: Address, problem: Exception) -> BusError:
-        if not isinstance(problem, SdoAbortedError):
-            return self.refuse(f"no answer when asked to {verb} {label(address)}")
-        words = str(problem).partition(", ")[2] or f"abort code 0x{problem.code:08X}"
-        return self.refuse(f"cannot {verb} {label(address)}: {words[0].lower()}{words[1:]}")
 
 
 def _identify(server: Server, bus: CanOpenBus, mapping: DriveMapping) -> None:

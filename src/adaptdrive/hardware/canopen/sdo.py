@@ -1,0 +1,156 @@
+"""SDO: reading and writing the drive's object dictionary, entry by entry.
+
+The canopen library speaks the protocol. It blocks, so that it works in a thread of its own, while
+the event loop reads the bus and writes to it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from collections.abc import Callable
+from typing import TypeVar
+
+from canopen import Network
+from canopen.objectdictionary import ObjectDictionary
+from canopen.sdo.client import SdoClient
+from canopen.sdo.exceptions import SdoAbortedError, SdoError
+
+from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.errors import BusError
+from adaptdrive.hardware.canopen.dictionary import Address, Entry, label
+
+T = TypeVar("T")
+
+
+def describe_node(bus: CanOpenBus) -> str:
+    """The drive in one phrase for people, such as `node 5`."""
+    return f"node {bus.node_id}"
+
+
+class SdoLink(Network):
+    """The bus as the canopen library sees it; frames are handed over, never sent from here."""
+
+    def __init__(self, send: Callable[[int, bytes], object]) -> None:
+        """See nothing yet; an event loop must be running.
+
+        Args:
+            send: Puts a frame on the bus; called in the event loop.
+        """
+        super().__init__()
+        self._loop = asyncio.get_running_loop()
+        self._send = send
+        self._closed = False
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:  # noqa: FBT002 - canopen's
+        """Hand one frame over.
+
+        Raises:
+            BusError: The link is closed, which ends the set-up under way.
+        """
+        if self._closed or remote:
+            raise BusError("set-up", "given up")
+        self._loop.call_soon_threadsafe(self._send, can_id, bytes(data))
+
+    def close(self) -> None:
+        """End whatever uses the link, at its next request."""
+        self._closed = True
+
+    def client(self, bus: CanOpenBus) -> SdoClient:
+        """A client of the drive's SDO server."""
+        client = SdoClient(0x600 + bus.node_id, 0x580 + bus.node_id, ObjectDictionary())
+        client.RESPONSE_TIMEOUT = bus.sdo_timeout_s
+        client.network = self
+        self.subscribe(client.tx_cobid, client.on_response)
+        return client
+
+
+class Server:
+    """The drive's object dictionary, with errors in our own words."""
+
+    def __init__(self, client: SdoClient, name: str) -> None:
+        self._client = client
+        self._name = name
+
+    def refuse(self, problem: str) -> BusError:
+        """An error of this drive."""
+        return BusError(self._name, problem)
+
+    def read(self, address: Address) -> bytes:
+        """The bytes of an entry.
+
+        Raises:
+            BusError: The drive does not tell.
+        """
+        try:
+            return self._client.upload(*address)
+        except (SdoError, struct.error) as problem:
+            raise self._failure("read", address, problem) from problem
+
+    def number(self, address: Address) -> int:
+        """An unsigned entry."""
+        return int.from_bytes(self.read(address), "little")
+
+    def value(self, entry: Entry) -> float:
+        """The raw value of an entry.
+
+        Raises:
+            BusError: The drive does not tell, or it is of another length.
+        """
+        try:
+            return entry.decode(self.read(entry.address))
+        except ValueError as problem:
+            raise self.refuse(str(problem)) from problem
+
+    def write(self, address: Address, data: bytes) -> None:
+        """Write an entry.
+
+        Raises:
+            BusError: The drive does not take it.
+        """
+        try:
+            self._client.download(*address, data)
+        except (SdoError, struct.error) as problem:
+            raise self._failure("write", address, problem) from problem
+
+    def write_surely(self, address: Address, data: bytes) -> None:
+        """Write an entry and read it back.
+
+        Raises:
+            BusError: The drive does not take it, or keeps another value.
+        """
+        self.write(address, data)
+        kept = self.read(address)
+        if kept != data:
+            found, wanted = kept[::-1].hex(), data[::-1].hex()
+            raise self.refuse(f"{label(address)} is 0x{found} after 0x{wanted} was written")
+
+    def _failure(self, verb: str, address: Address, problem: Exception) -> BusError:
+        if not isinstance(problem, SdoAbortedError):
+            return self.refuse(f"no answer when asked to {verb} {label(address)}")
+        words = str(problem).partition(", ")[2] or f"abort code 0x{problem.code:08X}"
+        return self.refuse(f"cannot {verb} {label(address)}: {words[0].lower()}{words[1:]}")
+
+
+async def in_thread(bus: CanOpenBus, link: SdoLink, work: Callable[[Server], T]) -> T:
+    """Let a thread work with the drive's object dictionary.
+
+    The thread has ended when this returns or is cancelled; the link cannot be used again then.
+
+    Args:
+        bus: `[bus]`.
+        link: The bus.
+        work: What the thread does.
+
+    Raises:
+        BusError: The drive does not answer, or refuses.
+    """
+    server = Server(link.client(bus), describe_node(bus))
+    future = asyncio.ensure_future(asyncio.to_thread(work, server))
+    try:
+        return await asyncio.shield(future)
+    finally:
+        link.close()
+        await asyncio.wait([future])
+        if not future.cancelled():
+            future.exception()  # it has been raised above, or nobody wants it any more

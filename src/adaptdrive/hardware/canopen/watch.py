@@ -1,0 +1,174 @@
+"""Looking at a drive without touching it: its objects are read over SDO, nothing is written."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+
+from adaptdrive.config.bus import Signals
+from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.control.signals import Command
+from adaptdrive.errors import BusError
+from adaptdrive.hardware.can.bus import describe_bus, open_bus
+from adaptdrive.hardware.can.reader import read_frames
+from adaptdrive.hardware.canopen.mapping import DriveMapping, map_drive
+from adaptdrive.hardware.canopen.profile import STATUSWORD, DriveState, state_of
+from adaptdrive.hardware.canopen.sdo import SdoLink, Server, describe_node, in_thread
+from adaptdrive.hardware.port import Listener, PortStatistics, Reading
+
+_PAUSE_S = 0.2
+
+
+def build_canopen_watch(
+    bus: CanOpenBus,
+    signals: Signals,
+    clock: Callable[[], float],
+    *,
+    source: Path | str = "configuration",
+) -> CanOpenWatch:
+    """Build the watch on one drive; nothing is opened yet.
+
+    Args:
+        bus: `[bus]`.
+        signals: `[signals]`.
+        clock: Monotonic clock, in seconds.
+        source: The configuration, for error messages.
+
+    Raises:
+        ConfigurationError: Configuration and EDS do not fit; every flaw is listed.
+    """
+    return CanOpenWatch(bus, map_drive(bus, signals, source), clock)
+
+
+class CanOpenWatch:
+    """One drive, looked at. It is a port that commands nothing and leaves the node as it is."""
+
+    counter_modulus = None
+    """What is read now and then has no tick."""
+
+    complaint = None
+    """Nothing can be energised from here."""
+
+    def __init__(
+        self, config: CanOpenBus, mapping: DriveMapping, clock: Callable[[], float]
+    ) -> None:
+        self._config = config
+        self._sources = mapping.sources
+        self._clock = clock
+        self._counts: Counter[str] = Counter()
+        self._link: SdoLink | None = None
+        self._bus: can.BusABC | None = None
+
+    @property
+    def description(self) -> str:
+        """The bus in one phrase for people, such as `socketcan can0 node 5`."""
+        return f"{describe_bus(self._config)} {describe_node(self._config)}"
+
+    @property
+    def statistics(self) -> PortStatistics:
+        """Counts since the watch was built."""
+        return PortStatistics(**self._counts)
+
+    async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
+        """Open the bus, call `opened`, and read the drive again and again until cancelled.
+
+        Args:
+            listener: Who is told what the drive says.
+            opened: Called once, when the bus is open.
+
+        Raises:
+            BusError: The bus cannot be opened, or is lost.
+        """
+        self._bus = bus = open_bus(self._config, [0x580 + self._config.node_id])
+        try:
+            opened()
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._look(listener), name="look")
+                raise BusError(self.description, await read_frames(bus, self))
+        finally:
+            self._bus = None
+            bus.shutdown()
+
+    def send(self, command: Command) -> bool:  # noqa: ARG002 - what a port takes
+        """Send nothing."""
+        self._counts["send_drops"] += 1
+        return False
+
+    def catch_up(self) -> None:
+        """Nothing waits: each answer is taken by who asked."""
+
+    async def reset_fault(self) -> None:
+        """Leave the drive as it is."""
+
+    def take(self, frame: can.Message) -> None:
+        """Take one frame from the bus."""
+        if frame.arbitration_id == 0x600 + self._config.node_id:
+            return  # multicast returns what we send
+        self._counts["received"] += 1
+        if frame.arbitration_id != 0x580 + self._config.node_id or frame.is_extended_id:
+            self._counts["foreign"] += 1
+        elif self._link is not None:
+            self._link.notify(frame.arbitration_id, bytearray(frame.data), 0.0)
+
+    def take_garbage(self) -> None:
+        """Count something on the bus that is no frame."""
+        self._counts["received"] += 1
+        self._counts["foreign"] += 1
+
+    async def _look(self, listener: Listener) -> None:
+        """Read everything now and then; tell when the drive stops to answer, and when it does."""
+        told = ""
+        while True:
+            start_s = self._clock()
+            self._link = link = SdoLink(self._put)
+            try:
+                values, state = await in_thread(self._config, link, self._read)
+            except BusError as problem:
+                self._counts["timeouts"] += 1
+                if str(problem) != told:
+                    told = str(problem)
+                    listener.on_bus(up=False, detail=told)
+            else:
+                if told:
+                    told = ""
+                    listener.on_bus(up=True, detail=self.description)
+                listener.on_reading(self._reading(values, state, start_s))
+            await asyncio.sleep(_PAUSE_S)
+
+    def _read(self, server: Server) -> tuple[dict[str, float], DriveState]:
+        """Every quantity, and the drive's state."""
+        values = {}
+        for source in self._sources:
+            raw = server.value(source.entry)
+            values[source.quantity] = raw * source.scale + source.offset
+        return values, state_of(server.number(STATUSWORD))
+
+    def _reading(self, values: dict[str, float], state: DriveState, start_s: float) -> Reading:
+        counter = values.pop("counter", None)
+        return Reading(
+            arrival_s=self._clock(),
+            oldest_s=start_s,
+            counter=None if counter is None else int(counter),
+            boost_voltage_V=values.pop("boost_voltage_V", math.nan),
+            line_voltage_V=values.pop("line_voltage_V", math.nan),
+            load_power_W=values.pop("load_power_W", math.nan),
+            output=values.pop("output", math.nan),
+            fault=int(values.pop("fault", 0)),
+            bridge=state is DriveState.ENABLED,
+            other=values,
+        )
+
+    def _put(self, can_id: int, data: bytes) -> None:
+        frame = can.Message(arbitration_id=can_id, is_extended_id=False, data=data)
+        try:
+            if self._bus is not None:
+                self._bus.send(frame, timeout=0.0)
+        except (can.CanError, OSError, ValueError):
+            self._counts["send_drops"] += 1
+        else:
+            self._counts["sent"] += 1

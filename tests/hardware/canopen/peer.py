@@ -1,0 +1,102 @@
+"""A CiA 402 node made of the canopen library's own parts, in threads of its own.
+
+Its SDO server, heartbeat, emergencies and PDOs are the library's; only the way from controlword to
+statusword is written here, and it does what a test tells it to.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import canopen
+
+from tests.hardware.canopen.documents import EDS
+
+NODE = 5
+REST, READY, SWITCHED_ON, ENABLED, FAULT = 0x0240, 0x0221, 0x0233, 0x0237, 0x0208
+MEASURED = {"0x6079": 250_000, "0x2000.1": 1203, "0x2001.1": 431_700, "0x2001.2": -3_123_456}
+_ANSWERS = {0x00: REST, 0x06: READY, 0x07: SWITCHED_ON, 0x0F: ENABLED}
+
+
+class Peer:
+    """One node on a virtual bus.
+
+    Attributes:
+        words: Controlwords heard.
+        beats: Heartbeats of the daemon heard.
+        statusword: What the next PDO says.
+        obeys: Whether the statusword follows the controlword.
+        silent: Names of PDOs that are not sent.
+    """
+
+    def __init__(self, channel: str, eds: Path = EDS) -> None:
+        self.channel = channel
+        self.network = canopen.Network()
+        self.network.connect(interface="virtual", channel=channel, ignore_config=True)
+        self.node = canopen.LocalNode(NODE, str(eds))
+        self.network.add_node(self.node)
+        self.network.subscribe(0x080, self._sync)
+        self.network.subscribe(0x205, self._receive)
+        self.network.subscribe(0x77F, self._beat)
+        self.network.subscribe(0x000, self._start)
+        self.words: list[int] = []
+        self.beats: list[bytes] = []
+        self.statusword = REST
+        self.obeys = True
+        self.silent: set[int] = set()
+
+    def boot(self) -> None:
+        """Say that the node has been started, as after power-on."""
+        self.node.nmt.stop_heartbeat()
+        self.node.data_store.clear()
+        self.node.nmt.state = "INITIALISING"
+        self.node.nmt.state = "PRE-OPERATIONAL"
+
+    def number(self, index: int, subindex: int = 0) -> int:
+        """An unsigned number in the node's dictionary."""
+        return int.from_bytes(self.node.get_data(index, subindex), "little")
+
+    def override(self, index: int, subindex: int, data: bytes) -> None:
+        """Give an entry another value than the EDS does."""
+        self.node.set_data(index, subindex, data)
+
+    def keep(self, index: int, change: Callable[[bytes], bytes]) -> None:
+        """Keep something else than what is written to an object."""
+        take = self.node.set_data
+
+        def spoilt(at: int, subindex: int, data: bytes, *_: object, **__: object) -> None:
+            take(at, subindex, change(data) if at == index else data)
+
+        self.node.set_data = spoilt  # type: ignore[assignment, method-assign]
+
+    def close(self) -> None:
+        self.node.nmt.stop_heartbeat()
+        self.network.disconnect()
+
+    def _start(self, _: int, data: bytearray, __: float) -> None:
+        if data[0] == 1:
+            self.node.tpdo.read()
+
+    def _sync(self, *_: Any) -> None:
+        if self.node.nmt.state != "OPERATIONAL":
+            return
+        for number, pdo in self.node.tpdo.items():
+            if not pdo.enabled or pdo.trans_type != 1 or number in self.silent:
+                continue
+            for variable in pdo:
+                label = f"0x{variable.index:04X}"
+                label += f".{variable.subindex}" if variable.subindex else ""
+                variable.raw = MEASURED.get(label, self.statusword)
+            pdo.transmit()
+
+    def _receive(self, _: int, data: bytearray, __: float) -> None:
+        word, _reference = struct.unpack("<Hf", data)
+        self.words.append(word)
+        if self.obeys:
+            self.statusword = _ANSWERS.get(word, self.statusword)
+
+    def _beat(self, _: int, data: bytearray, __: float) -> None:
+        self.beats.append(bytes(data))

@@ -1,0 +1,370 @@
+"""The port against a node of the canopen library: set-up, readings, the way up, and what trips."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.errors import BusError
+from adaptdrive.hardware.canopen.port import CanOpenPort, build_canopen_port
+from adaptdrive.hardware.canopen.watch import build_canopen_watch
+from adaptdrive.hardware.port import Reading
+from tests.hardware.bench import until
+from tests.hardware.canopen.documents import bus_of, other_eds, parse, without
+from tests.hardware.canopen.peer import FAULT, NODE, REST, Peer
+
+HALF_CYCLE_S = 1.0 / 120.0
+CHARGE = Command(current_scale_S=0.0, boost_reference_V=250.0, bridge=False)
+RUN = Command(current_scale_S=0.0, boost_reference_V=300.0, bridge=True)
+
+
+class Ear:
+    """Listens to a port and answers each reading with a command."""
+
+    def __init__(self) -> None:
+        self.readings: list[Reading] = []
+        self.bus: list[tuple[bool, str]] = []
+        self.command: Command | None = SAFE_COMMAND
+        self.port: CanOpenPort | None = None
+
+    def on_reading(self, reading: Reading) -> None:
+        self.readings.append(reading)
+        if self.port is not None and self.command is not None:
+            self.port.send(self.command)
+
+    def on_bus(self, up: bool, detail: str) -> None:
+        self.bus.append((up, detail))
+
+
+class Bench:
+    """A port, an ear and a node."""
+
+    def __init__(self, peer: Peer, **bus: object) -> None:
+        configuration = parse({"bus/interface": "virtual", "bus/channel": peer.channel})
+        config = bus_of(configuration).model_copy(update=bus)
+        self.peer = peer
+        self.ear = Ear()
+        self.port = build_canopen_port(config, configuration.signals, HALF_CYCLE_S, time.monotonic)
+        self.ear.port = self.port
+
+    async def ready(self) -> None:
+        """Wait until readings come."""
+        count = len(self.ear.readings)
+        await until(lambda: len(self.ear.readings) > count + 2)
+
+    async def run_drive(self) -> None:
+        """Bring the drive to enabled operation."""
+        await self.ready()
+        self.ear.command = CHARGE
+        await until(lambda: self.peer.words[-1:] == [0x07])
+        self.ear.command = RUN
+        await until(lambda: bool(self.ear.readings) and self.ear.readings[-1].bridge)
+
+    async def complains(self, text: str) -> str:
+        """Wait for a complaint."""
+        await until(lambda: text in (self.port.complaint or ""))
+        return self.port.complaint or ""
+
+
+@pytest.fixture
+def peer(tmp_path: Path) -> Iterator[Peer]:
+    peer = Peer(f"canopen {tmp_path.name}")
+    yield peer
+    peer.close()
+
+
+@contextlib.asynccontextmanager
+async def running(peer: Peer, **bus: object) -> AsyncIterator[Bench]:
+    """A bench whose port runs until the block ends."""
+    bench = Bench(peer, **{"heartbeat_timeout_s": 0.5, "sdo_timeout_s": 1.0, **bus})
+    async with asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(bench.port.run(bench.ear, lambda: None))
+        yield bench
+        task.cancel()
+
+
+async def test_a_node_is_told_everything_before_it_is_started(peer: Peer) -> None:
+    async with running(peer) as bench:
+        await bench.ready()
+    number = peer.number
+    assert number(0x1016, 1) == 127 << 16 | 500
+    assert number(0x1017) == 40
+    assert number(0x6007) == 2
+    assert (number(0x1005), number(0x1006)) == (0x80, 8333)
+    assert number(0x6060) == 0xFF
+    assert [number(0x1A00, n) for n in range(4)] == [3, 0x60410010, 0x60790020, 0x20000110]
+    assert [number(0x1A01, n) for n in range(3)] == [2, 0x20010120, 0x20010220]
+    assert [number(0x1600, n) for n in range(3)] == [2, 0x60400010, 0x20000420]
+    assert [number(0x1800 + n, 1) >> 31 for n in range(4)] == [0, 0, 1, 1]
+    assert [number(0x1400 + n, 1) >> 31 for n in range(4)] == [0, 1, 1, 1]
+    assert [number(0x1800, 1) & 0x7FF, number(0x1801, 1) & 0x7FF] == [0x185, 0x285]
+    assert (number(0x1800, 2), number(0x1400, 2)) == (1, 255)
+
+
+async def test_a_drive_that_syncs_is_told_to(peer: Peer) -> None:
+    async with running(peer, sync="drive") as bench:
+        await until(lambda: peer.node.nmt.state == "OPERATIONAL")
+        await bench.complains("not known yet")  # nobody sends SYNC here
+        assert peer.number(0x1005) == 0x40000080
+        bus = can.Bus(interface="virtual", channel=peer.channel, ignore_config=True)
+        with contextlib.closing(_Shutting(bus)):
+            bus.send(can.Message(arbitration_id=0x080, is_extended_id=False))
+            await until(lambda: len(bench.ear.readings) == 1)
+
+
+class _Shutting:
+    def __init__(self, bus: can.BusABC) -> None:
+        self.close = bus.shutdown
+
+
+async def test_a_reading_is_what_the_drive_measured_at_one_sync(peer: Peer) -> None:
+    async with running(peer) as bench:
+        await bench.ready()
+        reading = bench.ear.readings[-1]
+        assert reading.boost_voltage_V == pytest.approx(250.0)
+        assert reading.line_voltage_V == pytest.approx(120.3)
+        assert reading.load_power_W == pytest.approx(431.7)
+        assert reading.output == pytest.approx(-3.123456)
+        assert (reading.counter, reading.fault, reading.bridge) == (None, 0, False)
+        assert 0.0 <= reading.arrival_s - reading.oldest_s < 0.5
+        assert bench.port.complaint is None
+        assert bench.ear.bus[-1] == (True, f"{bench.port.description}: operational")
+
+
+async def test_without_one_of_its_pdos_there_is_no_reading(peer: Peer) -> None:
+    async with running(peer) as bench:
+        await bench.ready()
+        peer.silent.add(2)
+        await asyncio.sleep(0.1)
+        known = len(bench.ear.readings)
+        await asyncio.sleep(0.1)
+        assert len(bench.ear.readings) == known
+
+
+async def test_the_drive_is_brought_up_and_down_again(peer: Peer) -> None:
+    async with running(peer) as bench:
+        await bench.run_drive()
+        steps = list(dict.fromkeys(peer.words))
+        assert steps == [0x00, 0x06, 0x07, 0x0F]
+        bench.ear.command = SAFE_COMMAND
+        await until(lambda: not bench.ear.readings[-1].bridge)
+        assert peer.words[-1] == 0x00
+        assert bench.port.complaint is None
+
+
+async def test_the_daemons_heartbeat_goes_out_with_its_commands_only(peer: Peer) -> None:
+    async with running(peer) as bench:
+        await bench.ready()
+        await until(lambda: len(peer.beats) > 2)
+        assert set(peer.beats) == {b"\x05"}
+        bench.ear.command = None
+        await asyncio.sleep(0.1)
+        known = len(peer.beats)
+        await asyncio.sleep(0.2)
+        assert len(peer.beats) == known
+
+
+async def test_a_command_that_no_object_can_hold_is_not_sent(peer: Peer) -> None:
+    async with running(peer) as bench:
+        await bench.ready()
+        bench.ear.command = None
+        await asyncio.sleep(0.05)
+        known = len(peer.words)
+        with pytest.raises(ValueError, match="outside"):
+            bench.port.send(Command(0.0, math.nan, bridge=True))
+        await asyncio.sleep(0.05)
+        assert len(peer.words) == known
+
+
+async def test_a_heartbeat_that_stays_away_is_told_and_the_node_set_up_again(peer: Peer) -> None:
+    async with running(peer, heartbeat_timeout_s=0.2) as bench:
+        await bench.run_drive()
+        peer.node.nmt.stop_heartbeat()
+        await bench.complains("node 5: heartbeat lost for")
+        bench.ear.command = SAFE_COMMAND
+        bench.port.send(SAFE_COMMAND)
+        await until(lambda: bench.port.complaint is None)  # its 0x1017 was written again
+        assert any("heartbeat lost" in detail for up, detail in bench.ear.bus if not up)
+        assert bench.ear.bus[-1][0]
+
+
+async def test_a_restarted_node_is_not_energised_again(peer: Peer) -> None:
+    async with running(peer) as bench:
+        await bench.run_drive()
+        peer.statusword = REST
+        known = len(peer.words)
+        peer.boot()
+        assert await bench.complains("restarted") == "node 5: has been restarted"
+        await until(lambda: peer.node.nmt.state == "OPERATIONAL")
+        await bench.ready()
+        assert bench.port.complaint == "node 5: has been restarted"  # until it is commanded safe
+        assert set(peer.words[known:]) <= {0x00, 0x0F}
+        after = [word for word in peer.words[known:] if word]
+        assert 0x06 not in after
+        bench.ear.command = SAFE_COMMAND
+        await until(lambda: bench.port.complaint is None)
+        bench.ear.command = RUN
+        await until(lambda: bench.ear.readings[-1].bridge)
+
+
+async def test_a_node_that_somebody_stops_is_told(peer: Peer) -> None:
+    async with running(peer) as bench:
+        await bench.run_drive()
+        peer.node.nmt.state = "STOPPED"
+        peer.node.nmt.update_heartbeat()
+        text = await bench.complains("not operational")
+        assert text == "node 5: is not operational any more (state 4)"
+
+
+async def test_an_emergency_stays_until_the_drive_takes_it_back(peer: Peer) -> None:
+    async with running(peer) as bench:
+        await bench.run_drive()
+        peer.node.emcy.send(0x4310, 0x09, b"hot")
+        text = await bench.complains("emergency")
+        assert text == (
+            "node 5: emergency 0x4310, excess temperature of the drive (error register 0x09)"
+        )
+        bench.ear.command = SAFE_COMMAND
+        await bench.ready()
+        assert "0x4310" in (bench.port.complaint or "")
+        peer.node.emcy.reset()
+        await until(lambda: bench.port.complaint is None)
+
+
+async def test_the_operator_may_forget_an_emergency_of_a_drive_without_a_fault(peer: Peer) -> None:
+    async with running(peer) as bench:
+        await bench.ready()
+        peer.node.emcy.send(0x4310, 0x09, b"hot")
+        await bench.complains("0x4310")
+        await bench.port.reset_fault()
+        assert bench.port.complaint is None
+
+
+async def test_a_fault_is_reset_by_an_edge_when_the_operator_says_so(peer: Peer) -> None:
+    async with running(peer) as bench:
+        await bench.run_drive()
+        peer.obeys = False
+        peer.statusword = FAULT
+        await bench.complains("left its state by itself: fault")
+        bench.ear.command = SAFE_COMMAND
+        await bench.complains("the drive's state is fault")
+        await bench.ready()
+        assert not any(word & 0x80 for word in peer.words)
+        reset = asyncio.create_task(bench.port.reset_fault())
+        await until(lambda: peer.words[-1] == 0x80)
+        assert peer.words[-2] in {0x00, 0x80}
+        peer.statusword, peer.obeys = REST, True
+        await reset
+        assert bench.port.complaint is None
+        await until(lambda: peer.words[-1] == 0x00)
+
+
+async def test_a_fault_that_stays_is_given_up_in_bounded_time(peer: Peer) -> None:
+    async with running(peer) as bench:
+        await bench.ready()
+        peer.statusword, peer.obeys = FAULT, False
+        await bench.complains("fault")
+        async with asyncio.timeout(10.0):
+            await bench.port.reset_fault()
+        assert bench.port.complaint == "node 5: the drive's state is fault"
+
+
+@pytest.mark.parametrize(
+    ("index", "subindex", "data", "reason"),
+    [
+        (0x1000, 0, b"\x91\x01\x02\x00", "names profile 401"),
+        (0x1018, 1, b"\x01\x00\x00\x00", "its vendor is 0x00000001, the EDS is for 0x00000AD0"),
+        (0x1018, 2, b"\x03\x04\x00\x00", "its product is 0x00000403, the EDS is for 0x00000402"),
+    ],
+)
+async def test_another_drive_than_that_of_the_eds_is_left_alone(
+    peer: Peer, index: int, subindex: int, data: bytes, reason: str
+) -> None:
+    peer.override(index, subindex, data)
+    async with running(peer) as bench:
+        assert "node 5: is" in await bench.complains(reason)
+        assert bench.port.send(RUN) is False
+        assert peer.node.nmt.state == "PRE-OPERATIONAL"
+        assert peer.number(0x1016, 1) == 0
+    assert peer.words == []
+
+
+@pytest.mark.parametrize(("index", "verb"), [("6007", "write 0x6007"), ("6060", "write 0x6060")])
+async def test_what_the_drive_has_not_though_the_eds_says_so_is_named(
+    tmp_path: Path, index: str, verb: str
+) -> None:
+    peer = Peer(f"canopen {tmp_path.name}", other_eds(tmp_path, without(index)))
+    try:
+        async with running(peer) as bench:
+            assert "object does not exist" in await bench.complains(f"cannot {verb}")
+    finally:
+        peer.close()
+
+
+async def test_a_drive_that_keeps_another_value_is_not_trusted(peer: Peer) -> None:
+    peer.keep(0x1016, lambda data: data[:2] + b"\x7e\x00" if len(data) == 4 else data)
+    async with running(peer) as bench:
+        await bench.complains("0x1016.1 is 0x007e01f4 after 0x007f01f4 was written")
+
+
+async def test_a_drive_that_is_not_there_is_waited_for(tmp_path: Path) -> None:
+    absent = Peer(f"canopen {tmp_path.name}")
+    absent.close()
+    async with running(absent, sdo_timeout_s=0.1) as bench:
+        await bench.complains("no answer when asked to read 0x1000")
+        peer = Peer(absent.channel)
+        try:
+            peer.boot()
+            await bench.ready()
+        finally:
+            peer.close()
+
+
+async def test_a_bus_that_cannot_be_opened_is_an_error_at_once(peer: Peer) -> None:
+    bench = Bench(peer, interface="socketcan", channel="no-such-if")
+    with pytest.raises(BusError, match="socketcan no-such-if"):
+        await bench.port.run(bench.ear, lambda: None)
+
+
+async def test_looking_at_a_drive_writes_nothing_to_it(peer: Peer) -> None:
+    configuration = parse({"bus/interface": "virtual", "bus/channel": peer.channel})
+    watch = build_canopen_watch(bus_of(configuration), configuration.signals, time.monotonic)
+    peer.override(0x6079, 0, (250_000).to_bytes(4, "little"))
+    peer.override(0x6041, 0, (0x0237).to_bytes(2, "little"))
+    writes: list[Any] = []
+    peer.node.add_write_callback(lambda **write: writes.append(write))
+    ear = Ear()
+    async with asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(watch.run(ear, lambda: None))
+        await until(lambda: len(ear.readings) > 1)
+        assert watch.send(RUN) is False
+        task.cancel()
+    assert ear.readings[-1].boost_voltage_V == pytest.approx(250.0)
+    assert ear.readings[-1].bridge
+    assert (writes, peer.words, peer.beats) == ([], [], [])
+    assert peer.node.nmt.state == "INITIALISING"  # as it was: nobody has said a word of NMT
+
+
+async def test_looking_at_a_drive_that_does_not_answer_says_so(tmp_path: Path) -> None:
+    changes = {
+        "bus/interface": "virtual",
+        "bus/channel": f"canopen {tmp_path.name}",
+        "bus/sdo_timeout_s": 0.05,
+    }
+    configuration = parse(changes)
+    watch = build_canopen_watch(bus_of(configuration), configuration.signals, time.monotonic)
+    ear = Ear()
+    async with asyncio.TaskGroup() as tasks:
+        task = tasks.create_task(watch.run(ear, lambda: None))
+        await until(lambda: bool(ear.bus))
+        task.cancel()
+    assert ear.bus == [(False, f"node {NODE}: no answer when asked to read 0x6079")]
