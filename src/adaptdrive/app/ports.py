@@ -66,7 +66,7 @@ def _canopen_installed(source: Path | str) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as problem:
-        if problem.name != "canopen":
+        if (problem.name or "").partition(".")[0] != "canopen":
             raise
         advice = "'canopen' needs the package canopen: pip install 'adaptdrive[canopen]'"
         raise ConfigurationError(source, [Flaw("bus.type", advice)]) from problem
