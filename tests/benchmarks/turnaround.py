@@ -12,6 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from tests.benchmarks.lateness import SPIN_US
 from tests.benchmarks.prober import SETTLE_S
 from tests.benchmarks.rows import Extent, Row, quantile
 from tests.benchmarks.site import Running, enable, runs, site
@@ -20,9 +21,14 @@ from tests.benchmarks.tools import PRIORITY, bus_ports, process, run_json
 
 def rows(extent: Extent) -> Iterator[Row]:
     """All rows of this file."""
-    seconds = 10 if extent.quick else 60
+    yield from _against_echoes(10 if extent.quick else 60, {}, "")
+    spinning = {"realtime.spin_us": f"{SPIN_US:.1f}"}
+    yield from _against_echoes(10 if extent.quick else 30, spinning, f", spinning {SPIN_US} us")
+
+
+def _against_echoes(seconds: int, changes: dict[str, str], how: str) -> Iterator[Row]:
     with TemporaryDirectory() as name, ExitStack() as stack:
-        running, _ = stack.enter_context(site({}))
+        running, _ = stack.enter_context(site(changes))
         ports = [running.bus_port, *bus_ports(2)]
         stack.enter_context(process([sys.executable, "-m", "tests.benchmarks.echo", str(ports[1])]))
         stack.enter_context(process([*_fifo(), compile_echo(Path(name)), str(ports[2])]))
@@ -37,7 +43,7 @@ def rows(extent: Extent) -> Iterator[Row]:
         found, held = quantile(ours, share), quantile(python, share)
         target = "at most 2.5 times" if name_of == "p50" else ""
         met = found <= 2.5 * held if name_of == "p50" else None
-        label = f"turn-around {name_of}"
+        label = f"turn-around {name_of}{how}"
         yield Row(label, found, "us", held, "bare-socket echo in Python", target, met, note)
         yield Row(label, found, "us", quantile(c, share), "bare-socket echo in C")
 

@@ -69,7 +69,8 @@ class Realtime(Section):
         default=0.0,
         ge=0.0,
         le=1000.0,
-        description="busy wait before a deadline of the timer; costs that share of a CPU",
+        description="busy wait before the drive's next frame or a deadline of the timer; costs "
+        "that share of a CPU",
     )
     late_us: PositiveFloat = Field(
         default=2000.0, description="lateness of a tick that is told as an event, with its cause"

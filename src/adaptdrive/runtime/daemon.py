@@ -11,6 +11,7 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Decision, Mode, Snapshot
 from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.fast_loop import FastLoop, FastLoopSettings
+from adaptdrive.runtime.frame_watch import FrameWatch
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.latency import LatencyDetector, WatchedLoop
 from adaptdrive.runtime.machine import Machine, MachineLimits
@@ -45,7 +46,7 @@ class DaemonSettings:
         fast: The fast loop.
         report_s: Time between two drive reports.
         late_us: Lateness of a tick that is told as an event.
-        spin_s: Busy wait before a deadline of the timer.
+        spin_s: Busy wait before a frame of the drive is due, and before a deadline of the timer.
         collect_ticks: Ticks between two collections of garbage, 0 to leave that to Python.
     """
 
@@ -93,6 +94,7 @@ class Daemon:
         self._fast = FastLoop(port, controller, self._machine, settings.fast, self)
         self._slow = SlowLoop(controller, self._fast.deliver)
         self._timer: TickTimer | None = None
+        self._frame_watch: FrameWatch | None = None
         self._collector = IdleCollector(settings.collect_ticks)
         self._detector: LatencyDetector | None = None
         self._timer_failure: asyncio.Future[None] | None = None
@@ -113,6 +115,8 @@ class Daemon:
         self._timer_failure = loop.create_future()
         self._timer = TickTimer(loop, self._on_deadline, self._settings.spin_s)
         self._detector = self._watch_latency(loop)
+        if self._settings.spin_s > 0.0:
+            self._frame_watch = FrameWatch(loop, self._port.catch_up, self._settings.spin_s)
         self._hub.publish(self._told)
         try:
             async with asyncio.TaskGroup() as tasks:
@@ -124,6 +128,8 @@ class Daemon:
                 serving.cancel()
         finally:
             self._timer.close()
+            if self._frame_watch is not None:
+                self._frame_watch.close()
             self._detector.close()
             self._manager.close()
 
@@ -189,6 +195,8 @@ class Daemon:
     def on_reading(self, reading: Reading) -> None:
         """A reading came in from the port."""
         self._fast.on_reading(reading)
+        if self._frame_watch is not None:
+            self._frame_watch.expect(reading.arrival_s + self._fast.reading_period_s)
 
     def on_bus(self, up: bool, detail: str) -> None:
         """The bus was lost or came back."""

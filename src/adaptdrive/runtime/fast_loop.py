@@ -156,6 +156,11 @@ class FastLoop:
     def _cause(self, now_s: float) -> str | None:
         return self._port.complaint or find_cause(self.reading, now_s, self._settings.limits)
 
+    @property
+    def reading_period_s(self) -> float:
+        """Time from one reading to the next, as measured."""
+        return self._half_cycles.reading_period_s
+
     def begin(self) -> None:
         """Start the stand-in timer; the first frame takes over from it."""
         self._arm(self._surroundings.now_s() + self._half_cycles.reading_period_s)

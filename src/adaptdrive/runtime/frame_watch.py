@@ -1,0 +1,43 @@
+"""A busy wait for the drive's next frame: nothing to wake up from, and caches that are warm."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from time import monotonic
+
+from adaptdrive.runtime.tick_timer import TickTimer
+
+
+class FrameWatch:
+    """Looks at the bus again and again from shortly before a frame is due until it has come."""
+
+    def __init__(
+        self, loop: asyncio.AbstractEventLoop, look: Callable[[], None], spin_s: float
+    ) -> None:
+        """Expect nothing yet.
+
+        Args:
+            loop: Event loop of the port.
+            look: Hands on what has arrived; whoever gets the frame calls `expect` again.
+            spin_s: How long before a frame is due the wait begins, and after it ends.
+        """
+        self._look = look
+        self._spin_s = spin_s
+        self._due_s = math.nan
+        self._timer = TickTimer(loop, self._wait)
+
+    def expect(self, due_s: float) -> None:
+        """Wait for a frame that is due at a monotonic time."""
+        self._due_s = due_s
+        self._timer.arm(due_s - self._spin_s)
+
+    def close(self) -> None:
+        """Wait for nothing any more."""
+        self._timer.close()
+
+    def _wait(self, _: float) -> None:
+        due_s = self._due_s
+        while self._due_s == due_s and monotonic() < due_s + self._spin_s:
+            self._look()
