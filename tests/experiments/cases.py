@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 
 from adaptdrive_sim.experiments.case import Case, Design, Disturbance, Variant
+from adaptdrive_sim.experiments.compiled_runner import run_case_compiled
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.experiments.outcome import Outcome, judge
 from adaptdrive_sim.experiments.runner import Record, run_case
@@ -33,17 +34,23 @@ def run_all(cases: Iterable[Case]) -> list[Record]:
         return list(pool.map(run_case, cases))
 
 
+def run_all_compiled(cases: Iterable[Case]) -> list[Record]:
+    """The same on compiled code, for many cases of one kind."""
+    return [run_case_compiled(case) for case in cases]
+
+
 def outcomes(
     experiment: Experiment,
     variants: tuple[Variant, ...],
     disturbance: Disturbance | None = None,
     seeds: Iterable[int] = SEEDS,
+    run: Callable[[Iterable[Case]], list[Record]] = run_all,
 ) -> list[Outcome]:
     """The experiment in the paper's design, once for each seed."""
     noise = disturbance or Disturbance(experiment.noise)
     wanted = [(seed, variant) for seed in seeds for variant in variants]
     cases = [make_case(experiment, variant, "paper", noise, seed) for seed, variant in wanted]
-    records = dict(zip(wanted, run_all(cases), strict=True))
+    records = dict(zip(wanted, run(cases), strict=True))
     return [
         judge(
             experiment,

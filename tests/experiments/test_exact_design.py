@@ -10,7 +10,7 @@ from adaptdrive_sim.experiments.case import Disturbance
 from adaptdrive_sim.experiments.metrics import convergence_cycles, cycles
 from adaptdrive_sim.experiments.motor import MOTOR
 from adaptdrive_sim.experiments.runner import Record, run_case
-from tests.experiments.cases import make_case, run_all
+from tests.experiments.cases import make_case, run_all_compiled
 
 ORACLE = 0.030
 """Model error with three disks of a noise-free controller that knows the load."""
@@ -24,7 +24,7 @@ def error(record: Record, segment: str) -> float:
 
 
 def runs(disturbance: Disturbance) -> list[Record]:
-    return run_all(
+    return run_all_compiled(
         make_case(MOTOR, "adaptive", "exact", disturbance=disturbance, seed=seed)
         for seed in range(20)
     )

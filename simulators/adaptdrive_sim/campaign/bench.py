@@ -22,7 +22,7 @@ from adaptdrive_sim.campaign.scenario import Scenario
 from adaptdrive_sim.compiled import bench
 from adaptdrive_sim.compiled.course import Course, Interlocks
 from adaptdrive_sim.compiled.deployed import run_deployed, start_at_rest
-from adaptdrive_sim.compiled.motor_run import run_compiled
+from adaptdrive_sim.compiled.run import run_compiled
 from adaptdrive_sim.compiled.sources import compiled_modules
 from adaptdrive_sim.experiments.examples import FOLDER
 from adaptdrive_sim.plants.coupling import CouplingParameters
@@ -141,14 +141,14 @@ class Stand:
         return motor_load(model["gain"], model["tau_motor_s"], model["tau_filter_s"])
 
     def _course(self, mode: Mode) -> Course:
-        inertias = MotorParameters().disk_kgm2 * self.inertias
-        return Course(self.references, inertias, self._disturbances, mode, deployed().pole)
+        pole, disturbances = deployed().pole, self._disturbances
+        return Course(self.references, self.inertias, 0.0, disturbances, mode, pole)
 
     def _start(self, course: Course) -> tuple[Motor, World, Controller]:
         """Everything at rest on the first reference."""
         own, output = deployed(), float(course.references[0])
         motor = Motor(self.scenario.motor())
-        motor.set_inertia(float(course.inertias[0]))
+        motor.resize(float(course.sizes[0]), 0.0)
         world = World(motor, WorldParameters(line=self.scenario.line()))
         world.settle(world.boost_voltage_for(output))
         controller = Controller(own.settings, own.load)

@@ -9,13 +9,11 @@ from numpy.typing import NDArray
 
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive_sim.campaign.settings import Campaign, LoadRanges
-from adaptdrive_sim.compiled.wire import Wire
+from adaptdrive_sim.compiled.wire import DELAY_MAX, Wire
 from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.plants.motor import MotorParameters
 
 Array = NDArray[np.float64]
-
-_OLDEST_OUTPUT = 21
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +97,7 @@ class Scenario:
             power_quantum_W=self.power_W,
             scale_quantum_S=self.scale_S,
             output_delay=self.output_delay_ticks,
-            outputs=[self.reference.value(0.0)] * _OLDEST_OUTPUT,
+            outputs=[self.reference.value(0.0)] * (DELAY_MAX + 1),
         )
 
 

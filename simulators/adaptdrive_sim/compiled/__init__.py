@@ -1,5 +1,5 @@
 """The deployed source, compiled: whole experiments at some hundred times the speed.
 
 `translate` makes compilable copies of the modules of controller and plant, `objects` lets the
-compiler see their objects, `vectors` stands in for lists, and `motor_run` runs an experiment.
+compiler see their objects, `vectors` stands in for lists, and `run` runs an experiment.
 """

@@ -21,6 +21,7 @@ from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Measurement
 from adaptdrive.control.slow_half import SlowSample, SlowState, slow_step
 from adaptdrive.control.vectors import Vector, total
+from adaptdrive_sim.compiled.room import forget_vectors
 from adaptdrive_sim.compiled.wire import Wire, delayed, rounded
 from adaptdrive_sim.world import Sample, World
 
@@ -54,7 +55,8 @@ def run(
     sample: SlowSample,
     references: Array,
     disturbances: Array,
-    inertias: Array,
+    sizes: Array,
+    over_s: float,
     voltage_max_V: float,
     output_max: float,
     trace: Array,
@@ -73,7 +75,8 @@ def run(
         sample: Room for the present one; its mode, pole and limits are used.
         references: r[k].
         disturbances: Measurement noise of every tick.
-        inertias: Inertia in each slow period, in kg m².
+        sizes: Size of the load in each slow period, the first of which it has.
+        over_s: How long a change of it takes.
         voltage_max_V: Interlock.
         output_max: Interlock.
         trace: What happened, one row for each slow period, overwritten.
@@ -82,14 +85,14 @@ def run(
         0, or the interlock that ended the run.
     """
     rates, stage = settings.rates, settings.stage
-    motor: Any = world.load  # a motor, whatever else a world could turn
+    plant: Any = world.load
     ticks, latency = rates.ticks_per_period, rates.latency_ticks
     decided_V = state.boost_reference_V
     scale_S = world.current_scale_S
     frame = world.step_disturbed(scale_S, True, disturbances[0])
     for k in range(len(references)):
-        if inertias[k] != motor.inertia_kgm2:
-            motor.set_inertia(inertias[k])
+        if k > 0 and sizes[k] != sizes[k - 1]:
+            plant.resize(sizes[k], over_s)
         for into in range(ticks):
             n = k * ticks + into
             receive(measurement, wire, n, frame)
@@ -99,7 +102,7 @@ def run(
             if into == latency:
                 state.boost_reference_V = decided_V
             if fast.take_in(settings, load, state, bank, measurement):
-                trace[k, OUTPUT] = motor.output
+                trace[k, OUTPUT] = plant.output
                 sample.reference = references[k]
                 decided_V = decide(settings, load, state, bank, slow, measurement, sample)
                 note(trace[k], slow, sample, decided_V, load)
@@ -140,6 +143,7 @@ def decide(
     sample: SlowSample,
 ) -> float:
     """The slow half, from the end of the slow period to V_c."""
+    forget_vectors()
     rates, order = settings.rates, load.order
     means = fast.take_means(bank)
     applied_V, followed, held = fast.close_period(state, settings)

@@ -18,14 +18,16 @@ class Course:
 
     Attributes:
         references: r[k].
-        inertias: Inertia in each slow period, in kg m².
+        sizes: Size that the load is to have in each slow period, as a multiple of the nominal one.
+        over_s: How long a change of it takes.
         disturbances: Measurement noise of every tick, and of one more.
         mode: Controller asked for.
         pole: Closed-loop pole.
     """
 
     references: Array
-    inertias: Array
+    sizes: Array
+    over_s: float
     disturbances: Array
     mode: Mode
     pole: float

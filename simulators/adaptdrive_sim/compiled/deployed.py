@@ -50,8 +50,8 @@ def run_deployed(  # mirrors the compiled one
     disturbances = course.disturbances.tolist()
     frame = world.step_disturbed(world.current_scale_S, True, disturbances[0])
     for k, reference in enumerate(course.references.tolist()):
-        if course.inertias[k] != motor.inertia_kgm2:
-            motor.set_inertia(float(course.inertias[k]))
+        if k > 0 and course.sizes[k] != course.sizes[k - 1]:
+            motor.resize(float(course.sizes[k]), course.over_s)
         order = Order(Stage.RUN, reference, course.mode, course.pole)
         for n in range(k * ticks, (k + 1) * ticks):
             measurement = _received(wire, n, frame)

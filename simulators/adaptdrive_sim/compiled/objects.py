@@ -60,12 +60,14 @@ class Memory:
 
     Attributes:
         layout: Of the object.
+        kind: Its type in compiled code.
         words: Its memory.
         address: Where that begins.
     """
 
     def __init__(self, instance: Any) -> None:
         self.layout = layout_of(instance)
+        self.kind = _type_of_layout(self.layout)
         self.words = np.zeros(max(1, self.layout.words), np.int64)
         self.address = self.words.ctypes.data
         self.load(instance)
@@ -147,7 +149,7 @@ def _type_of_layout(layout: Layout) -> ObjectType:
 
 @typeof_impl.register(Memory)
 def _typeof_memory(value: Memory, _: Any) -> ObjectType:
-    return _type_of_layout(value.layout)
+    return value.kind
 
 
 @unbox(ObjectType)

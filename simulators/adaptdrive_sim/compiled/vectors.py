@@ -5,16 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 import numba
-import numpy as np
 
-compiled = numba.njit(cache=True, nogil=True, forceinline=True)
+from adaptdrive_sim.compiled.room import new_vector
+
+compiled = numba.njit(cache=True, forceinline=True)
 """Like the interpreter: no reordering of sums, and division by zero is an error."""
 
 
 @compiled
 def filled(value: float, count: int) -> Any:
     """`[value] * count`."""
-    result = np.empty(count, np.float64)
+    result = new_vector(count)
     for i in range(count):
         result[i] = value
     return result
@@ -23,7 +24,7 @@ def filled(value: float, count: int) -> Any:
 @compiled
 def vector(values: Any) -> Any:
     """`[a, b, c]` of a tuple."""
-    result = np.empty(len(values), np.float64)
+    result = new_vector(len(values))
     for i in range(len(values)):
         result[i] = values[i]
     return result
@@ -32,7 +33,7 @@ def vector(values: Any) -> Any:
 @compiled
 def copied(values: Any) -> Any:
     """`list(values)`, `values[a:b]`."""
-    result = np.empty(len(values), np.float64)
+    result = new_vector(len(values))
     for i in range(len(values)):
         result[i] = values[i]
     return result
@@ -41,7 +42,7 @@ def copied(values: Any) -> Any:
 @compiled
 def joined(first: Any, second: Any) -> Any:
     """`first + second`."""
-    result = np.empty(len(first) + len(second), np.float64)
+    result = new_vector(len(first) + len(second))
     for i in range(len(first)):
         result[i] = first[i]
     for i in range(len(second)):

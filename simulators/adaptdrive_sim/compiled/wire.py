@@ -14,6 +14,10 @@ _WHOLE = 1.5 * 2.0**52
 """So large that a sum with it is a whole number: half the cost of `floor` in compiled code."""
 
 
+DELAY_MAX = 20
+"""Oldest output in half cycles."""
+
+
 @dataclass(slots=True)
 class Wire:
     """Resolution and delay; a quantum of 0 does not round.
@@ -33,6 +37,11 @@ class Wire:
     scale_quantum_S: float
     output_delay: int
     outputs: Vector
+
+
+def perfect_wire(output: float) -> Wire:
+    """One that neither rounds nor delays."""
+    return Wire(0.0, 0.0, 0.0, 0.0, 0, [output] * (DELAY_MAX + 1))
 
 
 def rounded(value: float, quantum: float) -> float:

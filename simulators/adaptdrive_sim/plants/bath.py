@@ -47,10 +47,9 @@ class Bath:
         heater_W: Mean power of the heater over the last step.
     """
 
-    emf_V = 0.0
-
     def __init__(self, parameters: BathParameters) -> None:
         self.parameters = parameters
+        self.emf_V = 0.0
         self.resistance_Ohm = parameters.heater_Ohm
         self.output = 0.0
         self.inflow_K = INFLOW_K
@@ -81,7 +80,14 @@ class Bath:
         """
         check_range("volume_gal", volume_gal, VOLUME_MIN_gal, VOLUME_MAX_gal, "US gal")
         check_range("over_s", over_s, 0.0, FILLING_MAX_s, "s")
-        self._target_kg = volume_gal * GALLON_kg
+        self._move_level(volume_gal * GALLON_kg, over_s)
+
+    def resize(self, size: float, over_s: float) -> None:
+        """Fill it steadily to a multiple of the volume at the start."""
+        self._move_level(size * self.parameters.volume_gal * GALLON_kg, over_s)
+
+    def _move_level(self, mass_kg: float, over_s: float) -> None:
+        self._target_kg = mass_kg
         self._decay_s = math.nan
         if over_s > 0.0:
             self._filling_kg_s = (self._target_kg - self._mass_kg) / over_s

@@ -94,6 +94,10 @@ class Motor:
         self._driven.forget()
         self._coasting.forget()
 
+    def resize(self, size: float, _over_s: float) -> None:
+        """Turn a multiple of one disk's inertia from now on."""
+        self.set_inertia(self.parameters.disk_kgm2 * size)
+
     @property
     def torque_Nm(self) -> float:
         """Load torque besides friction."""

@@ -1,7 +1,8 @@
-"""A motor experiment on compiled code, from the same objects as the interpreted one."""
+"""An experiment on compiled code, from the same objects as the interpreted one."""
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -31,23 +32,30 @@ def run_compiled(
         What happened, a row of `bench` columns for each slow period, and the interlock that ended
         it or 0.
     """
-    parts = _parts(controller)
-    settings, load, *_ = parts
+    settings, load, *states = _parts(controller)
     sample = _sample(settings, load, course)
     measurement = Measurement(0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    objects = [Memory(part) for part in (*parts, world, wire, measurement, sample)]
+    changing = (*states, world, wire, measurement, sample)
+    objects = [_constant(settings), _constant(load), *map(Memory, changing)]
     trace = np.full((len(course.references), bench.VALUES + len(load.names)), np.nan)
     function: Any = compiled_modules()[bench.__name__].run
     cause = function(
         *objects,
         course.references,
         course.disturbances,
-        course.inertias,
+        course.sizes,
+        course.over_s,
         interlocks.boost_voltage_max_V,
         interlocks.output_max,
         trace,
     )
     return trace, int(cause)
+
+
+@cache
+def _constant(instance: Any) -> Memory:
+    """What no run changes, copied once."""
+    return Memory(instance)
 
 
 def _parts(controller: Controller) -> tuple[Any, ...]:
