@@ -47,9 +47,12 @@ def test_it_solves_what_the_normal_equations_cannot() -> None:
     targets = rows @ truth
     fit = least_squares(rows, targets)
     assert fit.theta == pytest.approx(truth, abs=1e-4)
-    normal = np.linalg.solve(rows.T @ rows, rows.T @ targets)
-    assert np.abs(normal - truth).max() > 1000 * np.abs(fit.theta - truth).max()
     assert fit.condition > 1e8
+    try:
+        normal = np.linalg.solve(rows.T @ rows, rows.T @ targets)
+    except np.linalg.LinAlgError:
+        return  # on some processors they come out singular
+    assert np.abs(normal - truth).max() > 1000 * np.abs(fit.theta - truth).max()
 
 
 def test_units_do_not_matter() -> None:
