@@ -20,7 +20,9 @@ demo: $(installed) ## watch the motor being held while disks drop onto its shaft
 
 test: $(installed) ## run the whole test suite
 	@tests/install-peers
-	$(bin)/python -m pytest -rfEs
+	$(bin)/python -m pytest -rfEs -m "not alone" --numprocesses auto --dist worksteal; \
+	calculating=$$?; \
+	$(bin)/python -m pytest -rfEs -m alone && exit $$calculating
 
 lint: $(installed) ## lint, formatting, types and import layers
 	$(bin)/ruff check

@@ -28,6 +28,20 @@ settings.register_profile("adaptdrive", deadline=None, derandomize="CI" in os.en
 settings.load_profile("adaptdrive")
 
 
+CALCULATING = {"campaign", "closed_loop", "compiled", "config", "control", "experiments"}
+"""Folders whose tests need nothing but a processor, however busy: several run at once."""
+
+
+@pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark every test `alone` that is not known to calculate only."""
+    here = Path(__file__).parent
+    for item in items:
+        if item.path.is_relative_to(here) and item.path.relative_to(here).parts[0] in CALCULATING:
+            continue
+        item.add_marker(pytest.mark.alone)
+
+
 @pytest.fixture(autouse=True)
 def _no_leaked_task(request: pytest.FixtureRequest) -> None:
     if request.node.get_closest_marker("asyncio"):
