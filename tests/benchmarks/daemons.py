@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from tests.benchmarks.rows import Extent, Row
-from tests.benchmarks.site import Running, broker, enable, runs, start_daemon
+from tests.benchmarks.site import Running, await_broker, broker, enable, runs, start_daemon
 from tests.benchmarks.tools import (
     PRIORITY,
     bus_ports,
@@ -53,7 +53,7 @@ class Census:
 def rows(extent: Extent) -> Iterator[Row]:
     """All rows of this file."""
     yield _start()
-    seconds = 10.0 if extent.quick else 20.0
+    seconds = 10.0 if extent.quick else 15.0
     counts = COUNTS[:-1] if extent.quick else COUNTS
     held = 0
     for count in counts:
@@ -123,7 +123,8 @@ def measure(count: int, seconds: float, *, recording: bool) -> Census:
             }
             home = folder / f"d{i}"
             daemons.append(start_daemon(stack, home, bus_port, broker_port, changes))
-        time.sleep(3.0 + 0.7 * count)
+        for daemon in daemons:
+            await_broker(daemon)
         ports = ",".join(str(daemon.bus_port) for daemon in daemons)
         late = folder / "late"
         player = [sys.executable, "-m", "tests.benchmarks.player", ports, str(PRIORITY + 10)]

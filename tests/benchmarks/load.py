@@ -28,7 +28,7 @@ TELEMETRY = {"mqtt.telemetry_Hz": "10.0", "recording.flush_s": "0.5"}
 
 def rows(extent: Extent) -> Iterator[Row]:
     """All rows of this file: each load against a quiet daemon, in turn."""
-    seconds = 6 if extent.quick else 15
+    seconds = 6 if extent.quick else 12
     quiet: list[float] = []
     for name in ("nothing else", "disk stalled", "broker stalled", "commands", "hog", "all"):
         times = _under(name, seconds)

@@ -76,6 +76,15 @@ def site(changes: dict[str, str]) -> Iterator[tuple[Running, Process]]:
         yield start_daemon(stack, folder, bus_port, port, changes), mosquitto
 
 
+def await_broker(running: Running, patience_s: float = 120.0) -> None:
+    """Wait until a daemon takes commands."""
+    deadline_s = time.monotonic() + patience_s
+    while "broker connected" not in running.log.read_text(encoding="utf-8"):
+        if time.monotonic() > deadline_s:
+            raise RuntimeError(f"a daemon does not start: {running.log.read_text('utf-8')}")
+        time.sleep(0.1)
+
+
 def enable(running: Running, drive: str = "motor", patience_s: float = 30.0) -> None:
     """Ask until the drive runs or patience ends: its first frames may be still to come."""
     deadline_s = time.monotonic() + patience_s

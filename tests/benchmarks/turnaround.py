@@ -21,9 +21,9 @@ from tests.benchmarks.tools import PRIORITY, bus_ports, process, run_json
 
 def rows(extent: Extent) -> Iterator[Row]:
     """All rows of this file."""
-    yield from _against_echoes(10 if extent.quick else 60, {}, "")
+    yield from _against_echoes(10 if extent.quick else 45, {}, "")
     spinning = {"realtime.spin_us": f"{SPIN_US:.1f}"}
-    yield from _against_echoes(10 if extent.quick else 30, spinning, f", spinning {SPIN_US} us")
+    yield from _against_echoes(10 if extent.quick else 20, spinning, f", spinning {SPIN_US} us")
 
 
 def _against_echoes(seconds: int, changes: dict[str, str], how: str) -> Iterator[Row]:
