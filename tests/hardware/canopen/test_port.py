@@ -134,6 +134,16 @@ async def test_a_heartbeat_that_stays_away_is_told_and_the_node_set_up_again(pee
         assert bench.ear.bus[-1][0]
 
 
+async def test_heartbeats_that_came_while_the_loop_was_busy_are_not_lost(peer: Peer) -> None:
+    async with running(peer, heartbeat_timeout_s=0.5) as bench:
+        await bench.run_drive()
+        for _ in range(3):
+            time.sleep(0.7)  # noqa: ASYNC251 - the loop is what is busy
+            await bench.ready()
+        assert bench.port.complaint is None
+        assert all(up for up, _ in bench.ear.bus)
+
+
 async def test_a_restarted_node_is_not_energised_again(peer: Peer) -> None:
     async with running(peer) as bench:
         await bench.run_drive()

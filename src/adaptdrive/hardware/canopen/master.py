@@ -28,6 +28,10 @@ _RETRY_S = 2.0
 _STARTED_S = 1.0
 """Longest time from the start of a node to a heartbeat that says so."""
 
+_LOOK_AGAIN_S = 0.002
+"""Wait before a heartbeat is called lost: one that came while the loop was busy is read meanwhile,
+whatever loop it is and whether it looks at timers or at sockets first."""
+
 
 class NodeState(IntEnum):
     """What a heartbeat says."""
@@ -171,7 +175,11 @@ class Master:
                 return self._departure()
             silent_s = self._clock() - self._heard_s
             if silent_s > timeout_s:
-                return f"heartbeat lost for {1e3 * silent_s:.0f} ms"
+                heard_s = self._heard_s
+                await asyncio.sleep(_LOOK_AGAIN_S)
+                if heard_s == self._heard_s:
+                    return f"heartbeat lost for {1e3 * silent_s:.0f} ms"
+                continue
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(timeout_s - silent_s + 0.001):
                     await self._next_heartbeat()
