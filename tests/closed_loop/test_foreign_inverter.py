@@ -17,6 +17,7 @@ import pytest
 from cantools.database.can.database import Database
 from crccheck.crc import Crc8GsmA
 
+from adaptdrive.config import load_configuration
 from adaptdrive.control.signals import Mode
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, SetMode, SetSetpoint
@@ -90,7 +91,7 @@ async def test_an_inverter_is_held_that_is_known_from_its_dbc_alone(
     stranger = Stranger(free_udp_port)
     async with asyncio.TaskGroup() as tasks:
         listening = tasks.create_task(stranger.listen())
-        async with rigged(config.read_text(), config) as rig:
+        async with rigged(load_configuration(config)) as rig:
             await until(lambda: stranger.values)
             await hold(rig, stranger)
         listening.cancel()

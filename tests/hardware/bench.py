@@ -63,11 +63,11 @@ def with_crc(data: bytes) -> bytes:
 class Drive:
     """Sends frames of the reference DBC on any python-can bus."""
 
-    def __init__(self, bus: can.BusABC) -> None:
+    def __init__(self, bus: can.BusABC, database: Database | None = None) -> None:
         self.bus = bus
         self.alive = dict.fromkeys(_PROOFS, 0)
         self.half_cycle = 0
-        self._database = reference_database()
+        self._database = database or reference_database()
 
     def frame(self, name: str, **values: float) -> bytes:
         """The next frame of a message; unnamed signals are 0."""

@@ -15,28 +15,40 @@ from pathlib import Path
 from adaptdrive.app.ports import build_port
 from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
 from adaptdrive.app.warm_up import warm_up
-from adaptdrive.config.file import parse_configuration
+from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import Port
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub, Subscription
-from adaptdrive.runtime.reports import DriveReport, Event, State, StateReport
+from adaptdrive.runtime.reports import DriveReport, Event, State, StateReport, TickReport
 from adaptdrive.runtime.requests import Enable, Request, Reset
 from adaptdrive.runtime.watchdog import ServiceManager
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
-PATIENCE_s = 30.0
+PATIENCE_s = 20.0
+_TOLD_s = 0.02
+"""Time that a new state takes to be told."""
+
+_ON_THE_WAY = {State.STANDBY, State.STARTING}
 
 
 @dataclass
 class Rig:
-    """A running daemon, and what has been heard of it."""
+    """A running daemon, and what has been heard of it.
+
+    Attributes:
+        events: Events, and when each came.
+        used: Every pair of boost voltage and output that a tick was computed from.
+        state: The last state.
+        drive: The last report on the drive.
+    """
 
     daemon: Daemon
     port: Port
     reports: Subscription
     events: list[tuple[float, Event]] = field(default_factory=list)
+    used: set[tuple[float, float]] = field(default_factory=set)
     state: StateReport | None = None
     drive: DriveReport | None = None
 
@@ -51,6 +63,8 @@ class Rig:
                         self.state = report
                     case DriveReport():
                         self.drive = report
+                    case TickReport(measurement=used):
+                        self.used.add((used.boost_voltage_V, used.output))
 
     async def ask(self, request: Request) -> None:
         """Have a request carried out, as soon as it is not refused."""
@@ -63,11 +77,17 @@ class Rig:
             return False
         return True
 
+    async def recovers(self) -> None:
+        """Wait until nothing keeps the drive from being run."""
+        await self.ask(Reset())
+
     async def run(self) -> None:
         """Enable the drive, from a trip too, and wait until it runs."""
-        await self.ask(Reset())
-        await self.ask(Enable())
-        await self.reaches(State.RUNNING)
+        while self.state is None or self.state.state is not State.RUNNING:
+            await self.recovers()
+            await self.ask(Enable())
+            await asyncio.sleep(_TOLD_s)
+            await until(lambda: self.state is not None and self.state.state not in _ON_THE_WAY)
 
     async def reaches(self, state: State) -> None:
         """Wait for a state."""
@@ -81,17 +101,12 @@ class Rig:
 
 
 @contextlib.asynccontextmanager
-async def rigged(text: str, source: Path = EXAMPLES / "rig.toml") -> AsyncIterator[Rig]:
-    """Run a daemon until the block ends.
-
-    Args:
-        text: Its configuration, in TOML.
-        source: Where its files are looked for.
-    """
-    configuration, hub = parse_configuration(text, source), Hub()
-    reports = hub.subscribe(Event, StateReport, DriveReport, size=10_000)
-    warm_up(configuration, build_port(configuration, time.monotonic, source))
-    port = build_port(configuration, time.monotonic, source)
+async def rigged(configuration: Configuration) -> AsyncIterator[Rig]:
+    """Run a daemon until the block ends."""
+    hub = Hub()
+    reports = hub.subscribe(Event, StateReport, DriveReport, TickReport, size=100_000)
+    warm_up(configuration, build_port(configuration, time.monotonic, "rig.toml"))
+    port = build_port(configuration, time.monotonic, "rig.toml")
     daemon = Daemon(
         port=port,
         controller=Controller(controller_settings(configuration), build_load(configuration)),

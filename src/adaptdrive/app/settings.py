@@ -25,6 +25,7 @@ from adaptdrive.runtime.guard import CommandLimits
 from adaptdrive.runtime.interlocks import Limits
 from adaptdrive.runtime.machine import MachineLimits
 from adaptdrive.runtime.realtime import RealtimeSettings
+from adaptdrive.runtime.stillness import StillnessLimits
 
 _LOWEST_LINE = 0.5
 _SWING_SHARE = 0.01
@@ -231,4 +232,23 @@ def _fast_loop(configuration: Configuration) -> FastLoopSettings:
         late_fraction=configuration.realtime.late_fraction,
         timer_standin=configuration.realtime.timer_standin,
         ticks_per_reading=configuration.ticks_per_reading,
+        stillness=_stillness(configuration),
+    )
+
+
+def _stillness(configuration: Configuration) -> StillnessLimits | None:
+    interlocks, section = configuration.interlocks, configuration.load
+    if not interlocks.stuck_distance and not interlocks.stuck_s:
+        return None
+    load = build_load(configuration)
+    lag_s = load.denominator[-2] / load.denominator[-1] / load.order
+    distance = interlocks.stuck_distance * (section.reference_max - section.reference_min)
+    return StillnessLimits(
+        unit=section.output_unit,
+        gain=load.numerator[-1] / load.denominator[-1],
+        input_gain=load.input_gain,
+        input_exponent=load.input_exponent,
+        lags_s=(lag_s,) * load.order,  # equal ones with the same sum
+        distance=distance or math.inf,
+        longest_s=interlocks.stuck_s or math.inf,
     )

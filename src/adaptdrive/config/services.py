@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from pydantic import Field, field_validator
 
-from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Section
+from adaptdrive.config.section import (
+    FilePath,
+    FiniteFloat,
+    NonNegativeFloat,
+    PositiveFloat,
+    Section,
+)
 
 
 class Interlocks(Section):
@@ -13,6 +19,19 @@ class Interlocks(Section):
     stale_s: PositiveFloat = Field(default=0.05, description="oldest usable measurement")
     boost_voltage_max_V: PositiveFloat = Field(default=430.0, description="over-voltage trip")
     output_max: FiniteFloat = Field(description="over-speed (over-temperature) trip")
+    stuck_distance: float = Field(
+        default=0.05,
+        ge=0.0,
+        le=1.0,
+        description="trip when the output stands at exactly one value although the load model, fed "
+        "with the change of the input since then, has it move by this share of the set-point "
+        "range; 0: never",
+    )
+    stuck_s: NonNegativeFloat = Field(
+        default=0.0,
+        description="trip when the running drive's output stands at exactly one value for so long, "
+        "for sensors whose noise is more than their last digit; 0: never",
+    )
     precharge_timeout_s: PositiveFloat = Field(
         default=5.0, description="longest time in state `starting`"
     )

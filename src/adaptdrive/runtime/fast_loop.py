@@ -31,6 +31,7 @@ from adaptdrive.runtime.interlocks import Limits, find_cause
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import TickReport
 from adaptdrive.runtime.statistics import TimeWindow
+from adaptdrive.runtime.stillness import Stillness, StillnessLimits
 
 _BRIDGE_GRACE_TICKS = 30
 _BRIDGE_GRACE_READINGS = 3
@@ -66,6 +67,7 @@ class FastLoopSettings:
         timer_standin: Whether the timer stands in at all.
         ticks_per_reading: Half cycles from one reading to the next, 1 for a drive that sends
             each. A drive that is polled has one tick for each poll.
+        stillness: When the output is stuck, None for never.
     """
 
     limits: Limits
@@ -75,6 +77,7 @@ class FastLoopSettings:
     late_fraction: float
     timer_standin: bool
     ticks_per_reading: int = 1
+    stillness: StillnessLimits | None = None
 
 
 class Surroundings(Protocol):
@@ -129,12 +132,12 @@ class FastLoop:
             port.counter_modulus, settings.tick_s, settings.ticks_per_reading
         )
         self._guard = Guard(settings.command)
+        self._stillness = Stillness(settings.stillness) if settings.stillness else None
         self._settings = settings
         self._surroundings = surroundings
         self._due: tuple[int, Decision] | None = None
         self._run_tick = 0
         self._bridge_off_ticks = 0
-        self._watched_s = math.inf
         self._order: Order | None = None
         self._applied_k = -1
         self._wanted = SAFE_COMMAND
@@ -276,26 +279,30 @@ class FastLoop:
 
     def _watch_interlocks(self, now_s: float) -> None:
         machine, reading = self._machine, self.reading
-        unwatched_s, self._watched_s = now_s - self._watched_s, now_s
         if not machine.energised:
             return
-        cause = self._cause(now_s) or self._bridge_cause(reading, unwatched_s)
+        cause = self._cause(now_s) or self._bridge_cause(reading) or self._still_cause(reading)
         if cause is None and reading is not None:
             machine.advance(self.tick, reading.boost_voltage_V)
         elif cause is not None:
             machine.latch(cause)
 
-    def _bridge_cause(self, reading: Reading | None, unwatched_s: float) -> str | None:
-        """A drive that has stopped by itself must not be driven on as if it had not.
+    def _still_cause(self, reading: Reading | None) -> str | None:
+        """A frozen sensor: its messages go on, and so would the controller."""
+        if self._stillness is None or reading is None:
+            return None
+        if self._machine.stage is not Stage.RUN:
+            self._stillness.forget()
+            return None
+        return self._stillness.advance(reading.output, reading.boost_voltage_V, reading.arrival_s)
 
-        Half cycles that passed unwatched count: a drive that stopped because this process
-        did not run for long gets no command that energises it anew.
-        """
+    def _bridge_cause(self, reading: Reading | None) -> str | None:
+        """A drive that has stopped by itself must not be driven on as if it had not."""
         if reading is None or reading.bridge or not self.command.bridge:
             self._bridge_off_ticks = 0
             return None
         stride = self._settings.ticks_per_reading
-        self._bridge_off_ticks += max(stride, int(unwatched_s / self._settings.tick_s))
+        self._bridge_off_ticks += stride
         if self._bridge_off_ticks <= max(_BRIDGE_GRACE_TICKS, _BRIDGE_GRACE_READINGS * stride):
             return None
         return "drive stopped: its bridge is off although it was commanded on"

@@ -1,0 +1,124 @@
+"""A frozen output is noticed, and an honest one that rests or is coarse is not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import signal
+
+from adaptdrive.app.settings import daemon_settings
+from adaptdrive.config import load_configuration
+from adaptdrive.runtime.stillness import Stillness, StillnessLimits
+from tests.hardware.bench import EXAMPLES, MOTOR
+
+TICK_s = 1.0 / 120.0
+GAIN, LAGS_s = 0.011, (11.7, 10.0)
+LIMITS = StillnessLimits("V", GAIN, 1.0, 1, LAGS_s, distance=0.225, longest_s=math.inf)
+
+
+def first_complaint(
+    limits: StillnessLimits, outputs: np.ndarray, voltages: np.ndarray
+) -> tuple[float, str]:
+    """When something was said, and what; infinity for never."""
+    watch = Stillness(limits)
+    for number, (output, voltage) in enumerate(zip(outputs, voltages, strict=True)):
+        said = watch.advance(float(output), float(voltage), number * TICK_s)
+        if said:
+            return number * TICK_s, said
+    return math.inf, ""
+
+
+def response(voltages: np.ndarray, inertia: float = 1.0) -> np.ndarray:
+    """What the motor really does, by scipy; `inertia` in multiples of that of the model."""
+    plant = signal.TransferFunction([GAIN], np.polymul([inertia * 11.7, 1.0], [10.0, 1.0]))
+    times = np.arange(len(voltages)) * TICK_s
+    start = voltages[0]
+    moved: np.ndarray = signal.lsim(plant, voltages - start, times)[1]
+    total: np.ndarray = np.asarray(moved, dtype=float) + GAIN * start
+    return total
+
+
+def test_a_frozen_output_is_noticed_when_scipy_has_it_moved_that_far() -> None:
+    voltages = np.full(3600, 300.0)
+    voltages[120:] = 380.0
+    moved = response(voltages) - response(voltages)[0]
+    due_s = float(np.argmax(moved > LIMITS.distance)) * TICK_s
+    when_s, said = first_complaint(LIMITS, np.full(3600, 3.3), voltages)
+    assert when_s == pytest.approx(due_s, abs=0.02)
+    assert said.startswith("stuck: output stands at exactly 3.3 V for ")
+    assert "should have moved by 0.22" in said
+
+
+@settings(max_examples=20)
+@given(
+    st.sampled_from([0.0, 1e-6, 0.001, 0.02]),
+    st.floats(1.0, 3.0),
+    st.lists(st.floats(200.0, 400.0), min_size=1, max_size=4),
+)
+def test_an_honest_output_is_believed_whatever_the_voltage_does(
+    count: float, inertia: float, levels: list[float]
+) -> None:
+    voltages = np.repeat([300.0, *levels], 1200)
+    outputs = response(voltages, inertia)
+    if count:
+        outputs = np.round(outputs / count) * count
+    assert first_complaint(LIMITS, outputs, voltages) == (math.inf, "")
+
+
+def test_a_coarse_output_at_rest_is_believed_for_a_night_though_the_model_is_wrong() -> None:
+    """At rest far from where the model would have it, with a voltage that is never quite still."""
+    generator = np.random.default_rng(1)
+    voltages = 300.0 + generator.normal(0.0, 1.0, 30_000)
+    assert first_complaint(LIMITS, np.full(30_000, 2.0), voltages) == (math.inf, "")
+
+
+def test_a_change_of_one_digit_begins_anew() -> None:
+    watch = Stillness(LIMITS)
+    for number in range(12_000):
+        output = 3.3 + 1e-6 * (number // 600)
+        assert watch.advance(output, 300.0 + 0.02 * number, number * TICK_s) is None
+
+
+def test_after_a_pause_it_begins_anew() -> None:
+    watch = Stillness(LIMITS)
+    assert watch.advance(3.3, 200.0, 0.0) is None
+    watch.forget()
+    assert watch.advance(3.3, 400.0, 600.0) is None
+    assert watch.advance(3.3, 400.0, 1200.0) is None
+
+
+def test_the_same_reading_again_is_no_news() -> None:
+    watch = Stillness(LIMITS)
+    watch.advance(3.3, 300.0, 0.0)
+    said = {watch.advance(3.3, 400.0, 1.0) for _ in range(10_000)}
+    assert said == {None}
+
+
+def test_a_noisy_sensor_may_not_stand_still_for_long() -> None:
+    limits = replace(LIMITS, distance=math.inf, longest_s=2.0)
+    when_s, said = first_complaint(limits, np.full(600, 3.3), np.full(600, 300.0))
+    assert when_s == pytest.approx(2.0, abs=2 * TICK_s)
+    assert said.endswith("s")
+
+
+@pytest.mark.parametrize("example", ["motor", "bath", "battery"])
+def test_the_limits_come_from_the_load_of_the_configuration(example: str) -> None:
+    configuration = load_configuration(EXAMPLES / f"{example}.toml")
+    limits = daemon_settings(configuration).fast.stillness
+    assert limits is not None
+    load = configuration.load
+    assert limits.distance == pytest.approx(0.05 * (load.reference_max - load.reference_min))
+    if example == "motor":
+        assert limits.gain == pytest.approx(GAIN)
+        assert sum(limits.lags_s) == pytest.approx(sum(LAGS_s))
+
+
+def test_it_can_be_left_out() -> None:
+    interlocks = MOTOR.interlocks.model_copy(update={"stuck_distance": 0.0})
+    configuration = MOTOR.model_copy(update={"interlocks": interlocks})
+    assert daemon_settings(configuration).fast.stillness is None

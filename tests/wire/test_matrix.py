@@ -1,0 +1,181 @@
+"""Each fault of the wire, on each kind of bus, with the whole daemon behind it.
+
+In none of them is a command computed from a value that the drive did not send in a good frame; the
+drive is safe in time where it can hear at all; and when the fault has gone, a reset is accepted.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+import json
+import os
+import re
+import time
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.runtime.reports import State
+from tests.wire.matrix import CELLS, Cell, section, table, without_times
+from tests.wire.rig import Rig, rigged, until
+from tests.wire.wires import (
+    BOOST_V,
+    OUTPUT_V,
+    STUCK_V,
+    CanWire,
+    PATIENT_s,
+    Wire,
+    float_dbc,
+    modbus_wire,
+    motor_text,
+    strung,
+)
+
+TESTS = Path(__file__).parents[1]
+PAGE = TESTS.parent / "docs" / "reliability.md"
+_WATCHED_s = 1.0
+_ATTEMPTS = 3
+_RUNNING_s = 0.2
+"""Some polls of a running drive before the wire is spoiled."""
+
+
+def wire_for(name: str, tmp_path: Path, tcp_port: int, udp_port: int) -> Wire:
+    link = name.rpartition("-")[2]
+    stale = {} if CELLS[name].cause == "stale" else {"stale_s": PATIENT_s}
+    if link != "can":
+        return modbus_wire(link, tmp_path, tcp_port, **stale)
+    text = motor_text(udp_port, **stale)
+    if CELLS[name].floats:
+        text = text.replace('"adaptdrive.dbc"', f'"{float_dbc(tmp_path)}"')
+    return CanWire(udp_port, text)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] if cell.cause == "stuck" else [])
+        for name, cell in CELLS.items()
+    ],
+)
+async def test_a_fault_of_the_wire(
+    name: str, tmp_path: Path, free_tcp_port: int, free_udp_port: int
+) -> None:
+    cell = CELLS[name]
+    async with (
+        strung(wire_for(name, tmp_path, free_tcp_port, free_udp_port)) as wire,
+        rigged(wire.configuration) as rig,
+    ):
+        await run_steadily(wire, rig)
+        began_s = time.monotonic()
+        made = cell.inject(wire, rig)
+        if inspect.isawaitable(made):
+            await made
+        if cell.trips:
+            reaction_s = await tripped(cell, wire, rig) - began_s
+            note(name, reaction_s, await back(wire, rig))
+        else:
+            await goes_on(cell, wire, rig)
+    assert_honest(rig)
+
+
+async def run_steadily(wire: Wire, rig: Rig) -> None:
+    """Run for some polls without a trip."""
+    while True:
+        await rig.run()
+        rig.events.clear()
+        await until(lambda: wire.told[1])
+        await asyncio.sleep(_RUNNING_s)
+        if not rig.heard("trip"):
+            return
+
+
+async def tripped(cell: Cell, wire: Wire, rig: Rig) -> float:
+    """Wait until the drive is safe, or cannot be told; when that was."""
+    if cell.count:
+        await until(lambda: getattr(rig.port.statistics, cell.count) >= 1)
+    await rig.reaches(State.TRIPPED)
+    when_s = next(when for when, event in rig.events if event.kind == "trip")
+    (told,) = rig.heard("trip")
+    assert told.startswith(f"{cell.cause}: "), told
+    if cell.hears:
+        await until(lambda: not wire.told[1])
+        when_s = wire.told[0]
+    if cell.words:
+        await until(lambda: any(cell.words in detail for detail in rig.heard("bus")))
+    return when_s
+
+
+async def back(wire: Wire, rig: Rig) -> float:
+    """Heal the wire and run again; the time until a reset was accepted."""
+    healed_s = time.monotonic()
+    await wire.heal()
+    await rig.recovers()
+    recovered_s = time.monotonic()
+    await rig.run()
+    await until(lambda: wire.told[1])
+    return recovered_s - healed_s
+
+
+async def goes_on(cell: Cell, wire: Wire, rig: Rig) -> None:
+    """The fault is counted, commands keep coming, and nothing trips.
+
+    A busy machine may trip a drive, but not each time.
+    """
+    for attempt in range(_ATTEMPTS):
+        if attempt:
+            await rig.run()
+            rig.events.clear()
+        await watched(wire)
+        if not rig.heard("trip"):
+            break
+    assert rig.heard("trip") == []
+    assert wire.told[1]
+    if cell.count:
+        await until(lambda: getattr(rig.port.statistics, cell.count) >= 3)
+    else:
+        assert rig.drive is not None
+        assert rig.drive.held >= 3
+
+
+async def watched(wire: Wire) -> None:
+    """Commands keep coming for a while."""
+    until_s = time.monotonic() + _WATCHED_s
+    while time.monotonic() < until_s:
+        before_s = wire.told[0]
+        await until(lambda before_s=before_s: wire.told[0] > before_s)  # type: ignore[misc]
+
+
+def assert_honest(rig: Rig) -> None:
+    """Every tick was computed from what the drive sent in a good frame."""
+    assert rig.used
+    for boost_V, output in rig.used:
+        assert min(abs(boost_V - BOOST_V), abs(boost_V - STUCK_V)) < 1e-6
+        assert output == pytest.approx(OUTPUT_V, abs=1e-6)
+
+
+def note(name: str, reaction_s: float, back_s: float) -> None:
+    """Keep the times where a run for the documentation wants them."""
+    report = os.environ.get("WIRE_REPORT")
+    if report:
+        path = Path(report)
+        found = json.loads(path.read_text()) if path.exists() else {}
+        found[name] = {"reaction_ms": 1e3 * reaction_s, "back_ms": 1e3 * back_s}
+        path.write_text(json.dumps(found, indent=1))
+
+
+def test_the_page_lists_these_faults_and_no_others() -> None:
+    assert without_times(section(PAGE.read_text(encoding="utf-8"))) == without_times(table({}))
+
+
+def test_every_test_that_the_page_names_exists() -> None:
+    named = set(re.findall(r"`(test_\w+)`", PAGE.read_text(encoding="utf-8")))
+    sources = (path.read_text(encoding="utf-8") for path in TESTS.rglob("*.py"))
+    written = {name for text in sources for name in re.findall(r"def (test_\w+)\(", text)}
+    assert len(named) > 20
+    assert named - written == set()
+
+
+def test_every_file_that_the_page_names_exists() -> None:
+    named = set(re.findall(r"`(tests/[\w/]+\.py)`", PAGE.read_text(encoding="utf-8")))
+    assert {name for name in named if not (TESTS.parent / name).exists()} == set()
