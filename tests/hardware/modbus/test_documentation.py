@@ -17,7 +17,8 @@ from adaptdrive.hardware.modbus.mapping import map_drive
 
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "hardware.md").read_text(encoding="utf-8")
-BLOCKS = [tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)]
+EVERY = [tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)]
+BLOCKS = [tables for tables in EVERY if tables.get("bus", {}).get("type") == "modbus-rtu"]
 HALF_CYCLE_s = 1.0 / 120.0
 
 
