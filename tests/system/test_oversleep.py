@@ -12,16 +12,25 @@ from tests.system.site import Site
 
 pytestmark = pytest.mark.slow
 
-STALE_S = 0.15
-ASLEEP_S = 0.3
+STALE_S = 0.08
+ASLEEP_S = 0.12
+"""Longer than a value may be old, and shorter than the grace of a drive that stops by itself."""
+
 TICK_S = 1.0 / 120.0
 NAPS = 3
 
 
 def test_a_daemon_that_was_stopped_goes_on_with_the_newest_frame(make_site: MakeSite) -> None:
     """The oldest frame that waits is far too old, and the newest is fresh: no trip, no burst."""
-    site = make_site({"interlocks.stale_s": str(STALE_S), "recording.flush_s": "0.5"})
+    site = make_site(
+        {
+            "interlocks.stale_s": str(STALE_S),
+            "recording.flush_s": "0.5",
+            "realtime.priority": "50",
+        }
+    )
     site.start("--initial-voltage", "280")
+    site.prefer_device()
     site.run_drive()
     for _ in range(NAPS):
         with site.stalled(site.daemon):
@@ -45,7 +54,7 @@ def _ticked_once_after_each_nap(site: Site) -> None:
         for earlier, later in itertools.pairwise(rows)
         if later["tick"] - earlier["tick"] >= 0.8 * ASLEEP_S / TICK_S
     ]
-    assert len(ends) == NAPS
+    assert len(ends) >= NAPS
     assert all(row["fresh"] for row in ends)
     # a burst would be ticks of readings that had waited for as long as the daemon slept
-    assert max(row["lateness_us"] for row in rows) < 0.5e6 * ASLEEP_S
+    assert max(row["lateness_us"] for row in rows) < 0.9e6 * ASLEEP_S
