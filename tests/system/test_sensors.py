@@ -43,7 +43,9 @@ def sensors(site: Site) -> dict[str, object]:
     heard = site.ear.on("telemetry/drive")
     found = heard[-1].content["sensors"] if heard else {}
     assert isinstance(found, dict)
-    return found.get("thermocouples", {})
+    values = found.get("thermocouples", {})
+    assert isinstance(values, dict)
+    return values
 
 
 @pytest.mark.parametrize(
