@@ -243,6 +243,8 @@ def _stillness(configuration: Configuration) -> StillnessLimits | None:
     load = build_load(configuration)
     lag_s = load.denominator[-2] / load.denominator[-1] / load.order
     distance = interlocks.stuck_distance * (section.reference_max - section.reference_min)
+    if isinstance(section, Battery):  # takes no current at all below its own voltage
+        distance = 0.0
     return StillnessLimits(
         unit=section.output_unit,
         gain=load.numerator[-1] / load.denominator[-1],
