@@ -43,6 +43,7 @@ def device(  # noqa: PLR0913 - one parameter for each option
     seed: int = 0,
     disks: int = 1,
     initial_voltage: float | None = None,
+    command_timeout: float = 0.1,
     line_drift: float = 0.1,
     line_wander: float = 0.0,
     interface: Literal["socketcan", "udp_multicast"] | None = None,
@@ -59,6 +60,7 @@ def device(  # noqa: PLR0913 - one parameter for each option
         seed: Seed of the noise.
         disks: Disks on the shaft of a motor.
         initial_voltage: Start at rest at this boost voltage instead of at standstill.
+        command_timeout: Age of the last command, in seconds, at which it shuts down.
         line_drift: Amplitude of the line's frequency drift, in hertz.
         line_wander: Amplitude of the line's slow voltage wander, as a fraction.
         interface: Bus interface instead of the configured one.
@@ -74,6 +76,7 @@ def device(  # noqa: PLR0913 - one parameter for each option
         seed=seed,
         disks=disks,
         initial_voltage_V=initial_voltage,
+        command_timeout_s=command_timeout,
         line_drift_Hz=line_drift,
         line_wander=line_wander,
         interface=interface,

@@ -33,6 +33,7 @@ from adaptdrive_sim.devices.sensor_values import check_names, values_of
 from adaptdrive_sim.devices.voltage_holder import VoltageHolder
 from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.noise import NoiseParameters
+from adaptdrive_sim.parameters import check_range
 from adaptdrive_sim.plants.boost import BoostParameters
 from adaptdrive_sim.plants.kinds import new_load
 from adaptdrive_sim.world import World, WorldParameters
@@ -53,6 +54,7 @@ class DeviceSettings:
     seed: int = 0
     disks: int = 1
     initial_voltage_V: float | None = None
+    command_timeout_s: float = COMMAND_TIMEOUT_s
     line_drift_Hz: float = 0.1
     line_wander: float = 0.0
     interface: str | None = None
@@ -92,15 +94,17 @@ def build_drive(configuration: Configuration, settings: DeviceSettings, report: 
         ParameterError: A parameter lies outside its range.
         RefusedError: A setting cannot be read.
     """
+    timeout_s = settings.command_timeout_s
+    check_range("command time-out", timeout_s, 0.01, 60.0, "s")
     world, power = build_world(configuration, settings), configuration.drive
     canopen = isinstance(configuration.bus, CanOpenBus)  # it watches a heartbeat, not commands
     if configuration.voltage_loop.where == "daemon":
-        return Drive(world, report, timeout_s=math.inf if canopen else COMMAND_TIMEOUT_s)
+        return Drive(world, report, timeout_s=math.inf if canopen else timeout_s)
     holder = VoltageHolder(power.boost_capacitance_F, bidirectional=power.kind == "bidirectional")
     if canopen:
         return Drive(world, report, holder, math.inf)
     reading_s = 0.5 * configuration.ticks_per_reading / power.line_frequency_Hz
-    return Drive(world, report, holder, max(COMMAND_TIMEOUT_s, PATIENCE_READINGS * reading_s))
+    return Drive(world, report, holder, max(timeout_s, PATIENCE_READINGS * reading_s))
 
 
 def build_node(

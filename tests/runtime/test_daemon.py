@@ -353,7 +353,8 @@ async def test_the_fast_loop_is_reported_at_its_rate() -> None:
         reports = bench.drive_reports.drain()
         last = reports[-1]
         assert isinstance(last, DriveReport)
-        assert (last.ticks, last.missed) == (10, 0)
+        # a busy machine may have stood in for a frame before the first one
+        assert (last.ticks - last.held, last.missed) == (10, 0)
         assert last.bus["received"] == 10
         assert last.measurement is not None
         assert last.age_s >= 0.0

@@ -12,7 +12,7 @@ from adaptdrive.control.signals import SAFE_COMMAND, Stage
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
-from tests.runtime.bench import FAST, TICK_S, fast_bench
+from tests.runtime.bench import FAST, TICK_S, FastBench, fast_bench
 
 TIMERLESS = replace(FAST, timer_standin=False)
 STALE_S = FAST.limits.stale_s
@@ -210,6 +210,38 @@ async def test_a_bridge_that_goes_off_by_itself_trips() -> None:
             ticks += 1
         assert (bench.machine.trip or "").startswith("drive stopped")
         assert 10 < ticks < 60
+
+
+def thaw(bench: FastBench, frozen_s: float, *, bridge: bool) -> None:
+    """The process runs again after a while; the first that it sees is a frame that waited."""
+    bench.around.now += frozen_s
+    bench.counter += round(frozen_s / TICK_S)
+    now_s = bench.around.now
+    frame = replace(bench.measured, arrival_s=now_s, oldest_s=now_s, bridge=bridge)
+    bench.port.deliver(replace(frame, counter=bench.counter % 65536))
+
+
+@pytest.mark.parametrize("frozen_s", [0.5, 10.0])
+async def test_a_drive_that_stopped_while_the_daemon_was_frozen_is_not_energised_again(
+    frozen_s: float,
+) -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        bench.frames(10)
+        known = len(bench.sent)
+        thaw(bench, frozen_s, bridge=False)
+        assert (bench.machine.trip or "").startswith("drive stopped")
+        assert bench.sent[known:] == [SAFE_COMMAND]
+
+
+async def test_a_pause_of_the_daemon_after_which_the_drive_goes_on_does_not_trip() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        bench.frames(10)
+        thaw(bench, 10.0, bridge=True)
+        thaw(bench, 20 * TICK_S, bridge=False)
+        bench.frame()
+        assert bench.state() is State.RUNNING
 
 
 async def test_what_the_drives_protocol_complains_of_trips_in_the_next_tick() -> None:

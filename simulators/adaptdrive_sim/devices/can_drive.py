@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import collections
-import functools
+import contextlib
 import time
 from collections.abc import Callable, Mapping
 
@@ -26,6 +26,9 @@ from adaptdrive.hardware.can.reader import read_frames
 from adaptdrive_sim.devices.drive import Drive, Frame, Report
 from adaptdrive_sim.devices.frames import DriveMessages, quantities_of
 from adaptdrive_sim.devices.pacing import run_half_cycles
+
+_REOPEN_S = 0.1
+"""How often a drive that has lost its bus tries to open it."""
 
 
 class CanDrive:
@@ -53,21 +56,26 @@ class CanDrive:
         self._numbers: dict[str, int] = {}
         self._report = report
         self._clock = clock
+        self._bus: can.BusABC | None = None
 
     async def run(self, opened: Callable[[str], None]) -> None:
         """Open the bus, tell `opened` which one it is, and serve it until cancelled.
 
+        The drive outlives a bus that is lost, as a real one does, and opens it again.
+
         Raises:
-            BusError: The bus cannot be opened, or is lost.
+            BusError: The bus cannot be opened at the first attempt.
         """
-        bus = open_bus(self._config)
+        self._bus = open_bus(self._config)
         try:
             opened(describe_bus(self._config))
             async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._hear(bus))
-                tasks.create_task(self._live(bus))
+                tasks.create_task(self._hear(self._bus))
+                tasks.create_task(
+                    run_half_cycles(self._drive, self._clock, self._send, self._report)
+                )
         finally:
-            bus.shutdown()
+            self._leave_bus()
 
     def take(self, frame: can.Message) -> None:
         """Obey a command frame that is whole and alive."""
@@ -111,13 +119,24 @@ class CanDrive:
             self._report("command refused", reason=reason)
 
     async def _hear(self, bus: can.BusABC) -> None:
-        raise BusError(describe_bus(self._config), await read_frames(bus, self))
+        while True:
+            self._report("bus lost", problem=await read_frames(bus, self))
+            self._leave_bus()
+            bus = self._bus = await self._reopened()
+            self._report("bus back")
 
-    async def _live(self, bus: can.BusABC) -> None:
-        deliver = functools.partial(self._send, bus)
-        await run_half_cycles(self._drive, self._clock, deliver, self._report)
+    async def _reopened(self) -> can.BusABC:
+        while True:
+            await asyncio.sleep(_REOPEN_S)
+            with contextlib.suppress(BusError):
+                return open_bus(self._config)
 
-    def _send(self, bus: can.BusABC, frame: Frame) -> None:
+    def _leave_bus(self) -> None:
+        if self._bus is not None:
+            self._bus.shutdown()
+            self._bus = None
+
+    def _send(self, frame: Frame) -> None:
         quantities, tick = quantities_of(frame), frame.sample.tick
         for message in self._status:
             codec, number = message.codec, message.number(tick)
@@ -131,12 +150,15 @@ class CanDrive:
                 bitrate_switch=codec.is_fd and self._config.bitrate_switch,
                 data=message.encode(number, quantities),
             )
-            try:
-                bus.send(out)
-            except (can.CanError, OSError):
-                self.counts["dropped"] += 1
-            else:
-                self.counts["sent"] += 1
+            self.counts["sent" if self._put(out) else "dropped"] += 1
+
+    def _put(self, frame: can.Message) -> bool:
+        try:
+            if self._bus is not None:
+                self._bus.send(frame)
+        except (can.CanError, OSError):
+            return False
+        return self._bus is not None
 
 
 def _key(codec: MessageCodec) -> tuple[int, bool]:

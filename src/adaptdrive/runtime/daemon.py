@@ -115,8 +115,11 @@ class Daemon:
         self._timer_failure = loop.create_future()
         self._timer = TickTimer(loop, self._on_deadline, self._settings.spin_s)
         self._detector = self._watch_latency(loop)
-        if self._settings.spin_s > 0.0:
-            self._frame_watch = FrameWatch(loop, self._port.catch_up, self._settings.spin_s)
+        if self._settings.spin_s > 0.0 and self._settings.fast.ticks_per_reading == 1:
+            # the replies of a drive that is polled come through the loop, which must not be kept
+            self._frame_watch = FrameWatch(
+                loop, self._port.catch_up, self._settings.spin_s, self._clock
+            )
         self._hub.publish(self._told)
         try:
             async with asyncio.TaskGroup() as tasks:

@@ -138,6 +138,7 @@ class FastLoop:
         self._due: tuple[int, Decision] | None = None
         self._run_tick = 0
         self._bridge_off_ticks = 0
+        self._watched_s = math.inf
         self._order: Order | None = None
         self._applied_k = -1
         self._wanted = SAFE_COMMAND
@@ -279,9 +280,14 @@ class FastLoop:
 
     def _watch_interlocks(self, now_s: float) -> None:
         machine, reading = self._machine, self.reading
+        unwatched_s, self._watched_s = now_s - self._watched_s, now_s
         if not machine.energised:
             return
-        cause = self._cause(now_s) or self._bridge_cause(reading) or self._still_cause(reading)
+        cause = (
+            self._cause(now_s)
+            or self._bridge_cause(reading, unwatched_s)
+            or self._still_cause(reading)
+        )
         if cause is None and reading is not None:
             machine.advance(self.tick, reading.boost_voltage_V)
         elif cause is not None:
@@ -296,13 +302,17 @@ class FastLoop:
             return None
         return self._stillness.advance(reading.output, reading.boost_voltage_V, reading.arrival_s)
 
-    def _bridge_cause(self, reading: Reading | None) -> str | None:
-        """A drive that has stopped by itself must not be driven on as if it had not."""
+    def _bridge_cause(self, reading: Reading | None, unwatched_s: float) -> str | None:
+        """A drive that has stopped by itself must not be driven on as if it had not.
+
+        Half cycles that passed unwatched count: a drive that stopped because this process
+        did not run for long gets no command that energises it anew.
+        """
         if reading is None or reading.bridge or not self.command.bridge:
             self._bridge_off_ticks = 0
             return None
         stride = self._settings.ticks_per_reading
-        self._bridge_off_ticks += stride
+        self._bridge_off_ticks += max(stride, int(unwatched_s / self._settings.tick_s))
         if self._bridge_off_ticks <= max(_BRIDGE_GRACE_TICKS, _BRIDGE_GRACE_READINGS * stride):
             return None
         return "drive stopped: its bridge is off although it was commanded on"

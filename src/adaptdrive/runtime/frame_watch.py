@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
-from time import monotonic
 
 from adaptdrive.runtime.tick_timer import TickTimer
 
@@ -14,7 +13,11 @@ class FrameWatch:
     """Looks at the bus again and again from shortly before a frame is due until it has come."""
 
     def __init__(
-        self, loop: asyncio.AbstractEventLoop, look: Callable[[], None], spin_s: float
+        self,
+        loop: asyncio.AbstractEventLoop,
+        look: Callable[[], None],
+        spin_s: float,
+        clock: Callable[[], float],
     ) -> None:
         """Expect nothing yet.
 
@@ -22,9 +25,11 @@ class FrameWatch:
             loop: Event loop of the port.
             look: Hands on what has arrived; whoever gets the frame calls `expect` again.
             spin_s: How long before a frame is due the wait begins, and after it ends.
+            clock: Monotonic clock in seconds.
         """
         self._look = look
         self._spin_s = spin_s
+        self._clock = clock
         self._due_s = math.nan
         self._timer = TickTimer(loop, self._wait)
 
@@ -39,5 +44,5 @@ class FrameWatch:
 
     def _wait(self, _: float) -> None:
         due_s = self._due_s
-        while self._due_s == due_s and monotonic() < due_s + self._spin_s:
+        while self._due_s == due_s and self._clock() < due_s + self._spin_s:
             self._look()

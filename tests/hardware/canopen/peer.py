@@ -22,7 +22,7 @@ _ANSWERS = {0x00: REST, 0x06: READY, 0x07: SWITCHED_ON, 0x0F: ENABLED}
 
 
 class Peer:
-    """One node on a virtual bus.
+    """One node on a bus, which is in this process unless told otherwise.
 
     Attributes:
         words: Controlwords heard.
@@ -32,10 +32,11 @@ class Peer:
         silent: Names of PDOs that are not sent.
     """
 
-    def __init__(self, channel: str, eds: Path = EDS) -> None:
+    def __init__(self, channel: str, eds: Path = EDS, interface: str = "virtual") -> None:
+        self.interface = interface
         self.channel = channel
         self.network = canopen.Network()
-        self.network.connect(interface="virtual", channel=channel, ignore_config=True)
+        self.join()
         self.node = canopen.LocalNode(NODE, str(eds))
         self.network.add_node(self.node)
         self.network.subscribe(0x080, self._sync)
@@ -47,6 +48,15 @@ class Peer:
         self.statusword = REST
         self.obeys = True
         self.silent: set[int] = set()
+
+    def join(self) -> None:
+        """Go on the bus."""
+        self.network.connect(interface=self.interface, channel=self.channel, ignore_config=True)
+
+    def leave(self) -> None:
+        """Leave the bus."""
+        self.node.nmt.stop_heartbeat()
+        self.network.disconnect()
 
     def boot(self) -> None:
         """Say that the node has been started, as after power-on."""
@@ -73,8 +83,8 @@ class Peer:
         self.node.set_data = spoilt  # type: ignore[assignment, method-assign]
 
     def close(self) -> None:
-        self.node.nmt.stop_heartbeat()
-        self.network.disconnect()
+        if self.network.bus is not None:
+            self.leave()
 
     def _start(self, _: int, data: bytearray, __: float) -> None:
         if data[0] == 1:

@@ -81,3 +81,18 @@ def test_a_probe_shows_the_drive_and_leaves_it_as_it_is(
     device = (tmp_path / "process-0.log").read_text()
     assert "commanded" not in device
     assert "power state" not in device
+
+
+def test_a_probe_of_nobody_says_so_once(tmp_path: Path, spawn: Spawn, free_udp_port: int) -> None:
+    path = changed(tmp_path, ("43116", str(free_udp_port)))
+    probe = spawn(sys.executable, "-m", "adaptdrive.cli", "probe", path)
+    deadline_s = time.monotonic() + PATIENCE_S
+    shown = tmp_path / "process-0.log"
+    while shown.read_text().count("no reading yet") < 4:
+        assert time.monotonic() < deadline_s, shown.read_text()
+        time.sleep(0.05)
+    probe.send_signal(signal.SIGINT)
+    probe.wait(timeout=PATIENCE_S)
+    told = [line for line in shown.read_text().splitlines() if "no reading yet" not in line]
+    assert told[1] == "bus lost: node 5: no answer when asked to read 0x6079"
+    assert len([line for line in told if "no answer" in line or "abort" in line]) == 1

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,64 +15,11 @@ import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.canopen.port import CanOpenPort, build_canopen_port
 from adaptdrive.hardware.canopen.watch import build_canopen_watch
-from adaptdrive.hardware.port import Reading
 from tests.hardware.bench import until
+from tests.hardware.canopen.bench import RUN, Bench, Ear, running
 from tests.hardware.canopen.documents import bus_of, other_eds, parse, without
 from tests.hardware.canopen.peer import FAULT, NODE, REST, Peer
-
-HALF_CYCLE_S = 1.0 / 120.0
-CHARGE = Command(current_scale_S=0.0, boost_reference_V=250.0, bridge=False)
-RUN = Command(current_scale_S=0.0, boost_reference_V=300.0, bridge=True)
-
-
-class Ear:
-    """Listens to a port and answers each reading with a command."""
-
-    def __init__(self) -> None:
-        self.readings: list[Reading] = []
-        self.bus: list[tuple[bool, str]] = []
-        self.command: Command | None = SAFE_COMMAND
-        self.port: CanOpenPort | None = None
-
-    def on_reading(self, reading: Reading) -> None:
-        self.readings.append(reading)
-        if self.port is not None and self.command is not None:
-            self.port.send(self.command)
-
-    def on_bus(self, up: bool, detail: str) -> None:
-        self.bus.append((up, detail))
-
-
-class Bench:
-    """A port, an ear and a node."""
-
-    def __init__(self, peer: Peer, **bus: object) -> None:
-        configuration = parse({"bus/interface": "virtual", "bus/channel": peer.channel})
-        config = bus_of(configuration).model_copy(update=bus)
-        self.peer = peer
-        self.ear = Ear()
-        self.port = build_canopen_port(config, configuration.signals, HALF_CYCLE_S, time.monotonic)
-        self.ear.port = self.port
-
-    async def ready(self) -> None:
-        """Wait until readings come."""
-        count = len(self.ear.readings)
-        await until(lambda: len(self.ear.readings) > count + 2)
-
-    async def run_drive(self) -> None:
-        """Bring the drive to enabled operation."""
-        await self.ready()
-        self.ear.command = CHARGE
-        await until(lambda: self.peer.words[-1:] == [0x07])
-        self.ear.command = RUN
-        await until(lambda: bool(self.ear.readings) and self.ear.readings[-1].bridge)
-
-    async def complains(self, text: str) -> str:
-        """Wait for a complaint."""
-        await until(lambda: text in (self.port.complaint or ""))
-        return self.port.complaint or ""
 
 
 @pytest.fixture
@@ -80,16 +27,6 @@ def peer(tmp_path: Path) -> Iterator[Peer]:
     peer = Peer(f"canopen {tmp_path.name}")
     yield peer
     peer.close()
-
-
-@contextlib.asynccontextmanager
-async def running(peer: Peer, **bus: object) -> AsyncIterator[Bench]:
-    """A bench whose port runs until the block ends."""
-    bench = Bench(peer, **{"heartbeat_timeout_s": 2.0, "sdo_timeout_s": 2.0, **bus})
-    async with asyncio.TaskGroup() as tasks:
-        task = tasks.create_task(bench.port.run(bench.ear, lambda: None))
-        yield bench
-        task.cancel()
 
 
 async def test_a_node_is_told_everything_before_it_is_started(peer: Peer) -> None:

@@ -40,6 +40,7 @@ class Entry:
     Attributes:
         index: Index of its object.
         subindex: Index within the object, 0 for an object that is one value.
+        label: How people write it, such as `0x2001.2`.
         name: Its name in the EDS.
         bits: Length.
         signed: Whether it is a signed integer.
@@ -53,6 +54,7 @@ class Entry:
 
     index: int
     subindex: int
+    label: str
     name: str
     bits: int
     signed: bool
@@ -67,11 +69,6 @@ class Entry:
     def address(self) -> Address:
         """Index and subindex."""
         return self.index, self.subindex
-
-    @property
-    def label(self) -> str:
-        """How people write it, such as `0x2001.2`."""
-        return label(self.address)
 
     def encode(self, value: float) -> bytes:
         """The bytes of a raw value.
@@ -223,6 +220,7 @@ def _entry(variable: ODVariable) -> Entry | None:
     return Entry(
         index=variable.index,
         subindex=variable.subindex,
+        label=label((variable.index, variable.subindex)),
         name=variable.qualname,
         bits=len(variable),
         signed=variable.data_type in SIGNED_TYPES,

@@ -37,6 +37,8 @@ from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
 from adaptdrive.hardware.canopen.sync import SyncProducer
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 
+_STATUSWORD, _CONTROLWORD = label(STATUSWORD), label(CONTROLWORD)
+
 _FAULT_RESET_S = 1.0
 """Longest wait for a drive to leave its fault."""
 
@@ -258,7 +260,7 @@ class CanOpenPort:
         if decoded.verdict is not Verdict.GOOD:
             self._counts[decoded.verdict] += 1
             return
-        statusword = decoded.values.get(label(STATUSWORD))
+        statusword = decoded.values.get(_STATUSWORD)
         if statusword is not None:
             self._control.hear(int(statusword))
         waited_s = waiting_time_s(frame, self._wall_clock)
@@ -362,5 +364,5 @@ def _values(order: Order, command: Command, word: int) -> dict[str, float | None
         for sink in order.sinks
     }
     if order.controlword:
-        values[label(CONTROLWORD)] = word
+        values[_CONTROLWORD] = word
     return values

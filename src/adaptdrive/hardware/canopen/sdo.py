@@ -7,6 +7,7 @@ the event loop reads the bus and writes to it.
 from __future__ import annotations
 
 import asyncio
+import logging
 import struct
 from collections.abc import Callable
 from typing import TypeVar
@@ -21,6 +22,8 @@ from adaptdrive.errors import BusError
 from adaptdrive.hardware.canopen.dictionary import Address, Entry, label
 
 T = TypeVar("T")
+
+logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it logs is raised, too
 
 
 def describe_node(bus: CanOpenBus) -> str:

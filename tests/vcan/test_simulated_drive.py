@@ -1,0 +1,55 @@
+"""The simulated drive outlives an interface that goes down, as a real drive outlives its cable."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adaptdrive.config.bus import CanBus
+from adaptdrive.control.signals import Command
+from tests.hardware.bench import EXAMPLES, Ear, build_port, running, until
+from tests.support import Spawn
+from tests.system.site import until as until_started
+from tests.vcan.peers import Link
+
+pytestmark = pytest.mark.vcan
+
+COMMAND = Command(current_scale_S=0.01, boost_reference_V=280.0, bridge=True)
+START_UP_S = 90.0
+"""A virtual machine on a busy one takes long to import a simulator."""
+
+
+def events(log: Path, name: str) -> list[dict[str, Any]]:
+    lines = [line for line in log.read_text().splitlines() if line.startswith("{")]
+    return [event for event in map(json.loads, lines) if event["event"] == name]
+
+
+@pytest.mark.timeout(240)
+async def test_it_is_safe_without_its_interface_and_obeys_again_with_it(
+    config: CanBus, spawn: Spawn, tmp_path: Path, link: Link
+) -> None:
+    ear, log = Ear(), tmp_path / "process-0.log"
+    words = ("--interface", "socketcan", "--channel", config.channel, "--initial-voltage", "280")
+    spawn(sys.executable, "-m", "adaptdrive_sim", "device", EXAMPLES / "motor.toml", *words)
+    until_started(lambda: config.channel in log.read_text(), "the simulated drive", START_UP_S)
+    port = build_port(config)
+
+    def energised() -> bool:
+        port.send(COMMAND)
+        return bool(ear.readings) and ear.readings[-1].bridge
+
+    async with running(port, ear):
+        await until(energised)
+        link("set", "down")
+        await until(lambda: bool(events(log, "safe")))
+        assert events(log, "bus lost")
+        link("set", "up")
+        await until(lambda: bool(events(log, "bus back")))
+        ear.readings.clear()
+        await ear.hears(1)
+        assert not ear.readings[0].bridge
+        await until(energised)
