@@ -273,7 +273,7 @@ async def test_terminal_and_service_manager_signals_do_not_end_the_writer(
 ) -> None:
     async with recording(session) as bench:
         await bench.publish_until(lambda: bench.rows() > 100)
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGABRT):
             os.kill(bench.writer(), number)
         await bench.publish(500)
         await bench.stop()
