@@ -1,0 +1,207 @@
+"""Motor and bath over CAN, Modbus TCP, Modbus RTU, and with sensors beside the drive: one result.
+
+Each run is the daemon on a real bus against the simulated hardware, in virtual time. It is held
+against the same controller without any bus.
+"""
+
+from __future__ import annotations
+
+import math
+import socket
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adaptdrive.config import Configuration
+from adaptdrive.config.file import validate_configuration
+from adaptdrive.control.signals import Mode
+from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint
+from adaptdrive_sim.device_main import DeviceSettings, build_world
+from adaptdrive_sim.plants.bath import Bath
+from adaptdrive_sim.virtual import VirtualDrive
+from adaptdrive_sim.world import World
+from tests.closed_loop.wire import WAIT_s, virtual_time, wired
+from tests.support import free_port
+
+TICK_s = 1.0 / 120.0
+EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
+
+
+@dataclass(frozen=True)
+class Course:
+    """One load, and its set-points: one each `hold` periods.
+
+    Attributes:
+        settings: The plant.
+        changes: What of the examples is changed, by section.
+        setpoints: In the unit of the output.
+        hold: Slow periods for each.
+        rms: How far apart two runs may be, as a share of a step.
+        estimates: How far apart two estimates of one parameter may be, as a share of it.
+    """
+
+    settings: DeviceSettings
+    changes: Mapping[str, Mapping[str, float]]
+    setpoints: tuple[float, ...]
+    hold: int
+    rms: float
+    estimates: float
+
+    @property
+    def step(self) -> float:
+        return abs(self.setpoints[1] - self.setpoints[0])
+
+    def prepare(self, world: World) -> None:
+        """A bath with a fifth of the water is five times as fast."""
+        if isinstance(world.load, Bath):
+            world.load.fill(0.12)
+
+
+SMALL_BATH = {
+    "load": {"period_s": 4.0, "samples": 120},
+    "model": {"tau_s": 40.0},
+    "estimator": {"tau_lambda_s": 20.0, "settle_s": 40.0},
+    "supervisor": {"warm_up_s": 80.0, "saturated_s": 480.0, "response_s": 120.0},
+}
+LEARNT = {"motor": ("gain", "tau_sum_s"), "bath": ("resistance_K_per_W", "tau_s")}
+COURSES = {
+    "motor": Course(
+        settings=DeviceSettings(noise_V=0.002, initial_voltage_V=273.0, seed=3),
+        changes={"supervisor": {"warm_up_s": 45.0}},
+        setpoints=(3.0, 3.6, 3.0, 3.6),
+        hold=25,
+        rms=0.01,
+        estimates=0.05,
+    ),
+    "bath": Course(
+        settings=DeviceSettings(noise_V=0.02, initial_voltage_V=276.0, seed=3),
+        changes=SMALL_BATH,
+        setpoints=(10.0, 13.0, 10.0, 13.0),
+        hold=12,
+        rms=0.01,
+        estimates=0.05,
+    ),
+}
+
+
+@dataclass
+class Run:
+    """What came of a run: reference, output and estimates of each slow period."""
+
+    references: list[float]
+    outputs: list[float]
+    estimates: dict[str, float]
+    adaptive: int
+
+
+def configured(name: str, folder: Path) -> tuple[Configuration, Path]:
+    """An example on ports of its own."""
+    tables: dict[str, Any] = tomllib.loads((EXAMPLES / f"{name}.toml").read_text(encoding="utf-8"))
+    bus = tables["bus"]
+    match bus["type"]:
+        case "can":
+            bus["udp_port"] = free_port(socket.SOCK_DGRAM)
+            bus["database"] = str(EXAMPLES / bus["database"])
+        case "modbus-tcp":
+            bus["port"] = free_port(socket.SOCK_STREAM)
+    for section, changes in COURSES[tables["load"]["type"]].changes.items():
+        place = tables["load"] if section == "model" else tables
+        place[section].update(changes)
+    tables["realtime"] = {"timer_standin": False, "freeze_gc": False}
+    path = folder / f"{name}.toml"
+    return validate_configuration(tables, path), path
+
+
+def without_bus(configuration: Configuration, course: Course) -> Run:
+    """The controller in front of the plant, and nothing between them."""
+    world = build_world(configuration, course.settings)
+    course.prepare(world)
+    drive = VirtualDrive(configuration, world)
+    for _ in range(round(WAIT_s / TICK_s)):
+        drive.tick()
+    drive.carry_out(Enable())
+    while drive.machine.state is not State.RUNNING:
+        drive.tick()
+    drive.tick()
+    drive.carry_out(SetMode(Mode.ADAPTIVE))
+    run = Run([], [], {}, 0)
+    for setpoint in course.setpoints:
+        drive.carry_out(SetSetpoint(setpoint))
+        for _ in range(course.hold):
+            while not drive.tick():
+                pass
+            assert drive.snapshot is not None
+            assert drive.decision is not None
+            _note(run, drive.snapshot.order.reference, drive.snapshot.output)
+            run.adaptive += drive.decision.controller is Mode.ADAPTIVE
+            run.estimates = {name: one.value for name, one in drive.decision.estimates.items()}
+    return run
+
+
+def on_the_wire(name: str, folder: Path, course: Course) -> Run:
+    """The daemon on the bus of an example, and the simulated hardware at its other end."""
+    configuration, path = configured(name, folder)
+    run = Run([], [], {}, 0)
+
+    async def follow() -> None:
+        async with wired(configuration, course.settings, path) as wire:
+            course.prepare(wire.world)
+            await wire.until_running()
+            await wire.daemon.execute(SetMode(Mode.ADAPTIVE))
+            for setpoint in course.setpoints:
+                await wire.daemon.execute(SetSetpoint(setpoint))
+                for _ in range(course.hold):
+                    report = await wire.period()
+                    _note(run, report.snapshot.order.reference, report.snapshot.output)
+                    decision = report.decision
+                    run.adaptive += decision.controller is Mode.ADAPTIVE
+                    run.estimates = {name: one.value for name, one in decision.estimates.items()}
+
+    with virtual_time() as runner:
+        runner.run(follow())
+    return run
+
+
+def _note(run: Run, reference: float, output: float) -> None:
+    run.references.append(reference)
+    run.outputs.append(output)
+
+
+@pytest.fixture(scope="module", params=sorted(COURSES))
+def load(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture(scope="module")
+def expected(load: str, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """The run without any bus."""
+    configuration, _ = configured(load, tmp_path_factory.mktemp("none"))
+    return without_bus(configuration, COURSES[load])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("bus", ["", "-modbus-tcp", "-modbus-rtu", "-thermocouples"])
+def test_the_control_result_does_not_depend_on_the_bus(
+    load: str, bus: str, expected: Run, tmp_path: Path
+) -> None:
+    if not (EXAMPLES / f"{load}{bus}.toml").exists():
+        pytest.skip(f"a {load} has no {bus.strip('-')}")
+    course = COURSES[load]
+    found = on_the_wire(f"{load}{bus}", tmp_path, course)
+    assert found.references == expected.references
+    assert found.adaptive > course.hold
+    assert rms(found.outputs, expected.outputs) < course.rms * course.step
+    for name in LEARNT[load]:
+        assert found.estimates[name] == pytest.approx(
+            expected.estimates[name], rel=course.estimates
+        )
+
+
+def rms(first: list[float], second: list[float]) -> float:
+    return math.sqrt(sum((a - b) ** 2 for a, b in zip(first, second, strict=True)) / len(first))

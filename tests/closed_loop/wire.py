@@ -1,0 +1,191 @@
+"""The daemon and the simulated hardware on real buses, in a time that waits for nobody.
+
+Both ends run in one event loop whose clock moves only when there is nothing left to do: no callback
+is ready, no byte has come, no reply is under way. Frames and registers go through the kernel as
+ever; what an hour brings takes a minute. What does not show is how long a wire takes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+import selectors
+import time
+from collections.abc import AsyncIterator, Awaitable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adaptdrive.app.sensors import build_whole_port, sensor_reports
+from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
+from adaptdrive.config import Configuration
+from adaptdrive.control.controller import Controller
+from adaptdrive.hardware.can.bus import open_bus
+from adaptdrive.hardware.modbus.link import Link
+from adaptdrive.runtime.daemon import Daemon
+from adaptdrive.runtime.hub import Hub, Subscription
+from adaptdrive.runtime.reports import LoadReport, State
+from adaptdrive.runtime.requests import Enable
+from adaptdrive.runtime.watchdog import ServiceManager
+from adaptdrive_sim.device_main import DeviceSettings, build_drive, build_node, build_sensors
+from adaptdrive_sim.devices.can_drive import CanDrive
+from adaptdrive_sim.devices.drive import Drive
+from adaptdrive_sim.devices.modbus_server import serving
+from adaptdrive_sim.world import World
+
+PATIENCE_s = 5.0
+WAIT_s = 2.0
+
+
+class _Selector(selectors.DefaultSelector):
+    """Moves the loop's clock instead of sleeping, unless a reply is under way."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now_s = time.monotonic() + 1e6  # kernel timers on this clock never expire
+        self.under_way = 0
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        events = super().select(0)
+        if events or timeout == 0:
+            return events
+        if self.under_way or timeout is None:
+            return super().select(PATIENCE_s)
+        self.now_s += max(timeout, 0.0)
+        return []
+
+
+class VirtualLoop(asyncio.SelectorEventLoop):
+    """An event loop whose time passes as fast as everything is done."""
+
+    def __init__(self) -> None:
+        self.selector = _Selector()
+        super().__init__(self.selector)
+
+    def time(self) -> float:
+        return self.selector.now_s
+
+
+@contextlib.contextmanager
+def virtual_time() -> Iterator[asyncio.Runner]:
+    """Run coroutines in virtual time; requests on Modbus hold it still until they are answered."""
+    request = Link._request
+
+    async def counted(link: Link, *words: Any) -> Any:
+        selector = asyncio.get_running_loop().selector  # type: ignore[attr-defined]
+        selector.under_way += 1
+        try:
+            return await request(link, *words)
+        finally:
+            selector.under_way -= 1
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Link, "_request", counted)
+        with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+            yield runner
+
+
+async def _live(drive: Drive, deliver: Any) -> None:
+    """Half cycle after half cycle."""
+    loop = asyncio.get_running_loop()
+    deadline_s = loop.time()
+    while True:
+        deadline_s += drive.world.line.half_cycle_s
+        await asyncio.sleep(deadline_s - loop.time())
+        deliver(drive.tick(loop.time()))
+
+
+async def _each(reports: Subscription) -> AsyncIterator[LoadReport]:
+    while True:
+        for report in await reports.take():
+            assert isinstance(report, LoadReport)
+            yield report
+
+
+@dataclass
+class Wire:
+    """A daemon, and the drive at the other end of the wire."""
+
+    daemon: Daemon
+    world: World
+    reports: AsyncIterator[LoadReport]
+
+    @property
+    def state(self) -> State:
+        return self.daemon._machine.state
+
+    async def until_running(self) -> None:
+        """Enable the drive as soon as it may be."""
+        await asyncio.sleep(WAIT_s)
+        await self.daemon.execute(Enable())
+        while self.state is not State.RUNNING:
+            await asyncio.sleep(0.1)
+            assert self.state is not State.TRIPPED, self.daemon._machine.trip
+
+    async def period(self) -> LoadReport:
+        """The next slow period."""
+        report = await anext(self.reports)
+        assert self.state is State.RUNNING, self.daemon._machine.trip
+        return report
+
+
+@contextlib.asynccontextmanager
+async def wired(
+    configuration: Configuration, settings: DeviceSettings, path: Path
+) -> AsyncIterator[Wire]:
+    """Run a plant and the daemon on the buses that a configuration names."""
+    clock = asyncio.get_running_loop().time
+    hub, stop = Hub(), asyncio.Event()
+    reports = hub.subscribe(LoadReport, size=1000)
+    drive = build_drive(configuration, settings, lambda *_, **__: None)
+    port = build_whole_port(configuration, clock, path)
+    daemon = Daemon(
+        port=port,
+        controller=Controller(controller_settings(configuration), build_load(configuration)),
+        settings=daemon_settings(configuration),
+        clock=clock,
+        hub=hub,
+        manager=ServiceManager({}),
+        sensors=sensor_reports(port),
+    )
+    async with contextlib.AsyncExitStack() as stack:
+        hardware = [await _begin(stack, configuration, drive, path, clock)]
+        tasks = await stack.enter_async_context(asyncio.TaskGroup())
+        for modules in build_sensors(configuration, drive, path):
+            ready = asyncio.Event()
+            hardware.append(modules.run(lambda _, ready=ready: ready.set()))  # type: ignore[misc]
+        ends = [tasks.create_task(one) for one in hardware]  # type: ignore[arg-type]
+        await asyncio.sleep(0.1)
+        running = tasks.create_task(daemon.run(stop))
+        yield Wire(daemon, drive.world, _each(reports))
+        stop.set()
+        await running
+        for end in ends:
+            end.cancel()
+
+
+async def _begin(
+    stack: contextlib.AsyncExitStack,
+    configuration: Configuration,
+    drive: Drive,
+    path: Path,
+    clock: Any,
+) -> Awaitable[None]:
+    """Put the drive on its bus; what keeps it alive."""
+    node = build_node(configuration, drive, lambda *_, **__: None, path)
+    node._clock = clock
+    if not isinstance(node, CanDrive):
+        await stack.enter_async_context(serving(node._config, {node._config.device_id: node}))
+        return _live(drive, node.show)
+    bus = open_bus(node._config)
+    stack.callback(bus.shutdown)
+
+    async def both(deliver: functools.partial[None]) -> None:
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(node._hear(bus))
+            tasks.create_task(_live(drive, deliver))
+
+    return both(functools.partial(node._send, bus))
