@@ -20,9 +20,13 @@ from adaptdrive.config.bus import CanBus
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.file import load_configuration
 from adaptdrive.config.root import Configuration
+from adaptdrive.config.sensors import AnySensorBus
+from adaptdrive.config.sensors import CanSensors as CanSensorBus
 from adaptdrive.errors import AdaptdriveError, RefusedError
+from adaptdrive.hardware.can.sensors import map_sensors
 from adaptdrive_sim.broker import parse_address
 from adaptdrive_sim.devices.can_drive import CanDrive
+from adaptdrive_sim.devices.can_sensors import CanSensors
 from adaptdrive_sim.devices.canopen_drive import CanOpenDrive
 from adaptdrive_sim.devices.drive import COMMAND_TIMEOUT_s, Drive, Frame, Report
 from adaptdrive_sim.devices.frames import load_messages
@@ -123,7 +127,9 @@ def build_node(
     return ModbusDrive(drive, bus, configuration.signals, report)
 
 
-def build_sensors(configuration: Configuration, drive: Drive, path: Path) -> list[ModbusSensors]:
+def build_sensors(
+    configuration: Configuration, drive: Drive, path: Path
+) -> list[CanSensors | ModbusSensors]:
     """Put sensors beside the drive on the buses that its configuration names.
 
     Raises:
@@ -137,7 +143,13 @@ def build_sensors(configuration: Configuration, drive: Drive, path: Path) -> lis
         for name in bus.signals
     ]
     check_names(names, known, path)
-    return [ModbusSensors(drive, bus) for bus in buses]
+    return [_sensors(bus, f"sensor_bus.{number}", drive, path) for number, bus in enumerate(buses)]
+
+
+def _sensors(bus: AnySensorBus, place: str, drive: Drive, path: Path) -> CanSensors | ModbusSensors:
+    if isinstance(bus, CanSensorBus):
+        return CanSensors(drive, bus, map_sensors(bus, place, path))
+    return ModbusSensors(drive, bus)
 
 
 def build_world(configuration: Configuration, settings: DeviceSettings) -> World:

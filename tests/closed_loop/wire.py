@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import functools
 import selectors
 import time
-from collections.abc import AsyncIterator, Awaitable, Iterator
+from collections.abc import AsyncIterator, Coroutine, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,17 +26,19 @@ from adaptdrive.hardware.can.bus import open_bus
 from adaptdrive.hardware.modbus.link import Link
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub, Subscription
-from adaptdrive.runtime.reports import LoadReport, State
+from adaptdrive.runtime.reports import LoadReport, Report, State
 from adaptdrive.runtime.requests import Enable
 from adaptdrive.runtime.watchdog import ServiceManager
 from adaptdrive_sim.device_main import DeviceSettings, build_drive, build_node, build_sensors
 from adaptdrive_sim.devices.can_drive import CanDrive
 from adaptdrive_sim.devices.drive import Drive
+from adaptdrive_sim.devices.modbus_drive import ModbusDrive
 from adaptdrive_sim.devices.modbus_server import serving
 from adaptdrive_sim.world import World
 
 PATIENCE_s = 5.0
 WAIT_s = 2.0
+LOOK_s = 0.5
 
 
 class _Selector(selectors.DefaultSelector):
@@ -98,11 +99,20 @@ async def _live(drive: Drive, deliver: Any) -> None:
         deliver(drive.tick(loop.time()))
 
 
-async def _each(reports: Subscription) -> AsyncIterator[LoadReport]:
-    while True:
-        for report in await reports.take():
-            assert isinstance(report, LoadReport)
-            yield report
+class Reports:
+    """The load reports of a daemon, one by one."""
+
+    def __init__(self, subscription: Subscription) -> None:
+        self._subscription = subscription
+        self._waiting: list[Report] = []
+
+    async def take_one(self) -> LoadReport:
+        """The next one."""
+        if not self._waiting:
+            self._waiting += await self._subscription.take()
+        report = self._waiting.pop(0)
+        assert isinstance(report, LoadReport)
+        return report
 
 
 @dataclass
@@ -111,7 +121,7 @@ class Wire:
 
     daemon: Daemon
     world: World
-    reports: AsyncIterator[LoadReport]
+    reports: Reports
 
     @property
     def state(self) -> State:
@@ -127,8 +137,12 @@ class Wire:
 
     async def period(self) -> LoadReport:
         """The next slow period."""
-        report = await anext(self.reports)
-        assert self.state is State.RUNNING, self.daemon._machine.trip
+        report = None
+        while report is None:
+            assert self.state is State.RUNNING, self.daemon._machine.trip
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(LOOK_s):
+                    report = await self.reports.take_one()
         return report
 
 
@@ -142,6 +156,7 @@ async def wired(
     reports = hub.subscribe(LoadReport, size=1000)
     drive = build_drive(configuration, settings, lambda *_, **__: None)
     port = build_whole_port(configuration, clock, path)
+    _forget_real_time(port)
     daemon = Daemon(
         port=port,
         controller=Controller(controller_settings(configuration), build_load(configuration)),
@@ -154,17 +169,24 @@ async def wired(
     async with contextlib.AsyncExitStack() as stack:
         hardware = [await _begin(stack, configuration, drive, path, clock)]
         tasks = await stack.enter_async_context(asyncio.TaskGroup())
-        for modules in build_sensors(configuration, drive, path):
-            ready = asyncio.Event()
-            hardware.append(modules.run(lambda _, ready=ready: ready.set()))  # type: ignore[misc]
-        ends = [tasks.create_task(one) for one in hardware]  # type: ignore[arg-type]
+        sensors = build_sensors(configuration, drive, path)
+        hardware += [modules.run(lambda _: None) for modules in sensors]
+        ends = [tasks.create_task(one) for one in hardware]
         await asyncio.sleep(0.1)
         running = tasks.create_task(daemon.run(stop))
-        yield Wire(daemon, drive.world, _each(reports))
+        yield Wire(daemon, drive.world, Reports(reports))
         stop.set()
         await running
         for end in ends:
             end.cancel()
+
+
+def _forget_real_time(port: Any) -> None:
+    """How long a frame has really waited for the process says nothing in virtual time."""
+    ends = [port, getattr(port, "_drive", None), *(bus.port for bus in getattr(port, "_buses", ()))]
+    for end in ends:
+        if hasattr(end, "_wall_clock"):
+            end._wall_clock = lambda: 0.0
 
 
 async def _begin(
@@ -173,19 +195,20 @@ async def _begin(
     drive: Drive,
     path: Path,
     clock: Any,
-) -> Awaitable[None]:
+) -> Coroutine[Any, Any, None]:
     """Put the drive on its bus; what keeps it alive."""
     node = build_node(configuration, drive, lambda *_, **__: None, path)
     node._clock = clock
-    if not isinstance(node, CanDrive):
+    if isinstance(node, ModbusDrive):
         await stack.enter_async_context(serving(node._config, {node._config.device_id: node}))
         return _live(drive, node.show)
-    bus = open_bus(node._config)
-    stack.callback(bus.shutdown)
+    assert isinstance(node, CanDrive)
+    node._bus = bus = open_bus(node._config)
+    stack.callback(node._leave_bus)
 
-    async def both(deliver: functools.partial[None]) -> None:
+    async def both() -> None:
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(node._hear(bus))
-            tasks.create_task(_live(drive, deliver))
+            tasks.create_task(_live(drive, node._send))
 
-    return both(functools.partial(node._send, bus))
+    return both()

@@ -9,7 +9,7 @@ from pathlib import Path
 from adaptdrive.app.ports import build_port
 from adaptdrive.config import Configuration
 from adaptdrive.config.derived import Rule, in_order
-from adaptdrive.config.sensors import AnySensorBus
+from adaptdrive.config.sensors import AnySensorBus, CanSensors
 from adaptdrive.config.supply import needed_names
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.port import Port, SensorPort
@@ -91,6 +91,12 @@ def build_sensor_port(
     Raises:
         ConfigurationError: Bus and signals do not fit; every flaw is listed.
     """
+    if isinstance(bus, CanSensors):
+        from adaptdrive.hardware.can.sensors import (  # noqa: PLC0415 - load what is used
+            build_can_sensors,
+        )
+
+        return build_can_sensors(bus, place, clock, source=source)
     from adaptdrive.hardware.modbus.sensors import (  # noqa: PLC0415 - load what is used
         build_modbus_sensors,
     )

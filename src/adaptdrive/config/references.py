@@ -14,14 +14,14 @@ MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
 WORDS = ("counter", "fault", "bridge")
 COMMANDED = ("current_scale_S", "boost_reference_V", "bridge")
 
-_CAN_SIGNAL = re.compile(r"[^.]+\.[^.]+")
+CAN_SIGNAL = re.compile(r"[^.]+\.[^.]+")
 
 
 def can_flaws(signals: Signals) -> Iterator[Flaw]:
     """References that are no `Message.Signal`."""
     constants = [(f"signals.command.constants.{name}", name) for name in signals.command.constants]
     for place, name in (*measured_names(signals), *commanded_names(signals), *constants):
-        if not _CAN_SIGNAL.fullmatch(name):
+        if not CAN_SIGNAL.fullmatch(name):
             yield Flaw(place, f"{name!r} must be `Message.Signal` on a CAN bus")
 
 

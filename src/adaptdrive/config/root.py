@@ -17,14 +17,19 @@ from adaptdrive.config.load import Bath, Battery, Estimator, Motor, Supervisor
 from adaptdrive.config.modbus import ModbusBus, ModbusRtu, ModbusTcp
 from adaptdrive.config.references import can_flaws, modbus_flaws
 from adaptdrive.config.section import Section, inconsistent
-from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors, sensor_flaws
+from adaptdrive.config.sensors import (
+    CanSensors,
+    ModbusRtuSensors,
+    ModbusTcpSensors,
+    sensor_flaws,
+)
 from adaptdrive.config.services import Interlocks, Mqtt, Realtime, Recording
 from adaptdrive.config.supply import supply_flaws
 from adaptdrive.errors import Flaw
 
 BUS_TYPES = ("can", "canopen", "modbus-tcp", "modbus-rtu")
 
-SensorBus = Annotated[ModbusTcpSensors | ModbusRtuSensors, Field(discriminator="type")]
+SensorBus = Annotated[CanSensors | ModbusTcpSensors | ModbusRtuSensors, Field(discriminator="type")]
 
 
 class Configuration(Section):

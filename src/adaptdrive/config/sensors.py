@@ -7,13 +7,11 @@ from typing import Literal
 
 from pydantic import Field
 
-from adaptdrive.config.bus import Quantity
+from adaptdrive.config.bus import CanLink, FrameIntegrity, Quantity
 from adaptdrive.config.modbus import ModbusLink, Register, RtuLink, TcpLink
-from adaptdrive.config.references import WORDS, register_flaws
-from adaptdrive.config.section import PositiveFloat, Section
+from adaptdrive.config.references import CAN_SIGNAL, WORDS, register_flaws
+from adaptdrive.config.section import FilePath, PositiveFloat, Section
 from adaptdrive.errors import Flaw
-
-SENSOR_BUS_TYPES = ("modbus-tcp", "modbus-rtu")
 
 STALE_CYCLES = 1.5
 """Cycles that a value must be allowed to age: it is one old when the next one comes."""
@@ -75,7 +73,18 @@ class ModbusRtuSensors(ModbusSensors, RtuLink):
     type: Literal["modbus-rtu"] = Field(description="kind of bus")
 
 
-AnySensorBus = ModbusTcpSensors | ModbusRtuSensors
+class CanSensors(SensorBus, CanLink):
+    """`[[sensor_bus]]` with `type = "can"`: sensors that send by themselves."""
+
+    type: Literal["can"] = Field(description="kind of bus")
+    fd: bool = Field(default=False, description="the bus carries CAN FD frames too")
+    database: FilePath = Field(description="DBC file, relative to the configuration file")
+    integrity: dict[str, FrameIntegrity] = Field(
+        default_factory=dict, description="alive counters and checksums by message"
+    )
+
+
+AnySensorBus = CanSensors | ModbusTcpSensors | ModbusRtuSensors
 
 
 def sensor_flaws(bus: AnySensorBus, place: str, period_s: float) -> Iterator[Flaw]:
@@ -94,7 +103,17 @@ def sensor_flaws(bus: AnySensorBus, place: str, period_s: float) -> Iterator[Fla
     for name in WORDS:
         if name in bus.signals:
             yield Flaw(f"{place}.signals.{name}", "comes from the drive alone")
-    yield from _modbus_flaws(bus, place)
+    if isinstance(bus, CanSensors):
+        yield from _can_flaws(bus, place)
+    else:
+        yield from _modbus_flaws(bus, place)
+
+
+def _can_flaws(bus: CanSensors, place: str) -> Iterator[Flaw]:
+    for name, source in bus.signals.items():
+        if not CAN_SIGNAL.fullmatch(source.signal):
+            problem = f"{source.signal!r} must be `Message.Signal` on a CAN bus"
+            yield Flaw(f"{place}.signals.{name}.signal", problem)
 
 
 def _modbus_flaws(bus: ModbusSensors, place: str) -> Iterator[Flaw]:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import re
+import time
 import tomllib
 from pathlib import Path
 
 import pytest
 
+from adaptdrive.app.sensors import build_whole_port
 from adaptdrive.config import load_configuration
+from adaptdrive.config.derived import Derived
+from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.modbus import ModbusBus, ModbusRtu
 from adaptdrive.config.references import modbus_flaws
 from adaptdrive.hardware.modbus.blocks import plan_blocks
@@ -30,6 +34,20 @@ def test_every_map_is_valid_and_can_be_polled(tables: dict[str, dict[str, object
     assert list(capacity_flaws(bus, exchanges, HALF_CYCLE_s)) == []
     for name in tables.get("signals", {}).values():
         assert isinstance(name, dict) or name in bus.registers
+
+
+def test_the_sensors_of_the_page_make_a_whole_configuration_with_an_example() -> None:
+    path = ROOT / "deploy" / "examples" / "bath-thermocouples.toml"
+    shown = next(tables for tables in EVERY if "sensor_bus" in tables)
+    tables = tomllib.loads(path.read_text(encoding="utf-8")) | shown
+    port = build_whole_port(validate_configuration(tables, path), time.monotonic, path)
+    assert "sensors thermocouples on modbus-tcp 192.168.0.10:502" in port.description
+
+
+def test_the_derived_values_of_the_page_are_rules() -> None:
+    (shown,) = [tables for tables in EVERY if set(tables) == {"derived"}]
+    rules = [Derived.model_validate(given).rule for given in shown["derived"].values()]
+    assert rules == ["product", "largest"]
 
 
 def test_a_map_of_the_page_has_no_flaw_with_its_signals() -> None:

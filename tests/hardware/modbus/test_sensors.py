@@ -16,11 +16,11 @@ from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.modbus.sensors import ModbusSensors, build_modbus_sensors
 from tests.hardware.modbus.bench import Pieces, RtuPeer, TcpPeer, until
 
-CYCLE_s = 0.03
+CYCLE_s = 0.1
 COMMON = {
     "name": "bench",
     "cycle_s": CYCLE_s,
-    "timeout_s": 0.02,
+    "timeout_s": 0.08,
     "turnaround_s": 0.001,
     "registers": {
         "speed": {"address": 3, "table": "input", "type": "float32"},
@@ -144,7 +144,7 @@ async def test_late_and_missing_replies_are_never_taken_for_others(
         await one.hears(3)
 
         def late(reply: bytes) -> Pieces:
-            return [(0.03 if len(one.peer.requests) % 3 == 0 else 0.0, reply)]
+            return [(0.1 if len(one.peer.requests) % 3 == 0 else 0.0, reply)]
 
         one.peer.spoil = late
         await one.hears(10)
@@ -215,7 +215,9 @@ def test_a_cycle_that_the_line_cannot_carry_is_refused_with_its_figures() -> Non
     line = {"type": "modbus-rtu", "device": "x.tty", "baud": 4800, "parity": "none"}
     with pytest.raises(ConfigurationError) as caught:
         build_modbus_sensors(
-            ModbusRtuSensors.model_validate(COMMON | line), "sensor_bus.2", time.monotonic
+            ModbusRtuSensors.model_validate(COMMON | line | {"cycle_s": 0.03}),
+            "sensor_bus.2",
+            time.monotonic,
         )
     place, message = caught.value.flaws[0].place, caught.value.flaws[0].message
     assert place == "sensor_bus.2.cycle_s"

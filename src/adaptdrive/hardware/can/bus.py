@@ -33,9 +33,9 @@ def describe_bus(config: CanLink) -> str:
     return f"{config.interface} {config.channel}{port}"
 
 
-def channel_flaws(config: CanLink) -> list[Flaw]:
+def channel_flaws(config: CanLink, bus: str = "bus") -> list[Flaw]:
     """What is wrong with the channel, as far as it shows without opening it."""
-    place, channel = "bus.channel", config.channel
+    place, channel = f"{bus}.channel", config.channel
     if config.interface == "udp_multicast" and not _is_group(channel):
         example = "an IPv4 multicast group such as 239.74.163.2"
         return [Flaw(place, f"udp_multicast needs {example} (it is {channel!r})")]

@@ -28,12 +28,13 @@ _FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
 _NIBBLE_BITS = 4
 
 
-def load_database(path: Path, source: Path | str = "configuration") -> Database:
+def load_database(path: Path, source: Path | str = "configuration", bus: str = "bus") -> Database:
     """Read a DBC file.
 
     Args:
         path: The file.
         source: The configuration that names it, for the error message.
+        bus: Where the configuration names it.
 
     Raises:
         ConfigurationError: The file cannot be read or is no DBC.
@@ -42,7 +43,7 @@ def load_database(path: Path, source: Path | str = "configuration") -> Database:
         text = path.read_text(encoding="cp1252", errors="replace")  # as DBC editors write it
         database = cantools.database.load_string(text, database_format="dbc")
     except (OSError, cantools.Error) as problem:
-        flaw = Flaw("bus.database", _one_line(problem))
+        flaw = Flaw(f"{bus}.database", _one_line(problem))
         raise ConfigurationError(source, [flaw]) from problem
     assert isinstance(database, Database)  # noqa: S101 - what the format "dbc" gives
     return database
@@ -123,9 +124,9 @@ class Catalogue:
             self.note(place, f"message {message.name!r} has no signal {name!r}{hint}")
         return known.get(name)
 
-    def check_integrity(self, name: str, integrity: FrameIntegrity) -> None:
-        """Gather the flaws of `[bus.integrity.NAME]`."""
-        place = f"bus.integrity.{name}"
+    def check_integrity(self, name: str, integrity: FrameIntegrity, bus: str = "bus") -> None:
+        """Gather the flaws of `[bus.integrity.NAME]`, of `bus` or of another place."""
+        place = f"{bus}.integrity.{name}"
         message = self.message(name, place)
         if message is None:
             return

@@ -1,0 +1,81 @@
+"""Simulated sensors on a CAN bus: every cycle they send what they measure on the drive's plant."""
+
+from __future__ import annotations
+
+import asyncio
+import collections
+from collections.abc import Callable, Mapping
+
+import can
+
+from adaptdrive.config.sensors import CanSensors as Config
+from adaptdrive.hardware.can.bus import describe_bus, open_bus
+from adaptdrive.hardware.can.sensors import SensorMessage
+from adaptdrive_sim.devices.drive import Drive
+from adaptdrive_sim.devices.sensor_values import SensorFault, values_of
+
+
+class CanSensors:
+    """The sensors on one bus.
+
+    Attributes:
+        counts: Frames sent and dropped, by name.
+    """
+
+    def __init__(self, drive: Drive, config: Config, messages: tuple[SensorMessage, ...]) -> None:
+        self.counts: collections.Counter[str] = collections.Counter()
+        self._drive = drive
+        self._config = config
+        self._messages = messages
+        self._frozen: dict[str, float] = {}
+
+    async def run(self, opened: Callable[[str], None]) -> None:
+        """Open the bus, tell `opened` which one it is, and send until cancelled.
+
+        Raises:
+            BusError: The bus cannot be opened.
+        """
+        bus = open_bus(self._config)
+        try:
+            opened(describe_bus(self._config))
+            while True:
+                await asyncio.sleep(self._config.cycle_s)
+                self._send_all(bus)
+        finally:
+            bus.shutdown()
+
+    def _send_all(self, bus: can.BusABC) -> None:
+        frame, fault = self._drive.frame, self._drive.world.sensor_fault
+        if frame is None or fault == SensorFault.UNPLUGGED:
+            return
+        if fault != SensorFault.FROZEN:
+            self._frozen = values_of(self._drive.world, frame)
+        for message in self._messages:
+            shown = self._shown(message, self._frozen, open_circuit=fault == SensorFault.OPEN)
+            self._send(bus, message, shown)
+
+    @staticmethod
+    def _shown(
+        message: SensorMessage, values: Mapping[str, float], *, open_circuit: bool
+    ) -> dict[str, float | None]:
+        return {
+            signal: None if open_circuit else (values[name] - offset) / scale
+            for name, signal, scale, offset in message.sources
+        }
+
+    def _send(
+        self, bus: can.BusABC, message: SensorMessage, shown: Mapping[str, float | None]
+    ) -> None:
+        codec = message.codec
+        out = can.Message(
+            arbitration_id=codec.frame_id,
+            is_extended_id=codec.is_extended,
+            is_fd=codec.is_fd,
+            data=codec.encode(shown),
+        )
+        try:
+            bus.send(out)
+        except (can.CanError, OSError):
+            self.counts["dropped"] += 1
+        else:
+            self.counts["sent"] += 1

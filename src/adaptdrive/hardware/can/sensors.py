@@ -1,0 +1,222 @@
+"""Sensors on a CAN bus: messages that come by themselves, as a DBC describes them.
+
+Each good frame hands out its values, as old as its arrival; one that fails a check changes nothing
+and is counted. Nothing is ever sent.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import can
+
+from adaptdrive.config.sensors import CanSensors as Config
+from adaptdrive.errors import BusError, ConfigurationError
+from adaptdrive.hardware.can.arrival import OLDEST_S, waiting_time_s
+from adaptdrive.hardware.can.bus import channel_flaws, describe_bus, frame_key, open_bus
+from adaptdrive.hardware.can.codec import MessageCodec
+from adaptdrive.hardware.can.database import Catalogue, load_database
+from adaptdrive.hardware.can.integrity import Verdict
+from adaptdrive.hardware.can.reader import read_frames
+from adaptdrive.hardware.port import PortStatistics, SensorListener
+
+_FIRST_DELAY_S = 0.1
+"""First wait before a lost bus is opened again: an interface that is restarted is soon back."""
+
+_LAST_DELAY_S = 2.0
+"""Longest wait: an adapter that is plugged in again should not be waited for."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorMessage:
+    """A message, and what is taken from it: name, signal, scale and offset."""
+
+    codec: MessageCodec
+    sources: tuple[tuple[str, str, float, float], ...]
+
+
+def build_can_sensors(
+    bus: Config,
+    place: str,
+    clock: Callable[[], float],
+    *,
+    wall_clock: Callable[[], float] = time.time,
+    source: Path | str = "configuration",
+) -> CanSensors:
+    """Build the port of one sensor bus; nothing is opened yet.
+
+    Args:
+        bus: One entry of `[[sensor_bus]]`.
+        place: Where it stands in the configuration.
+        clock: Monotonic clock, in seconds.
+        wall_clock: The clock with which the bus stamps frames, in seconds.
+        source: The configuration, for error messages.
+
+    Raises:
+        ConfigurationError: Configuration and DBC do not fit; every flaw is listed.
+    """
+    return CanSensors(bus, map_sensors(bus, place, source), clock, wall_clock)
+
+
+def map_sensors(bus: Config, place: str, source: Path | str) -> tuple[SensorMessage, ...]:
+    """Find every configured signal in the DBC.
+
+    Args:
+        bus: One entry of `[[sensor_bus]]`.
+        place: Where it stands in the configuration.
+        source: The configuration, for error messages.
+
+    Raises:
+        ConfigurationError: Something does not fit; every flaw is listed.
+    """
+    catalogue = Catalogue(load_database(bus.database, source, place), fd=bus.fd)
+    catalogue.flaws.extend(channel_flaws(bus, place))
+    found: dict[str, list[tuple[str, str, float, float]]] = {}
+    for name, given in bus.signals.items():
+        hit = catalogue.signal(given.signal, f"{place}.signals.{name}.signal")
+        if hit is not None:
+            taken = (name, hit[1].name, given.scale, given.offset)
+            found.setdefault(hit[0].name, []).append(taken)
+    for name, integrity in bus.integrity.items():
+        catalogue.check_integrity(name, integrity, place)
+    if catalogue.flaws:
+        raise ConfigurationError(source, catalogue.flaws)
+    return tuple(
+        SensorMessage(_codec(catalogue, bus, name, sources), tuple(sources))
+        for name, sources in found.items()
+    )
+
+
+class CanSensors:
+    """One connection to the sensors on one CAN bus."""
+
+    def __init__(
+        self,
+        config: Config,
+        messages: tuple[SensorMessage, ...],
+        clock: Callable[[], float],
+        wall_clock: Callable[[], float],
+    ) -> None:
+        self._config = config
+        self._messages = {
+            frame_key(one.codec.frame_id, extended=one.codec.is_extended): one for one in messages
+        }
+        self._clock = clock
+        self._wall_clock = wall_clock
+        self._counts: Counter[str] = Counter()
+        self._listener: SensorListener | None = None
+        self._heard_s = 0.0
+        self._up: bool | None = None
+
+    @property
+    def description(self) -> str:
+        """The bus in one phrase for people, such as `socketcan can1`."""
+        return describe_bus(self._config)
+
+    @property
+    def statistics(self) -> PortStatistics:
+        """Counts since the port was built."""
+        return PortStatistics(**self._counts)
+
+    async def run(self, listener: SensorListener) -> None:
+        """Hear the bus until cancelled; one that is lost or not there is opened again.
+
+        Args:
+            listener: Who is told what comes.
+        """
+        self._listener = listener
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._watch_silence(), name="silence")
+            await self._hear()
+
+    def take(self, frame: can.Message) -> None:
+        """Take one frame from the bus."""
+        self._counts["received"] += 1
+        key = frame_key(frame.arbitration_id, extended=frame.is_extended_id)
+        message = self._messages.get(key)
+        if message is None or frame.is_error_frame or frame.is_remote_frame:
+            self._counts["foreign"] += 1
+            return
+        decoded = message.codec.decode(bytes(frame.data))
+        self._counts["counter_lost"] += decoded.lost
+        if decoded.verdict is Verdict.GOOD:
+            waited_s = min(waiting_time_s(frame, self._wall_clock), OLDEST_S)
+            self._hand_out(message, decoded.values, self._clock() - waited_s)
+        elif decoded.verdict is not Verdict.COUNTER_LOST:
+            self._counts[decoded.verdict] += 1
+
+    def take_garbage(self) -> None:
+        """Count something on the bus that is no frame."""
+        self._counts["received"] += 1
+        self._counts["foreign"] += 1
+
+    async def _hear(self) -> None:
+        """One bus after the other, less and less often while there is none."""
+        delay_s = _FIRST_DELAY_S
+        while True:
+            heard = self._counts["received"]
+            problem = await self._try()
+            self._tell(up=False, problem=problem)
+            delay_s = _FIRST_DELAY_S if self._counts["received"] > heard else delay_s
+            await asyncio.sleep(delay_s)
+            delay_s = min(2.0 * delay_s, _LAST_DELAY_S)
+
+    async def _try(self) -> str:
+        """Open the bus and hear it until it is lost; why it was."""
+        try:
+            bus = open_bus(self._config, self._messages)
+        except BusError as problem:
+            return problem.problem
+        if self._up is not None:
+            self._counts["reconnects"] += 1
+        for message in self._messages.values():
+            message.codec.reset()
+        try:
+            return await read_frames(bus, self)
+        finally:
+            bus.shutdown()
+
+    def _hand_out(
+        self, message: SensorMessage, values: Mapping[str, float], arrival_s: float
+    ) -> None:
+        found = {
+            name: values[signal] * scale + offset
+            for name, signal, scale, offset in message.sources
+            if signal in values
+        }
+        self._heard_s = self._clock()
+        self._tell(up=True)
+        if self._listener is not None:
+            self._listener.on_values(found, arrival_s)
+
+    async def _watch_silence(self) -> None:
+        """Tell when nothing good has come for as long as a value may be held."""
+        limit_s = self._config.oldest_s
+        self._heard_s = self._clock()
+        while True:
+            await asyncio.sleep(self._config.cycle_s)
+            if self._clock() - self._heard_s > limit_s:
+                self._tell(up=False, problem=f"no good frame for {limit_s:g} s")
+
+    def _tell(self, *, up: bool, problem: str = "") -> None:
+        """Tell of a change; that everything is well at the start is no news."""
+        if up is self._up or self._listener is None:
+            return
+        news, self._up = self._up is not None or not up, up
+        if news:
+            detail = self.description if up else f"{self.description}: {problem}"
+            self._listener.on_bus(up=up, detail=detail)
+
+
+def _codec(
+    catalogue: Catalogue, bus: Config, name: str, sources: list[tuple[str, str, float, float]]
+) -> MessageCodec:
+    signals = dict.fromkeys(signal for _, signal, _, _ in sources)
+    return MessageCodec(
+        catalogue.known(name), bus.integrity.get(name), wanted=signals, measured=set(signals)
+    )

@@ -1,0 +1,157 @@
+"""Sensors on a CAN bus, whose frames a stranger makes: what is used of them, and what is not."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import AsyncIterator, Mapping
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.config.sensors import CanSensors as Config
+from adaptdrive.errors import ConfigurationError
+from adaptdrive.hardware.can.bus import open_bus
+from adaptdrive.hardware.can.sensors import CanSensors, build_can_sensors
+from tests.hardware.bench import EXAMPLES, Drive, until
+
+COMMON = {
+    "name": "bench",
+    "type": "can",
+    "interface": "udp_multicast",
+    "channel": "239.74.163.7",
+    "database": str(EXAMPLES / "adaptdrive.dbc"),
+    "integrity": {
+        "DriveStatus": {"counter": "StatusAlive", "checksum": "StatusCrc"},
+        "DriveLoad": {"counter": "LoadAlive", "checksum": "LoadCrc"},
+    },
+    "cycle_s": 0.05,
+    "signals": {
+        "speed": {"signal": "DriveLoad.Tachometer", "scale": 1000.0 / 7.0, "unit": "rpm"},
+        "power": {"signal": "DriveStatus.LoadPower"},
+    },
+}
+
+
+class Ear:
+    def __init__(self) -> None:
+        self.heard: list[tuple[dict[str, float], float]] = []
+        self.bus: list[tuple[bool, str]] = []
+
+    def on_values(self, values: Mapping[str, float], taken_s: float) -> None:
+        self.heard.append((dict(values), taken_s))
+
+    def on_bus(self, up: bool, detail: str) -> None:
+        self.bus.append((up, detail))
+
+
+class Bench:
+    def __init__(self, drive: Drive, port: CanSensors, ear: Ear) -> None:
+        self.drive = drive
+        self.port = port
+        self.ear = ear
+
+    async def hears(self, more: int) -> None:
+        count = len(self.ear.heard) + more
+        await until(lambda: len(self.ear.heard) >= count)
+
+    async def receives(self, count: int) -> None:
+        await until(lambda: self.port.statistics.received >= count)
+
+
+@contextlib.asynccontextmanager
+async def bench(udp_port: int) -> AsyncIterator[Bench]:
+    config = Config.model_validate(COMMON | {"udp_port": udp_port}, strict=False)
+    port, ear = build_can_sensors(config, "sensor_bus.0", time.monotonic), Ear()
+    bus = open_bus(config)
+    task = asyncio.create_task(port.run(ear))
+    await asyncio.sleep(0.05)
+    try:
+        yield Bench(Drive(bus), port, ear)
+    finally:
+        task.cancel()
+        (outcome,) = await asyncio.gather(task, return_exceptions=True)
+        bus.shutdown()
+    assert isinstance(outcome, asyncio.CancelledError)
+
+
+async def test_each_frame_gives_its_own_values_in_si_from_its_arrival_on(
+    free_udp_port: int,
+) -> None:
+    async with bench(free_udp_port) as one:
+        before_s = time.monotonic()
+        one.drive.send_load(Tachometer=7.0)
+        await one.hears(1)
+        one.drive.send_status(LoadPower=123.4)
+        await one.hears(1)
+        (speed, taken_s), (power, _) = one.ear.heard
+        assert speed == {"speed": pytest.approx(1000.0 * math.pi / 30.0)}
+        assert power == {"power": pytest.approx(123.4)}
+        assert before_s - 0.01 <= taken_s <= time.monotonic()
+        assert one.ear.bus == []
+
+
+async def test_what_fails_a_check_gives_nothing_and_is_counted(free_udp_port: int) -> None:
+    async with bench(free_udp_port) as one:
+        one.drive.send_load(Tachometer=1.0)
+        await one.hears(1)
+        damaged = bytearray(one.drive.frame("DriveLoad", Tachometer=2.0))
+        damaged[0] ^= 1
+        one.drive.put("DriveLoad", bytes(damaged))
+        one.drive.put("DriveLoad", bytes(damaged[:7]))
+        repeated = one.drive.frame("DriveStatus")
+        for _ in range(2):
+            one.drive.put("DriveStatus", repeated)
+        await one.receives(5)
+        assert len(one.ear.heard) == 2
+        counts = one.port.statistics
+        assert (counts.wrong_checksum, counts.wrong_length, counts.counter_stuck) == (1, 1, 1)
+
+
+async def test_silence_and_its_end_are_told(free_udp_port: int) -> None:
+    async with bench(free_udp_port) as one:
+        one.drive.send_load(Tachometer=1.0)
+        await one.hears(1)
+        await until(lambda: bool(one.ear.bus))
+        assert one.ear.bus[0][0] is False
+        assert "no good frame for 0.15 s" in one.ear.bus[0][1]
+        one.drive.send_load(Tachometer=1.0)
+        await until(lambda: len(one.ear.bus) > 1)
+        assert one.ear.bus[1][0]
+
+
+async def test_a_bus_that_cannot_be_opened_is_told_and_tried_again() -> None:
+    given = COMMON | {"interface": "socketcan", "channel": "nosuchcan0"}
+    port = build_can_sensors(
+        Config.model_validate(given, strict=False), "sensor_bus.0", time.monotonic
+    )
+    ear = Ear()
+    task = asyncio.create_task(port.run(ear))
+    await until(lambda: bool(ear.bus))
+    assert not ear.bus[0][0]
+    assert "socketcan nosuchcan0" in ear.bus[0][1]
+    await asyncio.sleep(0.3)
+    assert not task.done()
+    task.cancel()
+    await asyncio.wait([task])
+
+
+def test_what_the_database_does_not_have_is_listed_with_its_place(tmp_path: Path) -> None:
+    signals = {"a": {"signal": "DriveLoad.Tacho"}, "b": {"signal": "Nothing.At"}}
+    integrity = {"DriveLoad": {"counter": "Alive"}}
+    config = Config.model_validate(
+        COMMON | {"signals": signals, "integrity": integrity}, strict=False
+    )
+    with pytest.raises(ConfigurationError) as caught:
+        build_can_sensors(config, "sensor_bus.1", time.monotonic)
+    assert {flaw.place for flaw in caught.value.flaws} == {
+        "sensor_bus.1.signals.a.signal",
+        "sensor_bus.1.signals.b.signal",
+        "sensor_bus.1.integrity.DriveLoad.counter",
+    }
+    assert "did you mean 'Tachometer'" in str(caught.value)
+    absent = config.model_copy(update={"database": tmp_path / "none.dbc"})
+    with pytest.raises(ConfigurationError, match=r"sensor_bus\.1\.database"):
+        build_can_sensors(absent, "sensor_bus.1", time.monotonic)
