@@ -21,6 +21,15 @@ def pytest_script(words: Sequence[str]) -> str:
     return f"cd {ROOT}\n{sys.executable} -m pytest {options} {report} {' '.join(words)}\n"
 
 
+def plain_pytest_script(file: Path) -> str:
+    """The same for a file that needs nothing of ours: no configuration, fixtures or plugins."""
+    options = f"-vx -c /dev/null --rootdir={ROOT} --confcutdir={file.parent} --durations=0"
+    report = "--import-mode=importlib -p no:cacheprovider --junitxml=/run/vm/report.xml"
+    words = f"{sys.executable} -m pytest {options} -o pythonpath={ROOT} {report} {file}"
+    # apt would read its lists of all packages, for minutes
+    return f"cd /\nrm -rf /var/lib/apt/lists/*\nPYTEST_DISABLE_PLUGIN_AUTOLOAD=1 {words}\n"
+
+
 def show(folder: Path, outcome: machine.Outcome, subtests: pytest.Subtests) -> None:
     """Show each test of the guest as a subtest of this one.
 
