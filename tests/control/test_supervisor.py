@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from adaptdrive.control.settings import Jacket
@@ -13,6 +14,7 @@ from adaptdrive.control.supervisor import (
     SupervisorState,
     Verdict,
     judge_bounds,
+    judge_damping,
     judge_load,
     judge_loop,
     judge_model,
@@ -20,14 +22,18 @@ from adaptdrive.control.supervisor import (
 )
 
 JACKET = Jacket(warm_up_periods=90, ratio_min=0.2, ratio_max=8.0, patience_periods=3)
+DAMPED = replace(JACKET, damping_min=0.8)
 NOMINAL = [0.011, 21.7, 117.0]
 WRONG = [
     Verdict.NOT_FINITE,
     Verdict.UNSTABLE_LOAD,
     Verdict.OUT_OF_BOUNDS,
     Verdict.UNSTABLE_LOOP,
+    Verdict.UNCERTAIN,
     Verdict.WORSE_THAN_FIXED,
+    Verdict.FRAGILE,
     Verdict.AT_ODDS,
+    Verdict.UNDERDAMPED,
 ]
 
 
@@ -62,6 +68,29 @@ def test_the_parameter_out_of_bounds_is_named(index: int, ratio: float) -> None:
     values[index] *= ratio
     assert judge_bounds(values, NOMINAL, JACKET, state) == Verdict.OUT_OF_BOUNDS
     assert state.culprit == index
+
+
+@given(st.floats(0.01, 1e3), st.floats(0.01, 1e3))
+def test_every_load_with_real_time_constants_is_damped_enough(one_s: float, other_s: float) -> None:
+    denominator = np.poly([-1.0 / one_s, -1.0 / other_s]).tolist()
+    assert judge_damping(denominator, DAMPED) == Verdict.TRUSTED
+
+
+@given(st.floats(-1.0, 2.0), st.floats(0.01, 1e3))
+def test_a_pair_is_refused_below_the_smallest_damping(damping: float, tau_s: float) -> None:
+    assume(abs(damping - DAMPED.damping_min) > 1e-6)
+    denominator = [1.0, 2.0 * damping / tau_s, 1.0 / tau_s**2]
+    refused = judge_damping(denominator, DAMPED) == Verdict.UNDERDAMPED
+    assert refused == (damping < DAMPED.damping_min)
+
+
+@pytest.mark.parametrize("denominator", [[1.0, math.nan, 0.01], [1.0, 0.2, math.nan]])
+def test_a_damping_that_is_no_number_is_refused(denominator: list[float]) -> None:
+    assert judge_damping(denominator, DAMPED) == Verdict.UNDERDAMPED
+
+
+def test_a_load_of_first_order_has_no_damping_to_look_at() -> None:
+    assert judge_damping([1.0, 0.1], DAMPED) == Verdict.TRUSTED
 
 
 @pytest.mark.parametrize(
@@ -103,12 +132,11 @@ def test_a_refused_estimate_keeps_the_trusted_gains_until_patience_ends(refusal:
     assert state.verdict == refusal
 
 
-@pytest.mark.parametrize("doubt", [Verdict.UNCERTAIN, Verdict.FRAGILE])
-def test_an_uncertain_estimate_keeps_the_trusted_gains_for_ever(doubt: Verdict) -> None:
+@pytest.mark.parametrize("refusal", WRONG)
+def test_without_patience_the_first_refusal_returns_to_the_fixed_gains(refusal: Verdict) -> None:
     state = SupervisorState(verdict=Verdict.TRUSTED, trusted=True)
-    for _ in range(100 * JACKET.patience_periods):
-        assert not take_verdict(state, doubt, JACKET, 100)
-        assert state.trusted
+    assert not take_verdict(state, refusal, replace(JACKET, patience_periods=0), 100)
+    assert not state.trusted
 
 
 def test_patience_counts_refusals_in_a_row() -> None:

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from adaptdrive.config import Configuration
-from adaptdrive.config.load import Bath, Battery, Motor
+from adaptdrive.config.load import Bath, Battery, Motor, Supervisor
 from adaptdrive.control.charging import Charging
 from adaptdrive.control.load import Load, to_input
 from adaptdrive.control.loads.bath import bath_load
@@ -29,6 +29,8 @@ from adaptdrive.runtime.stillness import StillnessLimits
 
 _LOWEST_LINE = 0.5
 _SWING_SHARE = 0.01
+_ERROR_SHARE = 0.1
+_PAPER_PATIENCE = 30
 _SHORTEST_WAVE_PERIODS = 4
 _COLLECT_TICKS = 12
 
@@ -172,12 +174,14 @@ def _jacket(configuration: Configuration) -> Jacket:
         warm_up_periods=_periods(configuration, supervisor.warm_up_s),
         ratio_min=supervisor.ratio_min,
         ratio_max=supervisor.ratio_max,
-        patience_periods=supervisor.patience_periods,
+        patience_periods=_PAPER_PATIENCE,
     )
     if load.design == "paper":
         return basics
     return replace(
         basics,
+        patience_periods=supervisor.patience_periods,
+        damping_min=supervisor.damping_min,
         deviation_max=supervisor.deviation_max,
         residual_margin=supervisor.residual_margin,
         confirm_periods=_periods(configuration, supervisor.confirm_s),
@@ -185,12 +189,19 @@ def _jacket(configuration: Configuration) -> Jacket:
         dwell_periods=supervisor.dwell_periods,
         blend_periods=supervisor.blend_periods,
         saturated_periods=_periods(configuration, supervisor.saturated_s),
-        error_limit=supervisor.error_limit,
+        gain_slew=supervisor.gain_slew,
+        error_limit=_error_limit(supervisor, reference_range),
         swing_min=_SWING_SHARE * reference_range,
         response_periods=_periods(configuration, supervisor.response_s),
         response_distance=supervisor.response_distance * reference_range,
         paced=supervisor.slow_down,
     )
+
+
+def _error_limit(supervisor: Supervisor, reference_range: float) -> float:
+    if supervisor.error_limit is None:
+        return _ERROR_SHARE * reference_range
+    return supervisor.error_limit
 
 
 def _periods(configuration: Configuration, time_s: float) -> int:

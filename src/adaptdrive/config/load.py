@@ -187,10 +187,14 @@ class Supervisor(Section):
     )
     ratio_min: Fraction = Field(default=0.2, description="smallest accepted estimate over nominal")
     ratio_max: float = Field(
-        default=8.0,
+        default=6.0,
         gt=1.0,
         allow_inf_nan=False,
         description="largest accepted estimate over nominal",
+    )
+    damping_min: NonNegativeFloat = Field(
+        default=0.9,
+        description="smallest damping of an estimated load; real time constants have 1; 0: any",
     )
     deviation_max: NonNegativeFloat = Field(
         default=0.10, description="largest relative standard deviation of an estimate; 0: any"
@@ -204,10 +208,12 @@ class Supervisor(Section):
         "making the loop unstable; 0: any, whatever the last trusted estimate was",
     )
     dwell_periods: int = Field(
-        default=3, ge=1, description="good estimates in a row before the first goes live"
+        default=5, ge=1, description="good estimates in a row before the first goes live"
     )
     patience_periods: int = Field(
-        default=30, ge=1, description="wrong estimates in a row before the fixed gains return"
+        default=0,
+        ge=0,
+        description="refused estimates in a row that the last trusted gains survive",
     )
     blend_periods: int = Field(
         default=5, ge=1, description="slow periods over which one law hands over to the other"
@@ -215,10 +221,16 @@ class Supervisor(Section):
     saturated_s: NonNegativeFloat = Field(
         default=240.0, description="longest time at a limit before the fixed gains return; 0: any"
     )
-    error_limit: NonNegativeFloat = Field(
-        default=0.0,
+    gain_slew: float = Field(
+        default=1.0,
+        gt=0.0,
+        le=1.0,
+        description="largest share of the way from the gains in force to new ones in a slow period",
+    )
+    error_limit: NonNegativeFloat | None = Field(
+        default=None,
         description="error, in the unit of the output, that must not last for five closed-loop "
-        "time constants with a free input; 0: any",
+        "time constants with a free input; a tenth of the set-point range when left out; 0: any",
     )
     response_s: NonNegativeFloat = Field(
         default=120.0,

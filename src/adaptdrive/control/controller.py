@@ -263,6 +263,7 @@ _REASONS = {
     Verdict.UNSTABLE_LOAD: "estimated load is unstable",
     Verdict.UNSTABLE_LOOP: "designed loop would be unstable",
     Verdict.WORSE_THAN_FIXED: "estimate predicts worse than the nominal model",
+    Verdict.UNDERDAMPED: "estimate swings as no such load does",
     Verdict.FRAGILE: "designed loop might be unstable within the uncertainty of the estimate",
     Verdict.AT_ODDS: "designed loop would be unstable with the last trusted estimate",
     Verdict.SETTLING: "estimate is good, but not yet for long enough",

@@ -97,7 +97,8 @@ class Jacket:
         warm_up_periods: Slow periods after start before adaptive may take over.
         ratio_min: Smallest accepted parameter, over its nominal value.
         ratio_max: Largest accepted parameter, over its nominal value.
-        patience_periods: Refused periods in a row after which the fixed gains return.
+        patience_periods: Refused estimates in a row that the trusted gains survive.
+        damping_min: Smallest damping of a load of second order.
         deviation_max: Largest relative standard deviation of a parameter.
         residual_margin: Largest innovation, over that of the nominal model.
         dwell_periods: Good estimates in a row before the first of them goes live.
@@ -107,6 +108,7 @@ class Jacket:
         swing_min: Smallest peak that counts as a swing, in the unit of the output.
         response_periods: Longest wait at a limit for the output to move.
         response_distance: How far it must have moved by then, in the unit of the output.
+        gain_slew: Largest share of the way to new gains that is gone in one period.
         confirm_periods: The same after a start from estimates that an earlier run had trusted.
         confidence: Standard deviations by which the estimate may be wrong without new gains
             becoming unstable; with 0 the last trusted model is not tried either.
@@ -117,6 +119,7 @@ class Jacket:
     ratio_min: float
     ratio_max: float
     patience_periods: int
+    damping_min: float = 0.0
     deviation_max: float = 0.0
     residual_margin: float = 0.0
     dwell_periods: int = 1
@@ -129,6 +132,7 @@ class Jacket:
     paced: bool = False
     confirm_periods: int = 0
     confidence: float = 0.0
+    gain_slew: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -238,9 +238,19 @@ def _adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: S
     periods = state.estimator.periods
     state.accepted = sup.take_verdict(state.supervisor, verdict, settings.jacket, periods)
     if state.accepted:
-        copy_into(state.adaptive_gains, gains)
+        _take_gains(settings.jacket, state, gains)
         state.trusted_a, state.trusted_b = state.model_a, state.model_b
         state.trusted_alarms = state.estimator.surprise.alarms
+
+
+def _take_gains(jacket: Jacket, state: SlowState, gains: Vector) -> None:
+    """New gains: those in force move towards them, those that only wait are replaced."""
+    share = jacket.gain_slew
+    if share >= 1.0 or not state.adaptive:
+        copy_into(state.adaptive_gains, gains)
+        return
+    for i in range(len(gains)):
+        state.adaptive_gains[i] += share * (gains[i] - state.adaptive_gains[i])
 
 
 def _redesign(
@@ -298,6 +308,8 @@ def _estimated_model(
         return denominator, numerator, verdict
     copy_into(state.values, load.physical(numerator, denominator))
     verdict = sup.judge_bounds(state.values, state.nominal, settings.jacket, state.supervisor)
+    if verdict == sup.Verdict.TRUSTED:
+        verdict = sup.judge_damping(denominator, settings.jacket)
     if verdict == sup.Verdict.TRUSTED:
         verdict = _judge_quality(settings, load, state)
     if verdict != sup.Verdict.TRUSTED:

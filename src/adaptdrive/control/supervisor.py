@@ -1,6 +1,13 @@
 """The supervisor: estimates are judged before they reach the gains.
 
-What fails keeps the last trusted gains; what keeps failing falls back to the fixed controller.
+What fails for longer than patience lasts falls back to the fixed controller. With little
+excitation a wrong estimate can look sure of itself: a slow sine tells the gain and one more
+number, not three. So an estimate must also be one that such a load can have. Masses, baths and
+cells only store and lose: their poles are real, the damping of a second-order pair
+
+    ζ = d_1 / (2 √d_0)                                  of s² + d_1 s + d_0
+
+is at least 1, and what noise takes from that is little.
 """
 
 from __future__ import annotations
@@ -32,6 +39,7 @@ class Verdict(IntEnum):
     SETTLING = 8
     FRAGILE = 9
     AT_ODDS = 10
+    UNDERDAMPED = 11
 
 
 @dataclass(slots=True)
@@ -73,6 +81,15 @@ def judge_bounds(values: Vector, nominal: Vector, jacket: Jacket, state: Supervi
             state.culprit = i
             return Verdict.OUT_OF_BOUNDS
     return Verdict.TRUSTED
+
+
+def judge_damping(denominator: Vector, jacket: Jacket) -> int:
+    """Whether a model of second order is damped as a load that only stores and loses must be."""
+    if len(denominator) != 3 or not jacket.damping_min > 0.0:
+        return Verdict.TRUSTED
+    least = 4.0 * jacket.damping_min * jacket.damping_min * denominator[2]
+    damped = denominator[1] > 0.0 and denominator[1] * denominator[1] >= least
+    return Verdict.TRUSTED if damped else Verdict.UNDERDAMPED
 
 
 def judge_certainty(
@@ -125,8 +142,9 @@ def judge_loop(closed_loop: Vector) -> int:
 def take_verdict(state: SupervisorState, verdict: int, jacket: Jacket, periods: int) -> bool:
     """Remember a verdict; says whether the new gains may go live.
 
-    An estimate that is merely uncertain, or too uncertain for its own gains, keeps the last
-    trusted gains for as long as it takes; one that is wrong loses them after a while.
+    The last trusted gains survive as many refusals in a row as patience allows. Doubt counts as
+    much as error: an estimate grows uncertain because its samples contradict it, and gains for a
+    heavier load than the present one oscillate before the estimate has found the new one.
 
     Args:
         state: Overwritten.
@@ -136,8 +154,7 @@ def take_verdict(state: SupervisorState, verdict: int, jacket: Jacket, periods: 
     """
     state.verdict = verdict
     if verdict != Verdict.TRUSTED:
-        if not _is_doubt(verdict):
-            state.refused_periods += 1
+        state.refused_periods += 1
         state.good_periods = 0
         if state.refused_periods > jacket.patience_periods:
             state.trusted = False
@@ -152,10 +169,3 @@ def take_verdict(state: SupervisorState, verdict: int, jacket: Jacket, periods: 
         return False
     state.trusted = True
     return True
-
-
-def _is_doubt(verdict: int) -> bool:
-    """Whether the estimate is not wrong, but not known well enough."""
-    if verdict == Verdict.UNCERTAIN:
-        return True
-    return verdict == Verdict.FRAGILE

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 DRIFT = 3.0
 LARGEST = 20.0
-THRESHOLD = 25.0
+THRESHOLD = 6.0
 SETTLE_PERIODS = 40
 HOLD_PERIODS = 30
 SOON_PERIODS = 10
