@@ -20,6 +20,7 @@ demo: $(installed) ## watch the motor being held while disks drop onto its shaft
 
 test: $(installed) ## run the whole test suite
 	@tests/install-peers
+	@! command -v dpkg-deb >/dev/null || $(MAKE) --no-print-directory deb
 	$(bin)/python -m pytest -rfEs -m "not alone" --numprocesses auto --dist worksteal; \
 	calculating=$$?; \
 	$(bin)/python -m pytest -rfEs -m alone && exit $$calculating
