@@ -208,7 +208,7 @@ class Supervisor(Section):
         "making the loop unstable; 0: any, whatever the last trusted estimate was",
     )
     dwell_periods: int = Field(
-        default=5, ge=1, description="good estimates in a row before the first goes live"
+        default=7, ge=1, description="good estimates in a row before the first goes live"
     )
     patience_periods: int = Field(
         default=0,
