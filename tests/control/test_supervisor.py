@@ -29,11 +29,8 @@ WRONG = [
     Verdict.UNSTABLE_LOAD,
     Verdict.OUT_OF_BOUNDS,
     Verdict.UNSTABLE_LOOP,
-    Verdict.UNCERTAIN,
     Verdict.WORSE_THAN_FIXED,
-    Verdict.FRAGILE,
     Verdict.AT_ODDS,
-    Verdict.UNDERDAMPED,
 ]
 
 
@@ -113,10 +110,10 @@ def test_poles_are_held_to_a_radius(
 def test_nothing_is_trusted_before_the_warm_up_is_over() -> None:
     state = SupervisorState()
     for periods in range(1, 91):
-        assert not take_verdict(state, Verdict.TRUSTED, JACKET, periods)
+        assert not take_verdict(state, Verdict.TRUSTED, JACKET, periods, in_force=True)
         assert not state.trusted
         assert state.verdict == Verdict.WARMING_UP
-    assert take_verdict(state, Verdict.TRUSTED, JACKET, 91)
+    assert take_verdict(state, Verdict.TRUSTED, JACKET, 91, in_force=True)
     assert state.trusted
     assert state.verdict == Verdict.TRUSTED
 
@@ -125,9 +122,9 @@ def test_nothing_is_trusted_before_the_warm_up_is_over() -> None:
 def test_a_refused_estimate_keeps_the_trusted_gains_until_patience_ends(refusal: Verdict) -> None:
     state = SupervisorState(verdict=Verdict.TRUSTED, trusted=True)
     for _ in range(JACKET.patience_periods):
-        assert not take_verdict(state, refusal, JACKET, 100)
+        assert not take_verdict(state, refusal, JACKET, 100, in_force=True)
         assert state.trusted
-    take_verdict(state, refusal, JACKET, 100)
+    take_verdict(state, refusal, JACKET, 100, in_force=True)
     assert not state.trusted
     assert state.verdict == refusal
 
@@ -135,14 +132,30 @@ def test_a_refused_estimate_keeps_the_trusted_gains_until_patience_ends(refusal:
 @pytest.mark.parametrize("refusal", WRONG)
 def test_without_patience_the_first_refusal_returns_to_the_fixed_gains(refusal: Verdict) -> None:
     state = SupervisorState(verdict=Verdict.TRUSTED, trusted=True)
-    assert not take_verdict(state, refusal, replace(JACKET, patience_periods=0), 100)
+    assert not take_verdict(state, refusal, replace(JACKET, patience_periods=0), 100, in_force=True)
+    assert not state.trusted
+
+
+@pytest.mark.parametrize("doubt", [Verdict.UNCERTAIN, Verdict.FRAGILE, Verdict.UNDERDAMPED])
+def test_doubt_leaves_gains_that_wait_as_they_are(doubt: Verdict) -> None:
+    state = SupervisorState(verdict=Verdict.TRUSTED, trusted=True, good_periods=9)
+    for _ in range(100 * JACKET.patience_periods):
+        assert not take_verdict(state, doubt, JACKET, 100, in_force=False)
+        assert state.trusted
+
+
+@pytest.mark.parametrize("doubt", [Verdict.UNCERTAIN, Verdict.FRAGILE, Verdict.UNDERDAMPED])
+def test_doubt_that_comes_up_under_the_gains_in_force_loses_them(doubt: Verdict) -> None:
+    hasty = replace(JACKET, patience_periods=0)
+    state = SupervisorState(verdict=Verdict.TRUSTED, trusted=True, good_periods=9)
+    assert not take_verdict(state, doubt, hasty, 100, in_force=True)
     assert not state.trusted
 
 
 def test_patience_counts_refusals_in_a_row() -> None:
     state = SupervisorState(verdict=Verdict.TRUSTED, trusted=True)
     for verdict in [Verdict.NOT_FINITE, Verdict.NOT_FINITE, Verdict.TRUSTED] * 10:
-        take_verdict(state, verdict, JACKET, 100)
+        take_verdict(state, verdict, JACKET, 100, in_force=True)
         assert state.trusted
 
 
@@ -152,7 +165,7 @@ def test_trust_needs_warm_up_and_a_trusted_estimate_within_patience(
 ) -> None:
     state = SupervisorState()
     for periods, verdict in enumerate(verdicts, 1):
-        accepted = take_verdict(state, verdict, JACKET, periods)
+        accepted = take_verdict(state, verdict, JACKET, periods, in_force=True)
         recent = verdicts[max(0, periods - 1 - JACKET.patience_periods) : periods]
         assert accepted == (verdict == Verdict.TRUSTED and periods > JACKET.warm_up_periods)
         assert not state.trusted or Verdict.TRUSTED in recent

@@ -236,7 +236,9 @@ def _adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: S
     gains = [0.0] * len(state.adaptive_gains)
     verdict = _redesign(settings, load, state, sample, gains)
     periods = state.estimator.periods
-    state.accepted = sup.take_verdict(state.supervisor, verdict, settings.jacket, periods)
+    state.accepted = sup.take_verdict(
+        state.supervisor, verdict, settings.jacket, periods, state.adaptive
+    )
     if state.accepted:
         _take_gains(settings.jacket, state, gains)
         state.trusted_a, state.trusted_b = state.model_a, state.model_b

@@ -139,22 +139,28 @@ def judge_loop(closed_loop: Vector) -> int:
     return Verdict.TRUSTED if is_stable(closed_loop, _DESIGN_RADIUS) else Verdict.UNSTABLE_LOOP
 
 
-def take_verdict(state: SupervisorState, verdict: int, jacket: Jacket, periods: int) -> bool:
+def take_verdict(
+    state: SupervisorState, verdict: int, jacket: Jacket, periods: int, in_force: bool
+) -> bool:
     """Remember a verdict; says whether the new gains may go live.
 
-    The last trusted gains survive as many refusals in a row as patience allows. Doubt counts as
-    much as error: an estimate grows uncertain because its samples contradict it, and gains for a
-    heavier load than the present one oscillate before the estimate has found the new one.
+    The last trusted gains survive as many refusals in a row as patience allows. Doubt that comes
+    up while they are in force counts as much as error: their own samples contradict the estimate,
+    and gains for a heavier load than the present one oscillate before the new load is known. Doubt
+    for lack of excitation, while they wait, leaves them as they are.
 
     Args:
         state: Overwritten.
         verdict: Of the estimate of this period.
         jacket: Warm-up and patience.
         periods: Slow periods since start.
+        in_force: Whether the trusted gains are what holds the load.
     """
     state.verdict = verdict
     if verdict != Verdict.TRUSTED:
-        state.refused_periods += 1
+        contradicted = in_force and state.good_periods > 0
+        if contradicted or not _is_doubt(verdict):
+            state.refused_periods += 1
         state.good_periods = 0
         if state.refused_periods > jacket.patience_periods:
             state.trusted = False
@@ -169,3 +175,10 @@ def take_verdict(state: SupervisorState, verdict: int, jacket: Jacket, periods: 
         return False
     state.trusted = True
     return True
+
+
+def _is_doubt(verdict: int) -> bool:
+    """Whether the estimate is not wrong, but not known well enough."""
+    if verdict == Verdict.UNCERTAIN or verdict == Verdict.FRAGILE:  # noqa: PLR1714 - compiled
+        return True
+    return verdict == Verdict.UNDERDAMPED
