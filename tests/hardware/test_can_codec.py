@@ -113,6 +113,7 @@ def test_encodes_what_cantools_encodes(message: Message, draw: st.DataObject) ->
 def test_what_is_encoded_is_decoded_again(message: Message, draw: st.DataObject) -> None:
     codec = MessageCodec(message)
     values = codec.decode(data_of(message, draw)).values
+    assume(values)  # a float that is no number leaves none, not even a page
     again = codec.decode(codec.encode(values)).values
     steps = {signal.name: abs(signal.scale) for signal in message.signals}
     for name, value in values.items():
