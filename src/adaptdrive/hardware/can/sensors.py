@@ -24,6 +24,7 @@ from adaptdrive.hardware.can.database import Catalogue, load_database
 from adaptdrive.hardware.can.integrity import Verdict
 from adaptdrive.hardware.can.reader import read_frames
 from adaptdrive.hardware.port import PortStatistics, SensorListener
+from adaptdrive.hardware.presence import Presence
 
 _FIRST_DELAY_S = 0.1
 """First wait before a lost bus is opened again: an interface that is restarted is soon back."""
@@ -111,7 +112,7 @@ class CanSensors:
         self._counts: Counter[str] = Counter()
         self._listener: SensorListener | None = None
         self._heard_s = 0.0
-        self._up: bool | None = None
+        self._presence = Presence(self.description)
 
     @property
     def description(self) -> str:
@@ -172,7 +173,7 @@ class CanSensors:
             bus = open_bus(self._config, self._messages)
         except BusError as problem:
             return problem.problem
-        if self._up is not None:
+        if self._presence.known:
             self._counts["reconnects"] += 1
         for message in self._messages.values():
             message.codec.reset()
@@ -204,13 +205,8 @@ class CanSensors:
                 self._tell(up=False, problem=f"no good frame for {limit_s:g} s")
 
     def _tell(self, *, up: bool, problem: str = "") -> None:
-        """Tell of a change; that everything is well at the start is no news."""
-        if up is self._up or self._listener is None:
-            return
-        news, self._up = self._up is not None or not up, up
-        if news:
-            detail = self.description if up else f"{self.description}: {problem}"
-            self._listener.on_bus(up=up, detail=detail)
+        if self._listener is not None:
+            self._presence.tell(self._listener, up=up, problem=problem)
 
 
 def _codec(

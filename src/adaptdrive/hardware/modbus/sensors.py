@@ -23,6 +23,7 @@ from adaptdrive.hardware.modbus.capacity import Exchange, cycle_flaws
 from adaptdrive.hardware.modbus.link import ExchangeError, Link
 from adaptdrive.hardware.modbus.mapping import Source
 from adaptdrive.hardware.port import PortStatistics, SensorListener
+from adaptdrive.hardware.presence import Presence
 
 _FIRST_DELAY_S = 0.1
 """First wait before a lost link is opened again: a server that restarts is soon back."""
@@ -81,7 +82,7 @@ class ModbusSensors:
         self._counts: Counter[str] = Counter()
         self._closing = asyncio.Event()
         self._silent = 0
-        self._up: bool | None = None
+        self._presence = Presence(self.description)
 
     @property
     def description(self) -> str:
@@ -124,7 +125,7 @@ class ModbusSensors:
             await link.open()
         except BusError as problem:
             return problem.problem
-        if self._up is not None:
+        if self._presence.known:
             self._counts["reconnects"] += 1
         try:
             return await self._serve(link, listener)
@@ -169,13 +170,8 @@ class ModbusSensors:
         return good
 
     def _tell(self, listener: SensorListener, *, up: bool, problem: str = "") -> None:
-        """Tell of a change; that everything is well at the start is no news."""
-        if up is self._up or self._closing.is_set():
-            return
-        news, self._up = self._up is not None or not up, up
-        if news:
-            detail = self.description if up else f"{self.description}: {problem}"
-            listener.on_bus(up=up, detail=detail)
+        if not self._closing.is_set():
+            self._presence.tell(listener, up=up, problem=problem)
 
     async def _sleep(self, seconds: float) -> None:
         """Sleep, unless the port is closed."""
