@@ -351,7 +351,10 @@ def test_junk_never_stops_the_service(
             bench.host.highest = -1.0
             for verb, payload in junk:
                 await publish(mosquitto, bench.topic(f"command/{verb}"), payload)
-            await ask(bench, "reset", '{"id": "still here"}')
+            async with listening(mosquitto, bench.topic("reply")) as ear:
+                await publish(mosquitto, bench.topic("command/reset"), '{"id": "still here"}')
+                # replies to junk may still be on their way
+                await ear.until(lambda reply: reply.content.get("id") == "still here")
             assert Reset() in bench.host.asked
 
     asyncio.run(scenario())
