@@ -123,6 +123,11 @@ def test_a_switch_is_on_or_off(place: str, value: str) -> None:
         ({"load.pole": "0.49"}, "load", "pole = 0.49 must lie in"),
         ({"load.pole": "0.99"}, "load", "pole = 0.99 must lie in"),
         ({"load.pole_min": "0.8", "load.pole_max": "0.6"}, "load", "0.8…0.6"),
+        (
+            {"realtime.rehearse_us": "200.0", "realtime.spin_us": "200.0"},
+            "realtime.spin_us",
+            "200 leaves no time for the rehearsal before it: rehearse_us = 200 must be larger",
+        ),
     ],
 )
 def test_limits_that_contradict_each_other_are_a_flaw(

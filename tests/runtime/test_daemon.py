@@ -19,7 +19,7 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Mode, Sn
 from adaptdrive.errors import BusError, RefusedError
 from adaptdrive.hardware.loopback.port import LoopbackPort
 from adaptdrive.hardware.port import Listener
-from adaptdrive.runtime.daemon import Daemon
+from adaptdrive.runtime.daemon import Daemon, DaemonSettings
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import (
     DriveReport,
@@ -87,7 +87,10 @@ class FailingPort(LoopbackPort):
 class DaemonBench:
     """A daemon and the drive behind it."""
 
-    def __init__(self, manager: ServiceManager | None = None) -> None:
+    def __init__(
+        self, manager: ServiceManager | None = None, settings: DaemonSettings = PATIENT
+    ) -> None:
+        self.rehearsals_s: list[float] = []
         self.sent: list[Command] = []
         self.port = FailingPort(self.sent.append)
         self.controller = MotorController()
@@ -98,10 +101,11 @@ class DaemonBench:
         self.daemon = Daemon(
             port=self.port,
             controller=self.controller,
-            settings=PATIENT,
+            settings=settings,
             clock=time.monotonic,
             hub=self.hub,
             manager=manager or ServiceManager({}),
+            rehearse=lambda: self.rehearsals_s.append(time.monotonic()),
         )
         self.stop = asyncio.Event()
         self.counter = 0
@@ -154,8 +158,10 @@ class DaemonBench:
 
 
 @contextlib.asynccontextmanager
-async def daemon_bench(manager: ServiceManager | None = None) -> AsyncIterator[DaemonBench]:
-    bench = DaemonBench(manager)
+async def daemon_bench(
+    manager: ServiceManager | None = None, settings: DaemonSettings = PATIENT
+) -> AsyncIterator[DaemonBench]:
+    bench = DaemonBench(manager, settings)
     try:
         await until(lambda: bench.port._up)
         yield bench
@@ -358,6 +364,21 @@ async def test_the_fast_loop_is_reported_at_its_rate() -> None:
         assert last.bus["received"] == 10
         assert last.measurement is not None
         assert last.age_s >= 0.0
+
+
+@pytest.mark.parametrize(("ticks_per_reading", "rehearsed"), [(1, True), (2, False)])
+async def test_frames_are_rehearsed_and_what_a_drive_answers_when_polled_is_not(
+    ticks_per_reading: int, rehearsed: bool
+) -> None:
+    """A tenth of a second between frames that should come each half cycle: one rehearsal each."""
+    fast = replace(PATIENT.fast, ticks_per_reading=ticks_per_reading)
+    settings = replace(PATIENT, rehearse_s=0.002, fast=fast)
+    async with daemon_bench(settings=settings) as bench:
+        for _ in range(4):
+            bench.frame()
+            await asyncio.sleep(0.1)
+        assert len(bench.rehearsals_s) == (4 if rehearsed else 0)
+        await bench.end()
 
 
 async def test_an_orderly_stop_says_goodbye_more_than_once() -> None:

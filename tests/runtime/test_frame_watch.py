@@ -1,4 +1,4 @@
-"""The busy wait for a frame: the kernel's timer begins it, and a clock of the test ends it."""
+"""Before a frame: a busy wait, which a clock of the test ends, and a rehearsal."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from adaptdrive.runtime.frame_watch import FrameWatch
+from adaptdrive.runtime.frame_watch import DressRehearsal, FrameWatch
 from tests.runtime.bench import until
 
 SPIN_S, LOOK_S = 0.01, 0.001
@@ -54,3 +54,48 @@ async def test_it_begins_shortly_before_the_frame_is_due() -> None:
         await asyncio.sleep(0.05)
     watch.close()
     assert looks_s[0] >= due_s - SPIN_S
+
+
+async def test_each_frame_is_rehearsed_once_and_before_it_is_due() -> None:
+    times_s: list[float] = []
+    loop = asyncio.get_running_loop()
+    rehearsal = DressRehearsal(loop, lambda: times_s.append(time.monotonic()), lead_s=0.02)
+    for number in range(3):
+        due_s = time.monotonic() + 0.05
+        rehearsal.expect(due_s)
+        await until(lambda expected=number + 1: len(times_s) == expected)  # type: ignore[misc]
+        assert times_s[-1] >= due_s - 0.02
+    await asyncio.sleep(0.03)
+    rehearsal.close()
+    assert len(times_s) == 3
+
+
+async def test_a_frame_that_is_early_puts_its_rehearsal_off() -> None:
+    times_s: list[float] = []
+    loop = asyncio.get_running_loop()
+    rehearsal = DressRehearsal(loop, lambda: times_s.append(time.monotonic()), lead_s=0.001)
+    rehearsal.expect(time.monotonic() + 0.02)
+    rehearsal.expect(time.monotonic() + 3600.0)
+    await asyncio.sleep(0.04)
+    rehearsal.close()
+    assert not times_s
+
+
+async def test_a_rehearsal_that_fails_is_told_and_is_the_last_one() -> None:
+    loop = asyncio.get_running_loop()
+    told: list[object] = []
+    loop.set_exception_handler(lambda _, context: told.append(context["exception"]))
+    calls: list[int] = []
+
+    def fail() -> None:
+        calls.append(1)
+        raise ZeroDivisionError
+
+    rehearsal = DressRehearsal(loop, fail, lead_s=0.001)
+    rehearsal.expect(time.monotonic())
+    await until(lambda: bool(told))
+    rehearsal.expect(time.monotonic())
+    await asyncio.sleep(0.01)
+    rehearsal.close()
+    assert len(calls) == 1
+    assert isinstance(told[0], ZeroDivisionError)

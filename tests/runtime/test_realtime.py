@@ -7,11 +7,13 @@ import os
 import re
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
-from adaptdrive.runtime.realtime import IdleCollector, RealtimeSettings, set_up, thaw
+from adaptdrive.runtime.collector import IdleCollector
+from adaptdrive.runtime.realtime import RealtimeSettings, real_time
 
 ROOT = Path(__file__).parents[2]
 NOBODY = 65534
@@ -19,14 +21,20 @@ NOBODY = 65534
 ASK = """
 import os, sys
 from pathlib import Path
-from adaptdrive.runtime.realtime import RealtimeSettings, set_up
+from concurrent.futures import ThreadPoolExecutor
+from adaptdrive.runtime.realtime import RealtimeSettings, helper_thread, real_time
 if {user}:
     os.setresgid({user}, {user}, {user})
     os.setresuid({user}, {user}, {user})
-for grant in set_up(RealtimeSettings({settings})):
-    print(grant.asked, grant.granted, grant.meaning, sep="|")
-print(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO)
-print(Path("/proc/self/status").read_text())
+with real_time(RealtimeSettings({settings})) as grants:
+    for grant in grants:
+        print(grant.asked, grant.granted, grant.meaning, sep="|")
+    print(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO)
+    print(Path("/proc/self/status").read_text())
+    with ThreadPoolExecutor(initializer=helper_thread(10)) as pool:
+        print("helper", pool.submit(lambda: os.sched_getparam(0).sched_priority).result())
+    print("files", *(os.readlink(one) for one in Path("/proc/self/fd").iterdir() if one.exists()))
+print("files after", *(os.readlink(one) for one in Path("/proc/self/fd").iterdir() if one.exists()))
 child = os.fork()
 if not child:
     print("child", os.sched_getscheduler(0) == os.SCHED_OTHER, flush=True)
@@ -72,6 +80,10 @@ def test_a_granted_priority_is_for_the_thread_and_not_for_what_it_starts() -> No
     assert "child True" in output
 
 
+def test_helper_threads_run_right_below_the_ticks() -> None:
+    assert "\nhelper 9\n" in may_be_granted("priority=10")
+
+
 def test_locked_memory_shows_in_the_kernel_but_is_not_made_resident() -> None:
     output = may_be_granted("lock_memory=True")
     assert locked_kB(output) > 0
@@ -91,17 +103,28 @@ def test_cpus_that_do_not_exist_are_refused_in_words() -> None:
     assert "cpus = [1000]|False|Invalid argument: no such CPUs" in ask("cpus=(1000,)")
 
 
+def test_idle_cpus_are_kept_awake_for_as_long_as_the_daemon_runs() -> None:
+    output = may_be_granted("cpu_latency_us=20")
+    assert "cpu_latency_us = 20|True|" in output
+    held, after = re.findall(r"^files(?: after)? (.*)$", output, re.MULTILINE)
+    assert "/dev/cpu_dma_latency" in held.split()
+    assert "/dev/cpu_dma_latency" not in after.split()
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root to become an ordinary user")
 def test_an_ordinary_user_is_refused_in_words_and_goes_on() -> None:
-    output = ask("priority=10, lock_memory=True, freeze_gc=True", user=NOBODY)
+    output = ask("priority=10, lock_memory=True, freeze_gc=True, cpu_latency_us=0", user=NOBODY)
     assert "priority = 10|False|Operation not permitted: any busy process" in output
     assert "lock_memory = true|False|Operation not permitted: a tick can wait" in output
+    assert "cpu_latency_us = 0|False|Permission denied: an idle CPU takes its time" in output
     assert "freeze_gc = true|True|" in output
+    assert "\nhelper 0\n" in output
     assert locked_kB(output) == 0
 
 
 def test_nothing_is_asked_for_unless_wanted() -> None:
-    assert set_up(RealtimeSettings()) == []
+    with real_time(RealtimeSettings()) as grants:
+        assert grants == []
 
 
 def test_after_the_freeze_garbage_waits_for_the_collector() -> None:
@@ -111,19 +134,16 @@ def test_after_the_freeze_garbage_waits_for_the_collector() -> None:
 
     collected: list[int] = []
     collector = IdleCollector(every_ticks=3)
-    try:
-        (grant,) = set_up(RealtimeSettings(freeze_gc=True))
-        assert grant.granted
+    with real_time(RealtimeSettings(freeze_gc=True)) as grants, ExitStack() as stack:
+        assert [grant.granted for grant in grants] == [True]
         assert not gc.isenabled()
         knot = Knot()
         gc.callbacks.append(lambda _, info: collected.append(info.get("collected", 0)))
+        stack.callback(gc.callbacks.pop)
         del knot
         assert [collector.is_due() for _ in range(6)] == [False, False, True, False, False, True]
         assert collector.collect(idle=False) == 0
         assert collected[-1] > 0
-    finally:
-        gc.callbacks.pop()
-        thaw()
     assert gc.isenabled()
     assert gc.get_freeze_count() == 0
 

@@ -6,13 +6,14 @@ import asyncio
 import gc
 import math
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 
 from adaptdrive.app.ports import build_port
-from adaptdrive.app.warm_up import warm_up
+from adaptdrive.app.warm_up import Rehearsal
+from adaptdrive.config import load_configuration
 from adaptdrive.hardware.loopback.port import LoopbackPort
 from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.reports import State
@@ -123,10 +124,31 @@ async def test_a_spinning_timer_is_never_early_and_still_expires_once() -> None:
 
 def test_the_rehearsal_leaves_the_bus_alone() -> None:
     port = build_port(MOTOR, time.monotonic, EXAMPLE)
-    ticks = warm_up(MOTOR, port)
+    ticks = Rehearsal(MOTOR, port).run()
     assert ticks > 3 * MOTOR.ticks_per_period
     assert port.statistics.sent == 0
     assert port.statistics.send_drops >= ticks
+
+
+@pytest.mark.parametrize("name", ["motor", "bath", "battery", "motor-inverter"])
+def test_a_tick_is_rehearsed_from_frames_to_a_command_of_a_drive_that_runs(name: str) -> None:
+    path = EXAMPLE.with_name(f"{name}.toml")
+    configuration = load_configuration(path)
+    port = build_port(configuration, time.monotonic, path)
+    rehearsal = Rehearsal(configuration, port)
+    ticks = rehearsal.run()
+    before = port.statistics
+    for _ in range(100):
+        rehearsal.tick()
+    after, loop = port.statistics, rehearsal._loop
+    assert loop.counts.ticks == ticks + 100
+    assert loop.command.bridge
+    assert rehearsal._machine.trip is None
+    assert after.sent == 0
+    assert after.send_drops > before.send_drops
+    assert after.received >= before.received + 100
+    refused = {name: count for name, count in asdict(after).items() if count and count > 0}
+    assert refused.keys() == {"received", "send_drops"}
 
 
 def resident_pages() -> int:

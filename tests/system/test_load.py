@@ -128,6 +128,25 @@ def test_the_record_of_it_is_whole_and_replays(busy_site: Site) -> None:
     assert "Traceback" not in busy_site.daemon_log
 
 
+def test_every_thread_that_could_keep_a_tick_from_running_has_real_time_priority(
+    make_site: MakeSite,
+) -> None:
+    """An ordinary thread with Python's lock waits for busy processes, and the ticks for it.
+
+    Only the thread that sleeps until the recorder process ends is ordinary: it is left out.
+    """
+    site = make_site({**BUSY, "recording.enabled": "false"})
+    site.start("--initial-voltage", "280")
+    site.run_drive()
+    assert site.daemon is not None
+    pid = site.daemon.pid
+    if not real_time_priority(pid, pid):
+        pytest.skip("real-time priority was refused")
+    priorities = {name: real_time_priority(pid, thread) for thread, name in threads(pid).items()}
+    assert len(priorities) >= 2
+    assert min(priorities.values()) > 0, priorities
+
+
 def drive_report(site: Site) -> dict[str, Any]:
     """The next telemetry of the drive."""
     known = len(site.ear.on("telemetry/drive"))
@@ -143,6 +162,21 @@ def later_report(site: Site, ticks: int) -> dict[str, Any] | None:
 def children(pid: int) -> list[int]:
     text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8")
     return [int(word) for word in text.split()]
+
+
+def threads(pid: int) -> dict[int, str]:
+    """Threads of a process, and their names with their numbers."""
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    return {
+        int(one.name): (one / "comm").read_text(encoding="utf-8").strip() + f" {one.name}"
+        for one in tasks
+    }
+
+
+def real_time_priority(pid: int, thread: int) -> int:
+    """Real-time priority of a thread as the kernel tells it, 0 for an ordinary one."""
+    text = Path(f"/proc/{pid}/task/{thread}/stat").read_text(encoding="utf-8")
+    return int(text.rpartition(")")[2].split()[37])
 
 
 def resident_MiB(pid: int) -> float:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from adaptdrive.app.ports import build_port
 from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
-from adaptdrive.app.warm_up import warm_up
+from adaptdrive.app.warm_up import Rehearsal
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.errors import RefusedError
@@ -105,7 +105,7 @@ async def rigged(configuration: Configuration) -> AsyncIterator[Rig]:
     """Run a daemon until the block ends."""
     hub = Hub()
     reports = hub.subscribe(Event, StateReport, DriveReport, TickReport, size=100_000)
-    warm_up(configuration, build_port(configuration, time.monotonic, "rig.toml"))
+    Rehearsal(configuration, build_port(configuration, time.monotonic, "rig.toml")).run()
     port = build_port(configuration, time.monotonic, "rig.toml")
     daemon = Daemon(
         port=port,

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from adaptdrive.app.ports import build_port
 from adaptdrive.app.settings import realtime_settings
-from adaptdrive.app.warm_up import warm_up
+from adaptdrive.app.warm_up import Rehearsal
 from adaptdrive.config import Configuration
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.latency import WatchedLoop
-from adaptdrive.runtime.realtime import Grant, set_up
+from adaptdrive.runtime.realtime import Grant, real_time
 from adaptdrive.runtime.reports import Event, Severity
 
 LoopMaker = Callable[[], asyncio.AbstractEventLoop]
@@ -32,29 +33,41 @@ def choose_loop(*, uvloop_wanted: bool) -> tuple[LoopMaker, Grant | None]:
     return uvloop.new_event_loop, Grant("uvloop = true", granted=True, meaning=meaning)
 
 
-def prepare(configuration: Configuration, path: Path, hub: Hub, *more: Grant | None) -> None:
+def build_rehearsal(configuration: Configuration, path: Path) -> Rehearsal:
+    """A rehearsal of a drive's ticks, on a port of its own."""
+    return Rehearsal(configuration, build_port(configuration, time.monotonic, path))
+
+
+@contextmanager
+def prepared(
+    configuration: Configuration, rehearsal: Rehearsal, hub: Hub, *more: Grant | None
+) -> Iterator[None]:
     """Rehearse, ask for what is configured, and publish an event for each answer.
 
     Args:
         configuration: The drive.
-        path: Configuration file.
+        rehearsal: Of its ticks.
         hub: Where the events go.
         more: Answers that are known already.
     """
     grants = [grant for grant in more if grant is not None]
     if configuration.realtime.warm_up:
-        grants.append(_rehearse(configuration, path))
-    grants += set_up(realtime_settings(configuration))
-    for grant in grants:
-        severity = Severity.INFO if grant.granted else Severity.WARNING
-        answer = "granted" if grant.granted else "refused"
-        detail = f"{grant.asked} {answer}: {grant.meaning}"
-        hub.publish(Event("realtime", severity, detail, -1))
+        grants.append(_rehearse(rehearsal))
+    with real_time(realtime_settings(configuration)) as answers:
+        for grant in (*grants, *answers):
+            hub.publish(_event(grant))
+        yield
 
 
-def _rehearse(configuration: Configuration, path: Path) -> Grant:
+def _event(grant: Grant) -> Event:
+    severity = Severity.INFO if grant.granted else Severity.WARNING
+    answer = "granted" if grant.granted else "refused"
+    return Event("realtime", severity, f"{grant.asked} {answer}: {grant.meaning}", -1)
+
+
+def _rehearse(rehearsal: Rehearsal) -> Grant:
     began_s = time.monotonic()
-    ticks = warm_up(configuration, build_port(configuration, time.monotonic, path))
+    ticks = rehearsal.run()
     spent_ms = (time.monotonic() - began_s) * 1e3
     return Grant(
         "warm_up = true", granted=True, meaning=f"{ticks} ticks rehearsed in {spent_ms:.0f} ms"

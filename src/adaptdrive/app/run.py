@@ -6,6 +6,8 @@ import asyncio
 import os
 import signal
 import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -20,7 +22,7 @@ from adaptdrive.app.checkpoint import (
     write_checkpoint,
 )
 from adaptdrive.app.log import log_events, set_up_logging
-from adaptdrive.app.realtime import choose_loop, prepare
+from adaptdrive.app.realtime import build_rehearsal, choose_loop, prepared
 from adaptdrive.app.sensors import build_whole_port, sensor_reports
 from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
 from adaptdrive.config import Configuration, load_configuration
@@ -31,7 +33,7 @@ from adaptdrive.recording.recorder import Feed, Pace, Recorder
 from adaptdrive.recording.session import SessionInfo, create_session, sessions_directory
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub, Subscription
-from adaptdrive.runtime.realtime import Grant, thaw
+from adaptdrive.runtime.realtime import Grant, helper_thread
 from adaptdrive.runtime.reports import Event
 from adaptdrive.runtime.watchdog import ServiceManager
 
@@ -58,8 +60,6 @@ def run(path: Path) -> int:
             runner.run(_serve(configuration, text, path, loop_grant))
     except* AdaptdriveError as group:
         raise first_error(group) from None
-    finally:
-        thaw()
     return 0
 
 
@@ -74,6 +74,7 @@ async def _serve(
     checkpoint = checkpoint_path(state, configuration.drive.name)
     prior, told = recall(checkpoint, configuration, settings, load)
     controller = Controller(settings, load, prior)
+    rehearsal = build_rehearsal(configuration, path)
     daemon = Daemon(
         port=port,
         controller=controller,
@@ -82,6 +83,11 @@ async def _serve(
         hub=hub,
         manager=ServiceManager(os.environ),
         sensors=sensor_reports(port),
+        rehearse=rehearsal.tick,
+    )
+    start_thread = helper_thread(configuration.realtime.priority)
+    asyncio.get_running_loop().set_default_executor(
+        ThreadPoolExecutor(thread_name_prefix="helper", initializer=start_thread)
     )
     _stop_on_signals(stop)
     logger.info(
@@ -90,7 +96,7 @@ async def _serve(
     async with asyncio.TaskGroup() as tasks:
         services = [
             tasks.create_task(log_events(events, logger), name="log"),
-            tasks.create_task(_mqtt(configuration, daemon, hub).run(), name="mqtt"),
+            tasks.create_task(_mqtt(configuration, daemon, hub, start_thread).run(), name="mqtt"),
         ]
         recorder = _recorder(configuration, text, hub, prior)
         if recorder is not None:
@@ -100,8 +106,8 @@ async def _serve(
             services.append(tasks.create_task(keeper.run(), name="checkpoint"))
         if told is not None:
             hub.publish(told)
-        prepare(configuration, path, hub, loop_grant)
-        await daemon.run(stop)
+        with prepared(configuration, rehearsal, hub, loop_grant):
+            await daemon.run(stop)
         if is_kept(settings):
             await keeper.save()
         await _settle(events)
@@ -122,10 +128,12 @@ def _stop_on_signals(stop: asyncio.Event) -> None:
         loop.add_signal_handler(number, stop.set)
 
 
-def _mqtt(configuration: Configuration, daemon: Daemon, hub: Hub) -> MqttService:
+def _mqtt(
+    configuration: Configuration, daemon: Daemon, hub: Hub, start_thread: Callable[[], None]
+) -> MqttService:
     directory = state_directory(os.environ.get("STATE_DIRECTORY", ""))
     directory.mkdir(parents=True, exist_ok=True)
-    surroundings = Surroundings(directory)
+    surroundings = Surroundings(directory, start_thread=start_thread)
     return MqttService(configuration.drive.name, configuration.mqtt, daemon, hub, surroundings)
 
 

@@ -96,6 +96,7 @@ def daemon_settings(configuration: Configuration) -> DaemonSettings:
         report_s=1.0 / configuration.mqtt.telemetry_Hz,
         late_us=configuration.realtime.late_us,
         spin_s=configuration.realtime.spin_us * 1e-6,
+        rehearse_s=configuration.realtime.rehearse_us * 1e-6,
         collect_ticks=_COLLECT_TICKS if configuration.realtime.freeze_gc else 0,
     )
 
@@ -108,6 +109,7 @@ def realtime_settings(configuration: Configuration) -> RealtimeSettings:
         cpus=tuple(realtime.cpus),
         lock_memory=realtime.lock_memory,
         freeze_gc=realtime.freeze_gc,
+        cpu_latency_us=realtime.cpu_latency_us,
     )
 
 

@@ -1,6 +1,7 @@
-"""Rehearsal: ticks and slow steps before the first real one, on a drive that is made up.
+"""Rehearsal: ticks and slow steps on a drive that is made up.
 
-Caches, imports and memory are then ready, and the first real ticks take no longer than later ones.
+Before the first real one it makes imports and memory ready, so that the first real ticks take no
+longer than later ones. Shortly before each real one it fills the caches of the CPU.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import TickReport
-from adaptdrive.runtime.requests import Disable, Enable, SetMode
+from adaptdrive.runtime.requests import Disable, Enable, Request, SetMode
 
 _PERIODS = 4
 _READINGS_AT_MOST = 2400
+_READINGS_TO_RUN = 4
 
 
 class _Nobody:
@@ -51,34 +53,66 @@ class _Nobody:
         self.snapshots.clear()
 
 
-def warm_up(configuration: Configuration, port: Port) -> int:
-    """Run a scratch controller and a scratch fast loop through start, run and stop.
+class Rehearsal:
+    """A scratch controller and a scratch fast loop, in which everything goes well."""
 
-    Args:
-        configuration: The drive.
-        port: A port of its own, which is not open: it encodes, and nothing reaches a wire.
+    def __init__(self, configuration: Configuration, port: Port) -> None:
+        """Rehearse nothing yet.
 
-    Returns:
-        Ticks run.
-    """
-    settings, nobody = daemon_settings(configuration), _Nobody()
-    controller = Controller(controller_settings(configuration), build_load(configuration))
-    machine = Machine(settings.machine, settings.pole)
-    loop = FastLoop(port, controller, machine, settings.fast, nobody)
-    readings = min(_READINGS_AT_MOST, _PERIODS * configuration.ticks_per_period)
-    for number in range(readings):
-        nobody.time_s += configuration.ticks_per_reading * settings.fast.tick_s
-        loop.on_reading(_reading(configuration, number, nobody.time_s))
-        if number == 2:
-            machine.carry_out(SetMode(Mode.ADAPTIVE), loop.tick, _output(configuration), None)
-            machine.carry_out(Enable(), loop.tick, _output(configuration), loop.cause)
-        for snapshot in tuple(nobody.snapshots):
-            nobody.snapshots.clear()
-            loop.deliver(snapshot, controller.decide(snapshot))
-    loop.on_deadline(nobody.time_s)
-    machine.carry_out(Disable(), loop.tick, _output(configuration), None)
-    loop.send_safe()
-    return loop.counts.ticks
+        Args:
+            configuration: The drive.
+            port: A port of its own, which is not open: it encodes, and nothing reaches a wire.
+        """
+        self._configuration = configuration
+        self._settings, self._nobody = daemon_settings(configuration), _Nobody()
+        settings, load = controller_settings(configuration), build_load(configuration)
+        self._port, self._controller = port, Controller(settings, load)
+        self._machine = Machine(self._settings.machine, self._settings.pole)
+        self._loop = FastLoop(
+            port, self._controller, self._machine, self._settings.fast, self._nobody
+        )
+        self._readings = 0
+
+    def run(self) -> int:
+        """Go through start, run and stop, and leave a drive that runs.
+
+        Returns:
+            Ticks run.
+        """
+        readings = min(_READINGS_AT_MOST, _PERIODS * self._configuration.ticks_per_period)
+        self._start(readings)
+        self._loop.on_deadline(self._nobody.time_s)
+        self._machine.carry_out(Disable(), self._loop.tick, math.nan, None)
+        self._loop.send_safe()
+        self._start(_READINGS_TO_RUN)
+        return self._loop.counts.ticks
+
+    def tick(self) -> None:
+        """One tick of a drive that runs, from its frames to a command."""
+        self._port.rehearse()
+        self._read()
+        self._nobody.snapshots.clear()
+
+    def _start(self, readings: int) -> None:
+        """Start the drive, and keep it running for the rest of so many readings."""
+        for number in range(readings):
+            self._read()
+            if number == _READINGS_TO_RUN // 2:
+                self._carry_out(SetMode(Mode.ADAPTIVE))
+                self._carry_out(Enable())
+            for snapshot in tuple(self._nobody.snapshots):
+                self._nobody.snapshots.clear()
+                self._loop.deliver(snapshot, self._controller.decide(snapshot))
+
+    def _carry_out(self, request: Request) -> None:
+        loop = self._loop
+        self._machine.carry_out(request, loop.tick, _output(self._configuration), loop.cause)
+
+    def _read(self) -> None:
+        configuration, nobody = self._configuration, self._nobody
+        nobody.time_s += configuration.ticks_per_reading * self._settings.fast.tick_s
+        self._loop.on_reading(_reading(configuration, self._readings, nobody.time_s))
+        self._readings += 1
 
 
 def _output(configuration: Configuration) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from adaptdrive.config.section import (
     FilePath,
@@ -76,6 +76,12 @@ class Realtime(Section):
     cpus: list[int] = Field(
         default=[], description="CPUs that the daemon may run on; all when empty"
     )
+    cpu_latency_us: int | None = Field(
+        default=None,
+        ge=0,
+        le=10_000,
+        description="longest time that idle CPUs of the machine may take to wake up; costs power",
+    )
     lock_memory: bool = Field(default=False, description="keep the daemon's memory in RAM")
     freeze_gc: bool = Field(
         default=True, description="collect garbage in the slack after a tick, and only what is new"
@@ -84,6 +90,13 @@ class Realtime(Section):
         default=True, description="rehearse ticks and slow steps before the bus is opened"
     )
     uvloop: bool = Field(default=False, description="use uvloop where it is installed")
+    rehearse_us: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=3000.0,
+        description="rehearse a tick so long before the drive's next frame, to warm the CPU's "
+        "caches; costs as much CPU time as a tick; 0 for never",
+    )
     spin_us: float = Field(
         default=0.0,
         ge=0.0,
@@ -94,6 +107,17 @@ class Realtime(Section):
     late_us: PositiveFloat = Field(
         default=2000.0, description="lateness of a tick that is told as an event, with its cause"
     )
+
+    @field_validator("spin_us")
+    @classmethod
+    def _comes_after_the_rehearsal(cls, spin_us: float, info: ValidationInfo) -> float:
+        rehearse_us = info.data.get("rehearse_us", 0.0)
+        if spin_us >= rehearse_us > 0.0:
+            raise ValueError(
+                f"{spin_us:g} leaves no time for the rehearsal before it: rehearse_us = "
+                f"{rehearse_us:g} must be larger"
+            )
+        return spin_us
 
     @field_validator("cpus")
     @classmethod

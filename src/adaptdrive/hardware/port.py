@@ -111,6 +111,12 @@ class Port(Protocol):
     def catch_up(self) -> None:
         """Hand the listener what has arrived already and has not been looked at yet."""
 
+    def rehearse(self) -> None:
+        """Do what a reading costs, on frames that are made up, and nothing that can be noticed.
+
+        Called on ports that are never opened, so that the CPU's caches hold what a real one needs.
+        """
+
     async def reset_fault(self) -> None:
         """Have the drive leave a fault that it keeps until told; ends in bounded time.
 

@@ -28,9 +28,15 @@ _SCHEMA = (
 class Journal:
     """One SQLite file, one thread, statements in the order in which they were posted."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, start_thread: Callable[[], None] = lambda: None) -> None:
+        """Open nothing yet.
+
+        Args:
+            path: The file.
+            start_thread: What the thread does first.
+        """
         self._path = path
-        self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="journal")
+        self._executor = ThreadPoolExecutor(1, "journal", initializer=start_thread)
         self._database: sqlite3.Connection | None = None
         self._log = structlog.get_logger().bind(journal=str(path))
 

@@ -46,6 +46,7 @@ class Surroundings:
         monotonic: Clock for intervals, in seconds.
         synchronisation: Tells whether the wall clock can be trusted.
         uniform: Random number between its arguments, for the back-off.
+        start_thread: What a thread of the service does first.
     """
 
     directory: Path
@@ -53,6 +54,7 @@ class Surroundings:
     monotonic: Monotonic = time.monotonic
     synchronisation: Callable[[], Synchronisation] = kernel_synchronisation
     uniform: Callable[[float, float], float] = random.uniform
+    start_thread: Callable[[], None] = lambda: None
 
 
 class MqttService:
@@ -78,7 +80,8 @@ class MqttService:
         self._topics = Topics(drive)
         self._pace = Pace(1.0 / settings.telemetry_Hz, surroundings.monotonic)
         self._around = surroundings
-        self._journal = Journal(surroundings.directory / f"{drive}.operation.sqlite3")
+        path = surroundings.directory / f"{drive}.operation.sqlite3"
+        self._journal = Journal(path, surroundings.start_thread)
         self._memory = ReplyMemory(self._journal, surroundings.wall, surroundings.monotonic)
         self._board = StateBoard(surroundings.wall)
         self._outbox = Outbox(self._journal)

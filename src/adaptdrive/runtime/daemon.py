@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Decision, Mode, Snapshot
 from adaptdrive.hardware.port import Port, Reading
+from adaptdrive.runtime.collector import IdleCollector
 from adaptdrive.runtime.fast_loop import FastLoop, FastLoopSettings
-from adaptdrive.runtime.frame_watch import FrameWatch
+from adaptdrive.runtime.frame_watch import DressRehearsal, FrameWatch
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.latency import LatencyDetector, WatchedLoop
 from adaptdrive.runtime.machine import Machine, MachineLimits
-from adaptdrive.runtime.realtime import IdleCollector
 from adaptdrive.runtime.reports import (
     DriveReport,
     Event,
@@ -47,6 +47,7 @@ class DaemonSettings:
         report_s: Time between two drive reports.
         late_us: Lateness of a tick that is told as an event.
         spin_s: Busy wait before a frame of the drive is due, and before a deadline of the timer.
+        rehearse_s: How long before a frame of the drive is due a tick is rehearsed, 0 for never.
         collect_ticks: Ticks between two collections of garbage, 0 to leave that to Python.
     """
 
@@ -56,6 +57,7 @@ class DaemonSettings:
     report_s: float
     late_us: float = math.inf
     spin_s: float = 0.0
+    rehearse_s: float = 0.0
     collect_ticks: int = 0
 
 
@@ -72,6 +74,7 @@ class Daemon:
         hub: Hub,
         manager: ServiceManager,
         sensors: Callable[[], tuple[SensorReport, ...]] = tuple,
+        rehearse: Callable[[], None] = lambda: None,
     ) -> None:
         """Join port, controller and reports.
 
@@ -83,7 +86,9 @@ class Daemon:
             hub: Where reports go.
             manager: The service manager.
             sensors: Gives the state of the sensor buses beside the drive.
+            rehearse: Does what a tick does, and nothing that can be noticed.
         """
+        self._rehearse = rehearse
         self._sensors = sensors
         self._port = port
         self._settings = settings
@@ -94,7 +99,7 @@ class Daemon:
         self._fast = FastLoop(port, controller, self._machine, settings.fast, self)
         self._slow = SlowLoop(controller, self._fast.deliver)
         self._timer: TickTimer | None = None
-        self._frame_watch: FrameWatch | None = None
+        self._expectant: list[DressRehearsal | FrameWatch] = []
         self._collector = IdleCollector(settings.collect_ticks)
         self._detector: LatencyDetector | None = None
         self._timer_failure: asyncio.Future[None] | None = None
@@ -115,11 +120,7 @@ class Daemon:
         self._timer_failure = loop.create_future()
         self._timer = TickTimer(loop, self._on_deadline, self._settings.spin_s)
         self._detector = self._watch_latency(loop)
-        if self._settings.spin_s > 0.0 and self._settings.fast.ticks_per_reading == 1:
-            # the replies of a drive that is polled come through the loop, which must not be kept
-            self._frame_watch = FrameWatch(
-                loop, self._port.catch_up, self._settings.spin_s, self._clock
-            )
+        self._expectant = list(self._get_ready(loop))
         self._hub.publish(self._told)
         try:
             async with asyncio.TaskGroup() as tasks:
@@ -131,10 +132,25 @@ class Daemon:
                 serving.cancel()
         finally:
             self._timer.close()
-            if self._frame_watch is not None:
-                self._frame_watch.close()
+            for one in self._expectant:
+                one.close()
             self._detector.close()
             self._manager.close()
+
+    def _get_ready(self, loop: asyncio.AbstractEventLoop) -> Iterator[DressRehearsal | FrameWatch]:
+        """What is done before each frame; a drive that is polled sends none of its own accord."""
+        settings = self._settings
+        if settings.fast.ticks_per_reading > 1:
+            return
+        if settings.rehearse_s > 0.0:
+            yield DressRehearsal(loop, self._rehearse_tick, settings.rehearse_s)
+        if settings.spin_s > 0.0:
+            yield FrameWatch(loop, self._port.catch_up, settings.spin_s, self._clock)
+
+    def _rehearse_tick(self) -> None:
+        """A tick of a drive that is made up, and a look at the bus, where nothing waits yet."""
+        self._rehearse()
+        self._port.catch_up()
 
     def _watch_latency(self, loop: asyncio.AbstractEventLoop) -> LatencyDetector:
         detector = LatencyDetector(
@@ -198,8 +214,8 @@ class Daemon:
     def on_reading(self, reading: Reading) -> None:
         """A reading came in from the port."""
         self._fast.on_reading(reading)
-        if self._frame_watch is not None:
-            self._frame_watch.expect(reading.arrival_s + self._fast.reading_period_s)
+        for one in self._expectant:
+            one.expect(reading.arrival_s + self._fast.reading_period_s)
 
     def on_bus(self, up: bool, detail: str) -> None:
         """The bus was lost or came back."""

@@ -11,13 +11,16 @@ import errno
 import gc
 import os
 import resource
+import struct
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _CAP_IPC_LOCK = 14
+_CPU_LATENCY = Path("/dev/cpu_dma_latency")
 _PYTHONS_SWITCH_S = 5e-3
 _SWITCH_S = 2e-4  # another thread of the process keeps a tick waiting no longer than this
 
@@ -31,12 +34,15 @@ class RealtimeSettings:
         cpus: CPUs to run on, all when empty.
         lock_memory: Whether to keep the process in RAM.
         freeze_gc: Whether to take garbage collection out of the ticks.
+        cpu_latency_us: Longest time that an idle CPU may take to wake up, None for the kernel's
+            own choice.
     """
 
     priority: int | None = None
     cpus: tuple[int, ...] = ()
     lock_memory: bool = False
     freeze_gc: bool = False
+    cpu_latency_us: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,16 +60,41 @@ class Grant:
     meaning: str
 
 
-def set_up(settings: RealtimeSettings) -> list[Grant]:
+@contextmanager
+def real_time(settings: RealtimeSettings) -> Iterator[list[Grant]]:
     """Ask for everything that is wanted; a refusal is an answer and no error.
 
-    Call it in the thread that runs the event loop, when everything is loaded and warmed up.
+    Enter it in the thread that runs the event loop, when everything is loaded and warmed up. At its
+    end threads, garbage and idle CPUs are Python's and the kernel's again; the priority stays.
     """
-    sys.setswitchinterval(_SWITCH_S)
-    return list(_asked(settings))
+    with ExitStack() as held:
+        held.callback(_thaw)
+        sys.setswitchinterval(_SWITCH_S)
+        yield list(_asked(settings, held))
 
 
-def _asked(settings: RealtimeSettings) -> Iterator[Grant]:
+def helper_thread(priority: int | None) -> Callable[[], None]:
+    """What a helper thread of the process has to do first.
+
+    Python runs one thread at a time. An ordinary thread that has Python's lock may be kept from
+    running by any busy process, and with it the ticks, which wait for the lock. Helpers therefore
+    run right below the ticks.
+
+    Args:
+        priority: That of the ticks, None for ordinary scheduling.
+    """
+
+    def start() -> None:
+        if priority is not None:
+            with suppress(PermissionError):  # what it means has been told for the ticks
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(max(1, priority - 1)))
+
+    return start
+
+
+def _asked(settings: RealtimeSettings, held: ExitStack) -> Iterator[Grant]:
+    if settings.cpu_latency_us is not None:
+        yield _keep_awake(settings.cpu_latency_us, held)
     if settings.cpus:
         yield _pin(settings.cpus)
     if settings.lock_memory:
@@ -84,7 +115,7 @@ def _attempt(asked: str, do: Callable[[], None], granted: str, refused: str) -> 
 
 
 def _schedule(priority: int) -> Grant:
-    """Real-time scheduling of this thread; threads and processes it starts stay ordinary."""
+    """Real-time scheduling of this thread; what it starts is ordinary until it asks itself."""
     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
 
     def do() -> None:
@@ -104,6 +135,21 @@ def _pin(cpus: tuple[int, ...]) -> Grant:
         lambda: os.sched_setaffinity(0, cpus),
         "the daemon and its recorder stay on these CPUs",
         f"no such CPUs; the daemon runs on {sorted(os.sched_getaffinity(0))}",
+    )
+
+
+def _keep_awake(latency_us: int, held: ExitStack) -> Grant:
+    """The kernel's quality of service for idle CPUs: it lasts as long as its file stays open."""
+
+    def do() -> None:
+        request = held.enter_context(_CPU_LATENCY.open("wb", buffering=0))
+        request.write(struct.pack("i", latency_us))
+
+    return _attempt(
+        f"cpu_latency_us = {latency_us}",
+        do,
+        "all CPUs of this machine sleep less deeply, and draw more power",
+        f"an idle CPU takes its time to wake up; grant writing to {_CPU_LATENCY}",
     )
 
 
@@ -150,57 +196,7 @@ def _freeze() -> Grant:
     return Grant("freeze_gc = true", granted=True, meaning=meaning)
 
 
-_MIDDLE_EVERY = 10
-_FULL_EVERY = 6000
-
-
-class IdleCollector:
-    """Collects garbage in the slack after a tick, in place of Python's own bad moments.
-
-    While a drive runs, only young objects are looked at: a full collection takes as long as
-    everything that lives is large, ten milliseconds and more with many commands remembered. It
-    waits until the drive is off.
-    """
-
-    def __init__(self, every_ticks: int) -> None:
-        """Collect nothing yet.
-
-        Args:
-            every_ticks: Ticks from one collection to the next; 0 for never.
-        """
-        self._every = every_ticks
-        self._waited = 0
-        self._collections = 0
-        self._since_full = 0
-
-    def is_due(self) -> bool:
-        """Count a tick; whether a collection is due after it."""
-        self._waited += 1
-        if not self._every or self._waited < self._every:
-            return False
-        self._waited = 0
-        return True
-
-    def collect(self, *, idle: bool) -> int:
-        """Collect what became garbage since the freeze.
-
-        Args:
-            idle: Whether the drive is off, so that a late tick does no harm.
-
-        Returns:
-            The generation that was collected.
-        """
-        self._collections += 1
-        self._since_full += 1
-        generation = 0 if self._collections % _MIDDLE_EVERY else 1
-        if idle and self._since_full >= _FULL_EVERY:
-            self._since_full, generation = 0, 2
-        gc.collect(generation)
-        return generation
-
-
-def thaw() -> None:
-    """Give threads and garbage back to Python, for what goes on after a daemon."""
+def _thaw() -> None:
     gc.enable()
     gc.unfreeze()
     sys.setswitchinterval(_PYTHONS_SWITCH_S)

@@ -94,6 +94,10 @@ class SensoredPort:
         """Have the drive's port hand over what has arrived; sensors are never caught up with."""
         self._drive.catch_up()
 
+    def rehearse(self) -> None:
+        """Do what a reading of the drive costs."""
+        self._drive.rehearse()
+
     async def reset_fault(self) -> None:
         """Have the drive leave a fault that it keeps until told."""
         await self._drive.reset_fault()

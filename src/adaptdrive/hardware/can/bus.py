@@ -11,14 +11,15 @@ import fcntl
 import ipaddress
 import socket
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import can
+from can.interfaces.udp_multicast.utils import pack_message
 
 from adaptdrive.config.bus import CanBus, CanLink
 from adaptdrive.errors import BusError, Flaw
-from adaptdrive.hardware.can.multicast import LoopbackMulticast
+from adaptdrive.hardware.can.multicast import LoopbackMulticast, parse
 
 _SIOCGIFFLAGS = 0x8913
 _IFF_UP = 0x1
@@ -66,6 +67,19 @@ def open_bus(config: CanLink, listen: Iterable[int] = ()) -> can.BusABC:
         )
     except (can.CanError, OSError, ValueError) as problem:
         raise BusError(describe_bus(config), str(problem)) from problem
+
+
+def as_received(config: CanLink, frame: can.Message) -> Callable[[], can.Message]:
+    """Gives a frame again and again at the cost of receiving it, without a bus.
+
+    Args:
+        config: Which kind of bus.
+        frame: The frame.
+    """
+    if config.interface != "udp_multicast":
+        return lambda: frame
+    datagram = pack_message(frame)
+    return lambda: parse(datagram, 0.0)
 
 
 def frame_key(frame_id: int, *, extended: bool) -> int:

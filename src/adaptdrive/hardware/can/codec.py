@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
-from cantools.database import DecodeError
+from cantools.database import DecodeError, EncodeError
 from cantools.database.can.message import Message
 
 from adaptdrive.config.bus import FrameIntegrity
@@ -124,6 +124,13 @@ class MessageCodec:
         data = self._with_checksum(self._pack(raw), counter)
         self._next = (counter + 1) % self._modulus
         return data
+
+    def example(self) -> bytes | None:
+        """A frame with every signal at its initial value, None where pages make that impossible."""
+        try:
+            return self.encode({})
+        except EncodeError:
+            return None
 
     def decode(self, data: bytes) -> Decoded:
         """Check a frame: length, checksum, alive counter and ranges, in this order.

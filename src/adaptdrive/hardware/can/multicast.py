@@ -63,11 +63,7 @@ class LoopbackMulticast(UdpMulticastBus):
         except BlockingIOError:
             return None
         seconds, nanoseconds = _TIMESPEC.unpack(received[1][0][2])
-        stamp = {"timestamp": seconds + nanoseconds * 1e-9}
-        try:
-            return unpack_message(received[0], stamp, check=True)
-        except Exception as problem:
-            raise can.CanOperationError("not a frame") from problem
+        return parse(received[0], seconds + nanoseconds * 1e-9)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 - as in the base class
         """Send a frame at once.
@@ -84,6 +80,18 @@ class LoopbackMulticast(UdpMulticastBus):
         """Leave the group."""
         self._socket.close()
         super().shutdown()
+
+
+def parse(datagram: bytes, timestamp_s: float) -> can.Message:
+    """The frame in a datagram.
+
+    Raises:
+        CanOperationError: There is none in it; what is wrong is the error's cause.
+    """
+    try:
+        return unpack_message(datagram, {"timestamp": timestamp_s}, check=True)
+    except Exception as problem:
+        raise can.CanOperationError("not a frame") from problem
 
 
 def confine_to_loopback(sock: socket.socket, group: str) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import can
@@ -20,7 +20,7 @@ import can
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.control.signals import Command
 from adaptdrive.hardware.can.arrival import OLDEST_S, PROMPT_S, waiting_time_s
-from adaptdrive.hardware.can.bus import describe_bus, frame_key, open_bus
+from adaptdrive.hardware.can.bus import as_received, describe_bus, frame_key, open_bus
 from adaptdrive.hardware.can.codec import MessageCodec
 from adaptdrive.hardware.can.integrity import Verdict
 from adaptdrive.hardware.can.mapping import OTHER, DriveMapping, Status, Timing, map_drive
@@ -89,6 +89,7 @@ class CanPort:
         self._reader: FrameReader | None = None
         self._newest: Reading | None = None
         self._listener: Listener | None = None
+        self._made_up = list(_made_up(config, mapping))
 
     @property
     def description(self) -> str:
@@ -150,6 +151,13 @@ class CanPort:
         """Hand out what has arrived and has not been looked at yet."""
         if self._reader is not None:
             self._reader.drain()
+
+    def rehearse(self) -> None:
+        """Take frames that are made up; nobody is told what they say."""
+        for status in self._mapping.statuses:
+            status.codec.reset()
+        for received in self._made_up:
+            self.take(received())
 
     async def reset_fault(self) -> None:
         """A DBC knows no way to reset a fault: the drive clears its fault word by itself."""
@@ -283,6 +291,22 @@ class CanPort:
             status.codec.reset()
         for source in self._sources:
             self._dues[source.quantity] = -math.inf, 0.0
+
+
+def _made_up(config: CanBus, mapping: DriveMapping) -> Iterator[Callable[[], can.Message]]:
+    """Frames as the drive might send them, each from a function that gives it again and again."""
+    for codec in (status.codec for status in mapping.statuses):
+        data = codec.example()
+        if data is not None:
+            yield as_received(
+                config,
+                can.Message(
+                    arbitration_id=codec.frame_id,
+                    is_extended_id=codec.is_extended,
+                    is_fd=codec.is_fd,
+                    data=data,
+                ),
+            )
 
 
 def _key(codec: MessageCodec) -> int:

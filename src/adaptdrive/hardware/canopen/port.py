@@ -181,6 +181,9 @@ class CanOpenPort:
         if self._reader is not None:
             self._reader.drain()
 
+    def rehearse(self) -> None:
+        """Not worth it: what a PDO costs is little beside what a tick does."""
+
     async def reset_fault(self) -> None:
         """Have the drive leave its fault by an edge of the reset bit; ends in a second at most.
 

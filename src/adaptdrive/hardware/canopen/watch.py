@@ -102,6 +102,9 @@ class CanOpenWatch:
     def catch_up(self) -> None:
         """Nothing waits: each answer is taken by who asked."""
 
+    def rehearse(self) -> None:
+        """Who only looks has time."""
+
     async def reset_fault(self) -> None:
         """Leave the drive as it is."""
 

@@ -74,6 +74,9 @@ class LoopbackPort:
     def catch_up(self) -> None:
         """What is delivered is handed over at once."""
 
+    def rehearse(self) -> None:
+        """What is delivered has no cost."""
+
     async def reset_fault(self) -> None:
         """Who delivers the readings decides what becomes of a fault."""
 

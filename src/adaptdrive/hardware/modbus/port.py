@@ -154,6 +154,9 @@ class ModbusPort:
     def catch_up(self) -> None:
         """A reply is handed over by the task that polls, and only one is ever awaited."""
 
+    def rehearse(self) -> None:
+        """A drive that is polled has time."""
+
     async def reset_fault(self) -> None:
         """A register map knows no way to reset a fault: the drive clears its word by itself."""
 
