@@ -29,7 +29,7 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="seconds instead of minutes")
     parser.add_argument("--only", choices=PARTS, action="append", help="a part; may be repeated")
     parser.add_argument(
-        "--minutes", type=float, default=1.0, help="of ticks on the timer, for their lateness"
+        "--minutes", type=float, default=1.0, help="of ticks on the timer, for rare late ones"
     )
     parser.add_argument("--output", type=Path, default=RESULT)
     options = parser.parse_args()

@@ -15,7 +15,7 @@ class Extent:
 
     Attributes:
         quick: Seconds instead of minutes, for a first look.
-        minutes: Of ticks on the timer, for their lateness.
+        minutes: Of ticks on the timer, for rare late ones.
     """
 
     quick: bool

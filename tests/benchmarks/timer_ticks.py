@@ -1,7 +1,7 @@
-"""Ticks of the timer, in a process of its own: `timer_ticks.py SECONDS PRIORITY SPIN_US`.
+"""Ticks of the timer, in a process of its own: `timer_ticks.py SECONDS PRIORITY SPIN_US AWAKE`.
 
-The fast loop without a drive, on the kernel's timer, set up as the daemon sets itself up. Prints
-the lateness of every tick, in microseconds.
+The fast loop without a drive, on the kernel's timer, set up as the daemon sets itself up; AWAKE
+is 1 to keep idle CPUs from sleeping. Prints the lateness of every tick, in microseconds.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from adaptdrive.hardware.loopback.port import LoopbackPort
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.latency import WatchedLoop
 from adaptdrive.runtime.machine import Machine
-from adaptdrive.runtime.realtime import RealtimeSettings, set_up
+from adaptdrive.runtime.realtime import RealtimeSettings, real_time
 from adaptdrive.runtime.tick_timer import TickTimer
 from tests.benchmarks.compute import Quiet
 from tests.hardware.bench import MOTOR
@@ -38,7 +38,7 @@ class Timed(Quiet):
             self.timer.arm(deadline_s)
 
 
-async def main(duration_s: float, priority: int, spin_us: float) -> list[float]:
+async def main(duration_s: float, priority: int, spin_us: float, *, awake: bool) -> list[float]:
     """Run ticks for so long."""
     around, settings = Timed(), daemon_settings(MOTOR)
     machine = Machine(settings.machine, settings.pole)
@@ -52,15 +52,21 @@ async def main(duration_s: float, priority: int, spin_us: float) -> list[float]:
         loop.on_deadline(deadline_s)
 
     around.timer = TickTimer(asyncio.get_running_loop(), on_deadline, spin_us * 1e-6)
-    wanted = RealtimeSettings(priority=priority or None, lock_memory=bool(priority), freeze_gc=True)
-    set_up(wanted)
-    loop.begin()
-    await asyncio.sleep(duration_s)
-    around.timer.close()
+    wanted = RealtimeSettings(
+        priority=priority or None,
+        lock_memory=bool(priority),
+        freeze_gc=True,
+        cpu_latency_us=0 if awake else None,
+    )
+    with real_time(wanted):
+        loop.begin()
+        await asyncio.sleep(duration_s)
+        around.timer.close()
     return times[10:]
 
 
 if __name__ == "__main__":
     with asyncio.Runner(loop_factory=WatchedLoop) as runner:
-        found = runner.run(main(float(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])))
+        duration_s, priority, spin_us, awake = map(float, sys.argv[1:])
+        found = runner.run(main(duration_s, int(priority), spin_us, awake=bool(awake)))
     sys.stdout.write(json.dumps({"lateness_us": found}))
