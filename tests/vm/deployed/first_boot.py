@@ -27,6 +27,7 @@ from tests.vm.deployed.site import (
 
 STATE = Path("/var/lib/adaptdrive/motor")
 CONFIG = Path("/etc/adaptdrive/motor.toml")
+DROP_INS = Path("/etc/systemd/system", f"{UNIT}.d")
 # A machine that is emulated is late where a real one is not.
 SLOW_SETTINGS = {
     "stale_s = 0.05 ": "stale_s = 2.0 ",
@@ -88,11 +89,19 @@ def test_step(step: Step, shell: Shell, bus: Bus) -> None:
     if step.number == 2:
         bus.listen()
     elif step.number == 6:
+        _keep_processors_awake()
         _allow_for_a_slow_machine()
         bus.start_drive(CONFIG)
         until(lambda: "simulated drive" in bus.device.read_text(), "the simulated drive")
     elif step.number == 8:
         assert unit_says("ActiveState") == "active", said
+
+
+def _keep_processors_awake() -> None:
+    with CONFIG.open("a", encoding="utf-8") as config:
+        config.write("\n[realtime]\ncpu_latency_us = 0\n")
+    DROP_INS.mkdir()
+    shutil.copy("/usr/share/adaptdrive/drop-ins/latency.conf", DROP_INS)
 
 
 def _allow_for_a_slow_machine() -> None:
@@ -101,9 +110,7 @@ def _allow_for_a_slow_machine() -> None:
         assert old in text
         text = text.replace(old, new)
     CONFIG.write_text(text, encoding="utf-8")
-    folder = Path("/etc/systemd/system", f"{UNIT}.d")
-    folder.mkdir()
-    (folder / "slow.conf").write_text(SLOW_UNIT, encoding="utf-8")
+    (DROP_INS / "slow.conf").write_text(SLOW_UNIT, encoding="utf-8")
     call("systemctl", "daemon-reload")
 
 
@@ -111,6 +118,13 @@ def test_it_runs_and_is_operated(running: None, operator: Operator) -> None:
     assert operator.ask("setpoint", 3.0)["accepted"]
     assert operator.ask("mode", "adaptive")["accepted"]
     operator.await_state(state="running", mode="adaptive", setpoint=3.0)
+
+
+def test_it_keeps_idle_processors_awake(running: None) -> None:
+    said = call("journalctl", "--unit", UNIT, "--output=cat", "--grep=cpu_latency_us")
+    assert "cpu_latency_us = 0 granted" in said
+    opened = Path("/proc", unit_says("MainPID"), "fd").iterdir()
+    assert Path("/dev/cpu_dma_latency") in {one.resolve() for one in opened}
 
 
 def test_killed_it_comes_back_in_standby(running: None, bus: Bus, operator: Operator) -> None:
