@@ -89,6 +89,8 @@ class Rehearsal:
 
     def tick(self) -> None:
         """One tick of a drive that runs, from its frames to a command."""
+        if not self._readings:
+            self._start(_READINGS_TO_RUN)
         self._port.rehearse()
         self._read()
         self._nobody.snapshots.clear()
