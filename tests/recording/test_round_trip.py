@@ -1,6 +1,8 @@
 import io
+import math
 import struct
 import tempfile
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -110,6 +112,8 @@ def test_ticks_come_back_to_the_last_bit(ticks: list[TickReport], split: int) ->
     assert bits(lateness) == bits([tick.lateness_us for tick in ticks])
     turnaround = session.ticks["turnaround_us"].to_pylist()
     assert bits(turnaround) == bits([tick.turnaround_us for tick in ticks])
+    counted = session.info.histograms["turnaround_us"]
+    assert sum(counted) == sum(not math.isnan(time_us) for time_us in turnaround)
 
 
 @settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
@@ -141,6 +145,13 @@ def test_whole_numbers_where_floats_belong_are_recorded_as_floats(tmp_path: Path
     tick = TickReport(0, Measurement(0, 1, 2, 3, 4, 5), order, -1, Command(0, 0, False), 0, 0)
     record_messages(tmp_path, Header(INFO, ""), make_batch([tick]))
     assert read_session(tmp_path).ticks["reference"].to_pylist() == [3.0]
+
+
+def test_a_session_tells_how_its_ticks_kept_their_time(tmp_path: Path) -> None:
+    late = [replace(make_tick(number), lateness_us=1500.0 * number) for number in range(3)]
+    record_messages(tmp_path, Header(INFO, ""), make_batch(late[:1]), make_batch(late[1:]))
+    counted = read_session(tmp_path).info.histograms["lateness_us"]
+    assert {power: count for power, count in enumerate(counted) if count} == {0: 1, 11: 1, 12: 1}
 
 
 def test_events_configuration_and_losses_come_back(tmp_path: Path) -> None:

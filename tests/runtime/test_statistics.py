@@ -1,15 +1,16 @@
-"""Quantiles of what came in since the last look."""
+"""Quantiles of what came in since the last look, and counts of all that ever came in."""
 
 from __future__ import annotations
 
 import math
 import statistics
 
+import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.runtime.reports import Quantiles
-from adaptdrive.runtime.statistics import TimeWindow
+from adaptdrive.runtime.statistics import BINS, TimeWindow
 
 TIMES = st.lists(st.floats(0.0, 1e6), min_size=1, max_size=400)
 
@@ -47,3 +48,23 @@ def test_each_time_is_counted_once() -> None:
 def test_a_window_that_nobody_empties_keeps_the_latest() -> None:
     found = quantiles([1e6] + [1.0] * 10_000)
     assert found.max == 1.0
+
+
+@given(times_us=TIMES, looks=st.integers(0, 3))
+def test_the_histogram_counts_by_powers_of_two_whoever_looks_at_the_quantiles(
+    times_us: list[float], looks: int
+) -> None:
+    window = TimeWindow()
+    for time_us in times_us:
+        window.add(time_us)
+    for _ in range(looks):
+        window.take()
+    edges = [0.0, *(2.0**power for power in range(BINS - 1)), np.inf]
+    assert window.histogram == tuple(np.histogram(times_us, edges)[0])
+
+
+def test_times_that_are_no_times_never_stop_a_tick() -> None:
+    window = TimeWindow()
+    for time_us in (-3.0, math.nan, math.inf, -math.inf):
+        window.add(time_us)
+    assert (window.histogram[0], window.histogram[-1], sum(window.histogram)) == (3, 1, 4)

@@ -106,6 +106,7 @@ def test_state_and_telemetry_have_the_keys_of_the_contract(site: Site) -> None:
     assert load.content["estimates"]
     assert all(set(one) == {"value", "std"} for one in load.content["estimates"].values())
     assert drive.content["lateness_us"].keys() == {"p50", "p99", "max"}
+    assert sum(drive.content["histograms"]["tick_us"]) == drive.content["ticks"]
     assert drive.content["command"]["bridge"] is True
     assert 195.0 < drive.content["boost_voltage_V"] < 405.0
     apart = utc(load.content["time"]) - utc(drive.content["time"])

@@ -6,6 +6,7 @@ the encoder writes both as null.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import datetime
 
 import msgspec
@@ -91,6 +92,7 @@ class DriveMessage(msgspec.Struct, frozen=True):
     lateness_us: Quantiles
     turnaround_us: Quantiles
     tick_us: Quantiles
+    histograms: Mapping[str, tuple[int, ...]]
     bus: dict[str, int]
     sensors: dict[str, SensorMessage]
 
@@ -196,6 +198,7 @@ def drive_message(report: DriveReport, time: datetime) -> DriveMessage:
         lateness_us=report.lateness_us,
         turnaround_us=report.turnaround_us,
         tick_us=report.tick_us,
+        histograms=report.histograms,
         bus=report.bus,
         sensors={sensor.name: sensor_message(sensor) for sensor in report.sensors},
     )

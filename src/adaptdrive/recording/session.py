@@ -63,6 +63,7 @@ class SessionInfo(msgspec.Struct, frozen=True):
         ended: How it ended.
         dropped: What is missing from it.
         prior: Estimates of an earlier run that its controller started from.
+        histograms: Counts of the times of its ticks by bin, once it has ended.
         format: Version of the layout of the files.
     """
 
@@ -75,6 +76,7 @@ class SessionInfo(msgspec.Struct, frozen=True):
     ended: Ending = Ending.OPEN
     dropped: Dropped = Dropped()
     prior: tuple[float, ...] | None = None
+    histograms: dict[str, tuple[int, ...]] = {}
     format: int = FORMAT
 
 

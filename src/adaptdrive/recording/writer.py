@@ -6,6 +6,7 @@ started by the recorder service as `python -m adaptdrive.recording.writer DIRECT
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import sqlite3
@@ -30,7 +31,9 @@ from adaptdrive.recording.session import (
 )
 from adaptdrive.recording.streams import StreamWriter, convert
 from adaptdrive.recording.tables import SLOW_SCHEMA, TICKS_SCHEMA, slow_batch, ticks_batch
+from adaptdrive.runtime.statistics import BINS, bin_of
 
+_TIMES = ("lateness_us", "turnaround_us", "tick_us")
 _SCHEMAS = {TICKS: TICKS_SCHEMA, SLOW: SLOW_SCHEMA}
 
 
@@ -46,6 +49,7 @@ class SessionWriter:
             for name, schema in _SCHEMAS.items()
         }
         self._events = EventLog(directory / EVENTS_FILE)
+        self._histograms = {name: [0] * BINS for name in _TIMES}
         # Last, so that a directory with this file holds all the others.
         write_info(directory, header.info)
 
@@ -54,7 +58,9 @@ class SessionWriter:
         if batch.events:
             self._events.append(batch.events)
         if batch.tick_rows:
-            self._streams[TICKS].write(ticks_batch(batch.ticks, batch.tick_rows))
+            ticks = ticks_batch(batch.ticks, batch.tick_rows)
+            self._streams[TICKS].write(ticks)
+            self._count(ticks)
         if batch.slow:
             self._streams[SLOW].write(slow_batch(batch.slow))
 
@@ -63,11 +69,21 @@ class SessionWriter:
         for stream in self._streams.values():
             stream.close()
         self._events.close()
-        info = msgspec.structs.replace(self._info, ended=ending, dropped=dropped)
+        histograms = {name: tuple(counts) for name, counts in self._histograms.items()}
+        info = msgspec.structs.replace(
+            self._info, ended=ending, dropped=dropped, histograms=histograms
+        )
         write_info(self._directory, info)
         for name, schema in _SCHEMAS.items():
             stream_path = self._directory / f"{name}.arrows"
             convert(stream_path, self._directory / f"{name}.parquet", schema)
+
+    def _count(self, ticks: pa.RecordBatch) -> None:
+        """Count times of ticks; a stand-in tick has no turn-around."""
+        for name, counts in self._histograms.items():
+            for time_us in ticks.column(name).to_pylist():
+                if not math.isnan(time_us):
+                    counts[bin_of(time_us)] += 1
 
 
 def record(directory: Path, source: BinaryIO) -> None:

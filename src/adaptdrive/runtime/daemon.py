@@ -358,4 +358,9 @@ class Daemon:
             bus=asdict(self._port.statistics),
             tick_us=fast.tick_time.take(),
             sensors=self._sensors(),
+            histograms={
+                "lateness_us": fast.lateness.histogram,
+                "turnaround_us": fast.turnaround.histogram,
+                "tick_us": fast.tick_time.histogram,
+            },
         )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Snapshot
@@ -111,6 +112,7 @@ class DriveReport:
         bus: Frame counts of the port, by name.
         tick_us: Duration of the ticks themselves, since the last report.
         sensors: Sensor buses beside the drive.
+        histograms: Counts of all lateness, turn-around and tick times since the start, by bin.
     """
 
     measurement: Measurement | None
@@ -124,6 +126,7 @@ class DriveReport:
     bus: dict[str, int]
     tick_us: Quantiles = NO_TIMES
     sensors: tuple[SensorReport, ...] = ()
+    histograms: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,9 @@
-"""Times since the last report, as quantiles."""
+"""Times of ticks: quantiles since the last report, and a histogram since the start.
+
+The bins of a histogram are powers of two: times below 1 us, below 2 us, below 4 us and so on, and
+in the last bin those of 32,768 us or more. One late tick in a night is seen in it when every report
+of that minute has long been overwritten.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +12,36 @@ from collections import deque
 
 from adaptdrive.runtime.reports import Quantiles
 
+BINS = 17
 _LONGEST = 4096
+_LARGEST_US = 1e9
+
+
+def bin_of(time_us: float) -> int:
+    """The bin of a histogram that a time belongs to; anything below 1 us is in the first.
+
+    Args:
+        time_us: The time in microseconds.
+    """
+    return min(int(min(max(0.0, time_us), _LARGEST_US)).bit_length(), BINS - 1)
 
 
 class TimeWindow:
-    """Collects times and gives their quantiles once."""
+    """Collects times: gives their quantiles once, and counts them for ever."""
 
     def __init__(self) -> None:
         self._times_us: deque[float] = deque(maxlen=_LONGEST)
+        self._counts = [0] * BINS
+
+    @property
+    def histogram(self) -> tuple[int, ...]:
+        """Counts of all times so far, by bin."""
+        return tuple(self._counts)
 
     def add(self, time_us: float) -> None:
         """Take in one time in microseconds."""
         self._times_us.append(time_us)
+        self._counts[bin_of(time_us)] += 1
 
     def take(self) -> Quantiles:
         """Quantiles of the times since the last call; NaN when there were none."""
