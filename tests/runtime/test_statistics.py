@@ -45,9 +45,13 @@ def test_each_time_is_counted_once() -> None:
     assert all(map(math.isnan, (nothing.p50, nothing.p99, nothing.max)))
 
 
-def test_a_window_that_nobody_empties_keeps_the_latest() -> None:
-    found = quantiles([1e6] + [1.0] * 10_000)
-    assert found.max == 1.0
+def test_a_window_that_nobody_empties_keeps_the_latest_and_counts_all() -> None:
+    window = TimeWindow()
+    for time_us in [1e6] + [1.0] * 10_000:
+        window.add(time_us)
+    assert window.histogram[-1] == 1
+    assert window.take().max == 1.0
+    assert sum(window.histogram) == 10_001
 
 
 @given(times_us=TIMES, looks=st.integers(0, 3))

