@@ -142,7 +142,8 @@ def test_every_thread_that_could_keep_a_tick_from_running_has_real_time_priority
     pid = site.daemon.pid
     if not real_time_priority(pid, pid):
         pytest.skip("real-time priority was refused")
-    priorities = {name: real_time_priority(pid, thread) for thread, name in threads(pid).items()}
+    threads = [int(task.name) for task in Path(f"/proc/{pid}/task").iterdir()]
+    priorities = {thread: real_time_priority(pid, thread) for thread in threads}
     assert len(priorities) >= 2
     assert min(priorities.values()) > 0, priorities
 
@@ -162,15 +163,6 @@ def later_report(site: Site, ticks: int) -> dict[str, Any] | None:
 def children(pid: int) -> list[int]:
     text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8")
     return [int(word) for word in text.split()]
-
-
-def threads(pid: int) -> dict[int, str]:
-    """Threads of a process, and their names with their numbers."""
-    tasks = Path(f"/proc/{pid}/task").iterdir()
-    return {
-        int(one.name): (one / "comm").read_text(encoding="utf-8").strip() + f" {one.name}"
-        for one in tasks
-    }
 
 
 def real_time_priority(pid: int, thread: int) -> int:

@@ -74,7 +74,7 @@ class Rehearsal:
         self._readings = 0
 
     def run(self) -> int:
-        """Go through start, run and stop, and leave a drive that runs.
+        """Go through start, run and stop.
 
         Returns:
             Ticks run.
@@ -84,12 +84,11 @@ class Rehearsal:
         self._loop.on_deadline(self._nobody.time_s)
         self._machine.carry_out(Disable(), self._loop.tick, math.nan, None)
         self._loop.send_safe()
-        self._start(_READINGS_TO_RUN)
         return self._loop.counts.ticks
 
     def tick(self) -> None:
-        """One tick of a drive that runs, from its frames to a command."""
-        if not self._readings:
+        """One tick of a drive that runs, from its frames to a command; the first one starts it."""
+        if not self._machine.energised:
             self._start(_READINGS_TO_RUN)
         self._port.rehearse()
         self._read()

@@ -138,9 +138,10 @@ class Daemon:
             self._manager.close()
 
     def _get_ready(self, loop: asyncio.AbstractEventLoop) -> Iterator[DressRehearsal | FrameWatch]:
-        """What is done before each frame; a drive that is polled sends none of its own accord."""
+        """What is done before each frame of a drive that sends them of its own accord."""
         settings = self._settings
         if settings.fast.ticks_per_reading > 1:
+            # the replies of a drive that is polled come through the loop, which must not be kept
             return
         if settings.rehearse_s > 0.0:
             yield DressRehearsal(loop, self._rehearse_tick, settings.rehearse_s)
