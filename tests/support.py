@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import socket
 import subprocess
@@ -9,7 +10,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 Process = subprocess.Popen[bytes]
 
@@ -64,6 +65,18 @@ def stop_process(process: Process) -> None:
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
+
+
+def complete_lines(log: Path) -> list[str]:
+    """The lines of a file that another process writes, without one that is half written."""
+    whole, _, _ = log.read_text(encoding="utf-8").rpartition("\n")
+    return whole.splitlines()
+
+
+def logged_events(log: Path, name: str) -> list[dict[str, Any]]:
+    """The events of a name that a simulated drive wrote into its log."""
+    entries = [json.loads(line) for line in complete_lines(log) if line.startswith("{")]
+    return [entry for entry in entries if entry["event"] == name]
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.support import Process, start_process, stop_process
+from tests.support import Process, complete_lines, start_process, stop_process
 
 SHIPPED = Path(__file__).parents[2] / "deploy" / "mosquitto"
 PEOPLE = ("operator", "viewer")
@@ -157,4 +157,4 @@ class Ear:
             self._broker.publish("operator", topic)
 
     def _lines(self) -> list[str]:
-        return self._log.read_text(encoding="utf-8").splitlines()
+        return complete_lines(self._log)

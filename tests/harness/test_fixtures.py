@@ -8,7 +8,14 @@ from pathlib import Path
 
 import aiomqtt
 
-from tests.support import Broker, MosquittoLauncher, Spawn, stop_process
+from tests.support import (
+    Broker,
+    MosquittoLauncher,
+    Spawn,
+    complete_lines,
+    logged_events,
+    stop_process,
+)
 
 
 def test_free_ports_can_be_bound(free_udp_port: int, free_tcp_port: int) -> None:
@@ -26,6 +33,14 @@ def test_a_spawned_process_writes_its_own_log(spawn: Spawn, tmp_path: Path) -> N
     assert (first.wait(), second.wait()) == (0, 0)
     assert (tmp_path / "process-0.log").read_text() == "one\n"
     assert (tmp_path / "process-1.log").read_text() == "two\n"
+
+
+def test_a_line_that_is_half_written_is_not_read_yet(tmp_path: Path) -> None:
+    log = tmp_path / "drive.log"
+    log.write_text('simulated drive\n{"event": "safe", "t": 1}\n{"event": "sa')
+    assert logged_events(log, "safe") == [{"event": "safe", "t": 1}]
+    log.write_text("a line without an end")
+    assert complete_lines(log) == []
 
 
 async def test_the_broker_carries_messages(mosquitto: Broker) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -17,7 +16,7 @@ from canopen.sdo.exceptions import SdoAbortedError
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.hardware.can.bus import open_bus
 from tests.hardware.canopen.documents import EDS, EXAMPLE, bus_of, parse
-from tests.support import Process, Spawn
+from tests.support import Process, Spawn, logged_events
 
 pytestmark = pytest.mark.slow
 
@@ -53,8 +52,7 @@ class Master:
 
     def events(self, name: str) -> list[dict[str, Any]]:
         """What the node wrote into its log."""
-        lines = (line for line in self._log.read_text().splitlines() if line.startswith("{"))
-        return [event for event in map(json.loads, lines) if event["event"] == name]
+        return logged_events(self._log, name)
 
     def states(self) -> list[str]:
         return [event["state"] for event in self.events("power state")]

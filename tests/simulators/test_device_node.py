@@ -18,7 +18,7 @@ import pytest
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.hardware.can.bus import open_bus
-from tests.support import Broker, MosquittoLauncher, Process, Spawn, stop_process
+from tests.support import Broker, MosquittoLauncher, Process, Spawn, logged_events, stop_process
 
 DATABASE = Path(__file__).parents[2] / "deploy" / "examples" / "adaptdrive.dbc"
 GROUP = "239.74.163.2"
@@ -133,9 +133,7 @@ class Node:
         return self._log.read_text()
 
     def events(self, name: str) -> list[dict[str, Any]]:
-        lines = [line for line in self.text().splitlines() if line.startswith("{")]
-        found: list[dict[str, Any]] = [json.loads(line) for line in lines]
-        return [event for event in found if event["event"] == name]
+        return logged_events(self._log, name)
 
     def wait_for(self, name: str) -> dict[str, Any]:
         """The first event of a name."""

@@ -20,7 +20,14 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from adaptdrive.recording.reader import Session, read_session
-from tests.support import MosquittoLauncher, Process, start_process, stop_process
+from tests.support import (
+    MosquittoLauncher,
+    Process,
+    complete_lines,
+    logged_events,
+    start_process,
+    stop_process,
+)
 
 T = TypeVar("T")
 
@@ -107,7 +114,7 @@ class Ear:
         return until(lambda: self.on(name)[after:], f"a message on {name}")[0]
 
     def _messages(self) -> Iterator[Heard]:
-        for line in self._log.read_text().splitlines():
+        for line in complete_lines(self._log):
             parts = line.split("\t", 2)
             if len(parts) == 3:
                 yield Heard(parts[1], parts[2], parts[0] == "1")
@@ -299,8 +306,7 @@ class Site:
 
     def device_events(self, event: str) -> list[dict[str, Any]]:
         """What the simulated drive wrote into its own log."""
-        lines = (line for line in self._read("device.log").splitlines() if line.startswith("{"))
-        return [entry for entry in map(json.loads, lines) if entry["event"] == event]
+        return logged_events(self.folder / "device.log", event)
 
     @property
     def daemon_log(self) -> str:

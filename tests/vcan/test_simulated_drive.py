@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.control.signals import Command
 from tests.hardware.bench import EXAMPLES, Ear, build_port, running, until
-from tests.support import Spawn
+from tests.support import Spawn, logged_events
 from tests.system.site import until as until_started
 from tests.vcan.peers import Link
 
@@ -21,11 +19,6 @@ pytestmark = pytest.mark.vcan
 COMMAND = Command(current_scale_S=0.01, boost_reference_V=280.0, bridge=True)
 START_UP_S = 90.0
 """A virtual machine on a busy one takes long to import a simulator."""
-
-
-def events(log: Path, name: str) -> list[dict[str, Any]]:
-    lines = [line for line in log.read_text().splitlines() if line.startswith("{")]
-    return [event for event in map(json.loads, lines) if event["event"] == name]
 
 
 @pytest.mark.timeout(240)
@@ -45,7 +38,7 @@ async def test_it_is_safe_without_its_interface_and_obeys_again_with_it(
     async with running(port, ear):
         await until(energised)
         link("set", "down")
-        await until(lambda: bool(events(log, "safe")))
+        await until(lambda: bool(logged_events(log, "safe")))
         ear.readings.clear()
         link("set", "up")
         await ear.hears(1)

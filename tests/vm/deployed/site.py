@@ -54,7 +54,9 @@ def unit_says(name: str) -> str:
 
 
 def _lines(path: Path) -> list[str]:
-    return path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    """The lines of a file that is being written, without one that is half written."""
+    whole = path.read_text(encoding="utf-8").rpartition("\n")[0] if path.exists() else ""
+    return whole.splitlines()
 
 
 @dataclass(frozen=True, slots=True)
