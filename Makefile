@@ -7,6 +7,7 @@ EXTRAS := sim,canopen,panel,realtime,cluster,dev
 
 venv := .venv
 bin := $(venv)/bin
+tests := $(bin)/python -m pytest -rfEs
 # The stamp's name follows the content of both files: an unchanged checkout never reinstalls.
 installed := $(venv)/.installed-$(firstword $(shell cat pyproject.toml constraints.txt | cksum))
 
@@ -21,9 +22,11 @@ demo: $(installed) ## watch the motor being held while disks drop onto its shaft
 test: $(installed) ## run the whole test suite
 	@tests/install-peers
 	@! command -v dpkg-deb >/dev/null || $(MAKE) --no-print-directory deb
-	$(bin)/python -m pytest -rfEs -m "not alone" --numprocesses auto --dist worksteal; \
-	calculating=$$?; \
-	$(bin)/python -m pytest -rfEs -m alone && exit $$calculating
+	@failed=0; \
+	$(tests) -m calculating --numprocesses auto --dist worksteal || failed=1; \
+	$(tests) -m waiting --numprocesses 4 --dist worksteal || failed=1; \
+	$(tests) -m alone || failed=1; \
+	exit $$failed
 
 lint: $(installed) ## lint, formatting, types and import layers
 	$(bin)/ruff check

@@ -28,18 +28,28 @@ settings.register_profile("adaptdrive", deadline=None, derandomize="CI" in os.en
 settings.load_profile("adaptdrive")
 
 
-CALCULATING = {"campaign", "closed_loop", "compiled", "config", "control", "experiments"}
-"""Folders whose tests need nothing but a processor, however busy: several run at once."""
+CALCULATING = {"campaign", "closed_loop", "compiled", "config", "control", "experiments", "vm"}
+"""Folders whose tests need nothing but a processor, however busy."""
+
+LONG = {"vm", "system"}
+"""Folders of the longest tests: started first, they do not run on when all others have ended."""
+
+KINDS = {"calculating", "waiting", "alone"}
 
 
 @pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark every test `alone` that is not known to calculate only."""
-    here = Path(__file__).parent
+    """Give every test one of three marks, so that each kind can run beside its like."""
     for item in items:
-        if item.path.is_relative_to(here) and item.path.relative_to(here).parts[0] in CALCULATING:
-            continue
-        item.add_marker(pytest.mark.alone)
+        if not any(item.get_closest_marker(kind) for kind in KINDS):
+            calculating = _folder(item) in CALCULATING
+            item.add_marker(pytest.mark.calculating if calculating else pytest.mark.waiting)
+    items.sort(key=lambda item: _folder(item) not in LONG)
+
+
+def _folder(item: pytest.Item) -> str:
+    here = Path(__file__).parent
+    return item.path.relative_to(here).parts[0] if item.path.is_relative_to(here) else ""
 
 
 @pytest.fixture(autouse=True)

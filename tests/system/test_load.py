@@ -25,7 +25,7 @@ from tests.system.bus_ear import BusEar
 from tests.system.conftest import MakeSite
 from tests.system.site import Site, until
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.alone]
 
 ROOT = Path(__file__).parents[2]
 LOADED_S = 3.0
