@@ -12,6 +12,7 @@ from scipy.signal import cont2discrete, lfilter
 
 from adaptdrive.control import estimator as est
 from adaptdrive.control import fast_half as fast
+from adaptdrive.control import regression as reg
 from adaptdrive.control import rls
 from adaptdrive.control.compensator import control_law
 from adaptdrive.control.discretise import impulse_invariant_pair
@@ -189,9 +190,9 @@ def _learn_filtered(
         _step_filters(bank, float(held[max(0, n - 1)]), float(output))
         if n % ticks == 0 and n:
             powers = [float(held[n - 1]), *bank.inputs]
-            est.fill_filtered_regressor(state.regressor, learning, load, bank.outputs, powers)
+            reg.fill_filtered_regressor(state.regressor, learning, load, bank.outputs, powers)
             est.learn(state, learning, load, float(output), usable=True)
-    found = load.physical(*est.filtered_model(state.theta, learning, load))
+    found = load.physical(*reg.filtered_model(state.theta, learning, load))
     return found, load.physical(list(load.numerator), list(load.denominator))
 
 
@@ -211,9 +212,9 @@ def _learn_direct(
     state = est.new_estimator(learning, load, order)
     for k in range(order, len(inputs)):
         past = outputs[k - order : k][::-1].tolist(), inputs[k - order : k][::-1].tolist()
-        est.fill_direct_regressor(state.regressor, learning, load, *past)
+        reg.fill_direct_regressor(state.regressor, learning, load, *past)
         est.learn(state, learning, load, float(outputs[k]), usable=True)
-    a, b = est.direct_model(state.theta, learning, load)
+    a, b = reg.direct_model(state.theta, learning, load)
     return [*a[1:], *b[1:]], [*bottom[1:].tolist(), *top[1:].tolist()]
 
 

@@ -12,6 +12,7 @@ from scipy.signal import lfilter, lsim
 
 from adaptdrive.control import estimator as est
 from adaptdrive.control import fast_half as fast
+from adaptdrive.control import regression as reg
 from adaptdrive.control.rls import covariance
 from adaptdrive.control.settings import Learning
 from tests.closed_loop.bench import MOTOR, PLAIN_LEARNING, SCALED_LEARNING, TICKS, TICK_s
@@ -44,14 +45,14 @@ def learn_filtered(
             fast.accumulate(bank)
         if n % TICKS == 0:
             y, *rest = fast.take_means(bank)
-            est.fill_filtered_regressor(state.regressor, learning, MOTOR, rest[:2], rest[2:])
-            target = est.learning_target(learning, y, rest[:2])
+            reg.fill_filtered_regressor(state.regressor, learning, MOTOR, rest[:2], rest[2:])
+            target = reg.learning_target(learning, y, rest[:2])
             est.learn(state, learning, MOTOR, target, usable=True)
     return state
 
 
 def physical(state: est.EstimatorState, learning: Learning) -> list[float]:
-    return MOTOR.physical(*est.filtered_model(state.theta, learning, MOTOR))
+    return MOTOR.physical(*reg.filtered_model(state.theta, learning, MOTOR))
 
 
 @pytest.mark.parametrize("learning", [PLAIN_LEARNING, SCALED_LEARNING])
@@ -88,7 +89,7 @@ def test_a_constant_disturbance_biases_the_estimate_unless_a_constant_is_estimat
         assert error < tolerance
         assert bias or error > 0.03
         if bias:
-            assert est.input_offset(state.theta, learning, MOTOR) == pytest.approx(-20.0, rel=0.02)
+            assert reg.input_offset(state.theta, learning, MOTOR) == pytest.approx(-20.0, rel=0.02)
 
 
 def held_motor(count: int, noise: float) -> tuple[Array, Array, Array, Array]:
@@ -104,11 +105,11 @@ def learn_direct(learning: Learning, inputs: Array, outputs: Array) -> tuple[Arr
     state = est.new_estimator(learning, MOTOR, 2)
     for k in range(2, len(inputs)):
         past_outputs, past_inputs = outputs[k - 2 : k][::-1], inputs[k - 2 : k][::-1]
-        est.fill_direct_regressor(
+        reg.fill_direct_regressor(
             state.regressor, learning, MOTOR, past_outputs.tolist(), past_inputs.tolist()
         )
         est.learn(state, learning, MOTOR, float(outputs[k]), usable=True)
-    a, b = est.direct_model(state.theta, learning, MOTOR)
+    a, b = reg.direct_model(state.theta, learning, MOTOR)
     return np.array(a), np.array(b)
 
 
@@ -173,7 +174,7 @@ def test_the_error_bars_are_what_many_experiments_show() -> None:
         state = est.new_estimator(learning, MOTOR, 2)
         noisy = outputs[slow] + 1e-4 * random.normal(size=len(rows))
         for (_, *rest), y in zip(rows, noisy, strict=True):
-            est.fill_filtered_regressor(state.regressor, learning, MOTOR, rest[:2], rest[2:])
+            reg.fill_filtered_regressor(state.regressor, learning, MOTOR, rest[:2], rest[2:])
             est.learn(state, learning, MOTOR, float(y), usable=True)
         values = physical(state, learning)
         found.append(values)
@@ -267,9 +268,9 @@ def test_scales_change_the_units_of_the_parameters_and_nothing_else() -> None:
 
 
 def test_the_structure_decides_how_many_parameters_there_are() -> None:
-    assert est.parameter_count(PLAIN_LEARNING, MOTOR, 5) == 3
-    assert est.parameter_count(replace(PLAIN_LEARNING, filtered=False), MOTOR, 5) == 7
-    assert est.parameter_count(replace(PLAIN_LEARNING, bias=True), MOTOR, 5) == 4
+    assert reg.parameter_count(PLAIN_LEARNING, MOTOR, 5) == 3
+    assert reg.parameter_count(replace(PLAIN_LEARNING, filtered=False), MOTOR, 5) == 7
+    assert reg.parameter_count(replace(PLAIN_LEARNING, bias=True), MOTOR, 5) == 4
 
 
 KNOWN = replace(SCALED_LEARNING, known_filter_s=10.0, bias=True, gate=0.0)
@@ -312,7 +313,7 @@ def test_an_unmodelled_voltage_is_told_from_the_load_behind_a_known_filter() -> 
     voltages, outputs = simulate(2, 300)
     state = learn_filtered(KNOWN, voltages + 20.0, outputs, 1)
     assert physical(state, KNOWN)[0] == pytest.approx(0.011, rel=2e-3)
-    assert est.input_offset(state.theta, KNOWN, MOTOR) == pytest.approx(-20.0, rel=0.02)
+    assert reg.input_offset(state.theta, KNOWN, MOTOR) == pytest.approx(-20.0, rel=0.02)
 
 
 @pytest.mark.parametrize(("filter_s", "sign"), [(12.0, -1.0), (8.0, 1.0)])

@@ -18,6 +18,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from adaptdrive.control import estimator as est
+from adaptdrive.control import regression as reg
 from adaptdrive.control.continuous import continuous_model
 from adaptdrive.control.discretise import held_model
 from adaptdrive.control.lambda_filter import chain_decay, ramp_gains, step_gains
@@ -168,9 +169,9 @@ def _follow_filtered(
     state = est.new_estimator(learning, load, load.paper_taps)
     found = []
     for (target, *filtered), applied in zip(outputs, inputs, strict=True):
-        est.fill_filtered_regressor(state.regressor, learning, load, filtered, applied)
+        reg.fill_filtered_regressor(state.regressor, learning, load, filtered, applied)
         est.learn(state, learning, load, target, usable=True)
-        numerator, denominator = est.filtered_model(state.theta, learning, load)
+        numerator, denominator = reg.filtered_model(state.theta, learning, load)
         found.append(_physical(load, numerator, denominator))
     return np.array(found)
 
@@ -190,9 +191,9 @@ def _follow_directly(heard: Heard, learning: Learning, outputs: list[float]) -> 
     past_inputs = [float(heard.load_input[0])] * load.paper_taps
     found = []
     for target, applied in zip(outputs, heard.held_input, strict=True):
-        est.fill_direct_regressor(state.regressor, learning, load, past_outputs, past_inputs)
+        reg.fill_direct_regressor(state.regressor, learning, load, past_outputs, past_inputs)
         est.learn(state, learning, load, target, usable=True)
-        a, b = est.direct_model(state.theta, learning, load)
+        a, b = reg.direct_model(state.theta, learning, load)
         found.append(_physical(load, *continuous_model(a, b, period_s)))
         shift_in(past_outputs, target)
         shift_in(past_inputs, applied)

@@ -12,8 +12,9 @@ from dataclasses import replace
 
 from adaptdrive.control import fast_half as fast
 from adaptdrive.control.charging import is_complete
-from adaptdrive.control.estimator import input_offset, parameter_deviations, start_from
+from adaptdrive.control.estimator import parameter_deviations, start_from
 from adaptdrive.control.load import Load, to_input, to_voltage
+from adaptdrive.control.regression import input_offset
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import (
     SAFE_COMMAND,

@@ -1,25 +1,7 @@
-"""The on-line estimator: RLS on λ-filtered signals, or on the samples themselves.
+"""The on-line estimator: recursive least squares with a gate, a bound of P and an alarm.
 
-λ-method (LM-RLS): the regressor is [-λy ... -λ^m y, λ^i u ...] with the powers i that the load's
-structure leaves; θ holds α and the free β (29). Direct: [-y[k-1] ... -y[k-m], u[k-1] ... u[k-n]];
-θ holds a and b of the discrete model (17). Either takes a constant 1 as its last regressor where
-a bias is wanted: a load torque, the EMF of a battery or the offset of a sensor would otherwise be
-mistaken for dynamics.
-
-Where the output passes a filter of known τ_f, that factor of the denominator need not be learnt.
-With D = D' (s + 1/τ_f) the unfiltered output z = (τ_f s + 1) y obeys D' z = τ_f N u, of order m-1.
-z itself would need a derivative, but λz needs none:
-
-    w = λz = (τ_f/τ_λ) y + (1 - τ_f/τ_λ) λy
-
-and λ^m-1 times the model, times λ once more, is
-
-    w = -α'_1 λw ... - α'_(m-1) λ^(m-1) w + Σ β'_j λ^(j+1) u        β'_j = (τ_f/τ_λ) β_(j+1)
-
-so that the target is w, the regressor has m-1 powers of λ of w, and the same powers of u as
-before. A wrong τ_f goes into the other parameters: 20 % too long, and gain and τ_m + τ_f of the
-motor with three disks come out 9 % low; 20 % too short, and they come out 16 % high. The bias
-takes the blame for the gain (28 V and 40 V), so that a large one without a reason is the sign.
+What is learnt, and from what, is in `regression`; the update itself in `rls`; what counts as an
+abrupt change in `surprise`.
 """
 
 from __future__ import annotations
@@ -28,11 +10,18 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import rls
-from adaptdrive.control.lambda_transform import from_lambda, to_lambda
 from adaptdrive.control.load import Load
+from adaptdrive.control.regression import (
+    dc_gain,
+    filtered_model,
+    fitted_order,
+    nominal_theta,
+    parameter_count,
+    theta_of,
+)
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.surprise import Surprise, is_surprising
-from adaptdrive.control.vectors import Vector, copy_into, multiply
+from adaptdrive.control.vectors import Vector, copy_into
 
 _TINY = 1e-12
 _PRIOR_SHARE = 0.2
@@ -70,22 +59,6 @@ class EstimatorState:
     idle_periods: int = 0
 
 
-def parameter_count(learning: Learning, load: Load, taps: int) -> int:
-    """Length of θ."""
-    inputs = len(load.input_powers) if learning.filtered else taps
-    return fitted_order(learning, load) + inputs + (1 if learning.bias else 0)
-
-
-def knows_filter(learning: Learning) -> bool:
-    """Whether the output passes a filter whose time constant is known."""
-    return learning.filtered and learning.known_filter_s > 0.0
-
-
-def fitted_order(learning: Learning, load: Load) -> int:
-    """How many coefficients of the denominator are learnt."""
-    return load.order - 1 if knows_filter(learning) else load.order
-
-
 def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:
     """An estimator that knows nothing, or only the nominal model."""
     count = parameter_count(learning, load, taps)
@@ -117,120 +90,6 @@ def start_from(state: EstimatorState, learning: Learning, load: Load, values: Ve
         state.diagonal[i] = _PRIOR_SHARE * learning.initial_covariance
 
 
-def nominal_theta(learning: Learning, load: Load, taps: int) -> Vector:
-    """θ of the nominal model, scaled; its bias is 0."""
-    theta = [0.0] * parameter_count(learning, load, taps)
-    if learning.filtered:
-        copy_into(theta, theta_of(learning, load, list(load.numerator), list(load.denominator)))
-    return theta
-
-
-def theta_of(learning: Learning, load: Load, numerator: Vector, denominator: Vector) -> Vector:
-    """θ of a model in s for the λ-method, scaled, without a bias.
-
-    Args:
-        learning: Scales and what is known.
-        load: Order and structure.
-        numerator: Of the model, highest power first.
-        denominator: Of the model, highest power first; with a known filter in it, where one is.
-    """
-    order, scale = fitted_order(learning, load), learning.input_scale / learning.output_scale
-    rest = denominator
-    if knows_filter(learning):
-        scale *= learning.known_filter_s / learning.tau_lambda_s
-        rest = _without_factor(denominator, 1.0 / learning.known_filter_s)
-    alpha = to_lambda(rest, learning.tau_lambda_s)
-    beta = to_lambda(numerator, learning.tau_lambda_s)
-    theta = [0.0] * (order + len(load.input_powers))
-    for i in range(order):
-        theta[i] = alpha[i + 1]
-    for i in range(len(load.input_powers)):
-        theta[order + i] = beta[load.input_powers[i]] * scale
-    return theta
-
-
-def _without_factor(polynomial: Vector, constant: float) -> Vector:
-    """A polynomial divided by (s + constant); the remainder goes."""
-    quotient = [0.0] * (len(polynomial) - 1)
-    carried = 0.0
-    for i in range(len(quotient)):
-        carried = polynomial[i] - constant * carried
-        quotient[i] = carried
-    return quotient
-
-
-def fill_filtered_regressor(
-    regressor: Vector,
-    learning: Learning,
-    load: Load,
-    output_filtered: Vector,
-    input_filtered: Vector,
-) -> None:
-    """r of the λ-method (29).
-
-    Args:
-        regressor: r, overwritten.
-        learning: Scales.
-        load: Order and structure.
-        output_filtered: λy ... λ^m y.
-        input_filtered: u, λu ... λ^m u.
-    """
-    order = fitted_order(learning, load)
-    for i in range(order):
-        value = output_filtered[i]
-        if knows_filter(learning):
-            value = _unfiltered(learning, value, output_filtered[i + 1])
-        regressor[i] = -value / learning.output_scale
-    for i in range(len(load.input_powers)):
-        power = load.input_powers[i]
-        regressor[order + i] = input_filtered[power] / learning.input_scale
-    if learning.bias:
-        regressor[len(regressor) - 1] = 1.0
-
-
-def learning_target(learning: Learning, output: float, output_filtered: Vector) -> float:
-    """What r predicts: y[k], or w[k] where a filter of the output is known.
-
-    Args:
-        learning: What is known.
-        output: y.
-        output_filtered: λy ... λ^m y.
-    """
-    if not knows_filter(learning):
-        return output
-    return _unfiltered(learning, output, output_filtered[0])
-
-
-def _unfiltered(learning: Learning, value: float, filtered: float) -> float:
-    """λ (τ_f s + 1) of a signal, from the signal and λ of it."""
-    share = learning.known_filter_s / learning.tau_lambda_s
-    return share * value + (1.0 - share) * filtered
-
-
-def fill_direct_regressor(
-    regressor: Vector, learning: Learning, load: Load, outputs: Vector, inputs: Vector
-) -> None:
-    """r of direct least squares (17).
-
-    Args:
-        regressor: r, overwritten.
-        learning: Scales.
-        load: Order.
-        outputs: y[k-1] ... y[k-m].
-        inputs: u[k-1] ... u[k-n].
-    """
-    for i in range(load.order):
-        regressor[i] = -outputs[i] / learning.output_scale
-    for i in range(_input_count(regressor, learning, load)):
-        regressor[load.order + i] = inputs[i] / learning.input_scale
-    if learning.bias:
-        regressor[len(regressor) - 1] = 1.0
-
-
-def _input_count(parameters: Vector, learning: Learning, load: Load) -> int:
-    return len(parameters) - fitted_order(learning, load) - (1 if learning.bias else 0)
-
-
 def _open_up(state: EstimatorState, learning: Learning, load: Load) -> None:
     """After an abrupt change: doubt the dynamics and the bias, and the gain only the second time.
 
@@ -253,20 +112,10 @@ def _open_up(state: EstimatorState, learning: Learning, load: Load) -> None:
         direction = [0.0] * count
         direction[i] = 1.0
         if i < order:
-            direction[last] = _dc_gain(state.theta, learning, load)
+            direction[last] = dc_gain(state.theta, learning, load)
         elif i < last:
             direction[last] = -1.0
         rls.widen(state.upper, state.diagonal, direction, learning.initial_covariance)
-
-
-def _dc_gain(theta: Vector, learning: Learning, load: Load) -> float:
-    """Σβ / (1 + Σα), scaled; 0 where there is none."""
-    below, above, order = 1.0, 0.0, fitted_order(learning, load)
-    for i in range(order):
-        below += theta[i]
-    for i in range(_input_count(theta, learning, load)):
-        above += theta[order + i]
-    return above / below if abs(below) > _TINY else 0.0
 
 
 def learn(
@@ -327,49 +176,6 @@ def residual_noise(state: EstimatorState) -> float:
     if freedom <= 0.0:
         return math.nan
     return math.sqrt(state.residual_power / freedom)
-
-
-def filtered_model(theta: Vector, learning: Learning, load: Load) -> tuple[Vector, Vector]:
-    """H(s) of an estimate of the λ-method: numerator and denominator."""
-    order, scale = fitted_order(learning, load), learning.output_scale / learning.input_scale
-    if knows_filter(learning):
-        scale *= learning.tau_lambda_s / learning.known_filter_s
-    alpha = [0.0] * (order + 1)
-    beta = [0.0] * (load.order + 1)
-    alpha[0] = 1.0
-    for i in range(order):
-        alpha[i + 1] = theta[i]
-    for i in range(len(load.input_powers)):
-        beta[load.input_powers[i]] = theta[order + i] * scale
-    numerator = from_lambda(beta, learning.tau_lambda_s)
-    denominator = from_lambda(alpha, learning.tau_lambda_s)
-    if knows_filter(learning):
-        denominator = multiply(denominator, [1.0, 1.0 / learning.known_filter_s])
-    return numerator, denominator
-
-
-def direct_model(theta: Vector, learning: Learning, load: Load) -> tuple[Vector, Vector]:
-    """A, B in q^-1 of a direct estimate."""
-    order = load.order
-    a = [0.0] * (order + 1)
-    inputs = _input_count(theta, learning, load)
-    b = [0.0] * (inputs + 1)
-    a[0] = 1.0
-    for i in range(order):
-        a[i + 1] = theta[i]
-    for i in range(inputs):
-        b[i + 1] = theta[order + i] * learning.output_scale / learning.input_scale
-    return a, b
-
-
-def input_offset(theta: Vector, learning: Learning, load: Load) -> float:
-    """The constant input that would have the effect of the estimated bias; NaN without one."""
-    if not learning.bias:
-        return math.nan
-    gain, order = 0.0, fitted_order(learning, load)
-    for i in range(_input_count(theta, learning, load)):
-        gain += theta[order + i]
-    return theta[len(theta) - 1] / gain * learning.input_scale if gain else math.nan
 
 
 def parameter_deviations(

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import estimator as est
+from adaptdrive.control import regression as reg
 from adaptdrive.control import supervisor as sup
 from adaptdrive.control.charging import ChargeState, taper, terminal_voltage
 from adaptdrive.control.compensator import control_law, lead_reference
@@ -156,7 +157,7 @@ def new_slow_state(
         supervisor=sup.SupervisorState(),
         charge=ChargeState(max(0.0, output)),
         reference=output,
-        nominal_theta=est.nominal_theta(settings.learning, load, taps),
+        nominal_theta=reg.nominal_theta(settings.learning, load, taps),
         deviations=[math.nan] * len(nominal),
         watch=WatchState(),
         pace=Pace(),
@@ -203,14 +204,14 @@ def _take_sample(
 ) -> None:
     learning, estimator = settings.learning, state.estimator
     if learning.filtered:
-        est.fill_filtered_regressor(
+        reg.fill_filtered_regressor(
             estimator.regressor, learning, load, sample.output_filtered, sample.input_filtered
         )
     else:
-        est.fill_direct_regressor(estimator.regressor, learning, load, state.outputs, state.inputs)
+        reg.fill_direct_regressor(estimator.regressor, learning, load, state.outputs, state.inputs)
     moved = abs(sample.output - state.outputs[0]) >= learning.dead_band
     usable = moved and sample.held_share <= _HELD_SHARE
-    target = est.learning_target(learning, sample.output, sample.output_filtered)
+    target = reg.learning_target(learning, sample.output, sample.output_filtered)
     est.learn(estimator, learning, load, target, usable)
     if learning.filtered:
         fixed = target / learning.output_scale - predict(state.nominal_theta, estimator.regressor)
@@ -301,10 +302,10 @@ def _estimated_model(
     """A, B of the estimate, and what the supervisor says of its parameters."""
     learning, theta = settings.learning, state.estimator.theta
     if not learning.filtered:
-        a, b = est.direct_model(theta, learning, load)
+        a, b = reg.direct_model(theta, learning, load)
         _show_direct(load, state, a, b, period_s)
         return a, b, sup.judge_load(a)
-    numerator, denominator = est.filtered_model(theta, learning, load)
+    numerator, denominator = reg.filtered_model(theta, learning, load)
     verdict = sup.judge_model(numerator, denominator)
     if verdict != sup.Verdict.TRUSTED:
         return denominator, numerator, verdict
