@@ -23,12 +23,20 @@ FINE = 4
 
 
 @cache
-def simulate(disks: int, seconds: int) -> tuple[Array, Array]:
-    """Boost voltage and motor output at the fast ticks, under a smooth, rich voltage."""
+def simulate(
+    disks: int, seconds: int, start: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Array, Array]:
+    """Boost voltage and motor output at the fast ticks, under a smooth, rich voltage.
+
+    Args:
+        disks: On the shaft.
+        seconds: Duration.
+        start: State of the motor, away from rest.
+    """
     time_s = np.arange(seconds * TICKS * FINE + 1) * TICK_s / FINE
     swing = 10.0 * np.sin(np.outer([1 / 13, 1 / 37, 1 / 90], 2.0 * math.pi * time_s)).sum(axis=0)
     system = motor_system(disks).state_space()
-    _, rising, _ = lsim(system, swing, time_s)
+    _, rising, _ = lsim(system, swing, time_s, start)
     return 280.0 + swing[::FINE], 280.0 * 0.011 + rising[::FINE]
 
 
@@ -46,6 +54,7 @@ def learn_filtered(
         if n % TICKS == 0:
             y, *rest = fast.take_means(bank)
             reg.fill_filtered_regressor(state.regressor, learning, MOTOR, rest[:2], rest[2:])
+            reg.fill_initial_state(state.regressor, learning, MOTOR, n * TICK_s)
             target = reg.learning_target(learning, y, rest[:2])
             est.learn(state, learning, MOTOR, target, usable=True)
     return state
@@ -78,6 +87,23 @@ def test_the_filter_time_constant_is_free(tau_s: float) -> None:
     learning = replace(PLAIN_LEARNING, tau_lambda_s=tau_s)
     state = learn_filtered(learning, *simulate(2, 240), 1)
     assert physical(state, learning) == pytest.approx([0.011, 33.4, 234.0], rel=1e-3)
+
+
+@pytest.mark.parametrize("known_filter_s", [0.0, 10.0])
+@pytest.mark.parametrize("bias", [False, True])
+def test_a_motor_that_still_turns_is_found_if_its_initial_state_is_learnt_too(
+    known_filter_s: float, *, bias: bool
+) -> None:
+    """It is away from rest by more than the voltage ever moves it."""
+    truth = np.array([0.011, 33.4, 234.0])
+    voltages, outputs = simulate(2, 120, (-300.0, 5000.0))
+    assert outputs[0] - 3.08 > 0.2
+    learning = replace(SCALED_LEARNING, gate=0.0, bias=bias, known_filter_s=known_filter_s)
+    mistaken = physical(learn_filtered(learning, voltages, outputs, 60), learning)
+    learning = replace(learning, initial_state=True)
+    found = physical(learn_filtered(learning, voltages, outputs, 60), learning)
+    assert np.max(np.abs(mistaken / truth - 1.0)) > 0.05
+    assert found == pytest.approx(truth, rel=0.01)
 
 
 def test_a_constant_disturbance_biases_the_estimate_unless_a_constant_is_estimated_too() -> None:

@@ -9,8 +9,9 @@ import pytest
 from tests.system.conftest import MakeSite
 from tests.system.site import Site, until
 
-EXCITED_PERIODS, CALM_PERIODS = 22, 40
-QUICK = {"supervisor.warm_up_s": "20.0", "estimator.settle_s": "2.0"}
+CALM_PERIODS = 10
+LEARNT_S = 90.0
+QUICK = {"supervisor.warm_up_s": "15.0", "estimator.settle_s": "2.0"}
 WAVE = {"shape": "square", "low": 2.9, "high": 3.2, "period_s": 12.0}
 
 
@@ -21,7 +22,7 @@ def test_switching_controllers_makes_no_bump(make_site: MakeSite) -> None:
     site.start("--initial-voltage", "280")
     site.run_drive()
     site.demand("waveform", WAVE)
-    site.let_periods_pass(EXCITED_PERIODS)
+    until(lambda: [load for load in _loads(site) if load["accepted"]][2:], "gains", LEARNT_S)
     site.demand("setpoint", 3.1)
     site.let_periods_pass(CALM_PERIODS)
     for mode in ("adaptive", "fixed"):

@@ -140,6 +140,7 @@ def _lowest_scale(configuration: Configuration) -> float:
 
 def _learning(configuration: Configuration, *, exact: bool) -> Learning:
     estimator, load = configuration.estimator, build_load(configuration)
+    battery = isinstance(configuration.load, Battery)
     limits = configuration.drive.limits
     middle_V = 0.5 * (limits.boost_reference_min_V + limits.boost_reference_max_V)
     middle = to_input(middle_V, load.input_gain, load.input_exponent)
@@ -158,7 +159,8 @@ def _learning(configuration: Configuration, *, exact: bool) -> Learning:
         alert=exact and estimator.alert,
         covariance_max=estimator.covariance_max if exact else 0.0,
         known_filter_s=_known_filter_s(configuration),
-        bias=(exact and estimator.bias) or isinstance(configuration.load, Battery),
+        bias=(exact and estimator.bias) or battery,
+        initial_state=exact and estimator.initial_state and not battery,
     )
 
 

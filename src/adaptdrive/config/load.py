@@ -165,6 +165,11 @@ class Estimator(Section):
         description="estimate a constant too, such as a load torque (`exact` only); a battery "
         "always has one",
     )
+    initial_state: bool = Field(
+        default=True,
+        description="estimate what is left of the time before the start too, such as the speed of "
+        "a motor that still turns (`exact` and `lm-rls` only); not of a battery",
+    )
     known_filter: bool = Field(
         default=False,
         description="take `load.model.tau_filter_s` of a motor as known and learn the rest: faster "

@@ -15,6 +15,7 @@ from adaptdrive.control.regression import (
     dc_gain,
     filtered_model,
     fitted_order,
+    initial_state_count,
     nominal_theta,
     parameter_count,
     theta_of,
@@ -43,6 +44,7 @@ class EstimatorState:
         excitation: rᵀPr of the last sample.
         periods: Slow periods since start.
         idle_periods: Slow periods since the last sample that taught something.
+        elapsed_s: Time since start.
         surprise: Detector of abrupt changes.
     """
 
@@ -57,6 +59,7 @@ class EstimatorState:
     excitation: float = 0.0
     periods: int = 0
     idle_periods: int = 0
+    elapsed_s: float = 0.0
 
 
 def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:
@@ -106,8 +109,9 @@ def _open_up(state: EstimatorState, learning: Learning, load: Load) -> None:
         direction = [0.0] * count
         direction[last] = _GAIN_DOUBT * state.theta[last]
         rls.widen(state.upper, state.diagonal, direction, 1.0)
+    past = last + initial_state_count(learning, load)  # what is past has not changed
     for i in range(count):
-        if i == last:
+        if last <= i <= past:
             continue
         direction = [0.0] * count
         direction[i] = 1.0

@@ -20,6 +20,15 @@ so that the target is w, the regressor has m-1 powers of λ of w, and the same p
 before. A wrong τ_f goes into the other parameters: 20 % too long, and gain and τ_m + τ_f of the
 motor with three disks come out 9 % low; 20 % too short, and they come out 16 % high. The bias
 takes the blame for the gain (28 V and 40 V), so that a large one without a reason is the sign.
+
+Nobody knows the state of the load at the start: a motor may still turn. D y = N u holds up to a
+polynomial in s of lower degree than D, and the λ filters make of that, whatever the load is,
+
+    Σ γ_i (t/τ_λ)^i e^(-t/τ_λ)        i = 0 ... m-1, t since the start
+
+Where the initial state is to be learnt, these functions of time join the regressor, and γ joins θ
+(before the bias). Otherwise the rest of an earlier movement is mistaken for dynamics: with a motor
+that was off for five seconds, gain and time constants come out four times too large, and sure.
 """
 
 from __future__ import annotations
@@ -37,7 +46,7 @@ _TINY = 1e-12
 def parameter_count(learning: Learning, load: Load, taps: int) -> int:
     """Length of θ."""
     inputs = len(load.input_powers) if learning.filtered else taps
-    return fitted_order(learning, load) + inputs + (1 if learning.bias else 0)
+    return fitted_order(learning, load) + inputs + _extra_count(learning, load)
 
 
 def knows_filter(learning: Learning) -> bool:
@@ -121,6 +130,23 @@ def fill_filtered_regressor(
         regressor[len(regressor) - 1] = 1.0
 
 
+def fill_initial_state(regressor: Vector, learning: Learning, load: Load, elapsed_s: float) -> None:
+    """The part of r that stands for the state at the start.
+
+    Args:
+        regressor: r of the λ-method, overwritten.
+        learning: Whether that state is learnt.
+        load: Order and structure.
+        elapsed_s: t.
+    """
+    first = fitted_order(learning, load) + len(load.input_powers)
+    ratio = elapsed_s / learning.tau_lambda_s
+    value = math.exp(-ratio)
+    for i in range(initial_state_count(learning, load)):
+        regressor[first + i] = value
+        value *= ratio
+
+
 def learning_target(learning: Learning, output: float, output_filtered: Vector) -> float:
     """What r predicts: y[k], or w[k] where a filter of the output is known.
 
@@ -160,8 +186,17 @@ def fill_direct_regressor(
         regressor[len(regressor) - 1] = 1.0
 
 
+def initial_state_count(learning: Learning, load: Load) -> int:
+    """Length of γ."""
+    return load.order if learning.filtered and learning.initial_state else 0
+
+
+def _extra_count(learning: Learning, load: Load) -> int:
+    return initial_state_count(learning, load) + (1 if learning.bias else 0)
+
+
 def _input_count(parameters: Vector, learning: Learning, load: Load) -> int:
-    return len(parameters) - fitted_order(learning, load) - (1 if learning.bias else 0)
+    return len(parameters) - fitted_order(learning, load) - _extra_count(learning, load)
 
 
 def dc_gain(theta: Vector, learning: Learning, load: Load) -> float:

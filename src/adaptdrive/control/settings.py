@@ -71,6 +71,7 @@ class Learning:
         alert: Whether an abrupt change opens the estimator up.
         known_filter_s: Time constant of a known filter of the output; 0 where none is known.
         bias: Whether a constant is estimated too: a load torque, an EMF, an offset of a sensor.
+        initial_state: Whether what is left of the time before the start is estimated too.
     """
 
     filtered: bool
@@ -87,6 +88,7 @@ class Learning:
     alert: bool = False
     known_filter_s: float = 0.0
     bias: bool = False
+    initial_state: bool = False
 
 
 @dataclass(frozen=True, slots=True)

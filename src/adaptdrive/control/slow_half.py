@@ -203,10 +203,12 @@ def _take_sample(
     settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample
 ) -> None:
     learning, estimator = settings.learning, state.estimator
+    estimator.elapsed_s += sample.period_s
     if learning.filtered:
         reg.fill_filtered_regressor(
             estimator.regressor, learning, load, sample.output_filtered, sample.input_filtered
         )
+        reg.fill_initial_state(estimator.regressor, learning, load, estimator.elapsed_s)
     else:
         reg.fill_direct_regressor(estimator.regressor, learning, load, state.outputs, state.inputs)
     moved = abs(sample.output - state.outputs[0]) >= learning.dead_band
