@@ -14,7 +14,8 @@ from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.robustness import closes_stably, stands_uncertainty
 from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.control.slow_half import SlowSample, SlowState, new_slow_state, slow_step
+from adaptdrive.control.slow_half import slow_step
+from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
 from adaptdrive.control.supervisor import Verdict
 from tests.closed_loop.bench import EXACT, MOTOR
 from tests.control.systems import decades

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.control.slow_half import SlowSample, SlowState, new_slow_state, slow_step
+from adaptdrive.control.slow_half import slow_step
+from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
 from tests.closed_loop.bench import EXACT, MOTOR, PAPER, PLAIN_LEARNING
 
 REST_V = 3.0 / 0.011

@@ -19,7 +19,8 @@ from adaptdrive.control.load import Load, to_input, to_voltage
 from adaptdrive.control.pole_placement import desired_polynomial
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Measurement
-from adaptdrive.control.slow_half import SlowSample, SlowState, slow_step
+from adaptdrive.control.slow_half import slow_step
+from adaptdrive.control.slow_state import SlowSample, SlowState
 from adaptdrive.control.vectors import Vector, total
 from adaptdrive_sim.compiled.room import forget_vectors
 from adaptdrive_sim.compiled.wire import Wire, delayed, rounded

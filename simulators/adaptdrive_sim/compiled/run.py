@@ -12,7 +12,7 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.control.load import Load, to_input
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Measurement, Mode
-from adaptdrive.control.slow_half import SlowSample
+from adaptdrive.control.slow_state import SlowSample
 from adaptdrive_sim.compiled import bench
 from adaptdrive_sim.compiled.course import Course, Interlocks
 from adaptdrive_sim.compiled.objects import Memory

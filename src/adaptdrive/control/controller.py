@@ -27,7 +27,8 @@ from adaptdrive.control.signals import (
     Snapshot,
     Stage,
 )
-from adaptdrive.control.slow_half import SlowSample, SlowState, new_slow_state, slow_step
+from adaptdrive.control.slow_half import slow_step
+from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
 from adaptdrive.control.supervisor import Verdict
 from adaptdrive.control.voltage_loop import initial_sum
 from adaptdrive.control.watch import Fallback

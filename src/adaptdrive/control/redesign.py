@@ -1,0 +1,130 @@
+"""From an estimate to gains: the model, what the supervisor says of it, and the design.
+
+The checks run in the order of their cost; the first that fails gives the verdict.
+"""
+
+from __future__ import annotations
+
+import math
+
+from adaptdrive.control import estimator as est
+from adaptdrive.control import regression as reg
+from adaptdrive.control import supervisor as sup
+from adaptdrive.control.continuous import continuous_model
+from adaptdrive.control.design import compensator_gains, discrete_model
+from adaptdrive.control.load import Load
+from adaptdrive.control.pole_placement import closed_loop_polynomial
+from adaptdrive.control.robustness import STABLE_RADIUS, closes_stably, stands_uncertainty
+from adaptdrive.control.settings import ControllerSettings, Jacket
+from adaptdrive.control.slow_state import SlowSample, SlowState
+from adaptdrive.control.vectors import Vector, copy_into
+
+
+def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample) -> None:
+    """Judge the estimate and, if it is trusted, make gains of it."""
+    gains = [0.0] * len(state.adaptive_gains)
+    verdict = _redesign(settings, load, state, sample, gains)
+    periods = state.estimator.periods
+    state.accepted = sup.take_verdict(
+        state.supervisor, verdict, settings.jacket, periods, state.adaptive
+    )
+    if state.accepted:
+        _take_gains(settings.jacket, state, gains)
+        state.trusted_a, state.trusted_b = state.model_a, state.model_b
+        state.trusted_alarms = state.estimator.surprise.alarms
+
+
+def _take_gains(jacket: Jacket, state: SlowState, gains: Vector) -> None:
+    """New gains: those in force move towards them, those that only wait are replaced."""
+    share = jacket.gain_slew
+    if share >= 1.0 or not state.adaptive:
+        copy_into(state.adaptive_gains, gains)
+        return
+    for i in range(len(gains)):
+        state.adaptive_gains[i] += share * (gains[i] - state.adaptive_gains[i])
+
+
+def _redesign(
+    settings: ControllerSettings,
+    load: Load,
+    state: SlowState,
+    sample: SlowSample,
+    gains: Vector,
+) -> int:
+    a, b, verdict = _estimated_model(settings, load, state, sample.period_s)
+    if verdict != sup.Verdict.TRUSTED:
+        return verdict
+    verdict = sup.judge_load(a)
+    if verdict != sup.Verdict.TRUSTED:
+        return verdict
+    copy_into(gains, compensator_gains(a, b, load.order, state.pole_in_force))
+    taps = len(state.inputs)
+    r = [1.0, *gains[:taps]]
+    verdict = sup.judge_loop(closed_loop_polynomial(a, b, r, gains[taps:]))
+    if verdict != sup.Verdict.TRUSTED:
+        return verdict
+    state.model_a, state.model_b = a, b
+    return _judge_robustness(settings, load, state, gains, sample.period_s)
+
+
+def _judge_robustness(
+    settings: ControllerSettings, load: Load, state: SlowState, gains: Vector, period_s: float
+) -> int:
+    """Whether the gains stand what the estimate may be wrong by, and the last trusted load."""
+    if not settings.jacket.confidence > 0.0:
+        return sup.Verdict.TRUSTED
+    values, deviations = state.values, state.deviations
+    if not stands_uncertainty(settings, load, gains, values, deviations, period_s):
+        return sup.Verdict.FRAGILE
+    changed = state.estimator.surprise.alarms != state.trusted_alarms
+    if changed or not state.supervisor.trusted:
+        return sup.Verdict.TRUSTED
+    a, b = state.trusted_a, state.trusted_b
+    stable = closes_stably(gains, a, b, load.order, STABLE_RADIUS)
+    return sup.Verdict.TRUSTED if stable else sup.Verdict.AT_ODDS
+
+
+def _estimated_model(
+    settings: ControllerSettings, load: Load, state: SlowState, period_s: float
+) -> tuple[Vector, Vector, int]:
+    """A, B of the estimate, and what the supervisor says of its parameters."""
+    learning, theta = settings.learning, state.estimator.theta
+    if not learning.filtered:
+        a, b = reg.direct_model(theta, learning, load)
+        _show_direct(load, state, a, b, period_s)
+        return a, b, sup.judge_load(a)
+    numerator, denominator = reg.filtered_model(theta, learning, load)
+    verdict = sup.judge_model(numerator, denominator)
+    if verdict != sup.Verdict.TRUSTED:
+        return denominator, numerator, verdict
+    copy_into(state.values, load.physical(numerator, denominator))
+    verdict = sup.judge_bounds(state.values, state.nominal, settings.jacket, state.supervisor)
+    if verdict == sup.Verdict.TRUSTED:
+        verdict = sup.judge_damping(denominator, settings.jacket)
+    if verdict == sup.Verdict.TRUSTED:
+        verdict = _judge_quality(settings, load, state)
+    if verdict != sup.Verdict.TRUSTED:
+        return denominator, numerator, verdict
+    a, b = discrete_model(settings, load, numerator, denominator, period_s)
+    return a, b, verdict
+
+
+def _judge_quality(settings: ControllerSettings, load: Load, state: SlowState) -> int:
+    """Whether the estimate is certain enough, and predicts no worse than the nominal model."""
+    learning, jacket, supervisor = settings.learning, settings.jacket, state.supervisor
+    if jacket.deviation_max > 0.0:
+        deviations = est.parameter_deviations(state.estimator, learning, load, state.values)
+        copy_into(state.deviations, deviations)
+    verdict = sup.judge_certainty(state.values, state.deviations, jacket, supervisor)
+    if verdict != sup.Verdict.TRUSTED:
+        return verdict
+    return sup.judge_residual(supervisor, jacket)
+
+
+def _show_direct(load: Load, state: SlowState, a: Vector, b: Vector, period_s: float) -> None:
+    """Physical parameters of a direct estimate, for people: its gains do without them."""
+    numerator, denominator = continuous_model(a, b, period_s)
+    if sup.judge_model(numerator, denominator) == sup.Verdict.TRUSTED:
+        copy_into(state.values, load.physical(numerator, denominator))
+    else:
+        copy_into(state.values, [math.nan] * len(state.values))

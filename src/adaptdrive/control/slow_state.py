@@ -1,0 +1,149 @@
+"""What the slow half remembers from period to period, and what it is given in each."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adaptdrive.control import estimator as est
+from adaptdrive.control import regression as reg
+from adaptdrive.control import supervisor as sup
+from adaptdrive.control.charging import ChargeState
+from adaptdrive.control.design import past_inputs
+from adaptdrive.control.load import Load, to_input
+from adaptdrive.control.pace import Pace
+from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.control.vectors import Vector
+from adaptdrive.control.watch import WatchState
+
+
+@dataclass(slots=True)
+class SlowState:
+    """What the slow half remembers.
+
+    Attributes:
+        inputs: u[k-1] ... u[k-n] as applied.
+        outputs: y[k] ... y[k-m].
+        nominal: Nominal physical parameters.
+        fixed_gains: Gains for the nominal model.
+        adaptive_gains: Gains for the last accepted estimate.
+        values: Estimated physical parameters.
+        pole: Pole that the fixed gains were designed for.
+        period_s: Period that they were designed for.
+        handover_step: Law not in force minus law in force.
+        accepted: Whether the estimate of this period went live.
+        adaptive: Whether the adaptive law is in force.
+        estimator: The estimator.
+        supervisor: The supervisor.
+        charge: The charger of a battery.
+        reference: r[k-1].
+        nominal_theta: θ of the nominal model.
+        deviations: Standard deviations of the physical parameters.
+        model_a: A of this period's estimate.
+        model_b: B of it.
+        trusted_a: A of the last trusted estimate.
+        trusted_b: B of it.
+        trusted_alarms: Abrupt changes noticed when it was accepted.
+        saturated: Whether the last input was at a limit or could not be followed.
+        blend: Share of the adaptive law in what is sent, 0 to 1.
+        watch: The watch over the adaptive law.
+        pace: The pace of the loop.
+        pole_in_force: Pole of this period's designs.
+        unresponsive: Whether the load has stopped to answer.
+    """
+
+    inputs: Vector
+    outputs: Vector
+    nominal: Vector
+    fixed_gains: Vector
+    adaptive_gains: Vector
+    values: Vector
+    pole: float
+    period_s: float
+    handover_step: float
+    accepted: bool
+    adaptive: bool
+    estimator: est.EstimatorState
+    supervisor: sup.SupervisorState
+    charge: ChargeState
+    reference: float
+    nominal_theta: Vector
+    deviations: Vector
+    watch: WatchState
+    pace: Pace
+    model_a: Vector
+    model_b: Vector
+    trusted_a: Vector
+    trusted_b: Vector
+    trusted_alarms: int = 0
+    saturated: bool = False
+    blend: float = 0.0
+    pole_in_force: float = math.nan
+    unresponsive: bool = False
+
+
+@dataclass(slots=True)
+class SlowSample:
+    """What the slow half is given each period.
+
+    Attributes:
+        period_s: T_k.
+        output: y[k].
+        output_filtered: λy ... λ^m y.
+        input_filtered: u, λu ... λ^m u.
+        applied: Input applied over the elapsed period, NaN while unknown.
+        followed: False where a limit kept the drive from following.
+        held_share: Share of the elapsed ticks without a fresh measurement.
+        reference: r[k].
+        adaptive: True when the operator asks for the adaptive controller.
+        pole: Pole asked for.
+        low: Lowest input.
+        high: Highest input.
+    """
+
+    period_s: float
+    output: float
+    output_filtered: Vector
+    input_filtered: Vector
+    applied: float
+    followed: bool
+    held_share: float
+    reference: float
+    adaptive: bool
+    pole: float
+    low: float
+    high: float
+
+
+def new_slow_state(
+    settings: ControllerSettings, load: Load, output: float, boost_voltage_V: float
+) -> SlowState:
+    """A slow half at rest: the present output and voltage have been there for ever."""
+    taps = past_inputs(settings, load)
+    load_input = to_input(boost_voltage_V, load.input_gain, load.input_exponent)
+    nominal = load.physical(list(load.numerator), list(load.denominator))
+    return SlowState(
+        inputs=[load_input] * taps,
+        outputs=[output] * (load.order + 1),
+        nominal=nominal,
+        fixed_gains=[0.0] * (taps + load.order + 1),
+        adaptive_gains=[0.0] * (taps + load.order + 1),
+        values=[math.nan] * len(nominal),
+        pole=math.nan,
+        period_s=math.nan,
+        handover_step=math.nan,
+        accepted=False,
+        adaptive=False,
+        estimator=est.new_estimator(settings.learning, load, taps),
+        supervisor=sup.SupervisorState(),
+        charge=ChargeState(max(0.0, output)),
+        reference=output,
+        nominal_theta=reg.nominal_theta(settings.learning, load, taps),
+        deviations=[math.nan] * len(nominal),
+        watch=WatchState(),
+        pace=Pace(),
+        model_a=[1.0] + [0.0] * load.order,
+        model_b=[0.0] * (taps + 1),
+        trusted_a=[1.0] + [0.0] * load.order,
+        trusted_b=[0.0] * (taps + 1),
+    )
