@@ -148,3 +148,47 @@ async def test_a_drive_on_tcp_that_is_switched_off_is_waited_for(free_tcp_port: 
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)
     await peer.stop()
+
+
+class Mute:
+    """A drive that hears its first connection and answers nothing, and closes all later ones."""
+
+    def __init__(self) -> None:
+        self.connections = 0
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.connections += 1
+        if self.connections == 1:
+            while await reader.read(100):
+                pass
+        writer.close()
+
+
+async def test_a_link_that_dies_under_an_urgent_command_is_not_hammered(
+    free_tcp_port: int,
+) -> None:
+    port, mute = build(bus__port=str(free_tcp_port), **FUNCTION_23), Mute()
+    async with await asyncio.start_server(mute.serve, "127.0.0.1", free_tcp_port):
+        task = asyncio.create_task(port.run(Ear(), lambda: None))
+        port.send(RUN)
+        await until(lambda: mute.connections == 1)
+        while mute.connections == 1:
+            await asyncio.sleep(0.005)
+            port.send(SAFE_COMMAND)
+        await asyncio.sleep(1.0)
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+    assert 3 <= mute.connections <= 6
+
+
+async def test_a_port_that_is_closed_while_it_waits_for_the_drive_opens_no_link(
+    free_tcp_port: int,
+) -> None:
+    port, ear, mute = build(bus__port=str(free_tcp_port)), Ear(), Mute()
+    task = asyncio.create_task(port.run(ear, lambda: None))
+    await until(lambda: bool(ear.bus))
+    async with await asyncio.start_server(mute.serve, "127.0.0.1", free_tcp_port):
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        await asyncio.sleep(0.05)
+    assert mute.connections == 0

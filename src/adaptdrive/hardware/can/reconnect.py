@@ -10,12 +10,7 @@ from typing import NoReturn
 import can
 
 from adaptdrive.errors import BusError
-
-_FIRST_DELAY_S = 0.1
-"""First wait before a lost bus is opened again: an interface that is restarted is soon back."""
-
-_LAST_DELAY_S = 2.0
-"""Longest wait: an adapter that is plugged in again should not be waited for."""
+from adaptdrive.hardware.backoff import Backoff
 
 Serve = Callable[[can.BusABC, Callable[[], None]], Awaitable[str]]
 
@@ -44,20 +39,19 @@ async def serve_for_ever(  # noqa: PLR0913 - each turn in the life of a bus
         BusError: The bus cannot be opened at the first attempt.
     """
     problem = await serve(open_one(), opened)
-    delay_s = _FIRST_DELAY_S
+    backoff = Backoff()
     while True:
         lost(problem)
-        bus, delay_s = await _reopen(open_one, delay_s)
+        bus = await _reopen(open_one, backoff)
         before = heard()
         problem = await serve(bus, returned)
         if heard() > before:
-            delay_s = _FIRST_DELAY_S
+            backoff.reset()
 
 
-async def _reopen(open_one: Callable[[], can.BusABC], delay_s: float) -> tuple[can.BusABC, float]:
-    """Try again, less and less often; the bus, and the delay for the next time."""
+async def _reopen(open_one: Callable[[], can.BusABC], backoff: Backoff) -> can.BusABC:
+    """Try again, less and less often."""
     while True:
-        await asyncio.sleep(delay_s)
-        delay_s = min(2.0 * delay_s, _LAST_DELAY_S)
+        await asyncio.sleep(backoff.next_s())
         with contextlib.suppress(BusError):
-            return open_one(), delay_s
+            return open_one()

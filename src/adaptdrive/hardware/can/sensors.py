@@ -17,6 +17,7 @@ import can
 
 from adaptdrive.config.sensors import CanSensors as Config
 from adaptdrive.errors import BusError, ConfigurationError
+from adaptdrive.hardware.backoff import Backoff
 from adaptdrive.hardware.can.arrival import OLDEST_S, waiting_time_s
 from adaptdrive.hardware.can.bus import channel_flaws, describe_bus, frame_key, open_bus
 from adaptdrive.hardware.can.codec import MessageCodec
@@ -25,12 +26,6 @@ from adaptdrive.hardware.can.integrity import Verdict
 from adaptdrive.hardware.can.reader import read_frames
 from adaptdrive.hardware.port import PortStatistics, SensorListener
 from adaptdrive.hardware.presence import Presence
-
-_FIRST_DELAY_S = 0.1
-"""First wait before a lost bus is opened again: an interface that is restarted is soon back."""
-
-_LAST_DELAY_S = 2.0
-"""Longest wait: an adapter that is plugged in again should not be waited for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,14 +153,14 @@ class CanSensors:
 
     async def _hear(self) -> None:
         """One bus after the other, less and less often while there is none."""
-        delay_s = _FIRST_DELAY_S
+        backoff = Backoff()
         while True:
             heard = self._counts["received"]
             problem = await self._try()
             self._tell(up=False, problem=problem)
-            delay_s = _FIRST_DELAY_S if self._counts["received"] > heard else delay_s
-            await asyncio.sleep(delay_s)
-            delay_s = min(2.0 * delay_s, _LAST_DELAY_S)
+            if self._counts["received"] > heard:
+                backoff.reset()
+            await asyncio.sleep(backoff.next_s())
 
     async def _try(self) -> str:
         """Open the bus and hear it until it is lost; why it was."""

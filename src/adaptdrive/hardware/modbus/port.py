@@ -18,17 +18,12 @@ from adaptdrive.config.bus import Signals
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
+from adaptdrive.hardware.backoff import Backoff
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.link import ExchangeError, Link
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, map_drive
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
-
-_FIRST_DELAY_S = 0.1
-"""First wait before a lost link is opened again: a server that restarts is soon back."""
-
-_LAST_DELAY_S = 2.0
-"""Longest wait: a cable that is plugged in again should not be waited for."""
 
 _SILENT_POLLS = 3
 """Polls without a reading after which the drive is said to be gone."""
@@ -180,26 +175,26 @@ class ModbusPort:
 
     async def _work(self, link: Link | None, problem: str) -> None:
         """Serve one link after the other until the port is closed."""
-        delay_s = _FIRST_DELAY_S
-        while not self._closing:
+        backoff = Backoff()
+        while link is not None or not self._closing:
             if link is None:
                 self._tell_down(problem)
-                link, delay_s = await self._reopen(delay_s)
+                self._wake.clear()  # what was urgent when the link was lost does not hurry it back
+                await self._sleep(backoff.next_s())
+                link = None if self._closing else await self._reopen()
                 continue
             heard = self._counts["received"]
             problem = await self._serve(link)
             link = None
             if self._counts["received"] > heard:
-                delay_s = _FIRST_DELAY_S
+                backoff.reset()
 
-    async def _reopen(self, delay_s: float) -> tuple[Link | None, float]:
-        """Try again, less and less often; the link, and the delay for the next time."""
-        await self._sleep(delay_s)
+    async def _reopen(self) -> Link | None:
         with contextlib.suppress(BusError):
             link = await self._open()
             self._counts["reconnects"] += 1
-            return link, delay_s
-        return None, min(2.0 * delay_s, _LAST_DELAY_S)
+            return link
+        return None
 
     async def _serve(self, link: Link) -> str:
         """Poll over an open link until it is lost or the port is closed; why it was lost."""

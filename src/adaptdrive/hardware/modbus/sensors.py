@@ -17,6 +17,7 @@ from pathlib import Path
 
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.errors import BusError, ConfigurationError
+from adaptdrive.hardware.backoff import Backoff
 from adaptdrive.hardware.modbus.blocks import plan_blocks
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange, cycle_flaws
@@ -24,12 +25,6 @@ from adaptdrive.hardware.modbus.link import ExchangeError, Link
 from adaptdrive.hardware.modbus.mapping import Source
 from adaptdrive.hardware.port import PortStatistics, SensorListener
 from adaptdrive.hardware.presence import Presence
-
-_FIRST_DELAY_S = 0.1
-"""First wait before a lost link is opened again: a server that restarts is soon back."""
-
-_LAST_DELAY_S = 2.0
-"""Longest wait: a cable that is plugged in again should not be waited for."""
 
 _SILENT_CYCLES = 3
 """Cycles without any reply after which the modules are said to be gone."""
@@ -109,14 +104,14 @@ class ModbusSensors:
 
     async def _work(self, listener: SensorListener) -> None:
         """Serve one link after the other until the port is closed."""
-        delay_s = _FIRST_DELAY_S
+        backoff = Backoff()
         while not self._closing.is_set():
             heard = self._counts["received"]
             problem = await self._try(listener)
             self._tell(listener, up=False, problem=problem)
-            delay_s = _FIRST_DELAY_S if self._counts["received"] > heard else delay_s
-            await self._sleep(delay_s)
-            delay_s = min(2.0 * delay_s, _LAST_DELAY_S)
+            if self._counts["received"] > heard:
+                backoff.reset()
+            await self._sleep(backoff.next_s())
 
     async def _try(self, listener: SensorListener) -> str:
         """Open the link and poll it until it is lost; why it was."""
