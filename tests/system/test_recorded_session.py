@@ -15,7 +15,7 @@ from adaptdrive.recording.session import Ending
 from tests.system.conftest import MakeSite
 from tests.system.site import Site
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.alone]
 
 Q, LATENCY = 120, 2
 EAGER = {
