@@ -95,6 +95,18 @@ def logged_events(log: Path, name: str) -> list[dict[str, Any]]:
     return [entry for entry in entries if entry["event"] == name]
 
 
+def resident_MiB(pid: int) -> float:
+    """Memory of a process that is resident."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="utf-8").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def children(pid: int) -> list[int]:
+    """Processes that a process has started."""
+    text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8")
+    return [int(one) for one in text.split()]
+
+
 @dataclass(frozen=True, slots=True)
 class Broker:
     """Where a running broker is."""

@@ -20,12 +20,11 @@ from tests.benchmarks.tools import (
     PRIORITY,
     bus_ports,
     bus_socket,
-    children,
     cpu_s,
     is_command,
     process,
-    resident_MiB,
 )
+from tests.support import children, resident_MiB
 
 WANTED = 16
 COUNTS = (1, 8, 16, 24)

@@ -18,9 +18,9 @@ from contextlib import ExitStack, contextmanager
 from tests.benchmarks.lateness import cyclictest
 from tests.benchmarks.rows import Extent, Row, quantile
 from tests.benchmarks.site import Running, runs, site
-from tests.benchmarks.tools import PRIORITY, children, process
+from tests.benchmarks.tools import PRIORITY, process
 from tests.benchmarks.turnaround import probe
-from tests.support import Process
+from tests.support import Process, children
 
 HOG = "while True: pass"
 COMMANDS_PER_S = 1000

@@ -74,18 +74,6 @@ def cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def resident_MiB(pid: int) -> float:
-    """Memory of a process that is resident."""
-    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="utf-8").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
-
-
-def children(pid: int) -> list[int]:
-    """Processes that a process has started."""
-    text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8")
-    return [int(one) for one in text.split()]
-
-
 def run_json(module: str, *words: object) -> dict[str, list[float]]:
     """Run a module in a process of its own; what it prints is JSON."""
     command = [sys.executable, "-m", module, *map(str, words)]

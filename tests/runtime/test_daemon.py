@@ -413,7 +413,7 @@ async def test_when_the_reports_die_the_drive_is_left_safe(
 ) -> None:
     async with daemon_bench() as bench:
         await bench.start()
-        monkeypatch.setattr(bench.daemon, "_drive_report", lambda: 1 / 0)
+        monkeypatch.setattr("adaptdrive.runtime.daemon.drive_report", lambda *_: 1 / 0)
         (cause,) = await ending(bench)
         assert isinstance(cause, ZeroDivisionError)
         assert bench.sent[-1] == SAFE_COMMAND

@@ -20,7 +20,7 @@ from typing import Any
 import pytest
 
 from adaptdrive.recording.session import Ending
-from tests.support import stop_process
+from tests.support import children, resident_MiB, stop_process
 from tests.system.bus_ear import BusEar
 from tests.system.conftest import MakeSite
 from tests.system.site import Site, until
@@ -160,20 +160,10 @@ def later_report(site: Site, ticks: int) -> dict[str, Any] | None:
     return newest if newest["ticks"] > ticks else None
 
 
-def children(pid: int) -> list[int]:
-    text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8")
-    return [int(word) for word in text.split()]
-
-
 def real_time_priority(pid: int, thread: int) -> int:
     """Real-time priority of a thread as the kernel tells it, 0 for an ordinary one."""
     text = Path(f"/proc/{pid}/task/{thread}/stat").read_text(encoding="utf-8")
     return int(text.rpartition(")")[2].split()[37])
-
-
-def resident_MiB(pid: int) -> float:
-    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="utf-8").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 @contextlib.contextmanager

@@ -53,10 +53,31 @@ def prepared(
     grants = [grant for grant in more if grant is not None]
     if configuration.realtime.warm_up:
         grants.append(_rehearse(rehearsal))
+    grants.extend(before_frames(configuration))
     with real_time(realtime_settings(configuration)) as answers:
         for grant in (*grants, *answers):
             hub.publish(_event(grant))
         yield
+
+
+def before_frames(configuration: Configuration) -> Iterator[Grant]:
+    """What is done in the time before each frame of the drive, and what that means.
+
+    Args:
+        configuration: The drive.
+    """
+    wanted, tick_us = configuration.realtime, 0.5e6 / configuration.drive.line_frequency_Hz
+    polled = configuration.ticks_per_reading > 1
+    if wanted.rehearse_us > 0.0:
+        meaning = "a tick on a made-up drive before each frame keeps the CPU's caches warm"
+        if polled:
+            meaning = "a drive that is polled answers, and its replies must not wait for it"
+        yield Grant(f"rehearse_us = {wanted.rehearse_us:g}", granted=not polled, meaning=meaning)
+    if wanted.spin_us > 0.0:
+        before = "each deadline of the timer" if polled else "each frame and deadline"
+        share = 100.0 * wanted.spin_us / tick_us
+        meaning = f"busy before {before}, up to {share:.0f} % of a CPU"
+        yield Grant(f"spin_us = {wanted.spin_us:g}", granted=True, meaning=meaning)
 
 
 def _event(grant: Grant) -> Event:

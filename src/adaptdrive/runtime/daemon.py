@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Decision, Mode, Snapshot
 from adaptdrive.hardware.port import Port, Reading
+from adaptdrive.runtime.accounts import drive_report, state_report
 from adaptdrive.runtime.collector import IdleCollector
 from adaptdrive.runtime.fast_loop import FastLoop, FastLoopSettings
 from adaptdrive.runtime.frame_watch import DressRehearsal, FrameWatch
@@ -17,7 +18,6 @@ from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.latency import LatencyDetector, WatchedLoop
 from adaptdrive.runtime.machine import Machine, MachineLimits
 from adaptdrive.runtime.reports import (
-    DriveReport,
     Event,
     LoadReport,
     SensorReport,
@@ -105,7 +105,7 @@ class Daemon:
         self._timer_failure: asyncio.Future[None] | None = None
         self._decision: Decision | None = None
         self._bus_problem: str | None = None
-        self._told = self._state_report()
+        self._told = state_report(self._machine, None)
 
     async def run(self, stop: asyncio.Event) -> None:
         """Serve the drive until `stop` is set; leave it in its safe state, whatever happens.
@@ -285,7 +285,8 @@ class Daemon:
     async def _report(self) -> None:
         while True:
             await asyncio.sleep(self._settings.report_s)
-            self._hub.publish(self._drive_report())
+            books = drive_report(self._fast, self._port.statistics, self._sensors(), self._clock())
+            self._hub.publish(books)
             self._publish_state()
             self._tell_manager()
 
@@ -298,7 +299,7 @@ class Daemon:
             await asyncio.sleep(_FAREWELL_GAP_S)
 
     def _publish_state(self) -> None:
-        report, told = self._state_report(), self._told
+        report, told = state_report(self._machine, self._decision), self._told
         if report == told:
             return
         self._told = report
@@ -326,42 +327,3 @@ class Daemon:
 
     def _tell(self, kind: str, severity: Severity, detail: str) -> None:
         self._hub.publish(Event(kind, severity, detail, self._fast.tick))
-
-    def _state_report(self) -> StateReport:
-        machine, decision = self._machine, self._decision
-        controller = decision.controller if decision is not None else Mode.FIXED
-        waiting = machine.mode is Mode.ADAPTIVE and controller is Mode.FIXED
-        reason = "not running" if decision is None else decision.reason
-        return StateReport(
-            state=machine.state,
-            mode=machine.mode,
-            controller=controller,
-            reason=reason if waiting else "",
-            enabled=machine.energised,
-            setpoint=machine.setpoint,
-            waveform=machine.waveform,
-            pole=machine.pole,
-            trip=machine.trip,
-        )
-
-    def _drive_report(self) -> DriveReport:
-        fast = self._fast
-        age_s = self._clock() - fast.reading.oldest_s if fast.reading else float("nan")
-        return DriveReport(
-            measurement=fast.measurement,
-            age_s=age_s,
-            command=fast.command,
-            ticks=fast.counts.ticks,
-            missed=fast.counts.missed,
-            held=fast.counts.held,
-            lateness_us=fast.lateness.take(),
-            turnaround_us=fast.turnaround.take(),
-            bus=asdict(self._port.statistics),
-            tick_us=fast.tick_time.take(),
-            sensors=self._sensors(),
-            histograms={
-                "lateness_us": fast.lateness.histogram,
-                "turnaround_us": fast.turnaround.histogram,
-                "tick_us": fast.tick_time.histogram,
-            },
-        )

@@ -25,6 +25,7 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.hardware.port import Port, Reading
+from adaptdrive.runtime.bridge_watch import BridgeWatch
 from adaptdrive.runtime.guard import CommandLimits, Guard
 from adaptdrive.runtime.half_cycles import HalfCycles
 from adaptdrive.runtime.interlocks import Limits, find_cause
@@ -32,9 +33,6 @@ from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import TickReport
 from adaptdrive.runtime.statistics import TimeWindow
 from adaptdrive.runtime.stillness import Stillness, StillnessLimits
-
-_BRIDGE_GRACE_TICKS = 30
-_BRIDGE_GRACE_READINGS = 3
 
 
 @dataclass(slots=True)
@@ -137,7 +135,7 @@ class FastLoop:
         self._surroundings = surroundings
         self._due: tuple[int, Decision] | None = None
         self._run_tick = 0
-        self._bridge_off_ticks = 0
+        self._bridge = BridgeWatch(settings.tick_s, settings.ticks_per_reading)
         self._watched_s = math.inf
         self._order: Order | None = None
         self._applied_k = -1
@@ -285,7 +283,7 @@ class FastLoop:
             return
         cause = (
             self._cause(now_s)
-            or self._bridge_cause(reading, unwatched_s)
+            or self._bridge.advance(reading, commanded=self.command.bridge, unwatched_s=unwatched_s)
             or self._still_cause(reading)
         )
         if cause is None and reading is not None:
@@ -301,21 +299,6 @@ class FastLoop:
             self._stillness.forget()
             return None
         return self._stillness.advance(reading.output, reading.boost_voltage_V, reading.arrival_s)
-
-    def _bridge_cause(self, reading: Reading | None, unwatched_s: float) -> str | None:
-        """A drive that has stopped by itself must not be driven on as if it had not.
-
-        Half cycles that passed unwatched count: a drive that stopped because this process
-        did not run for long gets no command that energises it anew.
-        """
-        if reading is None or reading.bridge or not self.command.bridge:
-            self._bridge_off_ticks = 0
-            return None
-        stride = self._settings.ticks_per_reading
-        self._bridge_off_ticks += max(stride, int(unwatched_s / self._settings.tick_s))
-        if self._bridge_off_ticks <= max(_BRIDGE_GRACE_TICKS, _BRIDGE_GRACE_READINGS * stride):
-            return None
-        return "drive stopped: its bridge is off although it was commanded on"
 
     def _control(self, tick: int, reading: Reading, *, fresh: bool) -> None:
         order = self._current_order(tick)

@@ -1,0 +1,66 @@
+"""What a daemon reports of itself from time to time, put together from its parts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+
+from adaptdrive.control.signals import Decision, Mode
+from adaptdrive.hardware.port import PortStatistics
+from adaptdrive.runtime.fast_loop import FastLoop
+from adaptdrive.runtime.machine import Machine
+from adaptdrive.runtime.reports import DriveReport, SensorReport, StateReport
+
+
+def state_report(machine: Machine, decision: Decision | None) -> StateReport:
+    """State, mode and limits, as an operator wants to know them.
+
+    Args:
+        machine: The state machine.
+        decision: The decision in force, None while there is none.
+    """
+    controller = decision.controller if decision is not None else Mode.FIXED
+    waiting = machine.mode is Mode.ADAPTIVE and controller is Mode.FIXED
+    reason = "not running" if decision is None else decision.reason
+    return StateReport(
+        state=machine.state,
+        mode=machine.mode,
+        controller=controller,
+        reason=reason if waiting else "",
+        enabled=machine.energised,
+        setpoint=machine.setpoint,
+        waveform=machine.waveform,
+        pole=machine.pole,
+        trip=machine.trip,
+    )
+
+
+def drive_report(
+    fast: FastLoop, bus: PortStatistics, sensors: tuple[SensorReport, ...], now_s: float
+) -> DriveReport:
+    """Measurement, command and the books of the fast loop; its windows of time begin anew.
+
+    Args:
+        fast: The fast loop.
+        bus: Counts of the port.
+        sensors: State of the sensor buses.
+        now_s: Monotonic time.
+    """
+    return DriveReport(
+        measurement=fast.measurement,
+        age_s=now_s - fast.reading.oldest_s if fast.reading else math.nan,
+        command=fast.command,
+        ticks=fast.counts.ticks,
+        missed=fast.counts.missed,
+        held=fast.counts.held,
+        lateness_us=fast.lateness.take(),
+        turnaround_us=fast.turnaround.take(),
+        bus=asdict(bus),
+        tick_us=fast.tick_time.take(),
+        sensors=sensors,
+        histograms={
+            "lateness_us": fast.lateness.histogram,
+            "turnaround_us": fast.turnaround.histogram,
+            "tick_us": fast.tick_time.histogram,
+        },
+    )

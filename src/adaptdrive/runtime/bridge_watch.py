@@ -1,0 +1,45 @@
+"""Notices a drive that has stopped by itself: it must not be driven on as if it had not."""
+
+from __future__ import annotations
+
+from adaptdrive.hardware.port import Reading
+
+_GRACE_TICKS = 30
+_GRACE_READINGS = 3
+
+
+class BridgeWatch:
+    """Counts half cycles in which a bridge is off that was commanded on."""
+
+    def __init__(self, tick_s: float, ticks_per_reading: int) -> None:
+        """Watch from the first half cycle.
+
+        Args:
+            tick_s: Half a line cycle at nominal frequency.
+            ticks_per_reading: Half cycles from one reading to the next.
+        """
+        self._tick_s = tick_s
+        self._stride = ticks_per_reading
+        self._grace = max(_GRACE_TICKS, _GRACE_READINGS * ticks_per_reading)
+        self._off_ticks = 0
+
+    def advance(
+        self, reading: Reading | None, *, commanded: bool, unwatched_s: float
+    ) -> str | None:
+        """One more look; the cause of a trip, None for none.
+
+        Half cycles that passed unwatched count: a drive that stopped because this process did not
+        run for long gets no command that energises it anew.
+
+        Args:
+            reading: What the drive said last.
+            commanded: Whether the last command had the bridge on.
+            unwatched_s: Time since the last look.
+        """
+        if reading is None or reading.bridge or not commanded:
+            self._off_ticks = 0
+            return None
+        self._off_ticks += max(self._stride, int(unwatched_s / self._tick_s))
+        if self._off_ticks <= self._grace:
+            return None
+        return "drive stopped: its bridge is off although it was commanded on"
