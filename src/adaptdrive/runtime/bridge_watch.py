@@ -23,7 +23,7 @@ class BridgeWatch:
         self._grace = max(_GRACE_TICKS, _GRACE_READINGS * ticks_per_reading)
         self._off_ticks = 0
 
-    def advance(
+    def find_cause(
         self, reading: Reading | None, *, commanded: bool, unwatched_s: float
     ) -> str | None:
         """One more look; the cause of a trip, None for none.

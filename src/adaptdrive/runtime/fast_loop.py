@@ -283,7 +283,9 @@ class FastLoop:
             return
         cause = (
             self._cause(now_s)
-            or self._bridge.advance(reading, commanded=self.command.bridge, unwatched_s=unwatched_s)
+            or self._bridge.find_cause(
+                reading, commanded=self.command.bridge, unwatched_s=unwatched_s
+            )
             or self._still_cause(reading)
         )
         if cause is None and reading is not None:
