@@ -28,11 +28,11 @@ settings.register_profile("adaptdrive", deadline=None, derandomize="CI" in os.en
 settings.load_profile("adaptdrive")
 
 
-CALCULATING = {"campaign", "closed_loop", "compiled", "config", "control", "experiments", "vm"}
+CALCULATING = {"campaign", "closed_loop", "compiled", "config", "control", "experiments"}
 """Folders whose tests need nothing but a processor, however busy."""
 
-LONG = {"vm", "system"}
-"""Folders of the longest tests: started first, they do not run on when all others have ended."""
+LONG = "system"
+"""Folder of the longest tests: started first, they do not run on when all others have ended."""
 
 KINDS = {"calculating", "waiting", "alone"}
 
@@ -44,7 +44,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if not any(item.get_closest_marker(kind) for kind in KINDS):
             calculating = _folder(item) in CALCULATING
             item.add_marker(pytest.mark.calculating if calculating else pytest.mark.waiting)
-    items.sort(key=lambda item: _folder(item) not in LONG)
+    items.sort(key=lambda item: _folder(item) != LONG)
 
 
 def _folder(item: pytest.Item) -> str:

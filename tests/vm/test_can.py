@@ -10,7 +10,7 @@ from tests.support import has_can
 from tests.vm import machine
 from tests.vm.guest_tests import ROOT, pytest_script, show
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.alone]  # it needs two processors
 
 _MARK = "mark.vcan"
 
