@@ -111,10 +111,14 @@ class Bench:
         if (snapshot := self.controller.take_snapshot()) is not None:
             self.decisions.append(self.controller.decide(snapshot))
             self._due = self.n + self.latency
-        self._sample = self.world.step(command.current_scale_S, command.bridge)
+        self._sample = self.drive(command, self._sample)
         self.commands.append(command)
         self.n += 1
         return command
+
+    def drive(self, command: Command, _: Sample) -> Sample:
+        """What the drive measures half a cycle after a command."""
+        return self.world.step(command.current_scale_S, command.bridge)
 
     def measurement(self) -> Measurement:
         s = self._sample

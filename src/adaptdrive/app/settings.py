@@ -19,6 +19,7 @@ from adaptdrive.control.settings import (
     PowerStage,
     Rates,
 )
+from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive.runtime.daemon import DaemonSettings
 from adaptdrive.runtime.fast_loop import FastLoopSettings
 from adaptdrive.runtime.guard import CommandLimits
@@ -81,6 +82,7 @@ def controller_settings(configuration: Configuration) -> ControllerSettings:
             samples=load.samples if exact else 1,
             nominal_tick_s=tick_s(configuration),
             clip=load.clip if exact else 0.0,
+            lag_ticks=_lag_ticks(configuration),
         ),
         learning=_learning(configuration, exact=exact),
         jacket=_jacket(configuration),
@@ -116,6 +118,12 @@ def realtime_settings(configuration: Configuration) -> RealtimeSettings:
 def tick_s(configuration: Configuration) -> float:
     """Half a line cycle at nominal frequency."""
     return 0.5 / configuration.drive.line_frequency_Hz
+
+
+def _lag_ticks(configuration: Configuration) -> float:
+    """Mean delay of the loop that holds the boost voltage; a drive's own may have another."""
+    lag_s = configuration.voltage_loop.lag_s
+    return LAG_TICKS if lag_s is None else lag_s / tick_s(configuration)
 
 
 def _power_stage(configuration: Configuration) -> PowerStage:

@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from adaptdrive.config.section import PositiveFloat, Section
+from adaptdrive.config.section import NonNegativeFloat, PositiveFloat, Section
 
 
 class DriveLimits(Section):
@@ -71,3 +71,10 @@ class VoltageLoop(Section):
         default="daemon", description="who computes the current scale from V_c"
     )
     feed_forward: bool = Field(default=True, description="add the measured load power")
+    lag_s: NonNegativeFloat | None = Field(
+        default=None,
+        description="mean delay from V_c to v_bst of a drive that holds its own v_bst, which "
+        "the exact design counts: the time constant of a loop of first order, the sum of them of a "
+        "higher one; at most the load's slow period; 9 half line cycles, as the daemon's own loop "
+        "has, when left out",
+    )

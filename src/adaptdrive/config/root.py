@@ -68,6 +68,7 @@ class Configuration(Section):
             *_bus_flaws(self),
             *_sensor_flaws(self),
             *_command_flaws(self),
+            *_lag_flaws(self),
             *_trip_flaws(self),
             *_filter_flaws(self),
         ]
@@ -150,6 +151,18 @@ def _command_flaws(configuration: Configuration) -> Iterator[Flaw]:
             yield Flaw(
                 f"signals.command.{name}", f"is missing: voltage_loop.where = {where!r} needs it"
             )
+
+
+def _lag_flaws(configuration: Configuration) -> Iterator[Flaw]:
+    lag_s, period_s = configuration.voltage_loop.lag_s, configuration.load.period_s
+    if lag_s is None:
+        return
+    if configuration.voltage_loop.where == "daemon":
+        problem = "is for where = 'drive': the delay of the daemon's own loop is known"
+        yield Flaw("voltage_loop.lag_s", problem)
+    elif lag_s > period_s:
+        problem = f"{lag_s} s must not exceed load.period_s = {period_s} s: choose a longer period"
+        yield Flaw("voltage_loop.lag_s", problem)
 
 
 def _filter_flaws(configuration: Configuration) -> Iterator[Flaw]:

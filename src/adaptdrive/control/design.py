@@ -12,7 +12,6 @@ from adaptdrive.control.load import Load
 from adaptdrive.control.pole_placement import desired_polynomial, place_poles
 from adaptdrive.control.settings import ControllerSettings, Rates
 from adaptdrive.control.vectors import Vector, multiply
-from adaptdrive.control.voltage_loop import LAG_TICKS
 
 _HALVINGS = 50
 
@@ -23,7 +22,7 @@ def loop_delay_ticks(rates: Rates) -> float:
     A mean over M samples ends half a tick after the last of them, when it is seen as an average
     over M whole ticks.
     """
-    delay = rates.latency_ticks + LAG_TICKS
+    delay = rates.latency_ticks + rates.lag_ticks
     return delay - 0.5 if rates.samples > 1 else delay
 
 
@@ -32,7 +31,7 @@ def reference_lead(settings: ControllerSettings) -> float:
     if not settings.exact:
         return 0.0
     rates = settings.rates
-    return (rates.latency_ticks + LAG_TICKS) / rates.ticks_per_period
+    return (rates.latency_ticks + rates.lag_ticks) / rates.ticks_per_period
 
 
 def window_ticks(rates: Rates) -> float:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from adaptdrive.control.voltage_loop import LAG_TICKS
+
 
 @dataclass(frozen=True, slots=True)
 class PowerStage:
@@ -43,6 +45,7 @@ class Rates:
         samples: Fast samples averaged for a slow one.
         clip: Fast samples are clipped to this many mean deviations about their prediction; 0 not.
         nominal_tick_s: Half a line cycle at nominal frequency.
+        lag_ticks: Mean delay from V_c to the boost voltage, of whichever loop holds it.
     """
 
     ticks_per_period: int
@@ -50,6 +53,7 @@ class Rates:
     samples: int
     nominal_tick_s: float
     clip: float = 0.0
+    lag_ticks: float = LAG_TICKS
 
 
 @dataclass(frozen=True, slots=True)
