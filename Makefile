@@ -40,6 +40,7 @@ bench: $(installed) ## measure speed and real time; MINUTES=10 looks longer for 
 docs: $(installed) ## write the pages that are made from the code
 	$(bin)/python -m adaptdrive.config.reference docs/configuration.md
 	$(bin)/python -m tests.deploy.licences docs/licences.md
+	$(bin)/python -m tests.runtime.columns_page docs/columns.md
 
 wheel: $(installed) ## build the wheel into dist/
 	rm -rf dist

@@ -250,9 +250,10 @@ async def test_telemetry_is_json_and_not_retained(bench: Bench) -> None:
     assert not drive.retained
     assert (load.qos, drive.qos) == (0, 0)
     assert list(load.content) == [
-        *("time", "k", "reference", "output", "boost_reference_V", "applied_V", "estimates"),
-        *("gains", "excitation", "innovation", "accepted", "controller", "mode", "reason"),
-        *("handover_step_V", "held_ticks"),
+        *("time", "k", "tick", "period_s", "stage", "reference", "mode", "pole", "output"),
+        *("output_filtered", "input_filtered", "applied_V", "followed", "held_ticks"),
+        *("boost_reference_V", "controller", "accepted", "reason", "estimates", "gains"),
+        *("innovation", "excitation", "handover_step_V", "pole_in_force", "fault", "complete"),
     ]
     assert drive.content["sensors"] == {
         "thermocouples": {

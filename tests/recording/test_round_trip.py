@@ -30,7 +30,7 @@ from adaptdrive.recording.batches import (
     read_frames,
 )
 from adaptdrive.recording.reader import read_session
-from adaptdrive.recording.rows import RecordedTick, recorded_ticks
+from adaptdrive.recording.rows import recorded_ticks
 from adaptdrive.recording.session import Dropped, Ending
 from adaptdrive.recording.writer import record
 from adaptdrive.runtime.reports import LoadReport, TickReport
@@ -87,7 +87,7 @@ def bits(value: Any) -> Any:
     return value
 
 
-def values(tick: TickReport | RecordedTick) -> Any:
+def values(tick: TickReport) -> Any:
     measurement, order, command = tick.measurement, tick.order, tick.command
     return bits(
         [

@@ -1,7 +1,8 @@
 """The values that enter and leave the controller.
 
 Everything the controller knows arrives in a `Measurement` and an `Order`; everything it wants
-leaves in a `Command`. A recording of the first two reproduces the third bit for bit.
+leaves in a `Command`. A recording of the first two reproduces the third bit for bit. A field that
+is annotated with a `Quantity` is a column of the messages and of the recording.
 """
 
 from __future__ import annotations
@@ -9,6 +10,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
+
+from adaptdrive.control.columns import Quantity
 
 
 class Mode(StrEnum):
@@ -28,57 +32,45 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """What drive and sensors said at one fast tick.
+    """The values of drive and sensors at one fast tick."""
 
-    Attributes:
-        tick: Half-cycle counter of the drive, unwrapped.
-        tick_period_s: Measured length of one half line cycle.
-        boost_voltage_V: Voltage of the boost capacitor, v_bst.
-        line_voltage_V: Line voltage, rms.
-        load_power_W: Power drawn from the boost capacitor by the load.
-        output: The regulated quantity in its own unit (tachometer volts, kelvin, ampere).
-        fresh: False where a stand-in tick holds the values of an earlier one.
-    """
-
-    tick: int
-    tick_period_s: float
-    boost_voltage_V: float
-    line_voltage_V: float
-    load_power_W: float
-    output: float
-    fresh: bool = True
+    tick: Annotated[int, Quantity("", "half-cycle counter of the drive, unwrapped")]
+    tick_period_s: Annotated[float, Quantity("s", "measured length of one half line cycle")]
+    boost_voltage_V: Annotated[float, Quantity("V", "voltage of the boost capacitor, v_bst")]
+    line_voltage_V: Annotated[float, Quantity("V", "line voltage, rms")]
+    load_power_W: Annotated[float, Quantity("W", "power drawn from the boost capacitor")]
+    output: Annotated[float, Quantity("y", "the regulated quantity")]
+    fresh: Annotated[
+        bool, Quantity("", "false where a stand-in tick holds the values of an earlier one")
+    ] = True
 
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What is asked of the controller at one fast tick.
+    """What is asked of the controller at one fast tick."""
 
-    Attributes:
-        stage: How far the drive may be energised.
-        reference: Set-point in the unit of the output.
-        mode: Fixed or adaptive load controller.
-        pole: Closed-loop pole of the load loop, in the z-plane of the slow rate.
-    """
-
-    stage: Stage
-    reference: float
-    mode: Mode
-    pole: float
+    stage: Annotated[Stage, Quantity("", "how far the drive may be energised")]
+    reference: Annotated[float, Quantity("y", "set-point")]
+    mode: Annotated[Mode, Quantity("", "load controller asked for: fixed or adaptive")]
+    pole: Annotated[
+        float, Quantity("", "closed-loop pole asked for, in the z-plane of the slow rate")
+    ]
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the drive is told at one fast tick.
+    """What the drive is to do from one fast tick on."""
 
-    Attributes:
-        current_scale_S: Line-current scale k: line current over line voltage.
-        boost_reference_V: V_c, for drives that hold their own boost voltage.
-        bridge: True when the dc/dc bridge may feed the load.
-    """
-
-    current_scale_S: float
-    boost_reference_V: float
-    bridge: bool
+    current_scale_S: Annotated[
+        float, Quantity("S", "line-current scale k: line current over line voltage")
+    ]
+    boost_reference_V: Annotated[
+        float,
+        Quantity(
+            "V", "V_c, for drives that hold their own boost voltage", "command_boost_reference_V"
+        ),
+    ]
+    bridge: Annotated[bool, Quantity("", "true when the dc/dc bridge may feed the load")]
 
 
 SAFE_COMMAND = Command(current_scale_S=0.0, boost_reference_V=0.0, bridge=False)
@@ -86,31 +78,28 @@ SAFE_COMMAND = Command(current_scale_S=0.0, boost_reference_V=0.0, bridge=False)
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """What the fast half hands to the slow half at tick n = kQ.
+    """What the fast half hands to the slow half at tick n = kQ."""
 
-    Attributes:
-        k: Slow index.
-        tick: Fast index at which the snapshot was taken.
-        period_s: Slow period T_k = Q times the measured tick period.
-        order: What was asked at this tick.
-        output: Decimated output.
-        output_filtered: The λ chain of the output, `[λy, λ²y, ...]`, decimated like the output.
-        input_filtered: The λ chain of the load's input, `[u, λu, λ²u, ...]`, decimated likewise.
-        applied_V: Mean boost voltage over the elapsed slow period.
-        followed: False where a limit kept the boost voltage from following V_c.
-        held_ticks: Stand-in ticks in the elapsed slow period.
-    """
-
-    k: int
-    tick: int
-    period_s: float
+    k: Annotated[int, Quantity("", "slow index")]
+    tick: Annotated[int, Quantity("", "fast tick of the snapshot")]
+    period_s: Annotated[float, Quantity("s", "slow period T_k: Q times the measured tick period")]
     order: Order
-    output: float
-    output_filtered: tuple[float, ...]
-    input_filtered: tuple[float, ...]
-    applied_V: float
-    followed: bool
-    held_ticks: int
+    output: Annotated[
+        float, Quantity("y", "regulated quantity: screened, mean over the averaging window")
+    ]
+    output_filtered: Annotated[
+        tuple[float, ...], Quantity("y", "[λy, λ²y, …], means over the same window")
+    ]
+    input_filtered: Annotated[
+        tuple[float, ...], Quantity("u", "[u, λu, λ²u, …], means over the same window")
+    ]
+    applied_V: Annotated[float, Quantity("V", "mean boost voltage over the elapsed slow period")]
+    followed: Annotated[
+        bool, Quantity("", "false where a limit kept the boost voltage from following V_c")
+    ]
+    held_ticks: Annotated[
+        int, Quantity("", "ticks of the elapsed slow period without a fresh measurement")
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,34 +112,45 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What the slow half made of one snapshot.
-
-    Attributes:
-        k: Slow index of the snapshot.
-        boost_reference_V: V_c after limits.
-        controller: The controller in force (`fixed` until the estimates are trusted).
-        accepted: True when the estimates of this step reached the adaptive gains.
-        reason: Why the controller in force is in force, or why the estimates were kept out.
-        estimates: Estimated load parameters by name.
-        gains: The gains in force, `[r1.., s0.., t0]`.
-        innovation: One-step prediction error of the estimator.
-        excitation: rᵀPr of the step: how much it could teach.
-        handover_step_V: Law not in force minus law in force, on the same history.
-        pole: Closed-loop pole in force; slower than asked for while the actuator cannot follow.
-        fault: Why the drive must be tripped, empty for no reason to.
-        complete: True when there is nothing left to do, such as a full battery.
-    """
+    """What the slow half made of snapshot k."""
 
     k: int
-    boost_reference_V: float
-    controller: Mode
-    accepted: bool
-    reason: str
-    estimates: dict[str, Estimate]
-    gains: tuple[float, ...]
-    innovation: float
-    excitation: float
-    handover_step_V: float
-    pole: float = math.nan
-    fault: str = ""
-    complete: bool = False
+    boost_reference_V: Annotated[float, Quantity("V", "V_c decided now, after limits")]
+    controller: Annotated[
+        Mode, Quantity("", "load controller in force: fixed until the estimates are trusted")
+    ]
+    accepted: Annotated[
+        bool, Quantity("", "true when the estimates of this step reached the adaptive gains")
+    ]
+    reason: Annotated[
+        str, Quantity("", "why `controller` is in force, or why the estimates were kept out")
+    ]
+    estimates: Annotated[
+        dict[str, Estimate],
+        Quantity("", "load parameters by name, in SI: value and standard deviation"),
+    ]
+    gains: Annotated[
+        tuple[float, ...], Quantity("", "r_1 … r_n, s_0 … s_m and t_0 of the law in force")
+    ]
+    innovation: Annotated[float, Quantity("y", "one-step prediction error of the estimator")]
+    excitation: Annotated[float, Quantity("", "rᵀPr: how much this sample could teach")]
+    handover_step_V: Annotated[
+        float,
+        Quantity(
+            "u",
+            "law not in force minus law in force, on the same history; "
+            "unknown before the first trusted estimate",
+        ),
+    ]
+    pole: Annotated[
+        float,
+        Quantity(
+            "",
+            "closed-loop pole in force; slower than `pole` while the actuator cannot follow",
+            "pole_in_force",
+        ),
+    ] = math.nan
+    fault: Annotated[str, Quantity("", "why the drive must be tripped, empty for no reason")] = ""
+    complete: Annotated[
+        bool, Quantity("", "true when nothing is left to do, such as with a full battery")
+    ] = False

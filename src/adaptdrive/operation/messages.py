@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import datetime
+from typing import Any
 
 import msgspec
 
-from adaptdrive.control.signals import Command, Estimate, Mode
+from adaptdrive.control.signals import Command, Mode
 from adaptdrive.control.waveform import Waveform
 from adaptdrive.operation.clock import Synchronisation
 from adaptdrive.runtime.reports import (
+    SLOW_COLUMNS,
     DriveReport,
     Event,
     LoadReport,
@@ -43,27 +45,6 @@ class StateMessage(msgspec.Struct, frozen=True):
     trip: str | None
     clock: Synchronisation
     time: datetime
-
-
-class LoadMessage(msgspec.Struct, frozen=True):
-    """Payload of `telemetry/load`."""
-
-    time: datetime
-    k: int
-    reference: float
-    output: float
-    boost_reference_V: float
-    applied_V: float
-    estimates: dict[str, Estimate]
-    gains: tuple[float, ...]
-    excitation: float
-    innovation: float
-    accepted: bool
-    controller: Mode
-    mode: Mode
-    reason: str
-    handover_step_V: float
-    held_ticks: int
 
 
 class SensorMessage(msgspec.Struct, frozen=True):
@@ -125,7 +106,7 @@ class Reply(msgspec.Struct, frozen=True):
     state: State | None
 
 
-def encode(message: msgspec.Struct) -> bytes:
+def encode(message: msgspec.Struct | dict[str, Any]) -> bytes:
     """The JSON text of a message."""
     return msgspec.json.encode(message)
 
@@ -147,27 +128,9 @@ def state_message(report: StateReport, clock: Synchronisation, time: datetime) -
     )
 
 
-def load_message(report: LoadReport, time: datetime) -> LoadMessage:
-    """The payload of `telemetry/load` for a report that arrived at `time`."""
-    snapshot, decision = report.snapshot, report.decision
-    return LoadMessage(
-        time=time,
-        k=decision.k,
-        reference=snapshot.order.reference,
-        output=snapshot.output,
-        boost_reference_V=decision.boost_reference_V,
-        applied_V=snapshot.applied_V,
-        estimates=decision.estimates,
-        gains=decision.gains,
-        excitation=decision.excitation,
-        innovation=decision.innovation,
-        accepted=decision.accepted,
-        controller=decision.controller,
-        mode=snapshot.order.mode,
-        reason=decision.reason,
-        handover_step_V=decision.handover_step_V,
-        held_ticks=snapshot.held_ticks,
-    )
+def load_message(report: LoadReport, time: datetime) -> dict[str, Any]:
+    """Return the payload of `telemetry/load` for a report that arrived at `time`."""
+    return {"time": time} | {column.name: column.read(report) for column in SLOW_COLUMNS}
 
 
 def sensor_message(report: SensorReport) -> SensorMessage:

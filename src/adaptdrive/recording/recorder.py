@@ -7,12 +7,12 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Any
 
 from adaptdrive.recording.batches import (
     Batch,
     EventRow,
     Header,
-    SlowRow,
     TickTable,
     event_row,
     slow_row,
@@ -100,7 +100,7 @@ class Recorder:
         self._pace = pace
         self._waiting: deque[TickReport] = deque()
         self._ticks = TickTable()
-        self._slow: list[SlowRow] = []
+        self._slow: list[dict[str, Any]] = []
         self._events: deque[EventRow] = deque()
         self._lost = Dropped()
         self._recorded_loss = Dropped()

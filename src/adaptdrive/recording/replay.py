@@ -14,7 +14,8 @@ from adaptdrive.control.signals import Command, Decision, Measurement, Order, Sn
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.replay_report import Difference, Gap, ReplayReport
-from adaptdrive.recording.rows import RecordedTick, recorded_ticks, table_rows
+from adaptdrive.recording.rows import recorded_ticks, table_rows
+from adaptdrive.runtime.reports import TickReport
 
 
 class Controller(Protocol):
@@ -72,7 +73,7 @@ class _Player:
         self._commands = _Comparison()
         self._decisions = _Comparison()
 
-    def play(self, recorded: RecordedTick) -> None:
+    def play(self, recorded: TickReport) -> None:
         """Replay one tick."""
         self._note_gap(recorded)
         if recorded.applied_k >= 0:
@@ -100,7 +101,7 @@ class _Player:
             unmatched=tuple(self._unmatched),
         )
 
-    def _note_gap(self, recorded: RecordedTick) -> None:
+    def _note_gap(self, recorded: TickReport) -> None:
         missing = recorded.sequence - self._next_sequence
         if missing != 0:
             self._gaps.append(Gap(before_tick=recorded.measurement.tick, missing=missing))

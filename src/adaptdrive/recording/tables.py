@@ -3,44 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
-import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording.batches import TICK_COLUMNS, SlowRow
+from adaptdrive.control.columns import Column
+from adaptdrive.runtime.reports import SLOW_COLUMNS, TICK_COLUMNS
 
-TEXT = pa.dictionary(pa.int32(), pa.string())
-
-_TYPES = {"d": pa.float64(), "q": pa.int64(), "b": pa.bool_(), "s": TEXT}
-
-TICKS_SCHEMA = pa.schema([(column.name, _TYPES[column.code]) for column in TICK_COLUMNS])
-
-_NUMBERS = pa.list_(pa.float64())
 _ESTIMATE = pa.struct([("name", pa.string()), ("value", pa.float64()), ("std", pa.float64())])
 
-SLOW_SCHEMA = pa.schema(
-    [
-        ("k", pa.int64()),
-        ("tick", pa.int64()),
-        ("period_s", pa.float64()),
-        ("reference", pa.float64()),
-        ("output", pa.float64()),
-        ("output_filtered", _NUMBERS),
-        ("input_filtered", _NUMBERS),
-        ("applied_V", pa.float64()),
-        ("followed", pa.bool_()),
-        ("held_ticks", pa.int64()),
-        ("boost_reference_V", pa.float64()),
-        ("controller", TEXT),
-        ("accepted", pa.bool_()),
-        ("reason", TEXT),
-        ("estimates", pa.list_(_ESTIMATE)),
-        ("gains", _NUMBERS),
-        ("innovation", pa.float64()),
-        ("excitation", pa.float64()),
-        ("handover_step_V", pa.float64()),
-    ]
-)
+_TYPES = {
+    float: pa.float64(),
+    int: pa.int64(),
+    bool: pa.bool_(),
+    str: pa.dictionary(pa.int32(), pa.string()),
+    tuple: pa.list_(pa.float64()),
+    dict: pa.list_(_ESTIMATE),
+}
+
+
+def _schema(columns: Sequence[Column]) -> pa.Schema:
+    return pa.schema([(column.name, _TYPES[column.kind]) for column in columns])
+
+
+TICKS_SCHEMA = _schema(TICK_COLUMNS)
+SLOW_SCHEMA = _schema(SLOW_COLUMNS)
 
 
 def ticks_batch(columns: dict[str, bytes | list[str]], rows: int) -> pa.RecordBatch:
@@ -54,11 +41,9 @@ def ticks_batch(columns: dict[str, bytes | list[str]], rows: int) -> pa.RecordBa
     return pa.RecordBatch.from_arrays(arrays, schema=TICKS_SCHEMA)
 
 
-def slow_batch(rows: Sequence[SlowRow]) -> pa.RecordBatch:
+def slow_batch(rows: list[dict[str, Any]]) -> pa.RecordBatch:
     """Slow steps as a record batch."""
-    return pa.RecordBatch.from_pylist(
-        [msgspec.to_builtins(row) for row in rows], schema=SLOW_SCHEMA
-    )
+    return pa.RecordBatch.from_pylist(rows, schema=SLOW_SCHEMA)
 
 
 def _array(kind: pa.DataType, values: bytes | list[str], rows: int) -> pa.Array:

@@ -6,7 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Annotated
 
+from adaptdrive.control.columns import Quantity, columns_of
 from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Snapshot
 from adaptdrive.control.waveform import Waveform
 
@@ -150,26 +152,28 @@ class Event:
 class TickReport:
     """One fast tick, whole: enough to run the controller again.
 
-    Attributes:
-        sequence: Running number of the reports since the controller was built, from 0. A jump
-            of the tick is a missed half cycle; a jump of this number is a lost report.
-        measurement: What the controller was given.
-        order: What was asked of it.
-        applied_k: Slow index of the decision that took effect at this tick, -1 for none.
-        command: What the controller answered.
-        lateness_us: How late the tick was.
-        turnaround_us: Status frame in to command frame out; NaN on a stand-in tick.
-        tick_us: How long the tick took, from interlocks to wire.
+    A jump of the tick is a missed half cycle; a jump of the sequence is a lost report.
     """
 
-    sequence: int
+    sequence: Annotated[
+        int, Quantity("", "running number of the ticks since the controller was built, from 0")
+    ]
     measurement: Measurement
     order: Order
-    applied_k: int
+    applied_k: Annotated[
+        int, Quantity("", "slow index of the decision that took effect at this tick, -1 for none")
+    ]
     command: Command
-    lateness_us: float
-    turnaround_us: float
-    tick_us: float = math.nan
+    lateness_us: Annotated[float, Quantity("µs", "lateness of the tick")]
+    turnaround_us: Annotated[
+        float, Quantity("µs", "status frame in to command frame out; NaN on a stand-in tick")
+    ]
+    tick_us: Annotated[float, Quantity("µs", "duration of the tick, from interlocks to wire")] = (
+        math.nan
+    )
 
 
 Report = StateReport | LoadReport | DriveReport | Event | TickReport
+
+TICK_COLUMNS = columns_of(TickReport)
+SLOW_COLUMNS = columns_of(LoadReport)

@@ -1,0 +1,51 @@
+"""The page of the columns, made from the dataclasses that declare them.
+
+`python -m tests.runtime.columns_page docs/columns.md` writes the page; a test keeps it true.
+"""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from adaptdrive.control.columns import Column
+from adaptdrive.runtime.reports import SLOW_COLUMNS, TICK_COLUMNS
+
+_HEAD = """\
+# Columns
+
+What a session records, and what `telemetry/load` publishes. `make docs` writes this page from the
+dataclasses in `control/signals.py` and `runtime/reports.py`.
+
+Unit `y` is that of the output, and `u` that of the load's input; both depend on the load
+([control.md](control.md)). Estimates are in SI. Where a number is unknown it is NaN on disk and
+`null` in a message.
+"""
+_TABLES = (
+    ("## A slow step: `telemetry/load` and `slow.parquet`", SLOW_COLUMNS),
+    ("## A fast tick: `ticks.parquet`", TICK_COLUMNS),
+)
+_KINDS = {
+    float: "float",
+    int: "integer",
+    bool: "boolean",
+    str: "text",
+    tuple: "list of floats",
+    dict: "estimates",
+}
+
+
+def page() -> str:
+    """The whole page."""
+    parts = [_HEAD]
+    for title, columns in _TABLES:
+        parts += [title, _table(columns)]
+    return "\n".join(parts)
+
+
+def _table(columns: Sequence[Column]) -> str:
+    rows = [f"| `{c.name}` | {_KINDS[c.kind]} | {c.unit} | {c.meaning} |" for c in columns]
+    return "\n".join(["", "| name | type | unit | meaning |", "|---|---|---|---|", *rows, ""])
+
+
+if __name__ == "__main__":
+    Path(sys.argv[1]).write_text(page(), encoding="utf-8")
