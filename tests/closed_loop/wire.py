@@ -185,8 +185,8 @@ def _forget_real_time(port: Any) -> None:
     """How long a frame has really waited for the process says nothing in virtual time."""
     ends = [port, getattr(port, "_drive", None), *(bus.port for bus in getattr(port, "_buses", ()))]
     for end in ends:
-        if hasattr(end, "_wall_clock"):
-            end._wall_clock = lambda: 0.0
+        if hasattr(end, "_arrivals"):
+            end._arrivals._wall_clock = lambda: 0.0
 
 
 async def _begin(

@@ -128,6 +128,16 @@ class Clock:
         return self.now_s
 
 
+class WallClock:
+    """The machine's wall clock, which a test sets."""
+
+    def __init__(self) -> None:
+        self.step_s = 0.0
+
+    def __call__(self) -> float:
+        return time.time() + self.step_s
+
+
 def build_port(config: CanBus, clock: Clock | None = None, **signals: object) -> CanPort:
     """A port; with a clock of the test, arrivals are exactly what that clock says."""
     chosen = motor_signals(**signals)

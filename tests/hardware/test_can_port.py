@@ -12,15 +12,18 @@ from adaptdrive.config.bus import CanBus, CommandSignals, SignalSource
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.can.bus import open_bus
-from adaptdrive.hardware.can.port import CanPort
+from adaptdrive.hardware.can.port import CanPort, build_can_port
 from adaptdrive.hardware.port import Reading
 from tests.hardware.bench import (
     EXAMPLES,
+    TIMING,
     Clock,
     Drive,
     Ear,
+    WallClock,
     build_port,
     motor_bus,
+    motor_signals,
     reference_database,
     running,
     until,
@@ -496,11 +499,27 @@ async def test_a_frame_that_waited_is_as_old_as_it_is(config: CanBus, drive: Dri
         assert time.monotonic() - ear.readings[0].arrival_s >= 0.2
 
 
-async def test_a_step_of_the_wall_clock_cannot_age_a_frame_for_long(
+@pytest.mark.parametrize("step_s", [0.2, 3600.0, -0.2, -3600.0])
+async def test_setting_the_wall_clock_ages_no_waiting_frame(
+    config: CanBus, drive: Drive, ear: Ear, step_s: float
+) -> None:
+    """The clock is set while a frame waits, after that frame was stamped."""
+    wall = WallClock()
+    port = build_can_port(config, motor_signals(), TIMING, time.monotonic, wall_clock=wall)
+    async with running(port, ear):
+        sent_s = time.monotonic()
+        drive.send_both()
+        wall.step_s = step_s
+        await ear.hears(1)
+    assert sent_s - 0.002 <= ear.readings[0].arrival_s <= time.monotonic()
+
+
+async def test_a_stamp_that_fits_no_clock_cannot_age_a_frame_for_long(
     config: CanBus, drive: Drive, ear: Ear, clock: Clock
 ) -> None:
-    port = build_port(config, clock)
-    port._wall_clock = lambda: time.time() + 3600.0
+    port = build_can_port(
+        config, motor_signals(), TIMING, clock, wall_clock=lambda: time.time() + 3600.0
+    )
     async with running(port, ear):
         drive.send_both()
         await ear.hears(1)

@@ -1,29 +1,77 @@
-"""How long a frame has waited to be read."""
+"""When a frame reached the machine, by the monotonic clock.
+
+The kernel stamps a frame with the wall clock, which may be set while the frame waits to be read.
+The offset between both clocks is measured at each frame. A frame that was stamped before the wall
+clock was set is converted with the offset from before.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 
 import can
 
 OLDEST_S = 1.0
-"""Longest time that a frame is believed to have waited to be read. The waiting time is measured
-with the wall clock, and a step of that clock must not send an arrival into the distant past."""
+"""Longest time that a frame is believed to have waited to be read: the stamp of one that seems to
+have waited for longer says nothing."""
 
 PROMPT_S = 0.002
 """A clocking frame that has waited for less than this has no successor yet: half cycles last."""
 
+_STEP_S = 0.001
+"""Change of the offset from one frame to the next that is a step: slewing by NTP changes it by 5 µs
+in 10 ms."""
 
-def waiting_time_s(frame: can.Message, wall_clock: Callable[[], float]) -> float:
-    """How long ago a frame reached the machine, 0 where that is not known.
+_LOOKS = 3
+"""Attempts to read both clocks without being interrupted for `_STEP_S` between them."""
 
-    The kernel stamps frames when they arrive: one that waited while the loop was busy must not look
-    as fresh as one that was read at once.
+_STEPS = 4
+"""Steps of the wall clock within `OLDEST_S` that are remembered."""
 
-    Args:
-        frame: The frame.
-        wall_clock: The clock with which the bus stamps frames, in seconds.
-    """
-    if not frame.timestamp:
-        return 0.0
-    return max(wall_clock() - frame.timestamp, 0.0)
+
+class ArrivalClock:
+    """Converts the stamps of frames from the wall clock to the monotonic clock."""
+
+    def __init__(self, clock: Callable[[], float], wall_clock: Callable[[], float]) -> None:
+        """Measure the offset between both clocks.
+
+        Args:
+            clock: Monotonic clock, in seconds.
+            wall_clock: The clock with which the bus stamps frames, in seconds.
+        """
+        self._clock = clock
+        self._wall_clock = wall_clock
+        self._former: deque[tuple[float, float]] = deque(maxlen=_STEPS)
+        self._offset_s = self._look()[1]
+
+    def waited_s(self, frame: can.Message) -> float:
+        """Return for how long a frame has waited to be read, 0 where that is not known.
+
+        A frame that waited while the loop was busy must not look as fresh as one that was read at
+        once.
+        """
+        if not frame.timestamp:
+            return 0.0
+        now_s, offset_s = self._look()
+        if abs(offset_s - self._offset_s) > _STEP_S:
+            self._former.append((self._offset_s, now_s))
+        self._offset_s = offset_s
+        waits_s = [now_s - (frame.timestamp - one_s) for one_s in self._offsets_s(now_s)]
+        possible_s = [wait_s for wait_s in waits_s if wait_s > -_STEP_S]
+        return max(min(possible_s, default=0.0), 0.0)
+
+    def _offsets_s(self, now_s: float) -> list[float]:
+        """Return the offsets with which a frame that is read now may have been stamped."""
+        former = [offset_s for offset_s, until_s in self._former if now_s - until_s < OLDEST_S]
+        return [self._offset_s, *former]
+
+    def _look(self) -> tuple[float, float]:
+        """Return the monotonic time, and how far the wall clock is ahead of it."""
+        for _ in range(_LOOKS):
+            before_s = self._clock()
+            wall_s = self._wall_clock()
+            now_s = self._clock()
+            if now_s - before_s < _STEP_S:
+                break
+        return now_s, wall_s - now_s

@@ -19,7 +19,7 @@ import can
 
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.can.arrival import OLDEST_S, PROMPT_S, waiting_time_s
+from adaptdrive.hardware.can.arrival import OLDEST_S, PROMPT_S, ArrivalClock
 from adaptdrive.hardware.can.bus import as_received, describe_bus, frame_key, open_bus
 from adaptdrive.hardware.can.codec import MessageCodec
 from adaptdrive.hardware.can.integrity import Verdict
@@ -71,7 +71,7 @@ class CanPort:
         self._config = config
         self._mapping = mapping
         self._clock = clock
-        self._wall_clock = wall_clock
+        self._arrivals = ArrivalClock(clock, wall_clock)
         self._statuses = {_key(status.codec): status for status in mapping.statuses}
         self._own = {_key(order.codec) for order in mapping.orders}
         self._sources = [source for status in mapping.statuses for source in status.sources]
@@ -180,7 +180,7 @@ class CanPort:
         self._counts["foreign"] += 1
 
     def _take_status(self, status: Status, frame: can.Message) -> None:
-        waited_s = waiting_time_s(frame, self._wall_clock)
+        waited_s = self._arrivals.waited_s(frame)
         arrival_s = self._clock() - min(waited_s, OLDEST_S)
         decoded = status.codec.decode(bytes(frame.data))
         if decoded.lost:

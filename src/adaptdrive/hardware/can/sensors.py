@@ -18,7 +18,7 @@ import can
 from adaptdrive.config.sensors import CanSensors as Config
 from adaptdrive.errors import BusError, ConfigurationError
 from adaptdrive.hardware.backoff import Backoff
-from adaptdrive.hardware.can.arrival import OLDEST_S, waiting_time_s
+from adaptdrive.hardware.can.arrival import OLDEST_S, ArrivalClock
 from adaptdrive.hardware.can.bus import channel_flaws, describe_bus, frame_key, open_bus
 from adaptdrive.hardware.can.codec import MessageCodec
 from adaptdrive.hardware.can.database import Catalogue, load_database
@@ -103,7 +103,7 @@ class CanSensors:
             frame_key(one.codec.frame_id, extended=one.codec.is_extended): one for one in messages
         }
         self._clock = clock
-        self._wall_clock = wall_clock
+        self._arrivals = ArrivalClock(clock, wall_clock)
         self._counts: Counter[str] = Counter()
         self._listener: SensorListener | None = None
         self._heard_s = 0.0
@@ -141,7 +141,7 @@ class CanSensors:
         decoded = message.codec.decode(bytes(frame.data))
         self._counts["counter_lost"] += decoded.lost
         if decoded.verdict is Verdict.GOOD:
-            waited_s = min(waiting_time_s(frame, self._wall_clock), OLDEST_S)
+            waited_s = min(self._arrivals.waited_s(frame), OLDEST_S)
             self._hand_out(message, decoded.values, self._clock() - waited_s)
         elif decoded.verdict is not Verdict.COUNTER_LOST:
             self._counts[decoded.verdict] += 1

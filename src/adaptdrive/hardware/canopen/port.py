@@ -21,7 +21,7 @@ import can
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.can.arrival import OLDEST_S, PROMPT_S, waiting_time_s
+from adaptdrive.hardware.can.arrival import OLDEST_S, PROMPT_S, ArrivalClock
 from adaptdrive.hardware.can.bus import describe_bus, open_bus
 from adaptdrive.hardware.can.integrity import Verdict
 from adaptdrive.hardware.can.reader import FrameReader
@@ -91,7 +91,7 @@ class CanOpenPort:
         self._config = config
         self._mapping = mapping
         self._clock = clock
-        self._wall_clock = wall_clock
+        self._arrivals = ArrivalClock(clock, wall_clock)
         self._counts: Counter[str] = Counter()
         self._control = DriveControl()
         self._assembly = Assembly(mapping.statuses)
@@ -238,7 +238,7 @@ class CanOpenPort:
         return frozenset(own | {order.codec.frame_id for order in self._mapping.orders})
 
     def _take_sync(self, frame: can.Message) -> None:
-        self._assembly.begin(self._clock() - min(waiting_time_s(frame, self._wall_clock), OLDEST_S))
+        self._assembly.begin(self._clock() - min(self._arrivals.waited_s(frame), OLDEST_S))
 
     def _take_heartbeat(self, frame: can.Message) -> None:
         if len(frame.data) != 1:
@@ -266,7 +266,7 @@ class CanOpenPort:
         statusword = decoded.values.get(_STATUSWORD)
         if statusword is not None:
             self._control.hear(int(statusword))
-        waited_s = waiting_time_s(frame, self._wall_clock)
+        waited_s = self._arrivals.waited_s(frame)
         arrival_s = self._clock() - min(waited_s, OLDEST_S)
         if self._assembly.take(status.codec.name, decoded.values, arrival_s):
             bridge = self._control.state is DriveState.ENABLED
