@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from adaptdrive.app.lock import NAMESPACE
 from tests.support import (
     Broker,
     MosquittoLauncher,
@@ -27,6 +28,9 @@ from tests.support import (
 settings.register_profile("adaptdrive", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("adaptdrive")
 
+
+# Drives of the same name on several workers, or beside the suite, are not the same drive.
+os.environ[NAMESPACE] = f"tests-{os.getpid()}"
 
 CALCULATING = {"campaign", "closed_loop", "compiled", "config", "control", "experiments"}
 """Folders whose tests need nothing but a processor, however busy."""

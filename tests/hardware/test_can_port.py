@@ -14,6 +14,7 @@ from adaptdrive.errors import BusError
 from adaptdrive.hardware.can.bus import open_bus
 from adaptdrive.hardware.can.port import CanPort, build_can_port
 from adaptdrive.hardware.port import Reading
+from adaptdrive.hardware.rival import QUIET_S
 from tests.hardware.bench import (
     EXAMPLES,
     TIMING,
@@ -329,6 +330,23 @@ async def test_our_own_commands_are_no_strangers(port: CanPort, drive: Drive, ea
         await ear.hears(1)
         assert port.statistics.foreign == 0
         assert port.statistics.received == 2
+
+
+async def test_a_command_of_another_sender_is_a_complaint(
+    config: CanBus, drive: Drive, ear: Ear, clock: Clock
+) -> None:
+    port = build_port(config, clock)
+    async with running(port, ear):
+        port.send(COMMAND)
+        drive.send_both()
+        await ear.hears(1)
+        assert port.complaint is None
+        drive.put("DriveCommand", bytes(8))
+        await until(lambda: port.complaint is not None)
+        assert "1 x frame 0x080 (DriveCommand)" in str(port.complaint)
+        assert port.statistics.foreign_commands == 1
+        clock.now_s += QUIET_S + 0.1
+        assert port.complaint is None
 
 
 async def test_what_is_not_mapped_is_sent_as_zero(

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
+from adaptdrive.app.lock import NAMESPACE
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import AdaptdriveError, RecordingError
 from adaptdrive.operation.client import NoAnswerError, read_status
@@ -88,7 +89,11 @@ async def perform(settings: DemoSettings, show: Show) -> Outcome:
     scene = await _set_up(settings)
     record = Record(datetime.now(UTC), time.monotonic)
     failure: AdaptdriveError | None = None
-    environment = {**os.environ, "STATE_DIRECTORY": str(scene.workspace.state)}
+    environment = {
+        **os.environ,
+        "STATE_DIRECTORY": str(scene.workspace.state),
+        NAMESPACE: f"demo-{os.getpid()}",
+    }
     async with Household(environment) as household:
         try:
             await _start(household, settings, scene)

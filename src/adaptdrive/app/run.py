@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,6 +22,7 @@ from adaptdrive.app.checkpoint import (
     recall,
     write_checkpoint,
 )
+from adaptdrive.app.lock import lock_names, locked, send_visitors_away
 from adaptdrive.app.log import log_events, set_up_logging
 from adaptdrive.app.realtime import build_rehearsal, choose_loop, prepared
 from adaptdrive.app.sensors import build_whole_port, sensor_reports
@@ -50,21 +52,29 @@ def run(path: Path) -> int:
         Exit status: 0 after an orderly stop.
 
     Raises:
-        AdaptdriveError: The configuration or the bus cannot be used.
+        AdaptdriveError: The configuration or the bus cannot be used, or another daemon of this
+            machine controls the drive.
     """
     configuration = load_configuration(path)
     text = path.read_text(encoding="utf-8")
     make_loop, loop_grant = choose_loop(uvloop_wanted=configuration.realtime.uvloop)
     try:
-        with asyncio.Runner(loop_factory=make_loop) as runner:
-            runner.run(_serve(configuration, text, path, loop_grant))
+        with (
+            locked(lock_names(configuration), os.environ) as locks,
+            asyncio.Runner(loop_factory=make_loop) as runner,
+        ):
+            runner.run(_serve(configuration, text, path, loop_grant, locks))
     except* AdaptdriveError as group:
         raise first_error(group) from None
     return 0
 
 
 async def _serve(
-    configuration: Configuration, text: str, path: Path, loop_grant: Grant | None
+    configuration: Configuration,
+    text: str,
+    path: Path,
+    loop_grant: Grant | None,
+    locks: Sequence[socket.socket],
 ) -> None:
     logger, hub, stop = set_up_logging(), Hub(), asyncio.Event()
     events = hub.subscribe(Event, size=_EVENTS_HELD)
@@ -97,6 +107,7 @@ async def _serve(
         services = [
             tasks.create_task(log_events(events, logger), name="log"),
             tasks.create_task(_mqtt(configuration, daemon, hub, start_thread).run(), name="mqtt"),
+            tasks.create_task(send_visitors_away(locks), name="lock"),
         ]
         recorder = _recorder(configuration, text, hub, prior)
         if recorder is not None:

@@ -53,12 +53,16 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class PortStatistics:
-    """Counts since the port was opened; every refusal of a frame is one of them."""
+    """Counts since the port was opened; every refusal of a frame is one of them.
+
+    `foreign_commands` are frames by which another sender commands this drive.
+    """
 
     received: int = 0
     sent: int = 0
     send_drops: int = 0
     foreign: int = 0
+    foreign_commands: int = 0
     wrong_length: int = 0
     wrong_checksum: int = 0
     counter_stuck: int = 0

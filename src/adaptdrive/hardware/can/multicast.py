@@ -3,6 +3,9 @@
 A daemon reads what waits and sends at once, on a socket that is known to be open. That takes one
 system call for each frame, in place of python-can's general way, which can wait, filter and log.
 Cold, as after each sleep between two half cycles, that way takes tens of microseconds.
+
+The group returns every frame to its sender. Frames go out through a socket of its own, whose port
+no other socket has: by that a bus tells its own frames from those of another sender with their id.
 """
 
 from __future__ import annotations
@@ -43,14 +46,18 @@ class LoopbackMulticast(UdpMulticastBus):
         super().__init__(group, port=port, hop_limit=0, fd=fd)
         self._destination = (group, port)
         self._socket = socket.socket(fileno=os.dup(self.fileno()))
+        self._sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             confine_to_loopback(self._socket, group)
+            self._own_address = _bind_sender(self._sender)
         except OSError:
             self.shutdown()
             raise
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """The next frame, None when there is none within `timeout` seconds.
+
+        Without a wait (`timeout` 0), frames of this bus itself are left out.
 
         Raises:
             CanOperationError: The bus is lost; or, with what is wrong as its cause, something came
@@ -60,6 +67,8 @@ class LoopbackMulticast(UdpMulticastBus):
             return super().recv(timeout)
         try:
             received = self._socket.recvmsg(_LARGEST, _ANCILLARY, socket.MSG_DONTWAIT)
+            while received[3] == self._own_address:
+                received = self._socket.recvmsg(_LARGEST, _ANCILLARY, socket.MSG_DONTWAIT)
         except BlockingIOError:
             return None
         seconds, nanoseconds = _TIMESPEC.unpack(received[1][0][2])
@@ -74,11 +83,12 @@ class LoopbackMulticast(UdpMulticastBus):
         """
         if msg.is_fd and self.protocol is not can.CanProtocol.CAN_FD:
             raise can.CanOperationError("the bus is not one of CAN FD")
-        self._socket.sendto(pack_message(msg), socket.MSG_DONTWAIT, self._destination)
+        self._sender.sendto(pack_message(msg), socket.MSG_DONTWAIT, self._destination)
 
     def shutdown(self) -> None:
         """Leave the group."""
         self._socket.close()
+        self._sender.close()
         super().shutdown()
 
 
@@ -108,6 +118,19 @@ def confine_to_loopback(sock: socket.socket, group: str) -> None:
     sock.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
     _join(sock, address + loopback)
     sock.setsockopt(socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, address + default)
+
+
+def _bind_sender(sock: socket.socket) -> tuple[str, int]:
+    """Have a socket send on the loopback interface only, from a port of its own; its address.
+
+    Raises:
+        OSError: The kernel refuses.
+    """
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+    sock.bind(("127.0.0.1", 0))
+    host, port = sock.getsockname()
+    return host, port
 
 
 def _join(sock: socket.socket, membership: bytes) -> None:

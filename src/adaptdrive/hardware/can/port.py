@@ -28,6 +28,7 @@ from adaptdrive.hardware.can.orders import Order
 from adaptdrive.hardware.can.reader import FrameReader
 from adaptdrive.hardware.can.reconnect import serve_for_ever
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
+from adaptdrive.hardware.rival import Rival
 
 
 def build_can_port(  # noqa: PLR0913 - what the configuration says, and both clocks
@@ -58,9 +59,6 @@ def build_can_port(  # noqa: PLR0913 - what the configuration says, and both clo
 class CanPort:
     """One connection to one drive on a CAN bus."""
 
-    complaint = None
-    """A DBC tells of a fault by a signal."""
-
     def __init__(
         self,
         config: CanBus,
@@ -73,7 +71,8 @@ class CanPort:
         self._clock = clock
         self._arrivals = ArrivalClock(clock, wall_clock)
         self._statuses = {_key(status.codec): status for status in mapping.statuses}
-        self._own = {_key(order.codec) for order in mapping.orders}
+        self._commands = {_key(order.codec): _label(order.codec) for order in mapping.orders}
+        self._rival = Rival(clock)
         self._sources = [source for status in mapping.statuses for source in status.sources]
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
         self._others = {
@@ -105,6 +104,11 @@ class CanPort:
     def statistics(self) -> PortStatistics:
         """Counts since the port was built."""
         return PortStatistics(**self._counts)
+
+    @property
+    def complaint(self) -> str | None:
+        """That another sender commands the drive; a DBC tells of a fault by a signal."""
+        return self._rival.complaint
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
@@ -165,12 +169,10 @@ class CanPort:
     def take(self, frame: can.Message) -> None:
         """Take one frame from the bus."""
         key = frame_key(frame.arbitration_id, extended=frame.is_extended_id)
-        if key in self._own:  # multicast returns what we send
-            return
         self._counts["received"] += 1
         status = self._statuses.get(key)
         if status is None or frame.is_error_frame or frame.is_remote_frame:
-            self._counts["foreign"] += 1
+            self._take_foreign(key, frame)
             return
         self._take_status(status, frame)
 
@@ -178,6 +180,13 @@ class CanPort:
         """Count something on the bus that is no frame."""
         self._counts["received"] += 1
         self._counts["foreign"] += 1
+
+    def _take_foreign(self, key: int, frame: can.Message) -> None:
+        """Count a frame that is no measurement; no bus returns what this port has sent."""
+        self._counts["foreign"] += 1
+        if key in self._commands and not (frame.is_error_frame or frame.is_remote_frame):
+            self._counts["foreign_commands"] += 1
+            self._rival.hear(self._commands[key])
 
     def _take_status(self, status: Status, frame: can.Message) -> None:
         waited_s = self._arrivals.waited_s(frame)
@@ -261,7 +270,7 @@ class CanPort:
         )
 
     def _open(self) -> can.BusABC:
-        return open_bus(self._config, self._statuses)
+        return open_bus(self._config, [*self._statuses, *self._commands])
 
     async def _serve(self, bus: can.BusABC, announce: Callable[[], None]) -> str:
         """Use an open bus until it is lost, and close it; why it was lost."""
@@ -311,6 +320,10 @@ def _made_up(config: CanBus, mapping: DriveMapping) -> Iterator[Callable[[], can
 
 def _key(codec: MessageCodec) -> int:
     return frame_key(codec.frame_id, extended=codec.is_extended)
+
+
+def _label(codec: MessageCodec) -> str:
+    return f"0x{codec.frame_id:03X} ({codec.name})"
 
 
 def _name(word: int, names: Mapping[int, str]) -> str:

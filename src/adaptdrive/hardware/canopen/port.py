@@ -36,6 +36,7 @@ from adaptdrive.hardware.canopen.sdo import describe_node
 from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
 from adaptdrive.hardware.canopen.sync import SyncProducer
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
+from adaptdrive.hardware.rival import Rival
 
 _STATUSWORD, _CONTROLWORD = label(STATUSWORD), label(CONTROLWORD)
 
@@ -43,6 +44,10 @@ _FAULT_RESET_S = 1.0
 """Longest wait for a drive to leave its fault."""
 
 _LOOK_S = 0.005
+
+_EVERY_NODE = 0
+_SDO_WRITES = frozenset({0, 1, 6})
+"""Client command specifiers: download of a segment, start of a download, block download."""
 
 
 def build_canopen_port(
@@ -105,7 +110,8 @@ class CanOpenPort:
         self._newest: Reading | None = None
         self._listener: Listener | None = None
         self._takers = self._make_takers()
-        self._own = self._own_ids()
+        self._commands = self._command_ids()
+        self._rival = Rival(clock)
 
     @property
     def description(self) -> str:
@@ -125,6 +131,8 @@ class CanOpenPort:
     @property
     def complaint(self) -> str | None:
         """Why the drive must not be energised, None for no reason."""
+        if (rival := self._rival.complaint) is not None:
+            return rival
         if self._bus is None and self._control.fallen is None:
             return None  # without a bus there are no readings, and that says enough
         problem = self._health.problem
@@ -200,15 +208,16 @@ class CanOpenPort:
 
     def take(self, frame: can.Message) -> None:
         """Take one frame from the bus."""
-        if frame.arbitration_id in self._own and not frame.is_extended_id:
-            return  # multicast returns what we send
         self._counts["received"] += 1
-        taker = self._takers.get(frame.arbitration_id)
         odd = frame.is_extended_id or frame.is_error_frame or frame.is_remote_frame
-        if taker is None or odd:
-            self._counts["foreign"] += 1
+        taker = None if odd else self._takers.get(frame.arbitration_id)
+        if taker is not None:
+            taker(frame)
             return
-        taker(frame)
+        self._counts["foreign"] += 1
+        if not odd and self._is_command(frame):
+            self._counts["foreign_commands"] += 1
+            self._rival.hear(self._commands[frame.arbitration_id])
 
     def take_garbage(self) -> None:
         """Count something on the bus that is no frame."""
@@ -229,13 +238,21 @@ class CanOpenPort:
             takers[status.codec.frame_id] = functools.partial(self._take_pdo, status)
         return takers
 
-    def _own_ids(self) -> frozenset[int]:
-        """What the daemon itself sends."""
-        config = self._config
-        own = {NMT, 0x600 + config.node_id, 0x700 + config.own_node_id}
-        if config.sync == "daemon":
-            own.add(SYNC_COB_ID)
-        return frozenset(own | {order.codec.frame_id for order in self._mapping.orders})
+    def _command_ids(self) -> dict[int, str]:
+        """Frames that command the drive, and their names; no bus returns what this port sends."""
+        node = self._config.node_id
+        names = {order.codec.frame_id: order.codec.name for order in self._mapping.orders}
+        names |= {NMT: "NMT", 0x600 + node: "SDO write"}
+        return {can_id: f"0x{can_id:03X} ({name})" for can_id, name in names.items()}
+
+    def _is_command(self, frame: can.Message) -> bool:
+        """Whether a foreign frame commands this drive: to read its objects does not."""
+        can_id, data = frame.arbitration_id, frame.data
+        if can_id == NMT:
+            return len(data) > 1 and data[1] in {_EVERY_NODE, self._config.node_id}
+        if can_id == 0x600 + self._config.node_id:
+            return bool(data) and data[0] >> 5 in _SDO_WRITES
+        return can_id in self._commands
 
     def _take_sync(self, frame: can.Message) -> None:
         self._assembly.begin(self._clock() - min(self._arrivals.waited_s(frame), OLDEST_S))
@@ -307,7 +324,7 @@ class CanOpenPort:
         return True
 
     def _open(self) -> can.BusABC:
-        return open_bus(self._config, self._takers)
+        return open_bus(self._config, [*self._takers, *self._commands])
 
     async def _serve(self, bus: can.BusABC, announce: Callable[[], None]) -> str:
         """Use an open bus until it is lost, and close it; why it was lost."""
