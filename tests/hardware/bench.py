@@ -45,6 +45,14 @@ def reference_database() -> Database:
     return database
 
 
+def odd_database(signals: str) -> Database:
+    """A DBC with one message of eight bytes, `Odd`, and these signals."""
+    text = f'VERSION ""\n\nBO_ 291 Odd: 8 Vector__XXX\n{signals}\n'
+    database = cantools.database.load_string(text, database_format="dbc")
+    assert isinstance(database, Database)
+    return database
+
+
 def motor_bus(**changes: object) -> CanBus:
     """`[bus]` of the example, changed."""
     return MOTOR_BUS.model_copy(update=changes)

@@ -1,9 +1,7 @@
 import math
 from collections.abc import Callable
 
-import cantools
 import pytest
-from cantools.database.can.database import Database
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 from cantools.database.conversion import BaseConversion
@@ -14,7 +12,7 @@ from hypothesis import strategies as st
 from adaptdrive.config.bus import FrameIntegrity
 from adaptdrive.hardware.can.codec import MessageCodec
 from adaptdrive.hardware.can.integrity import Verdict
-from tests.hardware.bench import motor_bus, reference_database
+from tests.hardware.bench import motor_bus, odd_database, reference_database
 
 SCALES = st.sampled_from([1, 2, 0.5, 0.1, 0.01, 1e-6, -0.25])
 OFFSETS = st.sampled_from([0, -40, 273.15])
@@ -121,10 +119,7 @@ def test_what_is_encoded_is_decoded_again(message: Message, draw: st.DataObject)
 
 
 def dbc(signals: str) -> Message:
-    text = f'VERSION ""\n\nBO_ 291 Odd: 8 Vector__XXX\n{signals}\n'
-    database = cantools.database.load_string(text, database_format="dbc")
-    assert isinstance(database, Database)
-    return database.get_message_by_name("Odd")
+    return odd_database(signals).get_message_by_name("Odd")
 
 
 BIG_ENDIAN = ' SG_ Volts : 7|12@0+ (0.1,0) [0|400] "V" X\n SG_ Amps : 24|9@1- (1,0) [0|0] "A" X'

@@ -2,12 +2,60 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from adaptdrive.config.section import FilePath, FiniteFloat, Section
 from adaptdrive.config.units import Unit, in_si
+
+Byte = Annotated[int, Field(ge=0, le=0xFF)]
+
+
+class Crc(Section):
+    """`[bus.integrity.MESSAGE.crc]`: a checksum by the parameters that catalogues of CRCs list."""
+
+    width: Literal[8, 16, 32] = Field(description="bits; the checksum's signal has as many")
+    poly: int = Field(ge=1, le=0xFFFF_FFFF, description="polynomial without its highest power")
+    init: int = Field(default=0, ge=0, le=0xFFFF_FFFF, description="start value")
+    refin: bool = Field(default=False, description="the lowest bit of each byte comes first")
+    refout: bool = Field(default=False, description="the result is mirrored before `xorout`")
+    xorout: int = Field(default=0, ge=0, le=0xFFFF_FFFF, description="final exclusive or")
+    check: int | None = Field(
+        default=None,
+        ge=0,
+        le=0xFFFF_FFFF,
+        description="checksum of the text `123456789` in the catalogue; `check` compares it",
+    )
+    covers: list[Byte] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=64,
+        description="bytes of the frame in the order in which the checksum runs over them, from 0 "
+        "on; bytes of the checksum itself count as 0; all others in their order when left out",
+    )
+    before: list[Byte] = Field(
+        default=[],
+        max_length=64,
+        description="bytes that it runs over before those of the frame, such as a data id",
+    )
+    after: list[Byte] = Field(
+        default=[], max_length=64, description="bytes that it runs over after those of the frame"
+    )
+    by_counter: list[Byte] = Field(
+        default=[],
+        max_length=256,
+        description="bytes of which the one at the alive counter's value comes last (the data id "
+        "list of AUTOSAR profile 2)",
+    )
+
+    @model_validator(mode="after")
+    def _fits_its_width(self) -> Self:
+        for name in ("poly", "init", "xorout", "check"):
+            value = getattr(self, name)
+            if value is not None and value >> self.width:
+                raise ValueError(f"{name} = {value:#x} has more than width = {self.width} bits")
+        return self
 
 
 class FrameIntegrity(Section):
@@ -18,9 +66,11 @@ class FrameIntegrity(Section):
         default=3, ge=1, description="largest accepted advance of the alive counter"
     )
     checksum: str | None = Field(default=None, description="signal with the checksum")
-    algorithm: Literal["sae-j1850", "autosar-p01"] = Field(
-        default="sae-j1850", description="CRC-8 form of the checksum"
+    algorithm: Literal["sae-j1850", "autosar-p01", "crc"] = Field(
+        default="sae-j1850",
+        description="form of the checksum: two of eight bits, or any other that `crc` describes",
     )
+    crc: Crc | None = Field(default=None, description="the form, with algorithm = `crc`")
     data_id: int = Field(default=0, ge=0, le=0xFFFF, description="data id of AUTOSAR profile 1")
     data_id_mode: Literal["both", "alternating", "low", "nibble"] = Field(
         default="both", description="bytes of the data id that the checksum of profile 1 runs over"

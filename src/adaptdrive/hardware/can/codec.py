@@ -10,7 +10,13 @@ from cantools.database import DecodeError, EncodeError
 from cantools.database.can.message import Message
 
 from adaptdrive.config.bus import FrameIntegrity
-from adaptdrive.hardware.can.integrity import AliveCounter, Verdict, checksum_function
+from adaptdrive.hardware.can.integrity import (
+    AliveCounter,
+    Span,
+    Verdict,
+    checksum_function,
+    covered_bytes,
+)
 from adaptdrive.hardware.can.layout import (
     Field,
     Raw,
@@ -88,12 +94,12 @@ class MessageCodec:
         self._next = 0
         self._alive = AliveCounter(modulus, integrity.max_jump)
         self._checksum = checksum_function(integrity)
-        self._checksum_at = (
-            checksum_byte(message, integrity.checksum) if integrity.checksum else None
-        )
+        self._span = checksum_span(message, integrity.checksum) if integrity.checksum else None
+        if self._span is not None:
+            self._covered = covered_bytes(integrity, self._span)
         self._proofs = {integrity.counter, integrity.checksum, integrity.nibble}
         self._fixed = {integrity.nibble: integrity.data_id >> 8 & 0xF} if integrity.nibble else {}
-        seen = [integrity.counter] if integrity.data_id_mode == "alternating" else []
+        seen = [integrity.counter] if follows_counter(integrity) else []
         seen += [integrity.nibble]
         self._seen = compile_unpack(message, filter(None, seen)) if any(seen) else None
 
@@ -153,24 +159,22 @@ class MessageCodec:
         self._alive.reset()
 
     def _is_whole(self, data: bytes) -> bool:
-        at = self._checksum_at
-        if at is None:
+        span = self._span
+        if span is None:
             return True
-        rest = data[:at] + data[at + 1 :]
+        covered, held = self._covered(data), span.read(data)
         if self._seen is None:
-            return data[at] == self._checksum(rest, 0)
+            return held == self._checksum(covered, 0)
         seen = self._seen(data)
         counter = int(seen.get(self._counter or "", 0))
-        return data[at] == self._checksum(rest, counter) and all(
+        return held == self._checksum(covered, counter) and all(
             seen[name] == value for name, value in self._fixed.items()
         )
 
     def _with_checksum(self, data: bytes, counter: int) -> bytes:
-        at = self._checksum_at
-        if at is None:
+        if self._span is None:
             return data
-        before, after = data[:at], data[at + 1 :]
-        return before + bytes((self._checksum(before + after, counter),)) + after
+        return self._span.write(data, self._checksum(self._covered(data), counter))
 
     def _judge(self, raw: Mapping[str, Raw]) -> Decoded:
         verdict, lost = self._follow(raw)
@@ -205,9 +209,17 @@ def counter_modulus(counter: Field) -> int:
     return int(counter.high) + 1
 
 
-def checksum_byte(message: Message, checksum: str) -> int | None:
-    """Index of the byte that a checksum signal fills, None when it is not one whole byte."""
+def follows_counter(integrity: FrameIntegrity) -> bool:
+    """Whether a checksum covers something that goes with the alive counter."""
+    by_counter = integrity.crc is not None and bool(integrity.crc.by_counter)
+    return by_counter or integrity.data_id_mode == "alternating"
+
+
+def checksum_span(message: Message, checksum: str) -> Span | None:
+    """Where a checksum signal lies, None when it does not fill whole bytes."""
     signal = message.get_signal_by_name(checksum)
-    first_bit = signal.start if signal.byte_order == "little_endian" else signal.start - 7
-    whole = signal.length == 8 and first_bit % 8 == 0 and not signal.is_float
-    return first_bit // 8 if whole else None
+    little = signal.byte_order == "little_endian"
+    first_bit = signal.start if little else signal.start - 7
+    if signal.length % 8 or first_bit % 8 or signal.is_float:
+        return None
+    return Span(first_bit // 8, signal.length // 8, "little" if little else "big")

@@ -16,10 +16,12 @@ from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.can.codec import (
     CLASSIC_LENGTH,
     MessageCodec,
-    checksum_byte,
+    checksum_span,
     counter_modulus,
+    follows_counter,
     needs_fd,
 )
+from adaptdrive.hardware.can.crc import CHECK_INPUT, crc_function
 from adaptdrive.hardware.can.layout import compile_field, is_multiplexed
 
 _FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
@@ -133,17 +135,19 @@ class Catalogue:
         if integrity.counter:
             self._check_counter(message, integrity, f"{place}.counter")
         if integrity.checksum:
-            self._check_checksum(message, integrity.checksum, f"{place}.checksum")
+            self._check_checksum(message, integrity, f"{place}.checksum")
+        self._check_form(message, integrity, place)
         if integrity.counter and integrity.counter == integrity.checksum:
             self.note(place, f"{integrity.counter!r} cannot be both counter and checksum")
         self._check_data_id(message, integrity, place)
 
     def _check_data_id(self, message: Message, integrity: FrameIntegrity, place: str) -> None:
-        mode, plain = integrity.data_id_mode, integrity.algorithm == "sae-j1850"
+        mode, plain = integrity.data_id_mode, integrity.algorithm != "autosar-p01"
         if plain and (mode != "both" or integrity.nibble or integrity.data_id):
-            self.note(f"{place}.algorithm", "'sae-j1850' has no data id; 'autosar-p01' has one")
-        if mode == "alternating" and not integrity.counter:
-            self.note(f"{place}.counter", "is missing: an alternating data id follows it")
+            problem = f"{integrity.algorithm!r} has no data id; 'autosar-p01' has one"
+            self.note(f"{place}.algorithm", problem)
+        if follows_counter(integrity) and not integrity.counter:
+            self.note(f"{place}.counter", "is missing: the data id of the checksum follows it")
         if (mode == "nibble") != (integrity.nibble is not None):
             self.note(f"{place}.nibble", "is what data_id_mode = 'nibble' needs, and no other mode")
         elif integrity.nibble:
@@ -183,12 +187,33 @@ class Catalogue:
             )
         return counts
 
-    def _check_checksum(self, message: Message, name: str, place: str) -> None:
+    def _check_checksum(self, message: Message, integrity: FrameIntegrity, place: str) -> None:
+        name, bits = integrity.checksum or "", integrity.crc.width if integrity.crc else 8
         signal = self.signal_of(message, name, place)
         if signal is None:
             return
-        if checksum_byte(message, name) is None or is_multiplexed(signal):
-            self.note(place, f"signal {name!r} must fill one whole byte of every frame")
+        span = checksum_span(message, name)
+        if span is None or 8 * span.length != bits or is_multiplexed(signal):
+            size = {8: "one whole byte", 16: "two whole bytes", 32: "four whole bytes"}[bits]
+            problem = f"must fill {size} of every frame"
+            self.note(place, f"signal {name!r} {problem}")
+
+    def _check_form(self, message: Message, integrity: FrameIntegrity, place: str) -> None:
+        crc = integrity.crc
+        if (integrity.algorithm == "crc") != (crc is not None):
+            self.note(f"{place}.crc", "is what algorithm = 'crc' needs, and no other")
+        if crc is None:
+            return
+        if not integrity.checksum:
+            self.note(f"{place}.checksum", "is missing: the signal that holds the `crc`")
+        missing = [at for at in crc.covers or () if at >= message.length]
+        if missing:
+            problem = f"{missing}: message {message.name!r} has {message.length} bytes, from 0"
+            self.note(f"{place}.crc.covers", problem)
+        found = crc_function(crc)(CHECK_INPUT)
+        if crc.check is not None and crc.check != found:
+            problem = f"{crc.check:#x} is not what these parameters give, {found:#x}"
+            self.note(f"{place}.crc.check", f"{problem}: one of them is copied wrongly")
 
 
 def is_word(signal: Signal) -> bool:

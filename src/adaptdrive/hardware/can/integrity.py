@@ -1,67 +1,106 @@
 """Proofs that a frame is whole and alive: checksums and alive counters.
 
-Both checksums use the polynomial x⁸+x⁴+x³+x²+1 (0x1D), most significant bit first, over every byte
-of the frame but the one that holds the checksum:
+Two checksums have names. Both use the polynomial x⁸+x⁴+x³+x²+1 (0x1D), most significant bit first,
+over every byte of the frame but the one that holds the checksum:
 
 * `sae-j1850`: start value 0xFF, final XOR 0xFF.
 * `autosar-p01`: end-to-end profile 1: start value 0, no final XOR, over the data id and then the
   frame. Of the data id come its low byte and its high byte (`both`), its low byte alone (`low`),
   its low byte with an even and its high byte with an odd alive counter (`alternating`), or its low
   byte and a zero, while the lower half of its high byte travels in the frame (`nibble`).
+
+Every other one is described by its parameters (`crc`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from enum import StrEnum
+from typing import Literal, NamedTuple
 
-from adaptdrive.config.bus import FrameIntegrity
+from adaptdrive.config.bus import Crc, FrameIntegrity
+from adaptdrive.hardware.can.crc import crc_function
 
 Checksum = Callable[[bytes, int], int]
-"""From a frame without its checksum, and its alive counter, to the checksum."""
+"""From the bytes that a checksum covers, and the frame's alive counter, to the checksum."""
+
+_SAE_J1850 = Crc(width=8, poly=0x1D, init=0xFF, xorout=0xFF)
+_AUTOSAR_P01 = Crc(width=8, poly=0x1D)
 
 
-def _table(polynomial: int) -> bytes:
-    return bytes(_shifted_out(byte, polynomial) for byte in range(256))
+class Span(NamedTuple):
+    """Where a checksum lies in its frame: whole bytes.
 
-
-def _shifted_out(byte: int, polynomial: int) -> int:
-    for _ in range(8):
-        byte = (byte << 1) ^ (polynomial if byte & 0x80 else 0)
-    return byte & 0xFF
-
-
-_TABLE = _table(0x11D)
-
-
-def crc8(data: bytes, start: int) -> int:
-    """CRC-8 with the polynomial 0x1D, without a final XOR.
-
-    Args:
-        data: Bytes to run over.
-        start: Start value of the register.
+    Attributes:
+        first: Its first byte.
+        length: How many they are.
+        order: Their order.
     """
-    register = start
-    for byte in data:
-        register = _TABLE[register ^ byte]
-    return register
+
+    first: int
+    length: int
+    order: Literal["little", "big"]
+
+    @property
+    def end(self) -> int:
+        """The byte behind it."""
+        return self.first + self.length
+
+    def read(self, data: bytes) -> int:
+        """The checksum that a frame holds."""
+        return int.from_bytes(data[self.first : self.end], self.order)
+
+    def write(self, data: bytes, checksum: int) -> bytes:
+        """The frame with its checksum."""
+        held = checksum.to_bytes(self.length, self.order)
+        return data[: self.first] + held + data[self.end :]
 
 
 def checksum_function(integrity: FrameIntegrity) -> Checksum:
-    """The checksum of a message.
+    """Return the checksum of a message.
 
     Args:
-        integrity: Its form, and the data id of AUTOSAR profile 1; SAE J1850 has none.
+        integrity: Its form.
     """
-    if integrity.algorithm == "sae-j1850":
-        return lambda data, _: crc8(data, 0xFF) ^ 0xFF
+    if integrity.algorithm == "autosar-p01":
+        return _profile_1(integrity)
+    form = integrity.crc or _SAE_J1850
+    crc, after = crc_function(form, bytes(form.before)), bytes(form.after)
+    if form.by_counter:
+        last = [after + bytes((byte,)) for byte in form.by_counter]
+        return lambda data, counter: crc(data + last[counter % len(last)])
+    return (lambda data, _: crc(data + after)) if after else (lambda data, _: crc(data))
+
+
+def _profile_1(integrity: FrameIntegrity) -> Checksum:
     low, high = integrity.data_id.to_bytes(2, "little")
     if integrity.data_id_mode == "alternating":
-        starts = crc8(bytes((low,)), 0x00), crc8(bytes((high,)), 0x00)
-        return lambda data, counter: crc8(data, starts[counter % 2])
+        even, odd = (crc_function(_AUTOSAR_P01, bytes((byte,))) for byte in (low, high))
+        return lambda data, counter: odd(data) if counter % 2 else even(data)
     begin = {"both": (low, high), "low": (low,), "nibble": (low, 0)}[integrity.data_id_mode]
-    start = crc8(bytes(begin), 0x00)
-    return lambda data, _: crc8(data, start)
+    crc = crc_function(_AUTOSAR_P01, bytes(begin))
+    return lambda data, _: crc(data)
+
+
+def covered_bytes(integrity: FrameIntegrity, span: Span) -> Callable[[bytes], bytes]:
+    """Return what takes the bytes that the checksum covers out of a frame.
+
+    Args:
+        integrity: Its form.
+        span: Where the checksum itself lies.
+    """
+    first, end = span.first, span.end
+    covers = integrity.crc.covers if integrity.crc else None
+    if covers is None:
+        return lambda data: data[:first] + data[end:]
+    # the bytes of the checksum itself are taken from the zero that is put behind the frame
+    places = [-1 if first <= at < end else at for at in covers]
+
+    def take(data: bytes) -> bytes:
+        extended = data + b"\0"
+        return bytes([extended[at] for at in places])
+
+    return take
 
 
 class Verdict(StrEnum):
