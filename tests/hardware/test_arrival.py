@@ -68,6 +68,31 @@ def test_after_steps_prompt_frames_look_fresh_and_late_ones_do_not(
         assert arrivals.waited_s(frame) <= 0.002
         machine.now_s += 1.5
         assert arrivals.waited_s(machine.frame()) <= 0.002
+        arrivals.begin_drain()
+        arrivals.end_drain()
         late = machine.frame()
         machine.now_s += gap_s
         assert arrivals.waited_s(late) == pytest.approx(gap_s, abs=0.002)
+
+
+@pytest.mark.parametrize("waited_s", [0.2, 1.5, 30.0])
+def test_a_frame_is_as_old_as_it_is_however_old(waited_s: float) -> None:
+    machine = Machine()
+    arrivals = ArrivalClock(machine.monotonic, machine.wall)
+    arrivals.begin_drain()
+    arrivals.end_drain()
+    frame = machine.frame()
+    machine.now_s += waited_s
+    arrivals.begin_drain()
+    assert arrivals.waited_s(frame) == pytest.approx(waited_s, abs=1e-5)
+
+
+def test_no_frame_is_older_than_its_queue() -> None:
+    machine = Machine()
+    arrivals = ArrivalClock(machine.monotonic, machine.wall)
+    frame = machine.frame()
+    machine.now_s += 10.0
+    arrivals.begin_drain()
+    arrivals.end_drain()
+    machine.now_s += 0.003
+    assert arrivals.waited_s(frame) == pytest.approx(0.003, abs=1e-9)

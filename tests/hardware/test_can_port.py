@@ -532,7 +532,7 @@ async def test_setting_the_wall_clock_ages_no_waiting_frame(
     assert sent_s - 0.002 <= ear.readings[0].arrival_s <= time.monotonic()
 
 
-async def test_a_stamp_that_fits_no_clock_cannot_age_a_frame_for_long(
+async def test_a_stamp_that_fits_no_clock_cannot_age_a_frame(
     config: CanBus, drive: Drive, ear: Ear, clock: Clock
 ) -> None:
     port = build_can_port(
@@ -541,7 +541,7 @@ async def test_a_stamp_that_fits_no_clock_cannot_age_a_frame_for_long(
     async with running(port, ear):
         drive.send_both()
         await ear.hears(1)
-    assert ear.readings[0].arrival_s == 999.0
+    assert ear.readings[0].arrival_s == 1000.0
 
 
 async def test_an_error_of_the_listener_ends_the_port(

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from adaptdrive.control.signals import SAFE_COMMAND, Stage
+from adaptdrive.control.signals import SAFE_COMMAND, Command, Measurement, Order, Stage
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
@@ -171,8 +171,10 @@ async def test_one_value_that_grows_old_trips_though_frames_come() -> None:
 @pytest.mark.parametrize(
     ("changes", "cause"),
     [
-        ({"output": math.nan}, "invalid"),
-        ({"boost_voltage_V": math.inf}, "invalid"),
+        ({"output": math.nan}, "invalid: output = nan is not"),
+        ({"boost_voltage_V": math.inf}, "invalid: boost_voltage_V = inf is not"),
+        ({"line_voltage_V": math.nan}, "invalid: line_voltage_V = nan is not"),
+        ({"load_power_W": -math.inf}, "invalid: load_power_W = -inf is not"),
         ({"fault": 4}, "drive fault: word 0x4"),
         ({"boost_voltage_V": 440.0}, "over-voltage"),
         ({"output": 5.5}, "over-speed"),
@@ -221,27 +223,76 @@ def thaw(bench: FastBench, frozen_s: float, *, bridge: bool) -> None:
     bench.port.deliver(replace(frame, counter=bench.counter % 65536))
 
 
-@pytest.mark.parametrize("frozen_s", [0.5, 10.0])
-async def test_a_drive_that_stopped_while_the_daemon_was_frozen_is_not_energised_again(
-    frozen_s: float,
-) -> None:
+@pytest.mark.parametrize("bridge", [False, True])
+@pytest.mark.parametrize("frozen_s", [1.1 * STALE_S, 0.09, 0.5, 10.0])
+async def test_a_daemon_frozen_beyond_the_limit_trips(frozen_s: float, bridge: bool) -> None:
+    """However fresh the frame, and whatever the drive says of its bridge, if it says anything."""
     async with fast_bench() as bench:
         bench.start()
         bench.frames(10)
         known = len(bench.sent)
-        thaw(bench, frozen_s, bridge=False)
+        thaw(bench, frozen_s, bridge=bridge)
+        assert (bench.machine.trip or "").startswith("overslept: the daemon did not run for ")
+        assert bench.sent[known:] == [SAFE_COMMAND]
+
+
+async def test_a_timer_that_overslept_trips_too() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        deadline_s, known = bench.around.deadline_s, len(bench.sent)
+        bench.around.now = deadline_s + STALE_S
+        bench.loop.on_deadline(deadline_s)
+        assert (bench.machine.trip or "").startswith("overslept: ")
+        assert bench.sent[known:] == [SAFE_COMMAND]
+
+
+async def test_a_short_pause_with_the_drive_on_goes_on() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        bench.frames(10)
+        thaw(bench, 0.9 * STALE_S, bridge=True)
+        assert bench.state() is State.RUNNING
+
+
+async def test_a_drive_that_stopped_in_a_short_pause_trips() -> None:
+    """Within `stale_s`, and within the grace of a drive that takes its time to switch on."""
+    async with fast_bench() as bench:
+        bench.start()
+        bench.frames(10)
+        known = len(bench.sent)
+        thaw(bench, 0.9 * STALE_S, bridge=False)
         assert (bench.machine.trip or "").startswith("drive stopped")
         assert bench.sent[known:] == [SAFE_COMMAND]
 
 
-async def test_a_pause_of_the_daemon_after_which_the_drive_goes_on_does_not_trip() -> None:
+async def test_a_tick_frozen_before_its_command_sends_none(monkeypatch: pytest.MonkeyPatch) -> None:
     async with fast_bench() as bench:
         bench.start()
-        bench.frames(10)
-        thaw(bench, 10.0, bridge=True)
-        thaw(bench, 20 * TICK_S, bridge=False)
+        tick, known = bench.loop._controller.tick, len(bench.sent)
+
+        def freeze(measurement: Measurement, order: Order) -> Command:
+            bench.around.now += 0.5
+            return tick(measurement, order)
+
+        monkeypatch.setattr(bench.loop._controller, "tick", freeze)
         bench.frame()
-        assert bench.state() is State.RUNNING
+        assert (bench.machine.trip or "").startswith("overslept: ")
+        assert bench.sent[known:] == [SAFE_COMMAND]
+
+
+@pytest.mark.parametrize("name", ["current_scale_S", "boost_reference_V"])
+async def test_a_command_that_is_not_finite_trips(
+    monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        broken = replace(bench.sent[-1], **{name: math.nan})  # type: ignore[arg-type]
+        monkeypatch.setattr(bench.loop._controller, "tick", lambda *_: broken)
+        bench.frame()
+        assert bench.state() is State.TRIPPED
+        assert (bench.machine.trip or "").startswith("command cannot be sent: the controller gave")
+        assert "nan" in (bench.machine.trip or "")
+        assert bench.sent[-1] == SAFE_COMMAND
 
 
 async def test_what_the_drives_protocol_complains_of_trips_in_the_next_tick() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 
 import pytest
@@ -29,6 +30,10 @@ def test_what_goes_out_is_finite_in_range_and_does_not_jump(
 ) -> None:
     guard, last_S = Guard(limits), 0.0
     for command in wanted:
+        if not math.isfinite(command.current_scale_S + command.boost_reference_V):
+            with pytest.raises(ValueError, match="not finite"):
+                guard.check(command)
+            continue
         sent = guard.check(command)
         assert limits.current_scale_min_S <= sent.current_scale_S <= limits.current_scale_max_S
         assert 0.0 <= sent.boost_reference_V <= limits.boost_reference_max_V
@@ -42,16 +47,18 @@ def test_what_goes_out_is_finite_in_range_and_does_not_jump(
 def test_the_safe_command_passes_at_once(limits: CommandLimits, before: list[Command]) -> None:
     guard = Guard(limits)
     for command in before:
-        guard.check(command)
+        with contextlib.suppress(ValueError):
+            guard.check(command)
     assert guard.check(SAFE_COMMAND) == SAFE_COMMAND
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_a_value_that_is_no_number_makes_the_whole_command_safe(value: float) -> None:
+def test_a_value_that_is_no_number_is_refused_by_name(value: float) -> None:
     guard = Guard(UNIDIRECTIONAL)
-    assert guard.check(Command(value, 300.0, bridge=True)) == SAFE_COMMAND
-    assert guard.check(Command(0.01, value, bridge=True)) == SAFE_COMMAND
-    assert guard.refused == 2
+    with pytest.raises(ValueError, match=f"k = {value:g} S, V_c = 300 V"):
+        guard.check(Command(value, 300.0, bridge=True))
+    with pytest.raises(ValueError, match=f"k = 0.01 S, V_c = {value:g} V"):
+        guard.check(Command(0.01, value, bridge=True))
 
 
 def test_a_command_within_limits_passes_as_it_is() -> None:
@@ -59,7 +66,7 @@ def test_a_command_within_limits_passes_as_it_is() -> None:
     for scale_S in (0.0, 0.02, 0.04, 0.025, 0.01):
         command = Command(scale_S, 300.0, bridge=True)
         assert guard.check(command) == command
-    assert guard.corrected == 0
+    assert guard.limited == 0
 
 
 def test_after_a_stop_the_current_rises_from_zero_again() -> None:
@@ -68,4 +75,4 @@ def test_after_a_stop_the_current_rises_from_zero_again() -> None:
         guard.check(Command(0.1, 300.0, bridge=True))
     guard.check(SAFE_COMMAND)
     assert guard.check(Command(0.1, 300.0, bridge=True)).current_scale_S == 0.02
-    assert guard.corrected == 6 - 1
+    assert guard.limited == 6 - 1

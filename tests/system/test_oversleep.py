@@ -7,24 +7,23 @@ import time
 
 import pytest
 
+from tests.system.bus_ear import BusEar
 from tests.system.conftest import MakeSite
-from tests.system.site import Site
+from tests.system.site import Site, until
 
 pytestmark = pytest.mark.slow
 
-STALE_S = 0.08
-ASLEEP_S = 0.12
-"""Longer than a value may be old, and shorter than the grace of a drive that stops by itself."""
+ASLEEP_S = 0.06
+"""Seven half cycles, and shorter than the time-out of the simulated drive, 0.1 s."""
 
 TICK_S = 1.0 / 120.0
 NAPS = 3
 
 
-def test_a_daemon_that_was_stopped_goes_on_with_the_newest_frame(make_site: MakeSite) -> None:
-    """The oldest frame that waits is far too old, and the newest is fresh: no trip, no burst."""
+def test_after_a_short_stop_the_newest_frame_decides(make_site: MakeSite) -> None:
+    """No trip, and no burst of ticks for the frames that piled up."""
     site = make_site(
         {
-            "interlocks.stale_s": str(STALE_S),
             "recording.flush_s": "0.5",
             "realtime.priority": "50",
         }
@@ -44,6 +43,40 @@ def test_a_daemon_that_was_stopped_goes_on_with_the_newest_frame(make_site: Make
     replayed = site.replay()
     assert replayed.returncode == 0, replayed.stdout + replayed.stderr
     assert replayed.stdout.splitlines()[1:] == ["every command is bit-equal"]
+
+
+@pytest.mark.parametrize(
+    ("stale_s", "asleep_s", "silent"),
+    [
+        pytest.param("1.5", 4.0, False, id="queue-full"),
+        pytest.param("0.08", 0.8, True, id="no-bridge-signal"),
+        pytest.param("0.08", 0.12, False, id="within-the-grace"),
+        pytest.param("0.08", 0.2, False, id="within-the-grace-longer"),
+    ],
+)
+def test_a_thawed_daemon_energises_nothing(
+    make_site: MakeSite, stale_s: str, asleep_s: float, silent: bool
+) -> None:
+    """Frozen for longer than `stale_s`: every command heard on the bus afterwards is safe."""
+    site = make_site({"interlocks.stale_s": stale_s, "realtime.priority": "50"})
+    if silent:
+        text = site.config.read_text(encoding="utf-8")
+        site.config.write_text(text.replace('bridge = "DriveStatus.BridgeOn"\n', ""))
+    site.start("--initial-voltage", "280")
+    site.prefer_device()
+    site.run_drive()
+    with BusEar(site.config) as bus:
+        until(lambda: bus.commands() and bus.commands()[-1].bridge, "the bridge is commanded on")
+        with site.stalled(site.daemon):
+            time.sleep(asleep_s)
+            thawed_s = time.monotonic()
+        trip = site.await_state(state="tripped")["trip"]
+        known = len(bus.commands())
+        until(lambda: len(bus.commands()) > known + 60, "half a second of commands")
+        later = [command for command in bus.commands() if command.time_s > thawed_s]
+    assert trip.startswith("overslept: the daemon did not run for ")
+    assert len(later) > 60
+    assert all(command.safe for command in later)
 
 
 def _ticked_once_after_each_nap(site: Site) -> None:

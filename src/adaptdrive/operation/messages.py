@@ -70,6 +70,7 @@ class DriveMessage(msgspec.Struct, frozen=True):
     ticks: int
     missed: int
     held: int
+    limited: int
     lateness_us: Quantiles
     turnaround_us: Quantiles
     tick_us: Quantiles
@@ -158,6 +159,7 @@ def drive_message(report: DriveReport, time: datetime) -> DriveMessage:
         ticks=report.ticks,
         missed=report.missed,
         held=report.held,
+        limited=report.limited,
         lateness_us=report.lateness_us,
         turnaround_us=report.turnaround_us,
         tick_us=report.tick_us,

@@ -53,6 +53,7 @@ def drive_report(
         ticks=fast.counts.ticks,
         missed=fast.counts.missed,
         held=fast.counts.held,
+        limited=fast.limited,
         lateness_us=fast.lateness.take(),
         turnaround_us=fast.turnaround.take(),
         bus=asdict(bus),

@@ -6,6 +6,8 @@ from adaptdrive.hardware.port import Reading
 
 _GRACE_TICKS = 30
 _GRACE_READINGS = 3
+_GAP_READINGS = 3
+"""Readings that pass unwatched before a bridge that was on and is off is a stop, not a flicker."""
 
 
 class BridgeWatch:
@@ -22,14 +24,16 @@ class BridgeWatch:
         self._stride = ticks_per_reading
         self._grace = max(_GRACE_TICKS, _GRACE_READINGS * ticks_per_reading)
         self._off_ticks = 0
+        self._been_on = False
 
     def find_cause(
         self, reading: Reading | None, *, commanded: bool, unwatched_s: float
     ) -> str | None:
         """One more look; the cause of a trip, None for none.
 
-        Half cycles that passed unwatched count: a drive that stopped because this process did not
-        run for long gets no command that energises it anew.
+        Half cycles that passed unwatched count, and a bridge that went off while nobody looked is
+        a stop at once: a drive that stopped because this process did not run gets no command that
+        energises it anew.
 
         Args:
             reading: What the drive said last.
@@ -37,9 +41,11 @@ class BridgeWatch:
             unwatched_s: Time since the last look.
         """
         if reading is None or reading.bridge or not commanded:
-            self._off_ticks = 0
+            self._off_ticks, self._been_on = 0, commanded and reading is not None
             return None
-        self._off_ticks += max(self._stride, int(unwatched_s / self._tick_s))
-        if self._off_ticks <= self._grace:
+        missed_ticks = unwatched_s / self._tick_s
+        self._off_ticks += max(self._stride, int(missed_ticks))
+        slept = self._been_on and missed_ticks > _GAP_READINGS * self._stride
+        if self._off_ticks <= self._grace and not slept:
             return None
         return "drive stopped: its bridge is off although it was commanded on"

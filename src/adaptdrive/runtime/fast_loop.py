@@ -34,6 +34,9 @@ from adaptdrive.runtime.reports import TickReport
 from adaptdrive.runtime.statistics import TimeWindow
 from adaptdrive.runtime.stillness import Stillness, StillnessLimits
 
+_GAP_READINGS = 2
+"""Readings without a tick that a drive which is read seldom may cost: one may be lost."""
+
 
 @dataclass(slots=True)
 class TickCounts:
@@ -137,6 +140,11 @@ class FastLoop:
         self._run_tick = 0
         self._bridge = BridgeWatch(settings.tick_s, settings.ticks_per_reading)
         self._watched_s = math.inf
+        # a drive that sends seldom leaves the loop nothing to watch between two readings
+        self._gap_limit_s = max(
+            settings.limits.stale_s,
+            _GAP_READINGS * settings.ticks_per_reading * settings.tick_s,
+        )
         self._order: Order | None = None
         self._applied_k = -1
         self._wanted = SAFE_COMMAND
@@ -158,6 +166,11 @@ class FastLoop:
 
     def _cause(self, now_s: float) -> str | None:
         return self._port.complaint or find_cause(self.reading, now_s, self._settings.limits)
+
+    @property
+    def limited(self) -> int:
+        """Commands that were held to a limit since the start."""
+        return self._guard.limited
 
     @property
     def reading_period_s(self) -> float:
@@ -224,17 +237,17 @@ class FastLoop:
 
     def send_safe(self) -> None:
         """Send the safe command now, outside any tick."""
-        self._send(SAFE_COMMAND)
+        self.command = self._guard.check(SAFE_COMMAND)
+        self._port.send(self.command)
 
     def _send(self, command: Command) -> None:
-        """Guard, then wire; what the wire cannot carry trips the drive instead of the daemon."""
-        self.command = self._guard.check(command)
+        """Guard, then wire; what neither can pass trips the drive instead of the daemon."""
         try:
+            self.command = self._guard.check(command)
             self._port.send(self.command)
         except ValueError as problem:
             self._machine.latch(f"command cannot be sent: {problem}")
-            self.command = SAFE_COMMAND
-            self._port.send(SAFE_COMMAND)
+            self.send_safe()
 
     def _arm(self, deadline_s: float) -> None:
         self._deadline_s = deadline_s
@@ -282,7 +295,8 @@ class FastLoop:
         if not machine.energised:
             return
         cause = (
-            self._cause(now_s)
+            self._gap_cause(unwatched_s)
+            or self._cause(now_s)
             or self._bridge.find_cause(
                 reading, commanded=self.command.bridge, unwatched_s=unwatched_s
             )
@@ -292,6 +306,16 @@ class FastLoop:
             machine.advance(self.tick, reading.boost_voltage_V)
         elif cause is not None:
             machine.latch(cause)
+
+    def _gap_cause(self, unwatched_s: float) -> str | None:
+        """The cause of a trip when nothing of this process ran for long."""
+        if unwatched_s <= self._gap_limit_s:
+            return None
+        return (
+            f"overslept: the daemon did not run for {unwatched_s * 1e3:.0f} ms, limit "
+            f"{self._gap_limit_s * 1e3:g} ms: the machine is overloaded or was suspended; see "
+            "[realtime]"
+        )
 
     def _still_cause(self, reading: Reading | None) -> str | None:
         """A frozen sensor: its messages go on, and so would the controller."""
@@ -317,7 +341,19 @@ class FastLoop:
         command = self._controller.tick(measurement, order)
         self.measurement = measurement
         self._wanted = command
-        self._send(command)
+        if self._overslept():
+            self.send_safe()
+        else:
+            self._send(command)
+
+    def _overslept(self) -> bool:
+        """Return whether this tick was kept from running for so long that its command is void."""
+        if not self._machine.energised:
+            return False
+        cause = self._gap_cause(self._surroundings.now_s() - self._watched_s)
+        if cause is not None:
+            self._machine.latch(cause)
+        return cause is not None
 
     def _current_order(self, tick: int) -> Order:
         """The order of this tick; a new object only when something changed."""

@@ -29,22 +29,26 @@ class Guard:
     """Holds every command to its limits and counts what it had to change.
 
     Attributes:
-        corrected: Commands that were limited.
-        refused: Commands that were replaced by the safe one because a value was not finite.
+        limited: Commands that were held to a limit.
     """
 
     def __init__(self, limits: CommandLimits) -> None:
         self._limits = limits
         self._last_scale_S = 0.0
-        self.corrected = 0
-        self.refused = 0
+        self.limited = 0
 
     def check(self, command: Command) -> Command:
-        """The command to send: the given one wherever it is within limits."""
+        """Return the command to send: the given one wherever it is within limits.
+
+        Raises:
+            ValueError: A value is not finite.
+        """
         scale_S, reference_V = command.current_scale_S, command.boost_reference_V
         if not (math.isfinite(scale_S) and math.isfinite(reference_V)):
-            self.refused += 1
-            scale_S, reference_V, command = 0.0, 0.0, SAFE_COMMAND
+            raise ValueError(
+                f"the controller gave k = {scale_S:g} S, V_c = {reference_V:g} V, which is not "
+                "finite; keep the session for a report, then reset"
+            )
         if not (command.bridge or scale_S or reference_V):
             self._last_scale_S = 0.0
             return SAFE_COMMAND
@@ -55,5 +59,5 @@ class Guard:
         limited_V = min(max(reference_V, 0.0), limits.boost_reference_max_V)
         if self._last_scale_S == scale_S and limited_V == reference_V:
             return command
-        self.corrected += 1
+        self.limited += 1
         return Command(self._last_scale_S, limited_V, command.bridge)

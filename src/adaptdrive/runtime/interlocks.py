@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 from adaptdrive.hardware.port import Reading
 
+MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -47,8 +49,12 @@ def find_cause(reading: Reading | None, now_s: float, limits: Limits) -> str | N
 
 
 def _unhealthy(reading: Reading) -> str | None:
-    if not _all_finite(reading):
-        return "invalid: a measurement is not a finite number"
+    name = _not_finite(reading)
+    if name is not None:
+        return (
+            f"invalid: {name} = {getattr(reading, name)} is not a finite number: look at its "
+            "sensor, its scale and offset, and at [derived]"
+        )
     if reading.fault:
         name = f" ({reading.fault_name})" if reading.fault_name else ""
         return f"drive fault: word {reading.fault:#x}{name}"
@@ -69,10 +75,13 @@ def _exceeded(reading: Reading, limits: Limits) -> str | None:
     return None
 
 
-def _all_finite(reading: Reading) -> bool:
-    return (
+def _not_finite(reading: Reading) -> str | None:
+    """The name of the first measured quantity that is not a finite number."""
+    if (
         math.isfinite(reading.boost_voltage_V)
         and math.isfinite(reading.line_voltage_V)
         and math.isfinite(reading.load_power_W)
         and math.isfinite(reading.output)
-    )
+    ):
+        return None
+    return next(name for name in MEASURED if not math.isfinite(getattr(reading, name)))

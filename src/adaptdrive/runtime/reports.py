@@ -114,6 +114,7 @@ class DriveReport:
         bus: Frame counts of the port, by name.
         tick_us: Duration of the ticks themselves, since the last report.
         sensors: Sensor buses beside the drive.
+        limited: Commands that were held to a limit of `[drive.limits]` since the start.
         histograms: Counts of all lateness, turn-around and tick times since the start, by bin.
     """
 
@@ -128,6 +129,7 @@ class DriveReport:
     bus: dict[str, int]
     tick_us: Quantiles = NO_TIMES
     sensors: tuple[SensorReport, ...] = ()
+    limited: int = 0
     histograms: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
 
 

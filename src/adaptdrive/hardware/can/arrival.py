@@ -2,19 +2,17 @@
 
 The kernel stamps a frame with the wall clock, which may be set while the frame waits to be read.
 The offset between both clocks is measured at each frame. A frame that was stamped before the wall
-clock was set is converted with the offset from before.
+clock was set is converted with the offset from before. No frame has waited since before its queue
+was last found empty: however long that is, and whatever its stamp says.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 
 import can
-
-OLDEST_S = 1.0
-"""Longest time that a frame is believed to have waited to be read: the stamp of one that seems to
-have waited for longer says nothing."""
 
 PROMPT_S = 0.002
 """A clocking frame that has waited for less than this has no successor yet: half cycles last."""
@@ -27,7 +25,7 @@ _LOOKS = 3
 """Attempts to read both clocks without being interrupted for `_STEP_S` between them."""
 
 _STEPS = 4
-"""Steps of the wall clock within `OLDEST_S` that are remembered."""
+"""Steps of the wall clock since the queue was empty that are remembered."""
 
 
 class ArrivalClock:
@@ -44,6 +42,16 @@ class ArrivalClock:
         self._wall_clock = wall_clock
         self._former: deque[tuple[float, float]] = deque(maxlen=_STEPS)
         self._offset_s = self._look()[1]
+        self._drain_s = -math.inf
+        self._empty_s = -math.inf
+
+    def begin_drain(self) -> None:
+        """Note that the queue is about to be opened, or read until it is empty."""
+        self._drain_s = self._clock()
+
+    def end_drain(self) -> None:
+        """Note that the queue is empty; what comes now came after its reading began."""
+        self._empty_s = self._drain_s
 
     def waited_s(self, frame: can.Message) -> float:
         """Return for how long a frame has waited to be read, 0 where that is not known.
@@ -57,13 +65,13 @@ class ArrivalClock:
         if abs(offset_s - self._offset_s) > _STEP_S:
             self._former.append((self._offset_s, now_s))
         self._offset_s = offset_s
-        waits_s = [now_s - (frame.timestamp - one_s) for one_s in self._offsets_s(now_s)]
+        waits_s = [now_s - (frame.timestamp - one_s) for one_s in self._offsets_s()]
         possible_s = [wait_s for wait_s in waits_s if wait_s > -_STEP_S]
-        return max(min(possible_s, default=0.0), 0.0)
+        return min(max(min(possible_s, default=0.0), 0.0), now_s - self._empty_s)
 
-    def _offsets_s(self, now_s: float) -> list[float]:
-        """Return the offsets with which a frame that is read now may have been stamped."""
-        former = [offset_s for offset_s, until_s in self._former if now_s - until_s < OLDEST_S]
+    def _offsets_s(self) -> list[float]:
+        """Return the offsets with which a frame of this queue may have been stamped."""
+        former = [offset_s for offset_s, until_s in self._former if until_s >= self._empty_s]
         return [self._offset_s, *former]
 
     def _look(self) -> tuple[float, float]:

@@ -19,7 +19,7 @@ import can
 
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.can.arrival import OLDEST_S, PROMPT_S, ArrivalClock
+from adaptdrive.hardware.can.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.can.bus import as_received, describe_bus, frame_key, open_bus
 from adaptdrive.hardware.can.codec import MessageCodec
 from adaptdrive.hardware.can.integrity import Verdict
@@ -190,7 +190,7 @@ class CanPort:
 
     def _take_status(self, status: Status, frame: can.Message) -> None:
         waited_s = self._arrivals.waited_s(frame)
-        arrival_s = self._clock() - min(waited_s, OLDEST_S)
+        arrival_s = self._clock() - waited_s
         decoded = status.codec.decode(bytes(frame.data))
         if decoded.lost:
             self._counts["counter_lost"] += decoded.lost
@@ -270,6 +270,8 @@ class CanPort:
         )
 
     def _open(self) -> can.BusABC:
+        self._arrivals.begin_drain()
+        self._arrivals.end_drain()
         return open_bus(self._config, [*self._statuses, *self._commands])
 
     async def _serve(self, bus: can.BusABC, announce: Callable[[], None]) -> str:
@@ -278,7 +280,7 @@ class CanPort:
         self._forget()
         try:
             announce()
-            self._reader = FrameReader(bus, self, self._hand_out)
+            self._reader = FrameReader(bus, self, self._arrivals, self._hand_out)
             return await self._reader.run()
         finally:
             self._bus = self._reader = None

@@ -16,6 +16,8 @@ from typing import Protocol
 
 import can
 
+from adaptdrive.hardware.can.arrival import ArrivalClock
+
 _BUDGET = 256
 """Frames read per wake-up; the rest stays in the kernel's queue until the loop has been round. By
 default that queue holds as many: one wake-up clears what piled up while the process did not run."""
@@ -43,26 +45,34 @@ class FrameTaker(Protocol):
         """Take note of something on the bus that is no frame."""
 
 
-async def read_frames(bus: can.BusABC, taker: FrameTaker) -> str:
+async def read_frames(
+    bus: can.BusABC, taker: FrameTaker, arrivals: ArrivalClock | None = None
+) -> str:
     """Hand every frame to `taker` until the bus is lost; why it is lost."""
-    return await FrameReader(bus, taker).run()
+    return await FrameReader(bus, taker, arrivals).run()
 
 
 class FrameReader:
     """Reads one open bus."""
 
     def __init__(
-        self, bus: can.BusABC, taker: FrameTaker, caught_up: Callable[[], None] = lambda: None
+        self,
+        bus: can.BusABC,
+        taker: FrameTaker,
+        arrivals: ArrivalClock | None = None,
+        caught_up: Callable[[], None] = lambda: None,
     ) -> None:
         """Read nothing yet; an event loop must be running.
 
         Args:
             bus: An open bus.
             taker: Who gets the frames; an error it raises ends the reading, and `run` raises it.
+            arrivals: Notes when the queue is empty, None where frames are not dated.
             caught_up: Called after each wake-up that brought a frame, when no more of them wait.
         """
         self._bus = bus
         self._taker = taker
+        self._arrivals = arrivals
         self._caught_up = caught_up
         self._loop = asyncio.get_running_loop()
         self._lost: asyncio.Future[str] = self._loop.create_future()
@@ -82,13 +92,39 @@ class FrameReader:
         if self._lost.done():
             return
         try:
-            problem = _drain(self._bus, self._taker)
+            problem = self._drain()
             self._caught_up()
         except Exception as error:  # noqa: BLE001 - it is raised again, where it can be seen
             self._lost.set_exception(error)
             return
         if problem:
             self._lost.set_result(problem)
+
+    def _drain(self) -> str | None:
+        """Read what is there, within the budget; the problem when the bus is lost."""
+        bus, taker = self._bus, self._taker
+        if self._arrivals is not None:
+            self._arrivals.begin_drain()
+        for _ in range(_BUDGET):
+            try:
+                frame = bus.recv(0)
+            except BlockingIOError:  # the kernel threw a damaged datagram away after announcing it
+                return None
+            except can.CanOperationError as problem:
+                if not _is_garbage(problem):
+                    return str(problem)
+                taker.take_garbage()
+                continue
+            except (can.CanError, OSError, ValueError) as problem:
+                return str(problem)
+            if frame is None:
+                if self._arrivals is not None:
+                    self._arrivals.end_drain()
+                return None
+            if frame.is_error_frame and frame.arbitration_id & _BUS_OFF:
+                return "bus-off: the controller has left the bus after too many errors"
+            taker.take(frame)
+        return None
 
 
 def _fileno(bus: can.BusABC) -> int:
@@ -129,28 +165,6 @@ def _polling(loop: asyncio.AbstractEventLoop, drain: Callable[[], None]) -> Iter
         yield
     finally:
         handle.cancel()
-
-
-def _drain(bus: can.BusABC, taker: FrameTaker) -> str | None:
-    """Read what is there, within the budget; the problem when the bus is lost."""
-    for _ in range(_BUDGET):
-        try:
-            frame = bus.recv(0)
-        except BlockingIOError:  # the kernel threw a damaged datagram away after announcing it
-            return None
-        except can.CanOperationError as problem:
-            if not _is_garbage(problem):
-                return str(problem)
-            taker.take_garbage()
-            continue
-        except (can.CanError, OSError, ValueError) as problem:
-            return str(problem)
-        if frame is None:
-            return None
-        if frame.is_error_frame and frame.arbitration_id & _BUS_OFF:
-            return "bus-off: the controller has left the bus after too many errors"
-        taker.take(frame)
-    return None
 
 
 def _is_garbage(problem: can.CanOperationError) -> bool:

@@ -18,7 +18,7 @@ import can
 from adaptdrive.config.sensors import CanSensors as Config
 from adaptdrive.errors import BusError, ConfigurationError
 from adaptdrive.hardware.backoff import Backoff
-from adaptdrive.hardware.can.arrival import OLDEST_S, ArrivalClock
+from adaptdrive.hardware.can.arrival import ArrivalClock
 from adaptdrive.hardware.can.bus import channel_flaws, describe_bus, frame_key, open_bus
 from adaptdrive.hardware.can.codec import MessageCodec
 from adaptdrive.hardware.can.database import Catalogue, load_database
@@ -141,7 +141,7 @@ class CanSensors:
         decoded = message.codec.decode(bytes(frame.data))
         self._counts["counter_lost"] += decoded.lost
         if decoded.verdict is Verdict.GOOD:
-            waited_s = min(self._arrivals.waited_s(frame), OLDEST_S)
+            waited_s = self._arrivals.waited_s(frame)
             self._hand_out(message, decoded.values, self._clock() - waited_s)
         elif decoded.verdict is not Verdict.COUNTER_LOST:
             self._counts[decoded.verdict] += 1
@@ -164,6 +164,8 @@ class CanSensors:
 
     async def _try(self) -> str:
         """Open the bus and hear it until it is lost; why it was."""
+        self._arrivals.begin_drain()
+        self._arrivals.end_drain()
         try:
             bus = open_bus(self._config, self._messages)
         except BusError as problem:
@@ -173,7 +175,7 @@ class CanSensors:
         for message in self._messages.values():
             message.codec.reset()
         try:
-            return await read_frames(bus, self)
+            return await read_frames(bus, self, self._arrivals)
         finally:
             bus.shutdown()
 

@@ -21,7 +21,7 @@ import can
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.can.arrival import OLDEST_S, PROMPT_S, ArrivalClock
+from adaptdrive.hardware.can.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.can.bus import describe_bus, open_bus
 from adaptdrive.hardware.can.integrity import Verdict
 from adaptdrive.hardware.can.reader import FrameReader
@@ -255,7 +255,7 @@ class CanOpenPort:
         return can_id in self._commands
 
     def _take_sync(self, frame: can.Message) -> None:
-        self._assembly.begin(self._clock() - min(self._arrivals.waited_s(frame), OLDEST_S))
+        self._assembly.begin(self._clock() - self._arrivals.waited_s(frame))
 
     def _take_heartbeat(self, frame: can.Message) -> None:
         if len(frame.data) != 1:
@@ -284,7 +284,7 @@ class CanOpenPort:
         if statusword is not None:
             self._control.hear(int(statusword))
         waited_s = self._arrivals.waited_s(frame)
-        arrival_s = self._clock() - min(waited_s, OLDEST_S)
+        arrival_s = self._clock() - waited_s
         if self._assembly.take(status.codec.name, decoded.values, arrival_s):
             bridge = self._control.state is DriveState.ENABLED
             fault = 0 if self._newest is None else self._newest.fault
@@ -324,6 +324,8 @@ class CanOpenPort:
         return True
 
     def _open(self) -> can.BusABC:
+        self._arrivals.begin_drain()
+        self._arrivals.end_drain()
         return open_bus(self._config, [*self._takers, *self._commands])
 
     async def _serve(self, bus: can.BusABC, announce: Callable[[], None]) -> str:
@@ -345,7 +347,7 @@ class CanOpenPort:
         """Hear the bus and keep the node up; why the bus was lost."""
         async with asyncio.TaskGroup() as tasks:
             watch = tasks.create_task(self._master.run(self._tell), name="node")
-            self._reader = FrameReader(bus, self, self._hand_out)
+            self._reader = FrameReader(bus, self, self._arrivals, self._hand_out)
             problem = await self._reader.run()
             watch.cancel()
         return problem

@@ -25,6 +25,9 @@ from adaptdrive.hardware.modbus.link import ExchangeError, Link
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, map_drive
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 
+_LATE_POLLS = 2.0
+"""Lateness of a poll, in polls, from which on only the safe command is written with it."""
+
 _SILENT_POLLS = 3
 """Polls without a reading after which the drive is said to be gone."""
 
@@ -79,6 +82,7 @@ class ModbusPort:
         self._wake = asyncio.Event()
         self._closing = False
         self._command: Command | None = None
+        self._due_s = -math.inf
         self._written: Command | None = None
         self._safe = True
         self._bridge = False
@@ -202,6 +206,7 @@ class ModbusPort:
         next_s = self._clock()
         try:
             while link.lost is None and not self._closing:
+                self._due_s = next_s
                 await self._poll_once(link)
                 next_s = self._next(next_s)
                 await self._idle(link, next_s)
@@ -246,7 +251,7 @@ class ModbusPort:
             if values is not None:
                 self._take(values, start_s)
         fresh = not self._poll.combined or self._command != self._written
-        if self._command is not None and link.lost is None and fresh:
+        if link.lost is None and fresh:
             await self._write(link)
 
     async def _read(self, link: Link) -> dict[str, float] | None:
@@ -259,7 +264,7 @@ class ModbusPort:
         for number, (block, sources) in enumerate(self._poll.reads):
             if self._urgent:
                 await self._write(link)
-            command = self._command if number == 0 and self._poll.combined else None
+            command = self._current() if number == 0 and self._poll.combined else None
             words = await self._ask(link, Exchange(read=block), command)
             values |= {source.quantity: source.value(block, words) for source in sources}
         good = {name: value for name, value in values.items() if value is not None}
@@ -280,6 +285,14 @@ class ModbusPort:
         self._confirm(command)
         return registers
 
+    def _current(self) -> Command | None:
+        """Return the command in force, None for none.
+
+        A process that did not run for long finds here what it decided before: that is void.
+        """
+        late = self._clock() - self._due_s > _LATE_POLLS * self._poll_s
+        return None if late and self._command != SAFE_COMMAND else self._command
+
     def _words(self, command: Command) -> list[list[int]]:
         """The registers of every block that is written, with the next heartbeat."""
         self._alive += 1
@@ -290,7 +303,7 @@ class ModbusPort:
 
     async def _write(self, link: Link) -> None:
         """Write the newest command."""
-        command = self._command
+        command = self._current()
         if command is None:
             return
         at_once = self._urgent
