@@ -44,6 +44,7 @@ def device(  # noqa: PLR0913 - one parameter for each option
     disks: int = 1,
     initial_voltage: float | None = None,
     command_timeout: float = 0.1,
+    boost_needs_bridge: bool = False,
     line_drift: float = 0.1,
     line_wander: float = 0.0,
     interface: Literal["socketcan", "udp_multicast"] | None = None,
@@ -61,6 +62,7 @@ def device(  # noqa: PLR0913 - one parameter for each option
         disks: Disks on the shaft of a motor.
         initial_voltage: Start at rest at this boost voltage instead of at standstill.
         command_timeout: Age of the last command, in seconds, at which it shuts down.
+        boost_needs_bridge: The boost stage works only while the bridge's enable bit is on.
         line_drift: Amplitude of the line's frequency drift, in hertz.
         line_wander: Amplitude of the line's slow voltage wander, as a fraction.
         interface: Bus interface instead of the configured one.
@@ -77,6 +79,7 @@ def device(  # noqa: PLR0913 - one parameter for each option
         disks=disks,
         initial_voltage_V=initial_voltage,
         command_timeout_s=command_timeout,
+        boost_needs_bridge=boost_needs_bridge,
         line_drift_Hz=line_drift,
         line_wander=line_wander,
         interface=interface,

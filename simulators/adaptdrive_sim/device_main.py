@@ -59,6 +59,7 @@ class DeviceSettings:
     disks: int = 1
     initial_voltage_V: float | None = None
     command_timeout_s: float = COMMAND_TIMEOUT_s
+    boost_needs_bridge: bool = False
     line_drift_Hz: float = 0.1
     line_wander: float = 0.0
     interface: str | None = None
@@ -101,14 +102,16 @@ def build_drive(configuration: Configuration, settings: DeviceSettings, report: 
     timeout_s = settings.command_timeout_s
     check_range("command time-out", timeout_s, 0.01, 60.0, "s")
     world, power = build_world(configuration, settings), configuration.drive
-    canopen = isinstance(configuration.bus, CanOpenBus)  # it watches a heartbeat, not commands
-    if configuration.voltage_loop.where == "daemon":
-        return Drive(world, report, timeout_s=math.inf if canopen else timeout_s)
-    holder = VoltageHolder(power.boost_capacitance_F, bidirectional=power.kind == "bidirectional")
-    if canopen:
-        return Drive(world, report, holder, math.inf)
-    reading_s = 0.5 * configuration.ticks_per_reading / power.line_frequency_Hz
-    return Drive(world, report, holder, max(timeout_s, PATIENCE_READINGS * reading_s))
+    holder = None
+    if configuration.voltage_loop.where == "drive":
+        bidirectional = power.kind == "bidirectional"
+        holder = VoltageHolder(power.boost_capacitance_F, bidirectional=bidirectional)
+        reading_s = 0.5 * configuration.ticks_per_reading / power.line_frequency_Hz
+        timeout_s = max(timeout_s, PATIENCE_READINGS * reading_s)
+    if isinstance(configuration.bus, CanOpenBus):  # it watches a heartbeat, not commands
+        timeout_s = math.inf
+    needs_bridge = settings.boost_needs_bridge
+    return Drive(world, report, holder, timeout_s, boost_needs_bridge=needs_bridge)
 
 
 def build_node(

@@ -176,6 +176,14 @@ def test_a_drive_that_holds_its_own_voltage_is_told_the_voltage_alone() -> None:
     assert command == Command(0.0, 300.0, bridge=True)
 
 
+def test_the_bridge_is_on_in_precharge_where_the_boost_needs_it() -> None:
+    needing = replace(EXACT, stage=replace(STAGE, boost_needs_bridge=True))
+    for settings_, expected in ((needing, True), (EXACT, False)):
+        controller = Controller(settings_, MOTOR)
+        assert controller.tick(measurement(0), order(stage=Stage.OFF)) == SAFE_COMMAND
+        assert controller.tick(measurement(1), order(stage=Stage.PRECHARGE)).bridge is expected
+
+
 # determinism
 
 

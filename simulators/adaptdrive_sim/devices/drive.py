@@ -8,6 +8,7 @@ itself and does not trust its host:
 * Above 450 V it stops drawing line current and reports over-voltage; the bridge stays as it is,
   since only the load can discharge the capacitor. The fault stays until the voltage is below
   430 V and a command with the bridge off has been received.
+* Where its boost stage needs the bridge's enable bit, it draws line current only with that bit on.
 * While the line is below half of its nominal voltage it reports the line as lost.
 * A fault that is injected shuts the drive down until it is cleared.
 """
@@ -62,6 +63,8 @@ class Drive:
         report: Report,
         holder: VoltageHolder | None = None,
         timeout_s: float = COMMAND_TIMEOUT_s,
+        *,
+        boost_needs_bridge: bool = False,
     ) -> None:
         """Start a drive that has had no command yet, and so is in its safe state.
 
@@ -70,9 +73,11 @@ class Drive:
             report: Told what happens, as an event's name and its data as keywords.
             holder: The voltage loop of a drive that holds its own boost voltage.
             timeout_s: Age of the last valid command at which the drive shuts down.
+            boost_needs_bridge: Whether the boost stage works only while the bridge is on.
         """
         self._holder = holder
         self._timeout_s = timeout_s
+        self._boost_needs_bridge = boost_needs_bridge
         self._reference_V = 0.0
         self.world = world
         self.fault = 0
@@ -137,12 +142,13 @@ class Drive:
         self._watch_voltage()
         if self._injected:
             self.world.shut()
-        scale_S = 0.0 if self._overvoltage or self._injected else self._scale_S
         bridge = self._bridge and not self._injected
+        boosts = bridge or not (self._boost_needs_bridge or self._injected)
+        scale_S = self._scale_S if boosts and not self._overvoltage else 0.0
         sample = self.world.step(scale_S, bridge)
         self.fault = self._word(sample.line_voltage_V)
         if self._holder is not None:
-            self._scale_S = self._holder.scale_S(self._reference_V, sample)
+            self._scale_S = self._holder.scale_S(self._reference_V if boosts else 0.0, sample)
         self.frame = Frame(sample, self.fault, self.world.bridge)
         return self.frame
 

@@ -138,6 +138,7 @@ def _power_stage(configuration: Configuration) -> PowerStage:
         load_power_max_W=drive.limits.load_power_max_W,
         feed_forward=loop.feed_forward,
         holds_voltage=loop.where == "drive",
+        boost_needs_bridge=drive.enable_bit == "bridge-and-boost",
     )
 
 
@@ -230,6 +231,7 @@ def _machine_limits(configuration: Configuration) -> MachineLimits:
         pole_max=load.pole_max,
         period_min_s=_SHORTEST_WAVE_PERIODS * load.period_s,
         floor_V=configuration.drive.limits.boost_reference_min_V,
+        boost_needs_bridge=configuration.drive.enable_bit == "bridge-and-boost",
         starting_ticks=round(configuration.interlocks.precharge_timeout_s / tick),
         tick_s=tick,
     )

@@ -51,6 +51,11 @@ class Drive(Section):
     )
     line_voltage_V: PositiveFloat = Field(default=120.0, description="nominal line voltage, rms")
     boost_capacitance_F: PositiveFloat = Field(default=1.0e-3, description="boost capacitor")
+    enable_bit: Literal["bridge", "bridge-and-boost"] = Field(
+        default="bridge",
+        description="what `signals.command.bridge` switches: the bridge, on from `running`, or the "
+        "boost stage with it, on from `starting`; the load is then fed while v_bst rises",
+    )
     limits: DriveLimits = Field(default_factory=DriveLimits)
 
     @model_validator(mode="after")

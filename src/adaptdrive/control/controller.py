@@ -77,7 +77,8 @@ class Controller:
             return SAFE_COMMAND
         if order.stage is Stage.RUN:
             self._run_filters(measurement, order)
-        return self._drive(measurement, order.stage is Stage.RUN)
+        bridge = order.stage is Stage.RUN or self._settings.stage.boost_needs_bridge
+        return self._drive(measurement, bridge)
 
     def take_snapshot(self) -> Snapshot | None:
         """The snapshot made in the last tick, if any; only once."""
@@ -121,7 +122,7 @@ class Controller:
 
     def _enter(self, stage: Stage, measurement: Measurement) -> None:
         """Start a stage from what is measured now, so that it begins without a bump."""
-        fed = self._stage is not Stage.PRECHARGE  # until now the bridge was off: no input at all
+        fed = self._stage is not Stage.PRECHARGE  # until now the load had little input or none
         self._stage = stage
         self._snapshot = None
         limits = self._settings.stage

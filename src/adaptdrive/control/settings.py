@@ -22,6 +22,7 @@ class PowerStage:
         load_power_max_W: Load power above which V_c is held back.
         feed_forward: Whether the load power is fed forward.
         holds_voltage: True for a drive with its own voltage loop.
+        boost_needs_bridge: True for a drive whose boost stage works only with the bridge on.
     """
 
     capacitance_F: float
@@ -33,6 +34,7 @@ class PowerStage:
     load_power_max_W: float
     feed_forward: bool
     holds_voltage: bool
+    boost_needs_bridge: bool = False
 
 
 @dataclass(frozen=True, slots=True)

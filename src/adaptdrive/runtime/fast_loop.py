@@ -294,12 +294,12 @@ class FastLoop:
         unwatched_s, self._watched_s = now_s - self._watched_s, now_s
         if not machine.energised:
             return
+        # in `starting` a drive may report its bridge late: there the boost voltage is watched
+        commanded = self.command.bridge and machine.stage is Stage.RUN
         cause = (
             self._gap_cause(unwatched_s)
             or self._cause(now_s)
-            or self._bridge.find_cause(
-                reading, commanded=self.command.bridge, unwatched_s=unwatched_s
-            )
+            or self._bridge.find_cause(reading, commanded=commanded, unwatched_s=unwatched_s)
             or self._still_cause(reading)
         )
         if cause is None and reading is not None:

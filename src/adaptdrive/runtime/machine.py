@@ -41,6 +41,7 @@ class MachineLimits:
         floor_V: Boost voltage at which starting ends.
         starting_ticks: Longest time in state `starting`, in fast ticks.
         tick_s: Half a line cycle at nominal frequency.
+        boost_needs_bridge: Whether the bridge is on in `starting` already.
     """
 
     reference_min: float
@@ -52,6 +53,7 @@ class MachineLimits:
     floor_V: float
     starting_ticks: int
     tick_s: float
+    boost_needs_bridge: bool = False
 
 
 class Machine:
@@ -135,11 +137,7 @@ class Machine:
         elif boost_voltage_V >= _FLOOR_REACHED * self._limits.floor_V:
             self.state = State.RUNNING
         elif tick - self._since_tick > self._limits.starting_ticks:
-            self.latch(
-                f"precharge: v_bst = {boost_voltage_V:.1f} V after "
-                f"{self._limits.starting_ticks * self._limits.tick_s:g} s, "
-                f"needs {self._limits.floor_V:g} V"
-            )
+            self.latch(_precharge_cause(self._limits, boost_voltage_V))
 
     def latch(self, cause: str) -> None:
         """Trip; the first cause stays."""
@@ -214,6 +212,18 @@ class Machine:
                 f"{what} = {value:g} {limits.unit} is outside "
                 f"{limits.reference_min:g}…{limits.reference_max:g} {limits.unit}"
             )
+
+
+def _precharge_cause(limits: MachineLimits, boost_voltage_V: float) -> str:
+    passed_s = limits.starting_ticks * limits.tick_s
+    hint = (
+        ", with its enable bit on"
+        if limits.boost_needs_bridge
+        else "; a boost stage that works only with the enable bit on needs drive.enable_bit = "
+        "'bridge-and-boost'"
+    )
+    found = f"precharge: v_bst = {boost_voltage_V:.1f} V after {passed_s:g} s"
+    return f"{found}, needs {limits.floor_V:g} V{hint}"
 
 
 _STAGES = {
