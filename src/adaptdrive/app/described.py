@@ -1,0 +1,134 @@
+"""The `[bus]` and `[signals]` of a drive, from its DBC or EDS and the choices of its user."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+
+from cantools.database.can.database import Database
+from cantools.database.can.message import Message
+
+from adaptdrive.hardware.can.proposal import proofs
+from adaptdrive.hardware.proposal import Candidate
+
+Choices = Mapping[str, Candidate | None]
+"""The chosen signal of each quantity, by its key in `[signals]`; None for no such signal."""
+
+_HALF_CYCLE_MS = 1000.0 / 120.0
+_SI_UNITS = ("", "V", "A", "W", "K", "rad/s", "S")
+_NODE_ID = 1
+_OPTIONAL = ("counter", "fault", "bridge", "command.current_scale_S")
+_OF_THE_PROFILE = ("counter", "fault", "bridge", "command.bridge", "command.current_scale_S")
+"""What statusword and controlword of CiA 402 carry, or a drive that they control does not take."""
+
+
+_CAN = """\
+[bus]
+type = "can"
+interface = "socketcan"
+channel = "can0"
+database = "{database}"
+clock = "{clock}"{space}# its arrival is the tick
+clock_ticks = {ticks}{space}# half line cycles from one such message to the next
+"""
+_PROOF = """
+# Proposed by the names of the signals: compare algorithm and covered bytes with the manual.
+[bus.integrity.{message}]
+"""
+_CANOPEN = """\
+[bus]
+type = "canopen"
+interface = "socketcan"
+channel = "can0"
+eds = "{eds}"
+node_id = {node}{space}# of the drive
+own_node_id = 127{space}# of the daemon, whose heartbeat the drive watches
+sync = "daemon"
+"""
+
+
+def can_part(database: Database, name: str, choices: Choices) -> str:
+    """Return `[bus]` to `[voltage_loop]` of a drive that a DBC describes.
+
+    Args:
+        database: The DBC.
+        name: Its path as the configuration is to name it.
+        choices: The chosen signals.
+    """
+    chosen = [one for one in choices.values() if one is not None]
+    messages = {one.reference.partition(".")[0]: None for one in chosen}
+    used = [database.get_message_by_name(message) for message in messages]
+    clock = _clock(used, choices)
+    head = _CAN.format(
+        database=name, clock=clock.name if clock else "", ticks=_ticks(clock), space="  "
+    )
+    return "".join([head, *_proofs(used), *_signals(choices)])
+
+
+def canopen_part(eds: Path, choices: Choices) -> str:
+    """Return `[bus]` to `[voltage_loop]` of a drive that an EDS describes.
+
+    Args:
+        eds: Path of the EDS as the configuration is to name it.
+        choices: The chosen objects.
+    """
+    taken = {name: one for name, one in choices.items() if name not in _OF_THE_PROFILE}
+    return "".join([_CANOPEN.format(eds=eds, node=_NODE_ID, space="  "), *_signals(taken)])
+
+
+def clock_ticks(part: str) -> int:
+    """Return the half cycles from one reading to the next that a bus part states, 1 for none."""
+    stated = re.search(r"(?m)^clock_ticks = (\d+)", part)
+    return int(stated[1]) if stated else 1
+
+
+def _clock(used: Iterable[Message], choices: Choices) -> Message | None:
+    """Return the message that carries the output; its arrival is the tick."""
+    output = choices.get("output") or choices.get("boost_voltage_V")
+    name = output.reference.partition(".")[0] if output else ""
+    return next((message for message in used if message.name == name), None)
+
+
+def _ticks(clock: Message | None) -> int:
+    cycle_ms = clock.cycle_time if clock else None
+    return max(1, round((cycle_ms or 0) / _HALF_CYCLE_MS))
+
+
+def _proofs(used: Iterable[Message]) -> Iterator[str]:
+    for message in used:
+        counter, checksum = proofs(message)
+        if counter or checksum:
+            yield _PROOF.format(message=message.name)
+        if counter:
+            yield f'counter = "{counter}"\n'
+        if checksum:
+            yield f'checksum = "{checksum}"\nalgorithm = "sae-j1850"\n'
+
+
+def _signals(choices: Choices) -> Iterator[str]:
+    yield "\n# Confirm each line with the manual of the drive.\n[signals]\n"
+    for quantity, chosen in choices.items():
+        if not quantity.startswith("command."):
+            yield _line(quantity, chosen)
+    yield "\n[signals.command]\n"
+    for quantity, chosen in choices.items():
+        if quantity.startswith("command."):
+            yield _line(quantity, chosen)
+    where = "daemon" if choices.get("command.current_scale_S") else "drive"
+    yield f'\n[voltage_loop]\nwhere = "{where}"\n\n'
+
+
+def _line(quantity: str, chosen: Candidate | None) -> str:
+    key = quantity.removeprefix("command.")
+    if chosen is None:
+        remark = "leave out where the drive has none" if quantity in _OPTIONAL else "needed"
+        return f'# {key} = "…"  # nothing like it was found: {remark}\n'
+    if quantity.endswith("bridge") and chosen.on:
+        off = f', off = "{chosen.off}"' if chosen.off and quantity == "command.bridge" else ""
+        return f'{key} = {{ signal = "{chosen.reference}", on = "{chosen.on}"{off} }}\n'
+    about = ", ".join(part for part in (chosen.unit, chosen.range) if part)
+    remark = f"  # {about}" if about else ""
+    if chosen.unit in _SI_UNITS:
+        return f'{key} = "{chosen.reference}"{remark}\n'
+    return f'{key} = {{ signal = "{chosen.reference}", unit = "{chosen.unit}" }}{remark}\n'

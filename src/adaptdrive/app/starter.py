@@ -1,0 +1,128 @@
+"""A first configuration of a drive, composed from the shipped examples.
+
+An example describes one load behind one bus. The bus of one and the load of another make the
+configurations that no example shows; every one of them passes `check` as it stands.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from typing import Literal
+
+LoadName = Literal["motor", "bath", "battery"]
+BusName = Literal["can", "modbus-tcp", "modbus-rtu", "canopen"]
+
+_POLLED = ("modbus-tcp", "modbus-rtu")
+_DATABASES: Mapping[LoadName, str] = {
+    "motor": "adaptdrive.dbc",
+    "bath": "bath.dbc",
+    "battery": "battery.dbc",
+}
+_EDS = "cia402.eds"
+_POLL_TICKS = 12  # as in the examples of polled drives
+_CURRENT_REGISTERS: Mapping[str, str] = {
+    "modbus-tcp": 'address = 19, table = "holding", type = "int32", scale = 1.0e-4',
+    "modbus-rtu": 'address = 4, table = "input", type = "float32", word_order = "little"',
+}
+_HEAD = """\
+# A {load} behind a drive on {bus}. Adapt each value to your own drive and load, then validate this
+# file with `adaptdrive check`. A key that is not named here has the default that `adaptdrive
+# schema` shows.
+
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Starter:
+    """A first configuration.
+
+    Attributes:
+        text: The TOML file.
+        description: Name of the DBC or EDS file that the text names, None for a register map.
+        content: Bytes of that file.
+    """
+
+    text: str
+    description: str | None
+    content: bytes
+
+
+def compose(
+    load: LoadName, bus: BusName, name: str, bus_part: str | None = None, stride: int = 1
+) -> Starter:
+    """Return a commented configuration that passes `check`.
+
+    Args:
+        load: Kind of load.
+        bus: Kind of bus.
+        name: Name of the drive.
+        bus_part: `[bus]` and `[signals]` of a drive other than the reference drive, with the
+            `[voltage_loop]` that fits; None for the reference drive.
+        stride: Half cycles from one reading of that drive to the next.
+    """
+    load_text, bus_text = _example(f"{load}.toml"), _bus_example(load, bus)
+    text = "".join(
+        (
+            _HEAD.format(load=load, bus=bus),
+            _named(_between(load_text, "[drive]", "[bus]"), name),
+            bus_part or _between(bus_text, "[bus]", "[load]"),
+            _load_part(load_text, _POLL_TICKS if bus in _POLLED else stride),
+            _with_stale_limit(load_text[load_text.index("[interlocks]") :], bus_text),
+        )
+    )
+    description = None if bus in _POLLED or bus_part else _description(load, bus)
+    return Starter(text, description, _read(description) if description else b"")
+
+
+def _description(load: LoadName, bus: BusName) -> str:
+    return _EDS if bus == "canopen" else _DATABASES[load]
+
+
+def _read(file: str) -> bytes:
+    return (resources.files("adaptdrive") / "examples" / file).read_bytes()
+
+
+def _example(file: str) -> str:
+    return _read(file).decode("utf-8")
+
+
+def _bus_example(load: LoadName, bus: BusName) -> str:
+    """Return the example of a drive on this bus, with the output of this load."""
+    if bus == "can":
+        return _example(f"{load}.toml")
+    if bus == "canopen":
+        return _example("motor-cia402.toml")
+    if load != "battery":
+        return _example(f"{load}-{bus}.toml")
+    register = (
+        f"current = {{ {_CURRENT_REGISTERS[bus]}, "
+        'unit = "A", range = { low = -80.0, high = 80.0 } }'
+    )
+    text = re.sub(r"(?m)^tachometer = \{.*\}", register, _example(f"motor-{bus}.toml"))
+    return text.replace('output = "tachometer"', 'output = "current"')
+
+
+def _between(text: str, first: str, last: str) -> str:
+    """Return the sections from `first` up to, without, `last`."""
+    return text[text.index(f"\n{first}") + 1 : text.index(f"\n{last}") + 1]
+
+
+def _named(section: str, name: str) -> str:
+    return re.sub(r'(?m)^name = "[^"]*"', f'name = "{name}"', section)
+
+
+def _load_part(load_text: str, stride: int) -> str:
+    section = _between(load_text, "[load]", "[interlocks]")
+    if stride == 1:
+        return section
+    latency = f"latency_ticks = {stride:<20}# one reading from the slow sample to its effect"
+    return section.replace("\nreference_min", f"\n{latency}\nreference_min", 1)
+
+
+def _with_stale_limit(section: str, bus_text: str) -> str:
+    """Return `[interlocks]` and what follows, with the stale limit that fits the bus."""
+    limit = re.search(r"(?m)^stale_s = .*$", bus_text)
+    return re.sub(r"(?m)^stale_s = .*$", limit[0], section) if limit else section

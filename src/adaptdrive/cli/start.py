@@ -1,0 +1,148 @@
+"""`adaptdrive init`: from nothing, or from a DBC or EDS, to a first configuration."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from adaptdrive.app.described import Choices, can_part, canopen_part, clock_ticks
+from adaptdrive.app.starter import BusName, LoadName, Starter, compose
+from adaptdrive.config import load_configuration
+from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.hardware.proposal import OUTPUTS, QUANTITIES, Candidate, propose
+
+_SHOWN = 3
+_NODE_ID = 1
+
+
+def init(  # noqa: PLR0913 - one parameter for each option
+    load: LoadName,
+    /,
+    *,
+    bus: BusName,
+    name: str | None = None,
+    directory: Path = Path(),
+    dbc: Path | None = None,
+    eds: Path | None = None,
+    yes: Annotated[bool, Parameter(negative=())] = False,
+) -> int:
+    """Write a commented configuration that passes `check`, and name the next commands.
+
+    With a DBC or EDS file its signals are proposed by name and unit; on a terminal each is asked
+    for, elsewhere the likeliest is taken.
+
+    Args:
+        load: Kind of load.
+        bus: Kind of bus.
+        name: Name of the drive, the kind of load when left out.
+        directory: Folder for the files.
+        dbc: DBC file of the drive.
+        eds: EDS file of the drive.
+        yes: Take each proposal without asking.
+
+    Returns:
+        0 when the file passes `check`, 2 when something is left to fill in.
+    """
+    _refuse_misfits(bus, dbc, eds)
+    drive = name or load
+    part = _described(load, dbc, eds, ask=sys.stdin.isatty() and not yes)
+    starter = compose(load, bus, drive, part, clock_ticks(part or ""))
+    path = _write(starter, directory, drive)
+    problem = _check(path)
+    print(f"wrote {path}")
+    if problem:
+        print(f"\nfill in, then run `adaptdrive check {path}`:\n{problem}")
+        return 2
+    print(
+        f"\nnext:\n  adaptdrive check {path}    # after each change\n"
+        f"  adaptdrive probe {path}    # show what the drive sends; command nothing\n"
+        f"  adaptdrive run {path}      # the daemon; the drive stays off until `enable`"
+    )
+    return 0
+
+
+def _refuse_misfits(bus: BusName, dbc: Path | None, eds: Path | None) -> None:
+    if dbc is not None and bus != "can":
+        raise ConfigurationError("--dbc", [Flaw(str(dbc), f"describes a drive on can, not {bus}")])
+    if eds is not None and bus != "canopen":
+        flaw = Flaw(str(eds), f"describes a drive on canopen, not {bus}")
+        raise ConfigurationError("--eds", [flaw])
+
+
+def _described(load: LoadName, dbc: Path | None, eds: Path | None, *, ask: bool) -> str | None:
+    """Return the bus part that a DBC or EDS gives, None for the reference drive."""
+    if dbc is not None:
+        from adaptdrive.hardware.can import proposal  # noqa: PLC0415 - cantools only where needed
+
+        database = proposal.read_description(dbc)
+        found = list(proposal.candidates(database))
+        return can_part(database, str(dbc.resolve()), _choose(load, found, ask=ask))
+    if eds is not None:
+        from adaptdrive.hardware.canopen.proposal import candidates  # noqa: PLC0415 - an extra
+
+        found = list(candidates(eds, _NODE_ID))
+        return canopen_part(eds.resolve(), _choose(load, found, ask=ask))
+    return None
+
+
+def _choose(load: LoadName, found: Iterable[Candidate], *, ask: bool) -> Choices:
+    known = list(found)
+    wanted = {"output": OUTPUTS[load], **QUANTITIES}
+    return {
+        quantity: _confirm(quantity, propose(one, known), known, ask=ask)
+        for quantity, one in wanted.items()
+    }
+
+
+def _confirm(
+    quantity: str, proposed: tuple[Candidate, ...], known: list[Candidate], *, ask: bool
+) -> Candidate | None:
+    if not ask:
+        return proposed[0] if proposed else None
+    choices = {str(number): one for number, one in enumerate(proposed[:_SHOWN], start=1)}
+    choices |= {one.reference: one for one in known}
+    print(f"\n{quantity}:")
+    for number in range(1, 1 + len(proposed[:_SHOWN])):
+        one = choices[str(number)]
+        print(f"  {number}  {one.reference}  {one.unit}  {one.range}".rstrip())
+    usual = "1" if proposed else "0"
+    while True:
+        answer = input(f"a number, a signal by its name, or 0 for none [{usual}]: ").strip()
+        if (answer or usual) == "0":
+            return None
+        if (answer or usual) in choices:
+            return choices[answer or usual]
+
+
+def _write(starter: Starter, directory: Path, drive: str) -> Path:
+    """Write the files of a configuration; refuse to replace any."""
+    path = directory / f"{drive}.toml"
+    files = {path: starter.text.encode()}
+    if starter.description is not None:
+        files[directory / starter.description] = starter.content
+    for file, content in files.items():
+        if file.exists() and (file == path or file.read_bytes() != content):
+            raise ConfigurationError(file, [Flaw("init", "the file exists and is not replaced")])
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        for file, content in files.items():
+            file.write_bytes(content)
+    except OSError as problem:
+        raise ConfigurationError(directory, [Flaw("init", str(problem))]) from problem
+    return path
+
+
+def _check(path: Path) -> str:
+    """Return what `check` has against a configuration, an empty string for nothing."""
+    from adaptdrive.app.sensors import build_whole_port  # noqa: PLC0415 - as in `check`
+
+    try:
+        build_whole_port(load_configuration(path), time.monotonic, path)
+    except ConfigurationError as problem:
+        return str(problem)
+    return ""

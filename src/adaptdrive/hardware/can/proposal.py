@@ -1,0 +1,80 @@
+"""What a DBC describes, as candidates for the quantities of a configuration."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from cantools.database.can.database import Database
+from cantools.database.can.message import Message
+from cantools.database.can.signal import Signal
+
+from adaptdrive.hardware.can.database import load_database
+from adaptdrive.hardware.proposal import Candidate
+
+_UNITS = {
+    "°c": "degC", "c": "degC", "degc": "degC", "deg c": "degC", "°f": "degF", "1/min": "rpm",
+    "u/min": "rpm", "min-1": "rpm", "rpm": "rpm", "volt": "V", "ampere": "A", "amp": "A",
+    "watt": "W", "kelvin": "K",
+}  # fmt: skip
+"""Ways in which DBC files write units, in lower case; other units are written as they are."""
+
+_COMMANDING = re.compile(r"cmd|command|ctrl|control|set|req|host|order", re.IGNORECASE)
+_ALIVE = re.compile(r"alive|rolling|heartbeat|count|cnt|seq", re.IGNORECASE)
+_CHECKSUM = re.compile(r"crc|checksum|chk", re.IGNORECASE)
+
+
+def read_description(path: Path) -> Database:
+    """Read a DBC file.
+
+    Raises:
+        ConfigurationError: The file cannot be read or is no DBC.
+    """
+    return load_database(path, path, "dbc")
+
+
+def candidates(database: Database) -> Iterator[Candidate]:
+    """Yield every signal that may be a quantity."""
+    for message in database.messages:
+        commanded = _is_command(message)
+        for signal in message.signals:
+            if not (signal.is_multiplexer or _is_proof(signal)):
+                yield _candidate(message, signal, commanded=commanded)
+
+
+def proofs(message: Message) -> tuple[str | None, str | None]:
+    """Return the signals that look like the alive counter and the checksum of a message."""
+    counter = next((s.name for s in message.signals if _is_alive(s)), None)
+    checksum = next((s.name for s in message.signals if _is_checksum(s)), None)
+    return counter, checksum
+
+
+def _candidate(message: Message, signal: Signal, *, commanded: bool) -> Candidate:
+    low, high = signal.minimum, signal.maximum
+    limits = "" if low is None or high is None or low == high else f"{low:g}…{high:g}"
+    written = signal.unit or ""
+    return Candidate(
+        reference=f"{message.name}.{signal.name}",
+        words=f"{message.name} {signal.name}",
+        unit=_UNITS.get(written.lower(), written),
+        range=limits,
+        commanded=commanded,
+        names=tuple(str(name) for name in (signal.choices or {}).values()),
+    )
+
+
+def _is_command(message: Message) -> bool:
+    return _COMMANDING.search(message.name) is not None
+
+
+def _is_proof(signal: Signal) -> bool:
+    return _is_alive(signal) or _is_checksum(signal)
+
+
+def _is_alive(signal: Signal) -> bool:
+    return signal.length <= 8 and _ALIVE.search(signal.name) is not None
+
+
+def _is_checksum(signal: Signal) -> bool:
+    return signal.length == 8 and _CHECKSUM.search(signal.name) is not None

@@ -1,0 +1,115 @@
+"""`adaptdrive init`: each configuration passes `check`, or the missing signals are named."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.cli import main
+from adaptdrive.config import load_configuration
+from adaptdrive.config.bus import CanBus, Signals
+
+EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
+LOADS = ("motor", "bath", "battery")
+BUSES = ("can", "modbus-tcp", "modbus-rtu", "canopen")
+
+
+def init(*words: str | Path) -> int:
+    return main(["init", *map(str, words)])
+
+
+@pytest.mark.parametrize(("load", "bus"), list(itertools.product(LOADS, BUSES)))
+def test_every_load_on_every_bus_passes_check(load: str, bus: str, tmp_path: Path) -> None:
+    assert init(load, "--bus", bus, "--name", "rig-7", "--directory", tmp_path) == 0
+    assert main(["check", str(tmp_path / "rig-7.toml")]) == 0
+    configuration = load_configuration(tmp_path / "rig-7.toml")
+    assert (configuration.drive.name, configuration.load.type) == ("rig-7", load)
+    assert configuration.bus.type == bus
+
+
+def test_signals_of_a_foreign_dbc_are_proposed(tmp_path: Path) -> None:
+    database = EXAMPLES / "inverter.dbc"
+    assert init("motor", "--bus", "can", "--dbc", database, "--directory", tmp_path) == 0
+    proposed = load_configuration(tmp_path / "motor.toml")
+    by_hand = load_configuration(EXAMPLES / "motor-inverter.toml")
+    assert isinstance(proposed.bus, CanBus)
+    assert isinstance(by_hand.bus, CanBus)
+    assert proposed.bus.clock == by_hand.bus.clock
+    assert proposed.bus.clock_ticks == by_hand.bus.clock_ticks
+    for quantity in ("boost_voltage_V", "line_voltage_V", "load_power_W", "output", "fault"):
+        assert getattr(proposed.signals, quantity).signal == (
+            getattr(by_hand.signals, quantity).signal
+        )
+    assert proposed.signals.bridge == by_hand.signals.bridge
+    assert proposed.signals.command.bridge == by_hand.signals.command.bridge
+
+
+def _names(signals: Signals) -> dict[str, str | None]:
+    """Return the signal of each quantity, measured and commanded."""
+    measured = {f: getattr(signals, f) for f in Signals.model_fields}
+    commanded = {f"command.{f}": v for f, v in signals.command}
+    return {f: getattr(v, "signal", None) for f, v in (measured | commanded).items()}
+
+
+@pytest.mark.parametrize("load", LOADS)
+def test_the_reference_dbc_is_understood(load: str, tmp_path: Path) -> None:
+    database = EXAMPLES / ("adaptdrive.dbc" if load == "motor" else f"{load}.dbc")
+    assert init(load, "--bus", "can", "--dbc", database, "--directory", tmp_path) == 0
+    proposed = load_configuration(tmp_path / f"{load}.toml")
+    by_hand = load_configuration(EXAMPLES / f"{load}.toml")
+    assert _names(proposed.signals) == _names(by_hand.signals)
+
+
+def test_objects_of_an_eds_are_proposed(tmp_path: Path) -> None:
+    eds = EXAMPLES / "cia402.eds"
+    assert init("motor", "--bus", "canopen", "--eds", eds, "--directory", tmp_path) == 0
+    signals = load_configuration(tmp_path / "motor.toml").signals
+    assert signals.boost_voltage_V is not None
+    assert signals.boost_voltage_V.signal == "0x6079"
+    assert signals.output is not None
+    assert signals.output.signal == "0x2001.2"
+
+
+def test_a_missing_signal_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    database = tmp_path / "poor.dbc"
+    text = (EXAMPLES / "adaptdrive.dbc").read_text()
+    lines = [line for line in text.splitlines(keepends=True) if "LineVoltage" not in line]
+    database.write_text("".join(lines))
+    assert init("motor", "--bus", "can", "--dbc", database, "--directory", tmp_path) == 2
+    assert "signals.line_voltage_V" in capsys.readouterr().out
+
+
+def test_an_existing_file_is_never_replaced(tmp_path: Path) -> None:
+    file = tmp_path / "motor.toml"
+    file.write_text("mine")
+    assert init("motor", "--bus", "can", "--directory", tmp_path) == 2
+    assert file.read_text() == "mine"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_description_for_another_bus_is_refused(tmp_path: Path) -> None:
+    assert init("motor", "--bus", "modbus-tcp", "--dbc", EXAMPLES / "bath.dbc") == 2
+    assert init("motor", "--bus", "can", "--eds", EXAMPLES / "cia402.eds") == 2
+
+
+def test_an_unreadable_dbc_is_one_clear_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    missing = tmp_path / "no.dbc"
+    assert init("motor", "--bus", "can", "--dbc", missing, "--directory", tmp_path) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_each_proposal_can_be_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = iter(["", "INV_ACT.U_MAINS", "INV_ACT.U_DC", "0"])
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", lambda _: next(answers, ""))
+    database = EXAMPLES / "inverter.dbc"
+    init("motor", "--bus", "can", "--dbc", database, "--directory", tmp_path)
+    text = (tmp_path / "motor.toml").read_text()
+    assert 'signal = "INV_STATE.N_ACT"' in text
+    assert 'boost_voltage_V = "INV_ACT.U_MAINS"' in text
+    assert 'line_voltage_V = "INV_ACT.U_DC"' in text
+    assert "# load_power_W = " in text
