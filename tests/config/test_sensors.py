@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.config import Configuration, parse_configuration
-from adaptdrive.config.derived import in_order
+from adaptdrive.config.derived import in_order, moved_inputs
 from adaptdrive.config.sensors import ModbusRtuSensors
 from adaptdrive.config.supply import needed_names
 from adaptdrive.errors import ConfigurationError
@@ -139,6 +139,27 @@ rule = "mean"
 of = ["hot", "cold"]
 """
     assert in_order(whole(THERMOCOUPLES + chain).derived) == ["mean", "output"]
+
+
+@pytest.mark.parametrize(
+    ("rules", "inputs"),
+    [
+        ('rule = "difference"\nof = ["hot", "cold"]', ("hot",)),
+        ('rule = "difference"\nof = ["hot", "cold"]\nfollows = ["cold"]', ("cold",)),
+        ('rule = "largest"\nof = ["hot", "cold"]', ("hot", "cold")),
+        ('rule = "difference"\nof = ["both", "cold"]', ("hot", "cold")),
+    ],
+)
+def test_of_a_derived_output_those_inputs_are_watched(rules: str, inputs: tuple[str, ...]) -> None:
+    both = '[derived.both]\nrule = "mean"\nof = ["hot", "cold"]\n'
+    derived = whole(f"{THERMOCOUPLES}\n[derived.output]\n{rules}\n{both}").derived
+    assert moved_inputs("output", derived) == inputs
+    assert moved_inputs("hot", derived) == ()
+
+
+def test_what_follows_the_load_must_be_an_input() -> None:
+    found = flaws(THERMOCOUPLES + DIFFERENCE + 'follows = ["load_power_W"]\n')
+    assert found == {"derived.output.follows": "'load_power_W' is not one of derived.output.of"}
 
 
 @pytest.mark.parametrize(

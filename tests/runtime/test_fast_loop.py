@@ -177,7 +177,8 @@ async def test_one_value_that_grows_old_trips_though_frames_come() -> None:
         ({"load_power_W": -math.inf}, "invalid: load_power_W = -inf is not"),
         ({"fault": 4}, "drive fault: word 0x4"),
         ({"boost_voltage_V": 440.0}, "over-voltage"),
-        ({"output": 5.5}, "over-speed"),
+        ({"output": 5.5}, "output above its limit"),
+        ({"output": -1.2}, "output below its limit"),
     ],
 )
 async def test_an_interlock_trips_in_the_tick_that_sees_it(

@@ -9,11 +9,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from adaptdrive.app.settings import daemon_settings
+from adaptdrive.config import load_configuration
 from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.interlocks import Limits, find_cause
+from tests.hardware.bench import EXAMPLES
 from tests.runtime.bench import CALM
 
-LIMITS = Limits(stale_s=0.05, boost_voltage_max_V=430.0, output_max=5.0, output_unit="V")
+LIMITS = Limits(
+    stale_s=0.05,
+    boost_voltage_max_V=430.0,
+    output_max=5.0,
+    output_unit="V",
+    output_name="speed",
+    output_min=-1.0,
+)
 NOW_S = 12.0
 GOOD = replace(CALM, arrival_s=NOW_S - 0.001, oldest_s=NOW_S - 0.002)
 ANY = st.floats(allow_nan=True, allow_infinity=True)
@@ -40,7 +50,8 @@ def test_values_at_their_limits_are_no_cause() -> None:
         ({"oldest_s": math.nan}, "stale: "),
         ({"fault": 0x12}, "drive fault: word 0x12"),
         ({"boost_voltage_V": 430.1}, "over-voltage: v_bst = 430.1 V, limit 430 V"),
-        ({"output": 5.01}, "over-speed: output = 5.01 V, limit 5 V"),
+        ({"output": 5.01}, "output above its limit: speed = 5.01 V, limit 5 V"),
+        ({"output": -1.1}, "output below its limit: speed = -1.1 V, limit -1 V"),
         ({"boost_voltage_V": math.nan}, "invalid: "),
         ({"line_voltage_V": math.inf}, "invalid: "),
         ({"load_power_W": -math.inf}, "invalid: "),
@@ -70,7 +81,7 @@ def test_what_makes_other_causes_meaningless_is_named_first() -> None:
         ("invalid", {"line_voltage_V": math.nan}),
         ("drive fault", {"fault": 1}),
         ("over-voltage", {"boost_voltage_V": 500.0}),
-        ("over-speed", {"output": 9.0}),
+        ("output above", {"output": 9.0}),
     ]
     for index in range(len(order)):
         together: dict[str, float] = {}
@@ -92,3 +103,17 @@ def test_without_a_cause_everything_is_fresh_finite_healthy_and_within_limits(
         assert fault == 0
         assert reading.boost_voltage_V <= LIMITS.boost_voltage_max_V
         assert reading.output <= LIMITS.output_max
+
+
+@pytest.mark.parametrize(("example", "text"), [("bath", "temperature = 99 K, limit 25 K")])
+def test_the_trip_names_the_output_as_the_configuration_does(example: str, text: str) -> None:
+    limits = daemon_settings(load_configuration(EXAMPLES / f"{example}.toml")).fast.limits
+    cause = find_cause(replace(GOOD, output=99.0), NOW_S, limits)
+    assert cause is not None
+    assert text in cause
+
+
+@pytest.mark.parametrize(("example", "lowest"), [("motor", -1.125), ("bath", -3.625)])
+def test_without_a_limit_below_a_quarter_of_the_range_is_one(example: str, lowest: float) -> None:
+    limits = daemon_settings(load_configuration(EXAMPLES / f"{example}.toml")).fast.limits
+    assert limits.output_min == pytest.approx(lowest)

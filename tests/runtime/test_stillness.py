@@ -13,8 +13,9 @@ from scipy import signal
 
 from adaptdrive.app.settings import daemon_settings
 from adaptdrive.config import load_configuration
-from adaptdrive.runtime.stillness import Stillness, StillnessLimits
+from adaptdrive.runtime.stillness import Stillness, StillnessLimits, StillnessWatch
 from tests.hardware.bench import EXAMPLES, MOTOR
+from tests.runtime.bench import CALM
 
 TICK_s = 1.0 / 120.0
 GAIN, LAGS_s = 0.011, (11.7, 10.0)
@@ -25,7 +26,7 @@ def first_complaint(
     limits: StillnessLimits, outputs: np.ndarray, voltages: np.ndarray
 ) -> tuple[float, str]:
     """When something was said, and what; infinity for never."""
-    watch = Stillness(limits)
+    watch = Stillness(limits, "output stands", limits.unit)
     for number, (output, voltage) in enumerate(zip(outputs, voltages, strict=True)):
         said = watch.advance(float(output), float(voltage), number * TICK_s)
         if said:
@@ -78,14 +79,14 @@ def test_a_coarse_output_at_rest_is_believed_for_a_night_though_the_model_is_wro
 
 
 def test_a_change_of_one_digit_begins_anew() -> None:
-    watch = Stillness(LIMITS)
+    watch = Stillness(LIMITS, "output stands", "V")
     for number in range(12_000):
         output = 3.3 + 1e-6 * (number // 600)
         assert watch.advance(output, 300.0 + 0.02 * number, number * TICK_s) is None
 
 
 def test_after_a_pause_it_begins_anew() -> None:
-    watch = Stillness(LIMITS)
+    watch = Stillness(LIMITS, "output stands", "V")
     assert watch.advance(3.3, 200.0, 0.0) is None
     watch.forget()
     assert watch.advance(3.3, 400.0, 600.0) is None
@@ -93,7 +94,7 @@ def test_after_a_pause_it_begins_anew() -> None:
 
 
 def test_the_same_reading_again_is_no_news() -> None:
-    watch = Stillness(LIMITS)
+    watch = Stillness(LIMITS, "output stands", "V")
     watch.advance(3.3, 300.0, 0.0)
     said = {watch.advance(3.3, 400.0, 1.0) for _ in range(10_000)}
     assert said == {None}
@@ -123,3 +124,49 @@ def test_it_can_be_left_out() -> None:
     interlocks = MOTOR.interlocks.model_copy(update={"stuck_distance": 0.0})
     configuration = MOTOR.model_copy(update={"interlocks": interlocks})
     assert daemon_settings(configuration).fast.stillness is None
+
+
+def derived_complaint(hot: np.ndarray, cold: np.ndarray, voltages: np.ndarray) -> tuple[float, str]:
+    """When a watch over hot - cold, of which the load moves hot, says something, and what."""
+    watch = StillnessWatch(replace(LIMITS, name="temperature", unit="K", inputs=("hot",)))
+    for number, (warm, cool, voltage) in enumerate(zip(hot, cold, voltages, strict=True)):
+        values = {"hot": float(warm), "cold": float(cool)}
+        reading = replace(
+            CALM,
+            arrival_s=number * TICK_s,
+            boost_voltage_V=float(voltage),
+            output=float(warm - cool),
+            other=values,
+        )
+        said = watch.find_cause(reading)
+        if said:
+            return number * TICK_s, said
+    return math.inf, ""
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_frozen_input_of_a_difference_is_noticed_as_soon(seed: int) -> None:
+    """The other input is noisy, so that the difference never stands still."""
+    generator = np.random.default_rng(seed)
+    voltages = np.full(3600, 300.0)
+    voltages[120:] = 380.0
+    alone_s, _ = first_complaint(LIMITS, np.full(3600, 3.3), voltages)
+    cold = 290.0 + generator.normal(0.0, 0.05, 3600)
+    when_s, said = derived_complaint(np.full(3600, 293.3), cold, voltages)
+    assert when_s == alone_s < 12.0
+    assert said.startswith("stuck: hot, from which temperature is derived, stands at exactly 293.3")
+
+
+def test_an_input_that_the_load_does_not_move_may_stand_still() -> None:
+    voltages = np.full(3600, 300.0)
+    voltages[120:] = 380.0
+    hot = 290.0 + response(voltages)
+    assert derived_complaint(hot, np.full(3600, 290.0), voltages) == (math.inf, "")
+
+
+def test_the_inputs_come_from_the_derived_output() -> None:
+    configuration = load_configuration(EXAMPLES / "bath-thermocouples.toml")
+    limits = daemon_settings(configuration).fast.stillness
+    assert limits is not None
+    assert limits.inputs == ("bath_temperature",)
+    assert limits.name == "temperature"

@@ -175,6 +175,6 @@ def test_over_speed_trips(site: Site) -> None:
     site.run_drive()
     site.disturb("noise", "3")
     tripped = site.await_state(state="tripped")
-    assert tripped["trip"].startswith("over-speed: output = ")
+    assert tripped["trip"].startswith("output above its limit: speed = ")
     assert tripped["trip"].endswith(" V, limit 5 V")
     site.disturb("noise", "0")

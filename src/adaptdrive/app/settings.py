@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 from adaptdrive.config import Configuration
+from adaptdrive.config.derived import moved_inputs
 from adaptdrive.config.load import Bath, Battery, Motor, Supervisor
 from adaptdrive.control.charging import Charging
 from adaptdrive.control.load import Load, to_input
@@ -33,6 +34,7 @@ _SWING_SHARE = 0.01
 _ERROR_SHARE = 0.1
 _PAPER_PATIENCE = 30
 _SHORTEST_WAVE_PERIODS = 4
+_BELOW_RANGE = 0.25  # noise of 5 % and the overshoot of a step downwards stay above
 _COLLECT_TICKS = 12
 
 
@@ -245,6 +247,8 @@ def _fast_loop(configuration: Configuration) -> FastLoopSettings:
             boost_voltage_max_V=interlocks.boost_voltage_max_V,
             output_max=interlocks.output_max,
             output_unit=configuration.load.output_unit,
+            output_name=configuration.load.output_name,
+            output_min=_output_min(configuration),
         ),
         command=CommandLimits(
             current_scale_min_S=_lowest_scale(configuration),
@@ -259,6 +263,14 @@ def _fast_loop(configuration: Configuration) -> FastLoopSettings:
         ticks_per_reading=configuration.ticks_per_reading,
         stillness=_stillness(configuration),
     )
+
+
+def _output_min(configuration: Configuration) -> float:
+    """Return the lowest output: below it is none that a load at rest or in control has."""
+    load, given = configuration.load, configuration.interlocks.output_min
+    if given is not None:
+        return given
+    return min(0.0, load.reference_min) - _BELOW_RANGE * (load.reference_max - load.reference_min)
 
 
 def _stillness(configuration: Configuration) -> StillnessLimits | None:
@@ -278,4 +290,6 @@ def _stillness(configuration: Configuration) -> StillnessLimits | None:
         lags_s=(lag_s,) * load.order,  # equal ones with the same sum
         distance=distance or math.inf,
         longest_s=interlocks.stuck_s or math.inf,
+        name=section.output_name,
+        inputs=moved_inputs("output", configuration.derived),
     )

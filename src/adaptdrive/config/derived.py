@@ -30,6 +30,12 @@ class Derived(Section):
     of: list[str] = Field(
         min_length=1, description="names of values: of the drive, of sensor buses, or derived"
     )
+    follows: list[str] | None = Field(
+        default=None,
+        description="names of `of` that the load moves; where they lead to the output, each is "
+        "watched for standing still as the output is (`interlocks.stuck_distance`, `stuck_s`). All "
+        "when left out, of a `difference` and a `ratio` the first",
+    )
     scale: FiniteFloat = Field(default=1.0, description="factor of the result")
     offset: FiniteFloat = Field(default=0.0, description="added to the scaled result")
     unit: Unit | None = Field(
@@ -41,12 +47,37 @@ class Derived(Section):
     def _in_si(cls, table: object) -> object:
         return in_si(table) if isinstance(table, dict) else table
 
+    @property
+    def moved(self) -> list[str]:
+        """Names of those values that the load moves."""
+        if self.follows is not None:
+            return self.follows
+        return self.of[:1] if self.rule in _PAIRS else self.of
+
+
+def moved_inputs(name: str, derived: Mapping[str, Derived]) -> tuple[str, ...]:
+    """Return the measured values that the load moves a derived one by; none for a measured one.
+
+    Args:
+        name: The value.
+        derived: `[derived]`, without cycles.
+    """
+    if name not in derived:
+        return ()
+    found: dict[str, None] = {}
+    for part in derived[name].moved:
+        found.update(dict.fromkeys(moved_inputs(part, derived) or (part,)))
+    return tuple(found)
+
 
 def rule_flaws(name: str, derived: Derived) -> Iterator[Flaw]:
     """A rule that does not fit the number of its values."""
     if derived.rule in _PAIRS and len(derived.of) != 2:
         problem = f"{derived.rule!r} takes two values, not {len(derived.of)}"
         yield Flaw(f"derived.{name}.of", problem)
+    for part in derived.follows or ():
+        if part not in derived.of:
+            yield Flaw(f"derived.{name}.follows", f"{part!r} is not one of derived.{name}.of")
 
 
 def in_order(derived: Mapping[str, Derived]) -> list[str]:

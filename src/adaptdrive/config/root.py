@@ -188,3 +188,7 @@ def _trip_flaws(configuration: Configuration) -> Iterator[Flaw]:
         trip = getattr(interlocks, name)
         if trip <= highest:
             yield Flaw(f"interlocks.{name}", f"{trip} must be above {limit} = {highest}")
+    lowest = configuration.load.reference_min
+    if interlocks.output_min is not None and interlocks.output_min >= lowest:
+        problem = f"{interlocks.output_min} must be below load.reference_min = {lowest}"
+        yield Flaw("interlocks.output_min", problem)

@@ -18,7 +18,12 @@ class Interlocks(Section):
 
     stale_s: PositiveFloat = Field(default=0.05, description="oldest usable measurement")
     boost_voltage_max_V: PositiveFloat = Field(default=430.0, description="over-voltage trip")
-    output_max: FiniteFloat = Field(description="over-speed (over-temperature) trip")
+    output_max: FiniteFloat = Field(description="trip when the output is above")
+    output_min: FiniteFloat | None = Field(
+        default=None,
+        description="trip when the output is below: a reversed sensor; a quarter of the set-point "
+        "range below 0 and `load.reference_min` when left out",
+    )
     stuck_distance: float = Field(
         default=0.05,
         ge=0.0,

@@ -29,8 +29,8 @@ class Reading:
         output: Regulated quantity in its own unit.
         fault: Fault word of the drive, 0 when healthy.
         bridge: Whether the drive says that its bridge is on.
-        other: More values of the drive, by name. A quantity that the drive does not give is NaN
-            until somebody else has given it.
+        other: More values of the drive, and those of the sensors beside it, by name. A quantity
+            that the drive does not give is NaN until a sensor or `[derived]` has given it.
         slack_s: How much older than `interlocks.stale_s` the frame of `oldest_s` may be, as the
             drive sends it less often. Of several frames, `oldest_s` and `slack_s` are those of the
             one that is out of date first.

@@ -32,7 +32,7 @@ from adaptdrive.runtime.interlocks import Limits, find_cause
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import TickReport
 from adaptdrive.runtime.statistics import TimeWindow
-from adaptdrive.runtime.stillness import Stillness, StillnessLimits
+from adaptdrive.runtime.stillness import StillnessLimits, StillnessWatch
 
 _GAP_READINGS = 2
 """Readings without a tick that a drive which is read seldom may cost: one may be lost."""
@@ -133,7 +133,7 @@ class FastLoop:
             port.counter_modulus, settings.tick_s, settings.ticks_per_reading
         )
         self._guard = Guard(settings.command)
-        self._stillness = Stillness(settings.stillness) if settings.stillness else None
+        self._stillness = StillnessWatch(settings.stillness) if settings.stillness else None
         self._settings = settings
         self._surroundings = surroundings
         self._due: tuple[int, Decision] | None = None
@@ -324,7 +324,7 @@ class FastLoop:
         if self._machine.stage is not Stage.RUN:
             self._stillness.forget()
             return None
-        return self._stillness.advance(reading.output, reading.boost_voltage_V, reading.arrival_s)
+        return self._stillness.find_cause(reading)
 
     def _control(self, tick: int, reading: Reading, *, fresh: bool) -> None:
         order = self._current_order(tick)

@@ -21,14 +21,18 @@ class Limits:
     Attributes:
         stale_s: Oldest usable measurement.
         boost_voltage_max_V: Over-voltage.
-        output_max: Over-speed, over-temperature.
+        output_max: Highest output.
         output_unit: Unit of the output, for the text of the trip.
+        output_name: Name of the output, likewise.
+        output_min: Lowest output.
     """
 
     stale_s: float
     boost_voltage_max_V: float
     output_max: float
     output_unit: str
+    output_name: str = "output"
+    output_min: float = -math.inf
 
 
 def find_cause(reading: Reading | None, now_s: float, limits: Limits) -> str | None:
@@ -68,11 +72,17 @@ def _exceeded(reading: Reading, limits: Limits) -> str | None:
             f"limit {limits.boost_voltage_max_V:g} V"
         )
     if reading.output > limits.output_max:
-        unit = limits.output_unit
-        return (
-            f"over-speed: output = {reading.output:.4g} {unit}, limit {limits.output_max:g} {unit}"
-        )
+        values = _compared(reading.output, limits.output_max, limits)
+        return f"output above its limit: {values}: look for a lost load, or at the sensor"
+    if reading.output < limits.output_min:
+        values = _compared(reading.output, limits.output_min, limits)
+        return f"output below its limit: {values}: is the sensor reversed, or its wire broken?"
     return None
+
+
+def _compared(output: float, limit: float, limits: Limits) -> str:
+    unit = f" {limits.output_unit}" if limits.output_unit else ""
+    return f"{limits.output_name} = {output:.4g}{unit}, limit {limit:g}{unit}"
 
 
 def _not_finite(reading: Reading) -> str | None:

@@ -124,7 +124,8 @@ class SensoredPort:
             values.update(bus.values)
         for one in self._derivations:
             values[one.name] = one.value(values)
-        return replace(reading, **{name: values.get(name, math.nan) for name in QUANTITIES})
+        found = {name: values.get(name, math.nan) for name in QUANTITIES}
+        return replace(reading, other=values, **found)
 
     def sensor_reports(self) -> tuple[SensorReport, ...]:
         """The sensor buses as they are now."""

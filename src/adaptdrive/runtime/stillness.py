@@ -10,12 +10,25 @@ since then must have moved it:
 An honest value that was to move by many of its digits has moved by one at least; a frozen one has
 not. The input as such does not matter, so that neither a wrong gain of the model nor a constant
 load makes an output suspicious that is at rest.
+
+An output that is derived from several values moves as long as one of them does. So each of those
+that the load moves is watched by itself.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+
+from adaptdrive.hardware.port import Reading
+
+_DIGITS = 20.0
+"""Digits of a coarse value that it must have been moved by. Where a movement turns round, it stands
+on one digit while the input is already taking it elsewhere."""
+
+_COARSEST = 3.0
+"""Distances that a coarse value must have been moved by at the most: the smallest change that was
+seen may be larger than a digit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +43,8 @@ class StillnessLimits:
         lags_s: Time constants between input and output.
         distance: Predicted movement that must show; infinite for no limit.
         longest_s: Longest time without any change, infinite for no limit.
+        name: Name of the output, for the text of the trip.
+        inputs: Names of the measured values that the output is derived from and the load moves.
     """
 
     unit: str
@@ -39,14 +54,58 @@ class StillnessLimits:
     lags_s: tuple[float, ...]
     distance: float
     longest_s: float
+    name: str = "output"
+    inputs: tuple[str, ...] = ()
+
+
+class StillnessWatch:
+    """Watches the output of a running drive, and what it is derived from."""
+
+    def __init__(self, limits: StillnessLimits) -> None:
+        self._output = Stillness(limits, f"{limits.name} stands", limits.unit)
+        self._inputs = {
+            name: Stillness(limits, f"{name}, from which {limits.name} is derived, stands")
+            for name in limits.inputs
+        }
+
+    def forget(self) -> None:
+        """Begin anew: the drive is not running."""
+        self._output.forget()
+        for one in self._inputs.values():
+            one.forget()
+
+    def find_cause(self, reading: Reading) -> str | None:
+        """Return the cause of a trip, None for none.
+
+        Args:
+            reading: The newest, again where there is no newer one.
+        """
+        voltage_V, arrival_s = reading.boost_voltage_V, reading.arrival_s
+        cause = self._output.advance(reading.output, voltage_V, arrival_s)
+        for name, one in self._inputs.items():
+            value = reading.other.get(name, math.nan)
+            cause = one.advance(value, voltage_V, arrival_s) or cause
+        return cause
 
 
 class Stillness:
-    """Watches the output of a running drive."""
+    """Watches one value of a running drive."""
 
-    def __init__(self, limits: StillnessLimits) -> None:
+    def __init__(
+        self, limits: StillnessLimits, stands: str = "output stands", unit: str = ""
+    ) -> None:
+        """Watch nothing yet.
+
+        Args:
+            limits: When the value has stood still for too long.
+            stands: Name and verb, for the text of the trip.
+            unit: Unit of the value, likewise.
+        """
         self._limits = limits
+        self._stands = f"stuck: {stands} at exactly"
+        self._unit = f" {unit}" if unit else ""
         self._output = math.nan
+        self._digit = math.inf
         self._since_s = self._last_s = 0.0
         self._input = 0.0
         self._stages = [0.0] * len(limits.lags_s)
@@ -59,16 +118,17 @@ class Stillness:
         """Take the newest measurement, again where there is no newer one.
 
         Args:
-            output: The regulated quantity.
+            output: The watched value.
             boost_voltage_V: Boost voltage.
             arrival_s: When they were measured.
 
         Returns:
-            Why the output is not believed any more, or None.
+            Why the value is not believed any more, or None.
         """
         limits = self._limits
         input_value = limits.input_gain * boost_voltage_V**limits.input_exponent
         if output != self._output:
+            self._digit = min(self._digit, abs(output - self._output))
             self._output, self._input = output, input_value
             self._since_s = self._last_s = arrival_s
             self._stages = [0.0] * len(self._stages)
@@ -76,13 +136,21 @@ class Stillness:
         moved = self._predict(input_value - self._input, arrival_s - self._last_s)
         self._last_s = arrival_s
         still_s = arrival_s - self._since_s
-        if abs(moved) > limits.distance:
-            return f"{self._stands(still_s)}, and should have moved by {moved:.3g} {limits.unit}"
-        return self._stands(still_s) if still_s > limits.longest_s else None
+        if abs(moved) > self._distance:
+            distance = f"{limits.name} should have moved by {moved:.3g} {limits.unit}"
+            return f"{self._text(still_s)}, and {distance}"
+        return self._text(still_s) if still_s > limits.longest_s else None
 
-    def _stands(self, still_s: float) -> str:
-        value = f"{self._output:.6g} {self._limits.unit}"
-        return f"stuck: output stands at exactly {value} for {still_s:.3g} s"
+    @property
+    def _distance(self) -> float:
+        """Predicted movement of which an honest value shows one digit at least."""
+        distance = self._limits.distance
+        if self._digit == math.inf:  # it has never changed
+            return distance
+        return max(distance, min(_DIGITS * self._digit, _COARSEST * distance))
+
+    def _text(self, still_s: float) -> str:
+        return f"{self._stands} {self._output:.6g}{self._unit} for {still_s:.3g} s"
 
     def _predict(self, change: float, period_s: float) -> float:
         """How far the output has moved since it came to stand, by the model."""
