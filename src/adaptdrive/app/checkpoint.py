@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
-import os
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Protocol
 
 import msgspec
 
+from adaptdrive.app.state_file import read_regular, replace_regular
 from adaptdrive.config import Configuration
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
@@ -27,6 +27,9 @@ from adaptdrive.runtime.reports import Event, LoadReport, Severity
 
 FORMAT = 1
 EVERY_S = 60.0
+
+PATIENCE_S = 5.0
+"""Longest wait for the disk: one that hangs must not keep the daemon from ending."""
 
 _REPORTS_HELD = 8
 _SECTIONS = {"drive", "load", "estimator"}
@@ -96,22 +99,7 @@ def write_checkpoint(path: Path, key: str, names: tuple[str, ...], values: Value
     """
     estimates = dict(zip(names, values, strict=True))
     checkpoint = Checkpoint(key, datetime.now(UTC), estimates, FORMAT)
-    unfinished = path.with_name(f"{path.name}.unfinished")
-    with unfinished.open("wb") as file:
-        file.write(msgspec.json.format(msgspec.json.encode(checkpoint), indent=2) + b"\n")
-        file.flush()
-        os.fsync(file.fileno())
-    unfinished.replace(path)
-    _sync_directory(path.parent)
-
-
-def _sync_directory(directory: Path) -> None:
-    """Make a rename outlast a power cut."""
-    descriptor = os.open(directory, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    replace_regular(path, msgspec.json.format(msgspec.json.encode(checkpoint), indent=2) + b"\n")
 
 
 def read_checkpoint(path: Path, key: str, load: Load, jacket: Jacket) -> Values | None:
@@ -130,7 +118,7 @@ def read_checkpoint(path: Path, key: str, load: Load, jacket: Jacket) -> Values 
         CheckpointError: There is one that must not be used.
     """
     try:
-        text = path.read_bytes()
+        text = read_regular(path)
     except FileNotFoundError:
         return None
     except OSError as problem:
@@ -231,7 +219,8 @@ class Keeper:
             return
         self._next_s = self._clock() + self._every_s
         try:
-            await asyncio.to_thread(self._write, values)
+            async with asyncio.timeout(PATIENCE_S):
+                await asyncio.to_thread(self._write, values)
         except OSError as problem:
             self._tell_once(problem)
         else:
@@ -239,6 +228,7 @@ class Keeper:
 
     def _tell_once(self, problem: OSError) -> None:
         if not self._failed:
-            detail = f"checkpoint not written: {problem.strerror or problem}"
+            why = problem.strerror or str(problem) or f"the disk takes more than {PATIENCE_S:g} s"
+            detail = f"checkpoint not written: {why}"
             self._hub.publish(_event(Severity.WARNING, detail))
         self._failed = True

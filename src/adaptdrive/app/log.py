@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
 from typing import TextIO
 
 import structlog
 
 from adaptdrive.runtime.hub import Subscription
-from adaptdrive.runtime.reports import Event, Severity
+from adaptdrive.runtime.reports import Event, Report, Severity
 
 _LEVELS = {
     Severity.INFO: logging.INFO,
@@ -54,13 +56,32 @@ def leads_to_journal(stream: TextIO, environment: Mapping[str, str]) -> bool:
     return environment.get("JOURNAL_STREAM") == f"{place.st_dev}:{place.st_ino}"
 
 
+def loss_line(lost: int) -> str:
+    """The line that says how many lines before it were lost, as nobody read them."""
+    entry = {
+        "lost": lost,
+        "event": "log lines lost: the reader of this log had stopped reading",
+        "level": "warning",
+        "timestamp": datetime.now(UTC).isoformat().replace("+00:00", "Z"),
+    }
+    line = json.dumps(entry)
+    return f"{_PRIORITIES['warning']}{line}" if leads_to_journal(sys.stderr, os.environ) else line
+
+
 def _with_priority(_: object, method: str, line: object) -> str:
     return f"{_PRIORITIES.get(method, '')}{line}"
 
 
 async def log_events(events: Subscription, logger: structlog.typing.FilteringBoundLogger) -> None:
-    """Write every event to the log until cancelled."""
-    while True:
-        for event in await events.take():
-            if isinstance(event, Event):
-                logger.log(_LEVELS[event.severity], event.detail, kind=event.kind, tick=event.tick)
+    """Write every event to the log until cancelled, those of the last moment included."""
+    try:
+        while True:
+            _log(await events.take(), logger)
+    finally:
+        _log(events.drain(), logger)
+
+
+def _log(events: Iterable[Report], logger: structlog.typing.FilteringBoundLogger) -> None:
+    for event in events:
+        if isinstance(event, Event):
+            logger.log(_LEVELS[event.severity], event.detail, kind=event.kind, tick=event.tick)

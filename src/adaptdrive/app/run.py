@@ -23,20 +23,22 @@ from adaptdrive.app.checkpoint import (
     write_checkpoint,
 )
 from adaptdrive.app.lock import lock_names, locked, send_visitors_away
-from adaptdrive.app.log import log_events, set_up_logging
+from adaptdrive.app.log import log_events, loss_line, set_up_logging
+from adaptdrive.app.output import unblocked_output
 from adaptdrive.app.realtime import build_rehearsal, choose_loop, prepared
 from adaptdrive.app.sensors import build_whole_port, sensor_reports
 from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
+from adaptdrive.app.state_file import directory_flaw
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.errors import AdaptdriveError, first_error
+from adaptdrive.errors import AdaptdriveError, RecordingError, first_error
 from adaptdrive.operation.service import MqttService, Surroundings
-from adaptdrive.recording.recorder import Feed, Pace, Recorder
+from adaptdrive.recording.recorder import EVENT_KIND, Feed, Pace, Recorder
 from adaptdrive.recording.session import SessionInfo, create_session, sessions_directory
 from adaptdrive.runtime.daemon import Daemon
-from adaptdrive.runtime.hub import Hub, Subscription
+from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.realtime import Grant, helper_thread
-from adaptdrive.runtime.reports import Event
+from adaptdrive.runtime.reports import Event, Severity
 from adaptdrive.runtime.watchdog import ServiceManager
 
 _EVENTS_HELD = 1000
@@ -58,8 +60,10 @@ def run(path: Path) -> int:
     configuration = load_configuration(path)
     text = path.read_text(encoding="utf-8")
     make_loop, loop_grant = choose_loop(uvloop_wanted=configuration.realtime.uvloop)
+    start_thread = helper_thread(configuration.realtime.priority)
     try:
         with (
+            unblocked_output(loss_line, start_thread),
             locked(lock_names(configuration), os.environ) as locks,
             asyncio.Runner(loop_factory=make_loop) as runner,
         ):
@@ -82,7 +86,7 @@ async def _serve(
     settings, load = controller_settings(configuration), build_load(configuration)
     state = state_directory(os.environ.get("STATE_DIRECTORY", ""))
     checkpoint = checkpoint_path(state, configuration.drive.name)
-    prior, told = recall(checkpoint, configuration, settings, load)
+    prior, recalled = recall(checkpoint, configuration, settings, load)
     controller = Controller(settings, load, prior)
     rehearsal = build_rehearsal(configuration, path)
     daemon = Daemon(
@@ -104,33 +108,39 @@ async def _serve(
         "starting", drive=configuration.drive.name, version=__version__, bus=port.description
     )
     async with asyncio.TaskGroup() as tasks:
-        services = [
-            tasks.create_task(log_events(events, logger), name="log"),
-            tasks.create_task(_mqtt(configuration, daemon, hub, start_thread).run(), name="mqtt"),
-            tasks.create_task(send_visitors_away(locks), name="lock"),
-        ]
+        log = tasks.create_task(log_events(events, logger), name="log")
+        mqtt = _mqtt(configuration, daemon, hub, start_thread)
+        broker = tasks.create_task(mqtt.run(), name="mqtt")
+        lock = tasks.create_task(send_visitors_away(locks), name="lock")
         recorder = _recorder(configuration, text, hub, prior)
-        if recorder is not None:
-            services.append(tasks.create_task(recorder.run(), name="recorder"))
+        recording = tasks.create_task(recorder.run() if recorder else _idle(), name="recorder")
         keeper = _keeper(configuration, checkpoint, controller, hub)
-        if is_kept(settings):
-            services.append(tasks.create_task(keeper.run(), name="checkpoint"))
-        if told is not None:
-            hub.publish(told)
-        with prepared(configuration, rehearsal, hub, loop_grant):
-            await daemon.run(stop)
-        if is_kept(settings):
-            await keeper.save()
-        await _settle(events)
-        for service in services:
-            service.cancel()
+        kept = is_kept(settings)
+        keeping = tasks.create_task(keeper.run() if kept else _idle(), name="checkpoint")
+        for event in (recalled, state_event(state)):
+            if event is not None:
+                hub.publish(event)
+        try:
+            with prepared(configuration, rehearsal, hub, loop_grant):
+                await daemon.run(stop)
+        finally:
+            await _end(keeping)
+            if kept:
+                await keeper.save()
+            # each may report until it ends: broker and log hear the recorder's last words
+            await _end(recording, broker, log, lock)
     logger.info("stopped", drive=configuration.drive.name)
 
 
-async def _settle(events: Subscription) -> None:
-    """Let the last reports reach broker and disk before their services end."""
-    await asyncio.sleep(0.2)
-    events.drain()
+async def _idle() -> None:
+    """Stand in for a service that is not wanted."""
+
+
+async def _end(*services: asyncio.Task[None]) -> None:
+    """End services one after the other; each bounds the time that this takes it."""
+    for service in services:
+        service.cancel()
+        await asyncio.wait([service])
 
 
 def _stop_on_signals(stop: asyncio.Event) -> None:
@@ -143,7 +153,6 @@ def _mqtt(
     configuration: Configuration, daemon: Daemon, hub: Hub, start_thread: Callable[[], None]
 ) -> MqttService:
     directory = state_directory(os.environ.get("STATE_DIRECTORY", ""))
-    directory.mkdir(parents=True, exist_ok=True)
     surroundings = Surroundings(directory, start_thread=start_thread)
     return MqttService(configuration.drive.name, configuration.mqtt, daemon, hub, surroundings)
 
@@ -152,6 +161,15 @@ def state_directory(given: str) -> Path:
     """Where replies and unsent events are kept: the service manager's folder, else `./state`."""
     first = given.split(":", maxsplit=1)[0]
     return Path(first) if first else Path("state")
+
+
+def state_event(directory: Path) -> Event | None:
+    """What is lost where nothing can be kept, None where it can."""
+    flaw = directory_flaw(directory)
+    if flaw is None:
+        return None
+    lost = "replies, unsent events and estimates do not survive a restart"
+    return Event("state directory", Severity.WARNING, f"{directory}: {flaw}: {lost}", -1)
 
 
 def _keeper(configuration: Configuration, path: Path, controller: Controller, hub: Hub) -> Keeper:
@@ -177,6 +195,10 @@ def _recorder(
         prior=prior,
     )
     directory = sessions_directory(recording.directory, os.environ)
-    session = create_session(directory, info, text)
+    try:
+        session = create_session(directory, info, text)
+    except RecordingError as problem:
+        hub.publish(Event(EVENT_KIND, Severity.ALARM, f"nothing is recorded: {problem}", -1))
+        return None
     feed, pace = Feed.of(hub, recording.flush_s), Pace(flush_s=recording.flush_s)
     return Recorder(session, feed, hub.publish, lambda: datetime.now(UTC), pace)

@@ -1,0 +1,78 @@
+"""State that cannot be kept: the drive is controlled and stopped all the same."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.system.conftest import MakeSite
+from tests.system.site import Site, until
+
+
+def events(site: Site, kind: str) -> list[str]:
+    """Details of the events of a kind, once there is one."""
+    found = until(
+        lambda: [one for one in site.ear.on("event") if one.content["kind"] == kind], kind
+    )
+    return [one.content["detail"] for one in found]
+
+
+def runs_and_stops(site: Site) -> None:
+    site.run_drive()
+    site.demand("disable")
+    assert site.stop_daemon() == 0
+    site.await_availability("offline")
+    assert "Traceback" not in site.daemon_log
+
+
+@pytest.mark.parametrize(
+    "directory", ["/proc/no-sessions-here", "/dev/null/sessions"], ids=["read-only", "a device"]
+)
+def test_without_a_sessions_folder_it_drives_and_says_so(
+    make_site: MakeSite, directory: str
+) -> None:
+    site = make_site({"recording.directory": f'"{directory}"'})
+    site.start("--initial-voltage", "280")
+    assert events(site, "recording")[0].startswith(f"nothing is recorded: {directory}")
+    runs_and_stops(site)
+    assert "nothing is recorded" in site.daemon_log
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, Path.mkdir], ids=["FIFO", "directory"])
+@pytest.mark.parametrize("suffix", ["", ".unfinished"])
+def test_what_is_no_checkpoint_delays_nothing(
+    make_site: MakeSite, make: Callable[[Path], None], suffix: str
+) -> None:
+    site = make_site()
+    make(site.folder / f"motor.estimates.json{suffix}")
+    site.start("--initial-voltage", "280")
+    if not suffix:
+        kind = "a FIFO" if make is os.mkfifo else "a directory"
+        assert f"it is {kind}, not a file" in events(site, "checkpoint")[0]
+    runs_and_stops(site)
+
+
+@pytest.mark.parametrize(
+    ("make", "suffix"),
+    [(os.mkfifo, ""), (Path.mkdir, ""), (os.mkfifo, "-wal")],
+    ids=["FIFO", "directory", "FIFO as log"],
+)
+def test_what_is_no_journal_delays_nothing(
+    make_site: MakeSite, make: Callable[[Path], None], suffix: str
+) -> None:
+    site = make_site()
+    make(site.folder / f"motor.operation.sqlite3{suffix}")
+    site.start("--initial-voltage", "280")
+    runs_and_stops(site)
+
+
+def test_without_a_state_folder_it_drives_and_says_so(make_site: MakeSite) -> None:
+    site = make_site({"recording.directory": '"sessions"'})
+    (site.folder / "state").write_text("")
+    site.environment["STATE_DIRECTORY"] = str(site.folder / "state")
+    site.start("--initial-voltage", "280")
+    assert "do not survive a restart" in events(site, "state directory")[0]
+    runs_and_stops(site)
