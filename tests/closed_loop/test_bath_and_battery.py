@@ -18,7 +18,7 @@ from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.plants.load import Load
-from adaptdrive_sim.virtual import VirtualDrive
+from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World, WorldParameters
 
 HALF_s = 1200.0
@@ -34,9 +34,9 @@ def world(load: Load, noise: float) -> World:
     return World(load, WorldParameters(noise=NoiseParameters(sigma=noise)))
 
 
-def enabled(name: str, plant: World) -> VirtualDrive:
+def enabled(name: str, plant: World) -> OperatedDrive:
     """A drive that has just reached `running`."""
-    drive = VirtualDrive(configured(name), plant)
+    drive = OperatedDrive(configured(name), plant)
     drive.tick()
     drive.carry_out(Enable())
     while drive.machine.state is not State.RUNNING:
@@ -45,7 +45,7 @@ def enabled(name: str, plant: World) -> VirtualDrive:
     return drive
 
 
-def periods(drive: VirtualDrive, seconds: float) -> Iterator[None]:
+def periods(drive: OperatedDrive, seconds: float) -> Iterator[None]:
     """Run for a while, and stop after each slow period."""
     end_s = drive.time_s + seconds
     while drive.time_s < end_s:

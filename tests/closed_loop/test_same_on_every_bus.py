@@ -23,7 +23,7 @@ from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint
 from adaptdrive_sim.device_main import DeviceSettings, build_world
 from adaptdrive_sim.plants.bath import Bath
-from adaptdrive_sim.virtual import VirtualDrive
+from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World
 from tests.closed_loop.wire import WAIT_s, virtual_time, wired
 from tests.support import free_port
@@ -143,7 +143,7 @@ def without_bus(configuration: Configuration, course: Course) -> Run:
     """The controller in front of the plant, and nothing between them."""
     world = build_world(configuration, course.settings)
     course.prepare(world)
-    drive = VirtualDrive(configuration, world)
+    drive = OperatedDrive(configuration, world)
     for _ in range(round(WAIT_s / TICK_s)):
         drive.tick()
     drive.carry_out(Enable())

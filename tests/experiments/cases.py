@@ -7,10 +7,9 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 
 from adaptdrive_sim.experiments.case import Case, Design, Disturbance, Variant
-from adaptdrive_sim.experiments.compiled_runner import run_case_compiled
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.experiments.outcome import Outcome, judge
-from adaptdrive_sim.experiments.runner import Record, run_case
+from adaptdrive_sim.experiments.runner import Record, run_case, run_case_compiled
 from adaptdrive_sim.experiments.settings import case_settings
 
 SEEDS = range(20)

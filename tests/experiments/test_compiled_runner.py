@@ -9,10 +9,9 @@ import pytest
 
 from adaptdrive_sim.experiments.bath import BATH
 from adaptdrive_sim.experiments.case import Design, Disturbance, Variant
-from adaptdrive_sim.experiments.compiled_runner import run_case_compiled
 from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
 from adaptdrive_sim.experiments.motor import MOTOR
-from adaptdrive_sim.experiments.runner import run_case
+from adaptdrive_sim.experiments.runner import run_case, run_case_compiled
 from tests.experiments.cases import make_case
 
 SHORT_BATH = replace(BATH, duration_s=2400.0, changes=(LoadChange(1000.0, 2.5, over_s=300.0),))

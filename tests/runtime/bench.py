@@ -115,7 +115,8 @@ class FastBench:
         self.sent: list[Command] = []
         self.port = LoopbackPort(self._command, counter_modulus=modulus)
         self.machine = Machine(SETTINGS.machine, SETTINGS.pole)
-        self.loop = FastLoop(self.port, motor_controller(), self.machine, settings, self.around)
+        self.controller = motor_controller()
+        self.loop = FastLoop(self.port, self.controller, self.machine, settings, self.around)
         self.unsendable: Callable[[Command], bool] = lambda _: False
         self.counter = 0
         self.measured = CALM

@@ -44,7 +44,7 @@ def _minutes(bench: FastBench, count: int) -> None:
     for _ in range(count * 60):
         bench.frames(round(1.0 / TICK_S))
         for snapshot in bench.around.snapshots:
-            bench.loop.deliver(snapshot, bench.loop._controller.decide(snapshot))
+            bench.loop.deliver(snapshot, bench.controller.decide(snapshot))
         bench.sent[:-1] = []
         bench.around.reports.clear()
         bench.around.snapshots.clear()

@@ -20,10 +20,9 @@ from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Decision, Mode
 from adaptdrive_sim.campaign.scenario import Scenario
 from adaptdrive_sim.compiled import bench
-from adaptdrive_sim.compiled.course import Course, Interlocks
-from adaptdrive_sim.compiled.deployed import run_deployed, start_at_rest
 from adaptdrive_sim.compiled.run import run_compiled
 from adaptdrive_sim.compiled.sources import compiled_modules
+from adaptdrive_sim.course import Course, Interlocks, Run, run_course, start_at_rest
 from adaptdrive_sim.experiments.examples import FOLDER
 from adaptdrive_sim.plants.coupling import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
@@ -97,27 +96,14 @@ class Stand:
 
     def run(self, mode: Mode) -> Outcome:
         """Run compiled code."""
-        own, course = deployed(), self._course(mode)
-        _, world, controller = self._start(course)
-        wire = self.scenario.wire()
-        return Outcome(*run_compiled(controller, world, wire, course, own.interlocks))
+        course = self._course(mode)
+        return Outcome(*run_compiled(*self._start(course), course))
 
     def run_deployed(self, mode: Mode) -> tuple[Outcome, list[Decision]]:
         """Run the deployed controller itself, interpreted."""
-        own, course = deployed(), self._course(mode)
-        motor, world, controller = self._start(course)
-        wire, rates = self.scenario.wire(), own.settings.rates
-        trace, interlock, decisions = run_deployed(
-            controller,
-            motor,
-            world,
-            wire,
-            course,
-            own.interlocks,
-            rates.ticks_per_period,
-            rates.latency_ticks,
-        )
-        return Outcome(trace, interlock), decisions
+        course = self._course(mode)
+        run = run_course(*self._start(course), course, deployed().settings.rates)
+        return Outcome(_trace(run, len(course.references)), run.interlock), run.decisions
 
     def ideal(self) -> Array:
         """Output of the loop as designed, at each slow instant."""
@@ -141,16 +127,41 @@ class Stand:
         return motor_load(model["gain"], model["tau_motor_s"], model["tau_filter_s"])
 
     def _course(self, mode: Mode) -> Course:
-        pole, disturbances = deployed().pole, self._disturbances
-        return Course(self.references, self.inertias, 0.0, disturbances, mode, pole)
+        return Course(
+            self.references,
+            self.inertias,
+            0.0,
+            self._disturbances,
+            mode,
+            deployed().pole,
+            self.scenario.wire(),
+            deployed().interlocks,
+        )
 
-    def _start(self, course: Course) -> tuple[Motor, World, Controller]:
+    def _start(self, course: Course) -> tuple[Controller, World]:
         """Everything at rest on the first reference."""
-        own, output = deployed(), float(course.references[0])
+        own = deployed()
         motor = Motor(self.scenario.motor())
         motor.resize(float(course.sizes[0]), 0.0)
         world = World(motor, WorldParameters(line=self.scenario.line()))
-        world.settle(world.boost_voltage_for(output))
         controller = Controller(own.settings, own.load)
-        start_at_rest(controller, world, course, output)
-        return motor, world, controller
+        start_at_rest(controller, world, course, float(course.references[0]))
+        return controller, world
+
+
+def _trace(run: Run, periods: int) -> Array:
+    """Return a run in the columns of `compiled.bench`."""
+    trace = np.full((periods, bench.VALUES + len(deployed().load.names)), np.nan)
+    rows = trace[: len(run.decisions)]
+    rows[:, bench.OUTPUT] = run.outputs
+    rows[:, bench.MEASURED] = [one.output for one in run.snapshots]
+    rows[:, bench.REFERENCE_V] = [one.boost_reference_V for one in run.decisions]
+    rows[:, bench.APPLIED_V] = [one.applied_V for one in run.snapshots]
+    rows[:, bench.ADAPTIVE] = [one.controller is Mode.ADAPTIVE for one in run.decisions]
+    rows[:, bench.ACCEPTED] = [one.accepted for one in run.decisions]
+    rows[:, bench.VERDICT] = run.verdicts
+    rows[:, bench.INNOVATION] = [one.innovation for one in run.decisions]
+    rows[:, bench.HANDOVER_V] = [one.handover_step_V for one in run.decisions]
+    for i, name in enumerate(deployed().load.names, bench.VALUES):
+        rows[:, i] = [one.estimates[name].value for one in run.decisions]
+    return trace

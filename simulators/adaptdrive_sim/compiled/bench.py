@@ -7,7 +7,6 @@ plant.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -23,12 +22,8 @@ from adaptdrive.control.slow_half import slow_step
 from adaptdrive.control.slow_state import SlowSample, SlowState
 from adaptdrive.control.vectors import Vector, total
 from adaptdrive_sim.compiled.room import forget_vectors
-from adaptdrive_sim.compiled.wire import Wire, delayed, rounded
+from adaptdrive_sim.compiled.wire import Wire, delayed, find_cause, rounded
 from adaptdrive_sim.world import Sample, World
-
-OVER_VOLTAGE = 1
-OVER_OUTPUT = 2
-NOT_FINITE = 3
 
 OUTPUT = 0
 MEASURED = 1
@@ -121,17 +116,6 @@ def receive(measurement: Any, wire: Wire, tick: int, frame: Sample) -> None:
     measurement.line_voltage_V = rounded(frame.line_voltage_V, wire.voltage_quantum_V)
     measurement.load_power_W = rounded(frame.load_power_W, wire.power_quantum_W)
     measurement.output = delayed(wire, frame.output)
-
-
-def find_cause(measurement: Measurement, voltage_max_V: float, output_max: float) -> int:
-    """The interlock that a measurement trips, or 0."""
-    if measurement.boost_voltage_V > voltage_max_V:
-        return OVER_VOLTAGE
-    if measurement.output > output_max:
-        return OVER_OUTPUT
-    if not math.isfinite(measurement.boost_voltage_V + measurement.output):
-        return NOT_FINITE
-    return 0
 
 
 def decide(

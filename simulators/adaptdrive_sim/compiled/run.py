@@ -14,18 +14,16 @@ from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Measurement, Mode
 from adaptdrive.control.slow_state import SlowSample
 from adaptdrive_sim.compiled import bench
-from adaptdrive_sim.compiled.course import Course, Interlocks
 from adaptdrive_sim.compiled.objects import Memory
 from adaptdrive_sim.compiled.sources import compiled_modules
-from adaptdrive_sim.compiled.wire import Wire
+from adaptdrive_sim.compiled.wire import perfect_wire
+from adaptdrive_sim.course import Course
 from adaptdrive_sim.world import World
 
 Array = NDArray[np.float64]
 
 
-def run_compiled(
-    controller: Controller, world: World, wire: Wire, course: Course, interlocks: Interlocks
-) -> tuple[Array, int]:
+def run_compiled(controller: Controller, world: World, course: Course) -> tuple[Array, int]:
     """Run a controller that was started on a plant at rest.
 
     Returns:
@@ -35,6 +33,7 @@ def run_compiled(
     settings, load, *states = _parts(controller)
     sample = _sample(settings, load, course)
     measurement = Measurement(0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    wire = course.wire or perfect_wire(float(course.references[0]))
     changing = (*states, world, wire, measurement, sample)
     objects = [_constant(settings), _constant(load), *map(Memory, changing)]
     trace = np.full((len(course.references), bench.VALUES + len(load.names)), np.nan)
@@ -45,8 +44,8 @@ def run_compiled(
         course.disturbances,
         course.sizes,
         course.over_s,
-        interlocks.boost_voltage_max_V,
-        interlocks.output_max,
+        course.interlocks.boost_voltage_max_V,
+        course.interlocks.output_max,
         trace,
     )
     return trace, int(cause)

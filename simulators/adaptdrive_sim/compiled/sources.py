@@ -21,8 +21,8 @@ _PLANT = (
     "adaptdrive_sim.compiled.bench",
 )
 
-_OUTSIDE = "adaptdrive.control.controller"
-"""Texts and enumerations for people, around what is compiled."""
+_OUTSIDE = {f"adaptdrive.control.{name}" for name in ("columns", "controller", "schedule")}
+"""Texts, enumerations and the order of calls, around what is compiled."""
 
 
 @cache
@@ -30,7 +30,7 @@ def compiled_modules() -> dict[str, ModuleType]:
     """All of the controller, the plant, and the bench that joins them, by original name."""
     package = adaptdrive.control
     found = pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
-    names = [module.name for module in found if module.name != _OUTSIDE]
+    names = [module.name for module in found if module.name not in _OUTSIDE]
     modules = translate([*names, *_PLANT])
     copies.add(modules)
     return modules

@@ -1,4 +1,4 @@
-"""What lies between the drive and its controller: rounding, and a sensor that is late.
+"""What lies between the drive and its controller: rounding, a late sensor, interlocks.
 
 Numbers on a bus are whole multiples of a quantum. The regulated output may come from a sensor of
 its own, some half cycles older than the drive's frame.
@@ -6,8 +6,10 @@ its own, some half cycles older than the drive's frame.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+from adaptdrive.control.signals import Measurement
 from adaptdrive.control.vectors import Vector, shift_in
 
 _WHOLE = 1.5 * 2.0**52
@@ -16,6 +18,11 @@ _WHOLE = 1.5 * 2.0**52
 
 DELAY_MAX = 20
 """Oldest output in half cycles."""
+
+
+OVER_VOLTAGE = 1
+OVER_OUTPUT = 2
+NOT_FINITE = 3
 
 
 @dataclass(slots=True)
@@ -55,3 +62,14 @@ def delayed(wire: Wire, output: float) -> float:
     """What arrives of the output now, when `output` is measured."""
     shift_in(wire.outputs, output)
     return rounded(wire.outputs[wire.output_delay], wire.output_quantum)
+
+
+def find_cause(measurement: Measurement, voltage_max_V: float, output_max: float) -> int:
+    """The interlock that a measurement trips, or 0."""
+    if measurement.boost_voltage_V > voltage_max_V:
+        return OVER_VOLTAGE
+    if measurement.output > output_max:
+        return OVER_OUTPUT
+    if not math.isfinite(measurement.boost_voltage_V + measurement.output):
+        return NOT_FINITE
+    return 0

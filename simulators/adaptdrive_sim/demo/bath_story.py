@@ -108,10 +108,10 @@ class BathStory:
     def _drive(self) -> Table:
         table, drive, record = rows("l", "r"), self.play.drive, self.play.record
         load = record.load
-        table.add_row("temperature", f"{number(drive.output, 2)} K")
+        table.add_row("temperature", f"{number(drive.sample.output, 2)} K")
         table.add_row("reference", f"{number(load.reference if load else math.nan, 2)} K")
         asked = load.boost_reference_V if load else math.nan
-        table.add_row("V_c / v_bst", f"{number(asked, 0)} / {drive.boost_voltage_V:.0f} V")
+        table.add_row("V_c / v_bst", f"{number(asked, 0)} / {drive.sample.boost_voltage_V:.0f} V")
         table.add_row("heater", f"{self.bath.heater_W:.0f} W")
         table.add_row("volume", f"{self.bath.volume_gal:.2f} gal")
         return table

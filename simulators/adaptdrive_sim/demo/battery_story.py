@@ -104,11 +104,11 @@ class BatteryStory:
     def _drive(self) -> Table:
         table, drive = rows("l", "r"), self.play.drive
         load = self.play.record.load
-        table.add_row("current", f"{number(drive.output, 2)} A")
+        table.add_row("current", f"{number(drive.sample.output, 2)} A")
         table.add_row("set-point", f"{number(load.reference if load else math.nan, 2)} A")
         asked = load.boost_reference_V if load else math.nan
-        table.add_row("V_c / v_bst", f"{number(asked, 0)} / {drive.boost_voltage_V:.0f} V")
-        table.add_row("power", f"{drive.load_power_W:.0f} W")
+        table.add_row("V_c / v_bst", f"{number(asked, 0)} / {drive.sample.boost_voltage_V:.0f} V")
+        table.add_row("power", f"{drive.sample.load_power_W:.0f} W")
         return table
 
     def _estimates(self) -> Table:

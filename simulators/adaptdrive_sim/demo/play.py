@@ -12,7 +12,7 @@ from adaptdrive.control.signals import Decision, Snapshot
 from adaptdrive.runtime.requests import Request
 from adaptdrive_sim.demo import heard
 from adaptdrive_sim.demo.record import Record
-from adaptdrive_sim.virtual import VirtualDrive
+from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World
 
 _NO_LATENESS = heard.Quantiles(None, None, None)
@@ -28,7 +28,7 @@ class Play:
     """
 
     def __init__(self, configuration: Configuration, world: World) -> None:
-        self.drive = VirtualDrive(configuration, world)
+        self.drive = OperatedDrive(configuration, world)
         self.record = Record(datetime.now(UTC), lambda: self.drive.time_s, connected=True)
         self._report_ticks = max(_REPORT_TICKS, configuration.ticks_per_period // 2)
         self._told = ""
@@ -62,7 +62,7 @@ class Play:
     def report(self) -> None:
         """Tell what the fast loop does."""
         drive = self.drive
-        values = drive.boost_voltage_V, drive.load_power_W, drive.output
+        values = drive.sample.boost_voltage_V, drive.sample.load_power_W, drive.sample.output
         self.record.hear_drive(heard.Drive(*values, drive.ticks, 0, 0, _NO_LATENESS))
 
     def _now(self) -> datetime:

@@ -26,11 +26,6 @@ def new_bath() -> Bath:
     return Bath(BathParameters(volume_gal=NOMINAL_gal))
 
 
-def set_level(bath: Bath, size: float, over_s: float) -> None:
-    """Raise the drain, so that the bath fills steadily."""
-    bath.fill(size * NOMINAL_gal, over_s)
-
-
 @cache
 def true_bath(size: float) -> Load:
     """The bath's model at a multiple of its nominal volume."""
@@ -92,6 +87,5 @@ BATH = Experiment(
     tables=tables,
     nominal=nominal_bath,
     plant=new_bath,
-    resize=set_level,
     true_load=true_bath,
 )

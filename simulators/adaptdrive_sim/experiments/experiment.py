@@ -77,7 +77,6 @@ class Experiment:
         tables: Configuration of the daemon for the exact design, as TOML would give it.
         nominal: The load that the fixed controller is designed for.
         plant: Makes the simulated load at its nominal size.
-        resize: Changes the simulated load to a size, over a time in seconds.
         true_load: The load's model at a size, by formula.
     """
 
@@ -93,7 +92,6 @@ class Experiment:
     tables: Callable[[], dict[str, Any]] = field(repr=False)
     nominal: Callable[[], Load] = field(repr=False)
     plant: Callable[[], Any] = field(repr=False)
-    resize: Callable[[Any, float, float], None] = field(repr=False)
     true_load: Callable[[float], Load] = field(repr=False)
 
     @property

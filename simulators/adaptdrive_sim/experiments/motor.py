@@ -24,11 +24,6 @@ def new_motor() -> Motor:
     return Motor(MotorParameters())
 
 
-def set_disks(motor: Motor, size: float, _over_s: float) -> None:
-    """Drop disks onto the shaft; it happens at once."""
-    motor.disks = round(size)
-
-
 @cache
 def true_motor(size: float) -> Load:
     """The motor's model with that many disks."""
@@ -66,6 +61,5 @@ MOTOR = Experiment(
     tables=tables,
     nominal=nominal_motor,
     plant=new_motor,
-    resize=set_disks,
     true_load=true_motor,
 )

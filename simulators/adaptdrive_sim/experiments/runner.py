@@ -1,31 +1,34 @@
-"""Virtual time: the daemon's own controller against the simulated plant, as fast as it goes.
+"""An experiment in virtual time, as fast as it goes: interpreted, or on compiled code.
 
-The order of calls is the daemon's: a frame, a tick of the controller, at n = kQ the slow half, at
-n = kQ + L its decision takes effect. A run depends on its case alone, so it is the same each time.
+A run depends on its case alone, so it is the same each time. Compiled code is some thirty times as
+fast, but compiling takes a minute or two for each kind of load and design: it is for many runs of
+one kind.
 """
 
 from __future__ import annotations
 
+import itertools
 from array import array
 from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.signals import (
-    Command,
-    Decision,
-    Measurement,
-    Mode,
-    Order,
-    Snapshot,
-    Stage,
-)
+from adaptdrive.control.signals import Mode
+from adaptdrive_sim.course import Course, Run, run_course, start_at_rest
 from adaptdrive_sim.experiments.case import Case
-from adaptdrive_sim.world import Sample, World, WorldParameters
+from adaptdrive_sim.experiments.experiment import Experiment
+from adaptdrive_sim.noise import NoiseParameters, samples
+from adaptdrive_sim.world import World
+
+Array = NDArray[np.float64]
 
 
 @dataclass(slots=True)
 class Record:
-    """What happened: one entry per slow period, taken at its first tick.
+    """What happened: one entry for each slow period, taken at its first tick.
 
     Attributes:
         time_s: Time since the start.
@@ -73,113 +76,106 @@ def run_case(case: Case, *, keep_ticks: bool = False) -> Record:
         case: What to run.
         keep_ticks: Whether the record is to hold output and boost voltage of every tick.
     """
-    bench = _Bench(case, keep_ticks=keep_ticks)
-    rates = case.settings.rates
-    for k in range(round(case.experiment.duration_s / case.experiment.period_s)):
-        bench.run_period(k, rates.ticks_per_period, rates.latency_ticks)
-    return bench.record
+    course, controller, world = _start(case)
+    run = run_course(controller, world, course, case.settings.rates, keep_ticks=keep_ticks)
+    return _record(case.experiment, course, run)
 
 
-class _Bench:
-    """Plant, controller and record of one run."""
+def run_case_compiled(case: Case) -> Record:
+    """Run one case from start to end on compiled code.
 
-    def __init__(self, case: Case, *, keep_ticks: bool) -> None:
-        experiment = case.experiment
-        noise = case.disturbance.scaled(experiment.step)
-        self.record = Record()
-        self._experiment = experiment
-        self._mode = case.mode
-        self._keep_ticks = keep_ticks
-        self._controller = Controller(case.settings, experiment.nominal())
-        self._world = World(experiment.plant(), WorldParameters(noise=noise, seed=case.seed))
-        self._changes = list(experiment.changes)
-        self._order = self._order_at(0.0)
-        self._sample = self._start_at_rest()
+    Returns:
+        A record without reasons, gains, deviations and excitation.
+    """
+    from adaptdrive_sim.compiled import bench  # noqa: PLC0415  # few runs need a compiler
+    from adaptdrive_sim.compiled.run import run_compiled  # noqa: PLC0415
 
-    def run_period(self, k: int, ticks: int, latency: int) -> None:
-        """Run one slow period, first tick first."""
-        time_s, first = k * self._experiment.period_s, k * ticks
-        self._order = self._order_at(time_s)
-        self._change_load(time_s)
-        output = self._world.true_output
-        self._run_ticks(first, first + 1)
-        snapshot = self._controller.take_snapshot()
-        if snapshot is None:
-            raise RuntimeError(f"the controller took no snapshot at tick {first}")
-        decision = self._controller.decide(snapshot)
-        self._run_ticks(first + 1, first + latency)
-        self._controller.apply(decision)
-        self._run_ticks(first + latency, first + ticks)
-        self._write(time_s, output, snapshot, decision)
+    course, controller, world = _start(case)
+    trace, cause = run_compiled(controller, world, course)
+    if cause:
+        raise RuntimeError(f"the run of seed {case.seed} ended by itself, cause {cause}")
+    names = case.experiment.nominal().names
+    return Record(
+        **_plan(case.experiment, course),
+        output=trace[:, bench.OUTPUT].tolist(),
+        measured=trace[:, bench.MEASURED].tolist(),
+        boost_reference_V=trace[:, bench.REFERENCE_V].tolist(),
+        applied_V=trace[:, bench.APPLIED_V].tolist(),
+        adaptive=(trace[:, bench.ADAPTIVE] > 0.0).tolist(),
+        accepted=(trace[:, bench.ACCEPTED] > 0.0).tolist(),
+        estimates={name: trace[:, bench.VALUES + i].tolist() for i, name in enumerate(names)},
+        innovation=trace[:, bench.INNOVATION].tolist(),
+    )
 
-    def _start_at_rest(self) -> Sample:
-        """Everything at rest on the lower value of the reference, controller included."""
-        world, low = self._world, self._experiment.reference.low
-        world.settle(world.boost_voltage_for(low))
-        boost = world.boost
-        at_rest = Measurement(
-            tick=-1,
-            tick_period_s=world.line.half_cycle_s,
-            boost_voltage_V=boost.voltage_V,
-            line_voltage_V=world.line.voltage_V,
-            load_power_W=boost.mean_load_W,
-            output=low,
-        )
-        order = Order(Stage.RUN, low, self._mode, self._experiment.pole)
-        self._controller.tick(at_rest, order)
-        return world.step(world.current_scale_S, bridge=True)
 
-    def _order_at(self, time_s: float) -> Order:
-        experiment = self._experiment
-        reference = experiment.reference.value(time_s)
-        return Order(Stage.RUN, reference, self._mode, experiment.pole)
+def _start(case: Case) -> tuple[Course, Controller, World]:
+    """Everything at rest on the lower value of the reference."""
+    experiment = case.experiment
+    course, controller = _course(case), Controller(case.settings, experiment.nominal())
+    world = World(experiment.plant())
+    start_at_rest(controller, world, course, experiment.reference.low)
+    return course, controller, world
 
-    def _change_load(self, time_s: float) -> None:
-        if self._changes and time_s >= self._changes[0].time_s:
-            change = self._changes.pop(0)
-            self._experiment.resize(self._world.load, change.size, change.over_s)
 
-    def _run_ticks(self, first: int, last: int) -> None:
-        """The ticks first <= n < last; every cycle counts in here."""
-        tick, step, order, sample = (
-            self._controller.tick,
-            self._world.step,
-            self._order,
-            self._sample,
-        )
-        for n in range(first, last):
-            if self._keep_ticks:
-                self.record.fast_output.append(self._world.load.output)
-                self.record.fast_voltage_V.append(sample.boost_voltage_V)
-            command: Command = tick(
-                Measurement(
-                    n,
-                    sample.tick_period_s,
-                    sample.boost_voltage_V,
-                    sample.line_voltage_V,
-                    sample.load_power_W,
-                    sample.output,
-                ),
-                order,
-            )
-            sample = step(command.current_scale_S, command.bridge)
-        self._sample = sample
+def _course(case: Case) -> Course:
+    experiment = case.experiment
+    times_s = _times_s(experiment)
+    ticks = len(times_s) * case.settings.rates.ticks_per_period
+    noise = case.disturbance.scaled(experiment.step)
+    return Course(
+        references=np.array([experiment.reference.value(time_s) for time_s in times_s]),
+        sizes=np.array([_size_wanted(experiment, time_s) for time_s in times_s]),
+        over_s=max((change.over_s for change in experiment.changes), default=0.0),
+        disturbances=_disturbances(noise, case.seed, ticks + 1),
+        mode=case.mode,
+        pole=experiment.pole,
+    )
 
-    def _write(self, time_s: float, output: float, snapshot: Snapshot, decision: Decision) -> None:
-        record = self.record
-        record.time_s.append(time_s)
-        record.reference.append(snapshot.order.reference)
-        record.size.append(self._experiment.size_at(time_s))
-        record.output.append(output)
-        record.measured.append(snapshot.output)
-        record.boost_reference_V.append(decision.boost_reference_V)
-        record.applied_V.append(snapshot.applied_V)
-        record.adaptive.append(decision.controller is Mode.ADAPTIVE)
-        record.accepted.append(decision.accepted)
-        record.reason.append(decision.reason)
-        record.gains.append(list(decision.gains))
-        record.innovation.append(decision.innovation)
-        record.excitation.append(decision.excitation)
-        for name, estimate in decision.estimates.items():
-            record.estimates.setdefault(name, []).append(estimate.value)
-            record.deviations.setdefault(name, []).append(estimate.std)
+
+def _times_s(experiment: Experiment) -> list[float]:
+    periods = round(experiment.duration_s / experiment.period_s)
+    return [k * experiment.period_s for k in range(periods)]
+
+
+def _size_wanted(experiment: Experiment, time_s: float) -> float:
+    """Where the load is, or is on its way to."""
+    sizes = [change.size for change in experiment.changes if change.time_s <= time_s]
+    return sizes[-1] if sizes else 1.0
+
+
+def _disturbances(noise: NoiseParameters, seed: int, count: int) -> Array:
+    if noise.silent:
+        return np.zeros(count)
+    drawn = samples(noise, np.random.default_rng(seed))
+    return np.fromiter(itertools.islice(drawn, count), np.float64, count)
+
+
+def _plan(experiment: Experiment, course: Course) -> dict[str, Any]:
+    """Return the entries of a record that were known before."""
+    times_s = _times_s(experiment)
+    return {
+        "time_s": times_s,
+        "reference": course.references.tolist(),
+        "size": [experiment.size_at(time_s) for time_s in times_s],
+    }
+
+
+def _record(experiment: Experiment, course: Course, run: Run) -> Record:
+    decisions, names = run.decisions, run.decisions[0].estimates
+    return Record(
+        **_plan(experiment, course),
+        output=run.outputs,
+        measured=[one.output for one in run.snapshots],
+        boost_reference_V=[one.boost_reference_V for one in decisions],
+        applied_V=[one.applied_V for one in run.snapshots],
+        adaptive=[one.controller is Mode.ADAPTIVE for one in decisions],
+        accepted=[one.accepted for one in decisions],
+        reason=[one.reason for one in decisions],
+        estimates={name: [one.estimates[name].value for one in decisions] for name in names},
+        deviations={name: [one.estimates[name].std for one in decisions] for name in names},
+        gains=[list(one.gains) for one in decisions],
+        innovation=[one.innovation for one in decisions],
+        excitation=[one.excitation for one in decisions],
+        fast_output=run.fast_output,
+        fast_voltage_V=run.fast_voltage_V,
+    )

@@ -1,16 +1,17 @@
 """Replay: the controller runs again on recorded measurements, and its commands are compared.
 
-The order of calls is the one of the daemon: a decision is applied right before the tick at which
-it took effect, each snapshot is decided on, and what the daemon never decided on is left alone.
+The order of calls is that of `control.schedule`. The record says when each decision took effect,
+which may be late, and on which snapshots the daemon decided at all.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-from typing import Any, Protocol
+from typing import Any
 
-from adaptdrive.control.signals import Command, Decision, Measurement, Order, Snapshot
+from adaptdrive.control.schedule import Schedule, TwoRate
+from adaptdrive.control.signals import Command, Decision, Snapshot
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.replay_report import Difference, Gap, ReplayReport
@@ -18,23 +19,7 @@ from adaptdrive.recording.rows import recorded_ticks, table_rows
 from adaptdrive.runtime.reports import TickReport
 
 
-class Controller(Protocol):
-    """What replay needs of a controller."""
-
-    def tick(self, measurement: Measurement, order: Order) -> Command:
-        """Run the fast half."""
-
-    def take_snapshot(self) -> Snapshot | None:
-        """The snapshot made in the last tick, once."""
-
-    def decide(self, snapshot: Snapshot) -> Decision:
-        """Run the slow half."""
-
-    def apply(self, decision: Decision) -> None:
-        """Let a decision take effect from the next tick on."""
-
-
-def replay(session: Session, controller: Controller) -> ReplayReport:
+def replay(session: Session, controller: TwoRate) -> ReplayReport:
     """Run a controller on the measurements and orders of a session.
 
     Args:
@@ -58,13 +43,14 @@ def replay(session: Session, controller: Controller) -> ReplayReport:
 class _Player:
     """One replay under way."""
 
-    def __init__(self, session: Session, controller: Controller) -> None:
+    def __init__(self, session: Session, controller: TwoRate) -> None:
         self._session = session
         self._controller = controller
+        self._schedule = Schedule(controller, latency_ticks=0)  # delivered when it took effect
         self._slow = {row["k"]: row for row in table_rows(session.slow)}
         # A decision that took effect was made, even where its own record is lost.
         self._decided = self._slow.keys() | set(session.ticks["applied_k"].unique().to_pylist())
-        self._pending: dict[int, Decision] = {}
+        self._pending: dict[int, tuple[Snapshot, Decision]] = {}
         self._next_sequence = 0
         self._ticks = 0
         self._slow_steps = 0
@@ -77,12 +63,12 @@ class _Player:
         """Replay one tick."""
         self._note_gap(recorded)
         if recorded.applied_k >= 0:
-            self._apply(recorded.applied_k)
-        command = self._controller.tick(recorded.measurement, recorded.order)
+            self._deliver(recorded.applied_k)
+        command = self._schedule.tick(recorded.measurement, recorded.order)
         tick = recorded.measurement.tick
         self._commands.compare(tick, _command_values(recorded.command), _command_values(command))
         self._ticks += 1
-        snapshot = self._controller.take_snapshot()
+        snapshot = self._schedule.take_snapshot()
         if snapshot is not None and snapshot.k in self._decided:
             self._decide(snapshot)
 
@@ -107,17 +93,15 @@ class _Player:
             self._gaps.append(Gap(before_tick=recorded.measurement.tick, missing=missing))
         self._next_sequence = recorded.sequence + 1
 
-    def _apply(self, k: int) -> None:
-        decision = self._pending.pop(k, None)
-        if decision is None:
+    def _deliver(self, k: int) -> None:
+        decided = self._pending.pop(k, None)
+        if decided is None or not self._schedule.deliver(*decided):
             self._unmatched.append(k)
-            return
         self._pending = {other: kept for other, kept in self._pending.items() if other > k}
-        self._controller.apply(decision)
 
     def _decide(self, snapshot: Snapshot) -> None:
         decision = self._controller.decide(snapshot)
-        self._pending[snapshot.k] = decision
+        self._pending[snapshot.k] = snapshot, decision
         self._slow_steps += 1
         row = self._slow.get(snapshot.k)
         if row is not None:

@@ -14,7 +14,7 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-from adaptdrive.control.controller import Controller
+from adaptdrive.control.schedule import Schedule, TwoRate
 from adaptdrive.control.signals import (
     SAFE_COMMAND,
     Command,
@@ -112,7 +112,7 @@ class FastLoop:
     def __init__(
         self,
         port: Port,
-        controller: Controller,
+        controller: TwoRate,
         machine: Machine,
         settings: FastLoopSettings,
         surroundings: Surroundings,
@@ -127,7 +127,7 @@ class FastLoop:
             surroundings: Who is told what.
         """
         self._port = port
-        self._controller = controller
+        self._schedule = Schedule(controller, settings.latency_ticks)
         self._machine = machine
         self._half_cycles = HalfCycles(
             port.counter_modulus, settings.tick_s, settings.ticks_per_reading
@@ -136,8 +136,6 @@ class FastLoop:
         self._stillness = StillnessWatch(settings.stillness) if settings.stillness else None
         self._settings = settings
         self._surroundings = surroundings
-        self._due: tuple[int, Decision] | None = None
-        self._run_tick = 0
         self._bridge = BridgeWatch(settings.tick_s, settings.ticks_per_reading)
         self._watched_s = math.inf
         # a drive that sends seldom leaves the loop nothing to watch between two readings
@@ -146,7 +144,6 @@ class FastLoop:
             _GAP_READINGS * settings.ticks_per_reading * settings.tick_s,
         )
         self._order: Order | None = None
-        self._applied_k = -1
         self._wanted = SAFE_COMMAND
         self._sequence = 0
         self._deadline_s = math.inf
@@ -230,10 +227,8 @@ class FastLoop:
 
     def deliver(self, snapshot: Snapshot, decision: Decision) -> None:
         """Take a decision of the slow loop; it takes effect at its fixed tick."""
-        if self._machine.stage is not Stage.RUN or snapshot.tick < self._run_tick:
-            return
-        self._due = (snapshot.tick + self._settings.latency_ticks, decision)
-        self._surroundings.decided(snapshot, decision)
+        if self._machine.stage is Stage.RUN and self._schedule.deliver(snapshot, decision):
+            self._surroundings.decided(snapshot, decision)
 
     def send_safe(self) -> None:
         """Send the safe command now, outside any tick."""
@@ -257,7 +252,6 @@ class FastLoop:
         """One tick: first the command, then what can wait for it."""
         passed = tick - self.tick if self.tick >= 0 else 0
         self.tick = tick
-        self._applied_k = -1
         self._watch_interlocks(began_s)
         if self.reading is None:
             self.send_safe()
@@ -270,13 +264,14 @@ class FastLoop:
         self._keep_time(due_s, began_s, ended_s, fresh=fresh)
 
     def _hand_over_snapshot(self) -> None:
-        snapshot = self._controller.take_snapshot()
+        snapshot = self._schedule.take_snapshot()
         if snapshot is not None and not self._surroundings.snapshot_taken(snapshot):
             self._machine.latch("slow loop: no decision for three slow periods")
 
     def _count(self, passed: int) -> None:
         """Count a tick, and the readings that should have had one since the last."""
         self.counts.ticks += 1
+        self.counts.late_decisions = self._schedule.late_decisions
         if passed:
             self.counts.missed += passed // self._settings.ticks_per_reading - 1
 
@@ -337,8 +332,7 @@ class FastLoop:
             reading.output,
             fresh,
         )
-        self._apply_due(tick, order.stage)
-        command = self._controller.tick(measurement, order)
+        command = self._schedule.tick(measurement, order)
         self.measurement = measurement
         self._wanted = command
         if self._overslept():
@@ -367,23 +361,10 @@ class FastLoop:
             and last.pole == machine.pole
         ):
             return last
-        if stage is Stage.RUN and (last is None or last.stage is not Stage.RUN):
-            self._run_tick = tick
         if stage is not Stage.RUN:
-            self._due = None
             self._surroundings.run_ended()
         self._order = Order(stage, reference, machine.mode, machine.pole)
         return self._order
-
-    def _apply_due(self, tick: int, stage: Stage) -> None:
-        if self._due is None or stage is not Stage.RUN or tick < self._due[0]:
-            return
-        due_tick, decision = self._due
-        self._due = None
-        if tick > due_tick:
-            self.counts.late_decisions += 1
-        self._controller.apply(decision)
-        self._applied_k = decision.k
 
     def _report(self, lateness_us: float, turnaround_us: float, tick_us: float) -> None:
         if self.measurement is None or self._order is None:
@@ -393,7 +374,7 @@ class FastLoop:
                 sequence=self._sequence,
                 measurement=self.measurement,
                 order=self._order,
-                applied_k=self._applied_k,
+                applied_k=self._schedule.applied_k,
                 command=self._wanted,
                 lateness_us=lateness_us,
                 turnaround_us=turnaround_us,

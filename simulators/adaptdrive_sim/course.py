@@ -1,0 +1,136 @@
+"""A course of references and loads, and the run of the deployed controller over it.
+
+This is the interpreted runner; `compiled.run` runs the same course on compiled code.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from array import array
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.settings import Rates
+from adaptdrive.control.signals import Decision, Measurement, Mode, Order, Snapshot, Stage
+from adaptdrive_sim.compiled.wire import Wire, find_cause
+from adaptdrive_sim.virtual import VirtualDrive
+from adaptdrive_sim.world import World
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Interlocks:
+    """Trip levels that matter without a bus."""
+
+    boost_voltage_max_V: float = math.inf
+    output_max: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """What happens in the course of a run.
+
+    Attributes:
+        references: r[k].
+        sizes: Size that the load is to have in each slow period, as a multiple of the nominal one.
+        over_s: How long a change of it takes.
+        disturbances: Measurement noise of every tick, and of one more.
+        mode: Controller asked for.
+        pole: Closed-loop pole.
+        wire: Resolution and delay between drive and controller, None for neither.
+        interlocks: What ends the run early.
+    """
+
+    references: Array
+    sizes: Array
+    over_s: float
+    disturbances: Array
+    mode: Mode
+    pole: float
+    wire: Wire | None = None
+    interlocks: Interlocks = field(default_factory=Interlocks)
+
+
+@dataclass(slots=True)
+class Run:
+    """What happened: one entry for each slow period, taken at its first tick.
+
+    Attributes:
+        outputs: Output without noise.
+        snapshots: What the slow half was given.
+        decisions: What it made of that.
+        verdicts: Of the supervisor.
+        interlock: What ended the run, 0 for nothing.
+        fast_output: Output without noise at every tick, where asked for.
+        fast_voltage_V: Boost voltage at every tick, where asked for.
+    """
+
+    outputs: list[float] = field(default_factory=list)
+    snapshots: list[Snapshot] = field(default_factory=list)
+    decisions: list[Decision] = field(default_factory=list)
+    verdicts: list[int] = field(default_factory=list)
+    interlock: int = 0
+    fast_output: array[float] = field(default_factory=lambda: array("d"))
+    fast_voltage_V: array[float] = field(default_factory=lambda: array("d"))
+
+
+def start_at_rest(controller: Controller, world: World, course: Course, output: float) -> None:
+    """Put a plant at rest at an output, and start a controller on it."""
+    world.settle(world.boost_voltage_for(output))
+    boost, line = world.boost, world.line
+    at_rest = Measurement(
+        -1, line.half_cycle_s, boost.voltage_V, line.voltage_V, boost.mean_load_W, output
+    )
+    controller.tick(at_rest, Order(Stage.RUN, output, course.mode, course.pole))
+
+
+def run_course(
+    controller: Controller, world: World, course: Course, rates: Rates, *, keep_ticks: bool = False
+) -> Run:
+    """Run a controller that was started on a plant at rest.
+
+    Args:
+        controller: The deployed controller.
+        world: The plant; its load changes with the course.
+        course: What happens.
+        rates: Q and L.
+        keep_ticks: Whether output and boost voltage of every tick are to be kept.
+    """
+    run, ticks, disturbances = Run(), rates.ticks_per_period, course.disturbances.tolist()
+    first = world.step_disturbed(world.current_scale_S, world.bridge, disturbances[0])
+    drive = VirtualDrive(controller, rates.latency_ticks, world, first, course.wire)
+    voltage_max_V, output_max = dataclasses.astuple(course.interlocks)
+    load: Any = world.load
+    for k, reference in enumerate(course.references.tolist()):
+        if k > 0 and course.sizes[k] != course.sizes[k - 1]:
+            load.resize(float(course.sizes[k]), course.over_s)
+        order = Order(Stage.RUN, reference, course.mode, course.pole)
+        for n in range(k * ticks, (k + 1) * ticks):
+            measurement = drive.measure(n)
+            run.interlock = find_cause(measurement, voltage_max_V, output_max)
+            if run.interlock:
+                return run
+            if keep_ticks:
+                run.fast_output.append(load.output)
+                run.fast_voltage_V.append(measurement.boost_voltage_V)
+            command, decided = drive.control(measurement, order)
+            if decided:
+                _note(run, drive, controller)
+            drive.advance(command, disturbances[n + 1])
+    return run
+
+
+def _note(run: Run, drive: VirtualDrive, controller: Controller) -> None:
+    """Keep what happened in a slow period."""
+    if drive.snapshot is None or drive.decision is None:
+        return
+    run.outputs.append(drive.world.true_output)
+    run.snapshots.append(drive.snapshot)
+    run.decisions.append(drive.decision)
+    run.verdicts.append(controller._slow.supervisor.verdict)  # noqa: SLF001  # as a number
