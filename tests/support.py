@@ -7,6 +7,7 @@ import itertools
 import json
 import os
 import random
+import shutil
 import socket
 import subprocess
 import time
@@ -105,6 +106,17 @@ def children(pid: int) -> list[int]:
     """Processes that a process has started."""
     text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8")
     return [int(one) for one in text.split()]
+
+
+def slow_disk(folder: Path, seconds: float) -> dict[str, str] | None:
+    """Environment of a process whose every fsync takes so long, None without a C compiler."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        return None
+    library = folder / "slow_disk.so"
+    source = Path(__file__).with_name("slow_disk.c")
+    subprocess.run([compiler, "-shared", "-fPIC", "-o", library, source], check=True)
+    return {"LD_PRELOAD": str(library), "SLOW_DISK_S": str(seconds)}
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ Listen = Callable[[str], Ear]
 NAMES = ("availability", "state", "telemetry/load", "telemetry/drive", "event", "reply")
 OWN = [f"adaptdrive/motor/{name}" for name in NAMES]
 OTHERS = [f"adaptdrive/bath/{name}" for name in NAMES]
+OWN_STOP = "adaptdrive/motor/command/disable"
 COMMANDS = [f"adaptdrive/{drive}/command/{verb}" for drive in ("motor", "bath") for verb in "ab"]
 ELSEWHERE = ["adaptdrive", "adaptdrive/motor", "adaptdrive/motor/state/x", "adaptdrive//state"]
 
@@ -45,8 +46,9 @@ def heard(
 
 
 def test_a_drive_speaks_for_itself_alone(guarded: GuardedBroker, listen: Listen) -> None:
-    tried = [*OWN, *OTHERS, *COMMANDS, *ELSEWHERE, "adaptdrive/operator/state"]
-    assert heard(guarded, listen, "operator", "motor", tried) == OWN
+    other_stop = OWN_STOP.replace("motor", "bath")
+    tried = [*OWN, *OTHERS, *COMMANDS, *ELSEWHERE, "adaptdrive/operator/state", other_stop]
+    assert heard(guarded, listen, "operator", "motor", [*tried, OWN_STOP]) == [*OWN, OWN_STOP]
 
 
 def test_a_drive_hears_its_own_commands_only(guarded: GuardedBroker, listen: Listen) -> None:

@@ -35,7 +35,7 @@ from adaptdrive.runtime.reports import (
     State,
     StateReport,
 )
-from adaptdrive.runtime.requests import Request, SetMode, SetSetpoint
+from adaptdrive.runtime.requests import Disable, Enable, Request, SetMode, SetSetpoint
 from tests.support import Broker
 
 PATIENCE_S = 20.0
@@ -72,8 +72,16 @@ class RememberingHost:
             await self.gate.wait()
         if isinstance(request, SetSetpoint):
             self.show(replace(self.report, setpoint=request.value))
+        if isinstance(request, Enable):
+            self.show(replace(self.report, state=State.RUNNING))
         if isinstance(request, SetMode):
             self.show(replace(self.report, mode=request.value))
+        return self.report.state
+
+    def stop(self) -> State:
+        self.asked.append(Disable())
+        if self.report.state in (State.STARTING, State.RUNNING):
+            self.show(replace(self.report, state=State.STANDBY))
         return self.report.state
 
     def show(self, report: StateReport) -> None:

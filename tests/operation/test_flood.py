@@ -6,62 +6,107 @@ import asyncio
 import json
 from pathlib import Path
 
-from aiomqtt import Message
-
-from adaptdrive.operation.link import LARGEST_BACKLOG
+from adaptdrive.operation.board import Mailbox
+from adaptdrive.operation.pace import LogRation
 from adaptdrive.operation.session import COMMANDS_HELD
-from adaptdrive.operation.waiting import NewestMessages
-from adaptdrive.runtime.requests import Disable, SetSetpoint
-from tests.operation.peers import RememberingHost, publish, publish_lines, serving
+from adaptdrive.runtime.requests import Disable, SetMode, SetSetpoint
+from tests.operation.peers import (
+    PATIENCE_S,
+    Bench,
+    RememberingHost,
+    listening,
+    publish,
+    publish_lines,
+    serving,
+)
 from tests.support import Broker
 
-HALF = LARGEST_BACKLOG + COMMANDS_HELD + 50
+MORE = COMMANDS_HELD + 50
 
 
-def message(verb: str, number: int) -> Message:
-    topic = f"adaptdrive/motor/command/{verb}"
-    return Message(topic, b"", qos=1, retain=False, mid=number, properties=None)
+async def test_a_full_mailbox_loses_its_oldest_and_counts() -> None:
+    box: Mailbox[int] = Mailbox(4)
+    for number in range(10):
+        box.put(number)
+    assert [await box.take() for _ in range(4)] == [6, 7, 8, 9]
+    assert box.dropped == 6
 
 
-async def test_a_full_queue_loses_its_oldest_and_counts_but_keeps_a_stop() -> None:
-    queue = NewestMessages(4)
-    for number, verb in enumerate(("setpoint", "disable", *["setpoint"] * 8)):
-        queue.put_nowait(message(verb, number))
-    assert [queue.get_nowait().mid for _ in range(4)] == [1, 7, 8, 9]
-    assert queue.dropped == 6
-    assert queue.empty()
-
-
-async def test_a_queue_full_of_stops_loses_the_oldest_of_them() -> None:
-    queue = NewestMessages(2)
-    for number in range(3):
-        queue.put_nowait(message("disable", number))
-    assert [queue.get_nowait().mid for _ in range(2)] == [1, 2]
-
-
-async def test_a_flood_of_commands_costs_the_oldest_and_never_a_stop(
-    mosquitto: Broker, tmp_path: Path
-) -> None:
-    host = RememberingHost(gate=asyncio.Event())
+async def test_a_stop_acts_ahead_of_a_command_under_way(mosquitto: Broker, tmp_path: Path) -> None:
+    gate = asyncio.Event()
+    host = RememberingHost(gate=gate)
     async with serving(mosquitto, "flooded", tmp_path, host) as bench:
         topic = bench.topic("command")
         await publish(mosquitto, f"{topic}/mode", '{"id": "first", "value": "fixed"}')
         await host.busy.wait()
-        await publish_lines(mosquitto, f"{topic}/setpoint", setpoints("a"))
+        await publish_lines(mosquitto, f"{topic}/setpoint", setpoints("before"))
         await publish(mosquitto, f"{topic}/disable", '{"id": "stop"}')
-        await publish_lines(mosquitto, f"{topic}/setpoint", setpoints("b"))
-        assert host.gate is not None
-        host.gate.set()
-        async with asyncio.timeout(20.0):
-            while host.asked[-1] != SetSetpoint(2.0):  # noqa: ASYNC110 - the host has no event
+        await until_asked(bench, Disable())
+        assert not gate.is_set()
+        assert [type(request) for request in host.asked] == [SetMode, Disable]
+
+
+async def test_commands_before_a_stop_are_refused_by_it(mosquitto: Broker, tmp_path: Path) -> None:
+    gate = asyncio.Event()
+    host = RememberingHost(gate=gate)
+    async with (
+        serving(mosquitto, "overtaken", tmp_path, host) as bench,
+        listening(mosquitto, bench.topic("reply")) as ear,
+    ):
+        topic = bench.topic("command")
+        await publish(mosquitto, f"{topic}/mode", '{"id": "first", "value": "fixed"}')
+        await host.busy.wait()
+        await publish(mosquitto, f"{topic}/enable", '{"id": "before"}')
+        await publish(mosquitto, f"{topic}/disable", '{"id": "stop"}')
+        stop = await ear.on(bench.topic("reply"))
+        assert (stop.content["id"], stop.content["accepted"]) == ("stop", True)
+        gate.set()
+        refused = await ear.until(lambda reply: reply.content["id"] == "before")
+        assert "a disable arrived after this command" in refused.content["reason"]
+        await publish(mosquitto, f"{topic}/setpoint", '{"id": "after", "value": 2}')
+        assert (await ear.until(lambda reply: reply.content["id"] == "after")).content["accepted"]
+    assert [type(request) for request in host.asked] == [SetMode, Disable, SetSetpoint]
+
+
+async def test_a_flood_costs_its_oldest_commands(mosquitto: Broker, tmp_path: Path) -> None:
+    gate = asyncio.Event()
+    host = RememberingHost(gate=gate)
+    async with serving(mosquitto, "drowned", tmp_path, host) as bench:
+        topic = bench.topic("command")
+        await publish(mosquitto, f"{topic}/mode", '{"id": "first", "value": "fixed"}')
+        await host.busy.wait()
+        await publish_lines(mosquitto, f"{topic}/setpoint", [*setpoints("a"), last()])
+        gate.set()
+        await until_asked(bench, SetSetpoint(2.0))
+    assert len(host.asked) <= COMMANDS_HELD + 1
+
+
+async def test_a_flood_of_stops_is_carried_out_whole(mosquitto: Broker, tmp_path: Path) -> None:
+    async with serving(mosquitto, "stops", tmp_path) as bench:
+        await publish_lines(mosquitto, bench.topic("command/disable"), ["x"] * MORE)
+        async with asyncio.timeout(PATIENCE_S):
+            while len(bench.host.asked) < MORE:  # noqa: ASYNC110 - the host has no event
                 await asyncio.sleep(0.01)
-    assert host.asked.count(Disable()) == 1
-    assert len(host.asked) <= LARGEST_BACKLOG + COMMANDS_HELD + 3
+    assert bench.host.asked == [Disable()] * MORE
+
+
+def test_log_lines_beyond_their_ration_are_counted() -> None:
+    now_s = [0.0]
+    ration = LogRation(lambda: now_s[0], lines=3, interval_s=10.0)
+    assert [ration.take() for _ in range(8)] == [0, 0, 0, None, None, None, None, None]
+    now_s[0] = 10.0
+    assert [ration.take() for _ in range(2)] == [5, 0]
+
+
+async def until_asked(bench: Bench, wanted: object) -> None:
+    async with asyncio.timeout(PATIENCE_S):
+        while wanted not in bench.host.asked:  # noqa: ASYNC110 - the host has no event
+            await asyncio.sleep(0.01)
 
 
 def setpoints(name: str) -> list[str]:
-    """A line for each command; the last of them is told apart by its value."""
-    lines = [json.dumps({"id": f"{name}{number}", "value": 1.0}) for number in range(HALF)]
-    if name == "b":
-        lines.append(json.dumps({"id": "last", "value": 2.0}))
-    return lines
+    return [json.dumps({"id": f"{name}{number}", "value": 1.0}) for number in range(MORE)]
+
+
+def last() -> str:
+    return json.dumps({"id": "last", "value": 2.0})

@@ -71,7 +71,8 @@ async def test_a_command_acts_and_is_answered(
     bench: Bench, verb: str, value: object, request_: Request
 ) -> None:
     reply = await ask(bench, verb, json.dumps({"id": "a", "value": value}))
-    assert reply == {"id": "a", "verb": verb, "accepted": True, "reason": "", "state": "standby"}
+    state = "running" if verb == "enable" else "standby"
+    assert reply == {"id": "a", "verb": verb, "accepted": True, "reason": "", "state": state}
     assert bench.host.asked == [request_]
 
 
@@ -193,7 +194,6 @@ async def test_a_repeat_acts_once_and_hears_the_first_reply(bench: Bench) -> Non
     for verb, payload in [
         ("setpoint", '{"id": "a", "value": 1}'),
         ("setpoint", '{"id": "a", "value": 2}'),
-        ("pole", '{"id": "a", "value": 0.9}'),
     ]:
         assert await ask(bench, verb, payload) == first
     assert bench.host.asked == [SetSetpoint(1.0)]
@@ -220,7 +220,7 @@ async def test_the_state_is_retained_and_follows_every_change(bench: Bench) -> N
         second = (await ear.on(bench.topic("state"))).content
     assert list(second) == [
         *("state", "mode", "controller", "reason", "enabled", "setpoint"),
-        *("waveform", "pole", "trip", "clock", "time"),
+        *("waveform", "pole", "trip", "shutting_down", "clock", "time"),
     ]
     assert second["waveform"] == SQUARE
     assert second["setpoint"] is None

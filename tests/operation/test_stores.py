@@ -16,6 +16,7 @@ from adaptdrive.operation.journal import Journal
 from adaptdrive.operation.memory import LIFETIME_S, ReplyMemory
 from adaptdrive.operation.messages import Reply
 from adaptdrive.operation.outbox import Outbox
+from adaptdrive.operation.pace import LogRation
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Request
 
@@ -161,16 +162,24 @@ class DyingHost:
     async def execute(self, request: Request) -> State:
         raise SystemError("power failure")
 
+    def stop(self) -> State:
+        return State.STANDBY
+
+
+def dying_desk(memory: ReplyMemory, time: Time) -> Desk:
+    ration = LogRation(lambda: time.running_s)
+    return Desk(DyingHost(), memory, lambda: None, lambda: time.wall, ration)
+
 
 async def test_a_command_cut_short_by_a_crash_does_not_act_a_second_time(path: Path) -> None:
     time = Time()
     async with remembering(path, time) as memory:
-        desk = Desk(DyingHost(), memory, lambda: None, lambda: time.wall)
+        desk = dying_desk(memory, time)
         with pytest.raises(SystemError):
-            await desk.answer("enable", b'{"id": "a"}', retained=False)
+            await desk.answer(desk.receive("enable", b'{"id": "a"}', retained=False))
     async with remembering(path, time) as memory:
-        desk = Desk(DyingHost(), memory, lambda: None, lambda: time.wall)
-        reply = await desk.answer("enable", b'{"id": "a"}', retained=False)
+        desk = dying_desk(memory, time)
+        reply = await desk.answer(desk.receive("enable", b'{"id": "a"}', retained=False))
     assert reply is not None
     assert not reply.accepted
     assert reply.reason == INTERRUPTED

@@ -274,6 +274,38 @@ async def test_disabling_makes_the_drive_safe_at_once() -> None:
         assert bench.sent[-1] == SAFE_COMMAND
 
 
+async def test_a_stop_acts_in_every_state() -> None:
+    async with daemon_bench() as bench:
+        bench.daemon.stop()
+        assert bench.sent[-1] == SAFE_COMMAND
+        await bench.start()
+        bench.daemon.stop()
+        assert bench.sent[-1] == SAFE_COMMAND
+        assert bench.states[-1].state is not State.RUNNING
+
+
+async def test_a_flood_of_stops_does_not_fill_the_bus() -> None:
+    async with daemon_bench() as bench:
+        sent, began_s = len(bench.sent), time.monotonic()
+        for _ in range(1000):
+            bench.daemon.stop()
+        lasted_s = time.monotonic() - began_s
+        assert 1 <= len(bench.sent) - sent <= 1 + lasted_s / 0.004
+
+
+async def test_a_daemon_that_shuts_down_only_stops() -> None:
+    async with daemon_bench() as bench:
+        await bench.start()
+        bench.stop.set()
+        await until(lambda: bench.states[-1].shutting_down)
+        bench.frames(3)
+        with pytest.raises(RefusedError, match="shutting down"):
+            await bench.daemon.execute(Enable())
+        bench.daemon.stop()
+        await bench.task
+        assert bench.sent[-1] == SAFE_COMMAND
+
+
 async def test_a_trip_is_an_alarm_and_stays_until_reset() -> None:
     async with daemon_bench() as bench:
         await bench.start()

@@ -15,14 +15,20 @@ T = TypeVar("T")
 
 
 class Mailbox(Generic[T]):
-    """A bounded queue between two tasks; the oldest goes when it is full."""
+    """A bounded queue between two tasks; the oldest goes when it is full.
+
+    Attributes:
+        dropped: Items that went because the queue was full.
+    """
 
     def __init__(self, size: int) -> None:
+        self.dropped = 0
         self._items: deque[T] = deque(maxlen=size)
         self._filled = asyncio.Event()
 
     def put(self, item: T) -> None:
         """Leave an item."""
+        self.dropped += len(self._items) == self._items.maxlen
         self._items.append(item)
         self._filled.set()
 

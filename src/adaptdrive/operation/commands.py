@@ -32,6 +32,7 @@ from adaptdrive.runtime.requests import (
 LONGEST_PAYLOAD = 8192
 LONGEST_ID = 128
 
+_SURROGATE = re.compile("[\ud800-\udfff]")
 _ID = re.compile(r'"id"\s*:\s*("(?:[^"\\\x00-\x1f]|\\.)*")')
 
 
@@ -78,6 +79,8 @@ _FORMS: dict[str, type[_Form]] = {
 _PLAIN: dict[str, Request] = {"enable": Enable(), "disable": Disable(), "reset": Reset()}
 
 VERBS = tuple(_FORMS)
+STOP = "disable"
+"""The verb that is carried out at its arrival, whatever its payload says."""
 
 
 class Payload:
@@ -150,7 +153,7 @@ def _can_be_sent(found: str | int) -> bool:
     """False for what a JSON text cannot carry back: lone surrogates, numbers beyond 64 bit."""
     if isinstance(found, int):
         return -(2**63) <= found < 2**63
-    return found.isprintable()
+    return not _SURROGATE.search(found)
 
 
 def _request(verb: str, form: _Form) -> Request:

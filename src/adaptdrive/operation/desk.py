@@ -1,9 +1,15 @@
-"""Where commands are answered: refuse, repeat, or carry out, and always remember."""
+"""Where commands are answered: refuse, repeat, or carry out, and always remember.
+
+`disable` is carried out as it arrives, before its payload, the queue of commands or the journal is
+looked at. Every other command that arrived before it and still waits is refused: an `enable` that
+waits for a slow disk must not undo the stop that came after it.
+"""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import datetime
 
 import structlog
@@ -11,18 +17,45 @@ from msgspec.structs import replace
 
 from adaptdrive.errors import AdaptdriveError, RefusedError
 from adaptdrive.operation.clock import WallClock
-from adaptdrive.operation.commands import LONGEST_ID, Payload
+from adaptdrive.operation.commands import LONGEST_ID, STOP, Payload
 from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.messages import Reply
+from adaptdrive.operation.pace import LogRation
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Host, Request
 
 INTERRUPTED = "the daemon stopped while it carried this out; it may or may not have taken effect"
+OVERTAKEN = "a disable arrived after this command and before it was carried out"
+RETAINED = "retained commands are not carried out; publish without retain"
 LONGEST_REASON = 500
 
 
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A command as it arrived.
+
+    Attributes:
+        verb: Last part of the topic.
+        raw: Payload as it came.
+        retained: Whether the broker says that it was published as a retained message.
+        stops: Stops carried out until it arrived, its own included.
+        stopped: State after the stop that it asked for; None for every verb but `disable`.
+    """
+
+    verb: str
+    raw: bytes
+    retained: bool
+    stops: int
+    stopped: State | None
+
+    @property
+    def remains_on_broker(self) -> bool:
+        """Whether the broker keeps it; a retained message without a payload is a deletion."""
+        return self.retained and bool(self.raw)
+
+
 class Desk:
-    """Answers commands, one after another."""
+    """Answers commands, one after another, but stops at once."""
 
     def __init__(
         self,
@@ -30,55 +63,145 @@ class Desk:
         memory: ReplyMemory,
         present_state: Callable[[], State | None],
         wall: WallClock,
+        ration: LogRation,
     ) -> None:
         self._host = host
         self._memory = memory
         self._present_state = present_state
         self._wall = wall
+        self._ration = ration
+        self._tasks = asyncio.TaskGroup()
         self._turn = asyncio.Lock()
+        self._stops = 0
         self._log = structlog.get_logger()
 
-    async def answer(self, verb: str, raw: bytes, retained: bool) -> Reply | None:
-        """Carry out a command unless a rule forbids it.
+    async def run(self) -> None:
+        """Own the commands under way until cancelled: a lost broker leaves none half done."""
+        async with asyncio.TaskGroup() as self._tasks:
+            await asyncio.Event().wait()
 
-        Args:
-            verb: Last part of the topic.
-            raw: Payload as it came.
-            retained: Whether the broker says that it was published as a retained message.
+    async def ask(self, command: Command) -> Reply | None:
+        """Answer a command in a task that outlives its caller."""
+        return await asyncio.shield(self._tasks.create_task(self.answer(command)))
+
+    def receive(self, verb: str, raw: bytes, *, retained: bool) -> Command:
+        """Take a command as it arrives; `disable` is carried out here, whatever its payload."""
+        stopped = None
+        if verb == STOP:
+            stopped = self._host.stop()
+            self._stops += 1
+        return Command(verb, raw, retained, self._stops, stopped)
+
+    async def answer(self, command: Command) -> Reply | None:
+        """Carry out a command unless a rule forbids it.
 
         Returns:
             The reply, None where no id can be read to reply to.
         """
-        payload = Payload(raw)
+        payload = Payload(command.raw)
         if payload.id is None:
-            self._log.debug("command without a readable id", verb=verb, size=len(raw))
+            self._log_unreadable(command)
             return None
-        async with self._turn:
-            if not _memorable(payload.id):
-                return await self._decide(verb, payload, retained)
-            known = self._memory.recall(str(payload.id))
-            return known or await self._decide_and_keep(verb, payload, retained)
-
-    async def _decide_and_keep(self, verb: str, payload: Payload, retained: bool) -> Reply:
-        reply = await self._decide(verb, payload, retained)
-        await self._memory.keep(str(payload.id), reply)
-        self._log.info("command", id=reply.id, verb=verb, refused=reply.reason or None)
+        if command.stopped is not None:
+            reply = self._confirm(command, payload, command.stopped)
+        else:
+            async with self._turn:
+                reply = self._repeated(command, payload) or await self._decide(command, payload)
+        self._log_reply(reply)
         return reply
 
-    async def _decide(self, verb: str, payload: Payload, retained: bool) -> Reply:
-        reply = Reply(id=payload.id or "", verb=verb, accepted=False, reason="", state=None)
-        try:
-            _refuse_retained(retained=retained)
-            request, expires = payload.request(verb)
-            self._refuse_expired(expires)
-            state = await self._carry_out(request, replace(reply, reason=INTERRUPTED))
-        except AdaptdriveError as problem:
-            return replace(reply, reason=_clean(str(problem)), state=self._present_state())
-        return replace(reply, accepted=True, state=state)
+    def refuse(self, command: Command, reason: str) -> Reply | None:
+        """Refuse a command without looking further than its id.
 
-    async def _carry_out(self, request: Request, doubt: Reply) -> State:
+        Returns:
+            The reply, None where no id can be read to reply to.
+        """
+        payload = Payload(command.raw)
+        if payload.id is None:
+            self._log_unreadable(command)
+            return None
+        return replace(_refusal(command, payload), reason=reason, state=self._present_state())
+
+    def _confirm(self, command: Command, payload: Payload, state: State) -> Reply:
+        """Return the reply to a stop; it is accepted whatever is wrong with its payload."""
+        flaw = self._flaw(command, payload)
+        reason = _clean(f"carried out, although: {flaw}") if flaw else ""
+        reply = replace(_refusal(command, payload), accepted=True, reason=reason, state=state)
+        if _memorable(payload.id) and self._other_verb(command, payload) is None:
+            self._memory.note(str(payload.id), reply)
+        return reply
+
+    def _flaw(self, command: Command, payload: Payload) -> str:
+        if command.retained:
+            return "it is retained; publish without retain"
+        try:
+            self._read(command, payload)
+        except AdaptdriveError as problem:
+            return str(problem)
+        return self._other_verb(command, payload) or ""
+
+    def _log_unreadable(self, command: Command) -> None:
+        if (withheld := self._ration.take()) is not None:
+            self._log.warning(
+                "command without a readable id",
+                verb=_clean(command.verb),
+                size=len(command.raw),
+                carried_out=command.stopped is not None,
+                withheld_lines=withheld,
+            )
+
+    def _log_reply(self, reply: Reply) -> None:
+        if (withheld := self._ration.take()) is not None:
+            self._log.info(
+                "command",
+                id=reply.id,
+                verb=_clean(reply.verb),
+                accepted=reply.accepted,
+                reason=reply.reason or None,
+                withheld_lines=withheld,
+            )
+
+    def _repeated(self, command: Command, payload: Payload) -> Reply | None:
+        """Return the reply to a command whose id is known, None for a new one."""
+        known = self._memory.recall(str(payload.id)) if _memorable(payload.id) else None
+        flaw = self._other_verb(command, payload)
+        if known is None or flaw is None:
+            return known
+        return replace(_refusal(command, payload), reason=flaw, state=self._present_state())
+
+    def _other_verb(self, command: Command, payload: Payload) -> str | None:
+        known = self._memory.recall(str(payload.id)) if _memorable(payload.id) else None
+        if known is None or known.verb == command.verb:
+            return None
+        return _clean(
+            f"id {payload.id!r} was used by {known.verb!r}; give each command an id of its own"
+        )
+
+    async def _decide(self, command: Command, payload: Payload) -> Reply:
+        reply = _refusal(command, payload)
+        try:
+            request = self._read(command, payload)
+            state = await self._carry_out(request, command, replace(reply, reason=INTERRUPTED))
+        except AdaptdriveError as problem:
+            reply = replace(reply, reason=_clean(str(problem)), state=self._present_state())
+        else:
+            reply = replace(reply, accepted=True, state=state)
+        if _memorable(payload.id):
+            await self._memory.keep(str(payload.id), reply)
+        return reply
+
+    def _read(self, command: Command, payload: Payload) -> Request:
+        if command.retained:
+            raise RefusedError(RETAINED)
+        request, expires = payload.request(command.verb)
+        self._refuse_expired(expires)
+        return request
+
+    async def _carry_out(self, request: Request, command: Command, doubt: Reply) -> State:
         # Written first: a daemon that dies in between must not act a second time on a repeat.
         await self._memory.keep(str(doubt.id), doubt)
+        if command.stops != self._stops:
+            raise RefusedError(OVERTAKEN)
         return await self._host.execute(request)
 
     def _refuse_expired(self, expires: datetime | None) -> None:
@@ -89,16 +212,15 @@ class Desk:
             )
 
 
-def _memorable(identity: str | int) -> bool:
+def _refusal(command: Command, payload: Payload) -> Reply:
+    return Reply(id=payload.id or "", verb=command.verb, accepted=False, reason="", state=None)
+
+
+def _memorable(identity: str | int | None) -> bool:
     return isinstance(identity, str) and 1 <= len(identity) <= LONGEST_ID
 
 
-def _refuse_retained(*, retained: bool) -> None:
-    if retained:
-        raise RefusedError("retained commands are not carried out; publish without retain")
-
-
 def _clean(reason: str) -> str:
-    """One line that any terminal and any JSON reader takes."""
+    """Return one line that any terminal and any JSON reader takes."""
     shown = "".join(letter if letter.isprintable() else "?" for letter in reason)
     return shown[:LONGEST_REASON]

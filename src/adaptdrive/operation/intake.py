@@ -24,6 +24,7 @@ from adaptdrive.runtime.reports import (
     Event,
     LoadReport,
     Report,
+    Severity,
     StateReport,
     TickReport,
 )
@@ -48,6 +49,7 @@ class Intake:
         self.load: Mailbox[dict[str, Any]] = Mailbox(LOAD_MESSAGES_HELD)
         self.drive: Mailbox[DriveMessage] = Mailbox(1)
         self._wall = wall
+        self._hub = hub
         self._reports = hub.subscribe(
             StateReport, LoadReport, DriveReport, Event, size=REPORTS_HELD
         )
@@ -57,6 +59,10 @@ class Intake:
         while True:
             for report in await self._reports.take():
                 self._lay_out(report)
+
+    def report(self, kind: str, severity: Severity, detail: str) -> None:
+        """Publish an event of the operators' side to the log, the recording and the broker."""
+        self._hub.publish(Event(kind, severity, detail, -1))
 
     def catch_up(self) -> None:
         """Take what has arrived, without waiting for more."""

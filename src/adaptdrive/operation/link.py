@@ -18,12 +18,10 @@ from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.clock import Monotonic
 from adaptdrive.operation.pace import Backoff
 from adaptdrive.operation.steady import SteadyClient
-from adaptdrive.operation.waiting import NewestMessages
 
 TIMEOUT_S = 5.0
 GOODBYE_S = 1.0
 KEEP_ALIVE_S = 15
-LARGEST_BACKLOG = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,8 +157,6 @@ async def _client(
         protocol=protocol,
         timeout=TIMEOUT_S,
         keepalive=KEEP_ALIVE_S,
-        queue_type=NewestMessages,
-        max_queued_incoming_messages=LARGEST_BACKLOG,
     )
 
 

@@ -57,13 +57,17 @@ class ReplyMemory:
 
     async def keep(self, identity: str, reply: Reply) -> None:
         """Remember the reply to a command; returns when it is on disk, or the disk too slow."""
+        self.note(identity, reply)
+        await self._journal.written(PATIENCE_S)
+
+    def note(self, identity: str, reply: Reply) -> None:
+        """Remember the reply to a command; returns at once, the disk follows."""
         self._entries[identity] = _Entry(reply, self._monotonic())
         self._journal.post(
             "INSERT OR REPLACE INTO reply VALUES (?, ?, ?)",
             (identity, self._wall().timestamp(), encode(reply)),
         )
         self._forget()
-        await self._journal.written(PATIENCE_S)
 
     def _forget(self) -> None:
         oldest_s = self._monotonic() - LIFETIME_S

@@ -43,6 +43,7 @@ class StateMessage(msgspec.Struct, frozen=True):
     waveform: Waveform | None
     pole: float
     trip: str | None
+    shutting_down: bool
     clock: Synchronisation
     time: datetime
 
@@ -124,6 +125,7 @@ def state_message(report: StateReport, clock: Synchronisation, time: datetime) -
         waveform=report.waveform,
         pole=report.pole,
         trip=report.trip,
+        shutting_down=report.shutting_down,
         clock=clock,
         time=time,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -27,6 +28,39 @@ class Pace:
         """Wait for the next turn and take it."""
         await asyncio.sleep(max(0.0, self.due_s - self.monotonic()))
         self.due_s = self.monotonic() + self.interval_s
+
+
+@dataclass(slots=True)
+class LogRation:
+    """Lets so many lines into the log in each interval, and counts those that it withholds.
+
+    Attributes:
+        monotonic: Clock.
+        lines: Lines in each interval.
+        interval_s: Length of an interval.
+        began_s: When the present interval began, on that clock.
+        used: Lines written in it.
+        withheld: Lines withheld since the last one that was written.
+    """
+
+    monotonic: Monotonic
+    lines: int = 20
+    interval_s: float = 10.0
+    began_s: float = -math.inf
+    used: int = 0
+    withheld: int = 0
+
+    def take(self) -> int | None:
+        """Return how many lines were withheld before this one, None when it is withheld too."""
+        now_s = self.monotonic()
+        if now_s - self.began_s >= self.interval_s:
+            self.began_s, self.used = now_s, 0
+        if self.used >= self.lines:
+            self.withheld += 1
+            return None
+        self.used += 1
+        withheld, self.withheld = self.withheld, 0
+        return withheld
 
 
 @dataclass(slots=True)

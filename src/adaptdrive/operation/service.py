@@ -25,9 +25,9 @@ from adaptdrive.operation.intake import Intake
 from adaptdrive.operation.journal import Journal
 from adaptdrive.operation.link import Line, Link
 from adaptdrive.operation.memory import ReplyMemory
-from adaptdrive.operation.messages import OFFLINE, Reply
+from adaptdrive.operation.messages import OFFLINE
 from adaptdrive.operation.outbox import Outbox
-from adaptdrive.operation.pace import Backoff, Pace
+from adaptdrive.operation.pace import Backoff, LogRation, Pace
 from adaptdrive.operation.session import Session
 from adaptdrive.operation.topics import Topics
 from adaptdrive.runtime.hub import Hub
@@ -86,7 +86,13 @@ class MqttService:
         self._board = StateBoard(surroundings.wall)
         self._outbox = Outbox(self._journal)
         self._intake = Intake(hub, self._board, self._outbox, surroundings.wall)
-        self._desk = Desk(host, self._memory, lambda: self._board.state, surroundings.wall)
+        self._desk = Desk(
+            host,
+            self._memory,
+            lambda: self._board.state,
+            surroundings.wall,
+            LogRation(surroundings.monotonic),
+        )
         self._link = Link(
             settings,
             f"adaptdrive-{drive}",
@@ -104,7 +110,8 @@ class MqttService:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._intake.run(), name="mqtt intake")
                 tasks.create_task(self._watch_clock(), name="mqtt clock")
-                tasks.create_task(self._keep_connected(tasks), name="mqtt link")
+                tasks.create_task(self._desk.run(), name="mqtt desk")
+                tasks.create_task(self._keep_connected(), name="mqtt link")
         finally:
             await self._journal.close()
 
@@ -113,13 +120,8 @@ class MqttService:
             self._board.show_clock(self._around.synchronisation())
             await asyncio.sleep(CLOCK_CHECK_S)
 
-    async def _keep_connected(self, tasks: asyncio.TaskGroup) -> None:
-        async def ask(verb: str, raw: bytes, retained: bool) -> Reply | None:
-            # A task of the service: losing the broker must not stop a command half way.
-            answering = tasks.create_task(self._desk.answer(verb, raw, retained))
-            return await asyncio.shield(answering)
-
+    async def _keep_connected(self) -> None:
         async def serve(line: Line) -> None:
-            await Session(line, self._topics, self._intake, ask, self._pace).run()
+            await Session(line, self._topics, self._intake, self._desk, self._pace).run()
 
         await self._link.run(serve)

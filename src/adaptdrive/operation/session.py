@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
 from contextlib import suppress
 
 import structlog
@@ -11,22 +10,24 @@ from aiomqtt import Message, MqttError, ProtocolVersion
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
+from adaptdrive.operation.board import Mailbox
+from adaptdrive.operation.desk import Command, Desk
 from adaptdrive.operation.intake import Intake
 from adaptdrive.operation.link import Line
 from adaptdrive.operation.messages import OFFLINE, ONLINE, Reply, encode
 from adaptdrive.operation.pace import Pace
 from adaptdrive.operation.topics import Topics
+from adaptdrive.runtime.reports import Severity
 
-COMMANDS_HELD = 10
+COMMANDS_HELD = 100
 PAUSE_S = 0.005
 """From one answer to the next command: a flood of them must not keep a CPU busy."""
 
-TOLD_EVERY_S = 10.0
+LOGGED_EVERY_S = 10.0
 FAREWELL_S = 1.0
 LOWEST_FAILURE_CODE = 128
 
-Ask = Callable[[str, bytes, bool], Awaitable[Reply | None]]
-"""Has a command answered: verb, payload, whether it was retained."""
+SHUTTING_DOWN = "the daemon is shutting down"
 
 
 class Session:
@@ -37,18 +38,19 @@ class Session:
         line: Line,
         topics: Topics,
         intake: Intake,
-        ask: Ask,
+        desk: Desk,
         pace: Pace,
     ) -> None:
         self._client = line.client
         self._protocol = line.protocol
         self._topics = topics
         self._intake = intake
-        self._ask = ask
+        self._desk = desk
         self._pace = pace
-        self._commands: asyncio.Queue[Message] = asyncio.Queue(COMMANDS_HELD)
-        self._told = 0
-        self._told_s = -TOLD_EVERY_S
+        self._commands: Mailbox[Command] = Mailbox(COMMANDS_HELD)
+        self._stops: Mailbox[Command] = Mailbox(COMMANDS_HELD)
+        self._logged = 0
+        self._logged_s = -LOGGED_EVERY_S
 
     async def run(self) -> None:
         """Serve until the connection is lost, or until cancelled: then say so and leave.
@@ -59,8 +61,9 @@ class Session:
         try:
             await self._greet()
             async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._take_commands(), name="mqtt commands")
+                tasks.create_task(self._client.lost(), name="mqtt connection")
                 tasks.create_task(self._answer_commands(), name="mqtt replies")
+                tasks.create_task(self._answer_stops(), name="mqtt stops")
                 tasks.create_task(self._send_state(), name="mqtt state")
                 tasks.create_task(self._send_events(), name="mqtt events")
                 tasks.create_task(self._send_load(), name="mqtt telemetry/load")
@@ -71,13 +74,14 @@ class Session:
 
     async def _greet(self) -> None:
         self._intake.forget_telemetry()
+        self._client.receive_with(self._receive)
         await self._subscribe()
         await self._publish_state()
         await self._client.publish(self._topics.availability, ONLINE, qos=1, retain=True)
 
     async def _subscribe(self) -> None:
         if self._protocol is ProtocolVersion.V5:
-            options = SubscribeOptions(qos=1, retainAsPublished=True)
+            options = SubscribeOptions(qos=1, retainAsPublished=True, noLocal=True)
             granted = await self._client.subscribe(self._topics.commands, options=options)
         else:
             granted = await self._client.subscribe(self._topics.commands, qos=1)
@@ -92,30 +96,48 @@ class Session:
         if (message := self._intake.board.message) is not None:
             await self._client.publish(self._topics.state, encode(message), qos=1, retain=True)
 
-    async def _take_commands(self) -> None:
-        # Apart from the answering: this is where a lost connection shows at once.
-        async for message in self._client.messages:
-            await self._commands.put(message)
+    def _receive(self, message: Message) -> None:
+        verb = self._topics.verb(message.topic.value)
+        command = self._desk.receive(verb, bytes(message.payload), retained=message.retain)
+        (self._commands if command.stopped is None else self._stops).put(command)
 
     async def _answer_commands(self) -> None:
         while True:
-            await self._answer(await self._commands.get())
-            self._tell_dropped()
+            await self._reply(await self._desk.ask(await self._commands.take()))
+            self._log_dropped()
             await asyncio.sleep(PAUSE_S)
 
-    async def _answer(self, message: Message) -> None:
-        verb = self._topics.verb(message.topic.value)
-        reply = await self._ask(verb, bytes(message.payload), message.retain)
+    async def _answer_stops(self) -> None:
+        while True:
+            command = await self._stops.take()
+            if command.remains_on_broker:
+                await self._clear_retained_stop()
+            await self._reply(await self._desk.answer(command))
+            await asyncio.sleep(PAUSE_S)
+
+    async def _clear_retained_stop(self) -> None:
+        """Delete a stop that the broker would deliver again at each connection."""
+        await self._client.publish(self._topics.stop, b"", qos=1, retain=True)
+        self._intake.report(
+            "command",
+            Severity.WARNING,
+            f"a retained disable on {self._topics.stop} was carried out, and the broker was asked "
+            "to delete it, so that it does not stop the drive again at the next connection; "
+            "publish disable without retain",
+        )
+
+    async def _reply(self, reply: Reply | None) -> None:
         if reply is not None:
             await self._client.publish(self._topics.reply, encode(reply), qos=1)
 
-    def _tell_dropped(self) -> None:
+    def _log_dropped(self) -> None:
         """Log that commands went unread, and how many, but not each."""
-        now_s, dropped = asyncio.get_running_loop().time(), self._client.dropped
-        if dropped == self._told or now_s - self._told_s < TOLD_EVERY_S:
+        now_s = asyncio.get_running_loop().time()
+        dropped = self._commands.dropped + self._stops.dropped
+        if dropped == self._logged or now_s - self._logged_s < LOGGED_EVERY_S:
             return
-        structlog.get_logger().warning("too many commands", dropped=dropped - self._told)
-        self._told, self._told_s = dropped, now_s
+        structlog.get_logger().warning("too many commands", dropped=dropped - self._logged)
+        self._logged, self._logged_s = dropped, now_s
 
     async def _send_state(self) -> None:
         while True:
@@ -143,6 +165,25 @@ class Session:
             await self._client.publish(self._topics.drive_telemetry, encode(message))
 
     async def _take_leave(self) -> None:
+        """Say goodbye while commands are still answered: all but a stop are refused."""
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                answering = [
+                    tasks.create_task(self._refuse_commands(), name="mqtt refusals"),
+                    tasks.create_task(self._answer_stops(), name="mqtt stops"),
+                ]
+                await self._say_offline()
+                for task in answering:
+                    task.cancel()
+        except* MqttError:
+            pass
+
+    async def _refuse_commands(self) -> None:
+        while True:
+            await self._reply(self._desk.refuse(await self._commands.take(), SHUTTING_DOWN))
+            await asyncio.sleep(PAUSE_S)
+
+    async def _say_offline(self) -> None:
         """Send what is left, then `offline`; each only as long as the broker plays along."""
         self._intake.catch_up()
         with suppress(MqttError, TimeoutError):

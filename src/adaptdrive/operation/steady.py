@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable
-from typing import TypeVar
+from collections.abc import Awaitable, Callable
+from typing import Any, NoReturn, TypeVar
 
 import paho.mqtt.client as paho
-from aiomqtt import Client, MqttError
+from aiomqtt import Client, Message, MqttError
 from aiomqtt.types import PahoSocket
-
-from adaptdrive.operation.waiting import NewestMessages
 
 T = TypeVar("T")
 
@@ -22,10 +20,29 @@ class SteadyClient(Client):
     What it overrides and calls is private to aiomqtt 2.
     """
 
-    @property
-    def dropped(self) -> int:
-        """Messages that nobody read in time, and that newer ones have pushed out."""
-        return self._queue.dropped if isinstance(self._queue, NewestMessages) else 0
+    def __init__(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401 - aiomqtt's signature
+        super().__init__(*args, **kwargs)
+        self._receive: Callable[[Message], None] | None = None
+
+    def receive_with(self, receive: Callable[[Message], None]) -> None:
+        """Hand each message over as it arrives, ahead of every queue and task."""
+        self._receive = receive
+
+    async def lost(self) -> NoReturn:
+        """Wait until the connection ends.
+
+        Raises:
+            MqttError: It has ended, and why.
+        """
+        await asyncio.wait([self._disconnected])
+        problem = self._disconnected.exception()
+        raise MqttError(str(problem or "the broker closed the connection")) from problem
+
+    def _on_message(self, client: paho.Client, userdata: object, message: paho.MQTTMessage) -> None:
+        if self._receive is None:
+            super()._on_message(client, userdata, message)
+        else:
+            self._receive(Message._from_paho_message(message))  # noqa: SLF001
 
     async def release(self) -> None:
         """Close the socket of a client that was never connected, or whose broker hangs.

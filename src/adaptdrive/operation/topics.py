@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from adaptdrive.operation.commands import STOP
+
 ROOT = "adaptdrive"
 
 
@@ -55,6 +57,11 @@ class Topics:
     def command(self, verb: str) -> str:
         """The topic on which a verb is asked for."""
         return self._below(f"command/{verb}")
+
+    @property
+    def stop(self) -> str:
+        """The topic of the command that stops the drive."""
+        return self.command(STOP)
 
     def verb(self, topic: str) -> str:
         """The verb that a command topic names, known or not."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Decision, Mode, Snapshot
+from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.accounts import drive_report, state_report
 from adaptdrive.runtime.collector import IdleCollector
@@ -34,6 +35,8 @@ from adaptdrive.runtime.watchdog import ServiceManager
 
 _FAREWELLS = 3
 _FAREWELL_GAP_S = 0.005
+# A flood of stops must not fill the bus: at most one safe command in half a tick is enough.
+_STOP_GAP_S = 0.004
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +107,8 @@ class Daemon:
         self._detector: LatencyDetector | None = None
         self._timer_failure: asyncio.Future[None] | None = None
         self._decision: Decision | None = None
+        self._shutting_down = False
+        self._stopped_s = -math.inf
         self._bus_problem: str | None = None
         self._told = state_report(self._machine, None)
 
@@ -128,6 +133,7 @@ class Daemon:
                 try:
                     await self._work(stop)
                 finally:
+                    self._shutting_down = True
                     self._stop_driving()
                 serving.cancel()
         finally:
@@ -194,12 +200,27 @@ class Daemon:
         self._machine.carry_out(Disable(), self._fast.tick, float("nan"), None)
         self._fast.send_safe()
 
+    def stop(self) -> State:
+        """Bring the drive into its safe state at once, whatever it is doing.
+
+        Returns:
+            The state after it.
+        """
+        now_s = self._clock()
+        if self._machine.energised or now_s - self._stopped_s >= _STOP_GAP_S:
+            self._stop_driving()
+            self._stopped_s = now_s
+        self._publish_state()
+        return self._machine.state
+
     async def execute(self, request: Request) -> State:
         """Carry out an operator's request between two ticks.
 
         Raises:
             RefusedError: It cannot be carried out; nothing was changed.
         """
+        if self._shutting_down:
+            raise RefusedError("the daemon is shutting down")
         if isinstance(request, Reset) and not self._machine.energised:
             await self._port.reset_fault()
         fast, mode = self._fast, self._machine.mode
@@ -292,14 +313,16 @@ class Daemon:
 
     async def _shut_down(self) -> None:
         """Bring the drive to zero; more than once, because a frame can be lost."""
+        self._shutting_down = True
         self._manager.stopping()
-        await self.execute(Disable())
+        self.stop()
         for _ in range(_FAREWELLS):
             self._fast.send_safe()
             await asyncio.sleep(_FAREWELL_GAP_S)
 
     def _publish_state(self) -> None:
         report, told = state_report(self._machine, self._decision), self._told
+        report = replace(report, shutting_down=self._shutting_down)
         if report == told:
             return
         self._told = report

@@ -44,6 +44,7 @@ class StateReport:
         waveform: The running waveform, None while the set-point is constant.
         pole: Closed-loop pole asked for.
         trip: Cause of the latched trip, None when not tripped.
+        shutting_down: Whether the daemon ends and refuses every command but `disable`.
     """
 
     state: State
@@ -55,6 +56,7 @@ class StateReport:
     waveform: Waveform | None
     pole: float
     trip: str | None
+    shutting_down: bool = False
 
 
 @dataclass(frozen=True, slots=True)

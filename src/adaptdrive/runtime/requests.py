@@ -68,3 +68,12 @@ class Host(Protocol):
         Raises:
             RefusedError: The request cannot be carried out; nothing was changed.
         """
+
+    def stop(self) -> State:
+        """Bring the drive into its safe state at once, in every state and at any time.
+
+        It neither waits nor refuses.
+
+        Returns:
+            The state after it.
+        """
