@@ -240,7 +240,12 @@ async def _publish(broker: Broker, topic: str, content: bytes, *options: str) ->
         *("-t", topic, "-q", "1", *options),
         stdin=asyncio.subprocess.PIPE,
     )
-    await process.communicate(content)
+    try:
+        await process.communicate(content)
+    finally:
+        if process.returncode is None:  # cancelled meanwhile
+            process.kill()
+            await process.wait()
     assert process.returncode == 0
 
 
