@@ -46,7 +46,10 @@ PATIENT = replace(
     SETTINGS,
     report_s=0.02,
     fast=replace(
-        SETTINGS.fast, timer_standin=False, limits=replace(SETTINGS.fast.limits, stale_s=1e6)
+        SETTINGS.fast,
+        timer_standin=False,
+        drive_clocks=False,
+        limits=replace(SETTINGS.fast.limits, stale_s=1e6),
     ),
 )
 

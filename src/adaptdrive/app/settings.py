@@ -262,6 +262,7 @@ def _fast_loop(configuration: Configuration) -> FastLoopSettings:
         timer_standin=configuration.realtime.timer_standin,
         ticks_per_reading=configuration.ticks_per_reading,
         stillness=_stillness(configuration),
+        drive_clocks=configuration.drive_clocks,
     )
 
 

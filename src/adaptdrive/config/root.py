@@ -61,6 +61,12 @@ class Configuration(Section):
             return self.bus.clock_ticks
         return self.bus.poll_ticks if isinstance(self.bus, ModbusBus) else 1
 
+    @property
+    def drive_clocks(self) -> bool:
+        """Whether the drive decides when a reading comes; one that is polled does not."""
+        bus = self.bus
+        return isinstance(bus, CanBus) or (isinstance(bus, CanOpenBus) and bus.sync == "drive")
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         flaws = [

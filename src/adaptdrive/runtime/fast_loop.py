@@ -69,6 +69,7 @@ class FastLoopSettings:
         ticks_per_reading: Half cycles from one reading to the next, 1 for a drive that sends
             each. A drive that is polled has one tick for each poll.
         stillness: When the output is stuck, None for never.
+        drive_clocks: Whether the drive decides when a reading comes.
     """
 
     limits: Limits
@@ -79,6 +80,7 @@ class FastLoopSettings:
     timer_standin: bool
     ticks_per_reading: int = 1
     stillness: StillnessLimits | None = None
+    drive_clocks: bool = True
 
 
 class Surroundings(Protocol):
@@ -162,7 +164,9 @@ class FastLoop:
         return self._cause(self._surroundings.now_s())
 
     def _cause(self, now_s: float) -> str | None:
-        return self._port.complaint or find_cause(self.reading, now_s, self._settings.limits)
+        settings = self._settings
+        cause = self._port.complaint or find_cause(self.reading, now_s, settings.limits)
+        return cause or (self._half_cycles.rate.cause if settings.drive_clocks else None)
 
     @property
     def limited(self) -> int:

@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from collections import deque
 
+from adaptdrive.runtime.frame_rate import FrameRate
+
 _SLACK_TICKS = 3
 _LATE_TICKS = 0.75  # without a counter, a frame later than this is taken for the next one
 _PERIOD_TOLERANCE = 0.02
@@ -38,7 +40,7 @@ class HalfCycles:
         self._frame_tick = -1
         self._marks: deque[tuple[int, float]] = deque(maxlen=_MARKS)
         self.tick_period_s = nominal_tick_s
-        self.anchored = 0
+        self.rate = FrameRate(nominal_tick_s, stride, counted=modulus is not None)
 
     @property
     def reading_period_s(self) -> float:
@@ -58,9 +60,9 @@ class HalfCycles:
             latest_tick: Latest tick that has been run, stand-ins included.
         """
         steps = self._steps(counter, arrival_s)
+        self.rate.add(arrival_s, steps, stood_in=latest_tick > self._frame_tick)
         if steps is None:
             tick = self.following(latest_tick)
-            self.anchored += 1
             self._marks.clear()
         else:
             tick = self._frame_tick + steps

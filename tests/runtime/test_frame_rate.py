@@ -1,0 +1,161 @@
+"""A drive that sends at a wrong rate is noticed, and one that is only disturbed is not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from adaptdrive.errors import RefusedError
+from adaptdrive.runtime.half_cycles import HalfCycles
+from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.requests import Enable
+from tests.runtime.bench import FAST, TICK_S, fast_bench
+
+Frame = tuple[int | None, float]
+"""Counter and arrival."""
+
+
+def first_complaint(frames: Iterator[Frame], modulus: int | None) -> tuple[float, str] | None:
+    """Time since the first frame, and cause; as the fast loop does, with stand-in ticks."""
+    base, latest, start_s, last_s = HalfCycles(modulus, TICK_S), -1, 0.0, 0.0
+    for number, (counter, arrival_s) in enumerate(frames):
+        start_s = arrival_s if number == 0 else start_s
+        if number:  # a stand-in runs at 1.5, 2.5 … half cycles after the frame before
+            latest += max(0, int((arrival_s - last_s) / TICK_S - 0.5))
+        latest = max(latest, base.place(counter, arrival_s, latest))
+        last_s = arrival_s
+        if base.rate.cause is not None:
+            return arrival_s - start_s, base.rate.cause
+    return None
+
+
+def steady(rate_Hz: float, count: int, modulus: int | None, per_frame: int = 1) -> Iterator[Frame]:
+    for number in range(count):
+        counter = None if modulus is None else number * per_frame % modulus
+        yield counter, 100.0 + number / rate_Hz
+
+
+@pytest.mark.parametrize("modulus", [None, 16, 256, 65536])
+@pytest.mark.parametrize("rate_Hz", [20.0, 50.0, 60.0, 100.0, 150.0, 240.0, 400.0, 1000.0])
+def test_a_wrong_rate_is_named(rate_Hz: float, modulus: int | None) -> None:
+    found = first_complaint(steady(rate_Hz, 400, modulus), modulus)
+    assert found is not None
+    when_s, cause = found
+    assert when_s <= 100.0 / rate_Hz
+    measured = cause.partition("sends ")[2].partition(" readings/s")[0]
+    assert float(measured) == pytest.approx(rate_Hz, rel=0.02)
+    assert "expected 120/s" in cause
+
+
+def test_a_counter_that_runs_at_twice_the_rate_is_named() -> None:
+    found = first_complaint(steady(120.0, 400, 256, per_frame=2), 256)
+    assert found is not None
+    assert "the drive counts 240 half cycles/s, expected 120/s" in found[1]
+
+
+def test_every_second_half_cycle_is_too_seldom() -> None:
+    """The counter is right, but half of the ticks run on held values."""
+    found = first_complaint(steady(60.0, 400, 256, per_frame=2), 256)
+    assert found is not None
+    assert "the drive sends 60 readings/s" in found[1]
+
+
+@st.composite
+def honest_drives(draw: st.DrawFn, jitter_ticks: float) -> list[tuple[int, float]]:
+    """Half cycle and arrival of each frame: a line off by 2 %, jitter, bursts lost, outages."""
+    generator = np.random.default_rng(draw(st.integers(0, 2**32)))
+    tick_s = TICK_S / draw(st.floats(0.98, 1.02))
+    jitter_s = draw(st.floats(0.0, jitter_ticks)) * TICK_S
+    lost_share, longest = draw(st.floats(0.0, 0.1)), draw(st.integers(1, 30))
+    outage_at, outage = draw(st.integers(0, 2000)), draw(st.integers(0, 3000))
+    frames, half_cycle, last_s = [], draw(st.integers(0, 70_000)), 0.0
+    for number in range(1500):
+        half_cycle += 1
+        if number == outage_at:
+            half_cycle += outage
+        if generator.random() < lost_share / longest:
+            half_cycle += int(generator.integers(1, longest + 1))
+        last_s = max(last_s, half_cycle * tick_s + generator.uniform(0.0, jitter_s))
+        frames.append((half_cycle, last_s))
+    return frames
+
+
+@settings(max_examples=30)
+@given(frames=honest_drives(jitter_ticks=2.5), modulus=st.sampled_from([16, 256, 65536]))
+def test_a_disturbed_drive_of_the_right_rate_is_believed(
+    frames: list[tuple[int, float]], modulus: int
+) -> None:
+    sent = ((count % modulus, time_s) for count, time_s in frames)
+    assert first_complaint(sent, modulus) is None
+
+
+@settings(max_examples=30)
+@given(frames=honest_drives(jitter_ticks=0.7))
+def test_without_a_counter_jitter_below_a_tick_is_believed(
+    frames: list[tuple[int, float]],
+) -> None:
+    assert first_complaint(((None, time_s) for _, time_s in frames), None) is None
+
+
+@given(modulus=st.sampled_from([16, 256, 65536]), restarts=st.lists(st.integers(0, 65535)))
+def test_a_drive_that_restarts_again_and_again_is_believed(
+    modulus: int, restarts: list[int]
+) -> None:
+    def frames() -> Iterator[Frame]:
+        time_s = 1.0
+        for first in (0, *restarts):
+            time_s += 1.0
+            for number in range(90):
+                time_s += TICK_S
+                yield (first + number) % modulus, time_s
+
+    assert first_complaint(frames(), modulus) is None
+
+
+@given(stalls=st.lists(st.tuples(st.integers(1, 60), st.integers(1, 12)), max_size=60))
+def test_a_daemon_that_takes_only_the_newest_frame_believes_it(
+    stalls: list[tuple[int, int]],
+) -> None:
+    """After each stall it takes the newest frame; no stand-in could run meanwhile."""
+    base, half_cycle, latest = HalfCycles(256, TICK_S), 0, -1
+    for prompt, stalled in stalls * 3:
+        for step in (*[1] * prompt, stalled):
+            half_cycle += step
+            latest = max(latest, base.place(half_cycle % 256, half_cycle * TICK_S, latest))
+            assert base.rate.cause is None
+
+
+@pytest.mark.parametrize("rate_Hz", [50.0, 60.0, 100.0, 400.0, 1000.0])
+async def test_a_wrong_rate_refuses_enable(rate_Hz: float) -> None:
+    async with fast_bench(modulus=None) as bench:
+        for _ in range(150):
+            bench.frame(1.0 / rate_Hz)
+        expected = (
+            rf"sends {rate_Hz:g}\S* readings/s, expected 120/s: look at drive\.line_frequency_Hz"
+        )
+        with pytest.raises(RefusedError, match=expected):
+            bench.ask(Enable())
+
+
+async def test_a_rate_that_goes_wrong_later_trips() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        bench.frames(300)
+        assert bench.state() is State.RUNNING
+        for _ in range(240):
+            bench.frame(0.01)
+        assert bench.state() is State.TRIPPED
+        assert bench.machine.trip is not None
+        assert bench.machine.trip.startswith("frame rate: the drive sends ")
+
+
+async def test_a_drive_that_is_polled_sets_no_rate() -> None:
+    async with fast_bench(replace(FAST, drive_clocks=False), modulus=None) as bench:
+        for _ in range(150):
+            bench.frame(0.01)
+        assert bench.loop.cause is None
