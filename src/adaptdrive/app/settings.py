@@ -209,7 +209,6 @@ def _jacket(configuration: Configuration) -> Jacket:
         swing_min=_SWING_SHARE * reference_range,
         response_periods=_periods(configuration, supervisor.response_s),
         response_distance=supervisor.response_distance * reference_range,
-        paced=supervisor.slow_down,
     )
 
 

@@ -224,7 +224,9 @@ class Supervisor(Section):
         default=5, ge=1, description="slow periods over which one law hands over to the other"
     )
     saturated_s: NonNegativeFloat = Field(
-        default=240.0, description="longest time at a limit before the fixed gains return; 0: any"
+        default=240.0,
+        description="longest time at a limit, away from where the model rests and without coming "
+        "closer, before the fixed gains return; 0: any",
     )
     gain_slew: float = Field(
         default=1.0,
@@ -239,12 +241,9 @@ class Supervisor(Section):
     )
     response_s: NonNegativeFloat = Field(
         default=120.0,
-        description="trip when the input has been at a limit for so long and the output has "
-        "not moved; 0: never",
+        description="trip when the input has been at a limit for so long, the model says that the "
+        "output must have moved, and it has not; 0: never",
     )
     response_distance: NonNegativeFloat = Field(
         default=0.02, description="how far it must have moved, as a share of the set-point range"
-    )
-    slow_down: bool = Field(
-        default=True, description="slow the pole down while the actuator cannot follow"
     )

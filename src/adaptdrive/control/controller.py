@@ -105,7 +105,7 @@ class Controller:
             innovation=state.estimator.innovation,
             excitation=state.estimator.excitation,
             handover_step_V=state.handover_step,
-            pole=state.pole_in_force,
+            pole=snapshot.order.pole,
             fault=_UNRESPONSIVE if state.unresponsive else "",
             complete=self._load.charging is not None and is_complete(state.charge),
         )

@@ -57,7 +57,7 @@ def _redesign(
     verdict = sup.judge_load(a)
     if verdict != sup.Verdict.TRUSTED:
         return verdict
-    copy_into(gains, compensator_gains(a, b, load.order, state.pole_in_force))
+    copy_into(gains, compensator_gains(a, b, load.order, sample.pole))
     taps = len(state.inputs)
     r = [1.0, *gains[:taps]]
     verdict = sup.judge_loop(closed_loop_polynomial(a, b, r, gains[taps:]))

@@ -111,16 +111,15 @@ class Jacket:
         residual_margin: Largest innovation, over that of the nominal model.
         dwell_periods: Good estimates in a row before the first of them goes live.
         blend_periods: Slow periods over which one law hands over to the other.
-        saturated_periods: Longest time with the input at a limit.
+        saturated_periods: Longest time with the input at a limit and the output on no way to rest.
         error_limit: Error that must not last with a free input, in the unit of the output.
         swing_min: Smallest peak that counts as a swing, in the unit of the output.
-        response_periods: Longest wait at a limit for the output to move.
-        response_distance: How far it must have moved by then, in the unit of the output.
+        response_periods: Longest wait at a limit for the output to move where a model does.
+        response_distance: Movement that counts, in the unit of the output.
         gain_slew: Largest share of the way to new gains that is gone in one period.
         confirm_periods: The same after a start from estimates that an earlier run had trusted.
         confidence: Standard deviations by which the estimate may be wrong without new gains
             becoming unstable; with 0 the last trusted model is not tried either.
-        paced: Whether the pole slows down while the actuator cannot follow.
     """
 
     warm_up_periods: int
@@ -137,7 +136,6 @@ class Jacket:
     swing_min: float = math.inf
     response_periods: int = 0
     response_distance: float = 0.0
-    paced: bool = False
     confirm_periods: int = 0
     confidence: float = 0.0
     gain_slew: float = 1.0

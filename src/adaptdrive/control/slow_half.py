@@ -16,13 +16,13 @@ from adaptdrive.control.charging import taper, terminal_voltage
 from adaptdrive.control.compensator import control_law, lead_reference
 from adaptdrive.control.design import compensator_gains, discrete_model, reference_lead
 from adaptdrive.control.load import Load
-from adaptdrive.control.pace import paced_pole
 from adaptdrive.control.redesign import adapt
+from adaptdrive.control.rest import distance_from_rest, nominal_gain
 from adaptdrive.control.rls import predict
 from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.control.slow_state import SlowSample, SlowState
 from adaptdrive.control.vectors import copy_into, shift_in, total
-from adaptdrive.control.watch import Fallback, is_unresponsive, latch_fallback, watch_loop
+from adaptdrive.control.watch import Fallback, latch_fallback, watch_loop, watch_response
 
 _RETUNE = 1e-4
 _HELD_SHARE = 0.1
@@ -47,13 +47,10 @@ def slow_step(
         state.saturated = True
     _take_sample(settings, load, state, sample)
     jacket = settings.jacket
-    state.pole_in_force = sample.pole
-    if jacket.paced:
-        state.pole_in_force = paced_pole(state.pace, sample.pole, state.saturated)
     _design_fixed(settings, load, state, sample)
     adapt(settings, load, state, sample)
     reference = _governed_reference(load, state, sample)
-    _look_at_loop(jacket, state, sample, reference)
+    _look_at_loop(settings, load, state, sample, reference)
     led = lead_reference(reference, state.reference, reference_lead(settings))
     state.reference = reference
     return _act(jacket, state, sample, led)
@@ -86,12 +83,12 @@ def _design_fixed(
     settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample
 ) -> None:
     drifted = not abs(sample.period_s - state.period_s) <= _RETUNE * sample.period_s
-    if not drifted and state.pole_in_force == state.pole:
+    if not drifted and sample.pole == state.pole:
         return
     numerator, denominator = list(load.numerator), list(load.denominator)
     a, b = discrete_model(settings, load, numerator, denominator, sample.period_s)
-    copy_into(state.fixed_gains, compensator_gains(a, b, load.order, state.pole_in_force))
-    state.period_s, state.pole = sample.period_s, state.pole_in_force
+    copy_into(state.fixed_gains, compensator_gains(a, b, load.order, sample.pole))
+    state.period_s, state.pole = sample.period_s, sample.pole
 
 
 def _governed_reference(load: Load, state: SlowState, sample: SlowSample) -> float:
@@ -103,20 +100,26 @@ def _governed_reference(load: Load, state: SlowState, sample: SlowSample) -> flo
     return taper(charging, state.charge, sample.reference, terminal_V, sample.output)
 
 
-def _look_at_loop(jacket: Jacket, state: SlowState, sample: SlowSample, reference: float) -> None:
+def _look_at_loop(
+    settings: ControllerSettings,
+    load: Load,
+    state: SlowState,
+    sample: SlowSample,
+    reference: float,
+) -> None:
     """Return to the fixed controller, and stay there, when the loop is in trouble."""
-    watch, error = state.watch, reference - sample.output
-    reason = watch_loop(
-        watch,
-        jacket,
-        error,
-        sample.output,
-        state.pole_in_force,
-        sample.held_share,
-        state.saturated,
-    )
+    jacket, watch, saturated = settings.jacket, state.watch, state.saturated
+    error = reference - sample.output
+    distance = distance_from_rest(settings.learning, load, state, sample.output)
+    reason = watch_loop(watch, jacket, error, distance, sample.pole, sample.held_share, saturated)
     latch_fallback(watch, reason, sample.adaptive)
-    state.unresponsive = is_unresponsive(watch, jacket)
+    if load.charging is not None and state.inputs[0] < sample.high:
+        saturated = False  # below its own voltage a battery answers no input
+    expected = nominal_gain(load) * state.inputs[0]
+    lag_periods = load.denominator[load.order - 1] / load.denominator[load.order] / sample.period_s
+    state.unresponsive = watch_response(
+        watch, jacket, expected, lag_periods, sample.output, saturated
+    )
 
 
 def _act(jacket: Jacket, state: SlowState, sample: SlowSample, reference: float) -> float:

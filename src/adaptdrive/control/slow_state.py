@@ -11,7 +11,6 @@ from adaptdrive.control import supervisor as sup
 from adaptdrive.control.charging import ChargeState
 from adaptdrive.control.design import past_inputs
 from adaptdrive.control.load import Load, to_input
-from adaptdrive.control.pace import Pace
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.vectors import Vector
 from adaptdrive.control.watch import WatchState
@@ -47,8 +46,6 @@ class SlowState:
         saturated: Whether the last input was at a limit or could not be followed.
         blend: Share of the adaptive law in what is sent, 0 to 1.
         watch: The watch over the adaptive law.
-        pace: The pace of the loop.
-        pole_in_force: Pole of this period's designs.
         unresponsive: Whether the load has stopped to answer.
     """
 
@@ -70,7 +67,6 @@ class SlowState:
     nominal_theta: Vector
     deviations: Vector
     watch: WatchState
-    pace: Pace
     model_a: Vector
     model_b: Vector
     trusted_a: Vector
@@ -78,7 +74,6 @@ class SlowState:
     trusted_alarms: int = 0
     saturated: bool = False
     blend: float = 0.0
-    pole_in_force: float = math.nan
     unresponsive: bool = False
 
 
@@ -122,6 +117,9 @@ def new_slow_state(
     taps = past_inputs(settings, load)
     load_input = to_input(boost_voltage_V, load.input_gain, load.input_exponent)
     nominal = load.physical(list(load.numerator), list(load.denominator))
+    resting = output
+    if load.charging is not None:  # its EMF is not in the model
+        resting = load_input * load.numerator[load.order] / load.denominator[load.order]
     return SlowState(
         inputs=[load_input] * taps,
         outputs=[output] * (load.order + 1),
@@ -140,8 +138,7 @@ def new_slow_state(
         reference=output,
         nominal_theta=reg.nominal_theta(settings.learning, load, taps),
         deviations=[math.nan] * len(nominal),
-        watch=WatchState(),
-        pace=Pace(),
+        watch=WatchState(fast=resting, slow=resting),
         model_a=[1.0] + [0.0] * load.order,
         model_b=[0.0] * (taps + 1),
         trusted_a=[1.0] + [0.0] * load.order,

@@ -1,16 +1,21 @@
 """The watch over the adaptive controller: when to return to the fixed one, and stay there.
 
 Estimates can be sound and the loop still be in trouble. The watch looks at what happens: an input
-that stays at its limit, an error that stays large although the input is free, errors that swing
-with growing peaks, measurements that fail. Any of them returns to the fixed controller. The return
-is latched: only the operator, by asking for adaptive again, arms it anew.
+that stays at its limit while the output neither rests where a model puts it nor comes closer, an
+error that stays large although the input is free, errors that swing with growing peaks,
+measurements that fail. Any of them returns to the fixed controller. The return is latched: only the
+operator, by asking for adaptive again, arms it anew.
 
-The response monitor asks whether the load answers at all: an input held at its limit must move the
-output. If it does not, the sensor or the drive is broken, and no controller can help.
+The response monitor trips where a load must have moved and has not: the sensor or the drive is
+broken then, and no controller can help. Two first-order lags follow the input, one as fast and one
+as slow as the quickest and the slowest load within the supervisor's bounds. While the input is at
+its limit, a load of the smallest gain within the bounds moves at least `ratio_min` times the
+smaller of their movements.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -20,6 +25,7 @@ GROWTH = 1.1
 SWINGS = 6
 TIME_CONSTANTS = 5.0
 HELD_SHARE = 0.5
+CLOSER = 0.9  # a tenth of the way within `saturated_s`: a lag of nine times that time does it
 
 
 class Fallback(IntEnum):
@@ -39,9 +45,15 @@ class WatchState:
     Attributes:
         fallback: Latched reason, 0 for none.
         asked: Whether adaptive was asked for in the last period.
-        saturated_periods: Periods in a row with the input at a limit.
-        saturated_output: Output when that began.
-        moved: Largest distance of the output from it since.
+        stuck_periods: Periods in a row at a limit, away from rest and without coming closer.
+        stuck_distance: Distance from rest when the count began.
+        fast: Output of a load with the nominal gain and the shortest lag within bounds.
+        slow: Output of a load with the nominal gain and the longest lag within bounds.
+        limit_periods: Periods in a row with the input at a limit.
+        limit_output: Output when that began.
+        limit_fast: `fast` when that began.
+        limit_slow: `slow` when that began.
+        moved: Largest distance of the output from `limit_output` since.
         error_periods: Periods in a row with a large error and a free input.
         last_error: Error of the last period.
         peak: Largest error since it last changed its sign.
@@ -51,8 +63,14 @@ class WatchState:
 
     fallback: int = Fallback.NONE
     asked: bool = False
-    saturated_periods: int = 0
-    saturated_output: float = 0.0
+    stuck_periods: int = 0
+    stuck_distance: float = 0.0
+    fast: float = 0.0
+    slow: float = 0.0
+    limit_periods: int = 0
+    limit_output: float = 0.0
+    limit_fast: float = 0.0
+    limit_slow: float = 0.0
     moved: float = 0.0
     error_periods: int = 0
     last_error: float = 0.0
@@ -65,7 +83,7 @@ def watch_loop(
     state: WatchState,
     jacket: Jacket,
     error: float,
-    output: float,
+    rest_distance: float,
     pole: float,
     held_share: float,
     saturated: bool,
@@ -76,7 +94,7 @@ def watch_loop(
         state: Overwritten.
         jacket: Limits.
         error: r - y.
-        output: y.
+        rest_distance: How far y is from where a model rests at this input.
         pole: Closed-loop pole in force.
         held_share: Share of the period without fresh measurements.
         saturated: Whether the last input was at a limit or could not be followed.
@@ -84,12 +102,12 @@ def watch_loop(
     Returns:
         The reason to return to the fixed controller, 0 for none.
     """
-    _watch_saturation(state, output, saturated)
+    _watch_saturation(state, jacket, rest_distance, saturated)
     _watch_error(state, jacket, error, saturated)
     _watch_swings(state, jacket, error)
     if held_share > HELD_SHARE:
         return Fallback.BLIND
-    if 0 < jacket.saturated_periods < state.saturated_periods:
+    if 0 < jacket.saturated_periods < state.stuck_periods:
         return Fallback.SATURATED
     if jacket.error_limit > 0.0 and state.error_periods * (1.0 - pole) > TIME_CONSTANTS:
         return Fallback.ERROR
@@ -108,21 +126,61 @@ def latch_fallback(state: WatchState, reason: int, asked: bool) -> None:
     state.asked = asked
 
 
-def is_unresponsive(state: WatchState, jacket: Jacket) -> bool:
-    """True when the input has been at its limit for long and the output has not moved."""
-    long = 0 < jacket.response_periods < state.saturated_periods
-    return long and state.moved < jacket.response_distance
+def watch_response(
+    state: WatchState,
+    jacket: Jacket,
+    expected: float,
+    lag_periods: float,
+    output: float,
+    saturated: bool,
+) -> bool:
+    """Follow the input with both lags; True when the load must have moved and has not.
 
-
-def _watch_saturation(state: WatchState, output: float, saturated: bool) -> None:
+    Args:
+        state: Overwritten.
+        jacket: Limits and bounds.
+        expected: Where the nominal load rests at the input of the elapsed period.
+        lag_periods: Sum of its time constants, in slow periods.
+        output: y.
+        saturated: Whether that input was at a limit or could not be followed.
+    """
+    state.fast += _share(jacket.ratio_min * lag_periods) * (expected - state.fast)
+    state.slow += _share(jacket.ratio_max * lag_periods) * (expected - state.slow)
     if not saturated:
-        state.saturated_periods = 0
+        state.limit_periods = 0
+        return False
+    if state.limit_periods == 0:
+        state.limit_output, state.moved = output, 0.0
+        state.limit_fast, state.limit_slow = state.fast, state.slow
+    state.limit_periods += 1
+    state.moved = max(state.moved, abs(output - state.limit_output))
+    return _is_unresponsive(state, jacket)
+
+
+def _is_unresponsive(state: WatchState, jacket: Jacket) -> bool:
+    long = 0 < jacket.response_periods < state.limit_periods
+    if not long or state.moved >= jacket.response_distance:
+        return False
+    fast, slow = abs(state.fast - state.limit_fast), abs(state.slow - state.limit_slow)
+    return jacket.ratio_min * min(fast, slow) > jacket.response_distance
+
+
+def _share(lag_periods: float) -> float:
+    """Share of its way that a first-order lag goes in one slow period."""
+    return 1.0 - math.exp(-1.0 / lag_periods) if lag_periods > 0.0 else 1.0
+
+
+def _watch_saturation(
+    state: WatchState, jacket: Jacket, rest_distance: float, saturated: bool
+) -> None:
+    """Count the periods at a limit in which the output neither rests nor comes closer to it."""
+    if not saturated or rest_distance <= jacket.response_distance:
+        state.stuck_periods = 0
         return
-    if state.saturated_periods == 0:
-        state.saturated_output = output
-        state.moved = 0.0
-    state.saturated_periods += 1
-    state.moved = max(state.moved, abs(output - state.saturated_output))
+    if state.stuck_periods == 0 or rest_distance < CLOSER * state.stuck_distance:
+        state.stuck_periods = 0
+        state.stuck_distance = rest_distance
+    state.stuck_periods += 1
 
 
 def _watch_error(state: WatchState, jacket: Jacket, error: float, saturated: bool) -> None:

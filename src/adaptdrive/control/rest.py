@@ -1,0 +1,52 @@
+"""Where the load rests at a constant input: the nominal model's answer, and the trusted one's.
+
+A set-point at the edge of what the drive can do leaves the input at its limit for ever. That is no
+trouble while the output rests where a model puts it,
+
+    y = g (u + d)              d: the estimated offset of the input, a load torque for example
+
+and a load that is on its way there is none either.
+"""
+
+from __future__ import annotations
+
+import math
+
+from adaptdrive.control.load import Load
+from adaptdrive.control.regression import input_offset
+from adaptdrive.control.settings import Learning
+from adaptdrive.control.slow_state import SlowState
+from adaptdrive.control.vectors import total
+
+
+def distance_from_rest(learning: Learning, load: Load, state: SlowState, output: float) -> float:
+    """Return how far the output is from the nearest place where a model rests at this input.
+
+    Args:
+        learning: Scales, and whether an offset is estimated.
+        load: The nominal model.
+        state: The input in force, the last trusted model, and the estimate.
+        output: y[k].
+    """
+    offset = 0.0
+    if learning.filtered and learning.bias:
+        estimated = input_offset(state.estimator.theta, learning, load)
+        offset = estimated if math.isfinite(estimated) else 0.0
+    distance = _distance(load, nominal_gain(load), state.inputs[0], offset, output)
+    if state.supervisor.trusted:
+        gain = total(state.trusted_b) / total(state.trusted_a)
+        distance = min(distance, _distance(load, gain, state.inputs[0], offset, output))
+    return distance
+
+
+def nominal_gain(load: Load) -> float:
+    """Return the dc gain of the nominal model."""
+    return load.numerator[load.order] / load.denominator[load.order]
+
+
+def _distance(load: Load, gain: float, held: float, offset: float, output: float) -> float:
+    """Distance from g·u or from g·(u + d), the nearer; a battery takes no negative current."""
+    plain, shifted = gain * held, gain * (held + offset)
+    if load.charging is not None:
+        plain, shifted = max(0.0, plain), max(0.0, shifted)
+    return min(abs(output - plain), abs(output - shifted))
