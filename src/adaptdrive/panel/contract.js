@@ -1,0 +1,76 @@
+"use strict";
+// The MQTT contract of the daemon: topics, and payloads read with care. docs/operation.md defines it.
+
+/**
+ * @typedef {{value: number|null, std: number|null}} Estimate
+ * @typedef {{time: string, text: string, remedy?: string}} Trip
+ * @typedef {{shape: string, low: number, high: number, period_s: number}} Waveform
+ * @typedef {{
+ *   state: string, mode: string, controller: string, reason: string, enabled: boolean,
+ *   setpoint: number, waveform: Waveform|null, pole: number, trip: string|null, time: string,
+ *   since?: string, last_trip?: Trip|null, clock?: string, version?: string, features?: string[],
+ *   output?: {name: string, unit: string}, modes?: string[],
+ *   limits?: Record<string, [number|null, number|null]>
+ * }} State
+ * @typedef {{
+ *   time: string, k: number, reference: number, output: number, boost_reference_V: number,
+ *   applied_V: number, estimates: Record<string, Estimate>, accepted: boolean, controller: string,
+ *   reason: string, excitation?: number
+ * }} Load
+ * @typedef {{
+ *   time: string, output: number|null, boost_voltage_V: number|null, load_power_W: number|null,
+ *   line_voltage_V: number|null, age_s: number, ticks: number, missed: number, held: number,
+ *   lateness_us: {p50: number, p99: number, max: number}, bus: Record<string, number>,
+ *   sensors: Record<string, {up: boolean, detail: string}>
+ * }} Fast
+ * @typedef {{time: string, kind: string, severity: string, detail: string}} DriveEvent
+ * @typedef {{id: string|number, verb: string, accepted: boolean, reason: string}} Reply
+ */
+
+const Contract = (() => {
+  const ROOT = "adaptdrive";
+  const LARGEST = 1 << 20; // bytes: no payload of a drive comes near it
+  const KINDS = new Map([
+    ["availability", "availability"],
+    ["state", "state"],
+    ["telemetry/load", "load"],
+    ["telemetry/drive", "fast"],
+    ["event", "event"],
+    ["reply", "reply"],
+  ]);
+
+  const SUBSCRIPTIONS = [...KINDS.keys()].map((tail) => `${ROOT}/+/${tail}`);
+
+  /** Split a topic; null for one that is not of the contract.
+   * @param {string} topic @returns {{drive: string, kind: string} | null} */
+  function place(topic) {
+    const [root, drive, ...tail] = topic.split("/");
+    const kind = KINDS.get(tail.join("/"));
+    if (root !== ROOT || !kind || !/^[A-Za-z0-9_-]{1,64}$/.test(drive)) return null;
+    return { drive, kind };
+  }
+
+  /** Read a payload; null for what is no JSON object. @param {Uint8Array} payload */
+  function read(payload) {
+    if (payload.length > LARGEST) return null;
+    try {
+      const document = JSON.parse(new TextDecoder().decode(payload));
+      return document && typeof document === "object" && !Array.isArray(document) ? document : null;
+    } catch {
+      return null;
+    }
+  }
+
+  /** @param {string} drive @param {string} verb */
+  function command(drive, verb) {
+    return `${ROOT}/${drive}/command/${verb}`;
+  }
+
+  /** The unit of an estimate, from its name. @param {string} name */
+  function unitOf(name) {
+    const match = /_([A-Za-z]+(?:_per_[A-Za-z]+)?\d?)$/.exec(name);
+    return match ? match[1].replace("_per_", "/").replace("s2", "s²").replace("Ohm", "Ω") : "";
+  }
+
+  return { SUBSCRIPTIONS, place, read, command, unitOf };
+})();

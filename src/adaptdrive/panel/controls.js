@@ -1,0 +1,102 @@
+"use strict";
+// What can be asked of a drive. A control shows what the daemon answered and never moves by itself.
+
+const Controls = (() => {
+  const CONFIRM_S = 5;
+
+  /** Ask, and show "sent", then the answer.
+   * @param {DriveView} drive @param {HTMLElement} answer
+   * @param {string} verb @param {unknown} [value] */
+  async function ask(drive, answer, verb, value) {
+    const asked = value === undefined ? verb : `${verb} ${typeof value === "object" ? "…" : value}`;
+    Dom.mark(answer, "data-kind", "sent");
+    Dom.say(answer, `${asked}: sent`);
+    const { accepted, text } = await Link.ask(drive.name, verb, value);
+    Dom.mark(answer, "data-kind", accepted ? "accepted" : "refused");
+    Dom.say(answer, `${asked}: ${text}`);
+  }
+
+  /** A stop: one action, in any state. @param {DriveView} drive @param {HTMLElement} answer */
+  function stop(drive, answer) {
+    return Dom.make("button.stop", {
+      type: "button", title: "Stop the drive (key: s)", onclick: () => ask(drive, answer, "disable"),
+    }, "STOP");
+  }
+
+  /** A button that needs a second press, for everything that energises.
+   * @param {string} text @param {() => void} act */
+  function twice(text, act) {
+    let timer = 0;
+    const reset = () => { clearTimeout(timer); timer = 0; Dom.say(button, text); button.classList.remove("armed"); };
+    const button = Dom.make("button", { type: "button", onclick: () => {
+      if (timer) { reset(); act(); return; }
+      Dom.say(button, `${text}: press again`);
+      button.classList.add("armed");
+      timer = window.setTimeout(reset, 1000 * CONFIRM_S);
+    } }, text);
+    return button;
+  }
+
+  /** @param {string} label @param {Record<string, string>} [attributes] */
+  function field(label, attributes = {}) {
+    const input = /** @type {HTMLInputElement} */ (Dom.make("input", { type: "number", step: "any", inputmode: "decimal", ...attributes }));
+    return { input, row: Dom.make("label", {}, label, input) };
+  }
+
+  /** @param {string} text @param {() => void} act */
+  function form(text, act, /** @type {HTMLElement[]} */ ...rows) {
+    const own = Dom.make("form", { onsubmit: (event) => { event.preventDefault(); act(); } }, ...rows, Dom.make("button", { type: "submit" }, text));
+    return own;
+  }
+
+  /** All controls of a drive.
+   * @param {DriveView} drive @param {HTMLElement} answer */
+  function panel(drive, answer) {
+    const send = (/** @type {string} */ verb, /** @type {unknown} */ value) => ask(drive, answer, verb, value);
+    const unit = () => (drive.unit ? `, ${drive.unit}` : "");
+    const setpoint = field(`set-point${unit()}`);
+    const low = field(`low${unit()}`), high = field(`high${unit()}`), period = field("period, s");
+    const shape = /** @type {HTMLSelectElement} */ (Dom.make("select", { "aria-label": "shape" },
+      ...["square", "sine", "triangle"].map((name) => Dom.make("option", {}, name))));
+    const pole = field("pole, per slow period", { min: "0", max: "1" });
+    const modes = drive.state?.modes ?? ["fixed", "adaptive"];
+    const choose = modes.map((name) => Dom.make("button", { type: "button", "data-mode": name, onclick: () => send("mode", name) }, name));
+    const body = Dom.make("div.controls", {},
+      Dom.make("div.row", {}, twice("Enable", () => send("enable", undefined)), Dom.make("button", { type: "button", onclick: () => send("reset", undefined) }, "Reset trip")),
+      Dom.make("div.row", { role: "group", "aria-label": "controller" }, ...choose),
+      form("Set", () => send("setpoint", setpoint.input.valueAsNumber), setpoint.row),
+      Dom.make("details", {}, Dom.make("summary", {}, "Waveform"),
+        form("Start", () => send("waveform", { shape: shape.value, low: low.input.valueAsNumber, high: high.input.valueAsNumber, period_s: period.input.valueAsNumber }),
+          Dom.make("label", {}, "shape", shape), low.row, high.row, period.row),
+        Dom.make("button", { type: "button", onclick: () => send("waveform", "off") }, "Hold the present value")),
+      Dom.make("details", {}, Dom.make("summary", {}, "Pole"), form("Set", () => send("pole", pole.input.valueAsNumber), pole.row)),
+    );
+    const viewer = Dom.make("p.viewer", { hidden: true }, "This user may look and not command.");
+    const root = Dom.make("section.side", {}, Dom.make("h2", {}, "Operate"), viewer, body, answer);
+    Link.mayCommand(drive.name).then((may) => {
+      viewer.hidden = may;
+      body.hidden = !may;
+    });
+    return {
+      root,
+      draw() {
+        for (const button of choose) Dom.mark(button, "aria-pressed", String(button.dataset.mode === drive.state?.mode));
+        const limits = drive.state?.limits ?? {};
+        bound(setpoint.input, limits.setpoint);
+        bound(low.input, limits.setpoint);
+        bound(high.input, limits.setpoint);
+        bound(pole.input, limits.pole);
+      },
+    };
+  }
+
+  /** @param {HTMLInputElement} input @param {[number|null, number|null]} [range] */
+  function bound(input, range) {
+    if (!range) return;
+    if (range[0] != null) Dom.mark(input, "min", String(range[0]));
+    if (range[1] != null) Dom.mark(input, "max", String(range[1]));
+    Dom.mark(input, "placeholder", `${Dom.number(range[0])}…${Dom.number(range[1])}`);
+  }
+
+  return { panel, stop, ask };
+})();

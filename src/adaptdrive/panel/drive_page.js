@@ -1,0 +1,144 @@
+"use strict";
+// One drive: what is, how it came, and what can be done.
+
+const DrivePage = (() => {
+  /** @param {HTMLElement} parent @param {DriveView} drive */
+  function open(parent, drive) {
+    const answer = Dom.make("p.answer", { "aria-live": "polite" });
+    const title = Dom.make("h1", {}, drive.name);
+    const state = Dom.make("span.chip");
+    const age = Dom.make("span.age");
+    const alarm = Dom.make("div.alarm", { role: "alert", hidden: true });
+    const stop = Controls.stop(drive, answer);
+    const now = present();
+    const plotted = Dom.make("section.plots", { "aria-label": "plots" });
+    const events = Dom.make("ol.events");
+    const controls = Controls.panel(drive, answer);
+    parent.append(
+      Dom.make("header.bar", {}, Dom.make("a", { href: "#", "aria-label": "all drives" }, "‹ drives"), title, state, age, stop),
+      alarm,
+      Dom.make("div.columns", {}, now.root, plotted, controls.root),
+      Dom.make("section", {}, Dom.make("h2", {}, "Events"), events),
+    );
+    const plots = Plots.open(plotted, drive);
+    let seen = -1;
+
+    function draw() {
+      drawState(drive, state, age, alarm);
+      parent.classList.toggle("stale", !drive.live);
+      now.draw(drive);
+      controls.draw();
+      plots.draw();
+      if (seen === drive.version) return;
+      seen = drive.version;
+      events.replaceChildren(...drive.events.slice(0, 30).map(eventRow));
+    }
+
+    /** @param {KeyboardEvent} key */
+    function press(key) {
+      if (key.target instanceof HTMLInputElement || key.ctrlKey || key.metaKey || key.altKey) return;
+      if (key.key === "s") Controls.ask(drive, answer, "disable");
+    }
+    document.addEventListener("keydown", press);
+    return { draw, end() { document.removeEventListener("keydown", press); plots.end(); } };
+  }
+
+  /** @param {DriveView} drive @param {HTMLElement} chip @param {HTMLElement} age @param {HTMLElement} alarm */
+  function drawState(drive, chip, age, alarm) {
+    const state = drive.state;
+    const shown = drive.availability === "online" ? state?.state ?? "unknown" : drive.availability;
+    Dom.say(chip, shown);
+    Dom.mark(chip, "data-state", shown);
+    Dom.say(age, drive.live ? "live" : `no data: ${Dom.span(drive.ageS)}`);
+    const trip = state?.trip;
+    const last = state?.last_trip;
+    alarm.hidden = !trip;
+    if (!trip) return;
+    const remedy = last?.remedy ? Dom.make("p", {}, `What to do: ${last.remedy}`) : "";
+    alarm.replaceChildren(Dom.make("strong", {}, `Trip: ${trip}`), remedy);
+  }
+
+  /** What is now: large numbers, each with unit, limits and age. */
+  function present() {
+    const output = Dom.make("p.large");
+    const name = Dom.make("h2");
+    const bar = Dom.make("div.range", { "aria-hidden": "true" }, Dom.make("i.mark.value"), Dom.make("i.mark.wanted"));
+    const rows = Dom.make("dl.values");
+    const root = Dom.make("section.now", {}, name, output, bar, rows);
+    return { root, draw: (/** @type {DriveView} */ drive) => drawPresent(drive, { output, name, bar, rows }) };
+  }
+
+  /** @param {DriveView} drive @param {{output: HTMLElement, name: HTMLElement, bar: HTMLElement, rows: HTMLElement}} parts */
+  function drawPresent(drive, parts) {
+    const { state, fast, load } = drive;
+    const value = fast?.output ?? load?.output;
+    Dom.say(parts.name, drive.outputName);
+    Dom.say(parts.output, Dom.number(value, drive.unit));
+    drawRange(parts.bar, state?.limits?.setpoint, value, load?.reference ?? state?.setpoint);
+    const lateness = fast?.lateness_us;
+    const rows = [
+      ["reference", Dom.number(load?.reference ?? state?.setpoint, drive.unit), wave(state)],
+      ["V_c asked for", Dom.number(load?.boost_reference_V, "V"), limitText(state?.limits?.boost_V, "V")],
+      ["boost voltage", Dom.number(fast?.boost_voltage_V, "V"), limitText(state?.limits?.boost_trip_V, "V")],
+      ["load power", Dom.number(fast?.load_power_W, "W"), limitText(state?.limits?.power_W, "W")],
+      ["line", Dom.number(fast?.line_voltage_V, "V"), ""],
+      ["controller in force", state?.controller ?? "–", state?.reason || `asked for: ${state?.mode ?? "–"}`],
+      ["estimate", load ? (load.accepted ? "accepted" : "refused") : "–", load?.reason ?? ""],
+      ...Object.entries(load?.estimates ?? {}).map(([name, one]) => [name, `${Dom.number(one.value, Contract.unitOf(name))}`, one.std == null ? "uncertainty unknown" : `± ${Dom.number(2 * one.std, "", 2)} (2 σ)`]),
+      ["pole", Dom.number(state?.pole), limitText(state?.limits?.pole, "")],
+      ["lateness of a tick", lateness ? Dom.number(lateness.p99 / 1000, "ms", 2) : "–", lateness ? `99 %; longest ${Dom.number(lateness.max / 1000, "ms", 2)}` : ""],
+      ["ticks", Dom.number(fast?.ticks, "", 9), fast ? `${fast.missed} missed, ${fast.held} held` : ""],
+      ["refused frames", fast ? String(refused(fast.bus)) : "–", fast ? `of ${fast.bus.received ?? 0}` : ""],
+      ...Object.entries(fast?.sensors ?? {}).map(([name, one]) => [`sensors ${name}`, one.up ? "up" : "down", one.detail]),
+      ["clock", state?.clock ?? "–", Number.isFinite(drive.clockS) ? new Date(1000 * drive.clockS).toISOString().slice(11, 19) + " UTC" : ""],
+    ];
+    drawRows(parts.rows, rows);
+  }
+
+  /** @param {HTMLElement} list @param {string[][]} rows */
+  function drawRows(list, rows) {
+    while (list.children.length > rows.length) list.lastElementChild?.remove();
+    rows.forEach(([name, value, remark], i) => {
+      if (!list.children[i]) list.append(Dom.make("div", {}, Dom.make("dt"), Dom.make("dd"), Dom.make("small")));
+      const [dt, dd, small] = list.children[i].children;
+      Dom.say(dt, name);
+      Dom.say(dd, value);
+      Dom.say(small, remark);
+    });
+  }
+
+  /** @param {HTMLElement} bar @param {[number|null, number|null]|undefined} range
+   * @param {number|null|undefined} value @param {number|undefined} wanted */
+  function drawRange(bar, range, value, wanted) {
+    const [low, high] = range ?? [null, null];
+    bar.hidden = low == null || high == null;
+    if (low == null || high == null) return;
+    const at = (/** @type {number|null|undefined} */ x) => `${Math.min(100, Math.max(0, (100 * ((x ?? low) - low)) / (high - low)))}%`;
+    /** @type {HTMLElement} */ (bar.children[0]).style.left = at(value);
+    /** @type {HTMLElement} */ (bar.children[1]).style.left = at(wanted);
+  }
+
+  /** @param {State|null} state */
+  function wave(state) {
+    const own = state?.waveform;
+    return own ? `${own.shape} ${Dom.number(own.low)} to ${Dom.number(own.high)}, ${Dom.number(own.period_s, "s")}` : limitText(state?.limits?.setpoint, "");
+  }
+
+  /** @param {[number|null, number|null]|undefined} range @param {string} unit */
+  function limitText(range, unit) {
+    return range ? `limits ${Dom.number(range[0])}…${Dom.number(range[1], unit)}` : "";
+  }
+
+  /** @param {Record<string, number>} bus */
+  function refused(bus) {
+    const kinds = ["wrong_length", "wrong_checksum", "counter_stuck", "out_of_range", "exceptions"];
+    return kinds.reduce((sum, kind) => sum + (bus[kind] ?? 0), 0);
+  }
+
+  /** @param {DriveEvent} event */
+  function eventRow(event) {
+    return Dom.make("li", { "data-severity": event.severity }, Dom.make("time", {}, event.time.slice(11, 19)), Dom.make("b", {}, event.kind), event.detail);
+  }
+
+  return { open };
+})();

@@ -1,0 +1,141 @@
+"use strict";
+// What is known of each drive: its latest messages, how old they are, and a bounded history.
+
+const Drives = (() => {
+  const FAST_ROWS = 6000; // ten minutes at ten messages a second
+  const SLOW_ROWS = 4000; // an hour of one message a second, and some more
+  const EVENTS = 200;
+  const STALE_S = 3; // telemetry/drive comes at least once a second
+
+  class Drive {
+    /** @param {string} name */
+    constructor(name) {
+      this.name = name;
+      this.availability = "unknown";
+      /** @type {State|null} */ this.state = null;
+      /** @type {Load|null} */ this.load = null;
+      /** @type {Fast|null} */ this.fast = null;
+      /** @type {DriveEvent[]} */ this.events = [];
+      /** @type {Fast[]} */ this.fastRows = [];
+      /** @type {Load[]} */ this.slowRows = [];
+      this.heardS = -Infinity;
+      this.version = 0;
+    }
+
+    /** Seconds since a live message came. */
+    get ageS() {
+      return nowS() - this.heardS;
+    }
+
+    /** Whether what is shown may be taken for the present. */
+    get live() {
+      return this.availability === "online" && this.ageS < STALE_S;
+    }
+
+    get unit() {
+      return this.state?.output?.unit ?? "";
+    }
+
+    get outputName() {
+      return this.state?.output?.name ?? "output";
+    }
+
+    /** Time of the drive's clock, in seconds since 1970; the page has no other clock. */
+    get clockS() {
+      const newest = this.fast ?? this.load ?? this.state;
+      return newest ? timeS(newest.time) : NaN;
+    }
+
+    /** @param {string} kind @param {any} message @param {boolean} retained */
+    take(kind, message, retained) {
+      this.version += 1;
+      if (!retained) this.heardS = nowS();
+      if (kind === "state") this.state = message;
+      if (kind === "load") this._takeLoad(message);
+      if (kind === "fast") this._takeFast(message);
+      if (kind === "event") this._takeEvent(message);
+    }
+
+    /** Add rows from before the page was opened; the newest known stay. @param {Load[]} rows */
+    remember(rows) {
+      const first = this.slowRows.length ? timeS(this.slowRows[0].time) : Infinity;
+      const older = rows.filter((row) => timeS(row.time) < first);
+      this.slowRows = [...older, ...this.slowRows].slice(-SLOW_ROWS);
+      this.version += 1;
+    }
+
+    /** @param {Load} message */
+    _takeLoad(message) {
+      const last = this.slowRows[this.slowRows.length - 1];
+      this.load = message;
+      if (last && timeS(message.time) <= timeS(last.time)) return; // retained, and known
+      push(this.slowRows, message, SLOW_ROWS);
+    }
+
+    /** @param {Fast} message */
+    _takeFast(message) {
+      this.fast = message;
+      push(this.fastRows, message, FAST_ROWS);
+    }
+
+    /** @param {DriveEvent} message */
+    _takeEvent(message) {
+      this.events.unshift(message);
+      this.events.length = Math.min(this.events.length, EVENTS);
+    }
+  }
+
+  /** @template T @param {T[]} rows @param {T} row @param {number} most */
+  function push(rows, row, most) {
+    rows.push(row);
+    if (rows.length > most) rows.splice(0, rows.length - most);
+  }
+
+  function nowS() {
+    return performance.now() / 1000;
+  }
+
+  /** @param {string} text */
+  function timeS(text) {
+    return Date.parse(text) / 1000;
+  }
+
+  /** @type {Map<string, Drive>} */
+  const all = new Map();
+
+  /** Find a drive, known or not. @param {string} name */
+  function named(name) {
+    let drive = all.get(name);
+    if (!drive) {
+      drive = new Drive(name);
+      all.set(name, drive);
+    }
+    return drive;
+  }
+
+  /** Take one message of the broker.
+   * @param {string} topic @param {Uint8Array} payload @param {boolean} retained */
+  function take(topic, payload, retained) {
+    const place = Contract.place(topic);
+    if (!place) return;
+    const drive = named(place.drive);
+    if (place.kind === "availability") {
+      drive.availability = new TextDecoder().decode(payload).slice(0, 20);
+      drive.version += 1;
+      return;
+    }
+    const message = Contract.read(payload);
+    if (message && place.kind !== "reply") drive.take(place.kind, message, retained);
+  }
+
+  /** Forget that anything is live: the broker is gone. */
+  function lose() {
+    for (const drive of all.values()) {
+      drive.heardS = -Infinity;
+      drive.version += 1;
+    }
+  }
+
+  return { all, named, take, lose, timeS };
+})();
+/** @typedef {ReturnType<typeof Drives.named>} DriveView */

@@ -1,0 +1,130 @@
+"use strict";
+// The connection to the broker, with the operator's own user: what it may do, the page may do.
+
+const Link = (() => {
+  const ANSWER_S = 5;
+  const RETRY_MS = 2000;
+  const DENIED = new Set([0x80, 0x87]); // MQTT 5: unspecified error, not authorized
+
+  /** @type {any} */ let client = null;
+  /** @type {Map<string, (reply: Reply|null) => void>} */ const waiting = new Map();
+  /** @type {Set<() => void>} */ const listeners = new Set();
+  let status = "offline";
+  let problem = "";
+  /** @type {Map<string, boolean>} */ const allowed = new Map();
+
+  /** Connect and stay connected.
+   * @param {{url: string, username: string, password: string}} account
+   * @returns {Promise<void>} rejected when the broker refuses the user */
+  function open(account) {
+    close();
+    return new Promise((resolve, reject) => {
+      client = mqtt.connect(account.url, {
+        protocolVersion: 5,
+        username: account.username || undefined,
+        password: account.password || undefined,
+        clientId: `adaptdrive-panel-${crypto.getRandomValues(new Uint32Array(2)).join("-")}`,
+        clean: true,
+        reconnectPeriod: RETRY_MS,
+        connectTimeout: 5000,
+        keepalive: 15,
+        resubscribe: false,
+        queueQoSZero: false,
+      });
+      const own = client;
+      own.on("connect", () => {
+        own.subscribe(Contract.SUBSCRIPTIONS, { qos: 1 });
+        allowed.clear();
+        tell("online", "");
+        resolve();
+      });
+      own.on("message", take);
+      own.on("close", () => {
+        Drives.lose();
+        if (status !== "closed") tell("offline", problem);
+      });
+      own.on("error", (/** @type {any} */ error) => {
+        tell(status, String(error.message ?? error));
+        if (refused(error)) {
+          close();
+          reject(error);
+        }
+      });
+    });
+  }
+
+  /** @param {any} error */
+  function refused(error) {
+    return [4, 5, 0x86, 0x87].includes(error.code);
+  }
+
+  function close() {
+    status = "closed";
+    client?.end(true);
+    client = null;
+  }
+
+  /** @param {string} topic @param {Uint8Array} payload @param {{retain?: boolean}} packet */
+  function take(topic, payload, packet) {
+    const place = Contract.place(topic);
+    if (place?.kind === "reply") {
+      const reply = Contract.read(payload);
+      if (reply) waiting.get(String(reply.id))?.(reply);
+    }
+    Drives.take(topic, payload, packet.retain === true);
+  }
+
+  /** Send a command and wait for the daemon's answer.
+   * @param {string} drive @param {string} verb @param {unknown} [value]
+   * @returns {Promise<{accepted: boolean, text: string}>} what the daemon said, or that it did not */
+  function ask(drive, verb, value) {
+    const id = `panel-${crypto.getRandomValues(new Uint32Array(3)).join("-")}`;
+    const expires = verb === "disable" ? {} : { expires: new Date(clockMs(drive) + 1000 * ANSWER_S).toISOString() };
+    const payload = JSON.stringify({ id, ...(value === undefined ? {} : { value }), ...expires });
+    return new Promise((resolve) => {
+      const end = (/** @type {boolean} */ accepted, /** @type {string} */ text) => {
+        clearTimeout(timer);
+        waiting.delete(id);
+        resolve({ accepted, text });
+      };
+      const timer = setTimeout(() => end(false, `no answer within ${ANSWER_S} s`), 1000 * ANSWER_S);
+      waiting.set(id, (reply) => end(reply?.accepted === true, reply?.accepted ? "accepted" : `refused: ${reply?.reason}`));
+      if (!client?.connected) return end(false, "not sent: no broker");
+      client.publish(Contract.command(drive, verb), payload, { qos: 1 }, (/** @type {any} */ error, /** @type {any} */ packet) => {
+        const code = packet?.reasonCode ?? error?.code;
+        if (error || DENIED.has(code)) end(false, DENIED.has(code) ? "not allowed for this user" : `not sent: ${error.message}`);
+      });
+    });
+  }
+
+  /** The drive's clock now, as far as it is known. @param {string} drive */
+  function clockMs(drive) {
+    const view = Drives.named(drive);
+    return view.live && Number.isFinite(view.clockS) ? 1000 * (view.clockS + view.ageS) : Date.now();
+  }
+
+  /** Find out whether this user may command a drive, by a request that does nothing.
+   * @param {string} drive */
+  async function mayCommand(drive) {
+    const known = allowed.get(drive);
+    if (known !== undefined) return known;
+    const answer = await ask(drive, "ping");
+    const may = !answer.text.startsWith("not allowed") && !answer.text.startsWith("no answer");
+    if (client?.connected && !answer.text.startsWith("no answer")) allowed.set(drive, may);
+    return may;
+  }
+
+  /** @param {string} now @param {string} why */
+  function tell(now, why) {
+    status = now;
+    problem = why;
+    for (const listener of listeners) listener();
+  }
+
+  return {
+    open, close, ask, mayCommand,
+    /** @param {() => void} listener */ watch: (listener) => listeners.add(listener),
+    get online() { return status === "online"; },
+    get problem() { return problem; },
+  };
+})();

@@ -1,0 +1,33 @@
+"use strict";
+// The page: log in, then the site or one drive, as the address says.
+
+(() => {
+  const REDRAW_MS = 250;
+  const root = /** @type {HTMLElement} */ (document.getElementById("panel"));
+  const notice = Dom.make("div.notice", { role: "status", hidden: true });
+  const body = Dom.make("div");
+  /** @type {{draw: () => void, end: () => void} | null} */ let page = null;
+
+  function show() {
+    page?.end();
+    body.replaceChildren();
+    body.className = "";
+    const name = decodeURIComponent(location.hash.slice(1));
+    document.title = name ? `${name} · adaptdrive` : "adaptdrive";
+    page = name ? DrivePage.open(body, Drives.named(name)) : SitePage.open(body);
+    page.draw();
+  }
+
+  function draw() {
+    notice.hidden = Link.online;
+    Dom.say(notice, `The broker cannot be reached${Link.problem ? `: ${Link.problem}` : ""}. What is shown is old.`);
+    page?.draw();
+  }
+
+  Login.open(root, () => {
+    root.replaceChildren(notice, body);
+    show();
+    window.addEventListener("hashchange", show);
+    window.setInterval(draw, REDRAW_MS);
+  });
+})();
