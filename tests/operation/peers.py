@@ -96,6 +96,7 @@ class Bench:
     drive: str
     broker: Broker
     host: RememberingHost
+    service: MqttService
 
     @property
     def hub(self) -> Hub:
@@ -116,7 +117,7 @@ async def serving(
     service = MqttService(drive, settings, host, host.hub, surroundings)
     host.show(host.report)
     task = asyncio.create_task(service.run())
-    bench = Bench(drive, broker, host)
+    bench = Bench(drive, broker, host, service)
     try:
         await expect_retained(bench, "availability", "online")
         yield bench

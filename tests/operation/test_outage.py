@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.runtime.reports import Event, Severity, State
-from adaptdrive.runtime.requests import SetSetpoint
+from adaptdrive.runtime.requests import Disable, SetSetpoint
 from tests.operation.peers import (
     PATIENCE_S,
     STANDBY,
@@ -199,3 +199,54 @@ async def test_the_broker_says_offline_when_the_daemon_is_killed(
     async with serving(mosquitto, "lonely", tmp_path) as bench:
         assert await ask(bench, "setpoint", '{"id": "a", "value": 1}') == first.content
         assert bench.host.asked == []
+
+
+async def test_discarded_events_are_counted_in_an_event(
+    mortal: MortalBroker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with serving(mortal.address, "overflow", tmp_path) as bench:
+        monkeypatch.setattr(bench.service._outbox, "limit", 10)
+        mortal.kill()
+        for tick in range(25):
+            bench.hub.publish(_event(tick))
+            await asyncio.sleep(0.0)
+        await asyncio.sleep(0.1)
+        mortal.restart()
+        async with listening(mortal.address, bench.topic("event")) as ear:
+            lost = await ear.until(lambda message: message.content["kind"] == "outbox")
+    assert "15 events" in lost.content["detail"]
+
+
+@pytest.mark.parametrize("obstacle", ["fifo", "folder", "file for the folder"])
+async def test_without_a_journal_commands_are_carried_out(
+    mosquitto: Broker, tmp_path: Path, obstacle: str
+) -> None:
+    folder = tmp_path / "state"
+    if obstacle == "file for the folder":
+        folder.write_text("in the way")
+    else:
+        folder.mkdir()
+        make = os.mkfifo if obstacle == "fifo" else os.mkdir
+        make(folder / "unkept.operation.sqlite3")
+    async with (
+        listening(mosquitto, "adaptdrive/unkept/event") as ear,
+        serving(mosquitto, "unkept", folder) as bench,
+    ):
+        assert (await ask(bench, "setpoint", '{"id": "a", "value": 1}'))["accepted"]
+        assert (await ask(bench, "disable", '{"id": "b"}'))["accepted"]
+        event = await ear.until(lambda message: message.content["kind"] == "journal")
+        assert "unkept.operation.sqlite3" in event.content["detail"]
+    assert bench.host.asked == [SetSetpoint(1.0), Disable()]
+
+
+async def test_a_journal_that_never_opens_delays_no_stop(
+    mosquitto: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def never(*_: object) -> bool:
+        await asyncio.Event().wait()
+        return False
+
+    monkeypatch.setattr("adaptdrive.operation.journal.Journal.open", never)
+    async with serving(mosquitto, "disk-hangs", tmp_path) as bench:
+        assert (await ask(bench, "disable", '{"id": "b"}'))["accepted"]
+        assert (await ask(bench, "enable", '{"id": "a"}'))["accepted"]

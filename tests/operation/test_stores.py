@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
+import os
+import random
 import sqlite3
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -10,6 +14,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from structlog.testing import capture_logs
 
 from adaptdrive.operation.desk import INTERRUPTED, Desk
 from adaptdrive.operation.journal import Journal
@@ -35,6 +40,10 @@ class Time:
         self.running_s += seconds
 
 
+def wall() -> datetime:
+    return datetime(2026, 1, 1, tzinfo=UTC)
+
+
 def _reply(identity: str) -> Reply:
     return Reply(identity, "enable", accepted=True, reason="", state=State.RUNNING)
 
@@ -44,7 +53,7 @@ async def open_journal(path: Path) -> AsyncIterator[Journal]:
     journal = Journal(path)
     await journal.open()
     yield journal
-    await journal.close()
+    await journal.close(20.0)
 
 
 @asynccontextmanager
@@ -52,6 +61,7 @@ async def remembering(path: Path, time: Time, limit: int = 1000) -> AsyncIterato
     async with open_journal(path) as journal:
         memory = ReplyMemory(journal, lambda: time.wall, lambda: time.running_s, limit)
         await memory.load()
+        memory.begin()
         yield memory
 
 
@@ -97,14 +107,14 @@ async def test_setting_the_clock_makes_nobody_forget(path: Path) -> None:
 
 async def test_events_leave_in_order_and_only_when_acknowledged(path: Path) -> None:
     async with open_journal(path) as journal:
-        outbox = Outbox(journal)
+        outbox = Outbox(journal, wall)
         for number in range(3):
             outbox.append(b"%d" % number)
         sequence, body = await outbox.oldest()
         assert body == b"0"
         outbox.sent(sequence)
     async with open_journal(path) as journal:
-        outbox = Outbox(journal)
+        outbox = Outbox(journal, wall)
         await outbox.load()
         outbox.append(b"3")
         left = []
@@ -117,11 +127,13 @@ async def test_events_leave_in_order_and_only_when_acknowledged(path: Path) -> N
 
 async def test_a_full_outbox_drops_the_oldest_on_disk_too(path: Path) -> None:
     async with open_journal(path) as journal:
-        outbox = Outbox(journal, limit=5)
+        outbox = Outbox(journal, wall, limit=5)
         for number in range(12):
             outbox.append(b"%d" % number)
+            if number == 0:
+                first, _ = await outbox.oldest()
         assert outbox.dropped == 7
-        outbox.sent(1)  # acknowledged after it was dropped
+        outbox.sent(first)  # acknowledged after it was dropped
     rows = sqlite3.connect(path).execute("SELECT body FROM event ORDER BY sequence").fetchall()
     assert [body for (body,) in rows] == [b"7", b"8", b"9", b"10", b"11"]
 
@@ -154,6 +166,127 @@ async def test_a_damaged_file_is_put_aside_and_replaced(path: Path) -> None:
     async with remembering(path, Time()) as memory:
         assert memory.recall("a") == _reply("a")
     assert path.with_name(path.name + ".damaged").exists()
+
+
+def _spoil_second_page(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[4096 : 4096 + 2048] = random.Random(1).randbytes(2048)
+    path.write_bytes(content)
+
+
+def _fifo(path: Path) -> None:
+    path.parent.mkdir()
+    os.mkfifo(path)
+
+
+async def test_a_damaged_file_keeps_its_wal_beside_it(path: Path) -> None:
+    _garbage(path)
+    for suffix in ("-wal", "-shm"):
+        path.with_name(path.name + suffix).write_bytes(b"what was not merged yet")
+    async with open_journal(path):
+        pass
+    for suffix in ("", "-wal", "-shm"):
+        assert path.with_name(f"{path.name}.damaged{suffix}").exists()
+
+
+async def test_damage_below_a_sound_header_is_noticed(path: Path) -> None:
+    async with remembering(path, Time()) as memory:
+        for number in range(200):
+            memory.note(f"id-{number}", _reply(f"id-{number}"))
+    _spoil_second_page(path)
+    async with remembering(path, Time()) as memory:
+        await memory.keep("a", _reply("a"))
+    async with remembering(path, Time()) as memory:
+        assert memory.recall("a") == _reply("a")
+    assert path.with_name(path.name + ".damaged").exists()
+
+
+async def test_a_file_that_is_in_use_is_kept_and_tried_again(path: Path) -> None:
+    async with remembering(path, Time()) as memory:
+        await memory.keep("a", _reply("a"))
+    holder = sqlite3.connect(path, isolation_level=None)
+    holder.execute("PRAGMA locking_mode = EXCLUSIVE")
+    holder.execute("BEGIN EXCLUSIVE")
+    journal = Journal(path)
+    assert not await journal.open()
+    assert "locked" in journal.problem
+    holder.close()
+    assert await journal.open()
+    assert journal.problem == ""
+    assert len(await journal.rows("SELECT id FROM reply")) == 1
+    await journal.close(20.0)
+    assert not path.with_name(path.name + ".damaged").exists()
+
+
+@pytest.mark.parametrize("obstacle", [_fifo, _folder, _no_folder])
+async def test_what_is_in_the_way_is_named_and_tried_again(
+    path: Path, obstacle: Callable[[Path], None]
+) -> None:
+    obstacle(path)
+    journal = Journal(path)
+    with capture_logs() as lines:
+        for _ in range(3):
+            async with asyncio.timeout(20.0):
+                assert not await journal.open()
+            journal.post("DELETE FROM event")
+    assert journal.problem
+    assert len(lines) == 1
+    await journal.close(20.0)
+
+
+async def test_a_failing_disk_is_logged_once_and_then_caught_up(path: Path) -> None:
+    async with remembering(path, Time()) as memory:
+        await memory.keep("before", _reply("before"))
+        journal = memory._journal
+        with capture_logs() as lines:
+            journal.post("INSERT INTO nowhere VALUES (1)")
+            for number in range(50):
+                await memory.keep(f"id-{number}", _reply(f"id-{number}"))
+        assert [line["event"] for line in lines] == ["operating without a journal"]
+        assert await journal.open()
+        memory.rewrite()
+    async with remembering(path, Time()) as memory:
+        assert memory.recall("before") is not None
+        assert memory.recall("id-49") is not None
+
+
+async def test_rows_that_cannot_be_read_cost_only_themselves(path: Path) -> None:
+    async with remembering(path, Time()) as memory:
+        await memory.keep("sound", _reply("sound"))
+    with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as database:
+        for row in (
+            ("torn", 0.0, b'{"id": "torn", "ver'),
+            ("empty", None, None),
+            (b"\xff\xfe", "yesterday", b"{}"),
+            ("text", 1e308, "not json \ud7ff"),
+        ):
+            database.execute("INSERT INTO reply VALUES (?, ?, ?)", row)
+        database.execute("INSERT INTO event VALUES (1, NULL)")
+        database.execute("INSERT INTO event VALUES (2, ?)", (b"sound",))
+    async with open_journal(path) as journal:
+        memory = ReplyMemory(journal, wall, lambda: 0.0)
+        assert await memory.load() == 4
+        assert memory.recall("sound") == _reply("sound")
+        unreadable = memory.recall("empty")
+        assert unreadable is not None
+        assert not unreadable.accepted
+        outbox = Outbox(journal, wall)
+        assert await outbox.load() == 1
+        assert (await outbox.oldest())[1] == b"sound"
+
+
+async def test_events_from_before_a_late_disk_are_kept(path: Path) -> None:
+    async with open_journal(path) as journal:
+        Outbox(journal, wall).append(b"first run")
+    journal = Journal(path)
+    outbox = Outbox(journal, lambda: wall() + timedelta(seconds=1))
+    outbox.append(b"before the disk")
+    await journal.open()
+    await outbox.load()
+    outbox.rewrite()
+    await journal.close(20.0)
+    rows = sqlite3.connect(path).execute("SELECT body FROM event ORDER BY sequence").fetchall()
+    assert [body for (body,) in rows] == [b"first run", b"before the disk"]
 
 
 class DyingHost:

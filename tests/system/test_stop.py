@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 
+from tests.support import slow_disk
 from tests.system.bus_ear import BusEar
 from tests.system.conftest import MakeSite
 from tests.system.site import Site, publish, until
@@ -14,6 +18,7 @@ from tests.system.site import Site, publish, until
 GENEROUS_S = 1.0
 """Far above what is measured (docs/reliability.md): this machine is busy with other tests."""
 
+FLOOD = Path(__file__).parents[1] / "benchmarks" / "flood.py"
 STOP = "adaptdrive/motor/command/disable"
 
 
@@ -55,3 +60,23 @@ def test_a_retained_stop_acts_at_the_next_start_only_once(site: Site) -> None:
     site.start_daemon()
     site.run_drive()
     assert sum("retained" in heard.payload for heard in site.ear.on("event")) == 1
+
+
+@pytest.mark.slow
+def test_a_stop_overtakes_a_flood_and_a_slow_disk(make_site: MakeSite, tmp_path: Path) -> None:
+    environment = slow_disk(tmp_path, 3.0)
+    if environment is None:
+        pytest.skip("no C compiler")
+    site = make_site()
+    site.start_broker()
+    site.start_device("--initial-voltage", "280")
+    site.environment.update(environment)
+    site.start_daemon()
+    site.await_measurement()
+    site.run_drive()
+    flood = [sys.executable, str(FLOOD), str(site.broker_port), "20"]
+    with BusEar(site.config) as ear, subprocess.Popen(flood) as flooding:
+        time.sleep(4.0)
+        assert stopped_after_s(site, ear, json.dumps({"id": "stop"})) < GENEROUS_S
+        flooding.terminate()
+    assert until(lambda: site._reply("stop"), "a reply")["accepted"]

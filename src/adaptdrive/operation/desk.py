@@ -106,6 +106,7 @@ class Desk:
             reply = self._confirm(command, payload, command.stopped)
         else:
             async with self._turn:
+                await self._memory.ready()
                 reply = self._repeated(command, payload) or await self._decide(command, payload)
         self._log_reply(reply)
         return reply

@@ -50,6 +50,7 @@ class Intake:
         self.drive: Mailbox[DriveMessage] = Mailbox(1)
         self._wall = wall
         self._hub = hub
+        self._discarded = 0
         self._reports = hub.subscribe(
             StateReport, LoadReport, DriveReport, Event, size=REPORTS_HELD
         )
@@ -63,6 +64,18 @@ class Intake:
     def report(self, kind: str, severity: Severity, detail: str) -> None:
         """Publish an event of the operators' side to the log, the recording and the broker."""
         self._hub.publish(Event(kind, severity, detail, -1))
+
+    def report_discarded(self) -> None:
+        """Report how many events were discarded because none could be sent, if any."""
+        discarded = self.outbox.dropped + self._reports.dropped - self._discarded
+        if discarded:
+            self._discarded += discarded
+            self.report(
+                "outbox",
+                Severity.WARNING,
+                f"{discarded} events or other reports were discarded: at most {self.outbox.limit} "
+                "events wait for the broker, and the oldest go first",
+            )
 
     def catch_up(self) -> None:
         """Take what has arrived, without waiting for more."""

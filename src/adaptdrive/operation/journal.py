@@ -1,21 +1,28 @@
 """A small SQLite file that is written by a thread of its own, so that a slow disk delays nobody.
 
-What is kept here is also held in memory by its owner: the file serves restarts. A disk that
-fails is therefore logged once, and operation goes on without it.
+What is kept here is also held in memory by its owner: the file serves restarts. Statements that are
+posted while the file cannot be used are discarded; when it can be used again, its owners write all
+that they hold. A file is replaced only when SQLite says that it is damaged.
 """
 
 from __future__ import annotations
 
 import asyncio
 import sqlite3
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+import stat
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import structlog
 
-T = TypeVar("T")
+Statement = tuple[str, tuple[object, ...]]
+
+LARGEST_BACKLOG = 50_000
+"""Statements that wait for a disk that hangs: all that the owners hold, several times over."""
 
 _SCHEMA = (
     "PRAGMA journal_mode = WAL",
@@ -23,10 +30,17 @@ _SCHEMA = (
     "CREATE TABLE IF NOT EXISTS reply (id TEXT PRIMARY KEY, time_s REAL, body BLOB)",
     "CREATE TABLE IF NOT EXISTS event (sequence INTEGER PRIMARY KEY, body BLOB)",
 )
+_DAMAGED = (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT)
+_PRIMARY_CODE = 0xFF  # the low byte of an extended result code
 
 
 class Journal:
-    """One SQLite file, one thread, statements in the order in which they were posted."""
+    """One SQLite file, one thread; statements go in the order of posting, many to a transaction.
+
+    Attributes:
+        path: The file.
+        problem: Why the file cannot be used; empty while it can, and before it was opened.
+    """
 
     def __init__(self, path: Path, start_thread: Callable[[], None] = lambda: None) -> None:
         """Open nothing yet.
@@ -35,23 +49,30 @@ class Journal:
             path: The file.
             start_thread: What the thread does first.
         """
-        self._path = path
+        self.problem = ""
+        self.path = path
         self._executor = ThreadPoolExecutor(1, "journal", initializer=start_thread)
         self._database: sqlite3.Connection | None = None
+        self._pending: deque[Statement] = deque(maxlen=LARGEST_BACKLOG)
         self._log = structlog.get_logger().bind(journal=str(path))
 
-    async def open(self) -> None:
-        """Open the file, or make it; a damaged one is put aside."""
-        await asyncio.wrap_future(self._executor.submit(self._open))
+    async def open(self) -> bool:
+        """Open the file, or make it; a damaged one is put aside.
+
+        Returns:
+            Whether it was opened now; False when it is open already, or cannot be.
+        """
+        return await asyncio.wrap_future(self._executor.submit(self._open))
 
     async def rows(self, query: str) -> list[tuple[Any, ...]]:
         """All rows of a query; none where the file cannot be read."""
-        work = self._submit(lambda database: database.execute(query).fetchall())
-        return await asyncio.wrap_future(work) or []
+        return await asyncio.wrap_future(self._executor.submit(self._rows, query))
 
     def post(self, statement: str, parameters: tuple[object, ...] = ()) -> None:
         """Have a statement carried out soon, in order; returns at once."""
-        self._submit(lambda database: database.execute(statement, parameters))
+        self._pending.append((statement, parameters))
+        if len(self._pending) == 1:
+            self._executor.submit(self._write)
 
     async def written(self, patience_s: float) -> bool:
         """Wait until all that was posted so far is on disk.
@@ -62,56 +83,139 @@ class Journal:
         Returns:
             False when the wait was given up.
         """
-        work = asyncio.wrap_future(self._executor.submit(lambda: None))
+        work = asyncio.wrap_future(self._executor.submit(self._write))
         done, _ = await asyncio.wait([work], timeout=patience_s)
         return bool(done)
 
-    async def close(self) -> None:
-        """Write what was posted and close the file."""
-        await asyncio.wrap_future(self._executor.submit(self._close))
+    async def close(self, patience_s: float) -> None:
+        """Write what was posted and close the file; give up on a disk that hangs."""
+        work = asyncio.wrap_future(self._executor.submit(self._close))
+        await asyncio.wait([work], timeout=patience_s)
         self._executor.shutdown(wait=False)
 
-    def _submit(self, work: Callable[[sqlite3.Connection], T]) -> Future[T | None]:
-        return self._executor.submit(self._attempt, work)
+    def _rows(self, query: str) -> list[tuple[Any, ...]]:
+        if self._database is not None:
+            try:
+                return self._database.execute(query).fetchall()
+            except sqlite3.Error as problem:
+                self._fail(str(problem))
+        return []
 
-    def _attempt(self, work: Callable[[sqlite3.Connection], T]) -> T | None:
-        if self._database is None:
-            return None
+    def _write(self) -> None:
+        """Carry out all that waits, in one transaction."""
+        statements = list(self._taken())
+        if self._database is None or not statements:
+            return
+        if len(statements) >= LARGEST_BACKLOG:
+            self._fail("the disk is too slow: statements were discarded")
+            return
         try:
-            return work(self._database)
+            self._database.execute("BEGIN")
+            for statement, parameters in statements:
+                self._database.execute(statement, parameters)
+            self._database.execute("COMMIT")
         except sqlite3.Error as problem:
-            self._log.error("journal cannot be used", problem=str(problem))
-            return None
+            self._fail(str(problem))
 
-    def _open(self) -> None:
+    def _taken(self) -> Iterator[Statement]:
+        # Until it is empty: `post` wakes this thread for the first of those that wait only.
+        with suppress(IndexError):
+            while True:
+                yield self._pending.popleft()
+
+    def _open(self) -> bool:
+        if self._database is not None:
+            return False
         try:
             self._database = self._connect()
-        except sqlite3.DatabaseError as problem:
-            self._log.error("journal put aside", problem=str(problem))
-            self._database = self._connect_afresh()
+        except sqlite3.Error as problem:
+            self._database = self._replaced(problem)
         except OSError as problem:
-            self._log.error("operating without a journal", problem=str(problem))
+            self._report(str(problem))
+        if self._database is None:
+            return False
+        if self.problem:
+            self._log.info("journal in use")
+        self.problem = ""
+        return True
 
-    def _connect_afresh(self) -> sqlite3.Connection | None:
-        try:
-            self._path.replace(self._path.with_name(self._path.name + ".damaged"))
-            return self._connect()
-        except (OSError, sqlite3.Error) as problem:
-            self._log.error("operating without a journal", problem=str(problem))
-            return None
+    def _replaced(self, problem: sqlite3.Error) -> sqlite3.Connection | None:
+        """Start afresh beside a damaged file; keep one that merely cannot be opened now."""
+        if _is_damage(problem):
+            try:
+                return self._connect()
+            except (OSError, sqlite3.Error) as further:
+                problem = sqlite3.DatabaseError(str(further))
+        self._report(str(problem))
+        return None
+
+    def _put_aside(self, problem: sqlite3.Error) -> None:
+        self._log.error("journal put aside", problem=str(problem))
+        name = self.path.name
+        for suffix in ("-wal", "-shm", ""):
+            with suppress(OSError):
+                aside = self.path.with_name(f"{name}.damaged{suffix}")
+                self.path.with_name(name + suffix).replace(aside)
 
     def _connect(self) -> sqlite3.Connection:
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        database = sqlite3.connect(self._path, timeout=1.0, isolation_level=None)
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        _require_file(self.path)
+        database = sqlite3.connect(self.path, timeout=1.0, isolation_level=None)
+        database.text_factory = _text
         try:
             for statement in _SCHEMA:
                 database.execute(statement)
-        except sqlite3.Error:
+            _check(database)
+        except sqlite3.Error as problem:
+            if _is_damage(problem):
+                self._put_aside(problem)  # before SQLite deletes the log of what was not merged
             database.close()
             raise
         return database
 
+    def _fail(self, problem: str) -> None:
+        self._report(problem)
+        self._disconnect()
+
+    def _report(self, problem: str) -> None:
+        """Log a problem once, until it is another one or gone."""
+        if problem != self.problem:
+            self._log.error("operating without a journal", problem=problem)
+        self.problem = problem
+
     def _close(self) -> None:
+        self._write()
+        self._disconnect()
+
+    def _disconnect(self) -> None:
         if self._database is not None:
-            self._database.close()
+            with suppress(sqlite3.Error):
+                self._database.close()
             self._database = None
+
+
+class _DamageError(sqlite3.DatabaseError):
+    """SQLite's own check has found damage."""
+
+    sqlite_errorcode = sqlite3.SQLITE_CORRUPT
+
+
+def _check(database: sqlite3.Connection) -> None:
+    found = database.execute("PRAGMA quick_check(1)").fetchall()
+    if found != [("ok",)]:
+        raise _DamageError(f"damaged: {found[0][0] if found else 'no answer'}")
+
+
+def _is_damage(problem: sqlite3.Error) -> bool:
+    code = getattr(problem, "sqlite_errorcode", sqlite3.SQLITE_OK)
+    return code & _PRIMARY_CODE in _DAMAGED
+
+
+def _require_file(path: Path) -> None:
+    """Refuse a FIFO or a device, which SQLite would wait for or write into."""
+    if path.exists() and not stat.S_ISREG(path.stat().st_mode):
+        raise OSError(f"{path} is not a file")
+
+
+def _text(raw: bytes) -> str:
+    return raw.decode("utf-8", "replace")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections import OrderedDict
+from contextlib import suppress
 from dataclasses import dataclass
 
 import msgspec
@@ -14,6 +16,7 @@ from adaptdrive.operation.messages import Reply, encode
 LIMIT = 1000
 LIFETIME_S = 24 * 3600.0
 PATIENCE_S = 1.0
+UNREADABLE = "the reply to the first command with this id cannot be read any more"
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,17 +40,40 @@ class ReplyMemory:
         self._monotonic = monotonic
         self._limit = limit
         self._entries: OrderedDict[str, _Entry] = OrderedDict()
+        self._loaded = asyncio.Event()
 
-    async def load(self) -> None:
-        """Recall what an earlier run replied."""
-        now_s, wall_s = self._monotonic(), self._wall().timestamp()
-        for identity, time_s, body in await self._journal.rows(
-            "SELECT id, time_s, body FROM reply ORDER BY rowid"
-        ):
-            age_s = max(0.0, wall_s - time_s)
-            reply = msgspec.json.decode(body, type=Reply)
-            self._entries[identity] = _Entry(reply, now_s - age_s)
+    async def load(self) -> int:
+        """Recall what an earlier run replied, as older than what this one has.
+
+        Returns:
+            Rows that cannot be read; an id that still can be is refused when it comes again.
+        """
+        rows = await self._journal.rows("SELECT id, time_s, body FROM reply ORDER BY rowid")
+        replies = [(identity, time_s, _reply(identity, body)) for identity, time_s, body in rows]
+        held, self._entries = self._entries, OrderedDict()
+        for identity, time_s, reply in replies:
+            if isinstance(identity, str):
+                self._entries[identity] = self._entry(reply or _unreadable(identity), time_s)
+        self._entries.update(held)
         self._forget()
+        return sum(reply is None for _, _, reply in replies)
+
+    def rewrite(self) -> None:
+        """Write all that is remembered; the disk has missed some of it."""
+        self._journal.post("DELETE FROM reply")
+        now_s, wall_s = self._monotonic(), self._wall().timestamp()
+        for identity, entry in self._entries.items():
+            self._post(identity, wall_s - (now_s - entry.born_s), entry.reply)
+
+    def begin(self) -> None:
+        """Let commands in: what an earlier run replied is known, or cannot be."""
+        self._loaded.set()
+
+    async def ready(self) -> None:
+        """Wait until earlier replies are known; not for long, as the disk may hang."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(PATIENCE_S):
+                await self._loaded.wait()
 
     def recall(self, identity: str) -> Reply | None:
         """The first reply to a command with this id, None for a new one."""
@@ -63,11 +89,18 @@ class ReplyMemory:
     def note(self, identity: str, reply: Reply) -> None:
         """Remember the reply to a command; returns at once, the disk follows."""
         self._entries[identity] = _Entry(reply, self._monotonic())
-        self._journal.post(
-            "INSERT OR REPLACE INTO reply VALUES (?, ?, ?)",
-            (identity, self._wall().timestamp(), encode(reply)),
-        )
+        self._post(identity, self._wall().timestamp(), reply)
         self._forget()
+
+    def _post(self, identity: str, time_s: float, reply: Reply) -> None:
+        self._journal.post(
+            "INSERT OR REPLACE INTO reply VALUES (?, ?, ?)", (identity, time_s, encode(reply))
+        )
+
+    def _entry(self, reply: Reply, time_s: object) -> _Entry:
+        now_s, wall_s = self._monotonic(), self._wall().timestamp()
+        age_s = max(0.0, wall_s - time_s) if isinstance(time_s, int | float) else 0.0
+        return _Entry(reply, now_s - age_s)
 
     def _forget(self) -> None:
         oldest_s = self._monotonic() - LIFETIME_S
@@ -77,3 +110,17 @@ class ReplyMemory:
                 return
             del self._entries[identity]
             self._journal.post("DELETE FROM reply WHERE id = ?", (identity,))
+
+
+def _reply(identity: object, body: object) -> Reply | None:
+    """Return the reply in a row, None where it cannot be read."""
+    if not isinstance(identity, str) or not isinstance(body, bytes | str):
+        return None
+    try:
+        return msgspec.json.decode(body, type=Reply)
+    except (msgspec.MsgspecError, UnicodeError):
+        return None
+
+
+def _unreadable(identity: str) -> Reply:
+    return Reply(identity, "an earlier command", accepted=False, reason=UNREADABLE, state=None)

@@ -31,9 +31,13 @@ from adaptdrive.operation.pace import Backoff, LogRation, Pace
 from adaptdrive.operation.session import Session
 from adaptdrive.operation.topics import Topics
 from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.reports import Severity
 from adaptdrive.runtime.requests import Host
 
 CLOCK_CHECK_S = 10.0
+JOURNAL_RETRY_S = 10.0
+FAREWELL_S = 5.0
+"""For a disk that hangs at the end: less than a service manager waits before it kills."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +88,7 @@ class MqttService:
         self._journal = Journal(path, surroundings.start_thread)
         self._memory = ReplyMemory(self._journal, surroundings.wall, surroundings.monotonic)
         self._board = StateBoard(surroundings.wall)
-        self._outbox = Outbox(self._journal)
+        self._outbox = Outbox(self._journal, surroundings.wall)
         self._intake = Intake(hub, self._board, self._outbox, surroundings.wall)
         self._desk = Desk(
             host,
@@ -103,17 +107,45 @@ class MqttService:
 
     async def run(self) -> None:
         """Serve until cancelled, with a broker or without."""
-        await self._journal.open()
         try:
-            await self._memory.load()
-            await self._outbox.load()
             async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._keep_journal(), name="mqtt journal")
                 tasks.create_task(self._intake.run(), name="mqtt intake")
                 tasks.create_task(self._watch_clock(), name="mqtt clock")
                 tasks.create_task(self._desk.run(), name="mqtt desk")
                 tasks.create_task(self._keep_connected(), name="mqtt link")
         finally:
-            await self._journal.close()
+            await self._journal.close(FAREWELL_S)
+
+    async def _keep_journal(self) -> None:
+        """Have the journal opened, and opened again when it has failed; nothing waits for it."""
+        loaded, reported = False, ""
+        while True:
+            if await self._journal.open():
+                await self._restore(known=loaded)
+                loaded = True
+            self._memory.begin()
+            if self._journal.problem not in ("", reported):
+                self._report_journal(self._journal.problem)
+            reported = self._journal.problem
+            await asyncio.sleep(JOURNAL_RETRY_S)
+
+    async def _restore(self, *, known: bool) -> None:
+        """Recall what an earlier run left, unless it is known, and write what this one holds."""
+        if not known:
+            replies, events = await self._memory.load(), await self._outbox.load()
+            if replies or events:
+                self._report_journal(f"{replies} replies and {events} events cannot be read")
+        self._memory.rewrite()
+        self._outbox.rewrite()
+
+    def _report_journal(self, problem: str) -> None:
+        self._intake.report(
+            "journal",
+            Severity.WARNING,
+            f"{self._journal.path}: {problem}; after a restart commands with ids used before may "
+            "be carried out again, and unsent events are lost",
+        )
 
     async def _watch_clock(self) -> None:
         while True:

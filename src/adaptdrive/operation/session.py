@@ -152,6 +152,7 @@ class Session:
         sequence, body = await self._intake.outbox.oldest()
         await self._client.publish(self._topics.event, body, qos=1)
         self._intake.outbox.sent(sequence)
+        self._intake.report_discarded()
 
     async def _send_load(self) -> None:
         while True:
