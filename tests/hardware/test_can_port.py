@@ -563,3 +563,35 @@ async def test_an_error_while_opening_leaves_no_bus_open(port: CanPort, ear: Ear
     with pytest.raises(ZeroDivisionError):
         await port.run(ear, fail)
     assert not port.send(COMMAND)
+
+
+async def test_the_oldest_value_is_named_with_its_cause(
+    config: CanBus, drive: Drive, ear: Ear, clock: Clock
+) -> None:
+    port = build_port(config, clock)
+    async with running(port, ear):
+        assert "(0x100 (DriveStatus), " in port.explain_age()
+        assert "has never come: no message comes" in port.explain_age()
+        drive.send_both()
+        await ear.hears(1)
+        clock.now_s += 0.1
+        drive.send_load()
+        await ear.hears(2)
+        status = port.explain_age()
+        assert "(0x100 (DriveStatus), " in status
+        assert "is the oldest value: other messages come" in status
+        drive.put("DriveStatus", bytes(8))
+        await until(lambda: port.statistics.wrong_checksum == 1)
+        refused = "its frames come and are refused (wrong_checksum, 1 in a row)"
+        assert refused in port.explain_age()
+        assert any("wrong_checksum 1 x, last [00 00" in line for line in port.details())
+        clock.now_s += 0.1
+        drive.send_status()
+        drive.send_load()
+        await ear.hears(3)
+        clock.now_s += 0.1
+        assert "no message comes" in port.explain_age()
+
+
+async def test_without_its_bus_the_values_are_old_for_that(config: CanBus, clock: Clock) -> None:
+    assert build_port(config, clock).explain_age().endswith("the bus is lost")

@@ -117,3 +117,14 @@ def test_the_trip_names_the_output_as_the_configuration_does(example: str, text:
 def test_without_a_limit_below_a_quarter_of_the_range_is_one(example: str, lowest: float) -> None:
     limits = daemon_settings(load_configuration(EXAMPLES / f"{example}.toml")).fast.limits
     assert limits.output_min == pytest.approx(lowest)
+
+
+def test_a_stale_reading_is_explained_and_no_other() -> None:
+    def explain() -> str:
+        return "output (DriveLoad) is the oldest value"
+
+    stale = replace(GOOD, oldest_s=NOW_S - 0.051)
+    cause = find_cause(stale, NOW_S, LIMITS, explain)
+    assert cause == f"stale: measurement is 51 ms old, limit 50 ms; {explain()}"
+    assert find_cause(None, NOW_S, LIMITS, explain) == f"stale: no measurement yet; {explain()}"
+    assert find_cause(GOOD, NOW_S, LIMITS, explain) is None

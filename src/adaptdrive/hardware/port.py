@@ -121,6 +121,15 @@ class Port(Protocol):
         Called on ports that are never opened, so that the CPU's caches hold what a real one needs.
         """
 
+    def explain_age(self) -> str:
+        """Which value is the oldest, where it comes from, and the likeliest cause of its age.
+
+        Called when the values are too old to be used, never in a tick that drives.
+        """
+
+    def details(self) -> list[str]:
+        """What the bus said and was not used, in lines for people."""
+
     async def reset_fault(self) -> None:
         """Have the drive leave a fault that it keeps until told; ends in bounded time.
 

@@ -164,8 +164,8 @@ class FastLoop:
         return self._cause(self._surroundings.now_s())
 
     def _cause(self, now_s: float) -> str | None:
-        settings = self._settings
-        cause = self._port.complaint or find_cause(self.reading, now_s, settings.limits)
+        settings, port = self._settings, self._port
+        cause = port.complaint or find_cause(self.reading, now_s, settings.limits, port.explain_age)
         return cause or (self._half_cycles.rate.cause if settings.drive_clocks else None)
 
     @property

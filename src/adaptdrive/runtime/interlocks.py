@@ -7,6 +7,7 @@ Each check gives the cause of a trip in words, or None. A trip is latched by the
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from adaptdrive.hardware.port import Reading
@@ -35,21 +36,32 @@ class Limits:
     output_min: float = -math.inf
 
 
-def find_cause(reading: Reading | None, now_s: float, limits: Limits) -> str | None:
+def find_cause(
+    reading: Reading | None,
+    now_s: float,
+    limits: Limits,
+    explain_age: Callable[[], str] = str,
+) -> str | None:
     """The first reason why the drive must not be energised, None when there is none.
 
     Args:
         reading: The latest reading, None before the first.
         now_s: Monotonic time.
         limits: Trip levels.
+        explain_age: Names the oldest value and why it is old; called for a stale reading alone.
     """
     if reading is None:
-        return "stale: no measurement yet"
+        return _with_reason("stale: no measurement yet", explain_age())
     age_s = now_s - reading.oldest_s
     limit_s = limits.stale_s + reading.slack_s
     if not age_s <= limit_s:
-        return f"stale: measurement is {age_s * 1e3:.0f} ms old, limit {limit_s * 1e3:g} ms"
+        found = f"stale: measurement is {age_s * 1e3:.0f} ms old, limit {limit_s * 1e3:g} ms"
+        return _with_reason(found, explain_age())
     return _unhealthy(reading) or _exceeded(reading, limits)
+
+
+def _with_reason(found: str, reason: str) -> str:
+    return f"{found}; {reason}" if reason else found
 
 
 def _unhealthy(reading: Reading) -> str | None:

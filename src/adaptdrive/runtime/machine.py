@@ -223,7 +223,10 @@ def _precharge_cause(limits: MachineLimits, boost_voltage_V: float) -> str:
         "'bridge-and-boost'"
     )
     found = f"precharge: v_bst = {boost_voltage_V:.1f} V after {passed_s:g} s"
-    return f"{found}, needs {limits.floor_V:g} V{hint}"
+    return (
+        f"{found}, needs {limits.floor_V:g} V{hint}; else the drive refuses the commands "
+        "(checksum, counter, local instead of remote mode), or line or precharge circuit is open"
+    )
 
 
 _STAGES = {

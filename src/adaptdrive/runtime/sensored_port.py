@@ -98,6 +98,14 @@ class SensoredPort:
         """Do what a reading of the drive costs."""
         self._drive.rehearse()
 
+    def explain_age(self) -> str:
+        """Which value of the drive is the oldest; those of sensors are in the complaint."""
+        return self._drive.explain_age()
+
+    def details(self) -> list[str]:
+        """What the drive's bus said and was not used."""
+        return self._drive.details()
+
     async def reset_fault(self) -> None:
         """Have the drive leave a fault that it keeps until told."""
         await self._drive.reset_fault()

@@ -100,7 +100,9 @@ class SensorBus:
         )
 
     def _why(self) -> str:
-        return "" if self.up else f" ({self.detail})"
+        if self.up:
+            return "; its bus answers: look at the sensor, its wire and its module"
+        return f" ({self.detail})"
 
 
 def difference(values: Sequence[float]) -> float:

@@ -180,7 +180,7 @@ async def test_an_exception_is_named(tmp_path: Path, free_tcp_port: int) -> None
     async with watched("tcp", tmp_path, free_tcp_port) as one:
         one.peer.answer = exception
         await until(lambda: bool(one.ear.bus))
-        assert "exception reply 2 to function 4" in one.ear.bus[0][1]
+        assert "exception reply 2 to function 4 (illegal address), input " in one.ear.bus[0][1]
 
 
 async def test_a_half_open_connection_is_given_up_and_made_anew(

@@ -27,6 +27,7 @@ from adaptdrive.hardware.can.mapping import OTHER, DriveMapping, Status, Timing,
 from adaptdrive.hardware.can.orders import Order
 from adaptdrive.hardware.can.reader import FrameReader
 from adaptdrive.hardware.can.reconnect import serve_for_ever
+from adaptdrive.hardware.can.refusals import Refusals
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 from adaptdrive.hardware.rival import Rival
 
@@ -73,6 +74,7 @@ class CanPort:
         self._statuses = {_key(status.codec): status for status in mapping.statuses}
         self._commands = {_key(order.codec): _label(order.codec) for order in mapping.orders}
         self._rival = Rival(clock)
+        self._refusals = Refusals()
         self._sources = [source for status in mapping.statuses for source in status.sources]
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
         self._others = {
@@ -163,6 +165,37 @@ class CanPort:
         for received in self._made_up:
             self.take(received())
 
+    def explain_age(self) -> str:
+        """Which value is the oldest, where it comes from, and the likeliest cause of its age."""
+        now_s = self._clock()
+        arrivals = [
+            (due_s - slack_s, status, source)
+            for status in self._mapping.statuses
+            for source in status.sources
+            for due_s, slack_s in [self._dues.get(source.quantity, (-math.inf, 0.0))]
+        ]
+        # as in a reading: the value that is out of date first
+        oldest_s, status, source = min(arrivals, key=lambda one: one[0] + one[2].slack_s)
+        newest_s = max(arrival_s for arrival_s, _, _ in arrivals)
+        value = f"{source.quantity} ({_label(status.codec)}, {source.signal.name})"
+        found = "has never come" if oldest_s == -math.inf else "is the oldest value"
+        others_come = newest_s > oldest_s and now_s - newest_s < 0.5 * (now_s - oldest_s)
+        return f"{value} {found}: {self._explain_silence(status, others_come=others_come)}"
+
+    def _explain_silence(self, status: Status, *, others_come: bool) -> str:
+        if self._bus is None:
+            return "the bus is lost"
+        refused = self._refusals.explain(_label(status.codec))
+        if refused is not None:
+            return refused
+        if others_come:
+            return "other messages come: is this one switched on in the drive, with this id?"
+        return "no message comes: look at the drive's supply, the cable, the bit rate, the ids"
+
+    def details(self) -> list[str]:
+        """Frames that were refused, one line for each kind."""
+        return list(self._refusals.lines())
+
     async def reset_fault(self) -> None:
         """A DBC knows no way to reset a fault: the drive clears its fault word by itself."""
 
@@ -198,6 +231,7 @@ class CanPort:
             # a counter that leapt is in `counter_lost` already, with the length of its leap
             if decoded.verdict is not Verdict.COUNTER_LOST:
                 self._counts[decoded.verdict] += 1
+            self._refusals.note(_label(status.codec), decoded.verdict, bytes(frame.data))
             return
         self._keep(status, decoded.values, arrival_s)
         if status is self._clocking:
@@ -207,6 +241,8 @@ class CanPort:
 
     def _keep(self, status: Status, found: Mapping[str, float], arrival_s: float) -> None:
         values, dues = self._values, self._dues
+        if self._refusals.any:
+            self._refusals.accept(_label(status.codec))
         for source in status.sources:
             value = found.get(source.signal.name)
             if value is not None:

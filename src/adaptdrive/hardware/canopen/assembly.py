@@ -22,6 +22,11 @@ class Assembly:
         self._sampled_s: float | None = None
         self._statuses = {status.codec.name: status for status in statuses}
 
+    @property
+    def missing(self) -> list[str]:
+        """Names of the PDOs that have not come since the last SYNC."""
+        return [name for name in self._statuses if name not in self._heard]
+
     def begin(self, sampled_s: float) -> None:
         """A SYNC has passed: the drive measures now."""
         self._heard.clear()

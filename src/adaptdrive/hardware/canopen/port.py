@@ -192,6 +192,19 @@ class CanOpenPort:
     def rehearse(self) -> None:
         """Not worth it: what a PDO costs is little beside what a tick does."""
 
+    def explain_age(self) -> str:
+        """Which PDO is missing for a reading, and the likeliest cause."""
+        missing = ", ".join(self._assembly.missing)
+        refused = self._counts[Verdict.WRONG_LENGTH] + self._counts[Verdict.OUT_OF_RANGE]
+        why = f"{refused} PDOs were refused for their length or range: is the EDS the drive's own?"
+        if not refused:
+            why = "is SYNC on the bus, and the node operational?"
+        return f"no complete set of PDOs: {missing} has not come since the last SYNC: {why}"
+
+    def details(self) -> list[str]:
+        """What the node's PDOs lack."""
+        return [self.explain_age()] if self._assembly.missing else []
+
     async def reset_fault(self) -> None:
         """Have the drive leave its fault by an edge of the reset bit; ends in a second at most.
 

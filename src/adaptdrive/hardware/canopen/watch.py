@@ -105,6 +105,14 @@ class CanOpenWatch:
     def rehearse(self) -> None:
         """Who only looks has time."""
 
+    def explain_age(self) -> str:
+        """Name nothing: nothing is driven from here."""
+        return ""
+
+    def details(self) -> list[str]:
+        """An object that is refused is announced on its own."""
+        return []
+
     async def reset_fault(self) -> None:
         """Leave the drive as it is."""
 

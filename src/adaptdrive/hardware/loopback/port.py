@@ -77,6 +77,14 @@ class LoopbackPort:
     def rehearse(self) -> None:
         """What is delivered has no cost."""
 
+    def explain_age(self) -> str:
+        """Name nothing: the readings come from outside, whole."""
+        return ""
+
+    def details(self) -> list[str]:
+        """Nothing is refused."""
+        return []
+
     async def reset_fault(self) -> None:
         """Who delivers the readings decides what becomes of a fault."""
 

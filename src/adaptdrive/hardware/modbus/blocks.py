@@ -30,6 +30,10 @@ class Block:
         """Address behind the block."""
         return self.address + self.count
 
+    def __str__(self) -> str:
+        last = f"…{self.end - 1}" if self.count > 1 else ""
+        return f"{self.table} {self.address}{last} (address from 0)"
+
     def holds(self, register: Register) -> bool:
         """Whether a register lies in this block."""
         inside = self.address <= register.address and register.end <= self.end

@@ -36,6 +36,18 @@ _NOISE_ROUNDS = 10
 """Silences for which a line that never falls silent is waited for."""
 
 
+_EXCEPTIONS = {
+    1: "illegal function",
+    2: "illegal address",
+    3: "illegal value",
+    4: "device failure",
+    5: "acknowledged, not done yet",
+    6: "busy",
+    10: "gateway without a path",
+    11: "gateway: no reply of the device",
+}
+
+
 class ExchangeError(AdaptdriveError):
     """An exchange gave nothing that may be used."""
 
@@ -160,7 +172,9 @@ class Link:
         if reply.isError():
             self._counts["exceptions"] += 1
             code = getattr(reply, "exception_code", 0)
-            raise ExchangeError(f"exception reply {code} to function {function}")
+            name = _EXCEPTIONS.get(code, "unknown")
+            asked = exchange.write if exchange.read is None else exchange.read
+            raise ExchangeError(f"exception reply {code} to function {function} ({name}), {asked}")
         registers = list(reply.registers) if exchange.read else []
         wanted = exchange.read.count if exchange.read else 0
         if (reply.function_code, len(registers)) != (function, wanted):

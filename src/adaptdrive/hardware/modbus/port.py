@@ -19,6 +19,7 @@ from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.backoff import Backoff
+from adaptdrive.hardware.modbus.blocks import Block
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.link import ExchangeError, Link
@@ -91,6 +92,9 @@ class ModbusPort:
         self._heartbeat_s = 0.0
         self._silent = 0
         self._up = True
+        self._raw: dict[Block, list[int]] = {}
+        self._failure = ""
+        self._refused_write = ""
 
     @property
     def description(self) -> str:
@@ -155,6 +159,19 @@ class ModbusPort:
 
     def rehearse(self) -> None:
         """A drive that is polled has time."""
+
+    def explain_age(self) -> str:
+        """What the last poll lacked, with the registers; every value is as old as its poll."""
+        return f"the polls give no reading: {self._failure or 'no reply has come yet'}"
+
+    def details(self) -> list[str]:
+        """The registers of the last poll, raw, and what was refused."""
+        read = [
+            f"registers {block} = [{' '.join(f'{word:04x}' for word in words)}]"
+            for block, words in self._raw.items()
+        ]
+        problems = (self._failure, self._refused_write)
+        return [*read, *(f"refused: {one}" for one in problems if one)]
 
     async def reset_fault(self) -> None:
         """A register map knows no way to reset a fault: the drive clears its word by itself."""
@@ -246,9 +263,11 @@ class ModbusPort:
         try:
             values = await self._read(link)
         except ExchangeError as failure:
+            self._failure = failure.problem
             self._note_silence(failure.problem)
         else:
             if values is not None:
+                self._failure = ""
                 self._take(values, start_s)
         fresh = not self._poll.combined or self._command != self._written
         if link.lost is None and fresh:
@@ -265,11 +284,13 @@ class ModbusPort:
             if self._urgent:
                 await self._write(link)
             command = self._current() if number == 0 and self._poll.combined else None
-            words = await self._ask(link, Exchange(read=block), command)
+            words = self._raw[block] = await self._ask(link, Exchange(read=block), command)
             values |= {source.quantity: source.value(block, words) for source in sources}
         good = {name: value for name, value in values.items() if value is not None}
         if len(good) < len(values):
             self._counts["out_of_range"] += 1
+            bad = ", ".join(name for name, value in values.items() if value is None)
+            self._failure = f"{bad} out of range, or the register's word for no value"
             return None
         return good
 
@@ -312,9 +333,11 @@ class ModbusPort:
         try:
             for (block, _), registers in zip(self._poll.writes, words, strict=True):
                 await link.exchange(Exchange(write=block), registers, at_once=at_once)
-        except ExchangeError:
+        except ExchangeError as failure:
             self._counts["send_drops"] += 1
+            self._refused_write = f"command: {failure.problem}"
         else:
+            self._refused_write = ""
             self._confirm(command)
 
     def _doubt(self, command: Command) -> None:
@@ -361,6 +384,7 @@ class ModbusPort:
         if now_s - self._heartbeat_s <= patience_s:
             return True
         self._counts["counter_stuck"] += 1
+        self._failure = "the drive's heartbeat register stands still: its controller hangs"
         return False
 
     def _note_silence(self, problem: str) -> None:

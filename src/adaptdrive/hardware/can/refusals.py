@@ -1,0 +1,81 @@
+"""Frames that a port could not use, remembered for people: which, why, and how often."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from adaptdrive.hardware.can.integrity import Verdict
+
+_KINDS_HELD = 64
+"""Kinds of refused frames remembered: a flood of ids must not fill the memory."""
+
+_REMEDIES = {
+    Verdict.WRONG_LENGTH: "the DBC describes another version of the message",
+    Verdict.WRONG_CHECKSUM: "compare [bus.integrity] with the drive's manual; look at the cable",
+    Verdict.COUNTER_STUCK: "its sender hangs, or a gateway repeats frames",
+    Verdict.COUNTER_LOST: "frames are lost: look at the bus load and the cable",
+    Verdict.OUT_OF_RANGE: "a sensor of the drive is broken, or the DBC has another range",
+}
+
+
+@dataclass(slots=True)
+class _Refusal:
+    """One kind: how often since the start and since the last good frame, and the last frame."""
+
+    count: int = 0
+    in_a_row: int = 0
+    data: bytes = b""
+
+
+class Refusals:
+    """What was refused of each message, and which frames are not of this drive."""
+
+    def __init__(self) -> None:
+        self._messages: dict[str, dict[Verdict, _Refusal]] = {}
+        self._strange: dict[str, _Refusal] = {}
+
+    @property
+    def any(self) -> bool:
+        """Whether a frame of the drive was refused since the start."""
+        return bool(self._messages)
+
+    def note(self, message: str, verdict: Verdict, data: bytes) -> None:
+        """Remember a frame of a message that failed a check."""
+        refusal = self._messages.setdefault(message, {}).setdefault(verdict, _Refusal())
+        refusal.count += 1
+        refusal.in_a_row += 1
+        refusal.data = data
+
+    def accept(self, message: str) -> None:
+        """A good frame of a message has come."""
+        for refusal in self._messages.get(message, {}).values():
+            refusal.in_a_row = 0
+
+    def note_strange(self, frame: str, data: bytes) -> None:
+        """Remember a frame of an id that nothing is taken from."""
+        if frame in self._strange or len(self._strange) < _KINDS_HELD:
+            refusal = self._strange.setdefault(frame, _Refusal())
+            refusal.count += 1
+            refusal.data = data
+
+    def explain(self, message: str) -> str | None:
+        """Why there is no good frame of a message, None when none was refused since the last."""
+        found = self._messages.get(message, {})
+        verdict = max(found, key=lambda one: found[one].in_a_row, default=None)
+        if verdict is None or not found[verdict].in_a_row:
+            return None
+        count, remedy = found[verdict].in_a_row, _REMEDIES[verdict]
+        return f"its frames come and are refused ({verdict}, {count} in a row): {remedy}"
+
+    def lines(self) -> Iterator[str]:
+        """Every kind of refused frame, for people."""
+        for message, found in self._messages.items():
+            for verdict, refusal in found.items():
+                yield f"refused {message}: {verdict} {_shown(refusal)}: {_REMEDIES[verdict]}"
+        for frame, refusal in self._strange.items():
+            yield f"refused {frame}: no entry of [signals] has this id {_shown(refusal)}"
+
+
+def _shown(refusal: _Refusal) -> str:
+    return f"{refusal.count} x, last [{refusal.data.hex(' ')}]"
