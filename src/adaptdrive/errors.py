@@ -19,7 +19,8 @@ class Flaw:
     message: str
 
     def __str__(self) -> str:
-        return f"{self.place}: {self.message}"
+        text = f"{self.place}: {self.message}"
+        return "".join(one if one.isprintable() else repr(one)[1:-1] for one in text)
 
 
 class ConfigurationError(AdaptdriveError):

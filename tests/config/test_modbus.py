@@ -136,3 +136,67 @@ def test_what_does_not_fit_is_a_flaw(
     found = flaws(**given)
     assert place in found
     assert words in found[place]
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        "{ address = 4, table = 'input' }",  # the second register of the float at 3
+        "{ address = 2, table = 'input', type = 'uint32' }",
+        "{ address = 3, table = 'input', type = 'float32', word_order = 'little' }",
+        "{ address = 3, table = 'input', type = 'float32', scale = 0.1 }",
+    ],
+)
+def test_values_that_share_a_register_are_a_flaw(other: str) -> None:
+    (place, message), *_ = flaws(bus__registers__other=other).items()
+    assert place in {"bus.registers.other", "bus.registers.speed"}
+    assert "share a register" in message
+
+
+def test_what_is_written_must_not_reach_into_what_is_read() -> None:
+    read = "{ address = 0, table = 'holding', type = 'int32' }"
+    assert set(flaws(bus__registers__other=read)) == {
+        "bus.registers.other",
+        "bus.registers.control",
+    }
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        "{ address = 3, table = 'input', type = 'float32' }",  # the same value by two names
+        "{ address = 5, table = 'input', bit = 3 }",
+        "{ address = 3, table = 'holding', type = 'float32' }",
+    ],
+)
+def test_one_value_may_have_two_names(other: str) -> None:
+    assert flaws(bus__registers__other=other) == {}
+
+
+@pytest.mark.parametrize(
+    ("address", "table", "meant"),
+    [
+        (30001, "input", "address = 0, table = 'input'"),
+        (39999, "input", "address = 9998, table = 'input'"),
+        (40001, "holding", "address = 0, table = 'holding'"),
+        (40020, "input", "address = 19, table = 'holding'"),
+    ],
+)
+def test_a_label_of_a_manual_is_no_address(address: int, table: str, meant: str) -> None:
+    register = f"{{ address = {address}, table = '{table}' }}"
+    found = flaws(bus__registers__other=register)
+    assert set(found) == {"bus.registers.other.address"}
+    assert meant in found["bus.registers.other.address"]
+    assert flaws(bus__registers__other=register, bus__zero_based="true") == {}
+
+
+@pytest.mark.parametrize("address", [30000, 40000, 50000])
+def test_other_high_addresses_are_taken_as_they_stand(address: int) -> None:
+    assert flaws(bus__registers__other=f"{{ address = {address}, table = 'input' }}") == {}
+
+
+def test_a_register_that_is_not_there_is_proposed() -> None:
+    assert (
+        "did you mean 'voltage'?"
+        in flaws(signals__boost_voltage_V='"voltag"')["signals.boost_voltage_V.signal"]
+    )

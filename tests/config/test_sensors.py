@@ -186,7 +186,7 @@ def test_units_are_converted_to_si(unit: str, value: float, si: float) -> None:
 @given(
     raw=st.floats(-1e4, 1e4),
     scale=st.floats(-1e3, 1e3).filter(lambda scale: abs(scale) > 1e-6),
-    offset=st.floats(-1e3, 1e3),
+    offset=st.floats(-1e3, 1e3).map(lambda offset: round(offset, 6)),
 )
 def test_scale_and_offset_lead_to_the_unit(raw: float, scale: float, offset: float) -> None:
     given = f"{{ signal = 'A.B', scale = {scale!r}, offset = {offset!r}, unit = 'degF' }}"

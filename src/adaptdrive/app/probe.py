@@ -8,8 +8,9 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
+from adaptdrive.app.examine import load_examined
 from adaptdrive.app.sensors import build_whole_port, sensor_reports
-from adaptdrive.config import Configuration, load_configuration
+from adaptdrive.config import Configuration
 from adaptdrive.errors import AdaptdriveError, first_error
 from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.reports import SensorReport
@@ -41,7 +42,7 @@ def probe(path: Path) -> int:
     Raises:
         AdaptdriveError: The configuration or the bus cannot be used.
     """
-    configuration = load_configuration(path)
+    configuration = load_examined(path)
     try:
         asyncio.run(_show(configuration, path))
     except* AdaptdriveError as group:

@@ -22,6 +22,7 @@ from adaptdrive.app.checkpoint import (
     recall,
     write_checkpoint,
 )
+from adaptdrive.app.examine import load_examined
 from adaptdrive.app.lock import lock_names, locked, send_visitors_away
 from adaptdrive.app.log import log_events, loss_line, set_up_logging
 from adaptdrive.app.output import unblocked_output
@@ -29,7 +30,7 @@ from adaptdrive.app.realtime import build_rehearsal, choose_loop, prepared
 from adaptdrive.app.sensors import build_whole_port, sensor_reports
 from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
 from adaptdrive.app.state_file import directory_flaw
-from adaptdrive.config import Configuration, load_configuration
+from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.errors import AdaptdriveError, RecordingError, first_error
 from adaptdrive.operation.service import MqttService, Surroundings
@@ -57,7 +58,7 @@ def run(path: Path) -> int:
         AdaptdriveError: The configuration or the bus cannot be used, or another daemon of this
             machine controls the drive.
     """
-    configuration = load_configuration(path)
+    configuration = load_examined(path)
     text = path.read_text(encoding="utf-8")
     make_loop, loop_grant = choose_loop(uvloop_wanted=configuration.realtime.uvloop)
     start_thread = helper_thread(configuration.realtime.priority)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import time
 from pathlib import Path
 
-from adaptdrive.config import Configuration, load_configuration
+from adaptdrive.config import Configuration
 
 
 def check(config: Path, /) -> int:
@@ -20,10 +19,9 @@ def check(config: Path, /) -> int:
     Returns:
         0 when it can be used; otherwise `ConfigurationError` lists what is wrong.
     """
-    from adaptdrive.app.sensors import build_whole_port  # noqa: PLC0415 - `schema` needs no bus
+    from adaptdrive.app.examine import load_examined  # noqa: PLC0415 - `schema` needs no bus
 
-    configuration = load_configuration(config)
-    build_whole_port(configuration, time.monotonic, config)
+    configuration = load_examined(config)
     print(f"{config}: drive {configuration.drive.name} is configured correctly")
     return 0
 

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from adaptdrive.config.services import Mqtt
 
 _ADDRESS = re.compile(r"(?P<host>\[[^\]]+\]|[^:\[\]/\s]+)(:(?P<port>\d{1,5}))?")
-_DRIVE = re.compile(r"[A-Za-z0-9_-]{1,64}")
+_DRIVE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,63}")
 _PORT, _TLS_PORT, _HIGHEST_PORT = 1883, 8883, 65535
 
 
@@ -24,7 +24,9 @@ def _check_address(_: object, text: str) -> None:
 
 def _check_drive(_: object, name: str) -> None:
     if _DRIVE.fullmatch(name) is None:
-        raise ValueError("The name of a drive has 1 to 64 letters, digits, '-' and '_'.")
+        raise ValueError(
+            "The name of a drive has 1 to 64 letters, digits, '-' and '_', no '-' first."
+        )
 
 
 def _check_timeout(_: object, timeout: float) -> None:

@@ -32,6 +32,7 @@ class CanOpenBus(CanLink):
     )
     heartbeat_s: PositiveFloat = Field(
         default=0.04,
+        ge=0.005,
         le=60.0,
         description="time between two heartbeats, of the drive and of the daemon",
     )
@@ -41,7 +42,7 @@ class CanOpenBus(CanLink):
         description="silence after which the drive makes itself safe, and the daemon trips",
     )
     sdo_timeout_s: PositiveFloat = Field(
-        default=0.3, le=10.0, description="longest time from an SDO request to its reply"
+        default=0.3, ge=0.01, le=10.0, description="longest time from an SDO request to its reply"
     )
     setup: dict[str, int | FiniteFloat] = Field(
         default={},

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from adaptdrive.config.section import NonNegativeFloat, PositiveFloat, Section
+
+BROKER_USERS = frozenset({"operator", "viewer"})
+"""Users of `deploy/mosquitto/adaptdrive.acl` that are people, not drives."""
 
 
 class DriveLimits(Section):
@@ -41,7 +44,8 @@ class Drive(Section):
     """`[drive]`: the power-electronic drive."""
 
     name: str = Field(
-        pattern=r"^[A-Za-z0-9_-]{1,64}$", description="name in topics, sessions and commands"
+        pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,63}$",
+        description="name in topics, sessions, commands, and of the drive's user on the broker",
     )
     kind: Literal["unidirectional", "bidirectional"] = Field(
         default="unidirectional", description="whether load current may be negative"
@@ -57,6 +61,16 @@ class Drive(Section):
         "boost stage with it, on from `starting`; the load is then fed while v_bst rises",
     )
     limits: DriveLimits = Field(default_factory=DriveLimits)
+
+    @field_validator("name")
+    @classmethod
+    def _is_no_user(cls, name: str) -> str:
+        if name.lower() in BROKER_USERS:
+            raise ValueError(
+                "is a user of the broker: a drive of that name could command all others; "
+                "choose another name"
+            )
+        return name
 
     @model_validator(mode="after")
     def _above_line_peak(self) -> Self:

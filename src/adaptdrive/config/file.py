@@ -3,19 +3,42 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from adaptdrive.config.load import LOAD_TYPES
-from adaptdrive.config.root import BUS_TYPES, Configuration
-from adaptdrive.config.section import Section
+from adaptdrive.config.proposals import key_proposal
+from adaptdrive.config.root import BUS_TYPES, Configuration, consistency_flaws
+from adaptdrive.config.section import INCONSISTENT, Section
+from adaptdrive.config.tables import number_flaws, shortened, valid_sections, without
 from adaptdrive.errors import ConfigurationError, Flaw
 
 _TYPES = {"load": LOAD_TYPES, "bus": BUS_TYPES, "sensor_bus": BUS_TYPES}
 _BUS_PATHS = {"can": ("database",), "canopen": ("eds",), "modbus-rtu": ("device",)}
 _MESSAGES = {"extra_forbidden": "Unknown key", "union_tag_not_found": "Field required"}
+_UNKNOWN = "extra_forbidden"
+_ALL = frozenset(Configuration.model_fields)
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What a file holds, as far as it can be used.
+
+    Attributes:
+        configuration: Its sections; those that are not in `sound` or `mended` are missing.
+        sound: Sections that are valid as they stand.
+        mended: Sections that are valid without their flawed keys.
+        flaws: Everything that is wrong so far.
+    """
+
+    configuration: Configuration
+    sound: frozenset[str]
+    mended: frozenset[str]
+    flaws: tuple[Flaw, ...]
 
 
 def load_configuration(path: Path) -> Configuration:
@@ -30,11 +53,23 @@ def load_configuration(path: Path) -> Configuration:
     Raises:
         ConfigurationError: The file cannot be read, or holds flaws; all of them are listed.
     """
+    return _whole(find_flaws(path), path)
+
+
+def find_flaws(path: Path) -> Findings:
+    """Read one TOML file, and go on behind its flaws.
+
+    Args:
+        path: The file.
+
+    Raises:
+        ConfigurationError: The file cannot be read, or is no TOML.
+    """
     try:
         text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as problem:
+    except (OSError, ValueError) as problem:
         raise ConfigurationError(path, [Flaw("file", str(problem))]) from problem
-    return parse_configuration(text, path)
+    return _examine(_tables(text, path), path)
 
 
 def parse_configuration(text: str, source: Path) -> Configuration:
@@ -43,11 +78,7 @@ def parse_configuration(text: str, source: Path) -> Configuration:
     Raises:
         ConfigurationError: As for `load_configuration`.
     """
-    try:
-        tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as problem:
-        raise ConfigurationError(source, [Flaw("TOML", str(problem))]) from problem
-    return validate_configuration(tables, source)
+    return validate_configuration(_tables(text, source), source)
 
 
 def validate_configuration(tables: dict[str, Any], source: Path) -> Configuration:
@@ -56,45 +87,95 @@ def validate_configuration(tables: dict[str, Any], source: Path) -> Configuratio
     Raises:
         ConfigurationError: As for `load_configuration`.
     """
+    return _whole(_examine(tables, source), source)
+
+
+def _whole(findings: Findings, source: Path) -> Configuration:
+    if findings.flaws:
+        raise ConfigurationError(source, findings.flaws)
+    return findings.configuration
+
+
+def _tables(text: str, source: Path) -> dict[str, Any]:
     try:
-        configuration = Configuration.model_validate(tables)
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as problem:  # of a syntax error, or of absurd nesting
+        raise ConfigurationError(source, [Flaw("TOML", str(problem))]) from problem
+
+
+def _examine(tables: dict[str, Any], source: Path) -> Findings:
+    absurd = list(number_flaws(tables))
+    if not absurd:
+        return _examine_values(tables, source)
+    found = _examine_values(without(tables, [flaw.keys for flaw in absurd]), source)
+    numbers = {".".join(map(str, one.keys)): one.message for one in absurd}
+    flaws = [Flaw(place, message) for place, message in numbers.items()]
+    flaws += [flaw for flaw in found.flaws if flaw.place not in numbers]
+    touched = {str(one.keys[0]) for one in absurd}
+    return replace(found, sound=found.sound - touched, flaws=tuple(flaws))
+
+
+def _examine_values(tables: dict[str, Any], source: Path) -> Findings:
+    try:
+        configuration = _anchored(Configuration.model_validate(tables), source.parent)
     except ValidationError as problem:
-        raise ConfigurationError(source, _flaws(problem)) from problem
-    return _anchored(configuration, source.parent)
+        return _examine_sections(tables, problem, source)
+    return Findings(configuration, _ALL, _ALL, ())
 
 
-def _flaws(problem: ValidationError) -> list[Flaw]:
-    return [_flaw(dict(error)) for error in problem.errors(include_url=False)]
+def _examine_sections(tables: dict[str, Any], problem: ValidationError, source: Path) -> Findings:
+    """Each section by itself, and what those that are sound have to do with each other."""
+    errors: list[dict[str, Any]] = [{**error} for error in problem.errors(include_url=False)]
+    flaws = [_flaw(error) for error in errors]
+    unknown = [_location(error["loc"]) for error in errors if error["type"] == _UNKNOWN]
+    flawed = [_location(error["loc"]) for error in errors]
+    sound = valid_sections(without(tables, unknown))
+    mended = {**valid_sections(without(tables, flawed)), **sound}
+    whole = _anchored(Configuration.model_construct(None, **mended), source.parent)
+    if not any(error["type"] == INCONSISTENT for error in errors):  # those are listed already
+        flaws += consistency_flaws(whole, sound.keys())
+    return Findings(whole, frozenset(sound), frozenset(mended), tuple(flaws))
 
 
 def _flaw(error: dict[str, Any]) -> Flaw:
-    place = _place(error["loc"])
+    place = ".".join(map(str, _location(error["loc"])))
     message = _MESSAGES.get(error["type"], error["msg"]).removeprefix("Value error, ")
+    if error["type"] == _UNKNOWN:
+        section, key = [str(part) for part in error["loc"][:-1]], str(error["loc"][-1])
+        return Flaw(place, message + key_proposal(_schema(), section, key))
     if error["type"].startswith("union_tag"):
         place = f"{place}.type"
     value = error["input"]
     if isinstance(value, str | int | float | bool) and repr(value) not in message:
-        message = f"{message} (it is {value!r})"
+        message = f"{message} (it is {shortened(repr(value))})"
     return Flaw(place, message)
 
 
-def _place(location: tuple[int | str, ...]) -> str:
-    """The dotted key; pydantic counts a type of load or bus as a table of its own."""
+@cache
+def _schema() -> dict[str, Any]:
+    return Configuration.model_json_schema()
+
+
+def _location(location: tuple[int | str, ...]) -> tuple[int | str, ...]:
+    """The keys; pydantic counts a type of load or bus as a table of its own."""
     at = 2 if location[1:2] and isinstance(location[1], int) else 1  # of a list, or not
     if location[at : at + 1] and location[at] in _TYPES.get(str(location[0]), ()):
-        location = (*location[:at], *location[at + 1 :])
-    return ".".join(str(part) for part in location)
+        return (*location[:at], *location[at + 1 :])
+    return location
 
 
 def _anchored(configuration: Configuration, folder: Path) -> Configuration:
-    return configuration.model_copy(
-        update={
-            "bus": _placed_bus(configuration.bus, folder),
-            "sensor_bus": [_placed_bus(bus, folder) for bus in configuration.sensor_bus],
-            "mqtt": _placed(configuration.mqtt, folder, "ca_file", "password_file"),
-            "recording": _placed(configuration.recording, folder, "directory"),
-        }
-    )
+    placed: dict[str, Any] = {}
+    given = configuration.__dict__
+    if "bus" in given:
+        placed["bus"] = _placed_bus(configuration.bus, folder)
+    if "sensor_bus" in given:
+        placed["sensor_bus"] = [_placed_bus(bus, folder) for bus in configuration.sensor_bus]
+    if "mqtt" in given:
+        placed["mqtt"] = _placed(configuration.mqtt, folder, "ca_file", "password_file")
+    if "recording" in given:
+        placed["recording"] = _placed(configuration.recording, folder, "directory")
+    return configuration.model_copy(update=placed)
 
 
 def _placed_bus(bus: Section, folder: Path) -> Section:

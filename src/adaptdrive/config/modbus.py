@@ -73,10 +73,15 @@ class ModbusLink(Section):
 
     device_id: int = Field(default=1, ge=1, le=255, description="device (slave, unit) id")
     timeout_s: PositiveFloat = Field(
-        default=0.05, description="longest time from a request to its reply"
+        default=0.05, ge=1e-3, description="longest time from a request to its reply"
     )
     turnaround_s: float = Field(
         default=0.005, ge=0.0, description="time that the device and the link take for a reply"
+    )
+    zero_based: bool = Field(
+        default=False,
+        description="addresses from 30001 to 39999 and from 40001 to 49999 are zero-based as they "
+        "stand; refused without it, for they look like the labels of a manual",
     )
     max_gap: int = Field(
         default=4, ge=0, le=123, description="unmapped registers that a read may run across"

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.modbus import ModbusBus, Register
+from adaptdrive.config.proposals import nearest
 from adaptdrive.errors import Flaw
 
 MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
@@ -29,6 +30,7 @@ def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
     """What is wrong with a register map, or with what refers to it."""
     for name, register in bus.registers.items():
         yield from register_flaws(f"bus.registers.{name}", register)
+    yield from map_flaws("bus.registers", bus.registers, zero_based=bus.zero_based)
     for place, name in (*measured_names(signals), *_heartbeat(bus, "drive")):
         yield from _known(bus, place, name)
     for place, name in _written(bus, signals):
@@ -65,7 +67,8 @@ def _written(bus: ModbusBus, signals: Signals) -> list[tuple[str, str]]:
 
 def _known(bus: ModbusBus, place: str, name: str) -> Iterator[Flaw]:
     if name not in bus.registers:
-        yield Flaw(place, f"[bus.registers] has no register {name!r}")
+        hint = nearest(name, bus.registers)
+        yield Flaw(place, f"[bus.registers] has no register {name!r}{hint}")
 
 
 def register_flaws(place: str, register: Register) -> Iterator[Flaw]:
@@ -81,6 +84,66 @@ def register_flaws(place: str, register: Register) -> Iterator[Flaw]:
         register.type == "float32" or register.bit >= 16 * register.words
     ):
         yield Flaw(f"{place}.bit", f"{register.type} has no bit {register.bit}")
+
+
+def map_flaws(place: str, registers: Mapping[str, Register], *, zero_based: bool) -> Iterator[Flaw]:
+    """What is wrong with the registers of one device together.
+
+    Args:
+        place: Where they stand in the configuration.
+        registers: By name.
+        zero_based: Whether addresses that look like labels are none.
+    """
+    if not zero_based:
+        for name, register in registers.items():
+            yield from _label_flaws(f"{place}.{name}.address", register)
+    last: tuple[str, Register] | None = None
+    for name, register in sorted(registers.items(), key=lambda item: _position(item[1])):
+        if last is not None and _collide(last[1], register):
+            problem = f"{_span(register)} and {last[0]!r} {_span(last[1])} share a register"
+            yield Flaw(f"{place}.{name}", f"{problem}: one is read or written wrongly")
+        if (
+            last is None
+            or _position(register)[:1] != _position(last[1])[:1]
+            or (register.end >= last[1].end)
+        ):
+            last = name, register
+
+
+def _position(register: Register) -> tuple[str, int, int]:
+    return register.table, register.address, register.end
+
+
+def _span(register: Register) -> str:
+    last = f"…{register.end - 1}" if register.words > 1 else ""
+    return f"({register.type}, {register.address}{last})"
+
+
+def _collide(first: Register, second: Register) -> bool:
+    """Whether two values share a register without being the same value, or bits of one word."""
+    if first.table != second.table or first.end <= second.address:
+        return False
+    if first.bit is not None or second.bit is not None:
+        return False
+    coded = [(one.address, one.type, one.word_order, one.scale) for one in (first, second)]
+    return coded[0] != coded[1]
+
+
+_LABELS = {"input": 30001, "holding": 40001}
+_LABELS_OF_A_TABLE = 9999
+
+
+def _label_flaws(place: str, register: Register) -> Iterator[Flaw]:
+    """An address that is probably copied from a manual as it is printed there."""
+    for table, first in _LABELS.items():
+        if not first <= register.address < first + _LABELS_OF_A_TABLE:
+            continue
+        label = f"{register.address} looks like the label of an {table} register in a manual"
+        if table == "holding":
+            label = label.replace("an holding", "a holding")
+        meant = f"address = {register.address - first}, table = {table!r}"
+        advice = "or zero_based = true with the bus where the address is meant as it stands"
+        yield Flaw(place, f"{label}; zero-based that is {meant}; {advice}")
 
 
 def _word_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import Annotated, Self
 
 from pydantic import Field, model_validator
@@ -69,15 +69,7 @@ class Configuration(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        flaws = [
-            *_rate_flaws(self),
-            *_bus_flaws(self),
-            *_sensor_flaws(self),
-            *_command_flaws(self),
-            *_lag_flaws(self),
-            *_trip_flaws(self),
-            *_filter_flaws(self),
-        ]
+        flaws = list(consistency_flaws(self, frozenset(type(self).model_fields)))
         if flaws:
             raise inconsistent(flaws)
         return self
@@ -104,13 +96,20 @@ def _bus_flaws(configuration: Configuration) -> Iterator[Flaw]:
     bus, signals = configuration.bus, configuration.signals
     if isinstance(bus, CanBus):
         yield from can_flaws(signals)
-        yield from _clock_flaws(configuration, bus)
-        return
-    if isinstance(bus, CanOpenBus):
+    elif isinstance(bus, CanOpenBus):
         yield from canopen_flaws(bus, signals)
+    else:
+        yield from modbus_flaws(bus, signals)
+
+
+def _pace_flaws(configuration: Configuration) -> Iterator[Flaw]:
+    """Does the pace of the drive fit what surrounds it?"""
+    bus, signals = configuration.bus, configuration.signals
+    if isinstance(bus, CanBus):
+        yield from _clock_flaws(configuration, bus)
+    if not isinstance(bus, ModbusBus):
         return
     half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
-    yield from modbus_flaws(bus, signals)
     yield from poll_flaws(bus, configuration.load, configuration.interlocks, half_cycle_s)
     if configuration.voltage_loop.where == "daemon":
         yield Flaw(
@@ -198,3 +197,31 @@ def _trip_flaws(configuration: Configuration) -> Iterator[Flaw]:
     if interlocks.output_min is not None and interlocks.output_min >= lowest:
         problem = f"{interlocks.output_min} must be below load.reference_min = {lowest}"
         yield Flaw("interlocks.output_min", problem)
+
+
+_CHECKS: tuple[tuple[Callable[[Configuration], Iterator[Flaw]], frozenset[str]], ...] = (
+    (_rate_flaws, frozenset({"drive", "load"})),
+    (_bus_flaws, frozenset({"bus", "signals"})),
+    (
+        _pace_flaws,
+        frozenset({"drive", "bus", "signals", "load", "interlocks", "voltage_loop"}),
+    ),
+    (_sensor_flaws, frozenset({"bus", "signals", "sensor_bus", "derived", "load"})),
+    (_command_flaws, frozenset({"bus", "signals", "voltage_loop"})),
+    (_lag_flaws, frozenset({"voltage_loop", "load"})),
+    (_trip_flaws, frozenset({"drive", "load", "interlocks"})),
+    (_filter_flaws, frozenset({"load", "estimator"})),
+)
+"""Checks between sections, and the sections that each one reads."""
+
+
+def consistency_flaws(configuration: Configuration, sound: Collection[str]) -> Iterator[Flaw]:
+    """Find what contradicts each other between sections.
+
+    Args:
+        configuration: The sections.
+        sound: Names of those that are valid in themselves; the others are not looked at.
+    """
+    for check, needed in _CHECKS:
+        if needed.issubset(sound):
+            yield from check(configuration)

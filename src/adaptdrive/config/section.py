@@ -11,6 +11,9 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from adaptdrive.errors import Flaw
 
+INCONSISTENT = "inconsistent"
+"""Type of the errors that `inconsistent` makes."""
+
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 FiniteFloat = Annotated[float, Field(allow_inf_nan=False)]
 NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -38,7 +41,7 @@ def inconsistent(flaws: Sequence[Flaw]) -> ValidationError:
     """The error of a validator that found several flaws, each in its own place."""
     details = [
         InitErrorDetails(
-            type=PydanticCustomError("inconsistent", "{message}", {"message": flaw.message}),
+            type=PydanticCustomError(INCONSISTENT, "{message}", {"message": flaw.message}),
             loc=tuple(flaw.place.split(".")),
             input=None,
         )

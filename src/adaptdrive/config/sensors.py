@@ -9,7 +9,8 @@ from pydantic import Field
 
 from adaptdrive.config.bus import CanLink, FrameIntegrity, Quantity
 from adaptdrive.config.modbus import ModbusLink, Register, RtuLink, TcpLink
-from adaptdrive.config.references import CAN_SIGNAL, WORDS, register_flaws
+from adaptdrive.config.proposals import nearest
+from adaptdrive.config.references import CAN_SIGNAL, WORDS, map_flaws, register_flaws
 from adaptdrive.config.section import FilePath, PositiveFloat, Section
 from adaptdrive.errors import Flaw
 
@@ -35,9 +36,10 @@ class SensorBus(Section):
     """What `[[sensor_bus]]` holds for every kind of bus."""
 
     name: str = Field(
-        pattern=r"^[A-Za-z0-9_-]{1,64}$", description="name in telemetry, events and messages"
+        pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,63}$",
+        description="name in telemetry, events and messages",
     )
-    cycle_s: PositiveFloat = Field(description="time from one measurement to the next")
+    cycle_s: PositiveFloat = Field(ge=1e-3, description="time from one measurement to the next")
     stale_s: PositiveFloat | None = Field(
         default=None,
         description="oldest usable value; one that is needed and older trips the drive. Three "
@@ -119,9 +121,13 @@ def _can_flaws(bus: CanSensors, place: str) -> Iterator[Flaw]:
 def _modbus_flaws(bus: ModbusSensors, place: str) -> Iterator[Flaw]:
     for name, register in bus.registers.items():
         yield from register_flaws(f"{place}.registers.{name}", register)
+    for device in {register.device_id for register in bus.registers.values()}:
+        registers = {name: one for name, one in bus.registers.items() if one.device_id == device}
+        yield from map_flaws(f"{place}.registers", registers, zero_based=bus.zero_based)
     for name, source in bus.signals.items():
         if source.signal not in bus.registers:
-            problem = f"[sensor_bus.registers] has no register {source.signal!r}"
+            hint = nearest(source.signal, bus.registers)
+            problem = f"[sensor_bus.registers] has no register {source.signal!r}{hint}"
             yield Flaw(f"{place}.signals.{name}.signal", problem)
     if bus.timeout_s >= bus.cycle_s:
         yield Flaw(f"{place}.timeout_s", f"{bus.timeout_s} must be below cycle_s = {bus.cycle_s}")

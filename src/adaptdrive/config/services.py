@@ -38,7 +38,7 @@ class Interlocks(Section):
         "for sensors whose noise is more than their last digit; 0: never",
     )
     precharge_timeout_s: PositiveFloat = Field(
-        default=5.0, description="longest time in state `starting`"
+        default=5.0, le=600.0, description="longest time in state `starting`"
     )
 
 
@@ -52,7 +52,7 @@ class Mqtt(Section):
     username: str | None = Field(default=None, description="user name")
     password_file: FilePath | None = Field(default=None, description="file that holds the password")
     telemetry_Hz: float = Field(
-        default=10.0, gt=0.0, le=10.0, description="rate of `telemetry/drive`"
+        default=10.0, ge=0.01, le=10.0, description="rate of `telemetry/drive`"
     )
 
 
@@ -63,7 +63,9 @@ class Recording(Section):
     directory: FilePath | None = Field(
         default=None, description="where sessions lie; $STATE_DIRECTORY/sessions or ./sessions"
     )
-    flush_s: PositiveFloat = Field(default=2.0, description="longest time data stay unwritten")
+    flush_s: float = Field(
+        default=2.0, ge=0.1, le=60.0, description="longest time data stay unwritten"
+    )
 
 
 class Realtime(Section):
@@ -110,7 +112,9 @@ class Realtime(Section):
         "that share of a CPU",
     )
     late_us: PositiveFloat = Field(
-        default=2000.0, description="lateness of a tick that is told as an event, with its cause"
+        default=2000.0,
+        ge=10.0,
+        description="lateness of a tick that is told as an event, with its cause",
     )
 
     @field_validator("spin_us")

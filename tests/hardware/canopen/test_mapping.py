@@ -75,7 +75,7 @@ def test_a_counter_wraps_where_its_type_does() -> None:
         ({"bus/heartbeat_timeout_s": 0.05}, "bus.heartbeat_timeout_s", "at least 2 times"),
         ({"bus/node_id": 128}, "bus.node_id", "less than or equal to 127"),
         ({"bus/channel": "can0"}, "bus.channel", "an IPv4 multicast group"),
-        ({"bus/eds": "none.eds"}, "bus.eds", "No such file"),
+        ({"bus/eds": "none.eds"}, "bus.eds", "no such file"),
         ({"bus/eds": "motor.toml"}, "bus.eds", "is no .eds and no .dcf file"),
         ({"bus/setup/0x6040": 15}, "bus.setup.0x6040", "is written by the daemon itself"),
         ({"bus/setup/0x1016.1": 0}, "bus.setup.0x1016.1", "is written by the daemon itself"),

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Iterable
+import math
 from pathlib import Path
 
 import cantools
@@ -12,6 +11,7 @@ from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import CanBus, FrameIntegrity
+from adaptdrive.config.proposals import nearest
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.can.codec import (
     CLASSIC_LENGTH,
@@ -23,6 +23,7 @@ from adaptdrive.hardware.can.codec import (
 )
 from adaptdrive.hardware.can.crc import CHECK_INPUT, crc_function
 from adaptdrive.hardware.can.layout import compile_field, is_multiplexed
+from adaptdrive.hardware.description import problem_text, read_description
 
 _FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
 """Lengths above eight bytes that a frame of CAN FD can have."""
@@ -42,10 +43,10 @@ def load_database(path: Path, source: Path | str = "configuration", bus: str = "
         ConfigurationError: The file cannot be read or is no DBC.
     """
     try:
-        text = path.read_text(encoding="cp1252", errors="replace")  # as DBC editors write it
+        text = read_description(path).decode("cp1252", "replace")  # as DBC editors write it
         database = cantools.database.load_string(text, database_format="dbc")
-    except (OSError, cantools.Error) as problem:
-        flaw = Flaw(f"{bus}.database", _one_line(problem))
+    except Exception as problem:  # the parser's own errors are of many kinds
+        flaw = Flaw(f"{bus}.database", f"{path} cannot be used: {problem_text(problem)}")
         raise ConfigurationError(source, [flaw]) from problem
     assert isinstance(database, Database)  # noqa: S101 - what the format "dbc" gives
     return database
@@ -95,7 +96,7 @@ class Catalogue:
         """The message called `name`, or None and a flaw at `place`."""
         known = {message.name: message for message in self._database.messages}
         if name not in known:
-            self.note(place, f"the database has no message {name!r}{_suggestion(name, known)}")
+            self.note(place, f"the database has no message {name!r}{nearest(name, known)}")
             return None
         message = known[name]
         if needs_fd(message) and not self._fd:
@@ -122,9 +123,15 @@ class Catalogue:
         """The signal called `name` of `message`, or None and a flaw at `place`."""
         known = {signal.name: signal for signal in message.signals}
         if name not in known:
-            hint = _suggestion(name, known)
+            hint = nearest(name, known)
             self.note(place, f"message {message.name!r} has no signal {name!r}{hint}")
-        return known.get(name)
+        found = known.get(name)
+        if found is not None and not is_usable(found):
+            self.note(
+                place, f"signal {name!r} has factor {found.scale:g} and offset {found.offset:g}"
+            )
+            return None
+        return found
 
     def check_integrity(self, name: str, integrity: FrameIntegrity, bus: str = "bus") -> None:
         """Gather the flaws of `[bus.integrity.NAME]`, of `bus` or of another place."""
@@ -216,15 +223,11 @@ class Catalogue:
             self.note(f"{place}.crc.check", f"{problem}: one of them is copied wrongly")
 
 
+def is_usable(signal: Signal) -> bool:
+    """Whether the factor and the offset of a signal give it a value."""
+    return signal.scale != 0 and math.isfinite(signal.scale) and math.isfinite(signal.offset)
+
+
 def is_word(signal: Signal) -> bool:
     """Whether the physical value of a signal is its raw integer."""
     return not signal.is_float and signal.scale == 1 and signal.offset == 0
-
-
-def _suggestion(name: str, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(name, list(known), n=1)
-    return f" (did you mean {close[0]!r}?)" if close else ""
-
-
-def _one_line(problem: Exception) -> str:
-    return " ".join(str(problem).split())

@@ -109,9 +109,11 @@ def _natural_limits(signal: Signal) -> tuple[Raw, Raw]:
 
 def _declared_limits(signal: Signal) -> tuple[Raw, Raw]:
     low, high = _natural_limits(signal)
-    if signal.minimum is None or signal.maximum is None:
+    if signal.minimum is None or signal.maximum is None or not signal.scale:
         return low, high
     ends = sorted((end - signal.offset) / signal.scale for end in (signal.minimum, signal.maximum))
+    if not all(map(math.isfinite, ends)):
+        return low, high
     if signal.is_float:
         return max(low, ends[0]), min(high, ends[1])
     return max(low, math.ceil(ends[0] - _ROUNDING)), min(high, math.floor(ends[1] + _ROUNDING))

@@ -6,7 +6,6 @@ in common travels in each of them.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -14,6 +13,7 @@ from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import CanBus, CommandSwitch, Signals
+from adaptdrive.config.proposals import nearest
 from adaptdrive.control.signals import Command
 from adaptdrive.hardware.can.codec import MessageCodec
 from adaptdrive.hardware.can.database import Catalogue, is_word
@@ -118,8 +118,7 @@ def resolve(catalogue: Catalogue, signal: Signal, given: float | str, place: str
     names = {str(name): raw for raw, name in (signal.choices or {}).items()}
     if given in names:
         return compile_field(signal).physical(names[given])
-    close = difflib.get_close_matches(given, list(names), n=1)
-    hint = f" (did you mean {close[0]!r}?)" if close else ""
+    hint = nearest(given, names)
     catalogue.note(place, f"the value table of {signal.name!r} has no {given!r}{hint}")
     return None
 

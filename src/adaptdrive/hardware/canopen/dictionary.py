@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import configparser
-import difflib
 import re
 import struct
 from dataclasses import dataclass
@@ -21,7 +19,9 @@ from canopen.objectdictionary import (
     import_od,
 )
 
+from adaptdrive.config.proposals import nearest
 from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.hardware.description import problem_text, read_description
 
 Address = tuple[int, int]
 Thing = ODVariable | ODRecord | ODArray
@@ -30,7 +30,6 @@ VENDOR = (0x1018, 1)
 PRODUCT = (0x1018, 2)
 
 _BY_NUMBER = re.compile(r"0[xX]([0-9A-Fa-f]{4})(?:\.(\d{1,3}))?")
-_SPOILT = (OSError, UnicodeDecodeError, ValueError, KeyError, TypeError, configparser.Error)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,9 +134,10 @@ def load_dictionary(
     if path.suffix.lower() not in {".eds", ".dcf"}:
         raise ConfigurationError(source, [Flaw("bus.eds", f"{path} is no .eds and no .dcf file")])
     try:
+        read_description(path)
         return import_od(str(path), node_id)
-    except _SPOILT as problem:
-        flaw = Flaw("bus.eds", " ".join(f"{path} cannot be used: {problem}".split()))
+    except Exception as problem:  # the parser's own errors are of many kinds
+        flaw = Flaw("bus.eds", f"{path} cannot be used: {problem_text(problem)}")
         raise ConfigurationError(source, [flaw]) from problem
 
 
@@ -209,8 +209,7 @@ class Catalogue:
             for thing in self._dictionary.values()
             for variable in ([thing] if isinstance(thing, ODVariable) else thing.values())
         ]
-        close = difflib.get_close_matches(reference, known, n=1)
-        return f" (did you mean {close[0]!r}?)" if close else ""
+        return nearest(reference, known)
 
 
 def _entry(variable: ODVariable) -> Entry | None:

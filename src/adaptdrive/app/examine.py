@@ -1,0 +1,67 @@
+"""Everything that can be known to be wrong with a configuration before a bus is opened."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from adaptdrive.app.ports import build_port
+from adaptdrive.app.sensors import build_sensor_port
+from adaptdrive.config import Configuration
+from adaptdrive.config.file import Findings, find_flaws
+from adaptdrive.config.modbus import ModbusBus, ModbusLink
+from adaptdrive.errors import ConfigurationError, Flaw
+
+_OF_PORT = frozenset({"drive", "bus", "signals", "voltage_loop", "load", "interlocks"})
+
+
+def load_examined(path: Path) -> Configuration:
+    """Read a configuration and hold it against its DBC, EDS or register map.
+
+    Args:
+        path: Configuration file.
+
+    Raises:
+        ConfigurationError: There are flaws; those of every kind are listed.
+    """
+    findings = find_flaws(path)
+    known = {flaw.place for flaw in findings.flaws}
+    described = [flaw for flaw in _description_flaws(findings, path) if flaw.place not in known]
+    flaws = [*findings.flaws, *described]
+    if flaws:
+        raise ConfigurationError(path, flaws)
+    return findings.configuration
+
+
+def _description_flaws(findings: Findings, path: Path) -> Iterator[Flaw]:
+    """What does not fit the files and maps that describe drive and sensors."""
+    configuration = findings.configuration
+    if findings.mended >= _OF_PORT and _leads_somewhere(findings):
+        yield from _flaws_of(lambda: build_port(configuration, time.monotonic, path))
+    if "sensor_bus" not in findings.sound:
+        return
+    flawed = [flaw.place for flaw in findings.flaws]
+    for number, bus in enumerate(configuration.sensor_bus):
+        place = f"sensor_bus.{number}"
+        if isinstance(bus, ModbusLink) and any(one.startswith(f"{place}.") for one in flawed):
+            continue
+        build = functools.partial(build_sensor_port, bus, place, time.monotonic, path)
+        yield from _flaws_of(build)
+
+
+def _leads_somewhere(findings: Findings) -> bool:
+    """Whether the names in `[signals]` can be looked up: a register map must be sound for that."""
+    if not isinstance(findings.configuration.bus, ModbusBus):
+        return True
+    flawed = any(flaw.place.startswith(("bus", "signals")) for flaw in findings.flaws)
+    return findings.sound >= _OF_PORT and not flawed
+
+
+def _flaws_of(build: Callable[[], object]) -> tuple[Flaw, ...]:
+    try:
+        build()
+    except ConfigurationError as error:
+        return error.flaws
+    return ()

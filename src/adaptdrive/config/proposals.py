@@ -1,0 +1,67 @@
+"""Names that were probably meant."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+Schema = Mapping[str, Any]
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return a hint at the known name that is like a wrong one; empty where none is."""
+    close = difflib.get_close_matches(name, [*known], n=1)
+    return f" (did you mean {close[0]!r}?)" if close else ""
+
+
+def key_proposal(schema: Schema, section: Sequence[str], key: str) -> str:
+    """Return a hint at the key that an unknown one was probably meant to be.
+
+    Args:
+        schema: JSON Schema of the configuration.
+        section: Keys and union tags that lead to the section, as pydantic locates it.
+        key: The unknown key.
+    """
+    here = _below(schema, schema, section)
+    hint = nearest(key, here)
+    if hint:
+        return hint
+    elsewhere = [place for place in _places(schema, schema, ()) if place[-1] == key]
+    return f" (did you mean {'.'.join(elsewhere[0])}?)" if elsewhere else ""
+
+
+def _below(whole: Schema, schema: Schema, section: Sequence[str]) -> set[str]:
+    """Keys of a section."""
+    if not section:
+        return {key for one in _options(whole, schema) for key in one.get("properties", {})}
+    found: set[str] = set()
+    for one in _options(whole, schema):
+        mapping = one.get("discriminator", {}).get("mapping", {})
+        below = [
+            one.get("properties", {}).get(section[0]),
+            one.get("additionalProperties"),
+            one.get("items") if section[0].isdigit() else None,
+            {"$ref": mapping[section[0]]} if section[0] in mapping else None,
+        ]
+        for part in below:
+            if isinstance(part, Mapping):
+                found |= _below(whole, part, section[1:])
+    return found
+
+
+def _options(whole: Schema, schema: Schema) -> Iterator[Schema]:
+    """A schema and all that it may stand for."""
+    yield schema
+    if "$ref" in schema:
+        yield from _options(whole, whole["$defs"][schema["$ref"].removeprefix("#/$defs/")])
+    for option in (*schema.get("anyOf", ()), *schema.get("oneOf", ())):
+        yield from _options(whole, option)
+
+
+def _places(whole: Schema, schema: Schema, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+    """Every key of the sections that have a fixed name."""
+    for one in _options(whole, schema):
+        for key, below in one.get("properties", {}).items():
+            yield (*path, key)
+            yield from _places(whole, below, (*path, key))

@@ -1,0 +1,99 @@
+"""The tables of a TOML file before they are a configuration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import TypeAdapter, ValidationError
+
+from adaptdrive.config.root import Configuration
+
+_LARGEST = 1e12
+"""No quantity in SI units, factor or bound is larger, or smaller than its inverse."""
+
+_INTEGER_BITS = 64
+_LONGEST_TEXT = 80
+_DEEPEST = 20
+
+Keys = tuple[int | str, ...]
+
+
+class Absurd(NamedTuple):
+    """A value that nothing has, and the keys that lead to it."""
+
+    keys: Keys
+    message: str
+
+
+def number_flaws(value: object, keys: Keys = ()) -> Iterator[Absurd]:
+    """Find numbers that are none: not finite, or of a size that nothing has.
+
+    Args:
+        value: A table, a list or a value of the file.
+        keys: Where it stands.
+    """
+    if len(keys) > _DEEPEST:
+        yield Absurd(keys, f"more than {_DEEPEST} tables lie in each other")
+    elif isinstance(value, dict):
+        for key, one in value.items():
+            yield from number_flaws(one, (*keys, key))
+    elif isinstance(value, list):
+        for number, one in enumerate(value):
+            yield from number_flaws(one, (*keys, number))
+    elif isinstance(value, float) and not math.isfinite(value):
+        yield Absurd(keys, f"must be a finite number (it is {value})")
+    elif isinstance(value, float) and value and not 1.0 / _LARGEST <= abs(value) <= _LARGEST:
+        problem = f"its size must be from {1.0 / _LARGEST:g} to {_LARGEST:g}, in SI units"
+        yield Absurd(keys, f"{problem} (it is {value})")
+    elif isinstance(value, int) and value.bit_length() >= _INTEGER_BITS:
+        yield Absurd(keys, f"has more than {_INTEGER_BITS} bits")
+
+
+def without(tables: dict[str, Any], places: Iterable[Keys]) -> dict[str, Any]:
+    """Return a copy of tables that lacks some keys.
+
+    Args:
+        tables: The tables.
+        places: Where the keys stand; one that is not there is missing already, and one within a
+            list of values stands for the list.
+    """
+    marked = frozenset(place[:-1] if isinstance(place[-1], int) else place for place in places)
+    copy = _copied(tables, (), marked)
+    assert isinstance(copy, dict)  # noqa: S101 - of a dict
+    return copy
+
+
+def _copied(value: object, keys: Keys, marked: frozenset[Keys]) -> object:
+    if isinstance(value, dict):
+        return {
+            key: _copied(one, (*keys, key), marked)
+            for key, one in value.items()
+            if (*keys, key) not in marked
+        }
+    if isinstance(value, list):
+        return [_copied(one, (*keys, number), marked) for number, one in enumerate(value)]
+    return value
+
+
+def valid_sections(tables: dict[str, Any]) -> dict[str, Any]:
+    """Return the sections of a configuration that are valid each by itself, defaults included."""
+    found = {}
+    for name, field in Configuration.model_fields.items():
+        if name not in tables:
+            if not field.is_required():
+                found[name] = field.get_default(call_default_factory=True)
+            continue
+        try:
+            section: Any = Annotated[field.annotation, field]
+            found[name] = TypeAdapter(section).validate_python(tables[name])
+        except ValidationError:
+            continue
+    return found
+
+
+def shortened(text: str) -> str:
+    """Return a text without its middle, where it is long."""
+    half = _LONGEST_TEXT // 2
+    return text if len(text) <= _LONGEST_TEXT else f"{text[:half]}…{text[-half:]}"
