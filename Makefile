@@ -3,7 +3,7 @@
 
 PYTHON ?= python3
 MINUTES ?= 1
-EXTRAS := sim,canopen,panel,realtime,cluster,dev
+EXTRAS := sim,canopen,cluster,dev
 
 venv := .venv
 bin := $(venv)/bin

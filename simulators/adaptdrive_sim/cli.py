@@ -213,7 +213,6 @@ def motor(  # noqa: PLR0913 - one parameter for each option
     disks: bool = True,
     steady: Annotated[bool, Parameter(negative=())] = False,
     directory: Path | None = None,
-    speed: float = 1.0,
 ) -> None:
     """Watch a motor follow a square wave while disks drop onto its shaft.
 
@@ -233,13 +232,10 @@ def motor(  # noqa: PLR0913 - one parameter for each option
         disks: Drop disks onto the shaft and take them off.
         steady: Hold the set-point instead of following the wave.
         directory: Folder for configuration, logs and sessions; build/demo/TIME when left out.
-        speed: Times real time. The bus of this demo is real, and so is its time: only 1.
     """
     from adaptdrive_sim.demo.main import run_demo  # noqa: PLC0415  # keeps --help fast
     from adaptdrive_sim.demo.settings import DemoSettings  # noqa: PLC0415
 
-    if speed != 1.0:
-        sys.exit(f"adaptdrive-sim: --speed {speed:g}: a real bus has real time, so 1 it must be")
     settings = DemoSettings(
         duration_s=duration,
         headless=headless,

@@ -25,7 +25,6 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.hardware.can.port import build_can_port
-from adaptdrive.hardware.loopback.port import LoopbackPort
 from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
@@ -33,6 +32,7 @@ from adaptdrive.runtime.reports import State, TickReport
 from adaptdrive.runtime.requests import Enable
 from tests.benchmarks.rows import Extent, Row, alternating, quantile
 from tests.hardware.bench import EXAMPLES, LOAD, MOTOR, MOTOR_BUS, STATUS, TIMING, Drive
+from tests.loopback_port import LoopbackPort
 
 TICK_US = 0.5e6 / MOTOR.drive.line_frequency_Hz
 CALLS, ROUNDS = 2000, 21

@@ -88,21 +88,6 @@ def test_with_good_excitation_it_is_the_textbook_recursion(size: int, forgetting
     assert np.abs(recursive.covariance - p).max() <= 1e-9 * np.abs(p).max()
 
 
-def test_three_parameters_are_no_special_case() -> None:
-    short, general = Recursive(3), Recursive(3)
-    for n, (r, y) in enumerate(zip(*data(3, 400), strict=True)):
-        sample = r.tolist() if n % 100 < 50 else [0.0, 0.0, 0.0]
-        own, other = (
-            take(one.theta, one.upper, one.diagonal, sample, float(y), 0.5)
-            for take, one in ((rls.update, short), (rls._update_any, general))
-        )
-        assert own == other
-        assert short.theta == general.theta
-        assert short.upper == general.upper
-        assert short.diagonal == general.diagonal
-    assert rls.COVARIANCE_CEILING in short.diagonal
-
-
 def test_forgetting_weighs_the_past_exponentially() -> None:
     regressors, targets = data(3, 60)
     recursive = Recursive(3, 1e9)

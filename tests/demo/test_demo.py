@@ -192,7 +192,6 @@ def test_uses_a_running_broker(start: Start, mosquitto: Broker) -> None:
 @pytest.mark.parametrize(
     ("option", "complaint"),
     [
-        ("--speed=2", "--speed 2"),
         ("--duration=0", "--duration 0"),
         ("--period=5", "--period 5"),
         ("--noise=2", "--noise 2"),

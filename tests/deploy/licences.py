@@ -13,8 +13,8 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-PACKED = frozenset({"canopen", "realtime"})
-OPTIONAL = frozenset({"sim", "panel", "cluster", "identify"})
+PACKED = frozenset({"canopen"})
+OPTIONAL = frozenset({"sim", "cluster", "identify"})
 DEVELOPMENT = frozenset({"dev"})
 
 _HEAD = """# Licences
@@ -27,7 +27,7 @@ any of them can be replaced by another version.
 """
 _SECTIONS = (
     ("In the Debian package", PACKED),
-    ("For simulation, panel and clusters", OPTIONAL),
+    ("For simulation and clusters", OPTIONAL),
     ("For development only", DEVELOPMENT),
 )
 _CLASSIFIER = "License :: OSI Approved :: "

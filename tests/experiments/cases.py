@@ -9,8 +9,9 @@ from concurrent.futures import ProcessPoolExecutor
 from adaptdrive_sim.experiments.case import Case, Design, Disturbance, Variant
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.experiments.outcome import Outcome, judge
-from adaptdrive_sim.experiments.runner import Record, run_case, run_case_compiled
+from adaptdrive_sim.experiments.runner import Record, run_case
 from adaptdrive_sim.experiments.settings import case_settings
+from tests.experiments.compiled_case import run_case_compiled
 
 SEEDS = range(20)
 

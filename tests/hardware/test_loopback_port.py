@@ -3,9 +3,9 @@ import asyncio
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.loopback.port import LoopbackPort
 from adaptdrive.hardware.port import Port, Reading
 from tests.hardware.bench import Ear, until
+from tests.loopback_port import LoopbackPort
 
 READING = Reading(
     arrival_s=1.0,

@@ -13,13 +13,13 @@ from adaptdrive.app.settings import build_load, controller_settings, daemon_sett
 from adaptdrive.config import load_configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Command, Decision, Mode, Order, Snapshot, Stage
-from adaptdrive.hardware.loopback.port import LoopbackPort
 from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.daemon import DaemonSettings
 from adaptdrive.runtime.fast_loop import FastLoop, FastLoopSettings
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State, TickReport
 from adaptdrive.runtime.requests import Enable, Request
+from tests.loopback_port import LoopbackPort
 
 MOTOR = load_configuration(Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml")
 SETTINGS: DaemonSettings = daemon_settings(MOTOR)

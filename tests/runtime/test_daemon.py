@@ -17,7 +17,6 @@ from adaptdrive.app.settings import build_load, controller_settings
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Mode, Snapshot
 from adaptdrive.errors import BusError, RefusedError
-from adaptdrive.hardware.loopback.port import LoopbackPort
 from adaptdrive.hardware.port import Listener
 from adaptdrive.runtime.daemon import Daemon, DaemonSettings
 from adaptdrive.runtime.hub import Hub
@@ -39,6 +38,7 @@ from adaptdrive.runtime.requests import (
     SetSetpoint,
 )
 from adaptdrive.runtime.watchdog import ServiceManager
+from tests.loopback_port import LoopbackPort
 from tests.runtime.bench import CALM, MOTOR, SETTINGS, Q, until
 
 # Frames are delivered by hand, as fast as they go: neither timer nor age may interfere.

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from adaptdrive.app.sensors import _RULES
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import RefusedError
-from adaptdrive.hardware.loopback.port import LoopbackPort
 from adaptdrive.hardware.port import PortStatistics, Reading, SensorListener
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
@@ -23,6 +22,7 @@ from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, Reset
 from adaptdrive.runtime.sensored_port import SensoredPort
 from adaptdrive.runtime.sensors import Derivation, SensorBus
+from tests.loopback_port import LoopbackPort
 from tests.runtime.bench import CALM, FAST, SETTINGS, TICK_S, Around, motor_controller
 
 STALE_s = 0.5

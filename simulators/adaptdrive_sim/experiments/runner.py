@@ -1,8 +1,6 @@
-"""An experiment in virtual time, as fast as it goes: interpreted, or on compiled code.
+"""An experiment in virtual time, as fast as it goes.
 
-A run depends on its case alone, so it is the same each time. Compiled code is some thirty times as
-fast, but compiling takes a minute or two for each kind of load and design: it is for many runs of
-one kind.
+A run depends on its case alone, so it is the same each time.
 """
 
 from __future__ import annotations
@@ -76,39 +74,12 @@ def run_case(case: Case, *, keep_ticks: bool = False) -> Record:
         case: What to run.
         keep_ticks: Whether the record is to hold output and boost voltage of every tick.
     """
-    course, controller, world = _start(case)
+    course, controller, world = start_case(case)
     run = run_course(controller, world, course, case.settings.rates, keep_ticks=keep_ticks)
     return _record(case.experiment, course, run)
 
 
-def run_case_compiled(case: Case) -> Record:
-    """Run one case from start to end on compiled code.
-
-    Returns:
-        A record without reasons, gains, deviations and excitation.
-    """
-    from adaptdrive_sim.compiled import bench  # noqa: PLC0415  # few runs need a compiler
-    from adaptdrive_sim.compiled.run import run_compiled  # noqa: PLC0415
-
-    course, controller, world = _start(case)
-    trace, cause = run_compiled(controller, world, course)
-    if cause:
-        raise RuntimeError(f"the run of seed {case.seed} ended by itself, cause {cause}")
-    names = case.experiment.nominal().names
-    return Record(
-        **_plan(case.experiment, course),
-        output=trace[:, bench.OUTPUT].tolist(),
-        measured=trace[:, bench.MEASURED].tolist(),
-        boost_reference_V=trace[:, bench.REFERENCE_V].tolist(),
-        applied_V=trace[:, bench.APPLIED_V].tolist(),
-        adaptive=(trace[:, bench.ADAPTIVE] > 0.0).tolist(),
-        accepted=(trace[:, bench.ACCEPTED] > 0.0).tolist(),
-        estimates={name: trace[:, bench.VALUES + i].tolist() for i, name in enumerate(names)},
-        innovation=trace[:, bench.INNOVATION].tolist(),
-    )
-
-
-def _start(case: Case) -> tuple[Course, Controller, World]:
+def start_case(case: Case) -> tuple[Course, Controller, World]:
     """Everything at rest on the lower value of the reference."""
     experiment = case.experiment
     course, controller = _course(case), Controller(case.settings, experiment.nominal())
@@ -150,7 +121,7 @@ def _disturbances(noise: NoiseParameters, seed: int, count: int) -> Array:
     return np.fromiter(itertools.islice(drawn, count), np.float64, count)
 
 
-def _plan(experiment: Experiment, course: Course) -> dict[str, Any]:
+def planned(experiment: Experiment, course: Course) -> dict[str, Any]:
     """Return the entries of a record that were known before."""
     times_s = _times_s(experiment)
     return {
@@ -163,7 +134,7 @@ def _plan(experiment: Experiment, course: Course) -> dict[str, Any]:
 def _record(experiment: Experiment, course: Course, run: Run) -> Record:
     decisions, names = run.decisions, run.decisions[0].estimates
     return Record(
-        **_plan(experiment, course),
+        **planned(experiment, course),
         output=run.outputs,
         measured=[one.output for one in run.snapshots],
         boost_reference_V=[one.boost_reference_V for one in decisions],

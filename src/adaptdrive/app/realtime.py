@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -13,24 +12,8 @@ from adaptdrive.app.settings import realtime_settings
 from adaptdrive.app.warm_up import Rehearsal
 from adaptdrive.config import Configuration
 from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.latency import WatchedLoop
 from adaptdrive.runtime.realtime import Grant, real_time
 from adaptdrive.runtime.reports import Event, Severity
-
-LoopMaker = Callable[[], asyncio.AbstractEventLoop]
-
-
-def choose_loop(*, uvloop_wanted: bool) -> tuple[LoopMaker, Grant | None]:
-    """The event loop to run on, and what to tell about it when uvloop was asked for."""
-    if not uvloop_wanted:
-        return WatchedLoop, None
-    try:
-        import uvloop  # noqa: PLC0415 - an optional extra
-    except ImportError:
-        meaning = "it is not installed: asyncio's own loop is used"
-        return WatchedLoop, Grant("uvloop = true", granted=False, meaning=meaning)
-    meaning = "callbacks cost less, and late ticks are told without naming what ran"
-    return uvloop.new_event_loop, Grant("uvloop = true", granted=True, meaning=meaning)
 
 
 def build_rehearsal(configuration: Configuration, path: Path) -> Rehearsal:
@@ -39,18 +22,15 @@ def build_rehearsal(configuration: Configuration, path: Path) -> Rehearsal:
 
 
 @contextmanager
-def prepared(
-    configuration: Configuration, rehearsal: Rehearsal, hub: Hub, *more: Grant | None
-) -> Iterator[None]:
+def prepared(configuration: Configuration, rehearsal: Rehearsal, hub: Hub) -> Iterator[None]:
     """Rehearse, ask for what is configured, and publish an event for each answer.
 
     Args:
         configuration: The drive.
         rehearsal: Of its ticks.
         hub: Where the events go.
-        more: Answers that are known already.
     """
-    grants = [grant for grant in more if grant is not None]
+    grants: list[Grant] = []
     if configuration.realtime.warm_up:
         grants.append(_rehearse(rehearsal))
     grants.extend(before_frames(configuration))

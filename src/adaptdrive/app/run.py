@@ -26,7 +26,7 @@ from adaptdrive.app.examine import load_examined
 from adaptdrive.app.lock import lock_names, locked, send_visitors_away
 from adaptdrive.app.log import log_events, loss_line, set_up_logging
 from adaptdrive.app.output import unblocked_output
-from adaptdrive.app.realtime import build_rehearsal, choose_loop, prepared
+from adaptdrive.app.realtime import build_rehearsal, prepared
 from adaptdrive.app.sensors import build_whole_port, sensor_reports
 from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
 from adaptdrive.app.state_file import directory_flaw
@@ -38,7 +38,8 @@ from adaptdrive.recording.recorder import EVENT_KIND, Feed, Pace, Recorder
 from adaptdrive.recording.session import SessionInfo, create_session, sessions_directory
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.realtime import Grant, helper_thread
+from adaptdrive.runtime.latency import WatchedLoop
+from adaptdrive.runtime.realtime import helper_thread
 from adaptdrive.runtime.reports import Event, Severity
 from adaptdrive.runtime.watchdog import ServiceManager
 
@@ -60,15 +61,14 @@ def run(path: Path) -> int:
     """
     configuration = load_examined(path)
     text = path.read_text(encoding="utf-8")
-    make_loop, loop_grant = choose_loop(uvloop_wanted=configuration.realtime.uvloop)
     start_thread = helper_thread(configuration.realtime.priority)
     try:
         with (
             unblocked_output(loss_line, start_thread),
             locked(lock_names(configuration), os.environ) as locks,
-            asyncio.Runner(loop_factory=make_loop) as runner,
+            asyncio.Runner(loop_factory=WatchedLoop) as runner,
         ):
-            runner.run(_serve(configuration, text, path, loop_grant, locks))
+            runner.run(_serve(configuration, text, path, locks))
     except* AdaptdriveError as group:
         raise first_error(group) from None
     return 0
@@ -78,7 +78,6 @@ async def _serve(
     configuration: Configuration,
     text: str,
     path: Path,
-    loop_grant: Grant | None,
     locks: Sequence[socket.socket],
 ) -> None:
     logger, hub, stop = set_up_logging(), Hub(), asyncio.Event()
@@ -122,7 +121,7 @@ async def _serve(
             if event is not None:
                 hub.publish(event)
         try:
-            with prepared(configuration, rehearsal, hub, loop_grant):
+            with prepared(configuration, rehearsal, hub):
                 await daemon.run(stop)
         finally:
             await _end(keeping)

@@ -96,7 +96,6 @@ class Realtime(Section):
     warm_up: bool = Field(
         default=True, description="rehearse ticks and slow steps before the bus is opened"
     )
-    uvloop: bool = Field(default=False, description="use uvloop where it is installed")
     rehearse_us: float = Field(
         default=0.0,
         ge=0.0,

@@ -15,8 +15,6 @@ of V_c[k-1], V_c[k-2] corrected to (1 + x4/a2) and -x4/a2; for a first-order loa
 
 from __future__ import annotations
 
-import math
-
 from adaptdrive.control.vectors import Vector, multiply, solve_linear
 
 
@@ -77,14 +75,3 @@ def _entry(polynomial: Vector, power: int) -> float:
     if 0 <= power < len(polynomial):
         return polynomial[power]
     return 0.0
-
-
-def is_usable(r: Vector, s: Vector) -> bool:
-    """True when every gain is a finite number."""
-    for value in r:
-        if not math.isfinite(value):
-            return False
-    for value in s:
-        if not math.isfinite(value):
-            return False
-    return True

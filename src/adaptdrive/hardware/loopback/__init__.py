@@ -1,1 +1,0 @@
-"""A port without a bus, for tests and notebooks."""
