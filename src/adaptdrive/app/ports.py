@@ -43,7 +43,7 @@ def build_port(
             stale_s=configuration.interlocks.stale_s,
             daemon_holds_voltage=configuration.voltage_loop.where == "daemon",
         )
-        return build_can_port(bus, signals, timing, clock, source=source)
+        return build_can_port(bus, signals, timing, clock, source=source, hears_all=passive)
     if isinstance(bus, CanOpenBus):
         with _canopen_installed(source):
             from adaptdrive.hardware.canopen.port import (  # noqa: PLC0415 - load what is used

@@ -1,21 +1,39 @@
-"""`adaptdrive probe`: what the bus says, decoded; nothing is commanded."""
+"""`adaptdrive probe`: what the bus says, decoded, and what of it cannot be used.
+
+Nothing is commanded, unless asked for: then the safe command alone.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import os
 import sys
 import time
 from dataclasses import asdict
+from itertools import count
 from pathlib import Path
 
 from adaptdrive.app.examine import load_examined
+from adaptdrive.app.lock import lock_names, locked
 from adaptdrive.app.sensors import build_whole_port, sensor_reports
 from adaptdrive.config import Configuration
+from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.errors import AdaptdriveError, first_error
 from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.reports import SensorReport
 
 _EVERY_S = 0.5
+
+_DETAILS_EVERY = 6
+"""Lines from one list of refused frames to the next: such a list can be long."""
+
+_LISTEN_S = 1.0
+"""Another sender of commands is heard in this time: it sends many a second."""
+
+_COMMAND_S = 0.02
+"""From one safe command to the next: shorter than any drive's own time-out."""
+
+_ANSWER_EVERY = 50
 
 
 class _Probe:
@@ -33,37 +51,73 @@ class _Probe:
         sys.stderr.write(f"bus {'up' if up else 'lost'}: {detail}\n")
 
 
-def probe(path: Path) -> int:
+def probe(path: Path, *, safe_command: bool) -> int:
     """Print the decoded measurements twice a second until interrupted.
 
     Args:
         path: Configuration file.
+        safe_command: Whether to send the safe command, and print what the drive answers.
 
     Raises:
-        AdaptdriveError: The configuration or the bus cannot be used.
+        AdaptdriveError: The configuration or the bus cannot be used, or somebody else commands the
+            drive that the safe command is for.
     """
     configuration = load_examined(path)
+    locks = lock_names(configuration) if safe_command else ()
     try:
-        asyncio.run(_show(configuration, path))
+        with locked(locks, os.environ):
+            asyncio.run(_show(configuration, path, safe_command=safe_command))
     except* AdaptdriveError as group:
         raise first_error(group) from None
     return 0
 
 
-async def _show(configuration: Configuration, path: Path) -> None:
-    port = build_whole_port(configuration, time.monotonic, path, passive=True)
+async def _show(configuration: Configuration, path: Path, *, safe_command: bool) -> None:
+    port = build_whole_port(configuration, time.monotonic, path, passive=not safe_command)
     listener = _Probe()
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(port.run(listener, lambda: _say(port.description)))
-        while True:
+        if safe_command:
+            tasks.create_task(_command(port, listener))
+        for number in count():
             await asyncio.sleep(_EVERY_S)
             _say(_line(configuration, port, listener.reading))
             for report in sensor_reports(port)():
                 _say(_sensor_line(report))
+            if number % _DETAILS_EVERY == 1:
+                _say("".join(f"  {line}\n" for line in port.details()), end="")
 
 
-def _say(text: str) -> None:
-    sys.stdout.write(text + "\n")
+async def _command(port: Port, listener: _Probe) -> None:
+    """Listen, then send the safe command until cancelled; say what the drive makes of it.
+
+    Raises:
+        AdaptdriveError: Somebody else commands the drive.
+    """
+    await asyncio.sleep(_LISTEN_S)
+    if port.statistics.foreign_commands:
+        raise AdaptdriveError(f"no command sent: {port.complaint}")
+    before = _said(listener.reading)
+    for number in count(1):
+        port.send(SAFE_COMMAND)
+        await asyncio.sleep(_COMMAND_S)
+        if number % _ANSWER_EVERY == 0:
+            counts = port.statistics
+            _say(
+                f"safe command: sent {counts.sent}, dropped {counts.send_drops}; the drive says "
+                f"{_said(listener.reading)} (before: {before})"
+            )
+
+
+def _said(reading: Reading | None) -> str:
+    if reading is None:
+        return "nothing"
+    name = f" ({reading.fault_name})" if reading.fault_name else ""
+    return f"bridge {'on' if reading.bridge else 'off'}, fault {reading.fault:#x}{name}"
+
+
+def _say(text: str, end: str = "\n") -> None:
+    sys.stdout.write(text + end)
     sys.stdout.flush()
 
 

@@ -25,18 +25,19 @@ def run(config: Path, /) -> int:
     return run_drive(config)
 
 
-def probe(config: Path, /) -> int:
-    """Show decoded measurements as they come from the bus; command nothing.
+def probe(config: Path, /, *, safe_command: bool = False) -> int:
+    """Show decoded measurements and refused frames as they come from the bus; command nothing.
 
     Args:
         config: Configuration file.
+        safe_command: Send the safe command, k = 0 and bridge off, and show what the drive answers.
 
     Returns:
         Exit status.
     """
     from adaptdrive.app.probe import probe as probe_drive  # noqa: PLC0415 - see above
 
-    return probe_drive(config)
+    return probe_drive(config, safe_command=safe_command)
 
 
 def replay(

@@ -181,6 +181,8 @@ async def test_an_exception_is_named(tmp_path: Path, free_tcp_port: int) -> None
         one.peer.answer = exception
         await until(lambda: bool(one.ear.bus))
         assert "exception reply 2 to function 4 (illegal address), input " in one.ear.bus[0][1]
+        refused = [line for line in one.port.details() if line.startswith("refused: ")]
+        assert "illegal address" in refused[0]
 
 
 async def test_a_half_open_connection_is_given_up_and_made_anew(

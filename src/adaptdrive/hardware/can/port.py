@@ -40,6 +40,7 @@ def build_can_port(  # noqa: PLR0913 - what the configuration says, and both clo
     *,
     wall_clock: Callable[[], float] = time.time,
     source: Path | str = "configuration",
+    hears_all: bool = False,
 ) -> CanPort:
     """Build the port of one drive; nothing is opened yet.
 
@@ -50,11 +51,13 @@ def build_can_port(  # noqa: PLR0913 - what the configuration says, and both clo
         clock: Monotonic clock, in seconds.
         wall_clock: The clock with which the bus stamps frames, in seconds.
         source: The configuration, for error messages.
+        hears_all: Whether to hear, and remember, frames of ids that nothing is taken from, too.
 
     Raises:
         ConfigurationError: Configuration and DBC do not fit; every flaw is listed.
     """
-    return CanPort(bus, map_drive(bus, signals, timing, source), clock, wall_clock)
+    mapping = map_drive(bus, signals, timing, source)
+    return CanPort(bus, mapping, clock, wall_clock, hears_all=hears_all)
 
 
 class CanPort:
@@ -66,6 +69,8 @@ class CanPort:
         mapping: DriveMapping,
         clock: Callable[[], float],
         wall_clock: Callable[[], float],
+        *,
+        hears_all: bool = False,
     ) -> None:
         self._config = config
         self._mapping = mapping
@@ -75,6 +80,7 @@ class CanPort:
         self._commands = {_key(order.codec): _label(order.codec) for order in mapping.orders}
         self._rival = Rival(clock)
         self._refusals = Refusals()
+        self._hears_all = hears_all
         self._sources = [source for status in mapping.statuses for source in status.sources]
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
         self._others = {
@@ -217,6 +223,8 @@ class CanPort:
     def _take_foreign(self, key: int, frame: can.Message) -> None:
         """Count a frame that is no measurement; no bus returns what this port has sent."""
         self._counts["foreign"] += 1
+        if self._hears_all:
+            self._refusals.note_strange(f"0x{frame.arbitration_id:03X}", bytes(frame.data))
         if key in self._commands and not (frame.is_error_frame or frame.is_remote_frame):
             self._counts["foreign_commands"] += 1
             self._rival.hear(self._commands[key])
@@ -308,7 +316,8 @@ class CanPort:
     def _open(self) -> can.BusABC:
         self._arrivals.begin_drain()
         self._arrivals.end_drain()
-        return open_bus(self._config, [*self._statuses, *self._commands])
+        listen = [] if self._hears_all else [*self._statuses, *self._commands]
+        return open_bus(self._config, listen)
 
     async def _serve(self, bus: can.BusABC, announce: Callable[[], None]) -> str:
         """Use an open bus until it is lost, and close it; why it was lost."""

@@ -74,7 +74,7 @@ class Refusals:
             for verdict, refusal in found.items():
                 yield f"refused {message}: {verdict} {_shown(refusal)}: {_REMEDIES[verdict]}"
         for frame, refusal in self._strange.items():
-            yield f"refused {frame}: no entry of [signals] has this id {_shown(refusal)}"
+            yield f"refused {frame}: no entry of [signals] is taken from this id, {_shown(refusal)}"
 
 
 def _shown(refusal: _Refusal) -> str:
