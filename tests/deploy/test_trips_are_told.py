@@ -16,6 +16,7 @@ RETURNING = {"find_cause", "_unhealthy", "_exceeded", "complaint"} | {
     "_problem",
     "_watch",
     "_departure",
+    "_precharge_cause",
 }
 """Functions that return what trips a drive."""
 TAKING = {"latch", "fall"}

@@ -51,17 +51,19 @@ def find_cause(
         explain_age: Names the oldest value and why it is old; called for a stale reading alone.
     """
     if reading is None:
-        return _with_reason("stale: no measurement yet", explain_age())
+        return f"stale: no measurement yet{_reason(explain_age())}"
     age_s = now_s - reading.oldest_s
     limit_s = limits.stale_s + reading.slack_s
     if not age_s <= limit_s:
-        found = f"stale: measurement is {age_s * 1e3:.0f} ms old, limit {limit_s * 1e3:g} ms"
-        return _with_reason(found, explain_age())
+        return (
+            f"stale: measurement is {age_s * 1e3:.0f} ms old, limit {limit_s * 1e3:g} ms"
+            f"{_reason(explain_age())}"
+        )
     return _unhealthy(reading) or _exceeded(reading, limits)
 
 
-def _with_reason(found: str, reason: str) -> str:
-    return f"{found}; {reason}" if reason else found
+def _reason(text: str) -> str:
+    return f"; {text}" if text else ""
 
 
 def _unhealthy(reading: Reading) -> str | None:

@@ -222,10 +222,10 @@ def _precharge_cause(limits: MachineLimits, boost_voltage_V: float) -> str:
         else "; a boost stage that works only with the enable bit on needs drive.enable_bit = "
         "'bridge-and-boost'"
     )
-    found = f"precharge: v_bst = {boost_voltage_V:.1f} V after {passed_s:g} s"
     return (
-        f"{found}, needs {limits.floor_V:g} V{hint}; else the drive refuses the commands "
-        "(checksum, counter, local instead of remote mode), or line or precharge circuit is open"
+        f"precharge: v_bst = {boost_voltage_V:.1f} V after {passed_s:g} s, "
+        f"needs {limits.floor_V:g} V{hint}; else the drive refuses the commands (checksum, "
+        "counter, local instead of remote mode), or line or precharge circuit is open"
     )
 
 
