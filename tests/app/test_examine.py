@@ -218,3 +218,71 @@ def test_a_drive_has_a_name_that_is_safe_everywhere(folder: Path, name: str) -> 
 def test_the_names_of_people_are_those_of_the_broker() -> None:
     acl = (EXAMPLES.parent / "mosquitto" / "adaptdrive.acl").read_text()
     assert set(re.findall(r"^user (\w+)$", acl, re.MULTILINE)) == set(BROKER_USERS)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "place", "words"),
+    [
+        ("motor.toml", ("_max_V = 400.0", "_max_V = 601.0"), "boost_reference_V", "0…600"),
+        ("motor.toml", ("max_S = 0.15 ", "max_S = 0.9 "), "current_scale_S", "cannot carry 0.9"),
+        ("bath-modbus-tcp.toml", ("_max_V = 400.0", "_max_V = 601.0"), "boost_reference_V", "601"),
+    ],
+)
+def test_a_command_that_cannot_carry_its_limits_is_a_flaw(
+    folder: Path, name: str, change: tuple[str, str], place: str, words: str
+) -> None:
+    over = ("boost_voltage_max_V = 430.0", "boost_voltage_max_V = 630.0")
+    found = flaws(folder, name, change, over)
+    assert set(found) == {f"signals.command.{place}"}
+    assert words in found[f"signals.command.{place}"]
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ('"INV_STATE.N_ACT"', "the signal is in rpm, the quantity in V: name another signal"),
+        ('{ signal = "INV_STATE.N_ACT", unit = "rpm" }', "leads to rad/s, the quantity is in V"),
+        ('{ signal = "INV_STATE.N_ACT", scale = 2.0, unit = "degC" }', "leads to K"),
+        ('{ signal = "INV_STATE.N_ACT", scale = 2.0, unit = "mV" }', ""),
+        ('{ signal = "INV_STATE.N_ACT", scale = 2.0 }', ""),
+    ],
+)
+def test_a_dbc_unit_of_another_quantity_is_a_flaw(folder: Path, given: str, words: str) -> None:
+    old = '{ signal = "INV_STATE.N_ACT", scale = 2.1502e-3 }'
+    found = flaws(folder, "motor-inverter.toml", (old, given))
+    assert set(found) == ({"signals.output"} if words else set())
+    assert words in found.get("signals.output", "")
+
+
+def test_a_command_in_another_unit_is_a_flaw(folder: Path) -> None:
+    dbc = (EXAMPLES / "inverter.dbc").read_text()
+    assert '[0|600] "V"' in dbc
+    (folder / "inverter.dbc").write_text(dbc.replace('[0|600] "V"', '[0|600] "%"'))
+    found = flaws(folder, "motor-inverter.toml")
+    assert found["signals.command.boost_reference_V"].startswith(
+        "HOST_CMD.U_DC_SET: the signal is in %, the quantity in V"
+    )
+
+
+@pytest.mark.parametrize(
+    ("unit", "given", "words"),
+    [
+        ("mV", '"boost_voltage"', "unit = 'mV' converts it"),
+        ("mV", '{ signal = "boost_voltage", unit = "mV" }', ""),
+        ("mV", '{ signal = "boost_voltage", unit = "kV" }', "the signal is in mV, and unit = 'kV'"),
+        ("rpm", '"boost_voltage"', "the signal is in rpm, the quantity in V"),
+        ("of the boost", '"boost_voltage"', ""),
+    ],
+)
+def test_a_register_unit_of_another_quantity_is_a_flaw(
+    folder: Path, unit: str, given: str, words: str
+) -> None:
+    register = 'address = 16, table = "holding", scale = 0.01, unit = "V"'
+    found = flaws(
+        folder,
+        "bath-modbus-tcp.toml",
+        (register, register.replace('"V"', f'"{unit}"')),
+        ('boost_voltage_V = "boost_voltage"', f"boost_voltage_V = {given}"),
+    )
+    assert set(found) == ({"signals.boost_voltage_V"} if words else set())
+    assert words in found.get("signals.boost_voltage_V", "")

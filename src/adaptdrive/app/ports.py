@@ -9,7 +9,9 @@ from pathlib import Path
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanBus
 from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.control.signals import Command
 from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.hardware.demands import Demands
 from adaptdrive.hardware.port import Port
 
 
@@ -34,6 +36,7 @@ def build_port(
     """
     bus, signals = configuration.bus, configuration.signals
     half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
+    demands = demands_of(configuration)
     if isinstance(bus, CanBus):
         from adaptdrive.hardware.can.mapping import Timing  # noqa: PLC0415 - load what is used
         from adaptdrive.hardware.can.port import build_can_port  # noqa: PLC0415
@@ -43,7 +46,9 @@ def build_port(
             stale_s=configuration.interlocks.stale_s,
             daemon_holds_voltage=configuration.voltage_loop.where == "daemon",
         )
-        return build_can_port(bus, signals, timing, clock, source=source, hears_all=passive)
+        return build_can_port(
+            bus, signals, timing, clock, source=source, hears_all=passive, demands=demands
+        )
     if isinstance(bus, CanOpenBus):
         with _canopen_installed(source):
             from adaptdrive.hardware.canopen.port import (  # noqa: PLC0415 - load what is used
@@ -53,12 +58,27 @@ def build_port(
 
         if passive:
             return build_canopen_watch(bus, signals, clock, source=source)
-        return build_canopen_port(bus, signals, half_cycle_s, clock, source=source)
+        return build_canopen_port(bus, signals, half_cycle_s, clock, source=source, demands=demands)
     from adaptdrive.hardware.modbus.port import (  # noqa: PLC0415 - load what is used
         build_modbus_port,
     )
 
-    return build_modbus_port(bus, signals, half_cycle_s, clock, source=source)
+    return build_modbus_port(bus, signals, half_cycle_s, clock, source=source, demands=demands)
+
+
+def demands_of(configuration: Configuration) -> Demands:
+    """Return what the limits of a configuration ask of its signals."""
+    limits, scale_S = configuration.drive.limits, 0.0
+    if configuration.voltage_loop.where == "daemon":
+        scale_S = configuration.drive.limits.current_scale_max_S
+    lowest_S = -scale_S if configuration.drive.kind == "bidirectional" else 0.0
+    return Demands(
+        output_unit=configuration.load.output_unit,
+        commands=(
+            Command(lowest_S, limits.boost_reference_min_V, bridge=True),
+            Command(scale_S, limits.boost_reference_max_V, bridge=True),
+        ),
+    )
 
 
 @contextlib.contextmanager

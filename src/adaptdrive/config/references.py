@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.modbus import ModbusBus, Register
 from adaptdrive.config.proposals import nearest
+from adaptdrive.config.units import WANTED, unit_problem
 from adaptdrive.errors import Flaw
 
 MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
@@ -84,6 +85,25 @@ def register_flaws(place: str, register: Register) -> Iterator[Flaw]:
         register.type == "float32" or register.bit >= 16 * register.words
     ):
         yield Flaw(f"{place}.bit", f"{register.type} has no bit {register.bit}")
+
+
+def unit_flaws(bus: ModbusBus, signals: Signals, output_unit: str) -> Iterator[Flaw]:
+    """Registers that are not in the unit of what is taken from them.
+
+    Args:
+        bus: `[bus]`.
+        signals: `[signals]`.
+        output_unit: Unit of the regulated quantity.
+    """
+    units = {**WANTED, "output": output_unit}
+    for name, unit in units.items():
+        given = getattr(signals, name, None) or getattr(signals.command, name, None)
+        register = None if given is None else bus.registers.get(given.signal)
+        if given is not None and register is not None:
+            problem = unit_problem(given, register.unit, unit)
+            if problem:
+                place = f"signals.{name}" if hasattr(signals, name) else f"signals.command.{name}"
+                yield Flaw(place, f"{given.signal}: {problem}")
 
 
 def map_flaws(place: str, registers: Mapping[str, Register], *, zero_based: bool) -> Iterator[Flaw]:

@@ -15,7 +15,7 @@ from adaptdrive.config.derived import Derived
 from adaptdrive.config.drive import Drive, VoltageLoop
 from adaptdrive.config.load import Bath, Battery, Estimator, Motor, Supervisor
 from adaptdrive.config.modbus import ModbusBus, ModbusRtu, ModbusTcp
-from adaptdrive.config.references import can_flaws, modbus_flaws
+from adaptdrive.config.references import can_flaws, modbus_flaws, unit_flaws
 from adaptdrive.config.section import Section, inconsistent
 from adaptdrive.config.sensors import (
     CanSensors,
@@ -100,6 +100,12 @@ def _bus_flaws(configuration: Configuration) -> Iterator[Flaw]:
         yield from canopen_flaws(bus, signals)
     else:
         yield from modbus_flaws(bus, signals)
+
+
+def _unit_flaws(configuration: Configuration) -> Iterator[Flaw]:
+    bus = configuration.bus
+    if isinstance(bus, ModbusBus):
+        yield from unit_flaws(bus, configuration.signals, configuration.load.output_unit)
 
 
 def _pace_flaws(configuration: Configuration) -> Iterator[Flaw]:
@@ -202,6 +208,7 @@ def _trip_flaws(configuration: Configuration) -> Iterator[Flaw]:
 _CHECKS: tuple[tuple[Callable[[Configuration], Iterator[Flaw]], frozenset[str]], ...] = (
     (_rate_flaws, frozenset({"drive", "load"})),
     (_bus_flaws, frozenset({"bus", "signals"})),
+    (_unit_flaws, frozenset({"bus", "signals", "load"})),
     (
         _pace_flaws,
         frozenset({"drive", "bus", "signals", "load", "interlocks", "voltage_loop"}),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Literal, Protocol
 
 Unit = Literal[
     "V", "A", "W", "K", "rad/s", "mV", "kV", "mA", "kA", "kW", "degC", "degF", "rpm", "Hz"
@@ -21,6 +21,87 @@ _IN_SI: dict[str, tuple[float, float]] = {
     "Hz": (2.0 * math.pi, 0.0),
     **dict.fromkeys(("V", "A", "W", "K", "rad/s"), (1.0, 0.0)),
 }
+
+
+WANTED = {
+    "boost_voltage_V": "V",
+    "line_voltage_V": "V",
+    "load_power_W": "W",
+    "boost_reference_V": "V",
+    "current_scale_S": "S",
+}
+"""Units of the quantities that have the same one for every load."""
+
+_SPELLINGS = {
+    "V": ("V", "Volt", "Volts", "volt", "volts", "VDC", "Vdc", "VAC", "Vac", "Vrms"),
+    "A": ("A", "Amp", "Amps", "Ampere", "amp", "amps", "Arms"),
+    "W": ("W", "Watt", "Watts", "watt", "watts"),
+    "K": ("K", "Kelvin", "kelvin"),
+    "degC": ("degC", "°C", "deg C", "Celsius", "C"),
+    "degF": ("degF", "°F", "deg F", "Fahrenheit"),
+    "rpm": ("rpm", "RPM", "1/min", "min-1", "r/min", "U/min", "rev/min"),
+    "rad/s": ("rad/s", "1/s"),
+    "S": ("S", "A/V", "1/Ohm"),
+    "%": ("%", "percent", "Percent"),
+    "Nm": ("Nm", "N m", "N*m"),
+    "Ohm": ("Ohm", "ohm", "Ω"),
+    **{unit: (unit,) for unit in ("mV", "kV", "mA", "kA", "kW", "mW", "Hz", "s", "ms", "h", "bar")},
+}
+_UNITS = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
+_DIMENSIONS = {
+    **dict.fromkeys(("V", "mV", "kV"), "V"),
+    **dict.fromkeys(("A", "mA", "kA"), "A"),
+    **dict.fromkeys(("W", "mW", "kW"), "W"),
+    **dict.fromkeys(("K", "degC", "degF"), "K"),
+    **dict.fromkeys(("rpm", "rad/s", "Hz"), "rad/s"),
+}
+
+
+class Converted(Protocol):
+    """What says how a signal becomes a quantity."""
+
+    @property
+    def scale(self) -> float: ...  # noqa: D102
+    @property
+    def offset(self) -> float: ...  # noqa: D102
+    @property
+    def unit(self) -> Unit | None: ...  # noqa: D102
+    @property
+    def model_fields_set(self) -> set[str]: ...  # noqa: D102
+
+
+def unit_problem(source: Converted, found: str, wanted: str) -> str | None:
+    """Return why a signal is not in the unit of its quantity, None where nothing speaks against it.
+
+    Args:
+        source: Its conversion; a scale or an offset that the file gives is believed.
+        found: Unit that the DBC or the register map names.
+        wanted: Unit of the quantity.
+    """
+    is_in, to_be = _UNITS.get(found.strip()), _UNITS.get(wanted)
+    if source.unit is not None:
+        return _stated_problem(source, is_in, to_be)
+    if is_in is None or to_be is None or is_in == to_be:
+        return None
+    if not source.model_fields_set.isdisjoint({"scale", "offset"}):
+        return None
+    problem = f"the signal is in {found.strip()}, the quantity in {wanted}"
+    if _DIMENSIONS.get(is_in) != _DIMENSIONS.get(to_be, ""):
+        return f"{problem}: name another signal, or the scale that leads from one to the other"
+    if is_in in _IN_SI:
+        return f"{problem}: unit = {is_in!r} converts it, scale = 1.0 takes it as it stands"
+    return f"{problem}: give its scale"
+
+
+def _stated_problem(source: Converted, is_in: str | None, to_be: str | None) -> str | None:
+    """Why the `unit` of a signal is not that of its quantity, or of the signal itself."""
+    stated = str(source.unit)
+    if to_be in _DIMENSIONS and _DIMENSIONS[stated] != _DIMENSIONS[to_be]:
+        return f"unit = {stated!r} leads to {_DIMENSIONS[stated]}, the quantity is in {to_be}"
+    alone = (source.scale, source.offset) == _IN_SI[stated]
+    if alone and is_in is not None and is_in != stated:
+        return f"the signal is in {is_in}, and unit = {stated!r} says otherwise"
+    return None
 
 
 def in_si(table: dict[str, object]) -> dict[str, object]:

@@ -13,12 +13,14 @@ from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import CanBus, Signals, SignalSource, SwitchSource
+from adaptdrive.config.units import WANTED, unit_problem
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.can.bus import channel_flaws
 from adaptdrive.hardware.can.codec import MessageCodec, counter_modulus
 from adaptdrive.hardware.can.database import Catalogue, is_word, load_database
 from adaptdrive.hardware.can.layout import compile_field, is_multiplexed
 from adaptdrive.hardware.can.orders import Order, build_orders, find_orders, resolve
+from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 
 _MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
 _WORDS = ("counter", "fault", "bridge")
@@ -94,7 +96,11 @@ _Sources = dict[str, list[Source]]
 
 
 def map_drive(
-    bus: CanBus, signals: Signals, timing: Timing, source: Path | str = "configuration"
+    bus: CanBus,
+    signals: Signals,
+    timing: Timing,
+    source: Path | str = "configuration",
+    demands: Demands = NO_DEMANDS,
 ) -> DriveMapping:
     """Find every configured signal in the DBC.
 
@@ -103,6 +109,7 @@ def map_drive(
         signals: `[signals]`.
         timing: How old a value may be.
         source: The configuration, for the error message.
+        demands: What the signals must be able to carry.
 
     Raises:
         ConfigurationError: Something does not fit; every flaw is listed.
@@ -111,7 +118,8 @@ def map_drive(
     catalogue.flaws.extend(channel_flaws(bus))
     sources = _find_sources(catalogue, bus, signals, timing)
     bridge_on = _bridge_on(catalogue, signals.bridge, sources)
-    orders = find_orders(catalogue, bus, signals)
+    _check_units(catalogue, sources, signals, demands.output_unit)
+    orders = find_orders(catalogue, bus, signals, demands)
     _check_clock(catalogue, bus.clock, sources)
     for name, integrity in bus.integrity.items():
         catalogue.check_integrity(name, integrity)
@@ -145,6 +153,18 @@ def _find_sources(catalogue: Catalogue, bus: CanBus, signals: Signals, timing: T
         if quantity in _WORDS:
             _check_word(catalogue, signal, place, plain=(entry.scale, entry.offset) == (1.0, 0.0))
     return found
+
+
+def _check_units(
+    catalogue: Catalogue, sources: _Sources, signals: Signals, output_unit: str
+) -> None:
+    units = {**WANTED, "output": output_unit}
+    for source in (one for found in sources.values() for one in found):
+        given = getattr(signals, source.quantity, None)
+        if given is not None and source.quantity in units:
+            problem = unit_problem(given, source.signal.unit or "", units[source.quantity])
+            if problem:
+                catalogue.note(f"signals.{source.quantity}", f"{given.signal}: {problem}")
 
 
 def _named(signals: Signals) -> Iterator[tuple[str, SignalSource]]:

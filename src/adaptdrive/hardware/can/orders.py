@@ -12,12 +12,14 @@ from dataclasses import dataclass, field
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
-from adaptdrive.config.bus import CanBus, CommandSwitch, Signals
+from adaptdrive.config.bus import CanBus, CommandSignal, CommandSwitch, Signals
 from adaptdrive.config.proposals import nearest
+from adaptdrive.config.units import WANTED, unit_problem
 from adaptdrive.control.signals import Command
 from adaptdrive.hardware.can.codec import MessageCodec
 from adaptdrive.hardware.can.database import Catalogue, is_word
 from adaptdrive.hardware.can.layout import compile_field
+from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 
 _VALUES = ("current_scale_S", "boost_reference_V")
 
@@ -86,7 +88,9 @@ class _Draft:
 _Drafts = dict[str, dict[Page, _Draft]]
 
 
-def find_orders(catalogue: Catalogue, bus: CanBus, signals: Signals) -> _Drafts:
+def find_orders(
+    catalogue: Catalogue, bus: CanBus, signals: Signals, demands: Demands = NO_DEMANDS
+) -> _Drafts:
     """What each page of each message has to carry; flaws go to the catalogue."""
     drafts: _Drafts = {}
     _find_constants(catalogue, bus, signals, drafts)
@@ -94,7 +98,9 @@ def find_orders(catalogue: Catalogue, bus: CanBus, signals: Signals) -> _Drafts:
         given = getattr(signals.command, name)
         if given is not None:
             part = Part(name, "", -given.offset / given.scale, 1.0 / given.scale)
-            _add(catalogue, bus, drafts, given.signal, part)
+            signal = _add(catalogue, bus, drafts, given.signal, part)
+            if signal is not None:
+                _check_demands(catalogue, given, signal, part, demands)
     if signals.command.bridge is not None:
         _find_switch(catalogue, bus, signals.command.bridge, drafts)
     return drafts
@@ -159,11 +165,13 @@ def _find_switch(catalogue: Catalogue, bus: CanBus, switch: CommandSwitch, draft
     _add(catalogue, bus, drafts, switch.signal, Part("bridge", "", off, on - off))
 
 
-def _add(catalogue: Catalogue, bus: CanBus, drafts: _Drafts, reference: str, part: Part) -> None:
+def _add(
+    catalogue: Catalogue, bus: CanBus, drafts: _Drafts, reference: str, part: Part
+) -> Signal | None:
     place = f"signals.command.{part.field}"
     hit = catalogue.signal(reference, place)
     if hit is None:
-        return
+        return None
     message, signal = hit
     _check_proof(catalogue, bus, message, signal, place)
     if signal.is_multiplexer:
@@ -175,6 +183,23 @@ def _add(catalogue: Catalogue, bus: CanBus, drafts: _Drafts, reference: str, par
     if signal.name in draft.fixed:
         catalogue.note(place, f"signal {signal.name!r} is a constant too")
     draft.parts.append(Part(part.field, signal.name, part.base, part.factor))
+    return signal
+
+
+def _check_demands(
+    catalogue: Catalogue, given: CommandSignal, signal: Signal, part: Part, demands: Demands
+) -> None:
+    """The signal carries every command within the limits, in the unit of the quantity."""
+    place = f"signals.command.{part.field}"
+    problem = unit_problem(given, signal.unit or "", WANTED[part.field])
+    if problem:
+        catalogue.note(place, f"{given.signal}: {problem}")
+        return
+    for wanted in demands.values(part.field):
+        try:
+            compile_field(signal).raw(part.base + part.factor * wanted)
+        except ValueError as refusal:
+            catalogue.note(place, f"cannot carry {wanted:g}, a limit of [drive.limits]: {refusal}")
 
 
 def _check_proof(

@@ -28,6 +28,7 @@ from adaptdrive.hardware.can.orders import Order
 from adaptdrive.hardware.can.reader import FrameReader
 from adaptdrive.hardware.can.reconnect import serve_for_ever
 from adaptdrive.hardware.can.refusals import Refusals
+from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 from adaptdrive.hardware.rival import Rival
 
@@ -41,6 +42,7 @@ def build_can_port(  # noqa: PLR0913 - what the configuration says, and both clo
     wall_clock: Callable[[], float] = time.time,
     source: Path | str = "configuration",
     hears_all: bool = False,
+    demands: Demands = NO_DEMANDS,
 ) -> CanPort:
     """Build the port of one drive; nothing is opened yet.
 
@@ -52,11 +54,12 @@ def build_can_port(  # noqa: PLR0913 - what the configuration says, and both clo
         wall_clock: The clock with which the bus stamps frames, in seconds.
         source: The configuration, for error messages.
         hears_all: Whether to hear, and remember, frames of ids that nothing is taken from, too.
+        demands: What the limits of the configuration ask of the signals.
 
     Raises:
         ConfigurationError: Configuration and DBC do not fit; every flaw is listed.
     """
-    mapping = map_drive(bus, signals, timing, source)
+    mapping = map_drive(bus, signals, timing, source, demands)
     return CanPort(bus, mapping, clock, wall_clock, hears_all=hears_all)
 
 

@@ -25,6 +25,7 @@ from adaptdrive.hardware.canopen.pdo import (
     transmit_channel,
 )
 from adaptdrive.hardware.canopen.profile import CONTROLWORD, STATUSWORD
+from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 
 DEVICE_TYPE = (0x1000, 0)
 SYNC_ID = (0x1005, 0)
@@ -130,7 +131,10 @@ class DriveMapping:
 
 
 def map_drive(
-    bus: CanOpenBus, signals: Signals, source: Path | str = "configuration"
+    bus: CanOpenBus,
+    signals: Signals,
+    source: Path | str = "configuration",
+    demands: Demands = NO_DEMANDS,
 ) -> DriveMapping:
     """Find every configured object in the EDS and plan the PDOs.
 
@@ -138,6 +142,7 @@ def map_drive(
         bus: `[bus]`.
         signals: `[signals]`.
         source: The configuration, for the error message.
+        demands: What the objects must be able to carry.
 
     Raises:
         ConfigurationError: Something does not fit; every flaw is listed.
@@ -147,7 +152,7 @@ def map_drive(
     catalogue.flaws.extend(channel_flaws(bus))
     plan = _Plan(catalogue, bus)
     plan.find_sources(signals)
-    plan.find_sinks(signals)
+    plan.find_sinks(signals, demands)
     mapping = plan.mapping()
     if mapping is None or catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
@@ -184,8 +189,8 @@ class _Plan:
             if quantity in WORDS:
                 self._check_word(source, place)
 
-    def find_sinks(self, signals: Signals) -> None:
-        """Entries of the commanded quantities."""
+    def find_sinks(self, signals: Signals, demands: Demands) -> None:
+        """Entries of the commanded quantities, which must carry what is demanded."""
         for name in COMMANDED:
             given = getattr(signals.command, name)
             if given is None:
@@ -198,6 +203,11 @@ class _Plan:
                 self._catalogue.note(place, f"the drive does not take {entry.name!r} in a PDO")
             if not entry.limits[0] <= -given.offset / given.scale <= entry.limits[1]:
                 self._catalogue.note(place, f"{entry.name!r} cannot be 0: it could not be safe")
+            for wanted in demands.values(name):
+                if not entry.limits[0] <= (wanted - given.offset) / given.scale <= entry.limits[1]:
+                    problem = f"{entry.name!r} cannot carry {wanted:g}, a limit of [drive.limits]"
+                    ends = "{:g}…{:g}".format(*entry.limits)
+                    self._catalogue.note(place, f"{problem}: its counts are {ends}")
             self._sinks.append(Sink(name, entry, given.scale, given.offset))
 
     def mapping(self) -> DriveMapping | None:

@@ -35,6 +35,7 @@ from adaptdrive.hardware.canopen.profile import CONTROLWORD, STATUSWORD, DriveCo
 from adaptdrive.hardware.canopen.sdo import describe_node
 from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
 from adaptdrive.hardware.canopen.sync import SyncProducer
+from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 from adaptdrive.hardware.rival import Rival
 
@@ -50,13 +51,14 @@ _SDO_WRITES = frozenset({0, 1, 6})
 """Client command specifiers: download of a segment, start of a download, block download."""
 
 
-def build_canopen_port(
+def build_canopen_port(  # noqa: PLR0913 - what the configuration says, and the clock
     bus: CanOpenBus,
     signals: Signals,
     half_cycle_s: float,
     clock: Callable[[], float],
     *,
     source: Path | str = "configuration",
+    demands: Demands = NO_DEMANDS,
 ) -> CanOpenPort:
     """Build the port of one drive; nothing is opened yet.
 
@@ -66,11 +68,12 @@ def build_canopen_port(
         half_cycle_s: Half a line cycle.
         clock: Monotonic clock, in seconds.
         source: The configuration, for error messages.
+        demands: What the limits of the configuration ask of the signals.
 
     Raises:
         ConfigurationError: Configuration and EDS do not fit; every flaw is listed.
     """
-    return CanOpenPort(bus, map_drive(bus, signals, source), half_cycle_s, clock)
+    return CanOpenPort(bus, map_drive(bus, signals, source, demands), half_cycle_s, clock)
 
 
 class CanOpenPort:

@@ -12,8 +12,10 @@ from pathlib import Path
 from adaptdrive.config.bus import Signals, SignalSource, SwitchSource
 from adaptdrive.config.modbus import ModbusBus, Register
 from adaptdrive.config.references import COMMANDED, MEASURED, WORDS
+from adaptdrive.config.units import WANTED
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.modbus.blocks import Block, plan_blocks
 from adaptdrive.hardware.modbus.capacity import Exchange, capacity_flaws
 from adaptdrive.hardware.modbus.codec import decode_value, encode_count, encode_value
@@ -103,7 +105,11 @@ class Poll:
 
 
 def map_drive(
-    bus: ModbusBus, signals: Signals, half_cycle_s: float, source: Path | str = "configuration"
+    bus: ModbusBus,
+    signals: Signals,
+    half_cycle_s: float,
+    source: Path | str = "configuration",
+    demands: Demands = NO_DEMANDS,
 ) -> Poll:
     """Plan the polls of a drive.
 
@@ -112,6 +118,7 @@ def map_drive(
         signals: `[signals]`.
         half_cycle_s: Half a line cycle.
         source: The configuration, for the error message.
+        demands: What the registers must be able to carry.
 
     Raises:
         ConfigurationError: Something does not fit; every flaw is listed.
@@ -127,7 +134,11 @@ def map_drive(
         combined=bus.read_write,
         other=tuple(signals.other),
     )
-    flaws = [*_command_flaws(sinks), *_combined_flaws(bus, reads, writes)]
+    flaws = [
+        *_command_flaws(sinks),
+        *_demand_flaws(sinks, demands),
+        *_combined_flaws(bus, reads, writes),
+    ]
     flaws += [] if flaws else capacity_flaws(bus, poll.exchanges(), half_cycle_s)
     if flaws:
         raise ConfigurationError(source, flaws)
@@ -183,6 +194,19 @@ def _command_flaws(sinks: Iterable[Sink]) -> Iterator[Flaw]:
                 place = f"signals.command.{sink.name}"
                 yield Flaw(place, f"the drive could not be switched: {problem}")
                 break
+
+
+def _demand_flaws(sinks: Iterable[Sink], demands: Demands) -> Iterator[Flaw]:
+    """Every command within the limits must fit into its registers."""
+    for sink in sinks:
+        if sink.name not in WANTED:
+            continue
+        for command in demands.commands:
+            try:
+                sink.words(command, 0)
+            except ValueError as problem:
+                limit = f"cannot carry {getattr(command, sink.name):g}, a limit of [drive.limits]"
+                yield Flaw(f"signals.command.{sink.name}", f"{limit}: {problem}")
 
 
 def _combined_flaws(

@@ -19,6 +19,7 @@ from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.backoff import Backoff
+from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.modbus.blocks import Block
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange
@@ -33,13 +34,14 @@ _SILENT_POLLS = 3
 """Polls without a reading after which the drive is said to be gone."""
 
 
-def build_modbus_port(
+def build_modbus_port(  # noqa: PLR0913 - what the configuration says, and the clock
     bus: ModbusTcp | ModbusRtu,
     signals: Signals,
     half_cycle_s: float,
     clock: Callable[[], float],
     *,
     source: Path | str = "configuration",
+    demands: Demands = NO_DEMANDS,
 ) -> ModbusPort:
     """Build the port of one drive; nothing is opened yet.
 
@@ -49,11 +51,12 @@ def build_modbus_port(
         half_cycle_s: Half a line cycle.
         clock: Monotonic clock, in seconds.
         source: The configuration, for error messages.
+        demands: What the limits of the configuration ask of the signals.
 
     Raises:
         ConfigurationError: The map or the wanted rate does not fit; every flaw is listed.
     """
-    poll = map_drive(bus, signals, half_cycle_s, source)
+    poll = map_drive(bus, signals, half_cycle_s, source, demands)
     return ModbusPort(bus, poll, bus.poll_ticks * half_cycle_s, clock)
 
 
