@@ -17,6 +17,8 @@ RETURNING = {"find_cause", "_unhealthy", "_exceeded", "complaint"} | {
     "_watch",
     "_departure",
     "_precharge_cause",
+    "_low",
+    "_fallen",
 }
 """Functions that return what trips a drive."""
 TAKING = {"latch", "fall"}

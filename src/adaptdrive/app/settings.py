@@ -27,6 +27,7 @@ from adaptdrive.runtime.guard import CommandLimits
 from adaptdrive.runtime.interlocks import Limits
 from adaptdrive.runtime.machine import MachineLimits
 from adaptdrive.runtime.realtime import RealtimeSettings
+from adaptdrive.runtime.response import ResponseLimits
 from adaptdrive.runtime.stillness import StillnessLimits
 
 _LOWEST_LINE = 0.5
@@ -261,6 +262,7 @@ def _fast_loop(configuration: Configuration) -> FastLoopSettings:
         timer_standin=configuration.realtime.timer_standin,
         ticks_per_reading=configuration.ticks_per_reading,
         stillness=_stillness(configuration),
+        response=_response(configuration),
         drive_clocks=configuration.drive_clocks,
     )
 
@@ -278,7 +280,6 @@ def _stillness(configuration: Configuration) -> StillnessLimits | None:
     if not interlocks.stuck_distance and not interlocks.stuck_s:
         return None
     load = build_load(configuration)
-    lag_s = load.denominator[-2] / load.denominator[-1] / load.order
     distance = interlocks.stuck_distance * (section.reference_max - section.reference_min)
     if isinstance(section, Battery):  # takes no current at all below its own voltage
         distance = 0.0
@@ -287,9 +288,43 @@ def _stillness(configuration: Configuration) -> StillnessLimits | None:
         gain=load.numerator[-1] / load.denominator[-1],
         input_gain=load.input_gain,
         input_exponent=load.input_exponent,
-        lags_s=(lag_s,) * load.order,  # equal ones with the same sum
+        lags_s=_lags_s(load),
         distance=distance or math.inf,
         longest_s=interlocks.stuck_s or math.inf,
         name=section.output_name,
         inputs=moved_inputs("output", configuration.derived),
+    )
+
+
+def _lags_s(load: Load) -> tuple[float, ...]:
+    """Return equal time constants with the same sum as those of the load."""
+    return (load.denominator[-2] / load.denominator[-1] / load.order,) * load.order
+
+
+def _response(configuration: Configuration) -> ResponseLimits | None:
+    factor, section = configuration.interlocks.response_factor, configuration.load
+    if not factor:
+        return None
+    load, highest_V = build_load(configuration), configuration.drive.limits.boost_reference_max_V
+    reference_range = section.reference_max - section.reference_min
+    limits = ResponseLimits(
+        name=section.output_name,
+        unit=section.output_unit,
+        gain=load.numerator[-1] / load.denominator[-1],
+        input_gain=load.input_gain,
+        input_exponent=load.input_exponent,
+        input_max=to_input(highest_V, load.input_gain, load.input_exponent),
+        lags_s=_lags_s(load),
+        factor=factor,
+        reference_range=reference_range,
+    )
+    if not isinstance(section, Battery):
+        return limits
+    ratio = section.model.turns_ratio
+    return replace(
+        limits,
+        gain=1.0 / ratio,
+        input_max=reference_range * ratio,
+        lags_s=(section.period_s,),  # a sensor's cycle is no longer
+        by_power=True,
     )

@@ -37,9 +37,24 @@ class Interlocks(Section):
         description="trip when the running drive's output stands at exactly one value for so long, "
         "for sensors whose noise is more than their last digit; 0: never",
     )
+    response_factor: float = Field(
+        default=4.0,
+        ge=0.0,
+        le=100.0,
+        description="trip when the output is lower than that of a load with so many times less "
+        "gain, and lags so many times longer or shorter, than `load.model`, after the same input, "
+        "or falls faster than a load can; 0: never",
+    )
     precharge_timeout_s: PositiveFloat = Field(
         default=5.0, le=600.0, description="longest time in state `starting`"
     )
+
+    @field_validator("response_factor")
+    @classmethod
+    def _is_a_factor(cls, factor: float) -> float:
+        if 0.0 < factor < 1.0:
+            raise ValueError(f"{factor:g} must be 0, or at least 1")
+        return factor
 
 
 class Mqtt(Section):

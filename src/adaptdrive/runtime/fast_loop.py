@@ -31,6 +31,7 @@ from adaptdrive.runtime.half_cycles import HalfCycles
 from adaptdrive.runtime.interlocks import Limits, find_cause
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import TickReport
+from adaptdrive.runtime.response import Response, ResponseLimits
 from adaptdrive.runtime.statistics import TimeWindow
 from adaptdrive.runtime.stillness import StillnessLimits, StillnessWatch
 
@@ -69,6 +70,7 @@ class FastLoopSettings:
         ticks_per_reading: Half cycles from one reading to the next, 1 for a drive that sends
             each. A drive that is polled has one tick for each poll.
         stillness: When the output is stuck, None for never.
+        response: The lowest output that is believed, None for any.
         drive_clocks: Whether the drive decides when a reading comes.
     """
 
@@ -80,6 +82,7 @@ class FastLoopSettings:
     timer_standin: bool
     ticks_per_reading: int = 1
     stillness: StillnessLimits | None = None
+    response: ResponseLimits | None = None
     drive_clocks: bool = True
 
 
@@ -135,7 +138,11 @@ class FastLoop:
             port.counter_modulus, settings.tick_s, settings.ticks_per_reading
         )
         self._guard = Guard(settings.command)
-        self._stillness = StillnessWatch(settings.stillness) if settings.stillness else None
+        self._watches: list[StillnessWatch | Response] = []
+        if settings.stillness is not None:
+            self._watches.append(StillnessWatch(settings.stillness))
+        if settings.response is not None:
+            self._watches.append(Response(settings.response))
         self._settings = settings
         self._surroundings = surroundings
         self._bridge = BridgeWatch(settings.tick_s, settings.ticks_per_reading)
@@ -299,7 +306,7 @@ class FastLoop:
             self._gap_cause(unwatched_s)
             or self._cause(now_s)
             or self._bridge.find_cause(reading, commanded=commanded, unwatched_s=unwatched_s)
-            or self._still_cause(reading)
+            or self._implausible(reading)
         )
         if cause is None and reading is not None:
             machine.advance(self.tick, reading.boost_voltage_V)
@@ -316,14 +323,15 @@ class FastLoop:
             "[realtime]"
         )
 
-    def _still_cause(self, reading: Reading | None) -> str | None:
-        """A frozen sensor: its messages go on, and so would the controller."""
-        if self._stillness is None or reading is None:
-            return None
-        if self._machine.stage is not Stage.RUN:
-            self._stillness.forget()
-            return None
-        return self._stillness.find_cause(reading)
+    def _implausible(self, reading: Reading | None) -> str | None:
+        """Return why the output cannot be that of the load: its sensor goes on, but lies."""
+        cause: str | None = None
+        for watch in self._watches:
+            if self._machine.stage is not Stage.RUN:
+                watch.forget()
+            elif reading is not None:
+                cause = cause or watch.find_cause(reading)
+        return cause
 
     def _control(self, tick: int, reading: Reading, *, fresh: bool) -> None:
         order = self._current_order(tick)

@@ -1,0 +1,149 @@
+"""An output that is lower than any load of the kind would have it after what it was fed with.
+
+A sensor that is reversed, that dies slowly or whose wire is broken reads low, and the controller
+answers with all the power there is. Two limits of a load hold whatever it is:
+
+* It responds. With f = `factor`, a load may have 1/f of the gain K of its model, and lags τ that
+  are f times as long or as short, from one moment to the next; a torque or a loss may take a tenth
+  of the largest input. The lowest output of all such loads is found by a chain of lags, each
+  of which rises as slowly and falls as fast as it may:
+
+      x' = (level - x) / (f·τ) where level > x, else f·(level - x) / τ
+      level = K/f · (u - 0.1 u_max), or the x of the lag before
+
+* It stores. Its output cannot fall faster than the shortest lag lets it.
+
+The current of a battery depends on its own voltage too, which is not known. But the drive measures
+the power that it gives, and that over the boost voltage is the current. A current can fall at once.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adaptdrive.hardware.port import Reading
+
+_LOAD_SHARE = 0.1
+"""Torque or loss beside the model, as a share of the largest input: 40 V of 400 V for a motor."""
+
+_MARGIN = 0.05
+"""Distance below the lowest output that trips, as a share of the set-point range: seven standard
+deviations of a noise of 5 %, smoothed."""
+
+_SMOOTHING_S = 0.2
+
+_FALL_MARGIN = 0.15
+"""The same for a fall, which is compared with the highest of many noisy values."""
+
+_FASTEST = 10.0
+"""How many times shorter than its model's shortest lag that of a load may be: a bath is emptied, or
+filled with cold water, faster than it cools."""
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseLimits:
+    """The load with the lowest output that is believed.
+
+    Attributes:
+        name: Name of the output, for the text of the trip.
+        unit: Its unit, likewise.
+        gain: Change of the output at rest per unit of the input.
+        input_gain: u = gain · v_bst^exponent.
+        input_exponent: 1 or 2.
+        input_max: Largest input.
+        lags_s: Time constants between input and output.
+        factor: f.
+        reference_range: Highest less lowest set-point.
+        by_power: Whether the input is the power over the boost voltage, and stores nothing.
+    """
+
+    name: str
+    unit: str
+    gain: float
+    input_gain: float
+    input_exponent: int
+    input_max: float
+    lags_s: tuple[float, ...]
+    factor: float
+    reference_range: float
+    by_power: bool = False
+
+
+class Response:
+    """Watches the output of a running drive."""
+
+    def __init__(self, limits: ResponseLimits) -> None:
+        self._limits = limits
+        self._arrival_s = math.nan
+        self._output = self._highest = 0.0
+        self._stages = [0.0] * len(limits.lags_s)
+
+    def forget(self) -> None:
+        """Begin anew: the drive is not running."""
+        self._arrival_s = math.nan
+
+    def find_cause(self, reading: Reading) -> str | None:
+        """Return why the output is not believed any more, None while it is.
+
+        Args:
+            reading: The newest, again where there is no newer one.
+        """
+        if math.isnan(self._arrival_s):
+            self._begin(reading)
+        period_s, self._arrival_s = reading.arrival_s - self._arrival_s, reading.arrival_s
+        if period_s <= 0.0:
+            return None
+        self._output += (reading.output - self._output) * -math.expm1(-period_s / _SMOOTHING_S)
+        return self._low(self._lowest(reading, period_s)) or self._fallen(period_s)
+
+    def _begin(self, reading: Reading) -> None:
+        """Take the present output as it is: a bath may be colder than its inflow."""
+        self._arrival_s = reading.arrival_s
+        self._output = self._highest = reading.output
+        self._stages = [min(0.0, reading.output)] * len(self._stages)
+
+    def _low(self, lowest: float) -> str | None:
+        limits = self._limits
+        if self._output >= lowest - _MARGIN * limits.reference_range:
+            return None
+        return (
+            f"no response: {limits.name} = {self._value(self._output)}, and with this input must "
+            f"be above {self._value(lowest)}: is the sensor reversed or its wire broken, is the "
+            "load blocked?"
+        )
+
+    def _fallen(self, period_s: float) -> str | None:
+        """Compare with the fastest fall from the highest output so far."""
+        limits = self._limits
+        if limits.by_power:
+            return None
+        fastest_s = min(limits.lags_s) / _FASTEST
+        self._highest = max(self._highest * math.exp(-period_s / fastest_s), self._output)
+        if self._output >= self._highest - _FALL_MARGIN * limits.reference_range:
+            return None
+        return (
+            f"no response: {limits.name} fell to {self._value(self._output)}, and the load cannot "
+            f"have fallen below {self._value(self._highest)} yet: is the sensor's wire broken?"
+        )
+
+    def _lowest(self, reading: Reading, period_s: float) -> float:
+        """Return the lowest output of a load that has been fed with this input."""
+        limits = self._limits
+        usable = self._input(reading) - _LOAD_SHARE * limits.input_max
+        level = max(0.0, limits.gain / limits.factor * usable)
+        for number, lag_s in enumerate(limits.lags_s):
+            stage = self._stages[number]
+            slow_s = lag_s * limits.factor if level > stage else lag_s / limits.factor
+            level = stage - (level - stage) * math.expm1(-period_s / slow_s)
+            self._stages[number] = level
+        return level
+
+    def _input(self, reading: Reading) -> float:
+        limits, voltage_V = self._limits, reading.boost_voltage_V
+        if limits.by_power:
+            return reading.load_power_W / max(voltage_V, 1.0)
+        return limits.input_gain * voltage_V**limits.input_exponent
+
+    def _value(self, output: float) -> str:
+        return f"{output:.3g} {self._limits.unit}".rstrip()
