@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
 
-from adaptdrive.control.signals import Command
+from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 
 
@@ -16,6 +17,8 @@ class LoopbackPort:
         description: The bus in one phrase for people.
         counter_modulus: Where the counter of the readings wraps, None when they carry none.
         complaint: Why the drive must not be energised; set it to whatever it shall say.
+        safe_s: Minus infinity once the safe command is in force: it is taken at once.
+        stop_slack_s: 0; None makes a drive that never says whether its bridge is on.
     """
 
     description = "loopback"
@@ -33,6 +36,8 @@ class LoopbackPort:
         self._commanded = commanded
         self._listener: Listener | None = None
         self.complaint: str | None = None
+        self.safe_s = math.inf
+        self.stop_slack_s: float | None = 0.0
         self._up = False
         self._received = self._sent = self._dropped = self._reconnects = 0
 
@@ -69,6 +74,7 @@ class LoopbackPort:
             return False
         self._sent += 1
         self._commanded(command)
+        self.safe_s = -math.inf if command == SAFE_COMMAND else math.inf
         return True
 
     def catch_up(self) -> None:

@@ -125,6 +125,7 @@ class OperatedDrive(VirtualDrive):
         if decided and self.decision is not None:
             self._obey(self.decision)
         if self.machine.stage is Stage.OFF:
+            self.machine.confirm_stop()
             self.world.shut()
             command, _ = self.control(measurement, self._order())
         self.advance(command)

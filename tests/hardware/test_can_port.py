@@ -100,6 +100,7 @@ async def test_a_reading_holds_what_the_drive_sent(port: CanPort, drive: Drive, 
         "other": {},
         "slack_s": 0.0,
         "fault_name": "",
+        "bridge_s": 1000.0,
     }
 
 

@@ -81,6 +81,7 @@ class Around:
     reports: list[TickReport] = field(default_factory=list)
     snapshots: list[Snapshot] = field(default_factory=list)
     decisions: list[Decision] = field(default_factory=list)
+    not_stops: list[str] = field(default_factory=list)
     room: bool = True
     runs_ended: int = 0
 
@@ -103,6 +104,9 @@ class Around:
     def decided(self, snapshot: Snapshot, decision: Decision) -> None:
         self.decisions.append(decision)
 
+    def not_stopped(self, detail: str) -> None:
+        self.not_stops.append(detail)
+
     def run_ended(self) -> None:
         self.runs_ended += 1
 
@@ -110,10 +114,16 @@ class Around:
 class FastBench:
     """A fast loop, its drive, and the time between them."""
 
-    def __init__(self, settings: FastLoopSettings = FAST, modulus: int | None = 65536) -> None:
+    def __init__(
+        self,
+        settings: FastLoopSettings = FAST,
+        modulus: int | None = 65536,
+        slack_s: float | None = 0.0,
+    ) -> None:
         self.around = Around()
         self.sent: list[Command] = []
         self.port = LoopbackPort(self._command, counter_modulus=modulus)
+        self.port.stop_slack_s = slack_s
         self.machine = Machine(SETTINGS.machine, SETTINGS.pole)
         self.controller = motor_controller()
         self.loop = FastLoop(self.port, self.controller, self.machine, settings, self.around)
@@ -201,10 +211,12 @@ class FastBench:
 
 @contextlib.asynccontextmanager
 async def fast_bench(
-    settings: FastLoopSettings = FAST, modulus: int | None = 65536
+    settings: FastLoopSettings = FAST,
+    modulus: int | None = 65536,
+    slack_s: float | None = 0.0,
 ) -> AsyncIterator[FastBench]:
-    """Open a bench."""
-    bench = FastBench(settings, modulus)
+    """Open a bench; its drive speaks of its bridge, unless `slack_s` is None."""
+    bench = FastBench(settings, modulus, slack_s)
     serving = asyncio.create_task(bench.port.run(bench, bench.loop.begin))
     try:
         await asyncio.sleep(0)

@@ -156,7 +156,11 @@ class DaemonBench:
             )
 
     async def end(self) -> None:
+        """Ask the daemon to end; the drive goes on sending meanwhile."""
         self.stop.set()
+        while not self.task.done():
+            await asyncio.sleep(0.002)
+            self.frame()
         await self.task
 
 
@@ -234,6 +238,7 @@ async def test_only_the_operators_reset_lets_the_drive_leave_its_fault() -> None
         assert bench.states[-1].trip == "drive fault"
         for request in (Disable(), SetMode(Mode.ADAPTIVE)):
             await bench.daemon.execute(request)
+        bench.frame()
         assert bench.port.fault_resets == 0
         assert await bench.daemon.execute(Reset()) is State.STANDBY
         assert bench.port.fault_resets == 1
@@ -273,8 +278,10 @@ async def test_disabling_makes_the_drive_safe_at_once() -> None:
     async with daemon_bench() as bench:
         await bench.start()
         assert bench.sent[-1].bridge
-        assert await bench.daemon.execute(Disable()) is State.STANDBY
+        assert await bench.daemon.execute(Disable()) is State.STOPPING
         assert bench.sent[-1] == SAFE_COMMAND
+        bench.frame()
+        assert bench.states[-1].state is State.STANDBY
 
 
 async def test_a_stop_acts_in_every_state() -> None:
@@ -375,6 +382,7 @@ async def test_a_load_that_has_what_it_needs_ends_safe_without_a_trip() -> None:
         bench.controller.revise = lambda made: replace(made, complete=True)
         await bench.run_until_decided()
         assert bench.sent[-1] == SAFE_COMMAND
+        bench.frame()
         assert (bench.states[-1].state, bench.states[-1].trip) == (State.STANDBY, None)
         assert len(bench.events("complete")) == 1
 

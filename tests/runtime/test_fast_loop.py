@@ -127,11 +127,14 @@ async def test_enabled_it_precharges_with_the_bridge_off_and_then_runs() -> None
         assert sorted(set(stages), key=stages.index) == [Stage.OFF, Stage.PRECHARGE, Stage.RUN]
 
 
-async def test_enabling_again_between_two_ticks_begins_anew() -> None:
+async def test_enabling_again_after_one_tick_begins_anew() -> None:
     async with fast_bench() as bench:
         bench.start()
         runs_ended = bench.around.runs_ended
         bench.ask(Disable())
+        with pytest.raises(RefusedError, match="has not confirmed its stop"):
+            bench.ask(Enable())
+        bench.frames(2)
         bench.ask(Enable())
         bench.frames(3)
         assert Stage.PRECHARGE in [report.order.stage for report in bench.reports[-3:]]
@@ -307,6 +310,7 @@ async def test_what_the_drives_protocol_complains_of_trips_in_the_next_tick() ->
         with pytest.raises(RefusedError, match="node 5"):
             bench.ask(Reset())
         bench.port.complaint = None
+        bench.frame()
         bench.ask(Reset())
         assert bench.state() is State.STANDBY
 

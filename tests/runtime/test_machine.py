@@ -140,12 +140,18 @@ def test_starting_that_takes_too_long_trips(starting: Desk) -> None:
 
 
 @pytest.mark.parametrize("name", ["starting", "running"])
-def test_disabling_ends_in_standby(request: pytest.FixtureRequest, name: str) -> None:
+def test_disabling_stops_until_the_drive_confirms(
+    request: pytest.FixtureRequest, name: str
+) -> None:
     desk: Desk = request.getfixturevalue(name)
     desk.ask(SetWaveform(SQUARE))
     desk.ask(Disable())
-    assert desk.state() is State.STANDBY
+    assert desk.state() is State.STOPPING
+    assert (desk.machine.stage, desk.machine.energised) == (Stage.OFF, False)
     assert desk.machine.waveform is None
+    desk.refuses(Enable(), "the drive has not confirmed its stop")
+    desk.machine.confirm_stop()
+    assert desk.state() is State.STANDBY
 
 
 @pytest.mark.parametrize("name", ["standby", "starting", "running"])
@@ -168,8 +174,17 @@ def test_only_reset_leaves_a_trip(tripped: Desk) -> None:
     tripped.ask(SetMode(Mode.ADAPTIVE))
     tripped.pass_ticks(1000, boost_voltage_V=300.0)
     assert tripped.state() is State.TRIPPED
+    tripped.machine.confirm_stop()
+    assert tripped.state() is State.TRIPPED
     tripped.ask(Reset())
     assert (tripped.state(), tripped.machine.trip) == (State.STANDBY, None)
+
+
+def test_a_reset_before_the_stop_is_confirmed_goes_on_stopping(tripped: Desk) -> None:
+    tripped.ask(Reset())
+    assert tripped.state() is State.STOPPING
+    tripped.machine.confirm_stop()
+    assert tripped.state() is State.STANDBY
 
 
 def test_reset_is_refused_while_the_cause_is_there(tripped: Desk) -> None:
@@ -178,6 +193,7 @@ def test_reset_is_refused_while_the_cause_is_there(tripped: Desk) -> None:
 
 
 def test_after_a_reset_the_drive_stays_off_until_it_is_enabled(tripped: Desk) -> None:
+    tripped.machine.confirm_stop()
     tripped.ask(Reset())
     tripped.pass_ticks(1000, boost_voltage_V=300.0)
     assert tripped.state() is State.STANDBY
@@ -209,6 +225,7 @@ def test_enabling_again_changes_nothing(running: Desk) -> None:
 def test_enabling_forgets_set_point_and_waveform_of_the_last_run(running: Desk) -> None:
     running.ask(SetWaveform(SQUARE))
     running.ask(Disable())
+    running.machine.confirm_stop()
     running.ask(Enable(), output=1.25)
     assert running.machine.waveform is None
     assert running.machine.reference(running.tick + 5000) == 1.25

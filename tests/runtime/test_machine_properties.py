@@ -1,4 +1,7 @@
-"""Whatever is asked in whatever order: nothing energises but `enable`, nothing escapes a trip."""
+"""Whatever is asked in whatever order: nothing energises but `enable`, nothing escapes a trip.
+
+And nothing but the drive's own word ends a stop.
+"""
 
 from __future__ import annotations
 
@@ -46,6 +49,7 @@ class AnyOperator(RuleBasedStateMachine):
         self.tick = 0
         self.allowed = False
         self.trip: str | None = None
+        self.stopped = True
 
     def ask(self, request: Request, cause: str | None, output: float = 2.0) -> bool:
         with contextlib.suppress(RefusedError):
@@ -63,10 +67,13 @@ class AnyOperator(RuleBasedStateMachine):
 
     @rule(cause=CAUSES, output=st.floats(-10.0, 10.0))
     def enable(self, cause: str | None, output: float) -> None:
-        was_energised = self.machine.energised
+        was_energised, was_stopping = self.machine.energised, self.machine.state is State.STOPPING
         accepted = self.ask(Enable(), cause, output)
-        assert accepted == (self.trip is None and (was_energised or cause is None))
+        assert accepted == (
+            self.trip is None and not was_stopping and (was_energised or cause is None)
+        )
         self.allowed |= accepted
+        self.stopped &= not accepted
 
     @rule(cause=CAUSES)
     def disable(self, cause: str | None) -> None:
@@ -84,6 +91,16 @@ class AnyOperator(RuleBasedStateMachine):
     def latch(self, cause: str) -> None:
         self.machine.latch(cause)
         self.note_trip()
+
+    @rule()
+    def confirm_stop(self) -> None:
+        self.machine.confirm_stop()
+        self.stopped |= not self.machine.energised
+
+    @rule()
+    def doubt_stop(self) -> None:
+        self.machine.doubt_stop()
+        self.stopped = False
 
     @rule(wish=WISHES, cause=CAUSES)
     def wish(self, wish: Request, cause: str | None) -> None:
@@ -104,6 +121,10 @@ class AnyOperator(RuleBasedStateMachine):
     def a_trip_stays_with_its_first_cause(self) -> None:
         assert (self.machine.state is State.TRIPPED) == (self.trip is not None)
         assert self.machine.trip == self.trip
+
+    @invariant()
+    def only_a_confirmed_stop_is_standby(self) -> None:
+        assert self.machine.state is not State.STANDBY or self.stopped
 
     @invariant()
     def limits_hold(self) -> None:

@@ -264,6 +264,7 @@ def _fast_loop(configuration: Configuration) -> FastLoopSettings:
         stillness=_stillness(configuration),
         response=_response(configuration),
         drive_clocks=configuration.drive_clocks,
+        stop_s=interlocks.stop_s,
     )
 
 

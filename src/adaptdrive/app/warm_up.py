@@ -49,6 +49,9 @@ class _Nobody:
     def decided(self, snapshot: Snapshot, decision: Decision) -> None:
         """Nobody listens."""
 
+    def not_stopped(self, detail: str) -> None:
+        """Nobody listens."""
+
     def run_ended(self) -> None:
         self.snapshots.clear()
 
@@ -112,7 +115,9 @@ class Rehearsal:
     def _read(self) -> None:
         configuration, nobody = self._configuration, self._nobody
         nobody.time_s += configuration.ticks_per_reading * self._settings.fast.tick_s
-        self._loop.on_reading(_reading(configuration, self._readings, nobody.time_s))
+        bridge = self._loop.command.bridge
+        reading = _reading(configuration, self._readings, nobody.time_s, bridge=bridge)
+        self._loop.on_reading(reading)
         self._readings += 1
 
 
@@ -120,7 +125,7 @@ def _output(configuration: Configuration) -> float:
     return 0.5 * (configuration.load.reference_min + configuration.load.reference_max)
 
 
-def _reading(configuration: Configuration, number: int, time_s: float) -> Reading:
+def _reading(configuration: Configuration, number: int, time_s: float, *, bridge: bool) -> Reading:
     limits = configuration.drive.limits
     return Reading(
         arrival_s=time_s,
@@ -131,5 +136,5 @@ def _reading(configuration: Configuration, number: int, time_s: float) -> Readin
         load_power_W=0.1 * limits.load_power_max_W,
         output=_output(configuration) * (1.0 + 0.001 * math.sin(0.1 * number)),
         fault=0,
-        bridge=True,
+        bridge=bridge,
     )

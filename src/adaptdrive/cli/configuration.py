@@ -22,6 +22,8 @@ def check(config: Path, /) -> int:
     from adaptdrive.app.examine import load_examined  # noqa: PLC0415 - `schema` needs no bus
 
     configuration = load_examined(config)
+    if configuration.signals.bridge is None and configuration.bus.type != "canopen":
+        print(f"{config}: signals.bridge is missing: the drive cannot confirm that it has stopped")
     print(f"{config}: drive {configuration.drive.name} is configured correctly")
     return 0
 

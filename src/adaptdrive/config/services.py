@@ -48,6 +48,13 @@ class Interlocks(Section):
     precharge_timeout_s: PositiveFloat = Field(
         default=5.0, le=600.0, description="longest time in state `starting`"
     )
+    stop_s: float = Field(
+        default=0.5,
+        gt=0.0,
+        le=5.0,
+        description="trip when the drive has not said for so long after a stop that its bridge is "
+        "off; four readings at least, for a drive that is read seldom",
+    )
 
     @field_validator("response_factor")
     @classmethod

@@ -35,6 +35,7 @@ class Reading:
             drive sends it less often. Of several frames, `oldest_s` and `slack_s` are those of the
             one that is out of date first.
         fault_name: What the drive's description calls the fault, an empty string for nothing.
+        bridge_s: Arrival of the frame that says so of the bridge, None where that is `oldest_s`.
     """
 
     arrival_s: float
@@ -49,6 +50,7 @@ class Reading:
     other: Mapping[str, float] = field(default_factory=dict)
     slack_s: float = 0.0
     fault_name: str = ""
+    bridge_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +103,20 @@ class Port(Protocol):
     @property
     def complaint(self) -> str | None:
         """Why the drive must not be energised, where its protocol tells; None for no reason."""
+
+    @property
+    def safe_s(self) -> float:
+        """When the safe command in force was taken, monotonic; infinite while none is in force.
+
+        Taken by the bus, or by the drive where its protocol acknowledges commands.
+        """
+
+    @property
+    def stop_slack_s(self) -> float | None:
+        """How much later than `interlocks.stale_s` the drive may speak of its bridge.
+
+        None for a drive that never does: it cannot confirm that it has stopped.
+        """
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.

@@ -25,6 +25,7 @@ from adaptdrive.runtime.reports import (
     Severity,
     State,
     StateReport,
+    StopWord,
 )
 
 ONLINE = b"online"
@@ -44,6 +45,7 @@ class StateMessage(msgspec.Struct, frozen=True):
     pole: float
     trip: str | None
     shutting_down: bool
+    stop: StopWord | None
     clock: Synchronisation
     time: datetime
 
@@ -126,6 +128,7 @@ def state_message(report: StateReport, clock: Synchronisation, time: datetime) -
         pole=report.pole,
         trip=report.trip,
         shutting_down=report.shutting_down,
+        stop=report.stop,
         clock=clock,
         time=time,
     )

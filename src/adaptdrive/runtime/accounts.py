@@ -9,15 +9,16 @@ from adaptdrive.control.signals import Decision, Mode
 from adaptdrive.hardware.port import PortStatistics
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
-from adaptdrive.runtime.reports import DriveReport, SensorReport, StateReport
+from adaptdrive.runtime.reports import DriveReport, SensorReport, StateReport, StopWord
 
 
-def state_report(machine: Machine, decision: Decision | None) -> StateReport:
+def state_report(machine: Machine, decision: Decision | None, stop: StopWord) -> StateReport:
     """State, mode and limits, as an operator wants to know them.
 
     Args:
         machine: The state machine.
         decision: The decision in force, None while there is none.
+        stop: What the drive says of its stop.
     """
     controller = decision.controller if decision is not None else Mode.FIXED
     waiting = machine.mode is Mode.ADAPTIVE and controller is Mode.FIXED
@@ -32,6 +33,7 @@ def state_report(machine: Machine, decision: Decision | None) -> StateReport:
         waveform=machine.waveform,
         pole=machine.pole,
         trip=machine.trip,
+        stop=None if machine.energised else stop,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -110,7 +111,7 @@ class Daemon:
         self._shutting_down = False
         self._stopped_s = -math.inf
         self._bus_problem: str | None = None
-        self._told = state_report(self._machine, None)
+        self._told = state_report(self._machine, None, self._fast.stop)
 
     async def run(self, stop: asyncio.Event) -> None:
         """Serve the drive until `stop` is set; leave it in its safe state, whatever happens.
@@ -293,6 +294,10 @@ class Daemon:
         self._tell("complete", Severity.INFO, "charging is complete")
         self._stop_driving()
 
+    def not_stopped(self, detail: str) -> None:
+        """Tell that the drive has not confirmed its stop in time, whatever tripped it first."""
+        self._tell("stop", Severity.ALARM, detail)
+
     def run_ended(self) -> None:
         """Nothing that was decided is valid any more."""
         self._decision = None
@@ -312,16 +317,22 @@ class Daemon:
             self._tell_manager()
 
     async def _shut_down(self) -> None:
-        """Bring the drive to zero; more than once, because a frame can be lost."""
+        """Bring the drive to zero, until it confirms; a frame can be lost, so more than once."""
         self._shutting_down = True
         self._manager.stopping()
         self.stop()
-        for _ in range(_FAREWELLS):
+        end_s = self._clock() + self._fast.stop_limit_s + _FAREWELL_GAP_S
+        for number in itertools.count():
             self._fast.send_safe()
             await asyncio.sleep(_FAREWELL_GAP_S)
+            ended = self._machine.state is not State.STOPPING or self._clock() > end_s
+            if ended and number >= _FAREWELLS:
+                break
+        self._publish_state()
 
     def _publish_state(self) -> None:
-        report, told = state_report(self._machine, self._decision), self._told
+        told = self._told
+        report = state_report(self._machine, self._decision, self._fast.stop)
         report = replace(report, shutting_down=self._shutting_down)
         if report == told:
             return

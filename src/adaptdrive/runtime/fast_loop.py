@@ -30,13 +30,20 @@ from adaptdrive.runtime.guard import CommandLimits, Guard
 from adaptdrive.runtime.half_cycles import HalfCycles
 from adaptdrive.runtime.interlocks import Limits, find_cause
 from adaptdrive.runtime.machine import Machine
-from adaptdrive.runtime.reports import TickReport
+from adaptdrive.runtime.reports import State, StopWord, TickReport
 from adaptdrive.runtime.response import Response, ResponseLimits
 from adaptdrive.runtime.statistics import TimeWindow
 from adaptdrive.runtime.stillness import StillnessLimits, StillnessWatch
+from adaptdrive.runtime.stop_watch import Stop, StopWatch
 
 _GAP_READINGS = 2
 """Readings without a tick that a drive which is read seldom may cost: one may be lost."""
+
+
+_SWITCHED_ON = (
+    "the drive's bridge is on although this daemon did not command it: look for another sender, a "
+    "key on its panel, or a drive that restarts by itself"
+)
 
 
 @dataclass(slots=True)
@@ -72,6 +79,7 @@ class FastLoopSettings:
         stillness: When the output is stuck, None for never.
         response: The lowest output that is believed, None for any.
         drive_clocks: Whether the drive decides when a reading comes.
+        stop_s: Longest time from a stop to the drive's word that its bridge is off.
     """
 
     limits: Limits
@@ -84,6 +92,7 @@ class FastLoopSettings:
     stillness: StillnessLimits | None = None
     response: ResponseLimits | None = None
     drive_clocks: bool = True
+    stop_s: float = 0.5
 
 
 class Surroundings(Protocol):
@@ -106,6 +115,9 @@ class Surroundings(Protocol):
 
     def decided(self, snapshot: Snapshot, decision: Decision) -> None:
         """A decision was taken over."""
+
+    def not_stopped(self, detail: str) -> None:
+        """The drive has not confirmed its stop in time."""
 
     def run_ended(self) -> None:
         """The drive is no longer running: what was decided for it is void."""
@@ -146,6 +158,10 @@ class FastLoop:
         self._settings = settings
         self._surroundings = surroundings
         self._bridge = BridgeWatch(settings.tick_s, settings.ticks_per_reading)
+        self._stop = StopWatch(
+            settings.stop_s, settings.ticks_per_reading * settings.tick_s, port.stop_slack_s
+        )
+        self.stop = StopWord.AWAITED
         self._watched_s = math.inf
         # a drive that sends seldom leaves the loop nothing to watch between two readings
         self._gap_limit_s = max(
@@ -168,7 +184,13 @@ class FastLoop:
     @property
     def cause(self) -> str | None:
         """The interlock that is active now; what the drive's protocol says comes first."""
-        return self._cause(self._surroundings.now_s())
+        return self._cause(self._surroundings.now_s()) or self._bridge_cause()
+
+    def _bridge_cause(self) -> str | None:
+        """Return why a drive that is commanded off must not be enabled or reset."""
+        if self._machine.energised or self.reading is None or not self.reading.bridge:
+            return None
+        return "the drive's bridge is on although it is commanded off"
 
     def _cause(self, now_s: float) -> str | None:
         settings, port = self._settings, self._port
@@ -245,6 +267,46 @@ class FastLoop:
         """Send the safe command now, outside any tick."""
         self.command = self._guard.check(SAFE_COMMAND)
         self._port.send(self.command)
+        if not self._machine.energised:
+            self.watch_stop(self._surroundings.now_s())
+
+    @property
+    def stop_limit_s(self) -> float:
+        """Longest time from a stop to its confirmation."""
+        return self._stop.limit_s
+
+    def watch_stop(self, now_s: float) -> None:
+        """Compare what the drive says of its bridge with the stop that it was commanded."""
+        stop, machine, reading = self._stop, self._machine, self.reading
+        stop.command(now_s)
+        verdict = stop.judge(reading, self._port.safe_s, now_s)
+        if verdict is Stop.CONFIRMED:
+            machine.confirm_stop()
+            confirmable = self._port.stop_slack_s is not None
+            self.stop = StopWord.CONFIRMED if confirmable else StopWord.IMPOSSIBLE
+        elif verdict is Stop.DENIED:
+            machine.doubt_stop()
+            self._miss_stop(_SWITCHED_ON)
+        elif machine.state is State.STANDBY:
+            self._await_first_word(reading, now_s)
+        elif verdict is Stop.OVERDUE and self.stop is not StopWord.MISSING:
+            why = stop.why_not(reading, self._port.safe_s, now_s)
+            self._miss_stop(f"the drive does not stop: {why}")
+        elif verdict is Stop.AWAITED:
+            self.stop = StopWord.AWAITED
+
+    def _await_first_word(self, reading: Reading | None, now_s: float) -> None:
+        """A drive that has not spoken since the start: one that is found on has to stop."""
+        if reading is not None and reading.bridge:
+            self._stop.doubt(now_s)
+            self._machine.doubt_stop()
+
+    def _miss_stop(self, problem: str) -> None:
+        """Trip; a drive that had tripped before keeps that cause, and this is told beside it."""
+        self.stop = StopWord.MISSING
+        if self._machine.state is State.TRIPPED:
+            self._surroundings.not_stopped(problem)
+        self._machine.latch(problem)
 
     def _send(self, command: Command) -> None:
         """Guard, then wire; what neither can pass trips the drive instead of the daemon."""
@@ -299,7 +361,9 @@ class FastLoop:
         machine, reading = self._machine, self.reading
         unwatched_s, self._watched_s = now_s - self._watched_s, now_s
         if not machine.energised:
+            self.watch_stop(now_s)
             return
+        self._stop.release()
         # in `starting` a drive may report its bridge late: there the boost voltage is watched
         commanded = self.command.bridge and machine.stage is Stage.RUN
         cause = (
@@ -312,6 +376,7 @@ class FastLoop:
             machine.advance(self.tick, reading.boost_voltage_V)
         elif cause is not None:
             machine.latch(cause)
+            self._stop.command(now_s)
 
     def _gap_cause(self, unwatched_s: float) -> str | None:
         """The cause of a trip when nothing of this process ran for long."""

@@ -1,7 +1,8 @@
-"""The drive's state machine: standby, starting, running, and a latched trip from anywhere.
+"""The drive's state machine: standby, starting, running, stopping, and a trip from anywhere.
 
 It holds what the operator asked for and answers requests; it never talks to anything. Nothing
-but `enable` energises the drive, and only `reset` leaves a trip, once its cause is gone.
+but `enable` energises the drive, only a confirmed stop ends in standby, and only `reset` leaves a
+trip, once its cause is gone.
 """
 
 from __future__ import annotations
@@ -66,6 +67,7 @@ class Machine:
         waveform: Running waveform, None while the set-point is constant.
         pole: Closed-loop pole asked for.
         trip: Cause of the latched trip.
+        stopped: Whether the drive has confirmed that it is off.
     """
 
     def __init__(self, limits: MachineLimits, pole: float) -> None:
@@ -76,6 +78,7 @@ class Machine:
         self.waveform: Waveform | None = None
         self.pole = pole
         self.trip: str | None = None
+        self.stopped = False
         self._since_tick = 0
         self._precharging = False
         self._waveform_tick = 0
@@ -139,6 +142,18 @@ class Machine:
         elif tick - self._since_tick > self._limits.starting_ticks:
             self.latch(_precharge_cause(self._limits, boost_voltage_V))
 
+    def confirm_stop(self) -> None:
+        """Note that the drive is off: a stop is complete."""
+        self.stopped = not self.energised
+        if self.state is State.STOPPING:
+            self.state = State.STANDBY
+
+    def doubt_stop(self) -> None:
+        """Note that the drive is not off: it is to be stopped."""
+        self.stopped = False
+        if self.state is State.STANDBY:
+            self.state = State.STOPPING
+
     def latch(self, cause: str) -> None:
         """Trip; the first cause stays."""
         if self.state is not State.TRIPPED:
@@ -179,19 +194,21 @@ class Machine:
             raise RefusedError(f"tripped ({self.trip}); reset first")
         if self.energised:
             return
+        if self.state is State.STOPPING:
+            raise RefusedError("the drive has not confirmed its stop; enable it in standby")
         if cause is not None:
             raise RefusedError(cause)
         limits = self._limits
         self.setpoint = min(max(output, limits.reference_min), limits.reference_max)
         self.waveform = None
-        self.state = State.STARTING
+        self.state, self.stopped = State.STARTING, False
         self._since_tick = tick
         self._precharging = False
 
     def _disable(self) -> None:
         self.waveform = None
         if self.energised:
-            self.state = State.STANDBY
+            self.state = State.STOPPING
 
     def _reset(self, cause: str | None) -> None:
         if self.state is not State.TRIPPED:
@@ -199,7 +216,7 @@ class Machine:
         if cause is not None:
             raise RefusedError(f"cause is still there: {cause}")
         self.trip = None
-        self.state = State.STANDBY
+        self.state = State.STANDBY if self.stopped else State.STOPPING
 
     def _require_energised(self, what: str) -> None:
         if not self.energised:
@@ -233,5 +250,6 @@ _STAGES = {
     State.STANDBY: Stage.OFF,
     State.STARTING: Stage.PRECHARGE,
     State.RUNNING: Stage.RUN,
+    State.STOPPING: Stage.OFF,
     State.TRIPPED: Stage.OFF,
 }

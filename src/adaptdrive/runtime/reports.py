@@ -19,7 +19,17 @@ class State(StrEnum):
     STANDBY = "standby"
     STARTING = "starting"
     RUNNING = "running"
+    STOPPING = "stopping"
     TRIPPED = "tripped"
+
+
+class StopWord(StrEnum):
+    """What the drive says of its stop."""
+
+    CONFIRMED = "confirmed"
+    AWAITED = "awaited"
+    MISSING = "missing"
+    IMPOSSIBLE = "cannot be confirmed"
 
 
 class Severity(StrEnum):
@@ -45,6 +55,7 @@ class StateReport:
         pole: Closed-loop pole asked for.
         trip: Cause of the latched trip, None when not tripped.
         shutting_down: Whether the daemon ends and refuses every command but `disable`.
+        stop: What the drive says of its stop, None while it is enabled.
     """
 
     state: State
@@ -57,6 +68,7 @@ class StateReport:
     pole: float
     trip: str | None
     shutting_down: bool = False
+    stop: StopWord | None = None
 
 
 @dataclass(frozen=True, slots=True)

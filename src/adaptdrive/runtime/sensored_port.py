@@ -68,6 +68,16 @@ class SensoredPort:
             complaint = complaint or bus.complaint(now_s)
         return complaint
 
+    @property
+    def safe_s(self) -> float:
+        """When the safe command in force was taken, infinite while none is in force."""
+        return self._drive.safe_s
+
+    @property
+    def stop_slack_s(self) -> float | None:
+        """How much later the drive may speak of its bridge, None for a drive that never does."""
+        return self._drive.stop_slack_s
+
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Serve the drive and the sensors until cancelled; the sensors end first.
 

@@ -24,6 +24,8 @@ def status_line(report: StateReport, bus_problem: str | None, cause: str | None)
         case State.TRIPPED:
             awaited = f"its cause to go ({obstacle})" if obstacle else "reset"
             return f"tripped, waiting for {awaited}: {report.trip}"
+        case State.STOPPING:
+            return "stopping, waiting for the drive to confirm that its bridge is off"
         case State.RUNNING:
             why = f": {report.reason}" if report.reason else ""
             return f"running, {report.controller} controller{why}"

@@ -18,7 +18,7 @@ from pathlib import Path
 import can
 
 from adaptdrive.config.bus import CanBus, Signals
-from adaptdrive.control.signals import Command
+from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.can.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.can.bus import as_received, describe_bus, frame_key, open_bus
 from adaptdrive.hardware.can.codec import MessageCodec
@@ -95,6 +95,7 @@ class CanPort:
         self._values: dict[str, float] = {}
         self._dues: dict[str, tuple[float, float]] = {}
         self._bridge_sent = False
+        self._safe_s = math.inf
         self._bus: can.BusABC | None = None
         self._reader: FrameReader | None = None
         self._newest: Reading | None = None
@@ -120,6 +121,17 @@ class CanPort:
     def complaint(self) -> str | None:
         """That another sender commands the drive; a DBC tells of a fault by a signal."""
         return self._rival.complaint
+
+    @property
+    def safe_s(self) -> float:
+        """When the bus took the safe command in force, infinite while none is in force."""
+        return self._safe_s
+
+    @property
+    def stop_slack_s(self) -> float | None:
+        """How much later the drive may speak of its bridge, None for a drive that never does."""
+        words = (source.slack_s for source in self._sources if source.quantity == "bridge")
+        return next(words, None)
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
@@ -154,12 +166,16 @@ class CanPort:
             ValueError: A value is not finite, or its signal cannot hold it; nothing is sent.
         """
         frames = [self._frame(order, command) for order in self._mapping.orders]
+        if command != SAFE_COMMAND:
+            self._safe_s = math.inf
         taken = 0
         for frame in frames:
             taken += self._put(frame)
         if taken < len(frames):
             return False
         self._bridge_sent = command.bridge
+        if command == SAFE_COMMAND and self._safe_s == math.inf:
+            self._safe_s = self._clock()
         return True
 
     def catch_up(self) -> None:
@@ -286,8 +302,14 @@ class CanPort:
             fault_name=fault_name,
             # a drive that does not say is taken to do what it was told last
             bridge=self._bridge_sent if bridge is None else bridge == self._mapping.bridge_on,
+            bridge_s=self._heard_s("bridge"),
             other={name: values[key] for key, name in self._others.items()},
         )
+
+    def _heard_s(self, quantity: str) -> float | None:
+        """Arrival of a quantity's newest value, None where the drive does not give it."""
+        due = self._dues.get(quantity)
+        return None if due is None else due[0] - due[1]
 
     def _hand_out(self) -> None:
         """No more frames wait."""
@@ -344,8 +366,8 @@ class CanPort:
             self._listener.on_bus(up=True, detail=self.description)
 
     def _forget(self) -> None:
-        """Nothing that was heard before a bus was opened is used after it."""
-        self._newest = None
+        """Nothing that was heard or said before a bus was opened is used after it."""
+        self._newest, self._safe_s = None, math.inf
         for status in self._mapping.statuses:
             status.codec.reset()
         for source in self._sources:

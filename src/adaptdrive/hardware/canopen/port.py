@@ -20,7 +20,7 @@ import can
 
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.canopen import CanOpenBus
-from adaptdrive.control.signals import Command
+from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.can.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.can.bus import describe_bus, open_bus
 from adaptdrive.hardware.can.integrity import Verdict
@@ -107,6 +107,7 @@ class CanOpenPort:
         self._health = Health(self._control, self._master)
         self._sync = SyncProducer(half_cycle_s, clock, self._send_sync)
         self._beat_s = -math.inf
+        self._safe_s = math.inf
         self._been_up = False
         self._bus: can.BusABC | None = None
         self._reader: FrameReader | None = None
@@ -140,6 +141,16 @@ class CanOpenPort:
             return None  # without a bus there are no readings, and that says enough
         problem = self._health.problem
         return None if problem is None else f"{describe_node(self._config)}: {problem}"
+
+    @property
+    def safe_s(self) -> float:
+        """When the bus took the safe command in force, infinite while none is in force."""
+        return self._safe_s
+
+    @property
+    def stop_slack_s(self) -> float | None:
+        """Nothing: each statusword tells of the bridge."""
+        return 0.0
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
@@ -181,11 +192,17 @@ class CanOpenPort:
             for order in self._mapping.orders
         ]
         self._beat()
+        if command != SAFE_COMMAND:
+            self._safe_s = math.inf
         if not self._master.ready:
             self._counts["send_drops"] += 1
             return False
         taken = [self._put(*frame) for frame in frames]
-        return all(taken)
+        if not all(taken):
+            return False
+        if command == SAFE_COMMAND and self._safe_s == math.inf:
+            self._safe_s = self._clock()
+        return True
 
     def catch_up(self) -> None:
         """Hand out what has arrived and has not been looked at yet."""
@@ -381,6 +398,7 @@ class CanOpenPort:
         """Nothing that was heard before is used after it."""
         if not up:
             self._control.fall(detail)
+            self._safe_s = math.inf
         self._control.forget()
         self._assembly.forget()
         self._newest = None

@@ -74,6 +74,16 @@ class CanOpenWatch:
         """Counts since the watch was built."""
         return PortStatistics(**self._counts)
 
+    @property
+    def safe_s(self) -> float:
+        """Never: nothing is commanded."""
+        return math.inf
+
+    @property
+    def stop_slack_s(self) -> float | None:
+        """Nothing: each statusword tells of the bridge."""
+        return 0.0
+
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and read the drive again and again until cancelled.
 

@@ -36,7 +36,7 @@ _NOISE_ROUNDS = 10
 """Silences for which a line that never falls silent is waited for."""
 
 
-_EXCEPTIONS = {
+EXCEPTIONS = {
     1: "illegal function",
     2: "illegal address",
     3: "illegal value",
@@ -51,8 +51,15 @@ _EXCEPTIONS = {
 class ExchangeError(AdaptdriveError):
     """An exchange gave nothing that may be used."""
 
-    def __init__(self, problem: str) -> None:
+    def __init__(self, problem: str, code: int | None = None) -> None:
+        """Keep the reason.
+
+        Args:
+            problem: What went wrong.
+            code: Exception code of the device, None where it gave none.
+        """
         self.problem = problem
+        self.code = code
         super().__init__(problem)
 
 
@@ -172,9 +179,10 @@ class Link:
         if reply.isError():
             self._counts["exceptions"] += 1
             code = getattr(reply, "exception_code", 0)
-            name = _EXCEPTIONS.get(code, "unknown")
+            name = EXCEPTIONS.get(code, "unknown")
             asked = exchange.write if exchange.read is None else exchange.read
-            raise ExchangeError(f"exception reply {code} to function {function} ({name}), {asked}")
+            problem = f"exception reply {code} to function {function} ({name}), {asked}"
+            raise ExchangeError(problem, code)
         registers = list(reply.registers) if exchange.read else []
         wanted = exchange.read.count if exchange.read else 0
         if (reply.function_code, len(registers)) != (function, wanted):

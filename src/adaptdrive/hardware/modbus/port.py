@@ -23,12 +23,18 @@ from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.modbus.blocks import Block
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange
-from adaptdrive.hardware.modbus.link import ExchangeError, Link
+from adaptdrive.hardware.modbus.link import EXCEPTIONS, ExchangeError, Link
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, map_drive
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 
 _LATE_POLLS = 2.0
 """Lateness of a poll, in polls, from which on only the safe command is written with it."""
+
+_REFUSED_WRITES = 2
+"""Commands refused in a row after which the drive is said to refuse them: one may find it busy."""
+
+_UNANSWERED_WRITES = 3
+"""Commands without a reply in a row, from a drive that answers what it is asked."""
 
 _SILENT_POLLS = 3
 """Polls without a reading after which the drive is said to be gone."""
@@ -66,9 +72,6 @@ class ModbusPort:
     counter_modulus = None
     """A poll is no frame of the drive: its counter cannot be the time base."""
 
-    complaint = None
-    """A register map tells of a fault by a register."""
-
     def __init__(
         self,
         config: ModbusTcp | ModbusRtu,
@@ -89,6 +92,9 @@ class ModbusPort:
         self._due_s = -math.inf
         self._written: Command | None = None
         self._safe = True
+        self._safe_s = math.inf
+        self._refused = self._unanswered = 0
+        self._refusal = ""
         self._bridge = False
         self._alive = 0
         self._heartbeat: float | None = None
@@ -108,6 +114,26 @@ class ModbusPort:
     def statistics(self) -> PortStatistics:
         """Counts since the port was built."""
         return PortStatistics(**self._counts)
+
+    @property
+    def complaint(self) -> str | None:
+        """Why the drive must not be energised: it does not take what it is commanded."""
+        if self._refused >= _REFUSED_WRITES:
+            return f"the drive refuses commands: {self._refusal}"
+        if self._unanswered >= _UNANSWERED_WRITES:
+            return f"the drive does not answer commands: {self._refusal}"
+        return None
+
+    @property
+    def safe_s(self) -> float:
+        """When the drive acknowledged the safe command in force, infinite while none is."""
+        return self._safe_s
+
+    @property
+    def stop_slack_s(self) -> float | None:
+        """Nothing, or None for a drive whose map has no register for its bridge."""
+        sources = [source for _, each in self._poll.reads for source in each]
+        return 0.0 if any(source.quantity == "bridge" for source in sources) else None
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the link, call `opened`, and poll until cancelled; reconnect when it is lost.
@@ -223,6 +249,7 @@ class ModbusPort:
     async def _serve(self, link: Link) -> str:
         """Poll over an open link until it is lost or the port is closed; why it was lost."""
         self._link, self._heartbeat = link, None
+        self._safe_s, self._refused, self._unanswered = math.inf, 0, 0
         next_s = self._clock()
         try:
             while link.lost is None and not self._closing:
@@ -267,6 +294,7 @@ class ModbusPort:
             values = await self._read(link)
         except ExchangeError as failure:
             self._failure = failure.problem
+            self._unanswered = 0  # a drive that says nothing at all is silent, not deaf
             self._note_silence(failure.problem)
         else:
             if values is not None:
@@ -305,7 +333,14 @@ class ModbusPort:
         words = self._words(command)[0]
         at_once = command == SAFE_COMMAND and not self._safe
         self._doubt(command)
-        registers = await link.exchange(Exchange(exchange.read, block), words, at_once=at_once)
+        both = Exchange(exchange.read, block)
+        try:
+            registers = await link.exchange(both, words, at_once=at_once)
+        except ExchangeError as failure:
+            self._note_refusal(both, failure)
+            if failure.code is None:
+                raise
+            return await link.exchange(exchange, [])
         self._confirm(command)
         return registers
 
@@ -333,25 +368,55 @@ class ModbusPort:
         at_once = self._urgent
         words = self._words(command)
         self._doubt(command)
+        taken = True
+        for (block, _), registers in zip(self._poll.writes, words, strict=True):
+            if taken or (command == SAFE_COMMAND and link.lost is None):
+                exchange = Exchange(write=block)
+                taken &= await self._wrote(link, exchange, registers, at_once=at_once)
+        if taken:
+            self._refused_write = ""
+            self._confirm(command)
+
+    async def _wrote(
+        self, link: Link, exchange: Exchange, registers: list[int], *, at_once: bool
+    ) -> bool:
+        """Write one block; whether the drive has taken it."""
         try:
-            for (block, _), registers in zip(self._poll.writes, words, strict=True):
-                await link.exchange(Exchange(write=block), registers, at_once=at_once)
+            await link.exchange(exchange, registers, at_once=at_once)
         except ExchangeError as failure:
             self._counts["send_drops"] += 1
             self._refused_write = f"command: {failure.problem}"
-        else:
-            self._refused_write = ""
-            self._confirm(command)
+            self._note_refusal(exchange, failure)
+            return False
+        return True
+
+    def _note_refusal(self, exchange: Exchange, failure: ExchangeError) -> None:
+        """Note that the drive has not taken a command."""
+        code, block = failure.code, exchange.write
+        reason = failure.problem
+        if code is not None:
+            reason = f"exception code {code} ({EXCEPTIONS.get(code, 'of its maker')})"
+        self._refused = 0 if code is None else self._refused + 1
+        self._unanswered = self._unanswered + 1 if code is None else 0
+        register = "" if block is None else f" at register {block.address}"
+        self._refusal = (
+            f"{reason}{register}; look at [bus.registers], its remote mode and write access"
+        )
 
     def _doubt(self, command: Command) -> None:
         """From the first byte to the reply nobody knows what the drive was told."""
         self._written = None
         self._safe = self._safe and command == SAFE_COMMAND
+        if command != SAFE_COMMAND:
+            self._safe_s = math.inf
 
     def _confirm(self, command: Command) -> None:
         self._counts["sent"] += 1
         self._written, self._bridge = command, command.bridge
         self._safe = command == SAFE_COMMAND
+        self._refused = self._unanswered = 0
+        if self._safe and self._safe_s == math.inf:
+            self._safe_s = self._clock()
 
     def _take(self, values: dict[str, float], start_s: float) -> None:
         """Hand out a reading, unless the drive stands still."""

@@ -1,0 +1,109 @@
+"""Holds a drive to its stop: it must confirm that its bridge is off, and keep it off."""
+
+from __future__ import annotations
+
+import math
+from enum import Enum, auto
+
+from adaptdrive.hardware.port import Reading
+
+_LIMIT_READINGS = 4.0
+"""Readings that a stop may take of a drive that is read seldom: one of them may be lost."""
+
+_ON_READINGS = 2
+"""Readings with the bridge on that are no flicker of a drive that has just stopped."""
+
+
+class Stop(Enum):
+    """What is known of a drive that is commanded off."""
+
+    AWAITED = auto()
+    CONFIRMED = auto()
+    OVERDUE = auto()
+    DENIED = auto()
+    """The bridge came on, or was found on, although nobody here commanded it."""
+
+
+class StopWatch:
+    """Compares what an idle drive says of its bridge with the safe command that it was given."""
+
+    def __init__(self, limit_s: float, reading_period_s: float, slack_s: float | None) -> None:
+        """Expect a confirmation from the start on.
+
+        Args:
+            limit_s: Longest time from a stop to its confirmation.
+            reading_period_s: Time from one reading to the next.
+            slack_s: How much later the drive speaks of its bridge than of other things, None for a
+                drive that does not speak of it.
+        """
+        self._confirmable = slack_s is not None
+        self.limit_s = max(limit_s, _LIMIT_READINGS * reading_period_s) + (slack_s or 0.0)
+        self._commanded_s = math.inf
+        self._confirmed = False
+        self._on: list[float] = []
+
+    def release(self) -> None:
+        """Note that the drive is energised: the next stop begins anew."""
+        self._commanded_s, self._confirmed = math.inf, False
+        self._on.clear()
+
+    def command(self, now_s: float) -> None:
+        """Note that the drive is commanded off; the first time since its release counts."""
+        if self._commanded_s == math.inf:
+            self._commanded_s = now_s
+
+    def judge(self, reading: Reading | None, safe_s: float, now_s: float) -> Stop:
+        """Return what is known now.
+
+        Args:
+            reading: The latest reading, None before the first.
+            safe_s: When bus or drive took the safe command, infinite while neither has.
+            now_s: Monotonic time.
+        """
+        if not self._confirmable:
+            self._confirmed = self._confirmed or safe_s < math.inf
+        elif reading is not None and reading.bridge and self._confirmed:
+            return self._denied(reading)
+        elif reading is not None and not reading.bridge:
+            self._on.clear()
+            self._confirmed = self._confirmed or spoken_s(reading) > max(safe_s, self._commanded_s)
+        if self._confirmed:
+            return Stop.CONFIRMED
+        return Stop.OVERDUE if now_s - self._commanded_s > self.limit_s else Stop.AWAITED
+
+    def _denied(self, reading: Reading) -> Stop:
+        """The bridge is on after a confirmed stop: denied by the second reading that says so."""
+        if reading.arrival_s not in self._on:
+            self._on.append(reading.arrival_s)
+        if len(self._on) < _ON_READINGS:
+            return Stop.CONFIRMED
+        self.doubt(reading.arrival_s)
+        return Stop.DENIED
+
+    def doubt(self, now_s: float) -> None:
+        """Wait for a confirmation again."""
+        self._confirmed, self._commanded_s = False, now_s
+        self._on.clear()
+
+    def why_not(self, reading: Reading | None, safe_s: float, now_s: float) -> str:
+        """Return why the stop is not confirmed, and the likeliest remedy."""
+        waited = f"{(now_s - self._commanded_s) * 1e3:.0f} ms after the stop"
+        if safe_s == math.inf:
+            return (
+                f"it has not taken the safe command {waited}; look whether it takes commands from "
+                "the bus (remote mode, write access), and cut its supply"
+            )
+        if reading is not None and reading.bridge and spoken_s(reading) > self._commanded_s:
+            return (
+                f"its bridge is still on {waited}; look whether it takes commands from the bus "
+                "(remote mode, checksum, another sender), and cut its supply"
+            )
+        return (
+            f"it has not said that its bridge is off {waited}; look at its cable and its supply, "
+            "and go there before anybody touches the load"
+        )
+
+
+def spoken_s(reading: Reading) -> float:
+    """Return when the drive said of its bridge what a reading holds."""
+    return reading.oldest_s if reading.bridge_s is None else reading.bridge_s

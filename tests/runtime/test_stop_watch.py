@@ -1,0 +1,146 @@
+"""A stop is what the drive confirms: until then `stopping`, and an alarm when it takes too long."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from dataclasses import replace
+
+import pytest
+
+from adaptdrive.control.signals import SAFE_COMMAND
+from adaptdrive.errors import RefusedError
+from adaptdrive.runtime.reports import State, StopWord
+from adaptdrive.runtime.requests import Disable, Enable, Reset
+from tests.runtime.bench import FAST, TICK_S, FastBench, fast_bench
+
+STOP_TICKS = round(FAST.stop_s / TICK_S)
+
+
+@pytest.fixture
+async def running() -> AsyncIterator[FastBench]:
+    async with fast_bench() as bench:
+        bench.start()
+        bench.frames(5)
+        yield bench
+
+
+def disable(bench: FastBench) -> None:
+    """Disable as the daemon does: the request, then the safe command."""
+    bench.ask(Disable())
+    bench.loop.send_safe()
+
+
+async def test_a_stop_is_complete_with_the_drives_word(running: FastBench) -> None:
+    disable(running)
+    assert (running.state(), running.loop.stop) == (State.STOPPING, StopWord.AWAITED)
+    running.frame(bridge=True)
+    assert running.state() is State.STOPPING
+    running.frame(bridge=False)
+    assert (running.state(), running.loop.stop) == (State.STANDBY, StopWord.CONFIRMED)
+
+
+async def test_a_word_from_before_the_stop_confirms_nothing(running: FastBench) -> None:
+    disable(running)
+    said_s = running.around.now
+    running.frame(bridge=False, bridge_s=said_s)
+    assert running.state() is State.STOPPING
+    running.frame(bridge=False)
+    assert running.state() is State.STANDBY
+
+
+async def test_a_bridge_that_stays_on_is_an_alarm(running: FastBench) -> None:
+    disable(running)
+    known = len(running.sent)
+    for _ in range(STOP_TICKS - 1):
+        running.frame(bridge=True)
+    assert running.state() is State.STOPPING
+    with pytest.raises(RefusedError, match="has not confirmed its stop"):
+        running.ask(Enable())
+    for _ in range(3):
+        running.frame(bridge=True)
+    assert (running.state(), running.loop.stop) == (State.TRIPPED, StopWord.MISSING)
+    assert (running.machine.trip or "").startswith(
+        "the drive does not stop: its bridge is still on 5"
+    )
+    with pytest.raises(RefusedError, match="bridge is on although it is commanded off"):
+        running.ask(Reset())
+    assert running.sent[known:] == [SAFE_COMMAND] * (STOP_TICKS + 2)
+    running.frame(bridge=False)
+    running.ask(Reset())
+    assert running.state() is State.STANDBY
+
+
+async def test_a_drive_that_falls_silent_in_its_stop_is_an_alarm(running: FastBench) -> None:
+    disable(running)
+    running.wait(FAST.stop_s + 3 * TICK_S)
+    assert (running.machine.trip or "").startswith(
+        "the drive does not stop: it has not said that its bridge is off"
+    )
+
+
+async def test_a_stop_that_no_bus_takes_is_an_alarm(running: FastBench) -> None:
+    running.port.send = lambda _: False  # type: ignore[method-assign]
+    disable(running)
+    for _ in range(STOP_TICKS + 2):
+        running.frame(bridge=False)
+    assert (running.machine.trip or "").startswith(
+        "the drive does not stop: it has not taken the safe command 5"
+    )
+
+
+async def test_a_trip_that_does_not_stop_the_drive_keeps_its_cause(running: FastBench) -> None:
+    for _ in range(STOP_TICKS + 4):
+        running.frame(bridge=True, fault=4)
+    assert running.machine.trip == "drive fault: word 0x4"
+    (alarm,) = running.around.not_stops
+    assert alarm.startswith("the drive does not stop: its bridge is still on")
+    running.frame(bridge=True)
+    with pytest.raises(RefusedError, match="bridge is on"):
+        running.ask(Reset())
+
+
+async def test_a_bridge_switched_on_by_others_is_an_alarm() -> None:
+    async with fast_bench() as bench:
+        bench.frames(20)
+        bench.frame(bridge=True)
+        assert bench.state() is State.STANDBY
+        bench.frame(bridge=True)
+        assert bench.state() is State.TRIPPED
+        assert (bench.machine.trip or "").startswith(
+            "the drive's bridge is on although this daemon did not command it"
+        )
+
+
+async def test_a_drive_found_on_at_start_must_stop() -> None:
+    async with fast_bench() as bench:
+        bench.wait(10.0)
+        assert bench.state() is State.STANDBY
+        bench.frame(bridge=True)
+        assert bench.state() is State.STOPPING
+        bench.frame(bridge=False)
+        assert bench.state() is State.STANDBY
+
+
+async def test_a_drive_found_on_at_start_that_stays_on_trips() -> None:
+    async with fast_bench() as bench:
+        for _ in range(STOP_TICKS + 3):
+            bench.frame(bridge=True)
+        assert (bench.machine.trip or "").startswith("the drive does not stop: its bridge is still")
+
+
+async def test_a_drive_that_never_speaks_of_its_bridge_stops_at_once() -> None:
+    async with fast_bench(slack_s=None) as bench:
+        bench.start()
+        disable(bench)
+        assert (bench.state(), bench.loop.stop) == (State.STANDBY, StopWord.IMPOSSIBLE)
+        bench.frames(2 * STOP_TICKS)
+        assert bench.state() is State.STANDBY
+
+
+async def test_a_drive_that_is_read_seldom_has_four_readings() -> None:
+    stride = 60
+    polled = replace(
+        FAST, ticks_per_reading=stride, limits=replace(FAST.limits, stale_s=3 * stride * TICK_S)
+    )
+    async with fast_bench(polled, modulus=None) as bench:
+        assert bench.loop.stop_limit_s == pytest.approx(4 * stride * TICK_S)

@@ -1,0 +1,119 @@
+"""A stop that does not reach the drive, on real sockets with the whole daemon behind them.
+
+`WIRE_REPORT` keeps the measured times, as for the faults of the wire.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.errors import RefusedError
+from adaptdrive.runtime.reports import State, StopWord
+from adaptdrive.runtime.requests import Disable, Enable, Reset
+from tests.wire.rig import Rig, rigged, until
+from tests.wire.test_matrix import note, run_steadily
+from tests.wire.wires import CanWire, modbus_wire, motor_text, strung
+
+ANNOUNCED_s = 1.0
+BUSY_s = 0.5
+"""What a machine with more work than processors may add."""
+
+LINKS = pytest.mark.parametrize("link", ["tcp", "rtu"])
+
+
+async def alarm(rig: Rig, kind: str, since_s: float) -> tuple[str, float]:
+    """Wait for an event; its words, and how long it took."""
+    await until(lambda: rig.heard(kind, since_s))
+    when_s = next(when for when, event in rig.events if event.kind == kind and when >= since_s)
+    return rig.heard(kind, since_s)[0], when_s - since_s
+
+
+def refused_writes(pdu: bytes) -> bytes:
+    """The device answers each write with exception 3, and reads as usual."""
+    return bytes((pdu[0] | 0x80, 3)) if pdu[0] == 16 else pdu
+
+
+async def test_a_bridge_that_stays_on_is_announced(free_udp_port: int) -> None:
+    wire = CanWire(free_udp_port, motor_text(free_udp_port))
+    async with strung(wire), rigged(wire.configuration) as rig:
+        await run_steadily(wire, rig)
+        wire.values["BridgeOn"] = 1
+        began_s = time.monotonic()
+        assert await rig.daemon.execute(Disable()) is State.STOPPING
+        with pytest.raises(RefusedError, match="has not confirmed its stop"):
+            await rig.daemon.execute(Enable())
+        trip, after_s = await alarm(rig, "trip", began_s)
+        assert trip.startswith("the drive does not stop: its bridge is still on ")
+        assert after_s < ANNOUNCED_s + BUSY_s
+        note("stop-unconfirmed-can", after_s, 0.0)
+        before_s = wire.told[0]
+        await until(lambda: wire.told[0] > before_s + 0.1)
+        assert not wire.told[1]
+        with pytest.raises(RefusedError, match="bridge is on although it is commanded off"):
+            await rig.daemon.execute(Reset())
+        await wire.heal()
+        await rig.ask(Reset())
+        await rig.reaches(State.STANDBY)
+        assert rig.state is not None
+        assert rig.state.stop is StopWord.CONFIRMED
+
+
+async def test_a_bridge_switched_on_by_others_trips(free_udp_port: int) -> None:
+    wire = CanWire(free_udp_port, motor_text(free_udp_port))
+    async with strung(wire), rigged(wire.configuration) as rig:
+        await rig.recovers()
+        await until(lambda: rig.state is not None and rig.state.stop is StopWord.CONFIRMED)
+        began_s = time.monotonic()
+        wire.values["BridgeOn"] = 1
+        trip, after_s = await alarm(rig, "trip", began_s)
+        assert trip.startswith("the drive's bridge is on although this daemon did not command it")
+        note("switched-on-can", after_s, 0.0)
+
+
+@LINKS
+async def test_refused_writes_trip_a_running_drive(
+    link: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    wire = modbus_wire(link, tmp_path, free_tcp_port)
+    async with strung(wire), rigged(wire.configuration) as rig:
+        await run_steadily(wire, rig)
+        began_s = time.monotonic()
+        wire.peer.answer = refused_writes
+        trip, after_s = await alarm(rig, "trip", began_s)
+        assert trip.startswith(
+            "the drive refuses commands: exception code 3 (illegal data value) at register "
+        )
+        note(f"writes-refused-{link}", after_s, 0.0)
+        stop, after_s = await alarm(rig, "stop", began_s)
+        assert stop.startswith("the drive does not stop: it has not taken the safe command ")
+        assert after_s < ANNOUNCED_s + BUSY_s
+        note(f"stop-refused-{link}", after_s, 0.0)
+        with pytest.raises(RefusedError, match="the drive refuses commands: exception code 3"):
+            await rig.daemon.execute(Reset())
+        await wire.heal()
+        await rig.ask(Reset())
+        await rig.reaches(State.STANDBY)
+
+
+@LINKS
+async def test_a_disable_that_is_refused_is_not_standby(
+    link: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    wire = modbus_wire(link, tmp_path, free_tcp_port)
+    async with strung(wire), rigged(wire.configuration) as rig:
+        await run_steadily(wire, rig)
+        wire.peer.answer = refused_writes
+        began_s = time.monotonic()
+        assert await rig.daemon.execute(Disable()) is State.STOPPING
+        written = len(wire.peer.writes)
+        trip, after_s = await alarm(rig, "trip", began_s)
+        assert trip.startswith("the drive does not stop: it has not taken the safe command ")
+        assert after_s < ANNOUNCED_s + BUSY_s
+        await until(lambda: len(wire.peer.writes) > written + 10)  # it is repeated all the time
+        assert not any(registers[1] for _, registers in wire.peer.writes[written:])
+        await wire.heal()
+        await rig.ask(Reset())
+        await rig.reaches(State.STANDBY)
