@@ -78,8 +78,10 @@ async def test_a_drive_that_falls_silent_in_its_stop_is_an_alarm(running: FastBe
     )
 
 
-async def test_a_stop_that_no_bus_takes_is_an_alarm(running: FastBench) -> None:
-    running.port.send = lambda _: False  # type: ignore[method-assign]
+async def test_a_stop_that_no_bus_takes_is_an_alarm(
+    running: FastBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(running.port, "send", lambda _: False)
     disable(running)
     for _ in range(STOP_TICKS + 2):
         running.frame(bridge=False)
