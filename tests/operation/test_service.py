@@ -220,7 +220,7 @@ async def test_the_state_is_retained_and_follows_every_change(bench: Bench) -> N
         second = (await ear.on(bench.topic("state"))).content
     assert list(second) == [
         *("state", "mode", "controller", "reason", "enabled", "setpoint"),
-        *("waveform", "pole", "trip", "shutting_down", "clock", "time"),
+        *("waveform", "pole", "trip", "shutting_down", "stop", "clock", "time"),
     ]
     assert second["waveform"] == SQUARE
     assert second["setpoint"] is None

@@ -98,6 +98,7 @@ async def test_a_decision_that_waits_for_its_tick_is_dropped_by_a_restart() -> N
         taken = bench.run_to_snapshot()
         bench.loop.deliver(taken, decision(taken.k, 333.0))
         bench.ask(Disable())
+        bench.frames(2)
         bench.ask(Enable())
         bench.frames(10)
         assert bench.state() is State.RUNNING

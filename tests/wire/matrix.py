@@ -206,9 +206,11 @@ async def away(wire: Wire, _: Rig) -> None:
     await wire.stop()
 
 
-def modbus_both(count: str, *, trips: bool = True, **changes: object) -> tuple[Cell, Cell]:
+def modbus_both(
+    count: str, *, trips: bool = True, cause: str = "stale", **changes: object
+) -> tuple[Cell, Cell]:
     """The same cell on TCP and on RTU."""
-    cell = Cell(on_modbus(**changes), trips=trips, count=count)
+    cell = Cell(on_modbus(**changes), trips=trips, count=count, cause=cause)
     return cell, cell
 
 
@@ -322,7 +324,7 @@ ROWS = (
         "exception",
         "exception replies",
         "CAN has none",
-        *modbus_both("exceptions", answer=spoils.exception),
+        *modbus_both("exceptions", cause="the drive refuses commands", answer=spoils.exception),
     ),
     Row(
         "noise",

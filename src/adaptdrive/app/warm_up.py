@@ -87,6 +87,7 @@ class Rehearsal:
         self._loop.on_deadline(self._nobody.time_s)
         self._machine.carry_out(Disable(), self._loop.tick, math.nan, None)
         self._loop.send_safe()
+        self._machine.confirm_stop()  # no drive is there to do it
         return self._loop.counts.ticks
 
     def tick(self) -> None:
