@@ -84,7 +84,7 @@ async def test_refused_writes_trip_a_running_drive(
         wire.peer.answer = refused_writes
         trip, after_s = await alarm(rig, "trip", began_s)
         assert trip.startswith(
-            "the drive refuses commands: exception code 3 (illegal data value) at register "
+            "the drive refuses commands: exception code 3 (illegal value) at register "
         )
         note(f"writes-refused-{link}", after_s, 0.0)
         stop, after_s = await alarm(rig, "stop", began_s)
