@@ -145,6 +145,9 @@ class Deceived:
             self.completed = True
             self.ask(Disable())
 
+    def not_stopped(self, detail: str) -> None:
+        """Nobody listens."""
+
     def run_ended(self) -> None:
         """Nothing is kept."""
 
