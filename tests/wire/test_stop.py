@@ -15,7 +15,7 @@ from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import Disable, Enable, Reset
 from tests.wire.rig import Rig, rigged, until
 from tests.wire.test_matrix import note, run_steadily
-from tests.wire.wires import CanWire, modbus_wire, motor_text, strung
+from tests.wire.wires import CanWire, PATIENT_s, modbus_wire, motor_text, strung
 
 ANNOUNCED_s = 1.0
 BUSY_s = 0.5
@@ -77,7 +77,7 @@ async def test_a_bridge_switched_on_by_others_trips(free_udp_port: int) -> None:
 async def test_refused_writes_trip_a_running_drive(
     link: str, tmp_path: Path, free_tcp_port: int
 ) -> None:
-    wire = modbus_wire(link, tmp_path, free_tcp_port)
+    wire = modbus_wire(link, tmp_path, free_tcp_port, stale_s=PATIENT_s)
     async with strung(wire), rigged(wire.configuration) as rig:
         await run_steadily(wire, rig)
         began_s = time.monotonic()
@@ -102,7 +102,7 @@ async def test_refused_writes_trip_a_running_drive(
 async def test_a_disable_that_is_refused_is_not_standby(
     link: str, tmp_path: Path, free_tcp_port: int
 ) -> None:
-    wire = modbus_wire(link, tmp_path, free_tcp_port)
+    wire = modbus_wire(link, tmp_path, free_tcp_port, stale_s=PATIENT_s)
     async with strung(wire), rigged(wire.configuration) as rig:
         await run_steadily(wire, rig)
         wire.peer.answer = refused_writes
