@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from adaptdrive.app.plausible import implausible
 from adaptdrive.app.ports import build_port
 from adaptdrive.app.sensors import build_sensor_port
 from adaptdrive.config import Configuration
@@ -30,6 +31,8 @@ def load_examined(path: Path) -> Configuration:
     known = {flaw.place for flaw in findings.flaws}
     described = [flaw for flaw in _description_flaws(findings, path) if flaw.place not in known]
     flaws = [*findings.flaws, *described]
+    if not findings.flaws:
+        flaws += implausible(findings.configuration)
     if flaws:
         raise ConfigurationError(path, flaws)
     return findings.configuration

@@ -1,0 +1,105 @@
+"""Values that are valid one by one, and cannot all be true of one drive and its load."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from adaptdrive.app.settings import build_load, controller_settings, tick_s
+from adaptdrive.config import Configuration
+from adaptdrive.config.load import Battery
+from adaptdrive.control.design import compensator_gains, discrete_model
+from adaptdrive.control.load import Load, to_input
+from adaptdrive.errors import Flaw
+
+_LONGEST_PERIODS, _SHORTEST_PERIODS = 5000.0, 0.02
+"""Slow periods in the longest time constant: the examples have 10 to 30."""
+
+_LOWEST_CHARGE = 0.5
+"""Share of its highest voltage to which no battery that can be charged is empty."""
+
+
+def implausible(configuration: Configuration) -> Iterator[Flaw]:
+    """Find values that contradict each other, with the figures that show it.
+
+    Args:
+        configuration: A valid configuration.
+    """
+    load = build_load(configuration)
+    yield from _battery_flaws(configuration)
+    yield from _reach_flaws(configuration, load)
+    yield from _pace_flaws(configuration, load)
+    if configuration.voltage_loop.where == "daemon":
+        yield from _capacitor_flaws(configuration)
+
+
+def _reach_flaws(configuration: Configuration, load: Load) -> Iterator[Flaw]:
+    """The voltages that may be asked for lead to outputs among the set-points."""
+    section, limits = configuration.load, configuration.drive.limits
+    if isinstance(section, Battery):
+        return
+    gain = load.numerator[-1] / load.denominator[-1]
+    ends_V = limits.boost_reference_min_V, limits.boost_reference_max_V
+    low, high = (gain * to_input(end, load.input_gain, load.input_exponent) for end in ends_V)
+    if low <= section.reference_max and high >= section.reference_min:
+        return
+    unit = section.output_unit
+    yield Flaw(
+        "load.model",
+        f"V_c = {ends_V[0]:g}…{ends_V[1]:g} V gives {section.output_name} = {low:.4g}…{high:.4g} "
+        f"{unit}, which misses every set-point of {section.reference_min:g}…"
+        f"{section.reference_max:g} {unit}: compare the model's gain, load.reference_min and _max, "
+        "and [drive.limits]",
+    )
+
+
+def _battery_flaws(configuration: Configuration) -> Iterator[Flaw]:
+    """The dc/dc stage makes voltages at which the battery can be charged, and not charged."""
+    section, limits = configuration.load, configuration.drive.limits
+    if not isinstance(section, Battery):
+        return
+    ratio, highest_V = section.model.turns_ratio, section.charge.voltage_max_V
+    low_V = ratio * limits.boost_reference_min_V
+    high_V = ratio * limits.boost_reference_max_V
+    if low_V <= highest_V and high_V >= _LOWEST_CHARGE * highest_V:
+        return
+    problem = f"V_c times turns_ratio = {ratio:g} gives {low_V:.4g}…{high_V:.4g} V"
+    yield Flaw("load.model.turns_ratio", f"{problem}, the battery has up to {highest_V:g} V")
+
+
+def _pace_flaws(configuration: Configuration, load: Load) -> Iterator[Flaw]:
+    """The slow period fits the load, and the load can be controlled with it."""
+    period_s = configuration.load.period_s
+    total_s = load.denominator[-2] / load.denominator[-1]
+    if not _SHORTEST_PERIODS <= total_s / period_s <= _LONGEST_PERIODS:
+        problem = f"its time constants add up to {total_s:.4g} s, {total_s / period_s:.3g} slow "
+        limits = f"{_SHORTEST_PERIODS:g}…{_LONGEST_PERIODS:g}"
+        yield Flaw("load.model", f"{problem}periods of {period_s:g} s; {limits} can be controlled")
+        return
+    settings = controller_settings(configuration)
+    model = discrete_model(settings, load, list(load.numerator), list(load.denominator), period_s)
+    gains = compensator_gains(*model, load.order, configuration.load.pole)
+    if not all(map(math.isfinite, gains)):
+        yield Flaw(
+            "load.model", f"no gains place the poles at load.pole = {configuration.load.pole}"
+        )
+
+
+def _capacitor_flaws(configuration: Configuration) -> Iterator[Flaw]:
+    """The capacitor can be charged in time, and holds more than the load takes in a half cycle."""
+    drive, place = configuration.drive, "drive.boost_capacitance_F"
+    capacitance_F, limits, line_V = drive.boost_capacitance_F, drive.limits, drive.line_voltage_V
+    power_W = limits.current_scale_max_S * line_V * line_V
+    rise_J = 0.5 * capacitance_F * (limits.boost_reference_min_V**2 - 2.0 * line_V * line_V)
+    patience_s = configuration.interlocks.precharge_timeout_s
+    if rise_J > power_W * patience_s:
+        problem = f"{capacitance_F:g} F takes {rise_J / power_W:.3g} s from the line's peak to "
+        problem += f"{limits.boost_reference_min_V:g} V with {power_W:.4g} W"
+        yield Flaw(place, f"{problem}; interlocks.precharge_timeout_s = {patience_s:g}")
+    held_J = 0.5 * capacitance_F * limits.boost_reference_max_V**2
+    taken_J = limits.load_power_max_W * tick_s(configuration)
+    if held_J < taken_J:
+        problem = f"{capacitance_F:g} F holds {held_J:.3g} J at {limits.boost_reference_max_V:g} V"
+        yield Flaw(
+            place, f"{problem}; a load of load_power_max_W takes {taken_J:.3g} J a half cycle"
+        )
