@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NoReturn
 
 from cyclopts import App, Parameter
 
 import adaptdrive
 from adaptdrive.errors import AdaptdriveError
+from adaptdrive_sim.demo.settings import DemoSettings, VirtualSettings
+from adaptdrive_sim.device_settings import DeviceSettings
 
 app = App(
     name="adaptdrive-sim",
@@ -34,59 +37,16 @@ def main() -> None:
 
 
 @app.command
-def device(  # noqa: PLR0913 - one parameter for each option
-    config: Path,
-    *,
-    broker: str | None = None,
-    noise: float = 0.0,
-    spikes: str = "0,0",
-    seed: int = 0,
-    disks: int = 1,
-    initial_voltage: float | None = None,
-    command_timeout: float = 0.1,
-    boost_needs_bridge: bool = False,
-    line_drift: float = 0.1,
-    line_wander: float = 0.0,
-    interface: Literal["socketcan", "udp_multicast"] | None = None,
-    channel: str | None = None,
-    port: int | None = None,
-) -> None:
+def device(config: Path, *, settings: DeviceSettings | None = None) -> None:
     """Run the simulated drive as a node on the bus that a configuration names.
 
     Args:
         config: The drive's configuration, the same file that the daemon reads.
-        broker: HOST:PORT of an MQTT broker for disturbances; none when left out.
-        noise: Standard deviation of each sample of the output, in the unit of the output.
-        spikes: SHARE,SIGMA: share of samples that carry a spike, and its deviation, likewise.
-        seed: Seed of the noise.
-        disks: Disks on the shaft of a motor.
-        initial_voltage: Start at rest at this boost voltage instead of at standstill.
-        command_timeout: Age of the last command, in seconds, at which it shuts down.
-        boost_needs_bridge: The boost stage works only while the bridge's enable bit is on.
-        line_drift: Amplitude of the line's frequency drift, in hertz.
-        line_wander: Amplitude of the line's slow voltage wander, as a fraction.
-        interface: Bus interface instead of the configured one.
-        channel: Channel instead of the configured one.
-        port: UDP port instead of the configured one.
+        settings: What is added to it.
     """
-    from adaptdrive_sim import device_main  # noqa: PLC0415  # keeps --help fast
+    from adaptdrive_sim.device_main import run_device  # noqa: PLC0415  # keeps --help fast
 
-    settings = device_main.DeviceSettings(
-        broker=broker,
-        noise_V=noise,
-        spikes=spikes,
-        seed=seed,
-        disks=disks,
-        initial_voltage_V=initial_voltage,
-        command_timeout_s=command_timeout,
-        boost_needs_bridge=boost_needs_bridge,
-        line_drift_Hz=line_drift,
-        line_wander=line_wander,
-        interface=interface,
-        channel=channel,
-        port=port,
-    )
-    device_main.run_device(config, settings)
+    run_device(config, settings or DeviceSettings())
 
 
 @app.command
@@ -200,110 +160,39 @@ app.command(demo)
 
 
 @demo.command
-def motor(  # noqa: PLR0913 - one parameter for each option
-    *,
-    duration: float | None = None,
-    headless: Annotated[bool, Parameter(negative=())] = False,
-    broker: str | None = None,
-    interface: Literal["socketcan", "udp_multicast"] | None = None,
-    channel: str | None = None,
-    period: float = 60.0,
-    noise: float = 0.002,
-    mode: Literal["alternate", "fixed", "adaptive"] = "alternate",
-    disks: bool = True,
-    steady: Annotated[bool, Parameter(negative=())] = False,
-    directory: Path | None = None,
-) -> None:
+def motor(*, settings: DemoSettings | None = None) -> None:
     """Watch a motor follow a square wave while disks drop onto its shaft.
 
     Simulated drive, daemon and broker run as processes of their own, on a real bus and in real
     time, until Ctrl-C. Everything they leave behind is kept for a look afterwards. The status is
     0 when control worked and 1 when it failed.
-
-    Args:
-        duration: Seconds of control after the start; until interrupted when left out.
-        headless: Show nothing; print one line of JSON at the end.
-        broker: HOST:PORT of a running MQTT broker; one is started when left out.
-        interface: Bus interface; the best one found when left out.
-        channel: Channel of that interface, such as vcan1 or a multicast group.
-        period: Seconds of one period of the square wave (the published experiment has 120).
-        noise: Standard deviation of each sample of the speed, as a fraction of the wave's step.
-        mode: Controller to ask for; alternate shows both in turn, the others ask once.
-        disks: Drop disks onto the shaft and take them off.
-        steady: Hold the set-point instead of following the wave.
-        directory: Folder for configuration, logs and sessions; build/demo/TIME when left out.
     """
     from adaptdrive_sim.demo.main import run_demo  # noqa: PLC0415  # keeps --help fast
-    from adaptdrive_sim.demo.settings import DemoSettings  # noqa: PLC0415
 
-    settings = DemoSettings(
-        duration_s=duration,
-        headless=headless,
-        broker=broker,
-        interface=interface,
-        channel=channel,
-        period_s=period,
-        noise=noise,
-        mode=mode,
-        disks=disks,
-        steady=steady,
-        directory=directory,
-    )
-    sys.exit(run_demo(settings))
+    sys.exit(run_demo(settings or DemoSettings()))
 
 
 @demo.command
-def bath(  # noqa: PLR0913 - one parameter for each option
-    *,
-    speed: float = 60.0,
-    duration: float | None = None,
-    headless: Annotated[bool, Parameter(negative=())] = False,
-    mode: Literal["alternate", "fixed", "adaptive"] = "alternate",
-    noise: float = 0.05,
-    seed: int = 0,
-) -> None:
+def bath(*, settings: VirtualSettings | None = None) -> None:
     """Watch a bath follow a square wave while its drain is raised and lowered.
 
     The daemon's controller, with the settings of bath.toml, runs against the simulated bath in
     virtual time: one process, no bus. The status is 0 when control worked and 1 when it failed.
-
-    Args:
-        speed: Times real time.
-        duration: Seconds of control, in virtual time; until interrupted when left out.
-        headless: Show nothing; print one line of JSON at the end.
-        mode: Controller to ask for; alternate shows both in turn, the others ask once.
-        noise: Standard deviation of each sample of the temperature, in kelvin.
-        seed: Seed of the noise.
     """
-    from adaptdrive_sim.demo.virtual import VirtualSettings, run_virtual  # noqa: PLC0415
-
-    sys.exit(run_virtual(VirtualSettings("bath", speed, duration, headless, mode, noise, seed)))
+    _run_virtual("bath", settings)
 
 
 @demo.command
-def battery(  # noqa: PLR0913 - one parameter for each option
-    *,
-    speed: float = 60.0,
-    duration: float | None = None,
-    headless: Annotated[bool, Parameter(negative=())] = False,
-    mode: Literal["alternate", "fixed", "adaptive"] = "alternate",
-    noise: float = 0.02,
-    seed: int = 0,
-) -> None:
+def battery(*, settings: VirtualSettings | None = None) -> None:
     """Watch a battery being charged: constant current, voltage limit, taper, end.
 
     The daemon's controller, with the settings of battery.toml, runs against the simulated battery
     in virtual time: one process, no bus. The status is 0 when control worked and 1 when it failed.
-
-    Args:
-        speed: Times real time.
-        duration: Seconds of control, in virtual time; until the battery is full, or interrupted
-            while it is watched, when left out.
-        headless: Show nothing; print one line of JSON at the end.
-        mode: Controller to ask for; alternate starts fixed and turns adaptive.
-        noise: Standard deviation of each sample of the current, in ampere.
-        seed: Seed of the noise.
     """
-    from adaptdrive_sim.demo.virtual import VirtualSettings, run_virtual  # noqa: PLC0415
+    _run_virtual("battery", settings)
 
-    sys.exit(run_virtual(VirtualSettings("battery", speed, duration, headless, mode, noise, seed)))
+
+def _run_virtual(load: Literal["bath", "battery"], settings: VirtualSettings | None) -> NoReturn:
+    from adaptdrive_sim.demo.virtual import run_virtual  # noqa: PLC0415
+
+    sys.exit(run_virtual(replace(settings or VirtualSettings(), load=load)))

@@ -9,7 +9,6 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Coroutine
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +24,11 @@ from adaptdrive.config.sensors import CanSensors as CanSensorBus
 from adaptdrive.errors import AdaptdriveError, RefusedError
 from adaptdrive.hardware.can.sensors import map_sensors
 from adaptdrive_sim.broker import parse_address
+from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.devices.can_drive import CanDrive
 from adaptdrive_sim.devices.can_sensors import CanSensors
 from adaptdrive_sim.devices.canopen_drive import CanOpenDrive
-from adaptdrive_sim.devices.drive import COMMAND_TIMEOUT_s, Drive, Frame, Report
+from adaptdrive_sim.devices.drive import Drive, Frame, Report
 from adaptdrive_sim.devices.frames import load_messages
 from adaptdrive_sim.devices.modbus_drive import ModbusDrive
 from adaptdrive_sim.devices.modbus_sensors import ModbusSensors
@@ -46,25 +46,6 @@ PATIENCE_READINGS = 4
 """Polls without a command after which a drive that is polled shuts down."""
 
 Job = Callable[[], Coroutine[Any, Any, None]]
-
-
-@dataclass(frozen=True, slots=True)
-class DeviceSettings:
-    """What the command line adds to the configuration; see `adaptdrive-sim device --help`."""
-
-    broker: str | None = None
-    noise_V: float = 0.0
-    spikes: str = "0,0"
-    seed: int = 0
-    disks: int = 1
-    initial_voltage_V: float | None = None
-    command_timeout_s: float = COMMAND_TIMEOUT_s
-    boost_needs_bridge: bool = False
-    line_drift_Hz: float = 0.1
-    line_wander: float = 0.0
-    interface: str | None = None
-    channel: str | None = None
-    port: int | None = None
 
 
 def run_device(path: Path, settings: DeviceSettings) -> None:

@@ -21,7 +21,8 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import Mode
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint
-from adaptdrive_sim.device_main import DeviceSettings, build_world
+from adaptdrive_sim.device_main import build_world
+from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.plants.bath import Bath
 from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World

@@ -29,7 +29,8 @@ from adaptdrive.runtime.hub import Hub, Subscription
 from adaptdrive.runtime.reports import LoadReport, Report, State
 from adaptdrive.runtime.requests import Enable
 from adaptdrive.runtime.watchdog import ServiceManager
-from adaptdrive_sim.device_main import DeviceSettings, build_drive, build_node, build_sensors
+from adaptdrive_sim.device_main import build_drive, build_node, build_sensors
+from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.devices.can_drive import CanDrive
 from adaptdrive_sim.devices.drive import Drive
 from adaptdrive_sim.devices.modbus_drive import ModbusDrive

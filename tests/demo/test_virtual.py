@@ -12,12 +12,12 @@ import pytest
 from rich.console import Console
 
 from adaptdrive.errors import RefusedError
+from adaptdrive_sim.demo.settings import VirtualSettings
 from adaptdrive_sim.demo.story import Story
 from adaptdrive_sim.demo.subject import Subject
 from adaptdrive_sim.demo.view import Surroundings, screen
 from adaptdrive_sim.demo.virtual import (
     Teller,
-    VirtualSettings,
     build_story,
     summarise,
 )

@@ -126,22 +126,26 @@ async def test_telemetry_of_an_outage_is_not_sent_as_new(
 async def test_the_daemon_starts_without_a_broker(
     mosquitto_launcher: MosquittoLauncher, free_tcp_port: int, tmp_path: Path
 ) -> None:
+    """It tries again and again on a port where nothing speaks MQTT, until a broker is there."""
+    tried, tried_again = asyncio.Event(), asyncio.Event()
+
+    def hang_up(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        (tried_again if tried.is_set() else tried).set()
+        writer.close()
+
     address = Broker("127.0.0.1", free_tcp_port)
-    late: list[Process] = []
-
-    async def start_late() -> None:
-        await asyncio.sleep(0.3)
-        late.append(await asyncio.to_thread(mosquitto_launcher.start, free_tcp_port))
-
-    starting = asyncio.create_task(start_late())
-    host = RememberingHost()
-    try:
-        # `serving` waits for `online`; its clients only start once the broker does.
-        await starting
-        async with serving(address, "patient", tmp_path, host) as bench:
+    async with (
+        await asyncio.start_server(hang_up, address.host, address.port) as nothing,
+        serving(address, "patient", tmp_path, await_online=False) as bench,
+    ):
+        async with asyncio.timeout(PATIENCE_S):
+            await tried_again.wait()
+        nothing.close()
+        process = await asyncio.to_thread(mosquitto_launcher.start, free_tcp_port)
+        try:
+            await expect_retained(bench, "availability", "online")
             assert (await ask(bench, "enable", '{"id": "a"}'))["accepted"]
-    finally:
-        for process in late:
+        finally:
             stop_process(process)
 
 

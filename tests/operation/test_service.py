@@ -265,11 +265,11 @@ async def test_telemetry_is_json_and_not_retained(bench: Bench) -> None:
         }
     }
     assert load.content["estimates"] == {"gain": {"value": 0.0111, "std": None}}
-    assert list(drive.content) == [
+    assert set(drive.content) == {
         *("time", "boost_voltage_V", "line_voltage_V", "load_power_W", "output", "age_s"),
         *("command", "ticks", "missed", "held", "limited", "lateness_us", "turnaround_us"),
         *("tick_us", "histograms", "bus", "sensors"),
-    ]
+    }
     assert drive.content["histograms"] == {"tick_us": [0, 2, 1]}
     assert drive.content["lateness_us"] == {"p50": 10.0, "p99": 20.0, "max": 30.0}
     assert drive.content["turnaround_us"] == {"p50": None, "p99": None, "max": None}

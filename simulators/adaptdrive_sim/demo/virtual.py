@@ -8,18 +8,16 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from rich.console import Console
 from rich.live import Live
 
 from adaptdrive.config.file import validate_configuration
-from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.requests import Enable
 from adaptdrive_sim.demo.bath_story import BathStory
 from adaptdrive_sim.demo.battery_story import BatteryStory
-from adaptdrive_sim.demo.settings import ModeChoice
+from adaptdrive_sim.demo.settings import VirtualSettings
 from adaptdrive_sim.demo.stage import end_on_signals
 from adaptdrive_sim.demo.story import Scene, Story
 from adaptdrive_sim.demo.subject import Subject
@@ -39,43 +37,6 @@ _SLICE_s = 0.02
 _BREAK_s = 0.005
 _REFRESH_s = 0.25
 _LINE_DRIFT_Hz = 0.1
-_SPEED_MAX = 1e6
-
-
-@dataclass(frozen=True, slots=True)
-class VirtualSettings:
-    """See `adaptdrive-sim demo bath --help`.
-
-    Attributes:
-        load: What is controlled.
-        speed: Times real time.
-        duration_s: Seconds of control, in virtual time; until interrupted when None.
-        headless: One line of JSON at the end instead of the live view.
-        mode: Controller to ask for; `alternate` tells the whole story.
-        noise: Standard deviation of each sample; the load's usual one when None.
-        seed: Of the noise.
-    """
-
-    load: Literal["bath", "battery"]
-    speed: float = 60.0
-    duration_s: float | None = None
-    headless: bool = False
-    mode: ModeChoice = "alternate"
-    noise: float | None = None
-    seed: int = 0
-
-    def check(self) -> None:
-        """Refuse what cannot be done.
-
-        Raises:
-            RefusedError: Which option, and why.
-        """
-        if self.duration_s is not None and not 1.0 <= self.duration_s < math.inf:
-            raise RefusedError(f"--duration {self.duration_s:g} must be at least 1 second")
-        if not 0.0 < self.speed <= _SPEED_MAX:
-            raise RefusedError(f"--speed {self.speed:g} must lie above 0, and up to 1e6")
-        if self.noise is not None and not 0.0 <= self.noise <= 1.0:
-            raise RefusedError(f"--noise {self.noise:g} must lie in 0…1")
 
 
 def run_virtual(settings: VirtualSettings) -> int:

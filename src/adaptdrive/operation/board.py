@@ -8,7 +8,7 @@ from datetime import datetime
 from typing import Generic, TypeVar
 
 from adaptdrive.operation.clock import Synchronisation, WallClock
-from adaptdrive.operation.messages import StateMessage, state_message
+from adaptdrive.operation.messages import Payload, state_message
 from adaptdrive.runtime.reports import State, StateReport
 
 T = TypeVar("T")
@@ -62,7 +62,7 @@ class StateBoard:
         return self._report.state if self._report else None
 
     @property
-    def message(self) -> StateMessage | None:
+    def message(self) -> Payload | None:
         """What is to be published, None before the first report."""
         if self._report is None:
             return None

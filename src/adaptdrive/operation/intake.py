@@ -6,12 +6,12 @@ long it then waits, so that nothing old is ever sent as new.
 
 from __future__ import annotations
 
-from typing import Any, assert_never
+from typing import assert_never
 
 from adaptdrive.operation.board import Mailbox, StateBoard
 from adaptdrive.operation.clock import WallClock
 from adaptdrive.operation.messages import (
-    DriveMessage,
+    Payload,
     drive_message,
     encode,
     event_message,
@@ -46,8 +46,8 @@ class Intake:
     def __init__(self, hub: Hub, board: StateBoard, outbox: Outbox, wall: WallClock) -> None:
         self.board = board
         self.outbox = outbox
-        self.load: Mailbox[dict[str, Any]] = Mailbox(LOAD_MESSAGES_HELD)
-        self.drive: Mailbox[DriveMessage] = Mailbox(1)
+        self.load: Mailbox[Payload] = Mailbox(LOAD_MESSAGES_HELD)
+        self.drive: Mailbox[Payload] = Mailbox(1)
         self._wall = wall
         self._hub = hub
         self._discarded = 0

@@ -1,0 +1,46 @@
+"""What the command line says about a simulated drive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+InterfaceChoice = Literal["socketcan", "udp_multicast"]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class DeviceSettings:
+    """What `adaptdrive-sim device` adds to the configuration.
+
+    Attributes:
+        broker: HOST:PORT of an MQTT broker for disturbances; none when left out.
+        noise_V: Standard deviation of each sample of the output, in the unit of the output.
+        spikes: SHARE,SIGMA: share of samples that carry a spike, and its deviation, likewise.
+        seed: Seed of the noise.
+        disks: Disks on the shaft of a motor.
+        initial_voltage_V: Start at rest at this boost voltage instead of at standstill.
+        command_timeout_s: Age of the last command, in seconds, at which it shuts down.
+        boost_needs_bridge: The boost stage works only while the bridge's enable bit is on.
+        line_drift_Hz: Amplitude of the line's frequency drift, in hertz.
+        line_wander: Amplitude of the line's slow voltage wander, as a fraction.
+        interface: Bus interface instead of the configured one.
+        channel: Channel instead of the configured one.
+        port: UDP port instead of the configured one.
+    """
+
+    broker: str | None = None
+    noise_V: Annotated[float, Parameter(name="--noise")] = 0.0
+    spikes: str = "0,0"
+    seed: int = 0
+    disks: int = 1
+    initial_voltage_V: Annotated[float | None, Parameter(name="--initial-voltage")] = None
+    command_timeout_s: Annotated[float, Parameter(name="--command-timeout")] = 0.1
+    boost_needs_bridge: bool = False
+    line_drift_Hz: Annotated[float, Parameter(name="--line-drift")] = 0.1
+    line_wander: float = 0.0
+    interface: InterfaceChoice | None = None
+    channel: str | None = None
+    port: int | None = None
