@@ -11,7 +11,7 @@ from adaptdrive.config import load_configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.recording.batches import Header
-from adaptdrive.recording.session import create_session, read_info, write_info
+from adaptdrive.recording.session import NewSession, create_session, read_info, write_info
 from adaptdrive.runtime.reports import LoadReport, TickReport
 from adaptdrive_sim.noise import NoiseParameters
 from tests.closed_loop.bench import STEP, Bench, order, square_wave
@@ -53,12 +53,13 @@ def test_the_prior_is_part_of_the_record(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     info = msgspec.structs.replace(INFO, prior=PRIOR)
-    session = create_session(tmp_path, info, EXAMPLE.read_text(encoding="utf-8"))
+    text = EXAMPLE.read_text(encoding="utf-8")
+    directory = create_session(NewSession(tmp_path, info, text))
     ticks, slow = lived(PRIOR)
-    header = Header(info, session.config_text)
-    record_messages(session.directory, header, make_batch(ticks, slow, last=True))
-    recorded = read_info(session.directory)
+    header = Header(info, text)
+    record_messages(directory, header, make_batch(ticks, slow, last=True))
+    recorded = read_info(directory)
     assert recorded.prior == PRIOR
-    assert replay(str(session.directory)) == 0, capsys.readouterr().out
-    write_info(session.directory, INFO)
-    assert replay(str(session.directory)) == 1
+    assert replay(str(directory)) == 0, capsys.readouterr().out
+    write_info(directory, INFO)
+    assert replay(str(directory)) == 1

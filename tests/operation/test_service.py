@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.operation.clock import Synchronisation
-from adaptdrive.runtime.reports import Event, Severity, State
+from adaptdrive.runtime.reports import CommandReport, Event, Severity, State
 from adaptdrive.runtime.requests import (
     Disable,
     Enable,
@@ -74,6 +74,17 @@ async def test_a_command_acts_and_is_answered(
     state = "running" if verb == "enable" else "standby"
     assert reply == {"id": "a", "verb": verb, "accepted": True, "reason": "", "state": state}
     assert bench.host.asked == [request_]
+
+
+async def test_each_answered_command_is_reported_once_with_its_sender(bench: Bench) -> None:
+    reports = bench.hub.subscribe(CommandReport, size=10)
+    for value in (3.1, 3.1, 9.0):
+        payload = {"id": f"op-{value}", "value": value, "user": "ann@bench"}
+        await ask(bench, "setpoint", json.dumps(payload))
+    first, second = (one for one in reports.drain() if isinstance(one, CommandReport))
+    assert first == CommandReport("op-3.1", "setpoint", "3.1", "ann@bench", True, "")
+    assert (second.id, second.accepted) == ("op-9.0", False)
+    assert "outside 0…4.0" in second.reason
 
 
 async def test_a_verb_without_a_value_needs_none(bench: Bench) -> None:
@@ -254,6 +265,7 @@ async def test_telemetry_is_json_and_not_retained(bench: Bench) -> None:
         *("output_filtered", "input_filtered", "applied_V", "followed", "held_ticks"),
         *("boost_reference_V", "controller", "accepted", "reason", "estimates", "gains"),
         *("innovation", "excitation", "handover_step_V", "pole_in_force", "fault", "complete"),
+        "monotonic_s",
     ]
     assert drive.content["sensors"] == {
         "thermocouples": {

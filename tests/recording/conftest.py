@@ -1,4 +1,4 @@
-"""A session's directory."""
+"""A session about to be recorded, and its directory."""
 
 from __future__ import annotations
 
@@ -11,5 +11,10 @@ from tests.recording.material import INFO
 
 
 @pytest.fixture
-def session(tmp_path: Path) -> NewSession:
-    return create_session(tmp_path / "sessions", INFO, "# as configured\n")
+def new_session(tmp_path: Path) -> NewSession:
+    return NewSession(tmp_path / "sessions", INFO, "# as configured\n")
+
+
+@pytest.fixture
+def directory(new_session: NewSession) -> Path:
+    return create_session(new_session)

@@ -1,16 +1,17 @@
 """A stand-in for the control process: records ticks at 1 kHz until it is killed.
 
-Run as `python control_process.py SESSIONS`; prints the session's directory.
+Run as `python control_process.py SESSIONS`.
 """
 
 import asyncio
 import sys
+import time
 from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 
-from adaptdrive.recording.recorder import Feed, Pace, Recorder
-from adaptdrive.recording.session import create_session
+from adaptdrive.recording.batches import Header
+from adaptdrive.recording.recorder import Clocks, Feed, Pace, Recorder
 from adaptdrive.runtime.hub import Hub
 from tests.recording.material import INFO, make_tick
 
@@ -23,10 +24,9 @@ async def publish(hub: Hub) -> None:
 
 async def main(sessions: Path) -> None:
     hub = Hub()
-    session = create_session(sessions, INFO, "")
-    feed = Feed.of(hub, flush_s=0.1)
-    recorder = Recorder(session, feed, hub.publish, lambda: datetime.now(UTC), Pace(flush_s=0.1))
-    print(session.directory, flush=True)  # noqa: T201
+    clocks = Clocks(lambda: datetime.now(UTC), time.monotonic)
+    feed, pace = Feed.of(hub, flush_s=0.1), Pace(flush_s=0.1)
+    recorder = Recorder(Header(INFO, "", str(sessions)), feed, hub.publish, clocks, pace)
     async with asyncio.TaskGroup() as group:
         group.create_task(recorder.run())
         group.create_task(publish(hub))

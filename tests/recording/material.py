@@ -8,8 +8,10 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import msgspec
+
 from adaptdrive.control.signals import Command, Measurement, Mode, Order, Stage
-from adaptdrive.recording.batches import Batch, Header, TickTable, framed, slow_row
+from adaptdrive.recording.batches import Batch, Header, News, TickTable, framed, slow_row
 from adaptdrive.recording.session import Dropped, SessionInfo
 from adaptdrive.recording.writer import record
 from adaptdrive.runtime.reports import LoadReport, TickReport
@@ -30,7 +32,16 @@ _ORDER = Order(Stage.RUN, 3.2, Mode.ADAPTIVE, 0.7)
 def make_tick(sequence: int) -> TickReport:
     """The tick of that running number."""
     moved = replace(_MEASUREMENT, tick=1000 + sequence, output=3.0 + 1e-3 * sequence)
-    return TickReport(sequence, moved, _ORDER, -1, Command(0.03, 281.5, True), 12.0, 350.0)
+    return TickReport(
+        sequence,
+        moved,
+        _ORDER,
+        -1,
+        Command(0.03, 281.5, True),
+        12.0,
+        350.0,
+        time_s=50.0 + sequence / 120,
+    )
 
 
 def make_batch(
@@ -42,6 +53,9 @@ def make_batch(
     return Batch(table.rows, table.packed(), list(map(slow_row, slow)), [], Dropped(), last)
 
 
-def record_messages(directory: Path, *messages: Header | Batch) -> None:
-    """Do to messages what the recorder process does."""
-    record(directory, io.BytesIO(b"".join(map(framed, messages))))
+def record_messages(directory: Path, header: Header, *batches: Batch) -> list[News]:
+    """Do to messages what the recorder process does; what it reports."""
+    told: list[News] = []
+    header = msgspec.structs.replace(header, directory=str(directory))
+    record(io.BytesIO(framed(header) + b"".join(map(framed, batches))), told.append)
+    return told

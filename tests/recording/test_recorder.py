@@ -12,17 +12,22 @@ from contextlib import asynccontextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
+import pytest
+
 from adaptdrive.errors import RecordingError
+from adaptdrive.recording.batches import Header
 from adaptdrive.recording.reader import Session, read_session
-from adaptdrive.recording.recorder import EVENT_KIND, Feed, Pace, Recorder
-from adaptdrive.recording.session import Dropped, Ending, NewSession
+from adaptdrive.recording.recorder import EVENT_KIND, Clocks, Feed, Pace, Recorder
+from adaptdrive.recording.session import Dropped, Ending, read_info, session_directories
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Event, Severity
-from tests.recording.material import make_tick
+from tests.recording.material import INFO, make_tick
 
 NOW = datetime(2026, 11, 21, 1, 30, tzinfo=UTC)
+CLOCKS = Clocks(lambda: NOW, time.monotonic)
 PATIENCE_S = 60.0
 
+FREE = resource.getrlimit(resource.RLIMIT_FSIZE)
 ROOMY = 1 << 24
 """Backlog for a writer that is slow on a busy machine: nothing may be dropped."""
 
@@ -33,15 +38,23 @@ TIGHT = 50_000
 class Bench:
     """A recorder at work, and what a control process would do beside it."""
 
-    def __init__(self, session: NewSession, backlog_bytes: int = ROOMY) -> None:
+    def __init__(
+        self, sessions: Path, backlog_bytes: int = ROOMY, close_s: float = PATIENCE_S
+    ) -> None:
         self.hub = Hub()
-        self.directory = session.directory
+        self.sessions = sessions
         self.published = 0
         self.feed = Feed.of(self.hub, flush_s=0.05)
         self.told = self.hub.subscribe(Event, size=100)
-        pace = Pace(flush_s=0.05, backlog_bytes=backlog_bytes, close_s=PATIENCE_S)
-        self.recorder = Recorder(session, self.feed, self.hub.publish, lambda: NOW, pace)
+        pace = Pace(flush_s=0.05, backlog_bytes=backlog_bytes, close_s=close_s)
+        header = Header(INFO, "# as configured\n", str(sessions))
+        self.recorder = Recorder(header, self.feed, self.hub.publish, CLOCKS, pace)
         self.running: asyncio.Task[None] | None = None
+
+    @property
+    def directory(self) -> Path:
+        """Of the session; the folder of all while there is none."""
+        return next(session_directories(self.sessions), self.sessions)
 
     async def publish(self, ticks: int) -> None:
         """Publish ticks; other tasks get their turn as often as in a real process."""
@@ -56,6 +69,12 @@ class Bench:
             while not condition():
                 await self.publish(100)
 
+    async def settle(self) -> None:
+        """Wait until all that was published is on disk."""
+        async with asyncio.timeout(PATIENCE_S):
+            while self.rows() < self.published:  # noqa: ASYNC110  another process writes them
+                await asyncio.sleep(0.05)
+
     def session(self) -> Session:
         return read_session(self.directory)
 
@@ -67,7 +86,7 @@ class Bench:
         for process in Path("/proc").glob("[0-9]*/cmdline"):
             with contextlib.suppress(OSError):
                 words = process.read_bytes().split(b"\0")
-                if os.fsencode(self.directory) in words:
+                if os.fsencode(self.sessions) in words:
                     return int(process.parent.name)
         raise AssertionError("no recorder process")
 
@@ -81,9 +100,16 @@ class Bench:
             await self.running
 
 
+@pytest.fixture
+def sessions(tmp_path: Path) -> Path:
+    return tmp_path / "sessions"
+
+
 @asynccontextmanager
-async def recording(session: NewSession, *, backlog_bytes: int = ROOMY) -> AsyncIterator[Bench]:
-    bench = Bench(session, backlog_bytes)
+async def recording(
+    sessions: Path, *, backlog_bytes: int = ROOMY, close_s: float = PATIENCE_S
+) -> AsyncIterator[Bench]:
+    bench = Bench(sessions, backlog_bytes, close_s)
     async with asyncio.TaskGroup() as group:
         bench.running = group.create_task(bench.recorder.run())
         yield bench
@@ -94,8 +120,8 @@ def sequences(session: Session) -> list[int]:
     return [int(number) for number in session.ticks["sequence"].to_pylist()]
 
 
-async def test_an_orderly_end_records_every_tick_up_to_the_last(session: NewSession) -> None:
-    async with recording(session) as bench:
+async def test_an_orderly_end_records_every_tick_up_to_the_last(sessions: Path) -> None:
+    async with recording(sessions) as bench:
         await bench.publish_until(lambda: bench.rows() > 500)
         await bench.publish(37)
         await bench.stop()
@@ -104,27 +130,28 @@ async def test_an_orderly_end_records_every_tick_up_to_the_last(session: NewSess
     assert read.info.ended is Ending.ORDERLY
     assert read.info.dropped == Dropped()
     assert read.config_text == "# as configured\n"
-    assert (bench.directory / "ticks.parquet").exists()
+    assert (bench.directory / "ticks-0001.parquet").exists()
     assert bench.said() == []
 
 
-async def test_an_event_is_on_disk_before_the_next_flush(session: NewSession) -> None:
+async def test_an_event_is_on_disk_before_the_next_flush(sessions: Path) -> None:
     hub = Hub()
     pace = Pace(flush_s=10 * PATIENCE_S)
-    recorder = Recorder(session, Feed.of(hub, 1.0), hub.publish, lambda: NOW, pace)
+    header = Header(INFO, "", str(sessions))
+    recorder = Recorder(header, Feed.of(hub, 1.0), hub.publish, CLOCKS, pace)
     hub.publish(Event("trip", Severity.ALARM, "over-voltage: 431 V", 77))
     async with asyncio.TaskGroup() as group, asyncio.timeout(PATIENCE_S):
         running = group.create_task(recorder.run())
-        while not events_on_disk(session.directory):  # noqa: ASYNC110  another process writes them
+        while not events_on_disk(sessions):  # noqa: ASYNC110  another process writes them
             await asyncio.sleep(0.02)
         running.cancel()
     expected = (NOW.isoformat(), 77, "trip", "alarm", "over-voltage: 431 V")
-    assert events_on_disk(session.directory) == [expected]
+    assert events_on_disk(sessions) == [expected]
 
 
-def events_on_disk(directory: Path) -> list[tuple[str, int, str, str, str]]:
+def events_on_disk(sessions: Path) -> list[tuple[str, int, str, str, str]]:
     """What another program sees in the event log."""
-    path = directory / "events.sqlite"
+    path = next(sessions.glob("*/events.sqlite"), sessions / "absent")
     query = "SELECT time, tick, kind, severity, detail FROM events"
     try:
         with contextlib.closing(sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True)) as database:
@@ -133,27 +160,30 @@ def events_on_disk(directory: Path) -> list[tuple[str, int, str, str, str]]:
         return []
 
 
-async def test_a_killed_writer_loses_only_what_it_had_not_written(session: NewSession) -> None:
-    async with recording(session) as bench:
-        await bench.publish_until(lambda: bench.rows() > 500)
-        written = bench.rows()
-        os.kill(bench.writer(), signal.SIGKILL)
-        assert bench.running is not None
-        running = bench.running
-        await bench.publish_until(running.done)
-        await bench.publish(100)
+async def test_a_killed_writer_is_replaced_and_loses_nothing(sessions: Path) -> None:
+    async with recording(sessions) as bench:
+        for round_ in range(3):
+            await bench.publish(500)
+            await bench.settle()
+            bench.hub.publish(Event("trip", Severity.ALARM, f"number {round_}", 0))
+            os.kill(bench.writer(), signal.SIGKILL)
+            await bench.publish(500)
+        await bench.settle()
+        await bench.stop()
     read = bench.session()
-    assert len(sequences(read)) >= written
-    assert sequences(read) == list(range(read.ticks.num_rows))
-    assert read.info.ended is Ending.OPEN
-    (said,) = bench.said()
-    assert said.kind == EVENT_KIND
-    assert said.severity is Severity.ALARM
-    assert "-9" in said.detail
+    assert sequences(read) == list(range(bench.published))
+    assert read.info.ended is Ending.ORDERLY
+    assert read.info.dropped == Dropped()
+    assert sum(read.info.histograms["lateness_us"]) == bench.published
+    trips = [event.detail for event in read.events if event.kind == "trip"]
+    assert trips == ["number 0", "number 1", "number 2"]
+    alarms = [event for event in bench.said() if event.severity is Severity.ALARM]
+    assert len([event for event in alarms if event.kind == EVENT_KIND]) == 3
+    assert any("-9" in event.detail for event in alarms)
 
 
-async def test_a_stalled_writer_costs_ticks_which_are_counted(session: NewSession) -> None:
-    async with recording(session, backlog_bytes=TIGHT) as bench:
+async def test_a_stalled_writer_costs_ticks_which_are_counted(sessions: Path) -> None:
+    async with recording(sessions, backlog_bytes=TIGHT) as bench:
         await bench.publish_until(lambda: bench.rows() > 100)
         writer = bench.writer()
         os.kill(writer, signal.SIGSTOP)
@@ -184,8 +214,8 @@ async def test_a_stalled_writer_costs_ticks_which_are_counted(session: NewSessio
     assert read.events[-1].detail == f"not recorded so far: {dropped}"
 
 
-async def test_an_event_during_a_stall_is_recorded_after_it(session: NewSession) -> None:
-    async with recording(session, backlog_bytes=TIGHT) as bench:
+async def test_an_event_during_a_stall_is_recorded_after_it(sessions: Path) -> None:
+    async with recording(sessions, backlog_bytes=TIGHT) as bench:
         await bench.publish_until(lambda: bench.rows() > 100)
         writer = bench.writer()
         os.kill(writer, signal.SIGSTOP)
@@ -200,24 +230,79 @@ async def test_an_event_during_a_stall_is_recorded_after_it(session: NewSession)
     assert [event.detail for event in bench.session().events if event.kind == "trip"] == ["stale"]
 
 
-async def test_a_full_disk_is_reported_and_keeps_what_is_written(session: NewSession) -> None:
-    async with recording(session) as bench:
+async def test_a_full_disk_stops_recording_which_resumes_in_a_new_segment(sessions: Path) -> None:
+    async with recording(sessions) as bench:
         await bench.publish_until(lambda: bench.rows() > 100)
-        size = (bench.directory / "ticks.arrows").stat().st_size
-        resource.prlimit(bench.writer(), resource.RLIMIT_FSIZE, (size + 5000, size + 5000))
-        assert bench.running is not None
-        await bench.publish_until(bench.running.done)
+        writer = bench.writer()
+        size = (bench.directory / "ticks-0001.arrows").stat().st_size
+        _, hard = resource.prlimit(writer, resource.RLIMIT_FSIZE, (size + 5000, FREE[1]))
+        heard: list[Event] = []
+
+        def stopped() -> bool:
+            heard.extend(bench.said())
+            return bool(heard)
+
+        await bench.publish_until(stopped)
+        resource.prlimit(writer, resource.RLIMIT_FSIZE, (FREE[0], hard))
+        await bench.settle()
+        await bench.stop()
+        heard += bench.said()
     read = bench.session()
-    assert read.ticks.num_rows > 100
-    assert sequences(read) == list(range(read.ticks.num_rows))
-    (said,) = bench.said()
-    assert said.severity is Severity.ALARM
-    assert "File too large" in said.detail
-    assert str(bench.directory) in said.detail
+    assert sequences(read) == list(range(bench.published))
+    assert read.info.ended is Ending.ORDERLY
+    assert heard[0].severity is Severity.ALARM
+    assert "File too large" in heard[0].detail
+    assert "recording goes on in segment" in heard[-1].detail
+    assert (bench.directory / "ticks-0001.parquet").exists()
+    assert (bench.directory / "ticks-0002.parquet").exists()
 
 
-async def test_a_loss_in_the_queue_is_told_in_the_session(session: NewSession) -> None:
-    bench = Bench(session)
+async def test_an_end_with_a_full_disk_is_told_and_counted(sessions: Path) -> None:
+    async with recording(sessions) as bench:
+        await bench.publish_until(lambda: bench.rows() > 100)
+        limit = (6000, FREE[1])  # enough for session.json alone
+        resource.prlimit(bench.writer(), resource.RLIMIT_FSIZE, limit)
+        await bench.publish_until(lambda: bool(bench.said()))
+        bench.hub.publish(Event("trip", Severity.ALARM, "stale", bench.published))
+        own = resource.prlimit(0, resource.RLIMIT_FSIZE, limit)  # of processes started from now on
+        try:
+            await bench.stop()
+        finally:
+            resource.prlimit(0, resource.RLIMIT_FSIZE, own)
+    read = bench.session()
+    assert not bench.recorder.complete
+    assert any("the end of the session is not recorded" in event.detail for event in bench.said())
+    assert read.info.ended is Ending.ORDERLY
+    assert read.info.dropped.ticks == bench.published - read.ticks.num_rows > 0
+    assert read.info.dropped.events > 0
+
+
+async def test_an_end_with_a_stopped_writer_is_recorded_by_another(sessions: Path) -> None:
+    async with recording(sessions, close_s=3.0) as bench:
+        await bench.publish_until(lambda: bench.rows() > 100)
+        os.kill(bench.writer(), signal.SIGSTOP)
+        await bench.publish(500)
+        await bench.stop()
+    read = bench.session()
+    assert bench.recorder.complete
+    assert sequences(read) == list(range(bench.published))
+    assert read.info.ended is Ending.ORDERLY
+
+
+async def test_nothing_is_made_before_it_may_begin(sessions: Path) -> None:
+    bench, begin = Bench(sessions), asyncio.Event()
+    bench.running = asyncio.create_task(bench.recorder.run(begin))
+    await bench.publish(100)
+    assert bench.rows() == 0
+    assert not sessions.exists()  # noqa: ASYNC240
+    begin.set()
+    await bench.settle()
+    await bench.stop()
+    assert sequences(bench.session()) == list(range(bench.published))
+
+
+async def test_a_loss_in_the_queue_is_told_in_the_session(sessions: Path) -> None:
+    bench = Bench(sessions)
     for _ in range(1500):
         bench.hub.publish(make_tick(bench.published))
         bench.published += 1
@@ -237,16 +322,15 @@ def test_a_session_whose_control_process_is_killed_closes_itself(tmp_path: Path)
     program = Path(__file__).with_name("control_process.py")
     control = subprocess.Popen(
         [sys.executable, program, tmp_path],
-        stdout=subprocess.PIPE,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
     )
     with control:
-        assert control.stdout is not None
-        directory = Path(control.stdout.readline().decode().strip())
-        wait_until(lambda: rows(directory) > 300)
+        wait_until(lambda: rows(next(session_directories(tmp_path), tmp_path)) > 300)
+        (directory,) = session_directories(tmp_path)
         written = rows(directory)
         control.kill()
-    wait_until((directory / "slow.parquet").exists)
+    wait_until(lambda: read_info(directory).ended is not Ending.OPEN)
+    wait_until((directory / "ticks-0001.parquet").exists)
     read = read_session(directory)
     assert read.info.ended is Ending.CUT
     assert read.ticks.num_rows >= written
@@ -269,9 +353,9 @@ def rows(directory: Path) -> int:
 
 
 async def test_terminal_and_service_manager_signals_do_not_end_the_writer(
-    session: NewSession,
+    sessions: Path,
 ) -> None:
-    async with recording(session) as bench:
+    async with recording(sessions) as bench:
         await bench.publish_until(lambda: bench.rows() > 100)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGABRT):
             os.kill(bench.writer(), number)

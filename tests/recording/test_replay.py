@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import pytest
 
@@ -20,9 +21,8 @@ from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import Header
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.replay import replay
-from adaptdrive.recording.session import NewSession
 from adaptdrive.runtime.reports import LoadReport, TickReport
-from tests.recording.material import make_batch, record_messages
+from tests.recording.material import INFO, make_batch, record_messages
 
 Q = 12
 LATENCY = 2
@@ -119,12 +119,9 @@ def daemon() -> Daemon:
     return daemon
 
 
-def recorded(
-    session: NewSession, ticks: Sequence[TickReport], slow: Sequence[LoadReport]
-) -> Session:
-    header = Header(session.info, session.config_text)
-    record_messages(session.directory, header, make_batch(ticks, slow, last=True))
-    return read_session(session.directory)
+def recorded(directory: Path, ticks: Sequence[TickReport], slow: Sequence[LoadReport]) -> Session:
+    record_messages(directory, Header(INFO, ""), make_batch(ticks, slow, last=True))
+    return read_session(directory)
 
 
 def commands(step: float) -> Iterator[tuple[int, Command]]:
@@ -134,8 +131,8 @@ def commands(step: float) -> Iterator[tuple[int, Command]]:
     return ((report.measurement.tick, report.command) for report in daemon.ticks)
 
 
-def test_a_whole_record_replays_to_the_same_commands(session: NewSession, daemon: Daemon) -> None:
-    report = replay(recorded(session, daemon.ticks, daemon.slow), StandIn())
+def test_a_whole_record_replays_to_the_same_commands(directory: Path, daemon: Daemon) -> None:
+    report = replay(recorded(directory, daemon.ticks, daemon.slow), StandIn())
     assert report.exact
     assert report.ticks == 599 - len(MISSED_HALF_CYCLES)
     assert report.slow_steps == len(daemon.slow) == 48
@@ -144,12 +141,12 @@ def test_a_whole_record_replays_to_the_same_commands(session: NewSession, daemon
 
 
 def test_a_changed_gain_is_found_at_the_tick_where_it_first_matters(
-    session: NewSession, daemon: Daemon
+    directory: Path, daemon: Daemon
 ) -> None:
     pairs = list(zip(commands(0.37), commands(0.38), strict=True))
     unlike = [(tick, ours, theirs) for (tick, ours), (_, theirs) in pairs if ours != theirs]
     tick, ours, theirs = unlike[0]
-    report = replay(recorded(session, daemon.ticks, daemon.slow), StandIn(step=0.38))
+    report = replay(recorded(directory, daemon.ticks, daemon.slow), StandIn(step=0.38))
     assert not report.exact
     assert report.differing_commands == len(unlike)
     assert report.first_command is not None
@@ -165,18 +162,18 @@ def test_a_changed_gain_is_found_at_the_tick_where_it_first_matters(
     assert f"first at tick {tick}: recorded" in str(report)
 
 
-def test_one_bit_is_a_difference(session: NewSession, daemon: Daemon) -> None:
+def test_one_bit_is_a_difference(directory: Path, daemon: Daemon) -> None:
     changed = daemon.ticks[300]
     scale = math.nextafter(changed.command.current_scale_S, math.inf)
     daemon.ticks[300] = replace(changed, command=replace(changed.command, current_scale_S=scale))
-    report = replay(recorded(session, daemon.ticks, daemon.slow), StandIn())
+    report = replay(recorded(directory, daemon.ticks, daemon.slow), StandIn())
     assert report.differing_commands == 1
     assert report.first_command is not None
     assert report.first_command.tick == changed.measurement.tick
     assert report.largest == {"current_scale_S": scale - changed.command.current_scale_S}
 
 
-def test_minus_zero_is_not_zero_and_any_nan_is_nan(session: NewSession) -> None:
+def test_minus_zero_is_not_zero_and_any_nan_is_nan(directory: Path) -> None:
     class Constant(StandIn):
         def tick(self, measurement: Measurement, order: Order) -> Command:
             return Command(0.0, -math.nan, False)
@@ -187,7 +184,7 @@ def test_minus_zero_is_not_zero_and_any_nan_is_nan(session: NewSession) -> None:
         TickReport(i, Measurement(i, 0.01, 0.0, 0.0, 0.0, 0.0), order, -1, answer, 0.0, 0.0)
         for i, answer in enumerate(answers)
     ]
-    report = replay(recorded(session, ticks, []), Constant())
+    report = replay(recorded(directory, ticks, []), Constant())
     assert report.differing_commands == 1
     assert report.first_command is not None
     assert report.first_command.tick == 1
@@ -195,10 +192,10 @@ def test_minus_zero_is_not_zero_and_any_nan_is_nan(session: NewSession) -> None:
 
 
 def test_ticks_missing_from_the_record_are_told_apart_from_missed_half_cycles(
-    session: NewSession, daemon: Daemon
+    directory: Path, daemon: Daemon
 ) -> None:
     ticks = daemon.ticks[:300] + daemon.ticks[320:]
-    report = replay(recorded(session, ticks, daemon.slow), StandIn())
+    report = replay(recorded(directory, ticks, daemon.slow), StandIn())
     (gap,) = report.gaps
     assert gap.missing == 20
     assert gap.before_tick == daemon.ticks[320].measurement.tick
@@ -206,28 +203,28 @@ def test_ticks_missing_from_the_record_are_told_apart_from_missed_half_cycles(
     assert f"the record lacks ticks: 20 before tick {gap.before_tick}" in str(report)
 
 
-def test_a_record_that_starts_late_cannot_be_exact(session: NewSession, daemon: Daemon) -> None:
-    report = replay(recorded(session, daemon.ticks[1:], daemon.slow), StandIn())
+def test_a_record_that_starts_late_cannot_be_exact(directory: Path, daemon: Daemon) -> None:
+    report = replay(recorded(directory, daemon.ticks[1:], daemon.slow), StandIn())
     assert [gap.missing for gap in report.gaps] == [1]
     assert not report.exact
 
 
 def test_slow_steps_missing_from_the_record_do_not_spoil_the_commands(
-    session: NewSession, daemon: Daemon
+    directory: Path, daemon: Daemon
 ) -> None:
-    assert replay(recorded(session, daemon.ticks, []), StandIn()).exact
+    assert replay(recorded(directory, daemon.ticks, []), StandIn()).exact
 
 
 def test_a_decision_that_took_effect_from_nowhere_is_reported(
-    session: NewSession, daemon: Daemon
+    directory: Path, daemon: Daemon
 ) -> None:
     daemon.ticks[200] = replace(daemon.ticks[200], applied_k=4711)
-    report = replay(recorded(session, daemon.ticks, daemon.slow), StandIn())
+    report = replay(recorded(directory, daemon.ticks, daemon.slow), StandIn())
     assert report.unmatched == (4711,)
     assert not report.exact
     assert "the first at k = 4711" in str(report)
 
 
-def test_a_record_without_ticks_is_an_error(session: NewSession) -> None:
+def test_a_record_without_ticks_is_an_error(directory: Path) -> None:
     with pytest.raises(RecordingError, match="no ticks"):
-        replay(recorded(session, [], []), StandIn())
+        replay(recorded(directory, [], []), StandIn())

@@ -24,6 +24,7 @@ from adaptdrive.control.signals import (
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import (
     Batch,
+    CommandRow,
     EventRow,
     Header,
     framed,
@@ -107,7 +108,9 @@ def test_ticks_come_back_to_the_last_bit(ticks: list[TickReport], split: int) ->
     with tempfile.TemporaryDirectory() as name:
         record_messages(Path(name), Header(INFO, "x = 1\n"), *batches)
         session = read_session(Path(name))
-    assert [values(tick) for tick in recorded_ticks(session.ticks)] == list(map(values, ticks))
+        recorded = [values(tick) for tick in recorded_ticks(session)]
+        assert session.ticks.num_rows == len(ticks)
+    assert recorded == list(map(values, ticks))
     lateness = session.ticks["lateness_us"].to_pylist()
     assert bits(lateness) == bits([tick.lateness_us for tick in ticks])
     turnaround = session.ticks["turnaround_us"].to_pylist()
@@ -155,11 +158,15 @@ def test_a_session_tells_how_its_ticks_kept_their_time(tmp_path: Path) -> None:
 
 
 def test_events_configuration_and_losses_come_back(tmp_path: Path) -> None:
-    event = EventRow(datetime(2026, 1, 2, 3, 4, 5, 678901, tzinfo=UTC), 7, "trip", "alarm", "hot")
-    last = Batch(0, {}, [], [event], Dropped(ticks=5), last=True)
+    now = datetime(2026, 1, 2, 3, 4, 5, 678901, tzinfo=UTC)
+    event = EventRow(now, 7, "trip", "alarm", "hot", 12.5, 1)
+    command = CommandRow(now, 12.25, "op-1", "setpoint", "3.1", "ann", False, "too fast", 2)
+    dropped = Dropped(ticks=5)
+    last = Batch(0, {}, [], [event], dropped, last=True, commands=[command])
     record_messages(tmp_path, Header(INFO, "[drive]\nname = 'µ'\n"), last)
     session = read_session(tmp_path)
     assert session.events == (event,)
+    assert session.commands == (command,)
     assert session.config_text == "[drive]\nname = 'µ'\n"
     assert session.info.dropped == Dropped(ticks=5)
     assert session.info.ended is Ending.ORDERLY
@@ -167,21 +174,19 @@ def test_events_configuration_and_losses_come_back(tmp_path: Path) -> None:
 
 
 def test_a_session_without_a_goodbye_is_marked_as_cut(tmp_path: Path) -> None:
-    whole = framed(Header(INFO, "")) + framed(make_batch([make_tick(0)]))
-    record(tmp_path, io.BytesIO(whole + framed(make_batch([make_tick(1)]))[:-1]))
+    whole = framed(Header(INFO, "", directory=str(tmp_path))) + framed(make_batch([make_tick(0)]))
+    record(io.BytesIO(whole + framed(make_batch([make_tick(1)]))[:-1]), lambda _news: None)
     session = read_session(tmp_path)
     assert session.info.ended is Ending.CUT
     assert session.ticks["sequence"].to_pylist() == [0]
 
 
 def test_a_closed_session_is_one_parquet_file_per_table_and_no_stream(tmp_path: Path) -> None:
-    record_messages(tmp_path, Header(INFO, ""), make_batch([], last=True))
+    record_messages(tmp_path, Header(INFO, ""), make_batch([make_tick(0)], last=True))
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "config.toml",
-        "events.sqlite",
         "session.json",
-        "slow.parquet",
-        "ticks.parquet",
+        "ticks-0001.parquet",
     ]
 
 
@@ -192,10 +197,10 @@ def test_a_message_that_breaks_off_is_left_out() -> None:
 
 
 def test_a_damaged_parquet_file_is_an_error_that_names_it(tmp_path: Path) -> None:
-    record_messages(tmp_path, Header(INFO, ""), make_batch([], last=True))
-    (tmp_path / "slow.parquet").write_bytes(b"PAR1 but not really")
-    with pytest.raises(RecordingError, match=r"slow\.parquet"):
-        read_session(tmp_path)
+    record_messages(tmp_path, Header(INFO, ""), make_batch([make_tick(0)], last=True))
+    (tmp_path / "ticks-0001.parquet").write_bytes(b"PAR1 but not really")
+    with pytest.raises(RecordingError, match=r"ticks-0001\.parquet"):
+        _ = read_session(tmp_path).ticks
 
 
 def test_a_damaged_event_log_is_an_error_that_names_it(tmp_path: Path) -> None:

@@ -16,13 +16,17 @@ _HEAD = """\
 What a session records, and what `telemetry/load` publishes. `make docs` writes this page from the
 dataclasses in `control/signals.py` and `runtime/reports.py`.
 
+On disk each row begins with `utc`, its wall-clock time: `monotonic_s` plus the offset of the two
+clocks when the row was flushed. Each column carries `unit`, `description` and `source` as
+metadata of its Arrow field.
+
 Unit `y` is that of the output, and `u` that of the load's input; both depend on the load
 ([control.md](control.md)). Estimates are in SI. Where a number is unknown it is NaN on disk and
 `null` in a message.
 """
 _TABLES = (
-    ("## A slow step: `telemetry/load` and `slow.parquet`", SLOW_COLUMNS),
-    ("## A fast tick: `ticks.parquet`", TICK_COLUMNS),
+    ("## A slow step: `telemetry/load` and `slow-….parquet`", SLOW_COLUMNS),
+    ("## A fast tick: `ticks-….parquet`", TICK_COLUMNS),
 )
 _KINDS = {
     float: "float",

@@ -43,6 +43,6 @@ def test_only_annotated_fields_become_columns() -> None:
 def test_a_tick_is_rebuilt_from_its_columns() -> None:
     order = Order(Stage.RUN, 3.2, Mode.ADAPTIVE, 0.7)
     measurement = Measurement(7, 1 / 120, 280.0, 120.0, 400.0, 3.1, fresh=False)
-    tick = TickReport(4, measurement, order, 2, Command(0.03, 281.5, True), 1.0, 2.0, 3.0)
+    tick = TickReport(4, measurement, order, 2, Command(0.03, 281.5, True), 1.0, 2.0, 3.0, 4.0)
     row = {column.name: column.read(tick) for column in TICK_COLUMNS}
     assert rebuild(TickReport, msgspec.json.decode(msgspec.json.encode(row))) == tick

@@ -9,13 +9,11 @@ import socket
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from datetime import UTC, datetime
 from pathlib import Path
 
 from adaptdrive import __version__
 from adaptdrive.app.checkpoint import (
     Keeper,
-    Values,
     checkpoint_path,
     configuration_key,
     is_kept,
@@ -27,21 +25,23 @@ from adaptdrive.app.lock import lock_names, locked, send_visitors_away
 from adaptdrive.app.log import log_events, loss_line, set_up_logging
 from adaptdrive.app.output import unblocked_output
 from adaptdrive.app.realtime import build_rehearsal, prepared
+from adaptdrive.app.recording import build_recorder
 from adaptdrive.app.sensors import build_whole_port, sensor_reports
 from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
 from adaptdrive.app.state_file import directory_flaw
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.errors import AdaptdriveError, RecordingError, first_error
+from adaptdrive.errors import AdaptdriveError, first_error
 from adaptdrive.operation.service import MqttService, Surroundings
-from adaptdrive.recording.recorder import EVENT_KIND, Feed, Pace, Recorder
-from adaptdrive.recording.session import SessionInfo, create_session, sessions_directory
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.latency import WatchedLoop
 from adaptdrive.runtime.realtime import helper_thread
 from adaptdrive.runtime.reports import Event, Severity
 from adaptdrive.runtime.watchdog import ServiceManager
+
+UNRECORDED = 4
+"""Exit status after an orderly stop whose session lacks its end."""
 
 _EVENTS_HELD = 1000
 
@@ -53,7 +53,7 @@ def run(path: Path) -> int:
         path: Configuration file.
 
     Returns:
-        Exit status: 0 after an orderly stop.
+        Exit status: 0 after an orderly stop, 4 when the end of its session is not recorded.
 
     Raises:
         AdaptdriveError: The configuration or the bus cannot be used, or another daemon of this
@@ -68,10 +68,10 @@ def run(path: Path) -> int:
             locked(lock_names(configuration), os.environ) as locks,
             asyncio.Runner(loop_factory=WatchedLoop) as runner,
         ):
-            runner.run(_serve(configuration, text, path, locks))
+            complete = runner.run(_serve(configuration, text, path, locks))
     except* AdaptdriveError as group:
         raise first_error(group) from None
-    return 0
+    return 0 if complete else UNRECORDED
 
 
 async def _serve(
@@ -79,7 +79,8 @@ async def _serve(
     text: str,
     path: Path,
     locks: Sequence[socket.socket],
-) -> None:
+) -> bool:
+    """Serve until asked to stop; False when the end of the session is not recorded."""
     logger, hub, stop = set_up_logging(), Hub(), asyncio.Event()
     events = hub.subscribe(Event, size=_EVENTS_HELD)
     port = build_whole_port(configuration, time.monotonic, path)
@@ -112,8 +113,10 @@ async def _serve(
         mqtt = _mqtt(configuration, daemon, hub, start_thread)
         broker = tasks.create_task(mqtt.run(), name="mqtt")
         lock = tasks.create_task(send_visitors_away(locks), name="lock")
-        recorder = _recorder(configuration, text, hub, prior)
-        recording = tasks.create_task(recorder.run() if recorder else _idle(), name="recorder")
+        recorder = build_recorder(configuration, text, hub, prior)
+        recording = tasks.create_task(
+            recorder.run(daemon.opened) if recorder else _idle(), name="recorder"
+        )
         keeper = _keeper(configuration, checkpoint, controller, hub)
         kept = is_kept(settings)
         keeping = tasks.create_task(keeper.run() if kept else _idle(), name="checkpoint")
@@ -130,6 +133,7 @@ async def _serve(
             # each may report until it ends: broker and log hear the recorder's last words
             await _end(recording, broker, log, lock)
     logger.info("stopped", drive=configuration.drive.name)
+    return recorder is None or recorder.complete
 
 
 async def _idle() -> None:
@@ -177,28 +181,3 @@ def _keeper(configuration: Configuration, path: Path, controller: Controller, hu
     return Keeper(
         lambda values: write_checkpoint(path, key, names, values), controller, hub, time.monotonic
     )
-
-
-def _recorder(
-    configuration: Configuration, text: str, hub: Hub, prior: Values | None
-) -> Recorder | None:
-    recording = configuration.recording
-    if not recording.enabled:
-        return None
-    info = SessionInfo(
-        drive=configuration.drive.name,
-        version=__version__,
-        started=datetime.now(UTC),
-        ticks_per_period=configuration.ticks_per_period,
-        latency_ticks=configuration.load.latency_ticks,
-        line_frequency_Hz=configuration.drive.line_frequency_Hz,
-        prior=prior,
-    )
-    directory = sessions_directory(recording.directory, os.environ)
-    try:
-        session = create_session(directory, info, text)
-    except RecordingError as problem:
-        hub.publish(Event(EVENT_KIND, Severity.ALARM, f"nothing is recorded: {problem}", -1))
-        return None
-    feed, pace = Feed.of(hub, recording.flush_s), Pace(flush_s=recording.flush_s)
-    return Recorder(session, feed, hub.publish, lambda: datetime.now(UTC), pace)

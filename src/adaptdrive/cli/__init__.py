@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns:
         The exit status: 0 done or accepted, 1 failed or refused, 2 unusable arguments or
-        configuration, 3 no answer, 130 interrupted.
+        configuration, 3 no answer, 4 the end of a session is not recorded, 130 interrupted.
     """
     try:
         outcome = _app()(arguments)

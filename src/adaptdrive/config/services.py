@@ -86,7 +86,20 @@ class Recording(Section):
         default=None, description="where sessions lie; $STATE_DIRECTORY/sessions or ./sessions"
     )
     flush_s: float = Field(
-        default=2.0, ge=0.1, le=60.0, description="longest time data stay unwritten"
+        default=0.5, ge=0.1, le=60.0, description="longest time data stay unwritten"
+    )
+    segment_s: float = Field(
+        default=3600.0,
+        ge=1.0,
+        le=86_400.0,
+        description="time after which a session goes on in new files",
+    )
+    keep_days: PositiveFloat | None = Field(
+        default=None, description="remove sessions that began longer ago; none when left out"
+    )
+    keep_MB: PositiveFloat | None = Field(
+        default=None,
+        description="remove the oldest while all sessions take more; none when left out",
     )
 
 

@@ -41,6 +41,7 @@ class Column:
         kind: `float`, `int`, `bool`, `str`, `tuple` (of floats) or `dict` (estimates by name).
         unit: Unit, as in `Quantity`.
         meaning: What the value is.
+        source: Path of the field in the report.
         read: Takes the value from a report.
     """
 
@@ -48,6 +49,7 @@ class Column:
     kind: type
     unit: str
     meaning: str
+    source: str
     read: Callable[[Any], Any]
 
 
@@ -61,8 +63,8 @@ def columns_of(report: type, path: str = "") -> tuple[Column, ...]:
         elif quantity is not None:
             stored = str if issubclass(kind, StrEnum) else kind
             label = quantity.name or name
-            column = Column(label, stored, quantity.unit, quantity.meaning, attrgetter(place))
-            columns.append(column)
+            about = (quantity.unit, quantity.meaning, place)
+            columns.append(Column(label, stored, *about, attrgetter(place)))
     return tuple(columns)
 
 

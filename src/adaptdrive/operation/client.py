@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import getpass
 import json
+import os
+import socket
 import uuid
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
@@ -15,6 +18,7 @@ from aiomqtt import Client, MqttError, ProtocolVersion
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import AdaptdriveError
+from adaptdrive.operation.commands import LONGEST_USER
 from adaptdrive.operation.link import connection
 from adaptdrive.operation.messages import ONLINE, Reply
 from adaptdrive.operation.topics import Topics
@@ -62,7 +66,7 @@ async def send_command(
         NoAnswerError: No reply in time, or no broker.
     """
     topics, identity = Topics(drive), str(uuid.uuid4())
-    command = json.dumps({"id": identity, "value": value})
+    command = json.dumps({"id": identity, "value": value, "user": sender()})
     async with _conversation(broker, drive) as client, asyncio.timeout(timeout_s):
         await client.subscribe(topics.reply, qos=1)
         await client.publish(topics.command(verb), command, qos=1)
@@ -71,6 +75,15 @@ async def send_command(
             if reply is not None and reply.id == identity:
                 return reply
     raise NoAnswerError(drive, "the broker closed the connection")
+
+
+def sender() -> str:
+    """Return what a command says of its sender: user and machine; nothing proves it."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a user id without a name
+        user = str(os.getuid())
+    return f"{user}@{socket.gethostname()}"[:LONGEST_USER]
 
 
 async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> Status:

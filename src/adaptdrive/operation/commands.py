@@ -11,7 +11,7 @@ import json
 import math
 import re
 from datetime import datetime
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -31,6 +31,7 @@ from adaptdrive.runtime.requests import (
 
 LONGEST_PAYLOAD = 8192
 LONGEST_ID = 128
+LONGEST_USER = 128
 
 _SURROGATE = re.compile("[\ud800-\udfff]")
 _ID = re.compile(r'"id"\s*:\s*("(?:[^"\\\x00-\x1f]|\\.)*")')
@@ -39,6 +40,7 @@ _ID = re.compile(r'"id"\s*:\s*("(?:[^"\\\x00-\x1f]|\\.)*")')
 class _Envelope(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     id: Annotated[str, msgspec.Meta(min_length=1, max_length=LONGEST_ID)]
     expires: Annotated[datetime, msgspec.Meta(tz=True)] | None = None
+    user: Annotated[str, msgspec.Meta(max_length=LONGEST_USER)] | None = None
 
 
 class _Number(_Envelope, frozen=True):
@@ -98,6 +100,21 @@ class Payload:
         except RefusedError as problem:
             self._flaw = problem.reason
         self.id = _salvaged_id(raw) if self._flaw else _id_of(self._document)
+
+    @property
+    def value(self) -> str:
+        """The value asked for, as JSON; empty where there is none."""
+        value = self._field("value")
+        return "" if value is None else json.dumps(value, ensure_ascii=False)
+
+    @property
+    def user(self) -> str:
+        """What the sender says of itself; nothing proves it."""
+        user = self._field("user")
+        return user[:LONGEST_USER] if isinstance(user, str) and user.isprintable() else ""
+
+    def _field(self, name: str) -> Any:  # noqa: ANN401 - whatever was sent
+        return self._document.get(name) if isinstance(self._document, dict) else None
 
     def request(self, verb: str) -> tuple[Request, datetime | None]:
         """What is asked for, and when it expires.

@@ -21,7 +21,7 @@ from adaptdrive.operation.commands import LONGEST_ID, STOP, Payload
 from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.messages import Reply
 from adaptdrive.operation.pace import LogRation
-from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.reports import CommandReport, State
 from adaptdrive.runtime.requests import Host, Request
 
 INTERRUPTED = "the daemon stopped while it carried this out; it may or may not have taken effect"
@@ -57,14 +57,27 @@ class Command:
 class Desk:
     """Answers commands, one after another, but stops at once."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - it joins the parts of the service
         self,
         host: Host,
         memory: ReplyMemory,
         present_state: Callable[[], State | None],
         wall: WallClock,
         ration: LogRation,
+        *,
+        report: Callable[[CommandReport], None] = lambda _report: None,
     ) -> None:
+        """Prepare to answer.
+
+        Args:
+            host: Carries requests out.
+            memory: Replies by id.
+            present_state: Returns the state of the drive.
+            wall: Wall clock.
+            ration: Bounds the lines of the log.
+            report: Takes a report of each command that was answered for the first time.
+        """
+        self._report = report
         self._host = host
         self._memory = memory
         self._present_state = present_state
@@ -101,6 +114,8 @@ class Desk:
         payload = Payload(command.raw)
         if payload.id is None:
             self._log_unreadable(command)
+            if command.stopped is not None:
+                self._confirm(command, payload, command.stopped)
             return None
         if command.stopped is not None:
             reply = self._confirm(command, payload, command.stopped)
@@ -130,6 +145,7 @@ class Desk:
         reply = replace(_refusal(command, payload), accepted=True, reason=reason, state=state)
         if _memorable(payload.id) and self._other_verb(command, payload) is None:
             self._memory.note(str(payload.id), reply)
+        self._report(_report_of(payload, reply))
         return reply
 
     def _flaw(self, command: Command, payload: Payload) -> str:
@@ -189,6 +205,7 @@ class Desk:
             reply = replace(reply, accepted=True, state=state)
         if _memorable(payload.id):
             await self._memory.keep(str(payload.id), reply)
+        self._report(_report_of(payload, reply))
         return reply
 
     def _read(self, command: Command, payload: Payload) -> Request:
@@ -215,6 +232,17 @@ class Desk:
 
 def _refusal(command: Command, payload: Payload) -> Reply:
     return Reply(id=payload.id or "", verb=command.verb, accepted=False, reason="", state=None)
+
+
+def _report_of(payload: Payload, reply: Reply) -> CommandReport:
+    return CommandReport(
+        id=str(reply.id),
+        verb=_clean(reply.verb),
+        value=_clean(payload.value),
+        user=payload.user,
+        accepted=reply.accepted,
+        reason=reply.reason,
+    )
 
 
 def _memorable(identity: str | int | None) -> bool:

@@ -20,6 +20,7 @@ from adaptdrive.operation.messages import (
 from adaptdrive.operation.outbox import Outbox
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import (
+    CommandReport,
     DriveReport,
     Event,
     LoadReport,
@@ -97,7 +98,7 @@ class Intake:
                 self.drive.put(drive_message(report, self._wall()))
             case Event():
                 self.outbox.append(encode(event_message(report, self._wall())))
-            case TickReport():
+            case TickReport() | CommandReport():
                 pass
             case _:
                 assert_never(report)

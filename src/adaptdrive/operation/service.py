@@ -96,6 +96,7 @@ class MqttService:
             lambda: self._board.state,
             surroundings.wall,
             LogRation(surroundings.monotonic),
+            report=hub.publish,
         )
         self._link = Link(
             settings,

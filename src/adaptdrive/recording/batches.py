@@ -7,6 +7,7 @@ that a float arrives with the very bits it left with.
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Iterator, Sequence
 from datetime import datetime
@@ -15,10 +16,22 @@ from typing import Any, BinaryIO
 import msgspec
 
 from adaptdrive.recording.session import Dropped, SessionInfo
-from adaptdrive.runtime.reports import SLOW_COLUMNS, TICK_COLUMNS, Event, LoadReport, TickReport
+from adaptdrive.runtime.reports import (
+    MONOTONIC,
+    SLOW_COLUMNS,
+    TICK_COLUMNS,
+    CommandReport,
+    DriveReport,
+    Event,
+    LoadReport,
+    TickReport,
+)
 
 _LENGTH_BYTES = 4
 
+STOPPED = "recording has stopped, control goes on"
+UNBEGUN = "nothing is recorded, control goes on"
+"""Beginnings of the events by which a recorder reports that it cannot write."""
 
 _CODES = {float: "d", int: "q", bool: "b"}
 
@@ -47,21 +60,102 @@ class TickTable:
         }
 
 
+class SensorColumn(msgspec.Struct, frozen=True):
+    """One column of the sensor buses.
+
+    Attributes:
+        name: Its name on disk, such as `module.water`.
+        unit: Unit, empty where it is not known.
+        meaning: What the value is.
+        source: Where it comes from.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    source: str
+
+
 class EventRow(msgspec.Struct, frozen=True):
-    """One event as it is recorded; `time` is UTC."""
+    """One event as it is recorded.
+
+    Attributes:
+        time: When it was heard of, UTC.
+        tick: Fast tick at which it happened.
+        kind: Machine-readable name.
+        severity: How much it matters.
+        detail: One sentence for people.
+        monotonic_s: When it was heard of; NaN where that was not recorded.
+        number: Running number in the session, from 1; 0 where there is none.
+    """
 
     time: datetime
     tick: int
     kind: str
     severity: str
     detail: str
+    monotonic_s: float = math.nan
+    number: int = 0
+
+
+class CommandRow(msgspec.Struct, frozen=True):
+    """One operator command as it is recorded.
+
+    Attributes:
+        time: When it was answered, UTC.
+        monotonic_s: When it was answered.
+        id: Id that its sender gave it.
+        verb: What was asked for.
+        value: The value asked for, as JSON.
+        user: What its sender says of itself; empty where it says nothing.
+        accepted: Whether it was carried out.
+        reason: Why not.
+        number: Running number in the session, from 1.
+    """
+
+    time: datetime
+    monotonic_s: float
+    id: str
+    verb: str
+    value: str
+    user: str
+    accepted: bool
+    reason: str
+    number: int
+
+
+class Keep(msgspec.Struct, frozen=True):
+    """How long sessions are kept.
+
+    Attributes:
+        days: Oldest session kept, None for ever.
+        bytes: Size of all sessions, None for no limit.
+    """
+
+    days: float | None = None
+    bytes: int | None = None
 
 
 class Header(msgspec.Struct, frozen=True):
-    """The first message of a session."""
+    """The first message to a recorder process.
+
+    Attributes:
+        info: Facts about the session.
+        config_text: The configuration in force, as TOML.
+        sessions: Folder of all sessions.
+        directory: Folder of this session, empty while there is none.
+        sensors: Columns of the sensor buses.
+        segment_s: Length of a segment.
+        keep: How long sessions are kept.
+    """
 
     info: SessionInfo
     config_text: str
+    sessions: str = ""
+    directory: str = ""
+    sensors: tuple[SensorColumn, ...] = ()
+    segment_s: float = 3600.0
+    keep: Keep = Keep()
 
 
 class Batch(msgspec.Struct, frozen=True):
@@ -73,7 +167,11 @@ class Batch(msgspec.Struct, frozen=True):
         slow: Slow steps.
         events: Events.
         dropped: Everything lost since the session began.
-        last: The control process says goodbye.
+        last: The control process ends.
+        utc_offset_s: UTC minus monotonic time.
+        sensors: Values of the sensor buses.
+        commands: Operator commands.
+        number: Running number of the batch, from 1.
     """
 
     tick_rows: int
@@ -82,11 +180,34 @@ class Batch(msgspec.Struct, frozen=True):
     events: list[EventRow]
     dropped: Dropped
     last: bool
+    utc_offset_s: float = 0.0
+    sensors: list[dict[str, float]] = []
+    commands: list[CommandRow] = []
+    number: int = 0
 
     @property
     def empty(self) -> bool:
-        """True when there is nothing to tell."""
-        return not (self.tick_rows or self.slow or self.events or self.last)
+        """True when there is nothing to write."""
+        lists = self.slow or self.events or self.sensors or self.commands
+        return not (self.tick_rows or lists or self.last)
+
+
+class News(msgspec.Struct, frozen=True, omit_defaults=True):
+    """What the recorder process reports back, one JSON object a line.
+
+    Attributes:
+        written: Number of the last batch that is on disk.
+        directory: Folder of the session.
+        severity: Of `detail`.
+        detail: An event in words.
+        failing: Whether nothing can be written now.
+    """
+
+    written: int = 0
+    directory: str = ""
+    severity: str = ""
+    detail: str = ""
+    failing: bool = False
 
 
 def slow_row(report: LoadReport) -> dict[str, Any]:
@@ -101,9 +222,37 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever a column holds
     return [{"name": name, "value": one.value, "std": one.std} for name, one in value.items()]
 
 
-def event_row(event: Event, time: datetime) -> EventRow:
+def sensor_row(report: DriveReport) -> dict[str, float]:
+    """Return the values of the sensor buses and their ages, by name of their column."""
+    values = {MONOTONIC: report.time_s}
+    for bus in report.sensors:
+        for name, value in bus.values.items():
+            values[f"{bus.name}.{name}"] = value
+            values[f"{bus.name}.{name}.age_s"] = bus.age_s[name]
+    return values
+
+
+def event_row(event: Event, time: datetime, monotonic_s: float, number: int) -> EventRow:
     """Stamp one event with the time at which it was heard of."""
-    return EventRow(time, event.tick, event.kind, event.severity.value, event.detail)
+    kind, severity = event.kind, event.severity.value
+    return EventRow(time, event.tick, kind, severity, event.detail, monotonic_s, number)
+
+
+def command_row(
+    report: CommandReport, time: datetime, monotonic_s: float, number: int
+) -> CommandRow:
+    """Stamp one operator command with the time at which it was heard of."""
+    return CommandRow(
+        time=time,
+        monotonic_s=monotonic_s,
+        id=report.id,
+        verb=report.verb,
+        value=report.value,
+        user=report.user,
+        accepted=report.accepted,
+        reason=report.reason,
+        number=number,
+    )
 
 
 def framed(message: Header | Batch) -> bytes:
@@ -113,7 +262,7 @@ def framed(message: Header | Batch) -> bytes:
 
 
 def read_frames(stream: BinaryIO) -> Iterator[bytes]:
-    """The bodies of the messages in a stream; one that breaks off at its end is left out."""
+    """Yield the bodies of the messages in a stream; one that breaks off is left out."""
     while len(prefix := stream.read(_LENGTH_BYTES)) == _LENGTH_BYTES:
         length = int.from_bytes(prefix, "little")
         body = stream.read(length)

@@ -1,69 +1,160 @@
-"""Events of a session in SQLite."""
+"""Events and operator commands of a session in SQLite."""
 
 from __future__ import annotations
 
+import contextlib
+import math
 import sqlite3
 from collections.abc import Iterable
 from contextlib import closing
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from adaptdrive.errors import RecordingError
-from adaptdrive.recording.batches import EventRow
+from adaptdrive.recording.batches import CommandRow, EventRow
 
-_TABLE = """
+_TABLES = """
 CREATE TABLE IF NOT EXISTS events (
     id INTEGER PRIMARY KEY,
     time TEXT NOT NULL,
+    monotonic_s REAL,
     tick INTEGER NOT NULL,
     kind TEXT NOT NULL,
     severity TEXT NOT NULL,
     detail TEXT NOT NULL
-)
+);
+CREATE TABLE IF NOT EXISTS commands (
+    id INTEGER PRIMARY KEY,
+    time TEXT NOT NULL,
+    monotonic_s REAL,
+    command_id TEXT NOT NULL,
+    verb TEXT NOT NULL,
+    value TEXT NOT NULL,
+    user TEXT NOT NULL,
+    accepted INTEGER NOT NULL,
+    reason TEXT NOT NULL
+);
 """
-_INSERT = "INSERT INTO events (time, tick, kind, severity, detail) VALUES (?, ?, ?, ?, ?)"
-_SELECT = "SELECT time, tick, kind, severity, detail FROM events ORDER BY id"
+_INSERT_EVENT = """
+INSERT OR IGNORE INTO events (id, time, monotonic_s, tick, kind, severity, detail)
+VALUES (?, ?, ?, ?, ?, ?, ?)
+"""
+_INSERT_COMMAND = """
+INSERT OR IGNORE INTO commands
+(id, time, monotonic_s, command_id, verb, value, user, accepted, reason)
+VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)
+"""
 
 
 class EventLog:
-    """Appends events; each call is one transaction."""
+    """Appends events and commands; each call is one transaction.
+
+    A row that is there already is left as it is, so that a batch may be written again.
+    """
 
     def __init__(self, path: Path) -> None:
         self._database = sqlite3.connect(path)
-        self._database.execute("PRAGMA journal_mode=WAL")
-        self._database.execute(_TABLE)
+        try:
+            self._database.execute("PRAGMA journal_mode=WAL")
+            self._database.executescript(_TABLES)
+        except sqlite3.Error:
+            self._database.close()
+            raise
 
-    def append(self, events: Iterable[EventRow]) -> None:
-        """Append events in their order."""
+    def append(self, events: Iterable[EventRow], commands: Iterable[CommandRow] = ()) -> None:
+        """Append events and commands in their order."""
         with self._database:
-            self._database.executemany(_INSERT, [_values(event) for event in events])
+            self._database.executemany(_INSERT_EVENT, map(_event_values, events))
+            self._database.executemany(_INSERT_COMMAND, map(_command_values, commands))
 
     def close(self) -> None:
         """Leave one plain file behind, which a read-only disk can serve too."""
         self._database.execute("PRAGMA journal_mode=DELETE")
         self._database.close()
 
+    def abandon(self) -> None:
+        """Close a log that cannot be written any more."""
+        with contextlib.suppress(sqlite3.Error):
+            self._database.close()
+
 
 def read_events(path: Path) -> tuple[EventRow, ...]:
-    """All events of a log; none when the session broke off before it was made.
+    """Return all events of a log; none when the session broke off before it was made.
 
     Raises:
         RecordingError: The log is damaged.
     """
+    return tuple(
+        EventRow(
+            time=datetime.fromisoformat(row["time"]),
+            tick=row["tick"],
+            kind=row["kind"],
+            severity=row["severity"],
+            detail=row["detail"],
+            monotonic_s=_float(row.get("monotonic_s")),
+            number=row["id"],
+        )
+        for row in _rows(path, "events")
+    )
+
+
+def read_commands(path: Path) -> tuple[CommandRow, ...]:
+    """Return all operator commands of a log; none in a session of format 1.
+
+    Raises:
+        RecordingError: The log is damaged.
+    """
+    return tuple(
+        CommandRow(
+            time=datetime.fromisoformat(row["time"]),
+            monotonic_s=_float(row["monotonic_s"]),
+            id=row["command_id"],
+            verb=row["verb"],
+            value=row["value"],
+            user=row["user"],
+            accepted=bool(row["accepted"]),
+            reason=row["reason"],
+            number=row["id"],
+        )
+        for row in _rows(path, "commands")
+    )
+
+
+def _rows(path: Path, table: str) -> list[dict[str, Any]]:
     if not path.exists():
-        return ()
+        return []
     try:
         with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
-            rows = database.execute(_SELECT).fetchall() if _has_table(database) else []
+            database.row_factory = sqlite3.Row
+            query = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?"
+            if database.execute(query, (table,)).fetchone() is None:
+                return []
+            found = database.execute(f"SELECT * FROM {table} ORDER BY id")  # noqa: S608 - a constant
+            return [dict(row) for row in found]
     except sqlite3.Error as problem:
         raise RecordingError(path, str(problem)) from problem
-    return tuple(EventRow(datetime.fromisoformat(time), *rest) for time, *rest in rows)
 
 
-def _has_table(database: sqlite3.Connection) -> bool:
-    query = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = 'events'"
-    return database.execute(query).fetchone() is not None
+def _event_values(event: EventRow) -> tuple[Any, ...]:
+    time, monotonic_s = event.time.isoformat(), event.monotonic_s
+    number = event.number or None
+    return (number, time, monotonic_s, event.tick, event.kind, event.severity, event.detail)
 
 
-def _values(event: EventRow) -> tuple[str, int, str, str, str]:
-    return (event.time.isoformat(), event.tick, event.kind, event.severity, event.detail)
+def _command_values(command: CommandRow) -> tuple[Any, ...]:
+    return (
+        command.number or None,
+        command.time.isoformat(),
+        command.monotonic_s,
+        command.id,
+        command.verb,
+        command.value,
+        command.user,
+        command.accepted,
+        command.reason,
+    )
+
+
+def _float(value: float | None) -> float:
+    return math.nan if value is None else value

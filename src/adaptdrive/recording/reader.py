@@ -1,49 +1,104 @@
-"""Reading a session back, however it ended."""
+"""Reading a session back, however it ended and whichever version wrote it."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import pyarrow as pa
-from pyarrow import parquet as pq
 
 from adaptdrive.errors import RecordingError
-from adaptdrive.recording.batches import EventRow
-from adaptdrive.recording.event_log import read_events
+from adaptdrive.recording.batches import CommandRow, EventRow
+from adaptdrive.recording.event_log import read_commands, read_events
+from adaptdrive.recording.segments import segments
 from adaptdrive.recording.session import (
     CONFIG_FILE,
     EVENTS_FILE,
+    SENSORS,
     SLOW,
     TICKS,
     SessionInfo,
     read_info,
 )
 from adaptdrive.recording.streams import StreamReader
-from adaptdrive.recording.tables import SLOW_SCHEMA, TICKS_SCHEMA
+from adaptdrive.recording.tables import conform, slow_schema, ticks_schema
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Session:
-    """A recorded session.
+    """A recorded session; its tables are read when they are asked for.
 
     Attributes:
         path: Its directory.
         info: What `session.json` says.
         config_text: The configuration it ran with, as TOML.
-        ticks: Fast ticks.
-        slow: Slow steps.
         events: Events in their order.
-        torn: True when a table broke off in the middle of a batch, which is left out.
+        commands: Operator commands in their order.
     """
 
     path: Path
     info: SessionInfo
     config_text: str
-    ticks: pa.Table
-    slow: pa.Table
     events: tuple[EventRow, ...]
-    torn: bool
+    commands: tuple[CommandRow, ...]
+
+    @cached_property
+    def ticks(self) -> pa.Table:
+        """Fast ticks, all of them in memory."""
+        return self._table(TICKS)
+
+    @cached_property
+    def slow(self) -> pa.Table:
+        """Slow steps."""
+        return self._table(SLOW)
+
+    @cached_property
+    def sensors(self) -> pa.Table:
+        """Values of the sensor buses."""
+        return self._table(SENSORS)
+
+    @property
+    def torn(self) -> bool:
+        """True when a table broke off in the middle of a batch, which is left out."""
+        streams = [segment for segment in segments(self.path) if not segment.closed]
+        readers = [StreamReader(segment.path) for segment in streams]
+        for reader in readers:
+            for _ in reader.batches():
+                pass
+        return any(reader.torn for reader in readers)
+
+    def schema(self, table: str) -> pa.Schema:
+        """Return the columns of a table, with their units."""
+        if table == TICKS:
+            return ticks_schema(self.info.output_unit)
+        if table == SLOW:
+            return slow_schema(self.info.output_unit)
+        found = [segment.schema() for segment in segments(self.path, table)]
+        return pa.unify_schemas(found) if found else pa.schema([])
+
+    def batches(self, table: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
+        """Yield the rows of a table a batch at a time; missing columns are null.
+
+        Args:
+            table: Name of the table.
+            columns: The columns wanted, None for all.
+
+        Raises:
+            RecordingError: A file is damaged beyond a torn tail, or holds another table.
+        """
+        schema = self.schema(table)
+        if columns is not None:
+            schema = pa.schema([schema.field(name) for name in columns])
+        for segment in segments(self.path, table):
+            for batch in segment.batches(schema.names):
+                if not set(batch.schema.names) & set(schema.names):
+                    raise RecordingError(segment.path, "its columns are not those known here")
+                yield conform(batch, schema)
+
+    def _table(self, table: str) -> pa.Table:
+        return pa.Table.from_batches(list(self.batches(table)), self.schema(table))
 
 
 def read_session(path: Path) -> Session:
@@ -53,39 +108,15 @@ def read_session(path: Path) -> Session:
         path: Directory of the session.
 
     Raises:
-        RecordingError: There is no session, or it is damaged beyond a torn tail.
+        RecordingError: There is no session, or it is damaged.
     """
-    info = read_info(path)
-    ticks, ticks_torn = _read_table(path, TICKS, TICKS_SCHEMA)
-    slow, slow_torn = _read_table(path, SLOW, SLOW_SCHEMA)
     return Session(
         path=path,
-        info=info,
+        info=read_info(path),
         config_text=_read_text(path / CONFIG_FILE),
-        ticks=ticks,
-        slow=slow,
         events=read_events(path / EVENTS_FILE),
-        torn=ticks_torn or slow_torn,
+        commands=read_commands(path / EVENTS_FILE),
     )
-
-
-def _read_table(directory: Path, name: str, schema: pa.Schema) -> tuple[pa.Table, bool]:
-    parquet = directory / f"{name}.parquet"
-    if parquet.exists():
-        return _read_parquet(parquet, schema), False
-    reader = StreamReader(directory / f"{name}.arrows", schema)
-    return pa.Table.from_batches(list(reader.batches()), schema), reader.torn
-
-
-def _read_parquet(path: Path, schema: pa.Schema) -> pa.Table:
-    try:
-        with pq.ParquetFile(path) as file:
-            table = file.read()
-    except (pa.ArrowException, OSError) as problem:
-        raise RecordingError(path, str(problem)) from problem
-    if table.schema != schema:
-        raise RecordingError(path, "its columns are not those known here")
-    return table
 
 
 def _read_text(path: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -11,16 +12,27 @@ from typing import Any
 
 from adaptdrive.recording.batches import (
     Batch,
+    CommandRow,
     EventRow,
     Header,
     TickTable,
+    command_row,
     event_row,
+    sensor_row,
     slow_row,
 )
-from adaptdrive.recording.session import Dropped, NewSession
-from adaptdrive.recording.writer_process import WriterProcess
+from adaptdrive.recording.delivery import Delivery
+from adaptdrive.recording.session import Dropped
 from adaptdrive.runtime.hub import Hub, Subscription
-from adaptdrive.runtime.reports import Event, LoadReport, Report, Severity, TickReport
+from adaptdrive.runtime.reports import (
+    CommandReport,
+    DriveReport,
+    Event,
+    LoadReport,
+    Report,
+    Severity,
+    TickReport,
+)
 
 EVENT_KIND = "recording"
 """Kind of the events by which the recorder speaks of itself."""
@@ -38,16 +50,29 @@ class Pace:
 
     Attributes:
         flush_s: Longest time that ticks stay in the control process.
-        backlog_bytes: Bytes that may wait for the recorder process; then batches are dropped.
+        backlog_bytes: Bytes that may wait to be written: about 40 s; then batches are dropped.
         close_s: Longest wait for the recorder process at the end.
     """
 
-    flush_s: float = 2.0
+    flush_s: float = 0.5
     backlog_bytes: int = 1 << 20
-    close_s: float = 30.0
+    close_s: float = 10.0
 
 
 DEFAULT_PACE = Pace()
+
+
+@dataclass(frozen=True, slots=True)
+class Clocks:
+    """The clocks of the recorder.
+
+    Attributes:
+        utc: Wall clock.
+        monotonic: Monotonic clock in seconds, the one of the reports.
+    """
+
+    utc: Callable[[], datetime]
+    monotonic: Callable[[], float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +81,7 @@ class Feed:
 
     ticks: Subscription
     slow: Subscription
+    sensors: Subscription
     events: Subscription
 
     @classmethod
@@ -65,7 +91,8 @@ class Feed:
         return cls(
             ticks=hub.subscribe(TickReport, size=reports),
             slow=hub.subscribe(LoadReport, size=reports),
-            events=hub.subscribe(Event, size=_EVENTS_HELD),
+            sensors=hub.subscribe(DriveReport, size=reports),
+            events=hub.subscribe(Event, CommandReport, size=_EVENTS_HELD),
         )
 
 
@@ -73,103 +100,102 @@ class Recorder:
     """Records one session until cancelled.
 
     Ticks and slow steps go out every `flush_s`, an event as soon as it is heard of. Trouble with
-    the recording is told through `report` and changes nothing else.
+    the recording is reported and changes nothing else.
+
+    Attributes:
+        complete: False once the end of the session could not be recorded.
     """
 
     def __init__(
         self,
-        session: NewSession,
+        header: Header,
         feed: Feed,
         report: Callable[[Event], None],
-        utc_now: Callable[[], datetime],
+        clocks: Clocks,
         pace: Pace = DEFAULT_PACE,
     ) -> None:
         """Prepare to record.
 
         Args:
-            session: Where, and the facts that go with it.
+            header: Where, and the facts that go with it.
             feed: What to record.
             report: Takes the recorder's own events, such as the hub's `publish`.
-            utc_now: Wall clock, for the time of events.
+            clocks: The clocks.
             pace: How often and how patiently.
         """
-        self._session = session
+        self.complete = True
         self._feed = feed
         self._tell = report
-        self._utc_now = utc_now
+        self._clocks = clocks
         self._pace = pace
+        self._delivery = Delivery(header, pace.backlog_bytes, self._report)
         self._waiting: deque[TickReport] = deque()
         self._ticks = TickTable()
         self._slow: list[dict[str, Any]] = []
+        self._sensors: list[dict[str, float]] = []
         self._events: deque[EventRow] = deque()
+        self._commands: deque[CommandRow] = deque()
+        self._numbers = itertools.count(1)
         self._lost = Dropped()
-        self._recorded_loss = Dropped()
+        self._reported_loss = Dropped()
         self._stalled = False
         self._last_tick = 0
 
-    async def run(self) -> None:
+    async def run(self, begin: asyncio.Event | None = None) -> None:
         """Record until cancelled, then write what is left and close the session.
 
-        Returns early, after reporting it, when the recorder process ends by itself.
+        Args:
+            begin: Nothing touches the disk before this is set; None to begin at once.
         """
+        if begin is not None:
+            await begin.wait()
         try:
-            writer = await WriterProcess.start(self._session.directory, self._pace.backlog_bytes)
-        except OSError as problem:
-            self._report(Severity.ALARM, f"cannot record: {problem}")
-            return
-        writer.send(Header(self._session.info, self._session.config_text))
-        try:
-            cause = await self._feed_until_end(writer)
-        except asyncio.CancelledError:
-            await self._finish(writer)
-            raise
-        self._report(Severity.ALARM, f"recording has stopped, control goes on: {cause}")
+            async with asyncio.TaskGroup() as group:
+                group.create_task(self._delivery.run(), name="recorder-delivery")
+                group.create_task(self._feed_for_ever(), name="recorder-feed")
+        finally:
+            await self._finish()
 
-    async def _feed_until_end(self, writer: WriterProcess) -> str:
-        async with asyncio.TaskGroup() as group:
-            feeding = group.create_task(self._feed_for_ever(writer), name="recorder-feed")
-            cause = await writer.ended()
-            feeding.cancel()
-        return cause
-
-    async def _feed_for_ever(self, writer: WriterProcess) -> None:
-        clock = asyncio.get_running_loop().time
-        deadline = clock() + self._pace.flush_s
+    async def _feed_for_ever(self) -> None:
+        deadline = self._clocks.monotonic() + self._pace.flush_s
         while True:
             self._note(await self._events_until(deadline))
-            if clock() >= deadline:
-                deadline = clock() + self._pace.flush_s
+            if self._clocks.monotonic() >= deadline:
+                deadline = self._clocks.monotonic() + self._pace.flush_s
                 await self._gather()
-            self._send(writer)
+            self._send()
 
-    async def _finish(self, writer: WriterProcess) -> None:
+    async def _finish(self) -> None:
         self._note(self._feed.events.drain())
         await self._gather()
-        self._send(writer, last=True)
-        problem = await writer.close(self._pace.close_s)
-        if problem is not None:
-            self._report(Severity.ALARM, f"trouble at the end of the session: {problem}")
+        self._send(last=True)
+        lost = await self._delivery.finish(self._dropped(), self._pace.close_s)
+        self.complete = lost == Dropped()
 
     async def _events_until(self, deadline: float) -> Iterable[Report]:
         try:
-            async with asyncio.timeout_at(deadline):
+            async with asyncio.timeout(max(0.0, deadline - self._clocks.monotonic())):
                 return await self._feed.events.take()
         except TimeoutError:
             return ()
 
     def _note(self, reports: Iterable[Report]) -> None:
-        now = self._utc_now()
+        utc, now_s = self._clocks.utc(), self._clocks.monotonic()
         for report in reports:
-            # Our own events would be news of the recording to the recording.
-            if isinstance(report, Event) and report.kind != EVENT_KIND:
-                self._events.append(event_row(report, now))
-        while len(self._events) > _EVENTS_HELD:
-            self._events.popleft()
-            self._lose(events=1)
+            if isinstance(report, Event):
+                self._events.append(event_row(report, utc, now_s, next(self._numbers)))
+            elif isinstance(report, CommandReport):
+                self._commands.append(command_row(report, utc, now_s, next(self._numbers)))
+        for held in (self._events, self._commands):
+            while len(held) > _EVENTS_HELD:
+                held.popleft()
+                self._lose(events=1)
 
     async def _gather(self) -> None:
         """Turn queued reports into columns and rows; cancelled half-way, it loses none."""
         self._slow += [slow_row(r) for r in self._feed.slow.drain() if isinstance(r, LoadReport)]
+        drives = self._feed.sensors.drain()
+        self._sensors += [sensor_row(r) for r in drives if isinstance(r, DriveReport) and r.sensors]
         self._waiting += (r for r in self._feed.ticks.drain() if isinstance(r, TickReport))
         while self._waiting:
             count = min(_SLICE, len(self._waiting))
@@ -178,36 +204,36 @@ class Recorder:
             self._last_tick = reports[-1].measurement.tick
             await asyncio.sleep(0)
 
-    def _send(self, writer: WriterProcess, *, last: bool = False) -> None:
+    def _send(self, *, last: bool = False) -> None:
         batch = self._batch(last=last)
-        if batch.empty or not writer.listens:
+        if batch.empty:
             return
-        self._ticks, self._slow = TickTable(), []
-        if writer.send(batch, urgent=last):
+        self._ticks, self._slow, self._sensors = TickTable(), [], []
+        if self._delivery.offer(batch, urgent=last):
             self._note_sent(batch)
         else:
             self._note_refused(batch)
 
     def _batch(self, *, last: bool) -> Batch:
-        dropped, events = self._dropped(), list(self._events)
-        if dropped != self._recorded_loss:
-            loss = self._event(Severity.WARNING, f"not recorded so far: {dropped}")
-            events.append(event_row(loss, self._utc_now()))
         return Batch(
             tick_rows=self._ticks.rows,
             ticks=self._ticks.packed(),
             slow=self._slow,
-            events=events,
-            dropped=dropped,
+            events=list(self._events),
+            dropped=self._dropped(),
             last=last,
+            utc_offset_s=self._clocks.utc().timestamp() - self._clocks.monotonic(),
+            sensors=self._sensors,
+            commands=list(self._commands),
         )
 
     def _note_sent(self, batch: Batch) -> None:
-        if batch.dropped != self._recorded_loss:
-            self._report(Severity.WARNING, f"not recorded so far: {batch.dropped}")
         self._events.clear()
-        self._recorded_loss = batch.dropped
+        self._commands.clear()
         self._stalled = False
+        if batch.dropped != self._reported_loss:
+            self._reported_loss = batch.dropped
+            self._report(Severity.WARNING, f"not recorded so far: {batch.dropped}")
 
     def _note_refused(self, batch: Batch) -> None:
         self._lose(ticks=batch.tick_rows, slow=len(batch.slow))

@@ -16,7 +16,10 @@ from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.replay_report import Difference, Gap, ReplayReport
 from adaptdrive.recording.rows import recorded_ticks, table_rows
+from adaptdrive.recording.session import SLOW, TICKS
 from adaptdrive.runtime.reports import TickReport
+
+_SLOW_COLUMNS = ("k", "boost_reference_V", "controller", "accepted", "gains")
 
 
 def replay(session: Session, controller: TwoRate) -> ReplayReport:
@@ -32,12 +35,13 @@ def replay(session: Session, controller: TwoRate) -> ReplayReport:
     Raises:
         RecordingError: The session holds no ticks.
     """
-    if session.ticks.num_rows == 0:
-        raise RecordingError(session.path, "it holds no ticks to replay")
     player = _Player(session, controller)
-    for recorded in recorded_ticks(session.ticks):
+    for recorded in recorded_ticks(session):
         player.play(recorded)
-    return player.report()
+    report = player.report()
+    if not report.ticks:
+        raise RecordingError(session.path, "it holds no ticks to replay")
+    return report
 
 
 class _Player:
@@ -47,9 +51,10 @@ class _Player:
         self._session = session
         self._controller = controller
         self._schedule = Schedule(controller, latency_ticks=0)  # delivered when it took effect
-        self._slow = {row["k"]: row for row in table_rows(session.slow)}
+        self._slow = {row["k"]: row for row in table_rows(session, SLOW, _SLOW_COLUMNS)}
         # A decision that took effect was made, even where its own record is lost.
-        self._decided = self._slow.keys() | set(session.ticks["applied_k"].unique().to_pylist())
+        applied = (row["applied_k"] for row in table_rows(session, TICKS, ("applied_k",)))
+        self._decided = self._slow.keys() | set(applied)
         self._pending: dict[int, tuple[Snapshot, Decision]] = {}
         self._next_sequence = 0
         self._ticks = 0

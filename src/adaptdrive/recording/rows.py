@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
-import pyarrow as pa
-
 from adaptdrive.control.columns import rebuild
-from adaptdrive.runtime.reports import TickReport
+from adaptdrive.recording.reader import Session
+from adaptdrive.recording.session import TICKS
+from adaptdrive.runtime.reports import TICK_COLUMNS, TickReport
 
-_CHUNK = 10_000
-"""Rows turned into Python values at a time."""
+_COLUMNS = tuple(column.name for column in TICK_COLUMNS)
 
 
-def recorded_ticks(ticks: pa.Table) -> Iterator[TickReport]:
+def recorded_ticks(session: Session) -> Iterator[TickReport]:
     """Yield the fast ticks of a session, in their order."""
-    return map(partial(rebuild, TickReport), table_rows(ticks))
+    return map(partial(rebuild, TickReport), table_rows(session, TICKS, _COLUMNS))
 
 
-def table_rows(table: pa.Table) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a table as Python values, without holding all of them at once."""
-    for chunk in table.to_batches(max_chunksize=_CHUNK):
-        yield from chunk.to_pylist()
+def table_rows(session: Session, table: str, columns: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Yield rows of a table as Python values, without holding all of them at once."""
+    for batch in session.batches(table, columns):
+        yield from batch.to_pylist()

@@ -1,31 +1,39 @@
-"""A session's directory: its name, its files and the facts about it in `session.json`.
+"""A session's directory: its name, its lock, and the facts about it in `session.json`.
 
-A session holds `session.json`, `config.toml`, `events.sqlite`, and ticks and slow steps twice in
-its life: as Arrow streams (`ticks.arrows`, `slow.arrows`) while it is written, because a stream
-that breaks off loses only its last batch, and as Parquet (`ticks.parquet`, `slow.parquet`) once
-it has ended. A stream is removed when its Parquet file is complete on disk, and not before.
+A session holds `session.json`, `config.toml`, `events.sqlite`, and the segments of its tables
+(`segments.py`). The directory appears with its first files in it, so that none is ever empty. The
+process that writes it holds a lock on it; a session that is `open` without a lock was lost.
 """
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
-from collections.abc import Mapping
+import shutil
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 from itertools import count
 from pathlib import Path
+from typing import Self
 
 import msgspec
 
 from adaptdrive.errors import RecordingError
 
-FORMAT = 1
+FORMAT = 2
+FORMATS = (1, 2)
+"""Formats that can be read: 1 has one file for each table, no times and no sensors."""
+
 INFO_FILE = "session.json"
 CONFIG_FILE = "config.toml"
 EVENTS_FILE = "events.sqlite"
 TICKS = "ticks"
 SLOW = "slow"
+SENSORS = "sensors"
+TABLES = (TICKS, SLOW, SENSORS)
 
 
 class Ending(StrEnum):
@@ -34,9 +42,11 @@ class Ending(StrEnum):
     OPEN = "open"
     """Still being written, or its writer died."""
     ORDERLY = "orderly"
-    """The control process said goodbye."""
+    """The control process ended it; `dropped` says what is missing."""
     CUT = "cut"
     """The control process vanished; complete up to its last flush."""
+    LOST = "lost"
+    """Its recorder vanished too; closed at a later start, complete up to the last flush."""
 
 
 class Dropped(msgspec.Struct, frozen=True):
@@ -45,6 +55,9 @@ class Dropped(msgspec.Struct, frozen=True):
     ticks: int = 0
     slow: int = 0
     events: int = 0
+
+    def __add__(self, other: Dropped) -> Dropped:
+        return Dropped(self.ticks + other.ticks, self.slow + other.slow, self.events + other.events)
 
     def __str__(self) -> str:
         return f"{self.ticks} ticks, {self.slow} slow steps and {self.events} events"
@@ -63,7 +76,9 @@ class SessionInfo(msgspec.Struct, frozen=True):
         ended: How it ended.
         dropped: What is missing from it.
         prior: Estimates of an earlier run that its controller started from.
-        histograms: Counts of the times of its ticks by bin, once it has ended.
+        histograms: Counts of the times of its ticks by bin, up to the last segment that is closed.
+        output_unit: Unit of the regulated quantity.
+        segments: Number of the last segment that the histograms include.
         format: Version of the layout of the files.
     """
 
@@ -77,6 +92,8 @@ class SessionInfo(msgspec.Struct, frozen=True):
     dropped: Dropped = Dropped()
     prior: tuple[float, ...] | None = None
     histograms: dict[str, tuple[int, ...]] = {}
+    output_unit: str = ""
+    segments: int = 0
     format: int = FORMAT
 
 
@@ -85,12 +102,12 @@ class NewSession:
     """A session about to be recorded.
 
     Attributes:
-        directory: Its own, empty directory.
+        sessions: Folder of all sessions.
         info: What is known about it.
         config_text: The configuration in force, as TOML.
     """
 
-    directory: Path
+    sessions: Path
     info: SessionInfo
     config_text: str
 
@@ -104,34 +121,72 @@ def sessions_directory(configured: Path | None, environment: Mapping[str, str]) 
     return Path(state) / "sessions" if state else Path("sessions")
 
 
-def create_session(sessions: Path, info: SessionInfo, config_text: str) -> NewSession:
-    """Make the directory of a new session, such as `20261121T012209Z_motor`.
+def create_session(new: NewSession) -> Path:
+    """Make the directory of a new session, such as `20261121T012209Z_motor`, with its facts.
 
     Args:
-        sessions: Where sessions lie; made when absent.
-        info: Facts about the session; its start and drive give the name.
-        config_text: The configuration in force, as TOML.
+        new: The session; its start and drive give the name.
 
     Returns:
-        The new session; a second one in the same second gets `-2` after its name.
+        The directory; a second one in the same second gets `-2` after its name.
 
     Raises:
-        RecordingError: The directory cannot be made.
+        OSError: The directory cannot be made.
     """
-    sessions = sessions.absolute()
-    name = f"{info.started:%Y%m%dT%H%M%SZ}_{info.drive}"
+    new.sessions.mkdir(parents=True, exist_ok=True)
+    unfinished = new.sessions / f".new-{os.getpid()}"
+    shutil.rmtree(unfinished, ignore_errors=True)
+    unfinished.mkdir()
+    try:
+        write_facts(unfinished, new.info, new.config_text)
+        return _renamed(unfinished, f"{new.info.started:%Y%m%dT%H%M%SZ}_{new.info.drive}")
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def _renamed(unfinished: Path, name: str) -> Path:
     for number in count(1):
-        directory = sessions / (name if number == 1 else f"{name}-{number}")
+        directory = unfinished.with_name(name if number == 1 else f"{name}-{number}")
         try:
-            directory.mkdir(parents=True)
-        except FileExistsError:
-            if not directory.exists():
-                raise RecordingError(directory, f"{sessions} is not a directory") from None
+            unfinished.rename(directory)
         except OSError as problem:
-            raise RecordingError(directory, problem.strerror or str(problem)) from problem
+            if problem.errno not in {errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR}:
+                raise
         else:
-            return NewSession(directory, info, config_text)
+            return directory
     raise AssertionError
+
+
+class Claim:
+    """The lock that the writer of a session holds on its directory."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+
+    @classmethod
+    def on(cls, directory: Path) -> Self | None:
+        """Take the lock; None when another process holds it.
+
+        Raises:
+            OSError: The directory cannot be opened.
+        """
+        descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(descriptor)
+            return None
+        return cls(descriptor)
+
+    def release(self) -> None:
+        """Let go of the lock."""
+        os.close(self._descriptor)
+
+
+def session_directories(sessions: Path) -> Iterator[Path]:
+    """Yield the directories of sessions in a folder, the oldest first."""
+    if sessions.is_dir():
+        yield from sorted(path.parent for path in sessions.glob(f"*/{INFO_FILE}"))
 
 
 def find_session(name: str, sessions: Path) -> Path:
@@ -144,6 +199,12 @@ def find_session(name: str, sessions: Path) -> Path:
         if (directory / INFO_FILE).is_file():
             return directory
     raise RecordingError(name, f"no such session, neither as a path nor in {sessions}")
+
+
+def write_facts(directory: Path, info: SessionInfo, config_text: str) -> None:
+    """Write what is known about a session before its first tick."""
+    (directory / CONFIG_FILE).write_text(config_text, encoding="utf-8")
+    write_info(directory, info)
 
 
 def write_info(directory: Path, info: SessionInfo) -> None:
@@ -166,8 +227,9 @@ def read_info(directory: Path) -> SessionInfo:
     try:
         text = path.read_bytes()
         version = msgspec.json.decode(text, type=_Format).format
-        if version != FORMAT:
-            raise RecordingError(path, f"format {version} is not {FORMAT}, the one known here")
+        if version not in FORMATS:
+            known = " or ".join(map(str, FORMATS))
+            raise RecordingError(path, f"format {version} is not {known}, those known here")
         return msgspec.json.decode(text, type=SessionInfo)
     except OSError as problem:
         raise RecordingError(path, problem.strerror or str(problem)) from problem

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 from pyarrow import ipc
@@ -14,6 +17,12 @@ from adaptdrive.errors import RecordingError
 
 _ROW_GROUP = 100_000
 """Rows of a Parquet row group: a quarter of an hour of ticks."""
+
+_ENCODINGS = {
+    pa.float64(): "BYTE_STREAM_SPLIT",
+    pa.int64(): "DELTA_BINARY_PACKED",
+    pa.timestamp("us", "UTC"): "DELTA_BINARY_PACKED",
+}
 
 
 class StreamWriter:
@@ -34,20 +43,24 @@ class StreamWriter:
         self._stream.close()
         self._sink.close()
 
+    def abandon(self) -> None:
+        """Close a stream that cannot be written any more; what it holds stays readable."""
+        with contextlib.suppress(OSError, pa.ArrowException):
+            self._sink.close()
+
 
 class StreamReader:
     """The batches of a stream, up to its end or to where it broke off."""
 
-    def __init__(self, path: Path, schema: pa.Schema) -> None:
+    def __init__(self, path: Path) -> None:
         self.torn = False
         self._path = path
-        self._schema = schema
 
     def batches(self) -> Iterator[pa.RecordBatch]:
         """All whole batches; afterwards `torn` tells whether a piece of one followed them.
 
         Raises:
-            RecordingError: The stream cannot be opened or holds other columns.
+            RecordingError: The stream cannot be opened.
         """
         try:
             with pa.OSFile(str(self._path), "rb") as source:
@@ -73,38 +86,40 @@ class StreamReader:
         if source.size() == 0:
             return None
         try:
-            stream = ipc.open_stream(source)
+            return ipc.open_stream(source)
         except (pa.ArrowException, OSError):
             self.torn = True
             return None
-        if stream.schema != self._schema:
-            raise RecordingError(self._path, "its columns are not those known here")
-        return stream
 
 
-def convert(stream: Path, target: Path, schema: pa.Schema) -> None:
+def convert(stream: Path, target: Path) -> None:
     """Turn a stream into a Parquet file, and remove the stream once that is safely on disk.
+
+    A stream without a whole batch leaves no file at all.
 
     Args:
         stream: The Arrow stream.
         target: The Parquet file; it appears under this name when it is complete.
-        schema: Columns of both.
     """
     unfinished = target.with_name(f"{target.name}.unfinished")
-    with pq.ParquetWriter(unfinished, schema, compression="zstd", **_encodings(schema)) as file:
-        for group in _groups(StreamReader(stream, schema).batches()):
-            file.write_table(pa.Table.from_batches(group, schema))
-    with unfinished.open("rb") as written:
-        os.fsync(written.fileno())
-    unfinished.replace(target)
+    groups = _groups(StreamReader(stream).batches())
+    first = next(groups, None)
+    if first is not None:
+        schema = first[0].schema
+        with pq.ParquetWriter(unfinished, schema, compression="zstd", **_encodings(schema)) as file:
+            for group in chain([first], groups):
+                file.write_table(pa.Table.from_batches(group, schema))
+        with unfinished.open("rb") as written:
+            os.fsync(written.fileno())
+        unfinished.replace(target)
     stream.unlink()
 
 
-def _encodings(schema: pa.Schema) -> dict[str, Sequence[str]]:
+def _encodings(schema: pa.Schema) -> dict[str, Any]:
     """Plain bits for numbers: a dictionary of floats would merge what only compares equal."""
     texts = [field.name for field in schema if pa.types.is_dictionary(field.type)]
-    floats = [field.name for field in schema if field.type == pa.float64()]
-    return {"use_dictionary": texts, "use_byte_stream_split": floats}
+    numbers = {field.name: _ENCODINGS[field.type] for field in schema if field.type in _ENCODINGS}
+    return {"use_dictionary": texts, "column_encoding": numbers}
 
 
 def _groups(batches: Iterator[pa.RecordBatch]) -> Iterator[list[pa.RecordBatch]]:

@@ -1,18 +1,26 @@
-"""Columns on disk: the Arrow schemas, and record batches made from what came through the pipe."""
+"""Tables on disk: Arrow schemas that explain themselves, and record batches that fit them.
+
+Each field has `unit`, `description` and `source` as metadata. A table of an older format is
+completed with NaN and nulls where it lacks columns.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from adaptdrive.control.columns import Column
-from adaptdrive.runtime.reports import SLOW_COLUMNS, TICK_COLUMNS
+from adaptdrive.recording.batches import SensorColumn
+from adaptdrive.runtime.reports import MONOTONIC, SLOW_COLUMNS, TICK_COLUMNS
+
+UTC = pa.timestamp("us", "UTC")
 
 _ESTIMATE = pa.struct([("name", pa.string()), ("value", pa.float64()), ("std", pa.float64())])
-
-_TYPES = {
+_TYPES: dict[type, pa.DataType] = {
     float: pa.float64(),
     int: pa.int64(),
     bool: pa.bool_(),
@@ -22,28 +30,109 @@ _TYPES = {
 }
 
 
-def _schema(columns: Sequence[Column]) -> pa.Schema:
-    return pa.schema([(column.name, _TYPES[column.kind]) for column in columns])
+def _field(name: str, kind: pa.DataType, unit: str, meaning: str, source: str) -> pa.Field:
+    about = {"unit": unit, "description": meaning, "source": source}
+    return pa.field(name, kind, metadata=about)
 
 
-TICKS_SCHEMA = _schema(TICK_COLUMNS)
-SLOW_SCHEMA = _schema(SLOW_COLUMNS)
+_UTC_FIELD = _field("utc", UTC, "", "wall-clock time of the row, UTC", f"{MONOTONIC} + offset")
+_MONOTONIC_FIELD = _field(MONOTONIC, pa.float64(), "s", "monotonic time of the row", "daemon")
 
 
-def ticks_batch(columns: dict[str, bytes | list[str]], rows: int) -> pa.RecordBatch:
-    """Fast ticks as a record batch.
+def ticks_schema(output_unit: str = "") -> pa.Schema:
+    """Return the schema of the fast ticks.
+
+    Args:
+        output_unit: Unit of the regulated quantity.
+    """
+    return _schema(TICK_COLUMNS, output_unit)
+
+
+def slow_schema(output_unit: str = "") -> pa.Schema:
+    """Return the schema of the slow steps.
+
+    Args:
+        output_unit: Unit of the regulated quantity.
+    """
+    return _schema(SLOW_COLUMNS, output_unit)
+
+
+def sensors_schema(sensors: Sequence[SensorColumn]) -> pa.Schema:
+    """Return the schema of the sensor buses."""
+    fields = [_field(one.name, pa.float64(), one.unit, one.meaning, one.source) for one in sensors]
+    return pa.schema([_UTC_FIELD, _MONOTONIC_FIELD, *fields])
+
+
+def _schema(columns: Sequence[Column], output_unit: str) -> pa.Schema:
+    fields = [
+        _field(
+            column.name,
+            _TYPES[column.kind],
+            output_unit if column.unit == "y" else column.unit,
+            column.meaning,
+            column.source,
+        )
+        for column in columns
+    ]
+    return pa.schema([_UTC_FIELD, *fields])
+
+
+def ticks_batch(
+    columns: Mapping[str, bytes | list[str]], rows: int, schema: pa.Schema, utc_offset_s: float
+) -> pa.RecordBatch:
+    """Return fast ticks as a record batch.
 
     Args:
         columns: Machine arrays and strings by column name.
         rows: Number of ticks.
+        schema: Schema of the ticks.
+        utc_offset_s: UTC minus monotonic time.
     """
-    arrays = [_array(field.type, columns[field.name], rows) for field in TICKS_SCHEMA]
-    return pa.RecordBatch.from_arrays(arrays, schema=TICKS_SCHEMA)
+    arrays = {name: _array(schema.field(name).type, columns[name], rows) for name in columns}
+    arrays[_UTC_FIELD.name] = _utc(arrays[MONOTONIC], utc_offset_s)
+    return pa.RecordBatch.from_arrays([arrays[name] for name in schema.names], schema=schema)
 
 
-def slow_batch(rows: list[dict[str, Any]]) -> pa.RecordBatch:
-    """Slow steps as a record batch."""
-    return pa.RecordBatch.from_pylist(rows, schema=SLOW_SCHEMA)
+def rows_batch(
+    rows: Sequence[dict[str, Any]], schema: pa.Schema, utc_offset_s: float
+) -> pa.RecordBatch:
+    """Return rows of slow steps or sensors as a record batch; a value that a row lacks is null.
+
+    Args:
+        rows: Values by name of their column.
+        schema: Schema of the table.
+        utc_offset_s: UTC minus monotonic time.
+    """
+    for row in rows:
+        time_s = row[MONOTONIC]
+        known = math.isfinite(time_s)
+        row["utc"] = round((time_s + utc_offset_s) * 1e6) if known else None
+    return pa.RecordBatch.from_pylist(rows, schema=schema)
+
+
+def conform(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
+    """Return the columns of a schema from a batch of this or an older format.
+
+    Args:
+        batch: Rows as they are on disk.
+        schema: The columns wanted; those that the batch lacks are NaN or null.
+    """
+    arrays = [_column(batch, field) for field in schema]
+    return pa.RecordBatch.from_arrays(arrays, schema=schema)
+
+
+def _column(batch: pa.RecordBatch, field: pa.Field) -> pa.Array:
+    if field.name not in batch.schema.names:
+        missing = pa.scalar(math.nan if field.type == pa.float64() else None, field.type)
+        return pa.repeat(missing, batch.num_rows)
+    found = batch.column(field.name)
+    return found if found.type == field.type else found.cast(field.type)
+
+
+def _utc(monotonic_s: pa.Array, offset_s: float) -> pa.Array:
+    microseconds = pc.round(pc.multiply(pc.add(monotonic_s, offset_s), 1e6))
+    known = pc.if_else(pc.is_finite(microseconds), microseconds, None)
+    return known.cast(pa.int64()).cast(UTC)
 
 
 def _array(kind: pa.DataType, values: bytes | list[str], rows: int) -> pa.Array:

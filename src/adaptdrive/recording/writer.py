@@ -1,108 +1,136 @@
 """The recorder process: reads batches from its standard input and puts them on disk.
 
 It ends when its input ends, which it does in every way that the control process can go. It is
-started by the recorder service as `python -m adaptdrive.recording.writer DIRECTORY`.
+started by the recorder service as `python -m adaptdrive.recording.writer SESSIONS`.
 """
 
 from __future__ import annotations
 
-import math
+import contextlib
 import os
 import signal
 import sqlite3
 import sys
-from collections.abc import Iterator
-from pathlib import Path
+import time
+from collections.abc import Callable, Iterator
 from typing import BinaryIO
 
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.recording.batches import Batch, Header, read_frames
-from adaptdrive.recording.event_log import EventLog
-from adaptdrive.recording.session import (
-    CONFIG_FILE,
-    EVENTS_FILE,
-    SLOW,
-    TICKS,
-    Dropped,
-    Ending,
-    write_info,
-)
-from adaptdrive.recording.streams import StreamWriter, convert
-from adaptdrive.recording.tables import SLOW_SCHEMA, TICKS_SCHEMA, slow_batch, ticks_batch
-from adaptdrive.runtime.statistics import BINS, bin_of
+from adaptdrive.recording.batches import STOPPED, UNBEGUN, Batch, Header, News, read_frames
+from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
+from adaptdrive.recording.session import Dropped, Ending
+from adaptdrive.recording.session_writer import SessionWriter
+from adaptdrive.runtime.reports import Severity
 
-_TIMES = ("lateness_us", "turnaround_us", "tick_us")
-_SCHEMAS = {TICKS: TICKS_SCHEMA, SLOW: SLOW_SCHEMA}
+Tell = Callable[[News], None]
+
+_LONGEST_PAUSE_S = 10.0
+_ORPHAN_PATIENCE_S = 60.0
+"""How long a recorder without a control process tries to write what it still has."""
 
 
-class SessionWriter:
-    """The files of one session while it is written."""
+class PatientWriter:
+    """Writes a session; what fails is tried again, in a new segment, until it succeeds."""
 
-    def __init__(self, directory: Path, header: Header) -> None:
-        self._directory = directory
-        self._info = header.info
-        (directory / CONFIG_FILE).write_text(header.config_text, encoding="utf-8")
-        self._streams = {
-            name: StreamWriter(directory / f"{name}.arrows", schema)
-            for name, schema in _SCHEMAS.items()
-        }
-        self._events = EventLog(directory / EVENTS_FILE)
-        self._histograms = {name: [0] * BINS for name in _TIMES}
-        # Last, so that a directory with this file holds all the others.
-        write_info(directory, header.info)
+    def __init__(self, header: Header, tell: Tell, *, pause_s: float = 0.5) -> None:
+        """Prepare to write.
+
+        Args:
+            header: The session.
+            tell: Reports to the control process.
+            pause_s: Pause after the first failure; each further one is twice as long.
+        """
+        self._header = header
+        self._tell = tell
+        self._pause_s = pause_s
+        self._writer: SessionWriter | None = None
+        self._housekeeper = Housekeeper(lambda detail: self._report(Severity.WARNING, detail))
+        self._parent = os.getppid()
 
     def write(self, batch: Batch) -> None:
-        """Put one batch on disk, events first: they are few and matter most."""
-        if batch.events:
-            self._events.append(batch.events)
-        if batch.tick_rows:
-            ticks = ticks_batch(batch.ticks, batch.tick_rows)
-            self._streams[TICKS].write(ticks)
-            self._count(ticks)
-        if batch.slow:
-            self._streams[SLOW].write(slow_batch(batch.slow))
+        """Put one batch on disk, however long that takes; the last one closes the session.
+
+        Raises:
+            OSError: The control process is gone, and the disk has failed for long.
+        """
+        self._insist(lambda writer: writer.write(batch))
+        if batch.last:
+            self.close(Ending.ORDERLY, batch.dropped)
+        self._tell(News(written=batch.number))
 
     def close(self, ending: Ending, dropped: Dropped) -> None:
-        """Close everything; then, at leisure, turn the streams into Parquet."""
-        for stream in self._streams.values():
-            stream.close()
-        self._events.close()
-        histograms = {name: tuple(counts) for name, counts in self._histograms.items()}
-        info = msgspec.structs.replace(
-            self._info, ended=ending, dropped=dropped, histograms=histograms
-        )
-        write_info(self._directory, info)
-        for name, schema in _SCHEMAS.items():
-            stream_path = self._directory / f"{name}.arrows"
-            convert(stream_path, self._directory / f"{name}.parquet", schema)
+        """Close the session.
 
-    def _count(self, ticks: pa.RecordBatch) -> None:
-        """Count times of ticks; a stand-in tick has no turn-around."""
-        for name, counts in self._histograms.items():
-            for time_us in ticks.column(name).to_pylist():
-                if not math.isnan(time_us):
-                    counts[bin_of(time_us)] += 1
+        Raises:
+            OSError: The control process is gone, and the disk has failed for long.
+        """
+        self._insist(lambda writer: writer.close(ending, dropped))
+
+    def finish(self) -> None:
+        """Wait until the closed session is in order."""
+        self._housekeeper.finish()
+
+    def _insist(self, act: Callable[[SessionWriter], None]) -> None:
+        pause_s, waited_s = self._pause_s, 0.0
+        while (problem := self._try(act)) is not None:
+            self._give_up(problem, waited_s)
+            if not waited_s:
+                detail = f"{STOPPED if self._header.directory else UNBEGUN}: {problem}"
+                self._tell(News(severity=Severity.ALARM.value, detail=detail, failing=True))
+            time.sleep(pause_s)
+            waited_s += pause_s
+            pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
+        if waited_s and self._writer is not None:
+            self._report(Severity.INFO, f"recording goes on in segment {self._writer.segment}")
+
+    def _try(self, act: Callable[[SessionWriter], None]) -> Exception | None:
+        try:
+            act(self._opened())
+        except ERRORS as problem:
+            return problem
+        return None
+
+    def _opened(self) -> SessionWriter:
+        if self._writer is None:
+            self._writer = SessionWriter(self._header, self._report, self._housekeeper)
+            directory = str(self._writer.directory)
+            self._header = msgspec.structs.replace(self._header, directory=directory)
+            self._tell(News(directory=directory))
+        return self._writer
+
+    def _give_up(self, problem: Exception, waited_s: float) -> None:
+        """Leave the files as they are; end when nobody is left to wait for."""
+        if self._writer is not None:
+            self._writer.abandon()
+            self._writer = None
+        if os.getppid() != self._parent and waited_s > _ORPHAN_PATIENCE_S:
+            raise problem
+
+    def _report(self, severity: Severity, detail: str) -> None:
+        self._tell(News(severity=severity.value, detail=detail))
 
 
-def record(directory: Path, source: BinaryIO) -> None:
+def record(source: BinaryIO, tell: Tell) -> None:
     """Record one session from a stream of messages until that ends.
 
     Args:
-        directory: The session's directory, which exists.
         source: Messages; nothing is made of a source without any.
+        tell: Reports to the control process.
     """
     frames = read_frames(source)
     first = next(frames, None)
     if first is None:
         return
-    writer = SessionWriter(directory, msgspec.msgpack.decode(first, type=Header))
-    ending, dropped = Ending.CUT, Dropped()
+    writer = PatientWriter(msgspec.msgpack.decode(first, type=Header), tell)
+    dropped, ended = Dropped(), False
     for batch in _batches(frames):
         writer.write(batch)
-        ending, dropped = Ending.ORDERLY if batch.last else Ending.CUT, batch.dropped
-    writer.close(ending, dropped)
+        dropped, ended = batch.dropped, batch.last
+    if not ended:
+        writer.close(Ending.CUT, dropped)
+    writer.finish()
 
 
 def _batches(frames: Iterator[bytes]) -> Iterator[Batch]:
@@ -110,25 +138,32 @@ def _batches(frames: Iterator[bytes]) -> Iterator[Batch]:
     return map(decoder.decode, frames)
 
 
-def _step_aside() -> None:
+def step_aside() -> None:
     """Leave the processor and the signals to the control process, whose child this is."""
     # A service manager and a terminal signal every process; this one ends with its input.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGABRT):
         signal.signal(number, signal.SIG_IGN)
+    # A file larger than allowed is an error of the disk like others.
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     # Real-time priority is inherited.
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.nice(5)
 
 
+def tell_parent(news: News) -> None:
+    """Report to the control process, if it is still there."""
+    with contextlib.suppress(OSError):
+        os.write(sys.stdout.fileno(), msgspec.json.encode(news) + b"\n")
+
+
 def main() -> None:
     """Run the recorder process."""
-    _step_aside()
-    directory = Path(sys.argv[1])
+    step_aside()
     try:
-        record(directory, sys.stdin.buffer)
+        record(sys.stdin.buffer, tell_parent)
     except (OSError, sqlite3.Error, pa.ArrowException, msgspec.MsgspecError) as problem:
         # Leave at once: closing what cannot be written would only fail again.
-        print(f"{directory}: {problem}", file=sys.stderr, flush=True)  # noqa: T201
+        print(f"{sys.argv[1]}: {problem}", file=sys.stderr, flush=True)  # noqa: T201
         os._exit(1)
 
 

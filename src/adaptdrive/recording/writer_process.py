@@ -3,93 +3,93 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import fcntl
 import sys
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Self
 
-from adaptdrive.recording.batches import Batch, Header, framed
+import msgspec
+
+from adaptdrive.recording.batches import News
+
+_PIPE_BYTES = 1 << 20
+"""Size of the pipe, the largest that needs no privilege: what is in it outlives this process."""
 
 
 class WriterProcess:
     """A running recorder process."""
 
-    def __init__(self, process: asyncio.subprocess.Process, backlog_bytes: int) -> None:
+    def __init__(self, process: asyncio.subprocess.Process) -> None:
         self._process = process
-        self._backlog_bytes = backlog_bytes
 
     @classmethod
-    async def start(cls, directory: Path, backlog_bytes: int) -> Self:
+    async def start(cls, sessions: Path, module: str = "adaptdrive.recording.writer") -> Self:
         """Start the process for one session.
 
         Args:
-            directory: The session's directory.
-            backlog_bytes: Bytes that may wait for the process before batches are refused.
+            sessions: Folder of all sessions.
+            module: What it runs.
 
         Raises:
             OSError: The process cannot be started.
         """
         process = await asyncio.create_subprocess_exec(
-            sys.executable,
-            "-m",
-            "adaptdrive.recording.writer",
-            str(directory),
+            *(sys.executable, "-m", module, str(sessions)),
             stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,
-            # Ctrl-C on the terminal is for the control process, which then says goodbye.
+            # Ctrl-C on the terminal is for the control process, which then ends the session.
             start_new_session=True,
         )
-        return cls(process, backlog_bytes)
+        _enlarge(process.stdin)
+        return cls(process)
 
     @property
     def pid(self) -> int:
         """Process id."""
         return self._process.pid
 
-    @property
-    def listens(self) -> bool:
-        """False once the process has closed its end of the pipe."""
+    def send(self, message: bytes) -> None:
+        """Hand over a framed message at once; nothing when the process does not listen."""
         pipe = self._process.stdin
-        return pipe is not None and not pipe.transport.is_closing()
+        if pipe is not None and not pipe.transport.is_closing():
+            pipe.write(message)
 
-    def send(self, message: Header | Batch, *, urgent: bool = False) -> bool:
-        """Hand over a message at once; False when the process is too far behind to take it.
+    def hang_up(self) -> None:
+        """Close the pipe, so that the process finishes."""
+        if self._process.stdin is not None:
+            self._process.stdin.close()
 
-        Args:
-            message: What to hand over.
-            urgent: Add it to the backlog however long that is.
-        """
-        pipe = self._process.stdin
-        if pipe is None:
-            return False
-        if not urgent and pipe.transport.get_write_buffer_size() >= self._backlog_bytes:
-            return False
-        pipe.write(framed(message))
-        return True
+    async def news(self) -> AsyncIterator[News]:
+        """Yield what the process reports, until it ends."""
+        if self._process.stdout is None:
+            return
+        async for line in self._process.stdout:
+            with contextlib.suppress(msgspec.DecodeError):
+                yield msgspec.json.decode(line, type=News)
 
-    async def ended(self) -> str:
-        """Wait for the process to end; what it said, or its exit status."""
+    async def ended(self) -> str | None:
+        """Wait for the process to end; its last words or its status, None when all went well."""
         said = b"" if self._process.stderr is None else await self._process.stderr.read()
         status = await self._process.wait()
+        if status == 0:
+            return None
         lines = said.decode(errors="replace").strip().splitlines()
         return lines[-1] if lines else f"the recorder process ended with status {status}"
 
-    async def close(self, timeout_s: float) -> str | None:
-        """Close the pipe and let the process finish.
+    async def kill(self) -> None:
+        """End the process at once, also when it is stopped."""
+        if self._process.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                self._process.kill()
+        await self._process.wait()
 
-        Args:
-            timeout_s: Longest wait; a process that takes longer is killed, which costs the
-                session at most what was still in the pipe.
 
-        Returns:
-            What went wrong, None when nothing did.
-        """
-        if self._process.stdin is not None:
-            self._process.stdin.close()
-        try:
-            async with asyncio.timeout(timeout_s):
-                said = await self.ended()
-        except TimeoutError:
-            self._process.kill()
-            await self._process.wait()
-            return f"the recorder process did not finish within {timeout_s} s and was killed"
-        return None if self._process.returncode == 0 else said
+def _enlarge(pipe: asyncio.StreamWriter | None) -> None:
+    if pipe is None:
+        return
+    descriptor = pipe.get_extra_info("pipe").fileno()
+    with contextlib.suppress(OSError):  # a smaller one serves too
+        fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)

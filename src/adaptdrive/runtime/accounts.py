@@ -66,4 +66,5 @@ def drive_report(
             "turnaround_us": fast.turnaround.histogram,
             "tick_us": fast.tick_time.histogram,
         },
+        time_s=now_s,
     )

@@ -66,7 +66,11 @@ class DaemonSettings:
 
 
 class Daemon:
-    """Runs one drive; the host of its operators."""
+    """Runs one drive; the host of its operators.
+
+    Attributes:
+        opened: Set once the bus is open.
+    """
 
     def __init__(  # noqa: PLR0913 - it joins the rooms of the house, and names each
         self,
@@ -92,6 +96,7 @@ class Daemon:
             sensors: Gives the state of the sensor buses beside the drive.
             rehearse: Does what a tick does, and nothing that can be noticed.
         """
+        self.opened = asyncio.Event()
         self._rehearse = rehearse
         self._sensors = sensors
         self._port = port
@@ -281,7 +286,7 @@ class Daemon:
     def decided(self, snapshot: Snapshot, decision: Decision) -> None:
         """A decision was taken over: tell about it, and about a change of controller."""
         self._decision = decision
-        self._hub.publish(LoadReport(snapshot, decision))
+        self._hub.publish(LoadReport(snapshot, decision, self._clock()))
         if decision.fault:
             self._machine.latch(decision.fault)
             self._fast.send_safe()
@@ -304,6 +309,7 @@ class Daemon:
         self._slow.forget()
 
     def _opened(self) -> None:
+        self.opened.set()
         self._fast.begin()
         self._manager.ready()
         self._manager.status(f"{self._port.description}: waiting for the drive")

@@ -355,7 +355,7 @@ class FastLoop:
         self.tick_time.add(tick_us)
         if fresh:
             self.turnaround.add(turnaround_us)
-        self._report(lateness_us, turnaround_us, tick_us)
+        self._report(lateness_us, turnaround_us, tick_us, ended_s)
 
     def _watch_interlocks(self, now_s: float) -> None:
         machine, reading = self._machine, self.reading
@@ -443,7 +443,9 @@ class FastLoop:
         self._order = Order(stage, reference, machine.mode, machine.pole)
         return self._order
 
-    def _report(self, lateness_us: float, turnaround_us: float, tick_us: float) -> None:
+    def _report(
+        self, lateness_us: float, turnaround_us: float, tick_us: float, time_s: float
+    ) -> None:
         if self.measurement is None or self._order is None:
             return
         self._surroundings.ticked(
@@ -456,6 +458,7 @@ class FastLoop:
                 lateness_us=lateness_us,
                 turnaround_us=turnaround_us,
                 tick_us=tick_us,
+                time_s=time_s,
             )
         )
         self._sequence += 1

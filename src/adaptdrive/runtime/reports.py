@@ -12,6 +12,9 @@ from adaptdrive.control.columns import Quantity, columns_of
 from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Snapshot
 from adaptdrive.control.waveform import Waveform
 
+MONOTONIC = "monotonic_s"
+"""Column with the monotonic time of a row."""
+
 
 class State(StrEnum):
     """Where the drive's state machine is."""
@@ -73,10 +76,19 @@ class StateReport:
 
 @dataclass(frozen=True, slots=True)
 class LoadReport:
-    """One slow period: what was sampled, and what was made of it."""
+    """One slow period: what was sampled, and what was made of it.
+
+    Attributes:
+        snapshot: What was sampled.
+        decision: What was made of it.
+        time_s: Monotonic time at which the decision was taken over.
+    """
 
     snapshot: Snapshot
     decision: Decision
+    time_s: Annotated[
+        float, Quantity("s", "monotonic time at which the decision was taken over", MONOTONIC)
+    ] = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +142,7 @@ class DriveReport:
         sensors: Sensor buses beside the drive.
         limited: Commands that were held to a limit of `[drive.limits]` since the start.
         histograms: Counts of all lateness, turn-around and tick times since the start, by bin.
+        time_s: Monotonic time of the report.
     """
 
     measurement: Measurement | None
@@ -145,6 +158,7 @@ class DriveReport:
     sensors: tuple[SensorReport, ...] = ()
     limited: int = 0
     histograms: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    time_s: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,9 +201,33 @@ class TickReport:
     tick_us: Annotated[float, Quantity("µs", "duration of the tick, from interlocks to wire")] = (
         math.nan
     )
+    time_s: Annotated[float, Quantity("s", "monotonic time at the end of the tick", MONOTONIC)] = (
+        math.nan
+    )
 
 
-Report = StateReport | LoadReport | DriveReport | Event | TickReport
+@dataclass(frozen=True, slots=True)
+class CommandReport:
+    """An operator's command that was answered.
+
+    Attributes:
+        id: Id that its sender gave it.
+        verb: What was asked for.
+        value: The value asked for, as JSON.
+        user: What its sender says of itself; empty where it says nothing.
+        accepted: Whether it was carried out.
+        reason: Why not.
+    """
+
+    id: str
+    verb: str
+    value: str
+    user: str
+    accepted: bool
+    reason: str
+
+
+Report = StateReport | LoadReport | DriveReport | Event | TickReport | CommandReport
 
 TICK_COLUMNS = columns_of(TickReport)
 SLOW_COLUMNS = columns_of(LoadReport)

@@ -1,0 +1,81 @@
+"""The recorder of a drive, as its configuration asks for."""
+
+from __future__ import annotations
+
+import os
+import time
+from datetime import UTC, datetime
+
+from adaptdrive import __version__
+from adaptdrive.app.checkpoint import Values
+from adaptdrive.config import Configuration
+from adaptdrive.recording.batches import Header, Keep, SensorColumn
+from adaptdrive.recording.recorder import Clocks, Feed, Pace, Recorder
+from adaptdrive.recording.session import SessionInfo, sessions_directory
+from adaptdrive.runtime.hub import Hub
+
+
+def build_recorder(
+    configuration: Configuration, text: str, hub: Hub, prior: Values | None
+) -> Recorder | None:
+    """Build the recorder; nothing touches the disk before it runs.
+
+    Args:
+        configuration: The drive.
+        text: Its configuration, as TOML.
+        hub: Where reports come from.
+        prior: Estimates of an earlier run that its controller starts from.
+
+    Returns:
+        The recorder, None where nothing is to be recorded.
+    """
+    recording = configuration.recording
+    if not recording.enabled:
+        return None
+    size = recording.keep_MB
+    header = Header(
+        info=_info(configuration, prior),
+        config_text=text,
+        sessions=str(sessions_directory(recording.directory, os.environ).absolute()),
+        sensors=sensor_columns(configuration),
+        segment_s=recording.segment_s,
+        keep=Keep(recording.keep_days, None if size is None else round(size * 1e6)),
+    )
+    clocks = Clocks(lambda: datetime.now(UTC), time.monotonic)
+    feed, pace = Feed.of(hub, recording.flush_s), Pace(flush_s=recording.flush_s)
+    return Recorder(header, feed, hub.publish, clocks, pace)
+
+
+def sensor_columns(configuration: Configuration) -> tuple[SensorColumn, ...]:
+    """Return a column for each value of each sensor bus, and one for its age."""
+    columns = []
+    for bus in configuration.sensor_bus:
+        for name, quantity in bus.signals.items():
+            column, source = f"{bus.name}.{name}", f"sensor bus {bus.name}"
+            about = f"last value of {name}, {quantity.signal}"
+            columns.append(SensorColumn(column, unit_of(name), about, source))
+            columns.append(SensorColumn(f"{column}.age_s", "s", f"age of {name}", source))
+    return tuple(columns)
+
+
+def unit_of(name: str) -> str:
+    """Return the unit that a name ends with, such as V in `line_voltage_V`; empty for none."""
+    _, _, unit = name.rpartition("_")
+    return unit if unit in UNITS else ""
+
+
+UNITS = {"V", "A", "W", "K", "S", "s", "Hz", "rad", "m", "kg", "N", "Pa", "C"}
+"""Units that a name may end with; values of sensors are in SI."""
+
+
+def _info(configuration: Configuration, prior: Values | None) -> SessionInfo:
+    return SessionInfo(
+        drive=configuration.drive.name,
+        version=__version__,
+        started=datetime.now(UTC),
+        ticks_per_period=configuration.ticks_per_period,
+        latency_ticks=configuration.load.latency_ticks,
+        line_frequency_Hz=configuration.drive.line_frequency_Hz,
+        prior=prior,
+        output_unit=configuration.load.output_unit,
+    )

@@ -1,0 +1,179 @@
+"""Batches on their way to the recorder process: each is kept until that has written it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from adaptdrive.recording.batches import STOPPED, UNBEGUN, Batch, Header, News, framed
+from adaptdrive.recording.session import Dropped
+from adaptdrive.recording.writer_process import WriterProcess
+from adaptdrive.runtime.reports import Severity
+
+_SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 1.0, 30.0
+_FAILING_CLOSE_S = 2.0
+"""Patience at the end with a recorder that has been failing already."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Sent:
+    number: int
+    message: bytes
+    rows: Dropped
+
+
+class Delivery:
+    """Keeps a recorder process running, and repeats what one that died had not written.
+
+    Attributes:
+        directory: Folder of the session, empty until there is one.
+    """
+
+    def __init__(
+        self, header: Header, backlog_bytes: int, report: Callable[[Severity, str], None]
+    ) -> None:
+        """Prepare to deliver.
+
+        Args:
+            header: The session.
+            backlog_bytes: Bytes that may wait to be written before batches are refused.
+            report: Reports an event.
+        """
+        self.directory = ""
+        self._header = header
+        self._backlog_bytes = backlog_bytes
+        self._report = report
+        self._writer: WriterProcess | None = None
+        self._unwritten: deque[_Sent] = deque()
+        self._waiting_bytes = 0
+        self._failing = False
+        self._number = 0
+
+    def offer(self, batch: Batch, *, urgent: bool = False) -> bool:
+        """Hand over a batch at once; False when too much waits already.
+
+        Args:
+            batch: What to hand over.
+            urgent: Add it to the backlog however long that is.
+        """
+        if not urgent and self._waiting_bytes >= self._backlog_bytes:
+            return False
+        self._number += 1
+        message = framed(msgspec.structs.replace(batch, number=self._number))
+        rows = Dropped(batch.tick_rows, len(batch.slow), len(batch.events))
+        self._unwritten.append(_Sent(self._number, message, rows))
+        self._waiting_bytes += len(message)
+        if self._writer is not None:
+            self._writer.send(message)
+        return True
+
+    async def run(self) -> None:
+        """Keep a recorder process running until cancelled."""
+        pause_s = _SHORTEST_PAUSE_S
+        while True:
+            before = self._number_written
+            cause = await self._serve()
+            if self._number_written > before:
+                pause_s = _SHORTEST_PAUSE_S
+            self._fail(f"{cause}; next attempt in {pause_s:g} s")
+            await asyncio.sleep(pause_s)
+            pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
+
+    async def finish(self, dropped: Dropped, timeout_s: float) -> Dropped:
+        """Have everything written and the session closed; `run` must have ended.
+
+        Args:
+            dropped: What was lost before.
+            timeout_s: Longest wait for the recorder process, and for another one in its place.
+
+        Returns:
+            What was lost now: it is reported.
+        """
+        cause = await self._drain(_FAILING_CLOSE_S if self._failing else timeout_s)
+        if self._unwritten and not self._failing:
+            cause = await self._drain(timeout_s)  # a new process, for one that died or stood still
+        if self._unwritten:
+            return await self._give_up(dropped, cause or "the recorder process ended", timeout_s)
+        if cause is not None:
+            self._report(Severity.WARNING, f"the session is closed at the next start: {cause}")
+        return Dropped()
+
+    async def _give_up(self, dropped: Dropped, cause: str, timeout_s: float) -> Dropped:
+        lost = sum((sent.rows for sent in self._unwritten), start=Dropped())
+        self._report(Severity.ALARM, f"the end of the session is not recorded, {lost}: {cause}")
+        await self._close_short(dropped + lost, timeout_s)
+        return lost
+
+    @property
+    def _number_written(self) -> int:
+        return self._unwritten[0].number - 1 if self._unwritten else self._number
+
+    async def _drain(self, timeout_s: float) -> str | None:
+        """Close the pipe and wait for the process; what went wrong, None when nothing did."""
+        try:
+            async with asyncio.timeout(timeout_s):
+                if self._writer is None:
+                    self._writer = await self._started()
+                self._writer.hang_up()
+                await self._listen(self._writer)
+                cause = await self._writer.ended()
+        except TimeoutError:
+            cause = f"the recorder process did not finish within {timeout_s:g} s"
+        except OSError as problem:
+            cause = str(problem)
+        await self._dismiss()
+        return cause
+
+    async def _close_short(self, dropped: Dropped, timeout_s: float) -> None:
+        """Have another process write how the session ended, and nothing else."""
+        self._unwritten.clear()
+        if not self.directory:
+            return
+        self.offer(Batch(0, {}, [], [], dropped, last=True), urgent=True)
+        if (cause := await self._drain(timeout_s)) is not None:
+            self._report(Severity.ALARM, f"session.json does not say how it ended: {cause}")
+
+    async def _serve(self) -> str:
+        """Run one process until it ends; why it did."""
+        try:
+            self._writer = await self._started()
+        except OSError as problem:
+            return str(problem)
+        await self._listen(self._writer)
+        cause = await self._writer.ended()
+        self._writer = None
+        return cause or "the recorder process ended"
+
+    async def _started(self) -> WriterProcess:
+        writer = await WriterProcess.start(Path(self._header.sessions))
+        writer.send(framed(msgspec.structs.replace(self._header, directory=self.directory)))
+        for sent in self._unwritten:
+            writer.send(sent.message)
+        return writer
+
+    async def _listen(self, writer: WriterProcess) -> None:
+        async for news in writer.news():
+            self._take(news)
+
+    def _take(self, news: News) -> None:
+        self.directory = news.directory or self.directory
+        while self._unwritten and self._unwritten[0].number <= news.written:
+            self._waiting_bytes -= len(self._unwritten.popleft().message)
+            self._failing = False
+        if news.detail:
+            self._failing = self._failing or news.failing
+            self._report(Severity(news.severity), news.detail)
+
+    def _fail(self, cause: str) -> None:
+        self._failing = True
+        self._report(Severity.ALARM, f"{STOPPED if self.directory else UNBEGUN}: {cause}")
+
+    async def _dismiss(self) -> None:
+        if self._writer is not None:
+            await self._writer.kill()
+            self._writer = None

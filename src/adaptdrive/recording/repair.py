@@ -1,0 +1,99 @@
+"""Sessions whose recorder vanished: closed at the next start, and reported."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from datetime import datetime
+from pathlib import Path
+
+import msgspec
+
+from adaptdrive.recording.resume import find_written
+from adaptdrive.recording.segments import segments
+from adaptdrive.recording.session import (
+    TICKS,
+    Claim,
+    Ending,
+    SessionInfo,
+    read_info,
+    session_directories,
+    write_info,
+)
+
+_UNTIDY = {Ending.CUT, Ending.LOST}
+
+
+def repair(sessions: Path, current: Path, ending: Callable[[], bool]) -> Iterator[str]:
+    """Close the sessions that nobody writes any more.
+
+    Args:
+        sessions: Folder of all sessions.
+        current: The session that is being written.
+        ending: Returns True to have the rest left for another time.
+
+    Yields:
+        A sentence for each session that was lost, and for the one before this if it was cut.
+    """
+    older = [path for path in session_directories(sessions) if path != current]
+    for directory in older:
+        if ending():
+            return
+        info = read_info(directory)
+        if info.ended is Ending.OPEN:
+            info = close_lost(directory) or info
+            if info.ended is Ending.LOST:
+                yield _sentence(directory, info)
+        elif directory == older[-1] and info.ended in _UNTIDY:
+            yield _sentence(directory, info)
+        close_segments(directory)
+
+
+def close_lost(directory: Path) -> SessionInfo | None:
+    """Mark an open session as lost; None when its writer is alive.
+
+    Raises:
+        RecordingError, OSError: It cannot be read or written.
+    """
+    claim = Claim.on(directory)
+    if claim is None:
+        return None
+    try:
+        info = read_info(directory)
+        if info.ended is Ending.OPEN:
+            times = find_written(directory, info).times
+            info = msgspec.structs.replace(info, ended=Ending.LOST, histograms=times.histograms)
+            write_info(directory, info)
+        return info
+    finally:
+        claim.release()
+
+
+def close_segments(directory: Path) -> None:
+    """Turn the streams that a session has left into Parquet."""
+    claim = Claim.on(directory)
+    if claim is None:
+        return
+    try:
+        for segment in segments(directory):
+            segment.close()
+    finally:
+        claim.release()
+
+
+def last_tick_time(directory: Path) -> datetime | None:
+    """Return when the last recorded tick was, None where that is not recorded."""
+    for segment in reversed(segments(directory, TICKS)):
+        found: datetime | None = None
+        for batch in segment.batches(["utc"]):
+            if "utc" in batch.schema.names and batch.num_rows:
+                found = batch.column("utc")[-1].as_py()
+        if found is not None:
+            return found
+    return None
+
+
+def _sentence(directory: Path, info: SessionInfo) -> str:
+    last = last_tick_time(directory)
+    end = f"its last tick is of {last:%Y-%m-%dT%H:%M:%S.%f}Z" if last else "it holds no ticks"
+    how = "the daemon vanished" if info.ended is Ending.CUT else "daemon and recorder vanished"
+    return f"session {directory.name} ended without its close, {how}: {end}"

@@ -1,0 +1,37 @@
+"""Disk space set aside for a full disk: the end of a session, and the record of a trip."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+from pathlib import Path
+
+_FILE = ".reserve"
+_BYTES = 2 << 20
+"""Two records of a trip, each of 70 s at full rate."""
+
+
+def set_aside(sessions: Path) -> None:
+    """Occupy the reserve, where that is not done yet.
+
+    Raises:
+        OSError: There is too little space for the reserve and as much again to record into.
+    """
+    path = sessions / _FILE
+    held = path.stat().st_size if path.exists() else 0
+    if shutil.disk_usage(sessions).free < 2 * _BYTES - held:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(sessions))
+    if held < _BYTES:
+        with path.open("ab") as file:
+            os.posix_fallocate(file.fileno(), 0, _BYTES)
+
+
+def release(sessions: Path) -> None:
+    """Give the reserve back to the disk."""
+    (sessions / _FILE).unlink(missing_ok=True)
+
+
+def is_full(problem: BaseException) -> bool:
+    """Return whether an error says that the disk or a quota is full."""
+    return isinstance(problem, OSError) and problem.errno in {errno.ENOSPC, errno.EDQUOT}

@@ -1,0 +1,101 @@
+"""What is removed, what is closed later, and what is reported of it."""
+
+from datetime import timedelta
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from adaptdrive.recording.batches import Header, Keep
+from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.repair import repair
+from adaptdrive.recording.retention import prune
+from adaptdrive.recording.session import (
+    Claim,
+    Ending,
+    NewSession,
+    create_session,
+    read_info,
+    session_directories,
+    write_info,
+)
+from tests.recording.material import INFO, make_batch, make_tick, record_messages
+
+NOW = INFO.started + timedelta(days=10)
+
+
+def recorded(sessions: Path, age_days: float, ticks: int = 50) -> Path:
+    info = msgspec.structs.replace(INFO, started=NOW - timedelta(days=age_days))
+    directory = create_session(NewSession(sessions, info, ""))
+    batch = make_batch([make_tick(number) for number in range(ticks)], last=True)
+    record_messages(directory, Header(info, ""), batch)
+    return directory
+
+
+def names(sessions: Path) -> list[str]:
+    return [path.name for path in session_directories(sessions)]
+
+
+def test_sessions_older_than_allowed_are_removed(tmp_path: Path) -> None:
+    old, young = recorded(tmp_path, 8.0), recorded(tmp_path, 6.0)
+    told = list(prune(tmp_path, Keep(days=7.0), NOW))
+    assert names(tmp_path) == [young.name]
+    assert told == [f"session {old.name} removed: it is older than 7 days"]
+
+
+def test_the_oldest_go_until_the_rest_fits(tmp_path: Path) -> None:
+    directories = [recorded(tmp_path, age) for age in (5.0, 4.0, 3.0)]
+    size = sum(path.stat().st_size for path in directories[2].iterdir())
+    list(prune(tmp_path, Keep(bytes=2 * size + 100), NOW))
+    assert names(tmp_path) == [path.name for path in directories[1:]]
+
+
+def test_a_session_in_progress_loses_its_oldest_segments_only(tmp_path: Path) -> None:
+    directory = recorded(tmp_path, 0.5)
+    later = make_batch([make_tick(number) for number in range(50, 100)], last=True)
+    record_messages(directory, Header(INFO, ""), later)
+    list(prune(tmp_path, Keep(bytes=1), NOW, directory))
+    assert names(tmp_path) == [directory.name]
+    assert not list(directory.glob("ticks-*.parquet"))
+    second = recorded(tmp_path, 0.4)
+    claim = Claim.on(second)
+    assert claim is not None
+    list(prune(tmp_path, Keep(bytes=1), NOW))
+    claim.release()
+    assert names(tmp_path) == [second.name]
+
+
+def test_without_limits_everything_is_kept(tmp_path: Path) -> None:
+    directory = recorded(tmp_path, 3000.0)
+    assert list(prune(tmp_path, Keep(), NOW)) == []
+    assert names(tmp_path) == [directory.name]
+
+
+@pytest.fixture
+def lost(tmp_path: Path) -> Path:
+    directory = recorded(tmp_path, 2.0)
+    info = msgspec.structs.replace(read_info(directory), ended=Ending.OPEN, histograms={})
+    write_info(directory, msgspec.structs.replace(info, segments=0))
+    return directory
+
+
+def test_a_session_that_was_lost_is_closed_and_reported(tmp_path: Path, lost: Path) -> None:
+    current = recorded(tmp_path, 0.0)
+    (told,) = repair(tmp_path, current, lambda: False)
+    assert f"session {lost.name} ended without its close" in told
+    assert "1970-01-01T00:00:50.408333Z" in told  # 50 s and 49 ticks after the start of the clock
+    session = read_session(lost)
+    assert session.info.ended is Ending.LOST
+    assert sum(session.info.histograms["lateness_us"]) == 50
+    assert list(repair(tmp_path, current, lambda: False)) == [told]  # the one before: still cut
+    newer = recorded(tmp_path, -1.0)
+    assert list(repair(tmp_path, newer, lambda: False)) == []
+
+
+def test_a_session_that_is_being_written_is_left_alone(tmp_path: Path, lost: Path) -> None:
+    current = recorded(tmp_path, 0.0)
+    claim = Claim.on(lost)
+    assert claim is not None
+    assert list(repair(tmp_path, current, lambda: False)) == []
+    claim.release()
+    assert read_info(lost).ended is Ending.OPEN
