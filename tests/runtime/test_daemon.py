@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
+import threading
 import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from adaptdrive.app.last_resort import uncaught_errors_end
 from adaptdrive.app.settings import build_load, controller_settings
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Mode, Snapshot
@@ -475,6 +477,36 @@ async def test_when_a_stand_in_tick_fails_the_daemon_ends_and_the_drive_is_left_
         bench.daemon.arm(time.monotonic())
         (cause,) = await ending(bench)
         assert isinstance(cause, ArithmeticError)
+        assert bench.sent[-1] == SAFE_COMMAND
+
+
+async def test_when_a_tick_fails_the_daemon_ends_and_the_drive_is_left_safe(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with daemon_bench() as bench:
+        await bench.start()
+        monkeypatch.setattr(bench.controller, "tick", lambda *_: 1 / 0)
+        bench.frame()
+        assert bench.sent[-1] == SAFE_COMMAND
+        known = len(bench.sent)
+        (cause,) = await ending(bench)
+        assert isinstance(cause, ZeroDivisionError)
+        assert len(bench.sent) >= known + 3
+        assert set(bench.sent[known:]) == {SAFE_COMMAND}
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+@pytest.mark.parametrize("where", ["callback", "thread"])
+async def test_an_error_that_nobody_catches_ends_the_daemon(where: str) -> None:
+    async with daemon_bench() as bench:
+        await bench.start()
+        with uncaught_errors_end(bench.daemon.fail):
+            if where == "callback":
+                asyncio.get_running_loop().call_soon(lambda: 1 / 0)
+            else:
+                threading.Thread(target=lambda: 1 / 0).start()
+            (cause,) = await ending(bench)
+        assert isinstance(cause, ZeroDivisionError)
         assert bench.sent[-1] == SAFE_COMMAND
 
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+import signal
+
+import pytest
 
 from adaptdrive.recording.session import Ending
 from tests.system.bus_ear import BusEar
@@ -42,6 +45,23 @@ def _comes_back_in_standby(site: Site) -> None:
         assert all(command.safe for command in bus.commands())
         site.run_drive()
         until(lambda: bus.commands()[-1].bridge, "the bridge is commanded on")
+
+
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGQUIT, signal.SIGINT])
+def test_each_signal_that_ends_leaves_the_bridge_off(
+    make_site: MakeSite, number: signal.Signals
+) -> None:
+    site = make_site()
+    site.start("--initial-voltage", "280")
+    site.run_drive()
+    assert site.daemon is not None
+    with BusEar(site.config) as bus:
+        until(lambda: bus.commands() and bus.commands()[-1].bridge, "the bridge is commanded on")
+        site.daemon.send_signal(number)
+        assert site.daemon.wait(timeout=20.0) == 0
+        farewell = bus.commands()[-3:]
+    assert all(command.safe for command in farewell)
+    assert site.state["state"] == "standby"
 
 
 def test_asked_to_end_the_daemon_says_goodbye(make_site: MakeSite) -> None:

@@ -21,6 +21,7 @@ from adaptdrive.app.checkpoint import (
     write_checkpoint,
 )
 from adaptdrive.app.examine import load_examined
+from adaptdrive.app.last_resort import uncaught_errors_end
 from adaptdrive.app.lock import lock_names, locked, send_visitors_away
 from adaptdrive.app.log import log_events, loss_line, set_up_logging
 from adaptdrive.app.output import unblocked_output
@@ -124,7 +125,7 @@ async def _serve(
             if event is not None:
                 hub.publish(event)
         try:
-            with prepared(configuration, rehearsal, hub):
+            with uncaught_errors_end(daemon.fail), prepared(configuration, rehearsal, hub):
                 await daemon.run(stop)
         finally:
             await _end(keeping)
@@ -148,9 +149,11 @@ async def _end(*services: asyncio.Task[None]) -> None:
 
 
 def _stop_on_signals(stop: asyncio.Event) -> None:
+    """Have each signal that asks a process to end do so in order; `nohup` is respected."""
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, stop.set)
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            loop.add_signal_handler(number, stop.set)
 
 
 def _mqtt(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import math
 from collections.abc import Callable, Iterator
@@ -111,7 +112,7 @@ class Daemon:
         self._expectant: list[DressRehearsal | FrameWatch] = []
         self._collector = IdleCollector(settings.collect_ticks)
         self._detector: LatencyDetector | None = None
-        self._timer_failure: asyncio.Future[None] | None = None
+        self._failure: asyncio.Future[None] | None = None
         self._decision: Decision | None = None
         self._shutting_down = False
         self._stopped_s = -math.inf
@@ -128,7 +129,7 @@ class Daemon:
             ExceptionGroup: A task died; a `BusError` in it when the bus cannot be opened.
         """
         loop = asyncio.get_running_loop()
-        self._timer_failure = loop.create_future()
+        self._failure = loop.create_future()
         self._timer = TickTimer(loop, self._on_deadline, self._settings.spin_s)
         self._detector = self._watch_latency(loop)
         self._expectant = list(self._get_ready(loop))
@@ -140,7 +141,7 @@ class Daemon:
                     await self._work(stop)
                 finally:
                     self._shutting_down = True
-                    self._stop_driving()
+                    await self._say_farewell()
                 serving.cancel()
         finally:
             self._timer.close()
@@ -181,7 +182,7 @@ class Daemon:
             working = [
                 tasks.create_task(self._slow.run(), name="slow loop"),
                 tasks.create_task(self._report(), name="reports"),
-                tasks.create_task(self._watch_timer(), name="timer"),
+                tasks.create_task(self._watch_failure(), name="failure"),
             ]
             await stop.wait()
             await self._shut_down()
@@ -193,18 +194,35 @@ class Daemon:
         try:
             self._fast.on_deadline(deadline_s)
         except Exception as problem:  # noqa: BLE001 - passed on by the task that watches
-            if self._timer_failure is not None and not self._timer_failure.done():
-                self._timer_failure.set_exception(problem)
+            self.fail(problem)
 
-    async def _watch_timer(self) -> None:
-        """Die of what went wrong in a stand-in tick, so that the daemon does."""
-        if self._timer_failure is not None:
-            await self._timer_failure
+    def fail(self, problem: BaseException) -> None:
+        """Make the drive safe at once, and end with an error.
+
+        Args:
+            problem: What went wrong where no task of the daemon could see it.
+        """
+        self._machine.latch(f"internal error: {problem!r}; keep the log for a report")
+        with contextlib.suppress(Exception):  # the first problem counts
+            self._fast.send_safe()
+        if self._failure is not None and not self._failure.done():
+            self._failure.set_exception(problem)
+
+    async def _watch_failure(self) -> None:
+        """Die of what went wrong in a callback, so that the daemon does."""
+        if self._failure is not None:
+            await self._failure
 
     def _stop_driving(self) -> None:
         """Whatever has happened: from now on only safe commands, and the first one at once."""
         self._machine.carry_out(Disable(), self._fast.tick, float("nan"), None)
         self._fast.send_safe()
+
+    async def _say_farewell(self) -> None:
+        """Stop driving, more than once: a frame can be lost."""
+        for _ in range(_FAREWELLS):
+            self._stop_driving()
+            await asyncio.sleep(_FAREWELL_GAP_S)
 
     def stop(self) -> State:
         """Bring the drive into its safe state at once, whatever it is doing.
@@ -241,7 +259,11 @@ class Daemon:
 
     def on_reading(self, reading: Reading) -> None:
         """A reading came in from the port."""
-        self._fast.on_reading(reading)
+        try:
+            self._fast.on_reading(reading)
+        except Exception as problem:  # noqa: BLE001 - a port that dies of it would close the bus
+            self.fail(problem)
+            return
         for one in self._expectant:
             one.expect(reading.arrival_s + self._fast.reading_period_s)
 

@@ -352,6 +352,9 @@ class CanPort:
             announce()
             self._reader = FrameReader(bus, self, self._arrivals, self._hand_out)
             return await self._reader.run()
+        except Exception:
+            self.send(SAFE_COMMAND)  # the last frame, whatever has gone wrong
+            raise
         finally:
             self._bus = self._reader = None
             bus.shutdown()

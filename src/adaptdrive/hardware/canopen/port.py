@@ -369,6 +369,9 @@ class CanOpenPort:
         try:
             announce()
             return await self._read_and_watch(bus)
+        except Exception:
+            self.send(SAFE_COMMAND)  # the last frame, whatever has gone wrong
+            raise
         finally:
             self._sync.stop()
             self._master.leave("bus lost")
