@@ -30,7 +30,7 @@ from adaptdrive.hardware.canopen.assembly import Assembly
 from adaptdrive.hardware.canopen.dictionary import label
 from adaptdrive.hardware.canopen.health import Health
 from adaptdrive.hardware.canopen.mapping import DriveMapping, Order, Status, map_drive
-from adaptdrive.hardware.canopen.master import NMT, Master, NodeState
+from adaptdrive.hardware.canopen.master import Master, NodeState
 from adaptdrive.hardware.canopen.profile import CONTROLWORD, STATUSWORD, DriveControl, DriveState
 from adaptdrive.hardware.canopen.sdo import describe_node
 from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
@@ -46,7 +46,6 @@ _FAULT_RESET_S = 1.0
 
 _LOOK_S = 0.005
 
-_EVERY_NODE = 0
 _SDO_WRITES = frozenset({0, 1, 6})
 """Client command specifiers: download of a segment, start of a download, block download."""
 
@@ -275,14 +274,15 @@ class CanOpenPort:
         """Frames that command the drive, and their names; no bus returns what this port sends."""
         node = self._config.node_id
         names = {order.codec.frame_id: order.codec.name for order in self._mapping.orders}
-        names |= {NMT: "NMT", 0x600 + node: "SDO write"}
+        names[0x600 + node] = "SDO write"
         return {can_id: f"0x{can_id:03X} ({name})" for can_id, name in names.items()}
 
     def _is_command(self, frame: can.Message) -> bool:
-        """Whether a foreign frame commands this drive: to read its objects does not."""
+        """Whether a foreign frame commands this drive: to read its objects does not.
+
+        Nor does NMT: a node that it stops or restarts says so itself.
+        """
         can_id, data = frame.arbitration_id, frame.data
-        if can_id == NMT:
-            return len(data) > 1 and data[1] in {_EVERY_NODE, self._config.node_id}
         if can_id == 0x600 + self._config.node_id:
             return bool(data) and data[0] >> 5 in _SDO_WRITES
         return can_id in self._commands
