@@ -87,7 +87,9 @@ def at(broker: Broker) -> tuple[str, str]:
 )
 async def test_an_accepted_command_ends_with_0(bench: Bench, words: str, request_: Request) -> None:
     outcome = await adaptdrive(*words.split(), *at(bench.broker))
-    assert outcome == Outcome(0, f"bench: {words.split(maxsplit=1)[0]} accepted, standby\n", "")
+    verb = words.split(maxsplit=1)[0]
+    state = "running" if verb == "enable" else "standby"
+    assert outcome == Outcome(0, f"bench: {verb} accepted, {state}\n", "")
     assert bench.host.asked == [request_]
 
 
@@ -248,3 +250,18 @@ def test_a_reader_that_has_had_enough_is_no_error_to_complain_about() -> None:
     done = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
     assert done.stdout == "{\n"
     assert done.stderr == ""
+
+
+@pytest.mark.parametrize("words", [("--ca-file", "/etc/ca.pem"), ("--tls", "--ca-file", "x")])
+async def test_an_authority_without_tls_is_refused(words: tuple[str, ...]) -> None:
+    outcome = await adaptdrive("disable", "bench", "--broker", "127.0.0.1:1", *words)
+    refused = "--tls" not in words
+    assert ("over the wire in clear" in outcome.errors) is refused
+    assert outcome.status == (2 if refused else 3)
+
+
+@pytest.mark.parametrize("host", ["a" * 64, "bad_-", "x..y", "tür" * 30])
+async def test_a_broker_that_cannot_be_looked_up_is_refused(host: str) -> None:
+    outcome = await adaptdrive("disable", "bench", "--broker", host)
+    assert "host name" in outcome.errors
+    assert outcome.status == 2

@@ -213,3 +213,28 @@ def test_only_a_motor_learnt_by_the_lambda_method_can_have_a_known_filter() -> N
     }
     assert flaws(**bath) == {}
     assert flaws(**bath, estimator__known_filter="true").keys() == place
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        *("", " ", "my broker", "a" * 64, "x." * 127 + "x", "broker..local", ".", "a/b", "-x"),
+        *("x-", "tab\\t", "nul\\u0000", "ü" * 60, "::g", "[::1]", "user@x", "x:1883", "http://x"),
+    ],
+)
+def test_a_broker_host_that_cannot_be_looked_up_is_refused(host: str) -> None:
+    assert set(flaws(mqtt__host=f'"{host}"')) == {"mqtt.host"}
+
+
+@pytest.mark.parametrize(
+    "host", ["localhost", "10.0.0.1", "::1", "fe80::1%eth0", "a_b-c.example.", "bücher.example"]
+)
+def test_a_broker_host_that_can_be_looked_up_passes(host: str) -> None:
+    assert parse(mqtt__host=f'"{host}"').mqtt.host == host
+
+
+def test_an_authority_without_tls_is_refused() -> None:
+    found = flaws(mqtt__ca_file='"ca.pem"')
+    assert set(found) == {"mqtt"}
+    assert "in clear" in found["mqtt"]
+    assert parse(mqtt__ca_file='"ca.pem"', mqtt__tls="true").mqtt.tls

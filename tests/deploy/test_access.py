@@ -55,6 +55,8 @@ def test_a_drive_hears_its_own_commands_only(guarded: GuardedBroker, listen: Lis
     own = [topic for topic in COMMANDS if topic.startswith("adaptdrive/motor/")]
     assert heard(guarded, listen, "motor", "operator", COMMANDS) == own
     assert heard(guarded, listen, "motor", "bath", OTHERS) == []
+    telemetry = ["adaptdrive/motor/telemetry/drive"]
+    assert heard(guarded, listen, "motor", "motor", OWN) == telemetry
 
 
 def test_an_operator_commands_and_speaks_for_no_drive(

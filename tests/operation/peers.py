@@ -35,7 +35,7 @@ from adaptdrive.runtime.reports import (
     State,
     StateReport,
 )
-from adaptdrive.runtime.requests import Disable, Enable, Request, SetMode, SetSetpoint
+from adaptdrive.runtime.requests import Disable, Enable, Request, Reset, SetMode, SetSetpoint
 from tests.support import Broker
 
 PATIENCE_S = 20.0
@@ -74,9 +74,14 @@ class RememberingHost:
             self.show(replace(self.report, setpoint=request.value))
         if isinstance(request, Enable):
             self.show(replace(self.report, state=State.RUNNING))
+        if isinstance(request, Reset):
+            self.show(replace(self.report, state=State.STANDBY, trip=None))
         if isinstance(request, SetMode):
             self.show(replace(self.report, mode=request.value))
         return self.report.state
+
+    def trip(self, cause: str) -> None:
+        self.show(replace(self.report, state=State.TRIPPED, trip=cause))
 
     def stop(self) -> State:
         self.asked.append(Disable())

@@ -7,9 +7,11 @@ import gc
 import os
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from structlog.testing import capture_logs
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.client import NoAnswerError, send_command
@@ -73,6 +75,32 @@ async def test_both_ends_get_in_with_password_and_tls(guarded: Mqtt, tmp_path: P
     running = asyncio.create_task(service.run())
     assert await _ask_until_answered(guarded)
     assert Enable() in host.asked
+    running.cancel()
+    await asyncio.wait([running])
+
+
+def _binary(path: Path) -> None:
+    path.write_bytes(b"\xff\x00\xfe")
+
+
+@pytest.mark.parametrize("damage", [_binary, Path.mkdir, os.mkfifo])
+async def test_a_password_that_cannot_be_read_is_tried_again(
+    guarded: Mqtt, tmp_path: Path, damage: Callable[[Path], None]
+) -> None:
+    spoilt = tmp_path / "spoilt"
+    damage(spoilt)
+    host = RememberingHost()
+    surroundings = Surroundings(tmp_path, uniform=lambda low, _: 0.1 * low)
+    settings = guarded.model_copy(update={"password_file": spoilt})
+    service = MqttService("guarded", settings, host, host.hub, surroundings)
+    with capture_logs() as lines:
+        running = asyncio.create_task(service.run())
+        await asyncio.sleep(1.0)
+        assert not running.done()
+    assert "spoilt" in next(line["problem"] for line in lines if line["event"] == "broker lost")
+    spoilt.rename(tmp_path / "put aside")
+    spoilt.write_text("open sesame\n")
+    assert await _ask_until_answered(guarded)
     running.cancel()
     await asyncio.wait([running])
 

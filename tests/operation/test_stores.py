@@ -298,6 +298,9 @@ class DyingHost:
     def stop(self) -> State:
         return State.STANDBY
 
+    def trip(self, cause: str) -> None:
+        raise AssertionError(cause)
+
 
 def dying_desk(memory: ReplyMemory, time: Time) -> Desk:
     ration = LogRation(lambda: time.running_s)

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from adaptdrive.config.services import Mqtt
+from adaptdrive.config.services import Mqtt, check_host
 
 _ADDRESS = re.compile(r"(?P<host>\[[^\]]+\]|[^:\[\]/\s]+)(:(?P<port>\d{1,5}))?")
 _DRIVE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,63}")
@@ -20,6 +20,7 @@ def _check_address(_: object, text: str) -> None:
     match = _ADDRESS.fullmatch(text)
     if match is None or not 1 <= int(match["port"] or _PORT) <= _HIGHEST_PORT:
         raise ValueError("A broker is given as HOST or HOST:PORT.")
+    check_host(match["host"].strip("[]"))
 
 
 def _check_drive(_: object, name: str) -> None:
@@ -34,10 +35,18 @@ def _check_timeout(_: object, timeout: float) -> None:
         raise ValueError("A timeout is a positive number of seconds.")
 
 
+def _check_authority(_: object, contact: Contact | None) -> None:
+    if contact is not None and contact.ca_file is not None and not contact.tls:
+        raise ValueError(
+            "--ca-file (ADAPTDRIVE_CA_FILE) without --tls (ADAPTDRIVE_TLS): the password would go "
+            "over the wire in clear; add --tls."
+        )
+
+
 DriveName = Annotated[str, Parameter(validator=_check_drive)]
 
 
-@Parameter(name="*")
+@Parameter(name="*", validator=_check_authority)
 @dataclass(frozen=True, slots=True)
 class Contact:
     """Where the broker is and how long to wait; each but the time-out also from the environment.

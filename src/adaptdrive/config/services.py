@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from pydantic import Field, ValidationInfo, field_validator
+import ipaddress
+import re
+from typing import Annotated, Self
+
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from adaptdrive.config.section import (
     FilePath,
@@ -11,6 +15,38 @@ from adaptdrive.config.section import (
     PositiveFloat,
     Section,
 )
+
+_LABEL = re.compile(r"(?!-)[A-Za-z0-9_-]{1,63}(?<!-)")
+_LONGEST_NAME = 253  # RFC 1035
+
+
+def check_host(host: str) -> str:
+    """Return a host that can be looked up.
+
+    Args:
+        host: Name or address.
+
+    Raises:
+        ValueError: It is neither an IP address nor a host name.
+    """
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        _check_name(host)
+    return host
+
+
+def _check_name(host: str) -> None:
+    try:
+        name = host.encode("idna").decode("ascii").removesuffix(".")
+    except UnicodeError as problem:
+        raise ValueError(f"{host!r} is no host name: {problem}") from problem
+    labels = name.split(".")
+    if len(name) > _LONGEST_NAME or not all(_LABEL.fullmatch(label) for label in labels):
+        raise ValueError(
+            f"{host!r} is neither an IP address nor a host name: labels of 1 to 63 letters, digits "
+            "and '-', separated by dots"
+        )
 
 
 class Interlocks(Section):
@@ -67,7 +103,9 @@ class Interlocks(Section):
 class Mqtt(Section):
     """`[mqtt]`: the broker that carries state, telemetry and commands."""
 
-    host: str = Field(default="127.0.0.1", description="broker")
+    host: Annotated[str, AfterValidator(check_host)] = Field(
+        default="127.0.0.1", description="broker"
+    )
     port: int = Field(default=1883, ge=1, le=65535, description="port of the broker")
     tls: bool = Field(default=False, description="speak TLS")
     ca_file: FilePath | None = Field(default=None, description="certificate authority for TLS")
@@ -76,6 +114,15 @@ class Mqtt(Section):
     telemetry_Hz: float = Field(
         default=10.0, ge=0.01, le=10.0, description="rate of `telemetry/drive`"
     )
+
+    @model_validator(mode="after")
+    def _authority_needs_tls(self) -> Self:
+        if self.ca_file is not None and not self.tls:
+            raise ValueError(
+                f"ca_file = {str(self.ca_file)!r} without tls: user name and password would go "
+                "over the wire in clear; set tls = true, or leave ca_file out"
+            )
+        return self
 
 
 class Recording(Section):

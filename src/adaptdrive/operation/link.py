@@ -7,6 +7,7 @@ import ssl
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NoReturn
 
 import structlog
@@ -16,6 +17,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.clock import Monotonic
+from adaptdrive.operation.name import ClientName
 from adaptdrive.operation.pace import Backoff
 from adaptdrive.operation.steady import SteadyClient
 
@@ -31,10 +33,12 @@ class Line:
     Attributes:
         client: The connected client.
         protocol: The MQTT version that the broker agreed to.
+        name: The client's name.
     """
 
     client: SteadyClient
     protocol: ProtocolVersion
+    name: ClientName
 
 
 Serve = Callable[[Line], Awaitable[None]]
@@ -49,14 +53,13 @@ class Link:
     def __init__(
         self,
         settings: Mqtt,
-        identifier: str,
+        name: ClientName,
         will: Will,
         backoff: Backoff,
         monotonic: Monotonic,
     ) -> None:
         self._settings = settings
-        # One name per drive: a new connection then ends the old one, and its last will with it.
-        self._identifier = identifier
+        self._name = name
         self._will = will
         self._backoff = backoff
         self._monotonic = monotonic
@@ -73,7 +76,7 @@ class Link:
         while True:
             try:
                 await _contained(self._serve_once(serve))
-            except* (MqttError, OSError) as problems:
+            except* Exception as problems:  # noqa: BLE001 - control goes on without a broker
                 self._report(_first(problems))
             lived_s = 0.0 if self._since_s is None else self._monotonic() - self._since_s
             await asyncio.sleep(self._backoff.after(lived_s))
@@ -88,7 +91,7 @@ class Link:
         It is asked without a last will: brokers that know only the older protocol take the will
         of the newer one for garbage and hang up, instead of naming the reason.
         """
-        probe = f"{self._identifier}-probe"
+        probe = f"{self._name.present}-probe"
         try:
             async with connection(self._settings, ProtocolVersion.V5, probe, None):
                 return ProtocolVersion.V5
@@ -98,14 +101,18 @@ class Link:
             return ProtocolVersion.V311
 
     async def _serve_with(self, protocol: ProtocolVersion, serve: Serve) -> None:
-        async with connection(self._settings, protocol, self._identifier, self._will) as client:
+        async with connection(self._settings, protocol, self._name.present, self._will) as client:
             self._since_s = self._monotonic()
             self._problem = ""
-            self._log.info("broker connected", protocol=protocol.name)
-            await serve(Line(client, protocol))
+            self._log.info("broker connected", protocol=protocol.name, name=self._name.present)
+            try:
+                await serve(Line(client, protocol, self._name))
+            finally:
+                self._name.connection_ended(client)
 
     def _report(self, problem: BaseException) -> None:
-        text = str(problem) or type(problem).__name__
+        expected = isinstance(problem, MqttError | OSError) and str(problem)
+        text = str(problem) if expected else f"{type(problem).__name__}: {problem}"
         if text != self._problem:
             self._problem = text
             self._log.warning("broker lost", problem=text)
@@ -163,9 +170,26 @@ async def _client(
 def _secrets(settings: Mqtt) -> tuple[str | None, ssl.SSLContext | None]:
     password = None
     if settings.password_file is not None:
-        password = settings.password_file.read_text(encoding="utf-8").rstrip("\r\n")
-    tls = ssl.create_default_context(cafile=settings.ca_file) if settings.tls else None
-    return password, tls
+        _require_file(settings.password_file)
+        password = _read_password(settings.password_file)
+    if not settings.tls:
+        return password, None
+    if settings.ca_file is not None:
+        _require_file(settings.ca_file)
+    return password, ssl.create_default_context(cafile=settings.ca_file)
+
+
+def _read_password(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8").rstrip("\r\n")
+    except UnicodeDecodeError as problem:
+        raise OSError(f"password file {path} is not text: {problem}") from problem
+
+
+def _require_file(path: Path) -> None:
+    """Refuse a FIFO, which would be waited for without end."""
+    if path.exists() and not path.is_file():
+        raise OSError(f"{path} is not a file")
 
 
 async def _enter(client: Client) -> None:

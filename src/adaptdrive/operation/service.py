@@ -26,6 +26,7 @@ from adaptdrive.operation.journal import Journal
 from adaptdrive.operation.link import Line, Link
 from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.messages import OFFLINE
+from adaptdrive.operation.name import ClientName
 from adaptdrive.operation.outbox import Outbox
 from adaptdrive.operation.pace import Backoff, LogRation, Pace
 from adaptdrive.operation.session import Session
@@ -84,6 +85,7 @@ class MqttService:
         self._topics = Topics(drive)
         self._pace = Pace(1.0 / settings.telemetry_Hz, surroundings.monotonic)
         self._around = surroundings
+        self._host = host
         path = surroundings.directory / f"{drive}.operation.sqlite3"
         self._journal = Journal(path, surroundings.start_thread)
         self._memory = ReplyMemory(self._journal, surroundings.wall, surroundings.monotonic)
@@ -100,7 +102,7 @@ class MqttService:
         )
         self._link = Link(
             settings,
-            f"adaptdrive-{drive}",
+            ClientName(f"adaptdrive-{drive}", surroundings.monotonic, self._meet_rival),
             Will(self._topics.availability, OFFLINE, qos=1, retain=True),
             Backoff(surroundings.uniform),
             surroundings.monotonic,
@@ -147,6 +149,16 @@ class MqttService:
             f"{self._journal.path}: {problem}; after a restart commands with ids used before may "
             "be carried out again, and unsent events are lost",
         )
+
+    def _meet_rival(self, detail: str, *, certain: bool) -> None:
+        """Report another client of the drive's name, and trip where that is certain."""
+        cause = (
+            f"second broker client: {detail}; likeliest a second daemon for this drive on another "
+            "machine: end it"
+        )
+        self._intake.report("broker", Severity.ALARM, cause)
+        if certain:
+            self._host.trip(cause)
 
     async def _watch_clock(self) -> None:
         while True:

@@ -27,6 +27,7 @@ LOGGED_EVERY_S = 10.0
 FAREWELL_S = 1.0
 LOWEST_FAILURE_CODE = 128
 
+RESET = "reset"
 SHUTTING_DOWN = "the daemon is shutting down"
 
 
@@ -41,6 +42,7 @@ class Session:
         desk: Desk,
         pace: Pace,
     ) -> None:
+        self._line = line
         self._client = line.client
         self._protocol = line.protocol
         self._topics = topics
@@ -83,6 +85,8 @@ class Session:
         if self._protocol is ProtocolVersion.V5:
             options = SubscribeOptions(qos=1, retainAsPublished=True, noLocal=True)
             granted = await self._client.subscribe(self._topics.commands, options=options)
+            if self._line.name.given_way:  # what it publishes itself does not come back
+                await self._client.subscribe(self._topics.drive_telemetry, options=options)
         else:
             granted = await self._client.subscribe(self._topics.commands, qos=1)
         for code in granted:
@@ -97,14 +101,20 @@ class Session:
             await self._client.publish(self._topics.state, encode(message), qos=1, retain=True)
 
     def _receive(self, message: Message) -> None:
+        if message.topic.value == self._topics.drive_telemetry:
+            self._line.name.heard_rival()
+            return
         verb = self._topics.verb(message.topic.value)
         command = self._desk.receive(verb, bytes(message.payload), retained=message.retain)
         (self._commands if command.stopped is None else self._stops).put(command)
 
     async def _answer_commands(self) -> None:
         while True:
-            await self._reply(await self._desk.ask(await self._commands.take()))
+            reply = await self._desk.ask(await self._commands.take())
+            await self._reply(reply)
             self._log_dropped()
+            if reply is not None and reply.accepted and reply.verb == RESET:
+                self._line.name.reclaim(self._client)
             await asyncio.sleep(PAUSE_S)
 
     async def _answer_stops(self) -> None:

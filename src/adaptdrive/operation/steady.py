@@ -8,10 +8,14 @@ from collections.abc import Awaitable, Callable
 from typing import Any, NoReturn, TypeVar
 
 import paho.mqtt.client as paho
-from aiomqtt import Client, Message, MqttError
+from aiomqtt import Client, Message, MqttCodeError, MqttError
 from aiomqtt.types import PahoSocket
 
 T = TypeVar("T")
+
+# Reason codes of MQTT 5; paho gives the second where the broker gave none.
+_TAKEN_OVER = 142
+_UNSPECIFIED = 128
 
 
 class SteadyClient(Client):
@@ -27,6 +31,27 @@ class SteadyClient(Client):
     def receive_with(self, receive: Callable[[Message], None]) -> None:
         """Hand each message over as it arrives, ahead of every queue and task."""
         self._receive = receive
+
+    @property
+    def taken_over(self) -> bool:
+        """Whether the broker ended the connection for another client of the same name."""
+        return self._end_code == _TAKEN_OVER
+
+    @property
+    def closed_by_broker(self) -> bool:
+        """Whether the broker closed the connection without a reason."""
+        return self._end_code in (paho.MQTT_ERR_CONN_LOST, _UNSPECIFIED)
+
+    @property
+    def _end_code(self) -> object:
+        ended = self._disconnected.done() and not self._disconnected.cancelled()
+        problem = self._disconnected.exception() if ended else None
+        return problem.rc if isinstance(problem, MqttCodeError) else None
+
+    def hang_up(self, reason: str) -> None:
+        """End the connection; `lost` raises the reason."""
+        if not self._disconnected.done():
+            self._disconnected.set_exception(MqttError(reason))
 
     async def lost(self) -> NoReturn:
         """Wait until the connection ends.

@@ -224,6 +224,16 @@ class Daemon:
             self._stop_driving()
             await asyncio.sleep(_FAREWELL_GAP_S)
 
+    def trip(self, cause: str) -> None:
+        """Trip at once for a cause outside the drive.
+
+        Args:
+            cause: What operators read.
+        """
+        self._machine.latch(cause)
+        self._fast.send_safe()
+        self._publish_state()
+
     def stop(self) -> State:
         """Bring the drive into its safe state at once, whatever it is doing.
 

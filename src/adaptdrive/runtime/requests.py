@@ -69,6 +69,9 @@ class Host(Protocol):
             RefusedError: The request cannot be carried out; nothing was changed.
         """
 
+    def trip(self, cause: str) -> None:
+        """Trip at once for a cause outside the drive; the first cause stays until `reset`."""
+
     def stop(self) -> State:
         """Bring the drive into its safe state at once, in every state and at any time.
 
