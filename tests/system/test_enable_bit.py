@@ -32,7 +32,7 @@ def test_a_boost_stage_behind_the_enable_bit_starts(make_site: MakeSite, where: 
 
 
 def test_a_boost_voltage_that_does_not_rise_trips(make_site: MakeSite) -> None:
-    site = make_site({**BOTH, "drive.limits.current_scale_max_S": "1e-4"})  # 1.4 W
+    site = make_site({**BOTH, "drive.limits.current_scale_max_S": "3e-4"})  # 4.3 W
     site.start("--boost-needs-bridge")
     with BusEar(site.config) as bus:
         site.demand("enable")
@@ -40,7 +40,7 @@ def test_a_boost_voltage_that_does_not_rise_trips(make_site: MakeSite) -> None:
         tripped_s = time.monotonic()
         until(lambda: bus.commands()[-1].time_s > tripped_s + 0.1, "commands after the trip")
     assert tripped["trip"].startswith("precharge: v_bst = ")
-    assert tripped["trip"].endswith("with its enable bit on")
+    assert "with its enable bit on" in tripped["trip"]
     assert bus.commands()[-1].safe
 
 
