@@ -1,19 +1,22 @@
 """What surrounds the fast loop stalls or floods it, with everything else at its highest rate.
 
 The daemon's own books are the measure: half cycles that passed without a tick. Real-time priority,
-which these tests ask for, keeps them away; the machine may be busy with other tests all the same.
+which these tests ask for, keeps them away. Where it is refused, or where the machine itself stood
+still meanwhile (`witness.py`), they are not judged.
 """
 
 from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +37,11 @@ HOG = "while True: pass"
 GROWTH_MiB = 16.0
 """More than any queue in the daemon holds in that time; a leak at these rates would be larger."""
 
-MISSED_SHARE = 0.1
+MISSED_SHARE = 0.01
+"""One half cycle may go each second: writing down the start of a load can cost it."""
+
+LOST_S = 0.02
+"""Time without any process, above which the machine was too busy to judge."""
 
 BUSY = {
     "mqtt.telemetry_Hz": "10.0",
@@ -100,7 +107,7 @@ def test_the_fast_loop_goes_on_and_the_rest_recovers(busy_site: Site, load: Load
     site = busy_site
     assert site.daemon is not None
     before, resident_before = drive_report(site), resident_MiB(site.daemon.pid)
-    with BusEar(site.config) as bus, load(site):
+    with watched() as machine, BusEar(site.config) as bus, load(site):
         known = len(bus.commands())
         time.sleep(LOADED_S)
         heard = bus.commands()[known:]
@@ -111,9 +118,13 @@ def test_the_fast_loop_goes_on_and_the_rest_recovers(busy_site: Site, load: Load
     # what a stalled broker still held is older than the load
     after = until(lambda: later_report(site, before["ticks"] + 120), "telemetry after the load")
     ticks, missed = (after[name] - before[name] for name in ("ticks", "missed"))
-    assert missed <= MISSED_SHARE * ticks
     assert site.await_state(state="running")["trip"] is None
     site.demand("setpoint", 3.0)
+    if not real_time_priority(site.daemon.pid, site.daemon.pid):
+        pytest.skip("missed half cycles not judged: real-time priority was refused")
+    if machine.lost_s > LOST_S:
+        pytest.skip(f"missed half cycles not judged: the machine stood for {machine.lost_s:.2f} s")
+    assert missed <= MISSED_SHARE * ticks
 
 
 def test_the_record_of_it_is_whole_and_replays(busy_site: Site) -> None:
@@ -164,6 +175,32 @@ def real_time_priority(pid: int, thread: int) -> int:
     """Real-time priority of a thread as the kernel tells it, 0 for an ordinary one."""
     text = Path(f"/proc/{pid}/task/{thread}/stat").read_text(encoding="utf-8")
     return int(text.rpartition(")")[2].split()[37])
+
+
+@dataclass
+class Machine:
+    """The machine while something was tried on it.
+
+    Attributes:
+        lost_s: Time for which it ran not even the most urgent process.
+    """
+
+    lost_s: float = math.inf
+
+
+@contextlib.contextmanager
+def watched() -> Iterator[Machine]:
+    """Watch the machine for as long as the block runs; see `witness.py`."""
+    machine = Machine()
+    command = [sys.executable, "-m", "tests.system.witness"]
+    with subprocess.Popen(
+        command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as witness:
+        assert witness.stdout is not None
+        witness.stdout.readline()
+        yield machine
+        found, _ = witness.communicate()
+        machine.lost_s = float(found or math.inf)
 
 
 @contextlib.contextmanager
