@@ -1,4 +1,4 @@
-"""Emergencies in words, held against those of the canopen library."""
+"""Emergencies in words."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_code_register_and_detail_are_read(code: int, register: int) -> None:
     ("code", "words"),
     [
         (0x2310, "continuous over-current at the output"),
-        (0x3299, "voltage inside the device"),
+        (0x3299, "voltage"),
         (0x4FFF, "temperature"),
         (0x8130, "heartbeat of the daemon lost"),
         (0xFF01, "device specific"),

@@ -1,50 +1,13 @@
-"""What an emergency (EMCY) frame says, in words: error codes of CiA 301 and CiA 402."""
+"""Emergency (EMCY) frames in words: classes of CiA 301 by the library, single codes of CiA 402."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from canopen.emcy import EmcyError
+
 LENGTH = 8
 
-_CLASSES = {
-    0x10: "generic error",
-    0x20: "current",
-    0x21: "current, device input side",
-    0x22: "current inside the device",
-    0x23: "current, device output side",
-    0x30: "voltage",
-    0x31: "mains voltage",
-    0x32: "voltage inside the device",
-    0x33: "output voltage",
-    0x40: "temperature",
-    0x41: "ambient temperature",
-    0x42: "temperature of the device",
-    0x43: "temperature of the drive",
-    0x44: "temperature of the supply",
-    0x50: "device hardware",
-    0x51: "supply of the device",
-    0x52: "control hardware",
-    0x54: "power section",
-    0x60: "device software",
-    0x61: "internal software",
-    0x62: "user software",
-    0x63: "data set",
-    0x70: "additional modules",
-    0x71: "power modules",
-    0x72: "measurement circuit",
-    0x73: "sensor",
-    0x75: "communication module",
-    0x80: "monitoring",
-    0x81: "communication",
-    0x82: "protocol error",
-    0x83: "torque control",
-    0x84: "velocity control",
-    0x85: "position control",
-    0x86: "positioning",
-    0x90: "external error",
-    0xF0: "additional functions",
-    0xFF: "device specific",
-}
 _SINGLE = {
     0x2310: "continuous over-current at the output",
     0x2320: "short circuit at the output",
@@ -80,8 +43,8 @@ class Emergency:
         return self.code >> 8 == 0
 
     def __str__(self) -> str:
-        words = _SINGLE.get(self.code) or _CLASSES.get(self.code >> 8)
-        words = words or _CLASSES.get(self.code >> 8 & 0xF0, "unknown")
+        kind = EmcyError(self.code, self.register, self.detail, 0.0).get_desc().lower()
+        words = _SINGLE.get(self.code) or kind or "unknown"
         return f"emergency 0x{self.code:04X}, {words} (error register 0x{self.register:02X})"
 
 
