@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, ClassVar
 
 from rich.table import Table
 from rich.text import Text
@@ -14,13 +13,11 @@ from adaptdrive.config.root import Configuration
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.runtime.requests import SetMode, SetWaveform
-from adaptdrive_sim.demo.heard import known
-from adaptdrive_sim.demo.play import Play
 from adaptdrive_sim.demo.plot import CONTROLLER_STYLES
 from adaptdrive_sim.demo.settings import ModeChoice
-from adaptdrive_sim.demo.story import Scene
+from adaptdrive_sim.demo.story import Scene, Story
 from adaptdrive_sim.demo.subject import Figures
-from adaptdrive_sim.demo.tables import figure, number, overshoot, percent, rows
+from adaptdrive_sim.demo.tables import overshoot, rows
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.world import World, WorldParameters
 
@@ -32,15 +29,16 @@ OVERSHOOT_MAX = 0.05
 
 _ROUND_s = 6 * CYCLE_s
 _SIZES = {1: f"{SMALL_gal:g} gal", 2: f"{LARGE_gal:g} gal", 3: "between"}
-_SYMBOLS = {"resistance_K_per_W": "R", "tau_s": "RC"}
 
 
-class BathStory:
+class BathStory(Story):
     """See `Story`."""
 
     name = "bath"
     title = "temperature in kelvin above the inflow"
     window_s = 2.0 * CYCLE_s
+    words = "temperature", "reference", "K"
+    symbols: ClassVar = {"resistance_K_per_W": "R", "tau_s": "RC"}
 
     def __init__(
         self, configuration: Configuration, parameters: WorldParameters, mode: ModeChoice
@@ -49,7 +47,7 @@ class BathStory:
         self.bath = Bath(BathParameters(volume_gal=SMALL_gal))
         world = World(self.bath, parameters)
         world.settle(world.boost_voltage_for(LOW_K))
-        self.play = Play(configuration, world)
+        super().__init__(configuration, world)
 
     def scenes(self) -> Iterator[Scene]:
         """A round of six cycles, for ever; with one controller only the volume changes."""
@@ -100,32 +98,13 @@ class BathStory:
     def figures(self) -> Figures:
         """Drive, estimates and overshoots."""
         return lambda: {
-            "drive": self._drive(),
-            "R in K/W, RC in s": self._estimates(),
+            "drive": self.drive_table(
+                ("heater", f"{self.bath.heater_W:.0f} W"),
+                ("volume", f"{self.bath.volume_gal:.2f} gal"),
+            ),
+            "R in K/W, RC in s": self.estimates_table(),
             "overshoot": self._overshoots(),
         }
-
-    def _drive(self) -> Table:
-        table, drive, record = rows("l", "r"), self.play.drive, self.play.record
-        load = record.load
-        table.add_row("temperature", f"{number(drive.sample.output, 2)} K")
-        table.add_row("reference", f"{number(load.reference if load else math.nan, 2)} K")
-        asked = load.boost_reference_V if load else math.nan
-        table.add_row("V_c / v_bst", f"{number(asked, 0)} / {drive.sample.boost_voltage_V:.0f} V")
-        table.add_row("heater", f"{self.bath.heater_W:.0f} W")
-        table.add_row("volume", f"{self.bath.volume_gal:.2f} gal")
-        return table
-
-    def _estimates(self) -> Table:
-        table, load = rows("l", "r", "r", "r"), self.play.record.load
-        table.add_row("", "learned", "truth", "error", style="bold")
-        truth = self.play.drive.world.true_model
-        estimates = load.estimates if load else {}
-        for name, symbol in _SYMBOLS.items():
-            value = known(estimates[name].value) if name in estimates else math.nan
-            error = percent(value / truth[name] - 1.0)
-            table.add_row(symbol, figure(value), figure(truth[name]), error)
-        return table
 
     def _overshoots(self) -> Table:
         table = rows("l", "r", "r")
@@ -136,13 +115,9 @@ class BathStory:
             table.add_row(_SIZES[size].removesuffix(" gal"), *map(overshoot, found))
         return table
 
-    def ended(self) -> bool:
-        """The wave goes on for ever."""
-        return False
-
     def summary(self) -> dict[str, Any]:
         """Volume, overshoots, estimates and the truth."""
-        halves, model = self.play.record.halves, self.play.drive.world.true_model
+        halves = self.play.record.halves
         return {
             "volume_gal": round(self.bath.volume_gal, 3),
             "overshoot": {
@@ -153,7 +128,7 @@ class BathStory:
                 }
                 for controller in CONTROLLER_STYLES
             },
-            "truth": {name: model[name] for name in _SYMBOLS},
+            "truth": self.truth(),
         }
 
     def problems(self) -> Iterator[str]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, ClassVar
 
 from rich.table import Table
 
@@ -13,12 +12,10 @@ from adaptdrive.config.root import Configuration
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.runtime.requests import SetMode, SetSetpoint, SetWaveform
-from adaptdrive_sim.demo.heard import known
-from adaptdrive_sim.demo.play import Play
 from adaptdrive_sim.demo.settings import DemoError, ModeChoice
-from adaptdrive_sim.demo.story import Scene
+from adaptdrive_sim.demo.story import Scene, Story
 from adaptdrive_sim.demo.subject import Figures
-from adaptdrive_sim.demo.tables import figure, number, percent, rows
+from adaptdrive_sim.demo.tables import rows
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.world import World, WorldParameters
 
@@ -28,15 +25,15 @@ LEARN_FROM_s, CHARGE_FROM_s = 60.0, 420.0
 CHARGE_AT_START = 0.15
 VOLTAGE_MARGIN = 1.005
 
-_SYMBOLS = {"direct_S": "Y(0)", "gain_S": "Y(∞)", "tau_s": "τ"}
 
-
-class BatteryStory:
+class BatteryStory(Story):
     """See `Story`."""
 
     name = "battery"
     title = "current into the battery in ampere"
     window_s = 5400.0
+    words = "current", "set-point", "A"
+    symbols: ClassVar = {"direct_S": "Y(0)", "gain_S": "Y(∞)", "tau_s": "τ"}
 
     def __init__(
         self, configuration: Configuration, parameters: WorldParameters, mode: ModeChoice
@@ -47,7 +44,7 @@ class BatteryStory:
         self._limits = section.charge
         self._mode = mode
         self.battery = Battery(BatteryParameters(charge=CHARGE_AT_START))
-        self.play = Play(configuration, World(self.battery, parameters))
+        super().__init__(configuration, World(self.battery, parameters))
         self.voltage_max_V = 0.0
 
     def scenes(self) -> Iterator[Scene]:
@@ -96,31 +93,10 @@ class BatteryStory:
     def figures(self) -> Figures:
         """Drive, estimates and charge."""
         return lambda: {
-            "drive": self._drive(),
-            "admittance Y in S, τ in s": self._estimates(),
+            "drive": self.drive_table(("power", f"{self.play.drive.sample.load_power_W:.0f} W")),
+            "admittance Y in S, τ in s": self.estimates_table(),
             "charge": self._charge_table(),
         }
-
-    def _drive(self) -> Table:
-        table, drive = rows("l", "r"), self.play.drive
-        load = self.play.record.load
-        table.add_row("current", f"{number(drive.sample.output, 2)} A")
-        table.add_row("set-point", f"{number(load.reference if load else math.nan, 2)} A")
-        asked = load.boost_reference_V if load else math.nan
-        table.add_row("V_c / v_bst", f"{number(asked, 0)} / {drive.sample.boost_voltage_V:.0f} V")
-        table.add_row("power", f"{drive.sample.load_power_W:.0f} W")
-        return table
-
-    def _estimates(self) -> Table:
-        table, load = rows("l", "r", "r", "r"), self.play.record.load
-        table.add_row("", "learned", "truth", "error", style="bold")
-        truth = self.play.drive.world.true_model
-        estimates = load.estimates if load else {}
-        for name, symbol in _SYMBOLS.items():
-            value = known(estimates[name].value) if name in estimates else math.nan
-            error = percent(value / truth[name] - 1.0)
-            table.add_row(symbol, figure(value), figure(truth[name]), error)
-        return table
 
     def _charge_table(self) -> Table:
         table, battery = rows("l", "r"), self.battery
@@ -131,19 +107,14 @@ class BatteryStory:
         table.add_row("ends at", f"{self._limits.end_current_A:g} A")
         return table
 
-    def ended(self) -> bool:
-        """Whether the battery is full."""
-        return self.play.drive.completed
-
     def summary(self) -> dict[str, Any]:
         """Charge, voltages, and the truth."""
-        model = self.play.drive.world.true_model
         return {
             "complete": self.play.drive.completed,
             "charge": round(self.battery.charge, 4),
             "terminal_voltage_max_V": round(self.voltage_max_V, 3),
             "voltage_limit_V": self._limits.voltage_max_V,
-            "truth": {name: model[name] for name in _SYMBOLS},
+            "truth": self.truth(),
         }
 
     def problems(self) -> Iterator[str]:
