@@ -33,8 +33,8 @@ from adaptdrive_sim.world import World
 from tests.loopback_port import LoopbackPort
 
 LOADS = ("motor", "bath", "battery")
-DURATIONS_s = {"motor": 400.0, "bath": 2400.0, "battery": 400.0}
-WAITS_s = {"motor": 300.0, "bath": 600.0, "battery": 200.0}
+DURATIONS_s = {"motor": 400.0, "bath": 900.0, "battery": 300.0}
+WAITS_s = {"motor": 100.0, "bath": 200.0, "battery": 60.0}
 TORQUE_Nm = 0.375
 """Worth 20 V of boost voltage."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanBus
@@ -13,6 +14,9 @@ from adaptdrive.control.signals import Command
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.demands import Demands
 from adaptdrive.hardware.port import Port
+
+if TYPE_CHECKING:
+    from adaptdrive.hardware.can.mapping import Timing
 
 
 def build_port(
@@ -38,14 +42,9 @@ def build_port(
     half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
     demands = demands_of(configuration)
     if isinstance(bus, CanBus):
-        from adaptdrive.hardware.can.mapping import Timing  # noqa: PLC0415 - load what is used
-        from adaptdrive.hardware.can.port import build_can_port  # noqa: PLC0415
+        from adaptdrive.hardware.can.port import build_can_port  # noqa: PLC0415 - what is used
 
-        timing = Timing(
-            half_cycle_s=half_cycle_s,
-            stale_s=configuration.interlocks.stale_s,
-            daemon_holds_voltage=configuration.voltage_loop.where == "daemon",
-        )
+        timing = can_timing(configuration)
         return build_can_port(
             bus, signals, timing, clock, source=source, hears_all=passive, demands=demands
         )
@@ -64,6 +63,17 @@ def build_port(
     )
 
     return build_modbus_port(bus, signals, half_cycle_s, clock, source=source, demands=demands)
+
+
+def can_timing(configuration: Configuration) -> Timing:
+    """Return what decides how old a value of a drive on CAN may be."""
+    from adaptdrive.hardware.can.mapping import Timing  # noqa: PLC0415 - load what is used
+
+    return Timing(
+        half_cycle_s=0.5 / configuration.drive.line_frequency_Hz,
+        stale_s=configuration.interlocks.stale_s,
+        daemon_holds_voltage=configuration.voltage_loop.where == "daemon",
+    )
 
 
 def demands_of(configuration: Configuration) -> Demands:

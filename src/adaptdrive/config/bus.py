@@ -101,11 +101,15 @@ class CanBus(CanLink):
     database: FilePath = Field(description="DBC file, relative to the configuration file")
     clock: str = Field(description="message whose arrival is the fast tick")
     clock_ticks: int = Field(
-        default=1, ge=1, description="half line cycles from one clocking message to the next"
+        default=1,
+        ge=1,
+        le=120,
+        description="half line cycles from one clocking message to the next",
     )
     stale_cycles: float = Field(
         default=3.0,
         ge=1.5,
+        le=10.0,
         allow_inf_nan=False,
         description="age, in cycle times of its message (GenMsgCycleTime), at which a value is "
         "stale; `interlocks.stale_s` where that is longer",

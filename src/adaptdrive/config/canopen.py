@@ -33,12 +33,12 @@ class CanOpenBus(CanLink):
     heartbeat_s: PositiveFloat = Field(
         default=0.04,
         ge=0.005,
-        le=60.0,
+        le=1.0,
         description="time between two heartbeats, of the drive and of the daemon",
     )
     heartbeat_timeout_s: PositiveFloat = Field(
         default=0.1,
-        le=60.0,
+        le=2.0,
         description="silence after which the drive makes itself safe, and the daemon trips",
     )
     sdo_timeout_s: PositiveFloat = Field(

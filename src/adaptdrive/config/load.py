@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from adaptdrive.config.section import (
+    Duration,
     FiniteFloat,
     Fraction,
     NonNegativeFloat,
@@ -175,18 +176,16 @@ class Estimator(Section):
         description="take `load.model.tau_filter_s` of a motor as known and learn the rest: faster "
         "and surer where it is right, biased where it is not (`exact` and `lm-rls` only)",
     )
-    settle_s: float = Field(
-        default=30.0, ge=0.0, description="time after start before the first update"
-    )
+    settle_s: Duration = Field(default=30.0, description="time after start before the first update")
 
 
 class Supervisor(Section):
     """`[supervisor]`: what estimates, and the loop, must satisfy (`exact` design only)."""
 
-    warm_up_s: NonNegativeFloat = Field(
+    warm_up_s: Duration = Field(
         default=90.0, description="time after start before adaptive may take over"
     )
-    confirm_s: NonNegativeFloat = Field(
+    confirm_s: Duration = Field(
         default=30.0,
         description="the same after a start from estimates that an earlier run had trusted",
     )
@@ -213,17 +212,21 @@ class Supervisor(Section):
         "making the loop unstable; 0: any, whatever the last trusted estimate was",
     )
     dwell_periods: int = Field(
-        default=7, ge=1, description="good estimates in a row before the first goes live"
+        default=7, ge=1, le=10_000, description="good estimates in a row before the first goes live"
     )
     patience_periods: int = Field(
         default=0,
         ge=0,
+        le=10_000,
         description="refused estimates in a row that the last trusted gains survive",
     )
     blend_periods: int = Field(
-        default=5, ge=1, description="slow periods over which one law hands over to the other"
+        default=5,
+        ge=1,
+        le=10_000,
+        description="slow periods over which one law hands over to the other",
     )
-    saturated_s: NonNegativeFloat = Field(
+    saturated_s: Duration = Field(
         default=240.0,
         description="longest time at a limit, away from where the model rests and without coming "
         "closer, before the fixed gains return; 0: any",
@@ -239,7 +242,7 @@ class Supervisor(Section):
         description="error, in the unit of the output, that must not last for five closed-loop "
         "time constants with a free input; a tenth of the set-point range when left out; 0: any",
     )
-    response_s: NonNegativeFloat = Field(
+    response_s: Duration = Field(
         default=120.0,
         description="trip when the input has been at a limit for so long, the model says that the "
         "output must have moved, and it has not; 0: never",

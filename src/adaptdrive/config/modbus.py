@@ -61,7 +61,9 @@ class Heartbeat(Section):
         default=None, description="register that the drive advances; standing still is no news"
     )
     drive_timeout_s: PositiveFloat | None = Field(
-        default=None, description="longest time between two advances; one poll when left out"
+        default=None,
+        le=2.0,
+        description="longest time between two advances; one poll when left out",
     )
     daemon: str | None = Field(
         default=None, description="register that the daemon advances with each command"
@@ -73,10 +75,13 @@ class ModbusLink(Section):
 
     device_id: int = Field(default=1, ge=1, le=255, description="device (slave, unit) id")
     timeout_s: PositiveFloat = Field(
-        default=0.05, ge=1e-3, description="longest time from a request to its reply"
+        default=0.05, le=2.0, ge=1e-3, description="longest time from a request to its reply"
     )
     turnaround_s: float = Field(
-        default=0.005, ge=0.0, description="time that the device and the link take for a reply"
+        default=0.005,
+        ge=0.0,
+        le=1.0,
+        description="time that the device and the link take for a reply",
     )
     zero_based: bool = Field(
         default=False,
@@ -111,7 +116,10 @@ class ModbusBus(ModbusLink):
     """What `[bus]` holds for every kind of Modbus."""
 
     poll_ticks: int = Field(
-        default=12, ge=1, description="half line cycles from one poll of the drive to the next"
+        default=12,
+        ge=1,
+        le=120,
+        description="half line cycles from one poll of the drive to the next",
     )
     read_write: bool = Field(
         default=False, description="write and read in one exchange (function 23)"

@@ -17,6 +17,8 @@ INCONSISTENT = "inconsistent"
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 FiniteFloat = Annotated[float, Field(allow_inf_nan=False)]
 NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Duration = Annotated[float, Field(ge=0, le=86_400.0, allow_inf_nan=False)]
+"""A time of supervision: what lasts longer than a day would be as good as never, which is 0."""
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 FilePath = Annotated[Path, Field(strict=False)]  # TOML has no paths, only strings
 

@@ -21,6 +21,13 @@ DEFAULT_STALE_CYCLES = 3.0
 """Cycles that a value may age when nothing else is said: two replies in a row may be lost."""
 
 
+MOST_STALE_CYCLES = 10.0
+"""Cycles after which a value is old: ten replies in a row are not lost by chance."""
+
+LONGEST_STALE_S = 10.0
+"""Age at which a value is old however seldom it comes, but for the two cycles that may be lost."""
+
+
 class SensorRegister(Register):
     """`[sensor_bus.registers.NAME]`: one value of a module's register map."""
 
@@ -100,6 +107,15 @@ def sensor_flaws(bus: AnySensorBus, place: str, period_s: float) -> Iterator[Fla
     if bus.oldest_s < STALE_CYCLES * bus.cycle_s:
         lowest = f"{STALE_CYCLES * bus.cycle_s:.4g} s, {STALE_CYCLES} times cycle_s"
         yield Flaw(f"{place}.stale_s", f"{bus.stale_s} must be at least {lowest}")
+    highest_s = min(
+        MOST_STALE_CYCLES * bus.cycle_s, max(LONGEST_STALE_S, DEFAULT_STALE_CYCLES * bus.cycle_s)
+    )
+    if bus.oldest_s > highest_s:
+        yield Flaw(
+            f"{place}.stale_s",
+            f"{bus.stale_s} must not exceed {highest_s:.4g} s: {MOST_STALE_CYCLES:g} times "
+            f"cycle_s, and {LONGEST_STALE_S:g} s or {DEFAULT_STALE_CYCLES:g} times cycle_s",
+        )
     if bus.cycle_s > period_s:
         yield Flaw(f"{place}.cycle_s", f"{bus.cycle_s} must not exceed load.period_s = {period_s}")
     for name in WORDS:

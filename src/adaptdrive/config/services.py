@@ -16,6 +16,10 @@ from adaptdrive.config.section import (
     Section,
 )
 
+LONGEST_STALE_S = 2.0
+"""A drive that is read each half cycle is then commanded 240 times on held values; one that is
+polled once a second may lose one poll."""
+
 _LABEL = re.compile(r"(?!-)[A-Za-z0-9_-]{1,63}(?<!-)")
 _LONGEST_NAME = 253  # RFC 1035
 
@@ -52,7 +56,11 @@ def _check_name(host: str) -> None:
 class Interlocks(Section):
     """`[interlocks]`: limits that trip the drive; a trip is latched until `reset`."""
 
-    stale_s: PositiveFloat = Field(default=0.05, description="oldest usable measurement")
+    stale_s: PositiveFloat = Field(
+        default=0.05,
+        le=LONGEST_STALE_S,
+        description="oldest usable measurement; the drive is commanded on held values for so long",
+    )
     boost_voltage_max_V: PositiveFloat = Field(default=430.0, description="over-voltage trip")
     output_max: FiniteFloat = Field(description="trip when the output is above")
     output_min: FiniteFloat | None = Field(
@@ -70,6 +78,7 @@ class Interlocks(Section):
     )
     stuck_s: NonNegativeFloat = Field(
         default=0.0,
+        le=3600.0,
         description="trip when the running drive's output stands at exactly one value for so long, "
         "for sensors whose noise is more than their last digit; 0: never",
     )
@@ -195,6 +204,7 @@ class Realtime(Section):
     late_us: PositiveFloat = Field(
         default=2000.0,
         ge=10.0,
+        le=1e6,
         description="lateness of a tick that is told as an event, with its cause",
     )
 

@@ -26,6 +26,9 @@ _MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
 _WORDS = ("counter", "fault", "bridge")
 OTHER = "other."
 
+LONGEST_STALE_S = 10.0
+"""Age at which a value is old however seldom its message comes: three cycles of 3.3 s."""
+
 
 @dataclass(frozen=True, slots=True)
 class Timing:
@@ -148,6 +151,8 @@ def _find_sources(catalogue: Catalogue, bus: CanBus, signals: Signals, timing: T
         slack_s = _slack_s(message, signal, bus, timing)
         if slack_s and quantity == "boost_voltage_V" and timing.daemon_holds_voltage:
             _note_slow(catalogue, message, place)
+        if timing.stale_s + slack_s > LONGEST_STALE_S:
+            _note_old(catalogue, message, place, timing.stale_s + slack_s)
         source = Source(quantity, signal, entry.scale, entry.offset, slack_s)
         found.setdefault(message.name, []).append(source)
         if quantity in _WORDS:
@@ -193,6 +198,12 @@ def _pages(message: Message, signal: Signal) -> int:
     siblings = [one for one in message.signals if one.multiplexer_signal == selector]
     pages = {page for one in siblings for page in one.multiplexer_ids or ()}
     return len(pages) * _pages(message, message.get_signal_by_name(selector or ""))
+
+
+def _note_old(catalogue: Catalogue, message: Message, place: str, limit_s: float) -> None:
+    problem = f"bus.stale_cycles lets a value of message {message.name!r}"
+    comes = f"(GenMsgCycleTime {message.cycle_time} ms) age for {limit_s:.4g} s"
+    catalogue.note(place, f"{problem} {comes}, limit {LONGEST_STALE_S:g} s")
 
 
 def _note_slow(catalogue: Catalogue, message: Message, place: str) -> None:

@@ -1,0 +1,77 @@
+"""How long each thing may last before the drive trips, as it follows from a whole configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from adaptdrive.app.ports import can_timing
+from adaptdrive.config import Configuration
+from adaptdrive.config.bus import CanBus
+from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.config.references import MEASURED
+
+Row = tuple[str, float, str]
+"""What is limited, for how many seconds, and by which keys."""
+
+
+def time_limits(configuration: Configuration, source: Path | str) -> list[Row]:
+    """Return the limits of time that are in force, 0 for none.
+
+    Args:
+        configuration: The drive.
+        source: The configuration's file.
+    """
+    interlocks, supervisor = configuration.interlocks, configuration.supervisor
+    return [
+        *_drive_rows(configuration, source),
+        *_sensor_rows(configuration),
+        ("daemon not running", interlocks.stale_s, "interlocks.stale_s"),
+        ("starting", interlocks.precharge_timeout_s, "interlocks.precharge_timeout_s"),
+        ("output standing still", interlocks.stuck_s, "interlocks.stuck_s"),
+        ("input at its limit, no response", supervisor.response_s, "supervisor.response_s"),
+    ]
+
+
+def limits_table(rows: list[Row], tick_s: float) -> str:
+    """Return the limits as lines of text, in milliseconds and half cycles.
+
+    Args:
+        rows: The limits.
+        tick_s: Half a line cycle.
+    """
+    head = f"{'trips after':36} {'ms':>9} {'ticks':>8}  by"
+    return "\n".join([head, *(_line(*row, tick_s) for row in rows)])
+
+
+def _line(what: str, limit_s: float, keys: str, tick_s: float) -> str:
+    if not limit_s:
+        return f"{what:36} {'never':>9} {'':>8}  {keys} = 0"
+    return f"{what:36} {limit_s * 1e3:9.6g} {limit_s / tick_s:8.4g}  {keys}"
+
+
+def _drive_rows(configuration: Configuration, source: Path | str) -> Iterator[Row]:
+    """The age of each value of the drive, with the slack of a message that comes seldom."""
+    bus, stale_s = configuration.bus, configuration.interlocks.stale_s
+    if isinstance(bus, CanBus):
+        from adaptdrive.hardware.can.mapping import map_drive  # noqa: PLC0415 - load what is used
+
+        mapping = map_drive(bus, configuration.signals, can_timing(configuration), source)
+        for one in (one for status in mapping.statuses for one in status.sources):
+            keys = "interlocks.stale_s"
+            if one.slack_s:
+                keys = "bus.stale_cycles, GenMsgCycleTime"
+            yield f"stale {one.quantity}", stale_s + one.slack_s, keys
+        return
+    given = [name for name in MEASURED if getattr(configuration.signals, name) is not None]
+    for name in (*given, *configuration.signals.other):
+        yield f"stale {name}", stale_s, "interlocks.stale_s"
+    if isinstance(bus, CanOpenBus):
+        yield "silent node", bus.heartbeat_timeout_s, "bus.heartbeat_timeout_s"
+
+
+def _sensor_rows(configuration: Configuration) -> Iterator[Row]:
+    for bus in configuration.sensor_bus:
+        keys = "sensor_bus.cycle_s" if bus.stale_s is None else "sensor_bus.stale_s"
+        for name in bus.signals:
+            yield f"stale {bus.name}.{name}", bus.oldest_s, keys

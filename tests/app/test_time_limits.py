@@ -1,0 +1,59 @@
+"""What `check` says of limits of time, against the examples and against the loop itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.app.settings import tick_s
+from adaptdrive.app.time_limits import limits_table, time_limits
+from adaptdrive.cli.configuration import check
+from adaptdrive.config import load_configuration
+from adaptdrive.errors import ConfigurationError
+from tests.hardware.bench import EXAMPLES
+
+
+def limits(example: str) -> dict[str, float]:
+    path = EXAMPLES / f"{example}.toml"
+    return {what: limit_s for what, limit_s, _ in time_limits(load_configuration(path), path)}
+
+
+def test_a_message_that_comes_seldom_has_its_slack() -> None:
+    found = limits("motor-inverter")
+    assert found["stale output"] == pytest.approx(0.1)
+    assert found["stale boost_voltage_V"] == pytest.approx(0.3)  # 4 cycles of 25 ms, 3 pages
+
+
+def test_a_sensor_has_the_limit_of_its_bus() -> None:
+    assert limits("bath-thermocouples")["stale thermocouples.bath_temperature"] == 1.0
+
+
+def test_a_node_may_be_silent_for_its_heartbeat() -> None:
+    assert limits("motor-cia402")["silent node"] == 0.1
+
+
+def test_the_table_has_milliseconds_and_half_cycles() -> None:
+    path = EXAMPLES / "motor.toml"
+    configuration = load_configuration(path)
+    table = limits_table(time_limits(configuration, path), tick_s(configuration))
+    rows = {" ".join(line.split()) for line in table.splitlines()}
+    assert "stale output 50 6 interlocks.stale_s" in rows
+    assert "starting 5000 600 interlocks.precharge_timeout_s" in rows
+    assert "output standing still never interlocks.stuck_s = 0" in rows
+
+
+def test_check_prints_the_table(capsys: pytest.CaptureFixture[str]) -> None:
+    assert check(EXAMPLES / "battery.toml") == 0
+    assert "stale output" in capsys.readouterr().out
+
+
+def test_a_value_that_may_age_for_half_a_minute_is_refused(tmp_path: Path) -> None:
+    database = (EXAMPLES / "adaptdrive.dbc").read_text(encoding="utf-8")
+    slow = database.replace('"GenMsgCycleTime" BO_ 257 8;', '"GenMsgCycleTime" BO_ 257 10000;')
+    (tmp_path / "adaptdrive.dbc").write_text(slow, encoding="utf-8")
+    (tmp_path / "motor.toml").write_text(
+        (EXAMPLES / "motor.toml").read_text(encoding="utf-8"), encoding="utf-8"
+    )
+    with pytest.raises(ConfigurationError, match=r"age for 30 s, limit 10 s"):
+        check(tmp_path / "motor.toml")
