@@ -596,3 +596,25 @@ async def test_the_oldest_value_is_named_with_its_cause(
 
 async def test_without_its_bus_the_values_are_old_for_that(config: CanBus, clock: Clock) -> None:
     assert build_port(config, clock).explain_age().endswith("the bus is lost")
+
+
+async def test_a_fault_is_kept_when_the_clocking_frame_is_lost(
+    config: CanBus, drive: Drive, ear: Ear, clock: Clock
+) -> None:
+    """One frame shows it; the next frames say that all is well again."""
+    port = build_port(config, clock)
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        for lost in range(10):
+            drive.send_status(Fault=1 << (lost % 7))
+            await until(lambda: port.complaint is not None)
+            assert f"drive fault: word {1 << (lost % 7):#x}" in str(port.complaint)
+            drive.send_status(Fault=0)
+            drive.send_load()
+            await ear.hears(lost + 2)
+            assert ear.readings[-1].fault == 1 << (lost % 7)
+            assert port.complaint is None
+        drive.send_both()
+        await ear.hears(12)
+        assert ear.readings[-1].fault == 0

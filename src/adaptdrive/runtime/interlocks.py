@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from adaptdrive.hardware.fault_latch import describe_fault
 from adaptdrive.hardware.port import Reading
 
 MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
@@ -74,8 +75,7 @@ def _unhealthy(reading: Reading) -> str | None:
             "sensor, its scale and offset, and at [derived]"
         )
     if reading.fault:
-        name = f" ({reading.fault_name})" if reading.fault_name else ""
-        return f"drive fault: word {reading.fault:#x}{name}"
+        return describe_fault(reading.fault, reading.fault_name)
     return None
 
 

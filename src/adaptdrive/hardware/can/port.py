@@ -29,6 +29,7 @@ from adaptdrive.hardware.can.reader import FrameReader
 from adaptdrive.hardware.can.reconnect import serve_for_ever
 from adaptdrive.hardware.can.refusals import Refusals
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
+from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 from adaptdrive.hardware.rival import Rival
 
@@ -95,6 +96,7 @@ class CanPort:
         self._values: dict[str, float] = {}
         self._dues: dict[str, tuple[float, float]] = {}
         self._bridge_sent = False
+        self._faults = FaultLatch(mapping.fault_names)
         self._safe_s = math.inf
         self._bus: can.BusABC | None = None
         self._reader: FrameReader | None = None
@@ -119,8 +121,8 @@ class CanPort:
 
     @property
     def complaint(self) -> str | None:
-        """That another sender commands the drive; a DBC tells of a fault by a signal."""
-        return self._rival.complaint
+        """That another sender commands the drive, or a fault that no reading has carried yet."""
+        return self._rival.complaint or self._faults.complaint
 
     @property
     def safe_s(self) -> float:
@@ -276,19 +278,15 @@ class CanPort:
                 quantity, slack_s = source.quantity, source.slack_s
                 values[quantity] = value * source.scale + source.offset
                 dues[quantity] = arrival_s + slack_s, slack_s
+        self._faults.see(values.get("fault"))
 
     def _compose(self, arrival_s: float) -> None:
-        """Make a reading of the newest values; a fault in one that it replaces is not forgotten."""
+        """Make a reading of the newest values, and of each fault seen since the last one."""
         due_s, slack_s = min(self._dues.values())
         if due_s == -math.inf:
             return
-        values, replaced = self._values, self._newest
+        values, faults = self._values, self._faults
         counter, bridge = values.get("counter"), values.get("bridge")
-        fault, fault_name = int(values.get("fault", 0)), ""
-        if fault:
-            fault_name = _name(fault, self._mapping.fault_names)
-        elif replaced is not None:
-            fault_name = replaced.fault_name
         self._newest = Reading(
             arrival_s=arrival_s,
             oldest_s=due_s - slack_s,
@@ -298,8 +296,8 @@ class CanPort:
             line_voltage_V=values.get("line_voltage_V", math.nan),
             load_power_W=values.get("load_power_W", math.nan),
             output=values.get("output", math.nan),
-            fault=fault if replaced is None else fault | replaced.fault,
-            fault_name=fault_name,
+            fault=faults.word,
+            fault_name=faults.name if faults.word else "",
             # a drive that does not say is taken to do what it was told last
             bridge=self._bridge_sent if bridge is None else bridge == self._mapping.bridge_on,
             bridge_s=self._heard_s("bridge"),
@@ -315,6 +313,7 @@ class CanPort:
         """No more frames wait."""
         reading, self._newest = self._newest, None
         if reading is not None and self._listener is not None:
+            self._faults.clear()
             self._listener.on_reading(reading)
 
     def _put(self, frame: can.Message) -> bool:
@@ -399,11 +398,3 @@ def _key(codec: MessageCodec) -> int:
 
 def _label(codec: MessageCodec) -> str:
     return f"0x{codec.frame_id:03X} ({codec.name})"
-
-
-def _name(word: int, names: Mapping[int, str]) -> str:
-    """A fault word's name, or the names of its bits."""
-    if word in names:
-        return names[word]
-    bits = (1 << number for number in range(word.bit_length()))
-    return ", ".join(names[bit] for bit in bits if word & bit and bit in names)

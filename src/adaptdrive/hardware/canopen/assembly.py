@@ -61,7 +61,7 @@ class Assembly:
         Args:
             arrival_s: Arrival of the PDO that completed it.
             bridge: Whether the drive's operation is enabled.
-            fault: Fault of a reading that this one replaces: it is not forgotten.
+            fault: Faults seen since the last reading that was handed out.
         """
         found = {
             source.quantity: self._heard[name][source.entry.label] * source.scale + source.offset

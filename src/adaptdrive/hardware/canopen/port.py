@@ -36,6 +36,7 @@ from adaptdrive.hardware.canopen.sdo import describe_node
 from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
 from adaptdrive.hardware.canopen.sync import SyncProducer
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
+from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 from adaptdrive.hardware.rival import Rival
 
@@ -106,6 +107,7 @@ class CanOpenPort:
         self._health = Health(self._control, self._master)
         self._sync = SyncProducer(half_cycle_s, clock, self._send_sync)
         self._beat_s = -math.inf
+        self._faults = FaultLatch()
         self._safe_s = math.inf
         self._been_up = False
         self._bus: can.BusABC | None = None
@@ -134,8 +136,8 @@ class CanOpenPort:
     @property
     def complaint(self) -> str | None:
         """Why the drive must not be energised, None for no reason."""
-        if (rival := self._rival.complaint) is not None:
-            return rival
+        if (seen := self._rival.complaint or self._faults.complaint) is not None:
+            return seen
         if self._bus is None and self._control.fallen is None:
             return None  # without a bus there are no readings, and that says enough
         problem = self._health.problem
@@ -316,12 +318,15 @@ class CanOpenPort:
         statusword = decoded.values.get(_STATUSWORD)
         if statusword is not None:
             self._control.hear(int(statusword))
+        for source in status.sources:
+            if source.quantity == "fault":
+                self._faults.see(decoded.values[source.entry.label])
         waited_s = self._arrivals.waited_s(frame)
         arrival_s = self._clock() - waited_s
         if self._assembly.take(status.codec.name, decoded.values, arrival_s):
             bridge = self._control.state is DriveState.ENABLED
-            fault = 0 if self._newest is None else self._newest.fault
-            self._newest = self._assembly.reading(arrival_s, bridge=bridge, fault=fault)
+            faults = self._faults.word
+            self._newest = self._assembly.reading(arrival_s, bridge=bridge, fault=faults)
             if frame.timestamp and waited_s < PROMPT_S:
                 self._hand_out()
 
@@ -329,6 +334,7 @@ class CanOpenPort:
         """No more frames wait."""
         reading, self._newest = self._newest, None
         if reading is not None and self._listener is not None:
+            self._faults.clear()
             self._listener.on_reading(reading)
 
     def _send_sync(self) -> None:

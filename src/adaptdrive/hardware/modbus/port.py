@@ -20,6 +20,7 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.backoff import Backoff
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
+from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.modbus.blocks import Block
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange
@@ -92,6 +93,7 @@ class ModbusPort:
         self._due_s = -math.inf
         self._written: Command | None = None
         self._safe = True
+        self._faults = FaultLatch()
         self._safe_s = math.inf
         self._refused = self._unanswered = 0
         self._refusal = ""
@@ -122,7 +124,7 @@ class ModbusPort:
             return f"the drive refuses commands: {self._refusal}"
         if self._unanswered >= _UNANSWERED_WRITES:
             return f"the drive does not answer commands: {self._refusal}"
-        return None
+        return self._faults.complaint
 
     @property
     def safe_s(self) -> float:
@@ -316,7 +318,9 @@ class ModbusPort:
                 await self._write(link)
             command = self._current() if number == 0 and self._poll.combined else None
             words = self._raw[block] = await self._ask(link, Exchange(read=block), command)
-            values |= {source.quantity: source.value(block, words) for source in sources}
+            found = {source.quantity: source.value(block, words) for source in sources}
+            self._faults.see(found.get("fault"))
+            values |= found
         good = {name: value for name, value in values.items() if value is not None}
         if len(good) < len(values):
             self._counts["out_of_range"] += 1
@@ -425,6 +429,8 @@ class ModbusPort:
         self._tell_up()
         counter, bridge = values.get("counter"), values.get("bridge")
         if self._listener is not None:
+            fault = self._faults.word
+            self._faults.clear()
             self._listener.on_reading(
                 Reading(
                     arrival_s=self._clock(),
@@ -434,7 +440,7 @@ class ModbusPort:
                     line_voltage_V=values.get("line_voltage_V", math.nan),
                     load_power_W=values.get("load_power_W", math.nan),
                     output=values.get("output", math.nan),
-                    fault=int(values.get("fault", 0)),
+                    fault=fault,
                     # a drive that does not say is taken to do what it was told last
                     bridge=self._bridge if bridge is None else bridge != 0,
                     other={name: values[name] for name in self._poll.other},
