@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
+from adaptdrive.runtime.reports import Severity
 from adaptdrive_sim.demo import heard
 from adaptdrive_sim.demo.record import Record
 
@@ -27,6 +28,7 @@ def state(**changes: object) -> heard.State:
         "mode": "fixed",
         "controller": "fixed",
         "reason": "",
+        "enabled": True,
         "setpoint": 3.0,
         "waveform": None,
         "pole": 0.7,
@@ -54,7 +56,7 @@ def truth(disks: int) -> heard.Truth:
 
 
 def event(detail: str, kind: str = "state", severity: str = "info") -> heard.Event:
-    return heard.Event(BEGAN, kind, severity, detail)
+    return heard.Event(kind, Severity(severity), detail, 0, time=BEGAN)
 
 
 def steady_record(seconds: int, output: float = 3.0, reference: float = 3.0) -> Record:

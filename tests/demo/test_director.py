@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import islice
 
 from adaptdrive.config.services import Mqtt
+from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive_sim.demo.director import Director
-from adaptdrive_sim.demo.heard import Waveform
 from adaptdrive_sim.demo.script import acts
 from adaptdrive_sim.demo.settings import DemoSettings
 from tests.demo.stories import state, steady_record
@@ -17,7 +17,7 @@ NOBODY = Mqtt(port=1)
 
 async def test_somebody_elses_wave_ends_the_play() -> None:
     record = steady_record(10)
-    record.hear_state(state(waveform=Waveform("sine", 2.0, 3.0, 90.0)))
+    record.hear_state(state(waveform=Waveform(Shape.SINE, 2.0, 3.0, 90.0)))
     director = Director(DemoSettings(), NOBODY, record)
     for act in islice(acts("alternate", disks=True), 4):
         await director._perform(act)

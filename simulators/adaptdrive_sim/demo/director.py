@@ -8,9 +8,9 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from adaptdrive.config.services import Mqtt
+from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.operation.client import NoAnswerError, send_command
 from adaptdrive_sim.broker import BrokerAddress
-from adaptdrive_sim.demo.heard import Waveform
 from adaptdrive_sim.demo.record import Record
 from adaptdrive_sim.demo.script import BEGINNING, Act, acts
 from adaptdrive_sim.demo.settings import DRIVE, HIGH_V, LOW_V, DemoError, DemoSettings
@@ -99,7 +99,7 @@ class Director:
         self._first_edge = self._record.halves.edges
         self._wave_began_s = self._record.clock()
         if not self._settings.steady:
-            wave = Waveform("square", LOW_V, HIGH_V, self._settings.period_s)
+            wave = Waveform(Shape.SQUARE, LOW_V, HIGH_V, self._settings.period_s)
             value = {"shape": "square", "low": LOW_V, "high": HIGH_V, "period_s": wave.period_s}
             await self._order("waveform", value)
             self._wave = wave

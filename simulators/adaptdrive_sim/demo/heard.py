@@ -6,9 +6,13 @@ A number is None where the payload has null, which is how JSON says "not known".
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from datetime import datetime
 
 import msgspec
+
+from adaptdrive.runtime import reports
+from adaptdrive.runtime.reports import StateReport
 
 
 class Quantiles(msgspec.Struct, frozen=True):
@@ -19,27 +23,11 @@ class Quantiles(msgspec.Struct, frozen=True):
     max: float | None
 
 
-class Waveform(msgspec.Struct, frozen=True):
-    """A periodic set-point."""
-
-    shape: str
-    low: float
-    high: float
-    period_s: float
-
-
-class State(msgspec.Struct, frozen=True):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class State(StateReport):
     """From `state`."""
 
     time: datetime
-    state: str
-    mode: str
-    controller: str
-    reason: str
-    setpoint: float
-    waveform: Waveform | None
-    pole: float
-    trip: str | None
 
 
 class Drive(msgspec.Struct, frozen=True):
@@ -73,13 +61,11 @@ class Load(msgspec.Struct, frozen=True):
     handover_step_V: float | None
 
 
-class Event(msgspec.Struct, frozen=True):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event(reports.Event):
     """From `event`."""
 
     time: datetime
-    kind: str
-    severity: str
-    detail: str
 
 
 class Truth(msgspec.Struct, frozen=True):

@@ -21,7 +21,7 @@ from adaptdrive_sim.demo.settings import DemoError
 _RETRY_s = 0.5
 
 Take = Callable[[bytes], None]
-Payload = TypeVar("Payload", bound=msgspec.Struct)
+Payload = TypeVar("Payload")
 
 
 class Listener:

@@ -5,10 +5,13 @@ What the daemon would say over MQTT goes straight into the record, and its clock
 
 from __future__ import annotations
 
+from dataclasses import fields
 from datetime import UTC, datetime, timedelta
 
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.signals import Decision, Snapshot
+from adaptdrive.runtime.accounts import state_report
+from adaptdrive.runtime.reports import Severity, StopWord
 from adaptdrive.runtime.requests import Request
 from adaptdrive_sim.demo import heard
 from adaptdrive_sim.demo.record import Record
@@ -43,9 +46,11 @@ class Play:
         self.drive.carry_out(request)
         self._tell_state()
 
-    def event(self, kind: str, detail: str, severity: str = "info") -> None:
+    def event(self, kind: str, detail: str, severity: Severity = Severity.INFO) -> None:
         """Add an event."""
-        self.record.hear_event(heard.Event(self._now(), kind, severity, detail))
+        self.record.hear_event(
+            heard.Event(kind, severity, detail, self.drive.ticks, time=self._now())
+        )
 
     def tick(self) -> bool:
         """Run one half line cycle; says whether a slow period has ended with it."""
@@ -89,25 +94,14 @@ class Play:
     def _tell_state(self) -> None:
         """Tell the state, and its change as an event."""
         drive, machine = self.drive, self.drive.machine
-        decision = drive.decision
-        self.record.hear_state(
-            heard.State(
-                time=self._now(),
-                state=str(machine.state),
-                mode=str(machine.mode),
-                controller=str(decision.controller) if decision else "fixed",
-                reason=decision.reason if decision else "",
-                setpoint=drive.reference,
-                waveform=None,
-                pole=machine.pole,
-                trip=machine.trip,
-            )
-        )
+        report = state_report(machine, drive.decision, StopWord.AWAITED)
+        values = {one.name: getattr(report, one.name) for one in fields(report)}
+        self.record.hear_state(heard.State(**values, time=self._now()))
         if machine.state != self._told:
             if self._told:
                 self.event("state", f"{self._told} to {machine.state}")
             if machine.trip is not None:
-                self.event("trip", machine.trip, "alarm")
+                self.event("trip", machine.trip, Severity.ALARM)
             if drive.completed:
                 self.event("complete", "charging is complete")
             self._told = str(machine.state)
