@@ -46,7 +46,7 @@ class Bench:
         self.published = 0
         self.feed = Feed.of(self.hub, flush_s=0.05)
         self.told = self.hub.subscribe(Event, size=100)
-        pace = Pace(flush_s=0.05, backlog_bytes=backlog_bytes, close_s=close_s)
+        pace = Pace(flush_s=0.05, backlog_bytes=backlog_bytes, close_s=close_s, trip_s=0.5)
         header = Header(INFO, "# as configured\n", str(sessions))
         self.recorder = Recorder(header, self.feed, self.hub.publish, CLOCKS, pace)
         self.running: asyncio.Task[None] | None = None
@@ -369,3 +369,51 @@ def test_the_control_process_never_loads_the_disk_library() -> None:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     answer = subprocess.check_output([sys.executable, "-c", question], env=environment)
     assert answer.strip() == b"False"
+
+
+async def test_a_trip_is_kept_with_the_minute_before_it(sessions: Path) -> None:
+    async with recording(sessions) as bench:
+        await bench.publish_until(lambda: bench.rows() > 300)
+        bench.hub.publish(Event("trip", Severity.ALARM, "over-voltage: 431 V", bench.published))
+        await bench.publish(300)
+        await bench.publish_until(
+            lambda: any("record of the trip" in event.detail for event in bench.said())
+        )
+        written = bench.published
+        await bench.stop()
+    (trip,) = bench.directory.glob("trip-*")
+    kept = read_session(trip)
+    numbers = sequences(kept)
+    assert numbers == list(range(numbers[-1] + 1))
+    assert 600 <= len(numbers) <= written
+    assert "over-voltage: 431 V" in (trip / "trip.txt").read_text().splitlines()[0]
+    assert [event.kind for event in kept.events if event.kind == "trip"] == ["trip"]
+
+
+async def test_a_trip_fits_on_a_full_disk(small_disk: Path) -> None:
+    sessions = small_disk / "sessions"
+    async with recording(sessions) as bench:
+        await bench.publish_until(lambda: bench.rows() > 100)
+        fill(small_disk)
+        bench.hub.publish(Event("trip", Severity.ALARM, "over-voltage: 431 V", bench.published))
+        heard: list[str] = []
+
+        def written() -> bool:
+            heard.extend(event.detail for event in bench.said())
+            return any("record of the trip" in detail for detail in heard)
+
+        await bench.publish_until(written)
+        (small_disk / "fill").unlink()
+        await bench.stop()
+    assert any("No space left" in detail for detail in heard)
+    (trip,) = bench.directory.glob("trip-*")
+    assert len(sequences(read_session(trip))) > 100
+
+
+def fill(disk: Path) -> None:
+    """Leave no room on a disk."""
+    descriptor = os.open(disk / "fill", os.O_CREAT | os.O_WRONLY | os.O_APPEND)
+    with contextlib.suppress(OSError):
+        while True:
+            os.write(descriptor, bytes(4096))
+    os.close(descriptor)

@@ -21,6 +21,7 @@ from adaptdrive.recording.batches import (
     sensor_row,
     slow_row,
 )
+from adaptdrive.recording.black_box import BlackBox
 from adaptdrive.recording.delivery import Delivery
 from adaptdrive.recording.session import Dropped
 from adaptdrive.runtime.hub import Hub, Subscription
@@ -52,11 +53,13 @@ class Pace:
         flush_s: Longest time that ticks stay in the control process.
         backlog_bytes: Bytes that may wait to be written: about 40 s; then batches are dropped.
         close_s: Longest wait for the recorder process at the end.
+        trip_s: How long the record of a trip goes on after it.
     """
 
     flush_s: float = 0.5
     backlog_bytes: int = 1 << 20
     close_s: float = 10.0
+    trip_s: float = 10.0
 
 
 DEFAULT_PACE = Pace()
@@ -129,6 +132,7 @@ class Recorder:
         self._clocks = clocks
         self._pace = pace
         self._delivery = Delivery(header, pace.backlog_bytes, self._report)
+        self._black_box = BlackBox(header, self._report, clocks.monotonic, after_s=pace.trip_s)
         self._waiting: deque[TickReport] = deque()
         self._ticks = TickTable()
         self._slow: list[dict[str, Any]] = []
@@ -153,6 +157,7 @@ class Recorder:
             async with asyncio.TaskGroup() as group:
                 group.create_task(self._delivery.run(), name="recorder-delivery")
                 group.create_task(self._feed_for_ever(), name="recorder-feed")
+                group.create_task(self._black_box.run(), name="recorder-black-box")
         finally:
             await self._finish()
 
@@ -169,6 +174,7 @@ class Recorder:
         self._note(self._feed.events.drain())
         await self._gather()
         self._send(last=True)
+        await self._black_box.write_pending(self._pace.close_s)
         lost = await self._delivery.finish(self._dropped(), self._pace.close_s)
         self.complete = lost == Dropped()
 
@@ -209,6 +215,8 @@ class Recorder:
         if batch.empty:
             return
         self._ticks, self._slow, self._sensors = TickTable(), [], []
+        self._black_box.directory = self._delivery.directory
+        self._black_box.keep(batch)
         if self._delivery.offer(batch, urgent=last):
             self._note_sent(batch)
         else:

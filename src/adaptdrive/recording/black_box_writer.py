@@ -1,0 +1,131 @@
+"""The process that writes the record of one trip, a small session of its own, and its figure.
+
+It is started as `python -m adaptdrive.recording.black_box_writer SESSIONS`, reads a header and
+batches from its standard input, and uses the reserve where the disk is full.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+import msgspec
+
+from adaptdrive.recording import reserve
+from adaptdrive.recording.batches import Batch, EventRow, Header, News, read_frames
+from adaptdrive.recording.black_box import trip_of
+from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
+from adaptdrive.recording.session import Dropped, Ending
+from adaptdrive.recording.session_writer import SessionWriter
+from adaptdrive.recording.writer import step_aside, tell_parent
+from adaptdrive.runtime.reports import Severity
+
+TEXT_FILE = "trip.txt"
+_FIGURE_MODULE = "adaptdrive.analysis"
+_FIGURE_PATIENCE_S = 120.0
+
+
+def write_trip(source: BinaryIO) -> Path:
+    """Write the record of a trip.
+
+    Args:
+        source: A header and batches.
+
+    Returns:
+        Its directory, within that of the session.
+
+    Raises:
+        OSError: It cannot be written, not even with the reserve.
+    """
+    header, *frames = read_frames(source)
+    decoded = msgspec.msgpack.decode(header, type=Header)
+    batches = [msgspec.msgpack.decode(frame, type=Batch) for frame in frames]
+    parent = Path(decoded.directory or decoded.sessions)
+    parent.mkdir(parents=True, exist_ok=True)
+    return _with_reserve(parent.parent, lambda: _write(decoded, batches, parent))
+
+
+def _with_reserve(sessions: Path, write: Callable[[], Path]) -> Path:
+    try:
+        return write()
+    except ERRORS:
+        # whatever it was: the reserve is what can be done about it
+        reserve.release(sessions)
+        return write()
+
+
+def _write(header: Header, batches: Sequence[Batch], parent: Path) -> Path:
+    events = [event for batch in batches for event in batch.events]
+    trip = trip_of(events)
+    if trip is None:
+        raise OSError("the batches hold no trip")
+    unfinished = parent / ".trip"
+    shutil.rmtree(unfinished, ignore_errors=True)
+    unfinished.mkdir()
+    _write_tables(msgspec.structs.replace(header, directory=str(unfinished)), batches)
+    (unfinished / TEXT_FILE).write_text(_text(header, trip, events), encoding="utf-8")
+    return unfinished.rename(parent / f"trip-{trip.time:%Y%m%dT%H%M%S%fZ}")
+
+
+def _write_tables(header: Header, batches: Sequence[Batch]) -> None:
+    warnings: list[str] = []
+    housekeeper = Housekeeper(warnings.append)
+    writer = SessionWriter(header, lambda _severity, _detail: None, housekeeper)
+    try:
+        for batch in batches:
+            writer.write(batch)
+        writer.close(Ending.ORDERLY, Dropped())
+    except BaseException:
+        writer.abandon()
+        raise
+    finally:
+        housekeeper.finish()
+    if warnings:
+        raise OSError("; ".join(warnings))
+
+
+def _text(header: Header, trip: EventRow, events: Sequence[EventRow]) -> str:
+    lines = [
+        trip.detail,
+        "",
+        f"drive {header.info.drive}, {trip.time:%Y-%m-%dT%H:%M:%S.%f}Z, tick {trip.tick}",
+        "",
+        "events before and after:",
+        *(f"{one.time:%H:%M:%S.%f} {one.severity:<7} {one.kind}: {one.detail}" for one in events),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def draw(directory: Path) -> bool:
+    """Draw the figure of a trip, where the libraries for that are installed."""
+    if importlib.util.find_spec("matplotlib") is None:
+        return False
+    command = [sys.executable, "-m", _FIGURE_MODULE, str(directory)]
+    try:
+        drawn = subprocess.run(  # noqa: S603 - this program itself
+            command, capture_output=True, timeout=_FIGURE_PATIENCE_S, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return drawn.returncode == 0
+
+
+def main() -> None:
+    """Write one trip."""
+    step_aside()
+    try:
+        directory = write_trip(sys.stdin.buffer)
+    except ERRORS as problem:
+        sys.exit(str(problem))
+    figure = "with a figure" if draw(directory) else f"`adaptdrive plot {directory}` draws it"
+    detail = f"the record of the trip is in {directory}, {figure}"
+    tell_parent(News(severity=Severity.INFO.value, detail=detail))
+
+
+if __name__ == "__main__":
+    main()
