@@ -14,9 +14,9 @@ from statistics import median
 
 from matplotlib.figure import Figure
 
+from adaptdrive.analysis import style
 from adaptdrive_sim.campaign.settings import read_campaign
 from adaptdrive_sim.campaign.speed import Round, measure
-from adaptdrive_sim.experiments import style
 from adaptdrive_sim.experiments.figure import save
 
 COUNTS = (1, 2)

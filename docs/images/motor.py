@@ -14,7 +14,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from adaptdrive_sim.experiments import style
+from adaptdrive.analysis import style
 from adaptdrive_sim.experiments.case import Case, Disturbance, Variant
 from adaptdrive_sim.experiments.figure import save
 from adaptdrive_sim.experiments.motor import MOTOR

@@ -14,7 +14,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 PACKED = frozenset({"canopen"})
-OPTIONAL = frozenset({"sim", "cluster", "identify"})
+OPTIONAL = frozenset({"sim", "cluster", "identify", "analysis", "export"})
 DEVELOPMENT = frozenset({"dev"})
 
 _HEAD = """# Licences

@@ -11,8 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from adaptdrive.analysis import style
 from adaptdrive.control.load import to_input
-from adaptdrive_sim.experiments import style
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.experiments.outcome import Outcome
 from adaptdrive_sim.experiments.runner import Record

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 
-from adaptdrive_sim.experiments import style
+from adaptdrive.analysis import style
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.experiments.figure import save
 from adaptdrive_sim.experiments.outcome import Outcome

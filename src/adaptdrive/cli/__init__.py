@@ -22,6 +22,9 @@ _COMMANDS = {
     "schema": ("configuration", "Print the JSON Schema of the configuration, for editors."),
     "probe": ("daemon", "Show decoded measurements from the bus; command nothing."),
     "replay": ("daemon", "Run the controller again on a recorded session."),
+    "events": ("sessions", "Show the events of a recorded session."),
+    "plot": ("analysis", "Draw a recorded session: a figure, and a report as one HTML file."),
+    "export": ("analysis", "Write a session as CSV, Parquet, MATLAB, MDF 4 or MCAP."),
     "status": ("operate", "Show what a drive says about itself."),
     "setpoint": ("operate", "Hold a constant set-point."),
     "waveform": ("operate", "Follow a periodic set-point, or stop following it."),
@@ -31,6 +34,8 @@ _COMMANDS = {
     "disable": ("operate", "Bring a drive into its safe state."),
     "reset": ("operate", "Leave a trip whose cause is gone."),
 }
+
+_SESSIONS = "List, show, verify and prune recorded sessions."
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -80,6 +85,7 @@ def _app() -> App:
     for name, (module, purpose) in _COMMANDS.items():
         # By name, so that a command imports what it needs and no other command does.
         app.command(f"adaptdrive.cli.{module}:{name}", name=name, help=purpose)
+    app.command("adaptdrive.cli.sessions:app", name="sessions", help=_SESSIONS)
     return app
 
 

@@ -18,6 +18,7 @@ from adaptdrive.errors import RecordingError
 _ROW_GROUP = 100_000
 """Rows of a Parquet row group: a quarter of an hour of ticks."""
 
+_OPTIONS = {"compression": "zstd", "write_page_checksum": True}
 _ENCODINGS = {
     pa.float64(): "BYTE_STREAM_SPLIT",
     pa.int64(): "DELTA_BINARY_PACKED",
@@ -106,7 +107,7 @@ def convert(stream: Path, target: Path) -> None:
     first = next(groups, None)
     if first is not None:
         schema = first[0].schema
-        with pq.ParquetWriter(unfinished, schema, compression="zstd", **_encodings(schema)) as file:
+        with pq.ParquetWriter(unfinished, schema, **_OPTIONS, **_encodings(schema)) as file:
             for group in chain([first], groups):
                 file.write_table(pa.Table.from_batches(group, schema))
         with unfinished.open("rb") as written:

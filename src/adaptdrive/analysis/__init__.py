@@ -1,0 +1,1 @@
+"""Analysis of recorded sessions: figures, reports, exports. Nothing that a daemon loads."""

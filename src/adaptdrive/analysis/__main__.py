@@ -1,0 +1,8 @@
+"""`python -m adaptdrive.analysis SESSION`: its figure and report, beside its files."""
+
+import sys
+from pathlib import Path
+
+from adaptdrive.analysis.plot import plot
+
+plot(Path(sys.argv[1]))

@@ -1,0 +1,219 @@
+"""Curves of a session: as many points as a figure can show, found with flat memory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from adaptdrive.errors import RecordingError
+from adaptdrive.recording.reader import Session
+from adaptdrive.recording.session import SLOW, TICKS
+
+Array = NDArray[np.float64]
+
+_BINS = 3000
+"""Points across a figure; each shows the least and the largest value of its time."""
+
+_GAP_PERIODS = 3.0
+"""Time between two slow steps from which on they are no line: late ones are none."""
+
+_TICK_COLUMNS = ("output", "reference", "boost_voltage_V", "command_boost_reference_V")
+_SLOW_COLUMNS = ("controller", "accepted", "applied_V", "boost_reference_V", "estimates", "reason")
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Part of a session.
+
+    Attributes:
+        begin_s: Monotonic time at its left edge.
+        end_s: Monotonic time at its right edge.
+        started: Wall-clock time at its left edge.
+    """
+
+    begin_s: float
+    end_s: float
+    started: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class Envelope:
+    """Least and largest value of a quantity over time.
+
+    Attributes:
+        time_s: Time since the left edge.
+        low: Least values.
+        high: Largest values.
+    """
+
+    time_s: Array
+    low: Array
+    high: Array
+
+    @property
+    def line(self) -> tuple[Array, Array]:
+        """Both as one line, which fills what it cannot resolve."""
+        time_s = np.repeat(self.time_s, 2)
+        return time_s, np.column_stack((self.low, self.high)).ravel()
+
+
+@dataclass(frozen=True, slots=True)
+class Curves:
+    """What the figure of a session shows.
+
+    Attributes:
+        window: Its part of the session.
+        ticks: Envelopes of fast quantities by column.
+        slow_s: Time of each slow step since the left edge.
+        slow: Columns of slow steps.
+        estimates: Value and standard deviation over time, by name.
+    """
+
+    window: Window
+    ticks: dict[str, Envelope]
+    slow_s: Array
+    slow: dict[str, NDArray[np.generic]]
+    estimates: dict[str, tuple[Array, Array]]
+
+    @property
+    def period_s(self) -> float:
+        """Usual time from one slow step to the next."""
+        return float(np.median(np.diff(self.slow_s))) if len(self.slow_s) > 1 else 1.0
+
+    @property
+    def breaks(self) -> NDArray[np.int64]:
+        """Slow steps before which others are missing: none were made, or they are lost."""
+        return np.flatnonzero(np.diff(self.slow_s) > _GAP_PERIODS * self.period_s) + 1
+
+    def broken(self, values: NDArray[np.generic]) -> Array:
+        """Return values of slow steps, or their times, as a line with gaps."""
+        return np.insert(np.asarray(values, dtype=np.float64), self.breaks, np.nan)
+
+
+def find_window(session: Session, begin_s: float | None, end_s: float | None) -> Window:
+    """Return a part of a session.
+
+    Args:
+        session: The session.
+        begin_s: Seconds after its first tick, None for that tick.
+        end_s: Seconds after its first tick, None for its last one.
+
+    Raises:
+        RecordingError: There is no tick in it.
+    """
+    clock = session_clock(session)
+    first = last = utc = None
+    for batch in session.batches(TICKS, ("utc", "monotonic_s", "tick")):
+        time_s = clock(batch)
+        if first is None and len(time_s):
+            first, utc = time_s[0], batch.column("utc")[0].as_py()
+        last = time_s[-1] if len(time_s) else last
+    if first is None or last is None:
+        raise RecordingError(session.path, "it holds no ticks")
+    begin = first + (begin_s or 0.0)
+    end = last if end_s is None else min(last, first + end_s)
+    if not begin < end:
+        raise RecordingError(session.path, f"it holds {last - first:.6g} s, none of them in there")
+    started = (utc or session.info.started.astimezone(UTC)) + timedelta(seconds=begin - first)
+    return Window(begin, end, started)
+
+
+def session_clock(session: Session) -> Callable[[pa.RecordBatch], Array]:
+    """Return what gives the monotonic time of rows; from the tick where it is not recorded."""
+    tick_s = 0.5 / session.info.line_frequency_Hz
+
+    def clock(batch: pa.RecordBatch) -> Array:
+        time_s = _numbers(batch, "monotonic_s")
+        if len(time_s) and math.isnan(time_s[0]):
+            return _numbers(batch, "tick") * tick_s
+        return time_s
+
+    return clock
+
+
+def read_curves(session: Session, window: Window) -> Curves:
+    """Read what a figure shows of a session."""
+    clock = session_clock(session)
+    slow = _within(session, SLOW, _SLOW_COLUMNS, window, clock)
+    steps = list(slow)
+    slow_s = np.concatenate([time_s for time_s, _ in steps]) if steps else np.empty(0)
+    batches = [batch for _, batch in steps]
+    return Curves(
+        window=window,
+        ticks=_envelopes(session, window, clock),
+        slow_s=slow_s,
+        slow={
+            name: np.concatenate([_values(batch, name) for batch in batches])
+            for name in _SLOW_COLUMNS
+            if name != "estimates" and batches
+        },
+        estimates=_estimates(batches, len(slow_s)),
+    )
+
+
+def _within(
+    session: Session,
+    table: str,
+    columns: tuple[str, ...],
+    window: Window,
+    clock: Callable[[pa.RecordBatch], Array],
+) -> Iterator[tuple[Array, pa.RecordBatch]]:
+    for batch in session.batches(table, ("monotonic_s", "tick", *columns)):
+        time_s = clock(batch)
+        first, last = np.searchsorted(time_s, (window.begin_s, window.end_s), side="left")
+        if first < last:
+            yield time_s[first:last] - window.begin_s, batch.slice(first, last - first)
+
+
+def _envelopes(
+    session: Session, window: Window, clock: Callable[[pa.RecordBatch], Array]
+) -> dict[str, Envelope]:
+    width_s = (window.end_s - window.begin_s) / _BINS
+    low = {name: np.full(_BINS, np.inf) for name in _TICK_COLUMNS}
+    high = {name: np.full(_BINS, -np.inf) for name in _TICK_COLUMNS}
+    for time_s, batch in _within(session, TICKS, _TICK_COLUMNS, window, clock):
+        bins = np.minimum((time_s / width_s).astype(np.int64), _BINS - 1)
+        starts = np.flatnonzero(np.diff(bins, prepend=-1))
+        at = bins[starts]
+        for name in _TICK_COLUMNS:
+            values = _numbers(batch, name)
+            low[name][at] = np.minimum(low[name][at], np.minimum.reduceat(values, starts))
+            high[name][at] = np.maximum(high[name][at], np.maximum.reduceat(values, starts))
+    centres_s = (np.arange(_BINS) + 0.5) * width_s
+    filled = np.isfinite(low["output"])
+    return {
+        name: Envelope(centres_s[filled], low[name][filled], high[name][filled])
+        for name in _TICK_COLUMNS
+    }
+
+
+def _estimates(batches: list[pa.RecordBatch], rows: int) -> dict[str, tuple[Array, Array]]:
+    found: dict[str, tuple[Array, Array]] = {}
+    first = 0
+    for batch in batches:
+        column = batch.column("estimates")
+        at = first + pc.list_parent_indices(column).to_numpy()
+        flat = pc.list_flatten(column)
+        names = np.asarray(flat.field("name").to_pylist())
+        for name in np.unique(names):
+            value, std = found.setdefault(name, (np.full(rows, np.nan), np.full(rows, np.nan)))
+            chosen = names == name
+            value[at[chosen]] = flat.field("value").to_numpy(zero_copy_only=False)[chosen]
+            std[at[chosen]] = flat.field("std").to_numpy(zero_copy_only=False)[chosen]
+        first += batch.num_rows
+    return found
+
+
+def _numbers(batch: pa.RecordBatch, name: str) -> Array:
+    return np.asarray(batch.column(name).to_numpy(zero_copy_only=False), dtype=np.float64)
+
+
+def _values(batch: pa.RecordBatch, name: str) -> NDArray[np.generic]:
+    return np.asarray(batch.column(name).to_numpy(zero_copy_only=False))

@@ -1,0 +1,239 @@
+"""Sessions in the formats of other programs, with units where a format has a place for them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+from pyarrow import csv
+from pyarrow import parquet as pq
+
+from adaptdrive.recording.reader import Session, read_session
+from adaptdrive.recording.session import TABLES
+
+_NANOSECONDS = 1_000_000_000
+
+
+def export(path: Path, to: str, into: Path) -> list[Path]:
+    """Write a session in the format of another program.
+
+    Args:
+        path: Directory of the session.
+        to: `csv`, `parquet`, `mat`, `mdf4` or `mcap`.
+        into: Folder for the files; made when absent.
+
+    Returns:
+        The files.
+
+    Raises:
+        AdaptdriveError: The session cannot be read.
+        ModuleNotFoundError: The library for the format is not installed.
+    """
+    session = read_session(path)
+    into.mkdir(parents=True, exist_ok=True)
+    return _WRITERS[to](session, into)
+
+
+def flat_schema(session: Session, table: str) -> pa.Schema:
+    """Return the columns of a table without lists: one for each element and estimate."""
+    first = next(flat_batches(session, table), None)
+    return pa.schema([]) if first is None else first.schema
+
+
+def flat_batches(session: Session, table: str) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of a table with each list spread over columns, such as `gains_0`."""
+    widths: dict[str, list[str]] = {}
+    for batch in session.batches(table):
+        columns: dict[str, tuple[pa.Field, pa.Array]] = {}
+        for field, column in zip(batch.schema, batch.columns, strict=True):
+            for name, values in _spread(field, column, widths):
+                columns[name] = pa.field(name, values.type, metadata=field.metadata), values
+        fields = [field for field, _ in columns.values()]
+        arrays = [values for _, values in columns.values()]
+        yield pa.RecordBatch.from_arrays(arrays, schema=pa.schema(fields))
+
+
+def _spread(
+    field: pa.Field, column: pa.Array, widths: dict[str, list[str]]
+) -> Iterator[tuple[str, pa.Array]]:
+    """Yield the columns of one column; which these are, the first batch decides."""
+    if pa.types.is_dictionary(field.type):
+        yield field.name, column.cast(pa.string())
+    elif not pa.types.is_list(field.type):
+        yield field.name, column
+    elif pa.types.is_struct(field.type.value_type):
+        names = widths.setdefault(field.name, _names(column))
+        for at, name in enumerate(names):
+            item = _element(column, at)
+            yield name, pc.struct_field(item, "value")
+            yield f"{name}_std", pc.struct_field(item, "std")
+    else:
+        lengths = pc.max(pc.list_value_length(column)).as_py() or 0
+        known = widths.setdefault(field.name, [str(at) for at in range(lengths)])
+        for at, _ in enumerate(known):
+            yield f"{field.name}_{at}", _element(column, at)
+
+
+def _names(column: pa.Array) -> list[str]:
+    return next(
+        (["estimate_" + one["name"] for one in row] for row in column.to_pylist() if row), []
+    )
+
+
+def _element(column: pa.Array, at: int) -> pa.Array:
+    """Return one element of each list, null where a list is shorter."""
+    if pc.all(pc.greater(pc.list_value_length(column), at)).as_py():
+        return pc.list_element(column, at)
+    items = [row[at] if row and len(row) > at else None for row in column.to_pylist()]
+    return pa.array(items, column.type.value_type)
+
+
+def _tables(session: Session) -> Iterator[tuple[str, pa.Schema]]:
+    for table in TABLES:
+        schema = flat_schema(session, table)
+        if schema.names:
+            yield table, schema
+
+
+def _write_csv(session: Session, into: Path) -> list[Path]:
+    paths = []
+    for table, schema in _tables(session):
+        path = into / f"{session.path.name}_{table}.csv"
+        with csv.CSVWriter(path, schema) as file:
+            for batch in flat_batches(session, table):
+                file.write_batch(batch.cast(schema))
+        paths.append(path)
+    return paths
+
+
+def _write_parquet(session: Session, into: Path) -> list[Path]:
+    paths = []
+    for table, schema in _tables(session):
+        path = into / f"{session.path.name}_{table}.parquet"
+        with pq.ParquetWriter(path, schema, compression="zstd") as file:
+            for batch in flat_batches(session, table):
+                file.write_batch(batch.cast(schema))
+        paths.append(path)
+    return paths
+
+
+def _write_mat(session: Session, into: Path) -> list[Path]:
+    from scipy.io import savemat  # noqa: PLC0415 - an extra
+
+    contents: dict[str, Any] = {}
+    for table, schema in _tables(session):
+        whole = pa.Table.from_batches(list(flat_batches(session, table)), schema)
+        contents[table] = {name: _matlab(whole[name]) for name in schema.names}
+        contents[f"{table}_units"] = {field.name: _unit(field) for field in schema}
+    path = into / f"{session.path.name}.mat"
+    savemat(path, contents, do_compression=True, long_field_names=True, oned_as="column")
+    return [path]
+
+
+def _write_mdf4(session: Session, into: Path) -> list[Path]:
+    from asammdf import MDF, Signal  # noqa: PLC0415 - an extra
+
+    path = into / f"{session.path.name}.mf4"
+    with MDF(version="4.10") as file:
+        file.start_time = session.info.started
+        for table, schema in _tables(session):
+            whole = pa.Table.from_batches(list(flat_batches(session, table)), schema)
+            time_s = _floats(whole["monotonic_s"])
+            signals = [
+                Signal(
+                    samples=_samples(whole[field.name]),
+                    timestamps=time_s - time_s[0],
+                    name=field.name,
+                    unit=_unit(field),
+                    comment=_about(field, "description"),
+                    encoding="utf-8",
+                )
+                for field in schema
+                if field.name != "monotonic_s"
+            ]
+            file.append(signals, comment=table)
+        return [Path(file.save(path, overwrite=True))]
+
+
+def _write_mcap(session: Session, into: Path) -> list[Path]:
+    from mcap.writer import Writer  # noqa: PLC0415 - an extra
+
+    path = into / f"{session.path.name}.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="", library="adaptdrive")
+        for table, schema in _tables(session):
+            text = json.dumps(_json_schema(table, schema)).encode()
+            kind = writer.register_schema(f"adaptdrive.{table}", "jsonschema", text)
+            channel = writer.register_channel(f"/{session.info.drive}/{table}", "json", kind)
+            for time_ns, message in _messages(session, table):
+                writer.add_message(channel, log_time=time_ns, publish_time=time_ns, data=message)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return [path]
+
+
+def _messages(session: Session, table: str) -> Iterator[tuple[int, bytes]]:
+    start_ns = round(session.info.started.timestamp() * _NANOSECONDS)
+    for batch in flat_batches(session, table):
+        for row in batch.to_pylist():
+            utc = row.pop("utc")
+            time_ns = round(utc.timestamp() * 1e6) * 1000 if utc else start_ns
+            finite = {name: _json_value(value) for name, value in row.items()}
+            yield time_ns, json.dumps(finite).encode()
+
+
+def _json_value(value: Any) -> Any:  # noqa: ANN401 - whatever a column holds
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _json_schema(table: str, schema: pa.Schema) -> dict[str, Any]:
+    properties = {
+        field.name: {"description": f"{_about(field, 'description')} [{_unit(field)}]"}
+        for field in schema
+        if field.name != "utc"
+    }
+    return {"title": table, "type": "object", "properties": properties}
+
+
+def _floats(column: pa.ChunkedArray) -> NDArray[np.float64]:
+    return np.asarray(column.to_numpy(), dtype=np.float64)
+
+
+def _samples(column: pa.ChunkedArray) -> NDArray[Any]:
+    if pa.types.is_timestamp(column.type):
+        seconds = pc.divide(column.cast(pa.int64()).cast(pa.float64()), 1e6)
+        return _floats(seconds)
+    if pa.types.is_string(column.type):
+        return np.asarray([text.encode() for text in column.to_pylist()])
+    if pa.types.is_boolean(column.type):
+        return np.asarray(column.to_numpy(), dtype=np.uint8)
+    return np.asarray(column.to_numpy())
+
+
+def _matlab(column: pa.ChunkedArray) -> NDArray[Any]:
+    if pa.types.is_string(column.type):
+        return np.asarray(column.to_pylist(), dtype=object)
+    return _samples(column)
+
+
+def _unit(field: pa.Field) -> str:
+    return "s" if field.name == "utc" else _about(field, "unit")
+
+
+def _about(field: pa.Field, key: str) -> str:
+    return (field.metadata or {}).get(key.encode(), b"").decode()  # type: ignore[no-any-return]
+
+
+_WRITERS: dict[str, Callable[[Session, Path], list[Path]]] = {
+    "csv": _write_csv,
+    "parquet": _write_parquet,
+    "mat": _write_mat,
+    "mdf4": _write_mdf4,
+    "mcap": _write_mcap,
+}

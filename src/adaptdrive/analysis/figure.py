@@ -1,0 +1,203 @@
+"""The figure of a session: output, voltages, estimates, and which controller was in force."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from adaptdrive.analysis import style
+from adaptdrive.analysis.curves import Curves
+from adaptdrive.app.settings import build_load
+from adaptdrive.config import Configuration
+from adaptdrive.recording.reader import Session
+
+_TRIP: style.Look = {"color": "#c1121f", "linewidth": 1.0}
+_CHANGE: style.Look = {"color": "0.4", "linewidth": 0.7, "linestyle": ":"}
+_CHANGES = {"mode", "controller", "fallback"}
+_MOST_LABELS = 6
+_SHADES = {
+    "adaptive": style.ADAPTIVE["color"],
+    "fixed": style.FIXED["color"],
+    "accepted": "#4c8b57",
+    "not accepted": "0.85",
+}
+_SIGMAS = 2.0
+_UNITS_OF_TIME = (
+    (600.0, 1.0, "s"),
+    (4.0 * 3600.0, 60.0, "min"),
+    (math.inf, 3600.0, "h"),
+)
+_SYMBOLS = {
+    "gain": r"$\hat{g}$",
+    "tau_s": r"$\hat{\tau}$",
+    "tau_sum_s": r"$\hat{\tau}_m+\hat{\tau}_f$",
+    "tau_product_s2": r"$\hat{\tau}_m\hat{\tau}_f$",
+    "resistance_K_per_W": r"$\hat{R}$",
+}
+
+
+def draw_session(session: Session, configuration: Configuration, curves: Curves) -> bytes:
+    """Draw a session, or the part of it that its curves show.
+
+    Args:
+        session: The session.
+        configuration: The one that it ran with.
+        curves: What to show.
+
+    Returns:
+        A PNG.
+    """
+    with style.journal():
+        figure = Figure(figsize=(style.WIDTH_in, 6.4), layout="constrained")
+        axes = figure.subplots(4, 1, sharex=True, height_ratios=(1.5, 1.2, 1.2, 0.45))
+        span_s = curves.window.end_s - curves.window.begin_s
+        scale_s, unit = next((s, u) for most, s, u in _UNITS_OF_TIME if span_s <= most)
+        _draw_output(axes[0], session, curves, scale_s)
+        _draw_voltages(axes[1], curves, scale_s)
+        _draw_estimates(axes[2], configuration, curves, scale_s)
+        _draw_strip(axes[3], curves, scale_s)
+        _mark(axes, session, curves, scale_s)
+        axes[3].set_xlim(0.0, span_s / scale_s)
+        axes[3].set_xlabel(f"time since {curves.window.started:%Y-%m-%d %H:%M:%S} UTC ({unit})")
+        figure.align_ylabels(list(axes[:3]))
+        return _png(figure)
+
+
+def _png(figure: Figure) -> bytes:
+    FigureCanvasAgg(figure)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=200, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _draw_output(axes: Axes, session: Session, curves: Curves, scale_s: float) -> None:
+    looks = {"reference": style.REFERENCE, "output": style.ADAPTIVE}
+    for name, look in looks.items():
+        time_s, values = curves.ticks[name].line
+        axes.plot(time_s / scale_s, values, label=name, **look)
+    axes.set_title(f"{session.info.drive}: output and reference")
+    axes.set_ylabel(
+        f"output ({session.info.output_unit})" if session.info.output_unit else "output"
+    )
+    style.legend_above(axes, columns=2)
+
+
+def _draw_voltages(axes: Axes, curves: Curves, scale_s: float) -> None:
+    time_s, boost_V = curves.ticks["boost_voltage_V"].line
+    axes.plot(time_s / scale_s, boost_V, label=r"$v_{bst}$", **(style.FIXED | {"linewidth": 0.6}))
+    if len(curves.slow_s):
+        slow = curves.broken(curves.slow_s / scale_s)
+        asked = curves.broken(curves.slow["boost_reference_V"])
+        applied = curves.broken(curves.slow["applied_V"])
+        axes.step(slow, asked, where="post", label=r"$V_c$ asked", **style.REFERENCE)
+        axes.plot(slow, applied, label="applied, mean", **style.ADAPTIVE)
+    axes.set_title("Voltage of the drive")
+    axes.set_ylabel("voltage (V)")
+    style.legend_above(axes, columns=3)
+
+
+def _draw_estimates(
+    axes: Axes, configuration: Configuration, curves: Curves, scale_s: float
+) -> None:
+    load = build_load(configuration)
+    nominal = load.physical(list(load.numerator), list(load.denominator))
+    time = curves.broken(curves.slow_s / scale_s)
+    for name, usual, colour in zip(load.names, nominal, style.PARAMETERS, strict=False):
+        if name not in curves.estimates:
+            continue
+        value, std = (curves.broken(series) / usual for series in curves.estimates[name])
+        axes.plot(time, value, color=colour, linewidth=0.9, label=_SYMBOLS.get(name, name))
+        band = _SIGMAS * np.abs(std)
+        axes.fill_between(time, value - band, value + band, color=colour, alpha=0.15, linewidth=0)
+    axes.axhline(1.0, **style.TRUTH)
+    axes.set_ylim(*_limits([value / usual for value, usual in _known(load.names, nominal, curves)]))
+    axes.set_title(f"Estimates over nominal, with bands of {_SIGMAS:g} standard deviations")
+    axes.set_ylabel("ratio")
+    if curves.estimates:
+        style.legend_above(axes, columns=3)
+
+
+def _known(
+    names: Sequence[str], nominal: Sequence[float], curves: Curves
+) -> Iterator[tuple[NDArray[np.float64], float]]:
+    for name, usual in zip(names, nominal, strict=True):
+        if name in curves.estimates:
+            yield curves.estimates[name][0], usual
+
+
+def _limits(series: list[NDArray[np.float64]]) -> tuple[float, float]:
+    """Limits that hold what is usual; an estimate that has just begun may be anywhere."""
+    values = np.concatenate([*series, np.ones(1)])
+    low, high = np.nanpercentile(values, (2.0, 98.0))
+    low, high = min(low, 1.0), max(high, 1.0)
+    margin = max(0.1, 0.15 * (high - low))
+    return low - margin, high + margin
+
+
+def _draw_strip(axes: Axes, curves: Curves, scale_s: float) -> None:
+    rows: list[tuple[str, Callable[[int], str]]] = [
+        ("verdict", lambda i: "accepted" if curves.slow["accepted"][i] else "not accepted"),
+        ("controller", lambda i: str(curves.slow["controller"][i])),
+    ]
+    for height, (_, read) in enumerate(rows):
+        for first, last, what in _runs([read(i) for i in range(len(curves.slow_s))], curves.breaks):
+            begin_s, end_s = curves.slow_s[first], curves.slow_s[last] + curves.period_s
+            span = (begin_s / scale_s, (end_s - begin_s) / scale_s)
+            axes.broken_barh([span], (height + 0.1, 0.8), color=_SHADES[what], linewidth=0)
+    axes.set_yticks([0.5, 1.5], [name for name, _ in rows])
+    axes.tick_params(axis="y", length=0)
+    axes.set_ylim(0.0, 2.0)
+    for what in ("adaptive", "fixed", "accepted", "not accepted"):
+        axes.fill_between([], [], color=_SHADES[what], label=what, linewidth=0)
+    axes.set_title("In force")
+    style.legend_above(axes, columns=4)
+
+
+def _runs(values: list[str], breaks: NDArray[np.int64]) -> Iterator[tuple[int, int, str]]:
+    """Yield first, last and value of each stretch of equal values without a break."""
+    ends = set(breaks.tolist()) | {len(values)}
+    first = 0
+    for index in range(1, len(values) + 1):
+        if index in ends or values[index] != values[first]:
+            yield first, index - 1, values[first]
+            first = index
+
+
+def _mark(axes: Sequence[Axes], session: Session, curves: Curves, scale_s: float) -> None:
+    labels = 0
+    for event in session.events:
+        time_s = event.monotonic_s - curves.window.begin_s
+        if not 0.0 <= time_s <= curves.window.end_s - curves.window.begin_s:
+            continue
+        if event.kind not in _CHANGES | {"trip"}:
+            continue
+        look = _TRIP if event.kind == "trip" else _CHANGE
+        for one in axes:
+            one.axvline(time_s / scale_s, **look)
+        if event.kind == "trip" and labels < _MOST_LABELS:
+            text = f"trip: {event.detail.partition(':')[0]}"
+            _label(axes[0], time_s / scale_s, text)
+            labels += 1
+
+
+def _label(axes: Axes, time: float, text: str) -> None:
+    axes.annotate(
+        text,
+        (time, 0.98),
+        xycoords=("data", "axes fraction"),
+        xytext=(-2.0, 0.0),
+        textcoords="offset points",
+        rotation=90,
+        ha="right",
+        va="top",
+        fontsize=7.0,
+        color=_TRIP["color"],
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.8},
+    )

@@ -1,0 +1,85 @@
+"""Commands that make something of a recorded session: a figure, or a file for another program."""
+
+from __future__ import annotations
+
+import os
+import sys
+import webbrowser
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+
+def plot(
+    session: str,
+    /,
+    *,
+    begin: Annotated[float | None, Parameter(name="--from")] = None,
+    end: Annotated[float | None, Parameter(name="--to")] = None,
+    into: Path | None = None,
+    show: Annotated[bool, Parameter(name="--open", negative=())] = False,
+) -> int:
+    """Draw a session: a PNG, and a report as one HTML file.
+
+    Args:
+        session: Folder of the session, or its name below the sessions of this machine.
+        begin: First second shown, from the first tick on.
+        end: Last second shown.
+        into: Folder for figure.png and report.html; that of the session when left out.
+        show: Open the report.
+    """
+    with _Extra("analysis"):
+        from adaptdrive.analysis.plot import plot as plot_session  # noqa: PLC0415 - it is large
+    figure, report = plot_session(_find(session), begin, end, into)
+    print(figure)
+    print(report)
+    if show:
+        webbrowser.open(report.absolute().as_uri())
+    return 0
+
+
+def export(
+    session: str,
+    /,
+    *,
+    to: Literal["csv", "parquet", "mat", "mdf4", "mcap"],
+    into: Path | None = None,
+) -> int:
+    """Write a session for another program: CSV, Parquet, MATLAB, MDF 4 or MCAP.
+
+    Args:
+        session: Folder of the session, or its name below the sessions of this machine.
+        to: Format of the files.
+        into: Folder for the files; the present one when left out.
+    """
+    with _Extra("export"):
+        from adaptdrive.analysis.export import export as export_session  # noqa: PLC0415
+
+        for path in export_session(_find(session), to, Path() if into is None else into):
+            print(path)
+    return 0
+
+
+def _find(name: str) -> Path:
+    from adaptdrive.recording.session import (  # noqa: PLC0415 - `--help` reads no recordings
+        find_session,
+        sessions_directory,
+    )
+
+    return find_session(name, sessions_directory(None, os.environ))
+
+
+class _Extra:
+    """Names the extra that a missing library belongs to."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __enter__(self) -> None:
+        """Nothing to prepare."""
+
+    def __exit__(self, _kind: object, problem: BaseException | None, _trace: object) -> None:
+        if isinstance(problem, ModuleNotFoundError):
+            advice = f"{problem.name} is missing: pip install 'adaptdrive[{self._name}]'"
+            sys.exit(f"adaptdrive: {advice}")

@@ -1,0 +1,170 @@
+"""Commands on recorded sessions: list, show, verify, prune; their events."""
+
+from __future__ import annotations
+
+import os
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+app = App(name="sessions")
+
+Folder = Annotated[Path | None, Parameter(name="--directory")]
+
+
+@app.command(name="list")
+def list_sessions(*, directory: Folder = None) -> int:
+    """List the sessions of this machine, the oldest first.
+
+    Args:
+        directory: Folder of the sessions; $STATE_DIRECTORY/sessions or ./sessions when left out.
+    """
+    from adaptdrive.errors import RecordingError  # noqa: PLC0415 - `--help` reads no recordings
+    from adaptdrive.recording.session import (  # noqa: PLC0415
+        Dropped,
+        read_info,
+        session_directories,
+    )
+
+    for path in session_directories(_folder(directory)):
+        try:
+            info = read_info(path)
+        except RecordingError as problem:
+            print(f"{path.name}  damaged: {problem}")
+            continue
+        trips = len(list(path.glob("trip-*")))
+        lost = f", not recorded: {info.dropped}" if info.dropped != Dropped() else ""
+        told = f", {trips} trips" if trips else ""
+        print(f"{path.name}  {info.ended:<8} {_size(path) / 1e6:9.1f} MB{told}{lost}")
+    return 0
+
+
+@app.command
+def show(session: str, /, *, directory: Folder = None) -> int:
+    """Show what a session holds.
+
+    Args:
+        session: Folder of the session, or its name in the folder of sessions.
+        directory: Folder of the sessions.
+    """
+    from adaptdrive.recording.reader import read_session  # noqa: PLC0415 - see above
+    from adaptdrive.recording.repair import last_tick_time  # noqa: PLC0415
+    from adaptdrive.recording.segments import segments  # noqa: PLC0415
+
+    found = read_session(_find(session, directory))
+    info, last = found.info, last_tick_time(found.path)
+    rows = [
+        ("session", str(found.path)),
+        ("drive", info.drive),
+        ("recorded by", f"adaptdrive {info.version}, format {info.format}"),
+        ("started", info.started.isoformat()),
+        ("last tick", last.isoformat() if last else "not known"),
+        ("ended", info.ended.value),
+        ("not recorded", str(info.dropped)),
+        ("segments", str(max((one.number for one in segments(found.path)), default=0))),
+        ("events", str(len(found.events))),
+        ("commands", str(len(found.commands))),
+        ("trips", ", ".join(path.name for path in sorted(found.path.glob("trip-*"))) or "none"),
+        ("size", f"{_size(found.path) / 1e6:.1f} MB"),
+    ]
+    for name, text in rows:
+        print(f"{name:<14}{text}")
+    return 0
+
+
+@app.command
+def verify(*sessions: str, directory: Folder = None) -> int:
+    """Read all of some sessions and hold every page against its checksum.
+
+    Args:
+        sessions: Folders of sessions, or names in the folder of sessions.
+        directory: Folder of the sessions.
+
+    Returns:
+        0 when nothing is damaged and no tick is missing, else 1.
+    """
+    from adaptdrive.recording.reader import read_session  # noqa: PLC0415 - see above
+    from adaptdrive.recording.verify import verify as verify_session  # noqa: PLC0415
+
+    status = 0
+    for name in sessions:
+        verdict = verify_session(read_session(_find(name, directory)))
+        rows = ", ".join(f"{count} {table}" for table, count in verdict.rows.items()) or "nothing"
+        state = "whole" if verdict.whole else f"{verdict.missing_ticks} ticks are missing"
+        print(f"{name}: {rows}; {state}")
+        for problem in verdict.problems:
+            print(f"adaptdrive: {name}: {problem}", file=sys.stderr)
+        status = status if verdict.whole else 1
+    return status
+
+
+@app.command
+def prune(
+    *,
+    keep_days: Annotated[float | None, Parameter(name="--keep-days")] = None,
+    keep_MB: Annotated[float | None, Parameter(name="--keep-MB")] = None,
+    directory: Folder = None,
+) -> int:
+    """Remove old sessions; one that is being written is left alone.
+
+    Args:
+        keep_days: Remove what began longer ago.
+        keep_MB: Remove the oldest while all take more.
+        directory: Folder of the sessions.
+    """
+    from adaptdrive.recording.batches import Keep  # noqa: PLC0415 - see above
+    from adaptdrive.recording.retention import prune as prune_sessions  # noqa: PLC0415
+
+    keep = Keep(keep_days, None if keep_MB is None else round(keep_MB * 1e6))
+    for sentence in prune_sessions(_folder(directory), keep, datetime.now(UTC)):
+        print(sentence)
+    return 0
+
+
+def events(
+    session: str | None = None,
+    /,
+    *,
+    kind: tuple[str, ...] = (),
+    directory: Folder = None,
+) -> int:
+    """Show the events of a session.
+
+    Args:
+        session: Folder of the session, or its name; the last one when left out.
+        kind: Only events of these kinds.
+        directory: Folder of the sessions.
+    """
+    from adaptdrive.errors import RecordingError  # noqa: PLC0415 - see above
+    from adaptdrive.recording.event_log import read_events  # noqa: PLC0415
+    from adaptdrive.recording.session import EVENTS_FILE, session_directories  # noqa: PLC0415
+
+    if session is None:
+        *_, path = (None, *session_directories(_folder(directory)))
+        if path is None:
+            raise RecordingError(_folder(directory), "it holds no session")
+    else:
+        path = _find(session, directory)
+    for one in read_events(path / EVENTS_FILE):
+        if not kind or one.kind in kind:
+            print(f"{one.time.isoformat()}  {one.severity:<8} {one.kind:<12} {one.detail}")
+    return 0
+
+
+def _folder(directory: Path | None) -> Path:
+    from adaptdrive.recording.session import sessions_directory  # noqa: PLC0415 - see above
+
+    return sessions_directory(directory, os.environ)
+
+
+def _find(name: str, directory: Path | None) -> Path:
+    from adaptdrive.recording.session import find_session  # noqa: PLC0415 - see above
+
+    return find_session(name, _folder(directory))
+
+
+def _size(directory: Path) -> int:
+    return sum(path.stat().st_size for path in directory.rglob("*") if path.is_file())

@@ -1,0 +1,85 @@
+"""Verification: every page of every file of a session is read and held against its checksum."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow as pa
+from pyarrow import parquet as pq
+
+from adaptdrive.errors import RecordingError
+from adaptdrive.recording.reader import Session
+from adaptdrive.recording.segments import Segment, segments
+from adaptdrive.recording.session import EVENTS_FILE, TICKS
+from adaptdrive.recording.streams import StreamReader
+
+_BATCH_ROWS = 1 << 15
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What verification found.
+
+    Attributes:
+        rows: Rows that can be read, by table.
+        missing_ticks: Ticks that the running numbers show to be missing.
+        problems: What is damaged, in words.
+    """
+
+    rows: dict[str, int]
+    missing_ticks: int
+    problems: tuple[str, ...]
+
+    @property
+    def whole(self) -> bool:
+        """True when nothing is damaged and every tick is there."""
+        return not self.problems and not self.missing_ticks
+
+
+def verify(session: Session) -> Verdict:
+    """Read all of a session, a batch at a time.
+
+    Args:
+        session: The session.
+    """
+    rows: dict[str, int] = {}
+    problems = list(_event_problems(session.path / EVENTS_FILE))
+    expected, missing = 0, 0
+    for segment in segments(session.path):
+        try:
+            for batch in _checked(segment):
+                rows[segment.table] = rows.get(segment.table, 0) + batch.num_rows
+                if segment.table == TICKS and batch.num_rows:
+                    sequence = batch.column("sequence")
+                    missing += sequence[-1].as_py() + 1 - expected - batch.num_rows
+                    expected = sequence[-1].as_py() + 1
+        except (RecordingError, pa.ArrowException, OSError) as problem:
+            problems.append(f"{segment.path.name}: {problem}")
+    return Verdict(rows, missing, tuple(problems))
+
+
+def _checked(segment: Segment) -> Iterator[pa.RecordBatch]:
+    if segment.closed:
+        with pq.ParquetFile(segment.path, page_checksum_verification=True) as file:
+            yield from file.iter_batches(_BATCH_ROWS)
+        return
+    reader = StreamReader(segment.path)
+    yield from reader.batches()
+    if reader.torn:
+        raise RecordingError(segment.path, "it breaks off within a batch, which is left out")
+
+
+def _event_problems(path: Path) -> Iterator[str]:
+    if not path.exists():
+        return
+    try:
+        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
+            (found,) = database.execute("PRAGMA quick_check(1)").fetchone()
+    except sqlite3.Error as problem:
+        found = str(problem)
+    if found != "ok":
+        yield f"{path.name}: {found}"

@@ -1,0 +1,80 @@
+"""The commands on recorded sessions, as their own process."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.recording.batches import Batch, EventRow, Header
+from adaptdrive.recording.session import Dropped, NewSession, create_session
+from tests.recording.material import INFO, make_batch, make_tick, record_messages
+
+NAME = "20261121T012209Z_motor"
+
+
+def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join(sys.path),
+        "STATE_DIRECTORY": str(folder),
+        "COLUMNS": "200",
+    }
+    command = [sys.executable, "-m", "adaptdrive.cli", *words]
+    return subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+
+
+@pytest.fixture
+def state(tmp_path: Path) -> Path:
+    directory = create_session(NewSession(tmp_path / "sessions", INFO, ""))
+    event = EventRow(INFO.started, 7, "trip", "alarm", "over-voltage: 431 V", 1.0, 1)
+    ticks = make_batch([make_tick(number) for number in range(1000)])
+    last = Batch(0, {}, [], [event], Dropped(ticks=3), last=True)
+    record_messages(directory, Header(INFO, ""), ticks, last)
+    return tmp_path
+
+
+def test_sessions_are_listed_with_what_they_lack(state: Path) -> None:
+    answer = run(state, "sessions", "list")
+    assert answer.returncode == 0
+    assert answer.stdout.startswith(f"{NAME}  orderly")
+    assert "3 ticks" in answer.stdout
+
+
+def test_a_session_is_shown(state: Path) -> None:
+    answer = run(state, "sessions", "show", NAME)
+    assert "last tick     1970-01-01T00:00:58.325000+00:00" in answer.stdout
+
+
+def test_a_whole_session_passes_and_a_damaged_one_fails(state: Path) -> None:
+    assert run(state, "sessions", "verify", NAME).returncode == 0
+    path = state / "sessions" / NAME / "ticks-0001.parquet"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 3] ^= 0x10
+    path.write_bytes(content)
+    answer = run(state, "sessions", "verify", NAME)
+    assert answer.returncode == 1
+    assert "ticks-0001.parquet" in answer.stderr
+
+
+def test_missing_ticks_are_counted(state: Path) -> None:
+    directory = state / "sessions" / NAME
+    later = make_batch([make_tick(number) for number in range(1010, 1020)], last=True)
+    record_messages(directory, Header(INFO, ""), later)
+    answer = run(state, "sessions", "verify", NAME)
+    assert answer.returncode == 1
+    assert "1010 ticks; 10 ticks are missing" in answer.stdout
+
+
+def test_old_sessions_are_pruned_on_request(state: Path) -> None:
+    assert run(state, "sessions", "prune", "--keep-days", "1e6").stdout == ""
+    assert f"session {NAME} removed" in run(state, "sessions", "prune", "--keep-MB", "0.001").stdout
+    assert run(state, "sessions", "list").stdout == ""
+
+
+def test_events_of_the_last_session_are_shown(state: Path) -> None:
+    answer = run(state, "events", "--kind", "trip")
+    assert "alarm    trip         over-voltage: 431 V" in answer.stdout
+    assert run(state, "events", "--kind", "mode").stdout == ""
