@@ -166,7 +166,7 @@ def closed(wire: Wire, rig: Rig) -> None:
     bus.shutdown()
 
 
-def strangers(wire: Wire, _: Rig) -> None:
+def foreign(wire: Wire, _: Rig) -> None:
     """Many frames that nobody asked for, with those of the drive."""
     can_wire = cast("CanWire", wire)
     count = round(_STRANGERS_Hz / 120)
@@ -214,7 +214,7 @@ def modbus_both(
     return cell, cell
 
 
-_SERIAL_ONLY = "TCP sees to it"
+_SERIAL_ONLY = "TCP has its own checksum"
 _NAN, _HIGH = float_bytes(float("nan")), float_bytes(9.5)
 
 ROWS = (
@@ -307,9 +307,9 @@ ROWS = (
         *modbus_both("out_of_range", voltage=0xFFFF),
     ),
     Row(
-        "strangers",
-        "strangers: 5,000 frames a second; replies of another device",
-        Cell(strangers, trips=False, count="foreign"),
+        "foreign",
+        "foreign frames, 5,000 a second; replies of another device",
+        Cell(foreign, trips=False, count="foreign"),
         Cell(on_modbus(spoil=spoils.other_protocol), trips=True, count="timeouts"),
         Cell(on_modbus(spoil=spoils.foreign_device), trips=True, count="timeouts"),
     ),

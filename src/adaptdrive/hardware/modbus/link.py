@@ -216,10 +216,10 @@ class Link:
             self._transaction = packet[:2]
         else:
             self._heard, self._heard_s = packet, self._clock()
-            self._note_strangers(packet)
+            self._note_foreign(packet)
         return packet
 
-    def _note_strangers(self, packet: bytes) -> None:
+    def _note_foreign(self, packet: bytes) -> None:
         """Count what no request waits for: noise, a late reply, another transaction."""
         if self._serial:
             if not self._waiting:
