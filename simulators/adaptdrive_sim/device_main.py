@@ -22,7 +22,7 @@ from adaptdrive.config.root import Configuration
 from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.config.sensors import CanSensors as CanSensorBus
 from adaptdrive.errors import AdaptdriveError, RefusedError
-from adaptdrive.hardware.can.sensors import map_sensors
+from adaptdrive.hardware.dbc.sensors import map_sensors
 from adaptdrive_sim.broker import parse_address
 from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.devices.can_drive import CanDrive

@@ -24,7 +24,7 @@ from adaptdrive.control.signals import (
     Snapshot,
     Stage,
 )
-from adaptdrive.hardware.can.port import build_can_port
+from adaptdrive.hardware.dbc.port import build_can_port
 from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine

@@ -12,12 +12,12 @@ import sys
 import time
 
 from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
+from adaptdrive.clock.tick_timer import TickTimer
 from adaptdrive.control.controller import Controller
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.latency import WatchedLoop
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.realtime import RealtimeSettings, real_time
-from adaptdrive.runtime.tick_timer import TickTimer
 from tests.benchmarks.compute import Quiet
 from tests.hardware.bench import MOTOR
 from tests.loopback_port import LoopbackPort

@@ -22,7 +22,7 @@ from adaptdrive.app.sensors import build_whole_port, sensor_reports
 from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.hardware.can.bus import open_bus
+from adaptdrive.hardware.link.bus import open_bus
 from adaptdrive.hardware.modbus.link import Link
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub, Subscription
@@ -165,7 +165,7 @@ async def wired(
         clock=clock,
         hub=hub,
         manager=ServiceManager({}),
-        sensors=sensor_reports(port),
+        sensors=sensor_reports(port, clock),
     )
     async with contextlib.AsyncExitStack() as stack:
         hardware = [await _begin(stack, configuration, drive, path, clock)]

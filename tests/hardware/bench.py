@@ -18,8 +18,8 @@ from crccheck.crc import Crc8SaeJ1850
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus, Signals
-from adaptdrive.hardware.can.mapping import Timing
-from adaptdrive.hardware.can.port import CanPort, build_can_port
+from adaptdrive.hardware.dbc.mapping import Timing
+from adaptdrive.hardware.dbc.port import CanPort, build_can_port
 from adaptdrive.hardware.port import Reading
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from adaptdrive.hardware.can.bus import open_bus
+from adaptdrive.hardware.link.bus import open_bus
 from tests.hardware.bench import (
     Drive,
     motor_bus,

@@ -8,7 +8,7 @@ import pytest
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.can.bus import _check_on_the_bus, describe_bus, frame_key, open_bus
+from adaptdrive.hardware.link.bus import _check_on_the_bus, describe_bus, frame_key, open_bus
 from tests.hardware.bench import motor_bus
 from tests.support import has_can
 
@@ -119,7 +119,7 @@ def test_a_controller_that_is_bus_off_is_not_opened(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "can7").mkdir()
-    monkeypatch.setattr("adaptdrive.hardware.can.bus._INTERFACES", tmp_path)
+    monkeypatch.setattr("adaptdrive.hardware.link.bus._INTERFACES", tmp_path)
     config = motor_bus(interface="socketcan", channel="can7")
     _check_on_the_bus(config)  # no such file: nothing is known
     carrier = tmp_path / "can7" / "carrier"

@@ -10,8 +10,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from adaptdrive.config.bus import FrameIntegrity
-from adaptdrive.hardware.can.codec import MessageCodec
-from adaptdrive.hardware.can.integrity import Verdict
+from adaptdrive.hardware.link.codec import MessageCodec
+from adaptdrive.hardware.link.integrity import Verdict
 from tests.hardware.bench import motor_bus, odd_database, reference_database
 
 SCALES = st.sampled_from([1, 2, 0.5, 0.1, 0.01, 1e-6, -0.25])

@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.config.bus import Crc, FrameIntegrity
-from adaptdrive.hardware.can.codec import MessageCodec
-from adaptdrive.hardware.can.crc import CHECK_INPUT, crc_function
-from adaptdrive.hardware.can.database import Catalogue
-from adaptdrive.hardware.can.integrity import Verdict
+from adaptdrive.hardware.dbc.database import Catalogue
+from adaptdrive.hardware.link.codec import MessageCodec
+from adaptdrive.hardware.link.crc import CHECK_INPUT, crc_function
+from adaptdrive.hardware.link.integrity import Verdict
 from tests.hardware.bench import odd_database
 
 WHOLE_BYTES = [one for one in ALLCRCCLASSES if one.width() >= 8]

@@ -19,8 +19,8 @@ from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.config.bus import CanBus, SignalSource
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.can.bus import open_bus
-from adaptdrive.hardware.can.port import CanPort
+from adaptdrive.hardware.dbc.port import CanPort
+from adaptdrive.hardware.link.bus import open_bus
 from adaptdrive.runtime.interlocks import Limits, find_cause
 from tests.hardware.bench import EXAMPLES, Drive, Ear, running, until, with_crc
 

@@ -13,7 +13,7 @@ import pytest
 from adaptdrive.app.ports import build_port
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.can.port import CanPort
+from adaptdrive.hardware.dbc.port import CanPort
 from tests.hardware.bench import EXAMPLES
 
 ROOT = Path(__file__).parents[2]

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.config.bus import FrameIntegrity
-from adaptdrive.hardware.can.integrity import (
+from adaptdrive.hardware.link.integrity import (
     AliveCounter,
     Checksum,
     Verdict,

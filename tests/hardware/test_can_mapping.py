@@ -4,8 +4,8 @@ import pytest
 
 from adaptdrive.config.bus import CommandSignals, FrameIntegrity, SignalSource
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.can.database import load_database, message_codec
-from adaptdrive.hardware.can.mapping import map_drive
+from adaptdrive.hardware.dbc.database import load_database, message_codec
+from adaptdrive.hardware.dbc.mapping import map_drive
 from tests.hardware.bench import EXAMPLES, MOTOR, MOTOR_BUS, TIMING, motor_bus, motor_signals
 
 

@@ -11,8 +11,8 @@ import pytest
 from adaptdrive.config.bus import CanBus, CommandSignals, SignalSource
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.can.bus import open_bus
-from adaptdrive.hardware.can.port import CanPort, build_can_port
+from adaptdrive.hardware.dbc.port import CanPort, build_can_port
+from adaptdrive.hardware.link.bus import open_bus
 from adaptdrive.hardware.port import Reading
 from adaptdrive.hardware.rival import QUIET_S
 from tests.hardware.bench import (
@@ -455,7 +455,7 @@ async def test_a_bus_that_stays_away_is_reported_once(
         raise BusError("bench", "unplugged")
 
     async with running(port, ear):
-        monkeypatch.setattr("adaptdrive.hardware.can.port.open_bus", refuse)
+        monkeypatch.setattr("adaptdrive.hardware.dbc.port.open_bus", refuse)
         assert port._bus is not None
         port._bus.shutdown()
         await until(lambda: attempts >= 3)

@@ -13,8 +13,8 @@ import pytest
 
 from adaptdrive.config.sensors import CanSensors as Config
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.can.bus import open_bus
-from adaptdrive.hardware.can.sensors import CanSensors, build_can_sensors
+from adaptdrive.hardware.dbc.sensors import CanSensors, build_can_sensors
+from adaptdrive.hardware.link.bus import open_bus
 from tests.hardware.bench import EXAMPLES, Drive, until
 
 COMMON = {

@@ -165,7 +165,7 @@ def test_without_a_freeze_nothing_is_collected_after_ticks() -> None:
 def test_the_daemon_imports_nothing_heavy() -> None:
     """Nor does it wake up threads of a linear algebra library."""
     code = (
-        "import sys, adaptdrive.cli, adaptdrive.app.run, adaptdrive.hardware.can.port\n"
+        "import sys, adaptdrive.cli, adaptdrive.app.run, adaptdrive.hardware.dbc.port\n"
         "import adaptdrive.hardware.modbus.port\n"
         "print({'numpy', 'scipy', 'pyarrow', 'numba'} & sys.modules.keys())"
     )

@@ -7,8 +7,8 @@ import gc
 import time
 from collections.abc import Callable
 
+from adaptdrive.clock.tick_timer import TickTimer
 from adaptdrive.runtime.latency import LatencyDetector, WatchedLoop
-from adaptdrive.runtime.tick_timer import TickTimer
 
 BLOCK_S = 0.03
 

@@ -15,10 +15,10 @@ import pytest
 
 from adaptdrive.app.ports import build_port
 from adaptdrive.app.warm_up import Rehearsal
+from adaptdrive.clock.tick_timer import TickTimer
 from adaptdrive.config import load_configuration
 from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.tick_timer import TickTimer
 from tests.loopback_port import LoopbackPort
 from tests.runtime.bench import CALM, FAST, MOTOR, TICK_S, FastBench, fast_bench, until
 

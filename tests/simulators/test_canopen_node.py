@@ -14,7 +14,7 @@ import pytest
 from canopen.sdo.exceptions import SdoAbortedError
 
 from adaptdrive.config.canopen import CanOpenBus
-from adaptdrive.hardware.can.bus import open_bus
+from adaptdrive.hardware.link.bus import open_bus
 from tests.hardware.canopen.documents import EDS, EXAMPLE, bus_of, parse
 from tests.support import Process, Spawn, logged_events
 

@@ -17,7 +17,7 @@ import crccheck.crc
 import pytest
 
 from adaptdrive.config.bus import CanBus
-from adaptdrive.hardware.can.bus import open_bus
+from adaptdrive.hardware.link.bus import open_bus
 from tests.support import Broker, MosquittoLauncher, Process, Spawn, logged_events, stop_process
 
 DATABASE = Path(__file__).parents[2] / "deploy" / "examples" / "adaptdrive.dbc"

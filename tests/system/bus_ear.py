@@ -15,7 +15,7 @@ from cantools.database.can.database import Database
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus
-from adaptdrive.hardware.can.bus import open_bus
+from adaptdrive.hardware.link.bus import open_bus
 from tests.system.site import EXAMPLES
 
 

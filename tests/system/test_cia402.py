@@ -12,7 +12,7 @@ import pytest
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.canopen import CanOpenBus
-from adaptdrive.hardware.can.bus import open_bus
+from adaptdrive.hardware.link.bus import open_bus
 from tests.system.conftest import MakeSite
 from tests.system.site import EXAMPLES, Site, _with_setting, until
 

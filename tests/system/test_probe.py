@@ -7,7 +7,7 @@ import pytest
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus
-from adaptdrive.hardware.can.bus import open_bus
+from adaptdrive.hardware.link.bus import open_bus
 from tests.support import Process
 from tests.system.bus_ear import BusEar
 from tests.system.conftest import MakeSite

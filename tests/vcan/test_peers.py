@@ -8,7 +8,7 @@ import pytest
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.can.port import CanPort
+from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.port import Reading
 from tests.hardware.bench import (
     LOAD,

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from adaptdrive.hardware.can.port import CanPort
+from adaptdrive.hardware.dbc.port import CanPort
 from tests.hardware.modbus import bench as modbus
 from tests.hardware.modbus import spoils
 from tests.wire.rig import Rig

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.can.bus import open_bus
+from adaptdrive.hardware.link.bus import open_bus
 from adaptdrive_sim.device_settings import InterfaceChoice
 
 VIRTUAL_INTERFACE = "vcan0"

@@ -19,10 +19,10 @@ import can
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.can.bus import describe_bus, open_bus
-from adaptdrive.hardware.can.codec import MessageCodec
-from adaptdrive.hardware.can.integrity import Verdict
-from adaptdrive.hardware.can.reader import read_frames
+from adaptdrive.hardware.link.bus import describe_bus, open_bus
+from adaptdrive.hardware.link.codec import MessageCodec
+from adaptdrive.hardware.link.integrity import Verdict
+from adaptdrive.hardware.link.reader import read_frames
 from adaptdrive_sim.devices.drive import Drive, Frame, Report
 from adaptdrive_sim.devices.frames import DriveMessages, quantities_of
 from adaptdrive_sim.devices.pacing import run_half_cycles

@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping
 import can
 
 from adaptdrive.config.sensors import CanSensors as Config
-from adaptdrive.hardware.can.bus import describe_bus, open_bus
-from adaptdrive.hardware.can.sensors import SensorMessage
+from adaptdrive.hardware.dbc.sensors import SensorMessage
+from adaptdrive.hardware.link.bus import describe_bus, open_bus
 from adaptdrive_sim.devices.drive import Drive
 from adaptdrive_sim.devices.sensor_values import SensorFault, values_of
 

@@ -25,9 +25,9 @@ from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.references import COMMANDED, MEASURED, WORDS
 from adaptdrive.config.root import Configuration
 from adaptdrive.errors import BusError, ConfigurationError
-from adaptdrive.hardware.can.bus import describe_bus, open_bus
-from adaptdrive.hardware.can.reader import read_frames
 from adaptdrive.hardware.canopen.dictionary import Catalogue, load_dictionary
+from adaptdrive.hardware.link.bus import describe_bus, open_bus
+from adaptdrive.hardware.link.reader import read_frames
 from adaptdrive_sim.devices.canopen_objects import Address, Objects, Wire
 from adaptdrive_sim.devices.drive import Drive, Frame, Report
 from adaptdrive_sim.devices.frames import quantities_of

@@ -16,10 +16,10 @@ from cantools.database.can.signal import Signal
 from adaptdrive.config.bus import CanBus, SignalSource, SwitchSource
 from adaptdrive.config.root import Configuration
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.can.codec import MessageCodec, counter_modulus
-from adaptdrive.hardware.can.database import Catalogue, load_database, message_codec
-from adaptdrive.hardware.can.layout import compile_field
-from adaptdrive.hardware.can.orders import Order, build_orders, find_orders, page_of, resolve
+from adaptdrive.hardware.dbc.database import Catalogue, load_database, message_codec
+from adaptdrive.hardware.dbc.orders import Order, build_orders, find_orders, page_of, resolve
+from adaptdrive.hardware.link.codec import MessageCodec, counter_modulus
+from adaptdrive.hardware.link.layout import compile_field
 from adaptdrive_sim.devices.drive import Frame
 
 LOAD_CURRENT = "LoadCurrent"

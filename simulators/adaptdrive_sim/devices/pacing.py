@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import Callable, Iterator
 
-from adaptdrive.runtime.tick_timer import TickTimer
+from adaptdrive.clock.tick_timer import TickTimer
 from adaptdrive_sim.devices.drive import Drive, Frame, Report
 
 STALL_s = 1.0

@@ -9,7 +9,7 @@ from pathlib import Path
 from cantools.database.can.database import Database
 from cantools.database.can.message import Message
 
-from adaptdrive.hardware.can.proposal import proofs
+from adaptdrive.hardware.dbc.proposal import proofs
 from adaptdrive.hardware.proposal import Candidate
 
 Choices = Mapping[str, Candidate | None]

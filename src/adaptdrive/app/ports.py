@@ -16,7 +16,7 @@ from adaptdrive.hardware.demands import Demands
 from adaptdrive.hardware.port import Port
 
 if TYPE_CHECKING:
-    from adaptdrive.hardware.can.mapping import Timing
+    from adaptdrive.hardware.dbc.mapping import Timing
 
 
 def build_port(
@@ -42,7 +42,7 @@ def build_port(
     half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
     demands = demands_of(configuration)
     if isinstance(bus, CanBus):
-        from adaptdrive.hardware.can.port import build_can_port  # noqa: PLC0415 - what is used
+        from adaptdrive.hardware.dbc.port import build_can_port  # noqa: PLC0415 - what is used
 
         timing = can_timing(configuration)
         return build_can_port(
@@ -67,7 +67,7 @@ def build_port(
 
 def can_timing(configuration: Configuration) -> Timing:
     """Return what decides how old a value of a drive on CAN may be."""
-    from adaptdrive.hardware.can.mapping import Timing  # noqa: PLC0415 - load what is used
+    from adaptdrive.hardware.dbc.mapping import Timing  # noqa: PLC0415 - load what is used
 
     return Timing(
         half_cycle_s=0.5 / configuration.drive.line_frequency_Hz,

@@ -82,7 +82,7 @@ async def _show(configuration: Configuration, path: Path, *, safe_command: bool)
         for number in count():
             await asyncio.sleep(_EVERY_S)
             _say(_line(configuration, port, listener.reading))
-            for report in sensor_reports(port)():
+            for report in sensor_reports(port, time.monotonic)():
                 _say(_sensor_line(report))
             if number % _DETAILS_EVERY == 1:
                 _say("".join(f"  {line}\n" for line in port.details()), end="")

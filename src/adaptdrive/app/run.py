@@ -98,7 +98,7 @@ async def _serve(
         clock=time.monotonic,
         hub=hub,
         manager=ServiceManager(os.environ),
-        sensors=sensor_reports(port),
+        sensors=sensor_reports(port, time.monotonic),
         rehearse=rehearsal.tick,
     )
     start_thread = helper_thread(configuration.realtime.priority)

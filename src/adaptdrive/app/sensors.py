@@ -13,9 +13,8 @@ from adaptdrive.config.sensors import AnySensorBus, CanSensors
 from adaptdrive.config.supply import needed_names
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.port import Port, SensorPort
-from adaptdrive.runtime.reports import SensorReport
-from adaptdrive.runtime.sensored_port import SensoredPort
-from adaptdrive.runtime.sensors import (
+from adaptdrive.hardware.sensored_port import SensoredPort
+from adaptdrive.hardware.sensors import (
     Derivation,
     SensorBus,
     difference,
@@ -24,6 +23,8 @@ from adaptdrive.runtime.sensors import (
     ratio,
     smallest,
 )
+from adaptdrive.runtime.accounts import sensor_report
+from adaptdrive.runtime.reports import SensorReport
 
 _RULES: dict[Rule, Callable[[Sequence[float]], float]] = {
     "sum": sum,
@@ -92,7 +93,7 @@ def build_sensor_port(
         ConfigurationError: Bus and signals do not fit; every flaw is listed.
     """
     if isinstance(bus, CanSensors):
-        from adaptdrive.hardware.can.sensors import (  # noqa: PLC0415 - load what is used
+        from adaptdrive.hardware.dbc.sensors import (  # noqa: PLC0415 - load what is used
             build_can_sensors,
         )
 
@@ -113,6 +114,15 @@ def derivations(configuration: Configuration) -> list[Derivation]:
     ]
 
 
-def sensor_reports(port: Port) -> Callable[[], tuple[SensorReport, ...]]:
-    """What gives the state of the sensor buses of a port; of none where it has none."""
-    return port.sensor_reports if isinstance(port, SensoredPort) else tuple
+def sensor_reports(
+    port: Port, clock: Callable[[], float]
+) -> Callable[[], tuple[SensorReport, ...]]:
+    """Return a function that reports the sensor buses of a port as they are now.
+
+    Args:
+        port: The drive's port, with or without sensors.
+        clock: Monotonic clock in seconds.
+    """
+    if not isinstance(port, SensoredPort):
+        return tuple
+    return lambda: tuple(sensor_report(bus, clock()) for bus in port.buses)

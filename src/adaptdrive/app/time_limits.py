@@ -54,7 +54,7 @@ def _drive_rows(configuration: Configuration, source: Path | str) -> Iterator[Ro
     """The age of each value of the drive, with the slack of a message that comes seldom."""
     bus, stale_s = configuration.bus, configuration.interlocks.stale_s
     if isinstance(bus, CanBus):
-        from adaptdrive.hardware.can.mapping import map_drive  # noqa: PLC0415 - load what is used
+        from adaptdrive.hardware.dbc.mapping import map_drive  # noqa: PLC0415 - load what is used
 
         mapping = map_drive(bus, configuration.signals, can_timing(configuration), source)
         for one in (one for status in mapping.statuses for one in status.sources):

@@ -77,7 +77,7 @@ def _refuse_misfits(bus: BusName, dbc: Path | None, eds: Path | None) -> None:
 def _described(load: LoadName, dbc: Path | None, eds: Path | None, *, ask: bool) -> str | None:
     """Return the bus part that a DBC or EDS gives, None for the reference drive."""
     if dbc is not None:
-        from adaptdrive.hardware.can import proposal  # noqa: PLC0415 - cantools only where needed
+        from adaptdrive.hardware.dbc import proposal  # noqa: PLC0415 - cantools only where needed
 
         database = proposal.read_description(dbc)
         found = list(proposal.candidates(database))

@@ -7,6 +7,7 @@ from dataclasses import asdict
 
 from adaptdrive.control.signals import Decision, Mode
 from adaptdrive.hardware.port import PortStatistics
+from adaptdrive.hardware.sensors import SensorBus
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import DriveReport, SensorReport, StateReport, StopWord
@@ -67,4 +68,21 @@ def drive_report(
             "tick_us": fast.tick_time.histogram,
         },
         time_s=now_s,
+    )
+
+
+def sensor_report(bus: SensorBus, now_s: float) -> SensorReport:
+    """Return the state of a sensor bus, its latest values and their ages.
+
+    Args:
+        bus: The sensor bus.
+        now_s: Monotonic time.
+    """
+    return SensorReport(
+        name=bus.name,
+        up=bus.up,
+        detail=bus.detail,
+        values=dict(bus.values),
+        age_s={name: now_s - taken_s for name, taken_s in bus.taken_s.items()},
+        bus=asdict(bus.port.statistics),
     )

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
+from adaptdrive.clock.tick_timer import TickTimer
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Decision, Mode, Snapshot
 from adaptdrive.errors import RefusedError
@@ -32,7 +33,6 @@ from adaptdrive.runtime.reports import (
 from adaptdrive.runtime.requests import Disable, Request, Reset
 from adaptdrive.runtime.slow_loop import SlowLoop
 from adaptdrive.runtime.status import status_line
-from adaptdrive.runtime.tick_timer import TickTimer
 from adaptdrive.runtime.watchdog import ServiceManager
 
 _FAREWELLS = 3

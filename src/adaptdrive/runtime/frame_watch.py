@@ -6,7 +6,7 @@ import asyncio
 import math
 from collections.abc import Callable
 
-from adaptdrive.runtime.tick_timer import TickTimer
+from adaptdrive.clock.tick_timer import TickTimer
 
 
 class FrameWatch:

@@ -10,9 +10,9 @@ from canopen.pdo.base import PdoMap
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.hardware.can.integrity import Verdict
 from adaptdrive.hardware.canopen.dictionary import Catalogue, Entry, load_dictionary
 from adaptdrive.hardware.canopen.pdo import Channel, codec, pack, receive_channel, transmit_channel
+from adaptdrive.hardware.link.integrity import Verdict
 from tests.hardware.canopen.documents import EDS
 
 NODE = 5

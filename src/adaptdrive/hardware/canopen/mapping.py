@@ -13,8 +13,6 @@ from adaptdrive.config.bus import Signals
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.references import COMMANDED, MEASURED, WORDS
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.can.bus import channel_flaws
-from adaptdrive.hardware.can.codec import MessageCodec
 from adaptdrive.hardware.canopen.dictionary import Address, Catalogue, Entry, label, load_dictionary
 from adaptdrive.hardware.canopen.pdo import (
     Channel,
@@ -26,6 +24,8 @@ from adaptdrive.hardware.canopen.pdo import (
 )
 from adaptdrive.hardware.canopen.profile import CONTROLWORD, STATUSWORD
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
+from adaptdrive.hardware.link.bus import channel_flaws
+from adaptdrive.hardware.link.codec import MessageCodec
 
 DEVICE_TYPE = (0x1000, 0)
 SYNC_ID = (0x1005, 0)

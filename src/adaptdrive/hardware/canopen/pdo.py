@@ -9,8 +9,8 @@ from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 from cantools.database.conversion import BaseConversion
 
-from adaptdrive.hardware.can.codec import MessageCodec
 from adaptdrive.hardware.canopen.dictionary import Entry
+from adaptdrive.hardware.link.codec import MessageCodec
 
 _LARGEST_BITS = 64
 _LARGEST_ENTRIES = 8

@@ -21,11 +21,6 @@ import can
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.can.arrival import PROMPT_S, ArrivalClock
-from adaptdrive.hardware.can.bus import describe_bus, open_bus
-from adaptdrive.hardware.can.integrity import Verdict
-from adaptdrive.hardware.can.reader import FrameReader
-from adaptdrive.hardware.can.reconnect import serve_for_ever
 from adaptdrive.hardware.canopen.assembly import Assembly
 from adaptdrive.hardware.canopen.dictionary import label
 from adaptdrive.hardware.canopen.health import Health
@@ -37,6 +32,11 @@ from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
 from adaptdrive.hardware.canopen.sync import SyncProducer
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultLatch
+from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
+from adaptdrive.hardware.link.bus import describe_bus, open_bus
+from adaptdrive.hardware.link.integrity import Verdict
+from adaptdrive.hardware.link.reader import FrameReader
+from adaptdrive.hardware.link.reconnect import serve_for_ever
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 from adaptdrive.hardware.rival import Rival
 

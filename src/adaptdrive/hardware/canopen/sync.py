@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from adaptdrive.runtime.tick_timer import TickTimer
+from adaptdrive.clock.tick_timer import TickTimer
 
 
 class SyncProducer:

@@ -14,11 +14,11 @@ from adaptdrive.config.bus import Signals
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.can.bus import describe_bus, open_bus
-from adaptdrive.hardware.can.reader import read_frames
 from adaptdrive.hardware.canopen.mapping import DriveMapping, map_drive
 from adaptdrive.hardware.canopen.profile import STATUSWORD, DriveState, state_of
 from adaptdrive.hardware.canopen.sdo import SdoLink, Server, describe_node, in_thread
+from adaptdrive.hardware.link.bus import describe_bus, open_bus
+from adaptdrive.hardware.link.reader import read_frames
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 
 _PAUSE_S = 0.2

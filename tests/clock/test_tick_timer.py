@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from adaptdrive.runtime.tick_timer import TickTimer
+from adaptdrive.clock.tick_timer import TickTimer
 from tests.runtime.bench import until
 
 

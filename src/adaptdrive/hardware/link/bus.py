@@ -19,7 +19,7 @@ from can.interfaces.udp_multicast.utils import pack_message
 
 from adaptdrive.config.bus import CanBus, CanLink
 from adaptdrive.errors import BusError, Flaw
-from adaptdrive.hardware.can.multicast import LoopbackMulticast, parse
+from adaptdrive.hardware.link.multicast import LoopbackMulticast, parse
 
 _SIOCGIFFLAGS = 0x8913
 _IFF_UP = 0x1

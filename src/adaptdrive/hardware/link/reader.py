@@ -16,7 +16,7 @@ from typing import Protocol
 
 import can
 
-from adaptdrive.hardware.can.arrival import ArrivalClock
+from adaptdrive.hardware.link.arrival import ArrivalClock
 
 _BUDGET = 256
 """Frames read per wake-up; the rest stays in the kernel's queue until the loop has been round. By

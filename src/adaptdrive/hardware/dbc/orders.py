@@ -16,10 +16,10 @@ from adaptdrive.config.bus import CanBus, CommandSignal, CommandSwitch, Signals
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.units import WANTED, unit_problem
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.can.codec import MessageCodec
-from adaptdrive.hardware.can.database import Catalogue, is_word
-from adaptdrive.hardware.can.layout import compile_field
+from adaptdrive.hardware.dbc.database import Catalogue, is_word
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
+from adaptdrive.hardware.link.codec import MessageCodec
+from adaptdrive.hardware.link.layout import compile_field
 
 _VALUES = ("current_scale_S", "boost_reference_V")
 

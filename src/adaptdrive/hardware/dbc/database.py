@@ -13,7 +13,8 @@ from cantools.database.can.signal import Signal
 from adaptdrive.config.bus import CanBus, FrameIntegrity
 from adaptdrive.config.proposals import nearest
 from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.hardware.can.codec import (
+from adaptdrive.hardware.description import problem_text, read_description
+from adaptdrive.hardware.link.codec import (
     CLASSIC_LENGTH,
     MessageCodec,
     checksum_span,
@@ -21,9 +22,8 @@ from adaptdrive.hardware.can.codec import (
     follows_counter,
     needs_fd,
 )
-from adaptdrive.hardware.can.crc import CHECK_INPUT, crc_function
-from adaptdrive.hardware.can.layout import compile_field, is_multiplexed
-from adaptdrive.hardware.description import problem_text, read_description
+from adaptdrive.hardware.link.crc import CHECK_INPUT, crc_function
+from adaptdrive.hardware.link.layout import compile_field, is_multiplexed
 
 _FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
 """Lengths above eight bytes that a frame of CAN FD can have."""

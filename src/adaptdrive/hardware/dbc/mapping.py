@@ -15,12 +15,12 @@ from cantools.database.can.signal import Signal
 from adaptdrive.config.bus import CanBus, Signals, SignalSource, SwitchSource
 from adaptdrive.config.units import WANTED, unit_problem
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.can.bus import channel_flaws
-from adaptdrive.hardware.can.codec import MessageCodec, counter_modulus
-from adaptdrive.hardware.can.database import Catalogue, is_word, load_database
-from adaptdrive.hardware.can.layout import compile_field, is_multiplexed
-from adaptdrive.hardware.can.orders import Order, build_orders, find_orders, resolve
+from adaptdrive.hardware.dbc.database import Catalogue, is_word, load_database
+from adaptdrive.hardware.dbc.orders import Order, build_orders, find_orders, resolve
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
+from adaptdrive.hardware.link.bus import channel_flaws
+from adaptdrive.hardware.link.codec import MessageCodec, counter_modulus
+from adaptdrive.hardware.link.layout import compile_field, is_multiplexed
 
 _MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
 _WORDS = ("counter", "fault", "bridge")

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable
 from time import monotonic
 
-from adaptdrive.runtime.timerfd import acknowledge, arm_timer, create_timer
+from adaptdrive.clock.timerfd import acknowledge, arm_timer, create_timer
 
 
 class TickTimer:

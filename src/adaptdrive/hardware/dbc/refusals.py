@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from adaptdrive.hardware.can.integrity import Verdict
+from adaptdrive.hardware.link.integrity import Verdict
 
 _KINDS_HELD = 64
 """Kinds of refused frames remembered: a flood of ids must not fill the memory."""

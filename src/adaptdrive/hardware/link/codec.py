@@ -10,14 +10,14 @@ from cantools.database import DecodeError, EncodeError
 from cantools.database.can.message import Message
 
 from adaptdrive.config.bus import FrameIntegrity
-from adaptdrive.hardware.can.integrity import (
+from adaptdrive.hardware.link.integrity import (
     AliveCounter,
     Span,
     Verdict,
     checksum_function,
     covered_bytes,
 )
-from adaptdrive.hardware.can.layout import (
+from adaptdrive.hardware.link.layout import (
     Field,
     Raw,
     compile_field,
@@ -53,7 +53,7 @@ class MessageCodec:
     """Encodes and decodes the frames of one message.
 
     Each direction keeps an alive counter of its own. Build it from a message whose integrity has
-    been checked, as `adaptdrive.hardware.can.database.message_codec` does.
+    been checked, as `adaptdrive.hardware.dbc.database.message_codec` does.
     """
 
     def __init__(

@@ -16,12 +16,13 @@ from adaptdrive.app.sensors import _RULES
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import PortStatistics, Reading, SensorListener
+from adaptdrive.hardware.sensored_port import SensoredPort
+from adaptdrive.hardware.sensors import Derivation, SensorBus
+from adaptdrive.runtime.accounts import sensor_report
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, Reset
-from adaptdrive.runtime.sensored_port import SensoredPort
-from adaptdrive.runtime.sensors import Derivation, SensorBus
 from tests.loopback_port import LoopbackPort
 from tests.runtime.bench import CALM, FAST, SETTINGS, TICK_S, Around, motor_controller
 
@@ -191,7 +192,7 @@ async def test_loss_and_return_of_a_sensor_bus_are_told_with_its_name() -> None:
         one.frames(1)
         assert one.told == [(False, "sensor bus thermo: unplugged")]
         assert one.port.complaint == "stale: thermo.hot: no measurement yet (unplugged)"
-        (report,) = one.port.sensor_reports()
+        report = sensor_report(one.bus, 0.0)
         assert (report.up, report.detail, report.values) == (False, "unplugged", {})
 
 

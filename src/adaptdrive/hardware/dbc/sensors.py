@@ -18,12 +18,12 @@ import can
 from adaptdrive.config.sensors import CanSensors as Config
 from adaptdrive.errors import BusError, ConfigurationError
 from adaptdrive.hardware.backoff import Backoff
-from adaptdrive.hardware.can.arrival import ArrivalClock
-from adaptdrive.hardware.can.bus import channel_flaws, describe_bus, frame_key, open_bus
-from adaptdrive.hardware.can.codec import MessageCodec
-from adaptdrive.hardware.can.database import Catalogue, load_database
-from adaptdrive.hardware.can.integrity import Verdict
-from adaptdrive.hardware.can.reader import read_frames
+from adaptdrive.hardware.dbc.database import Catalogue, load_database
+from adaptdrive.hardware.link.arrival import ArrivalClock
+from adaptdrive.hardware.link.bus import channel_flaws, describe_bus, frame_key, open_bus
+from adaptdrive.hardware.link.codec import MessageCodec
+from adaptdrive.hardware.link.integrity import Verdict
+from adaptdrive.hardware.link.reader import read_frames
 from adaptdrive.hardware.port import PortStatistics, SensorListener
 from adaptdrive.hardware.presence import Presence
 

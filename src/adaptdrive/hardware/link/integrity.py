@@ -19,7 +19,7 @@ from enum import StrEnum
 from typing import Literal, NamedTuple
 
 from adaptdrive.config.bus import Crc, FrameIntegrity
-from adaptdrive.hardware.can.crc import crc_function
+from adaptdrive.hardware.link.crc import crc_function
 
 Checksum = Callable[[bytes, int], int]
 """From the bytes that a checksum covers, and the frame's alive counter, to the checksum."""

@@ -19,17 +19,17 @@ import can
 
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.can.arrival import PROMPT_S, ArrivalClock
-from adaptdrive.hardware.can.bus import as_received, describe_bus, frame_key, open_bus
-from adaptdrive.hardware.can.codec import MessageCodec
-from adaptdrive.hardware.can.integrity import Verdict
-from adaptdrive.hardware.can.mapping import OTHER, DriveMapping, Status, Timing, map_drive
-from adaptdrive.hardware.can.orders import Order
-from adaptdrive.hardware.can.reader import FrameReader
-from adaptdrive.hardware.can.reconnect import serve_for_ever
-from adaptdrive.hardware.can.refusals import Refusals
+from adaptdrive.hardware.dbc.mapping import OTHER, DriveMapping, Status, Timing, map_drive
+from adaptdrive.hardware.dbc.orders import Order
+from adaptdrive.hardware.dbc.refusals import Refusals
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultLatch
+from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
+from adaptdrive.hardware.link.bus import as_received, describe_bus, frame_key, open_bus
+from adaptdrive.hardware.link.codec import MessageCodec
+from adaptdrive.hardware.link.integrity import Verdict
+from adaptdrive.hardware.link.reader import FrameReader
+from adaptdrive.hardware.link.reconnect import serve_for_ever
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 from adaptdrive.hardware.rival import Rival
 

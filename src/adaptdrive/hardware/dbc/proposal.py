@@ -10,7 +10,7 @@ from cantools.database.can.database import Database
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
-from adaptdrive.hardware.can.database import load_database
+from adaptdrive.hardware.dbc.database import load_database
 from adaptdrive.hardware.proposal import Candidate
 
 _UNITS = {

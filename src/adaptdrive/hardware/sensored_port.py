@@ -14,8 +14,7 @@ from dataclasses import replace
 
 from adaptdrive.control.signals import Command
 from adaptdrive.hardware.port import Listener, Port, PortStatistics, Reading
-from adaptdrive.runtime.reports import SensorReport
-from adaptdrive.runtime.sensors import Derivation, SensorBus
+from adaptdrive.hardware.sensors import Derivation, SensorBus
 
 QUANTITIES = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
 
@@ -39,7 +38,7 @@ class SensoredPort:
             clock: Monotonic clock in seconds.
         """
         self._drive = drive
-        self._buses = tuple(buses)
+        self.buses = tuple(buses)
         self._derivations = tuple(derivations)
         self._clock = clock
         self._listener: Listener | None = None
@@ -47,7 +46,7 @@ class SensoredPort:
     @property
     def description(self) -> str:
         """The drive's bus and those of the sensors in one phrase for people."""
-        sensors = [f"sensors {bus.name} on {bus.port.description}" for bus in self._buses]
+        sensors = [f"sensors {bus.name} on {bus.port.description}" for bus in self.buses]
         return "; ".join([self._drive.description, *sensors])
 
     @property
@@ -64,7 +63,7 @@ class SensoredPort:
     def complaint(self) -> str | None:
         """What the drive's protocol says, else the sensor value that is too old."""
         complaint, now_s = self._drive.complaint, self._clock()
-        for bus in self._buses:
+        for bus in self.buses:
             complaint = complaint or bus.complaint(now_s)
         return complaint
 
@@ -89,10 +88,10 @@ class SensoredPort:
             ExceptionGroup: A task died; a `BusError` in it when the drive's bus cannot be opened.
         """
         self._listener = listener
-        for bus in self._buses:
+        for bus in self.buses:
             bus.tell = listener.on_bus
         async with asyncio.TaskGroup() as tasks:
-            for bus in self._buses:
+            for bus in self.buses:
                 tasks.create_task(bus.port.run(bus), name=f"sensor bus {bus.name}")
             tasks.create_task(self._drive.run(self, opened), name="drive")
 
@@ -138,14 +137,9 @@ class SensoredPort:
         """
         values = {name: getattr(reading, name) for name in QUANTITIES}
         values.update(reading.other)
-        for bus in self._buses:
+        for bus in self.buses:
             values.update(bus.values)
         for one in self._derivations:
             values[one.name] = one.value(values)
         found = {name: values.get(name, math.nan) for name in QUANTITIES}
         return replace(reading, other=values, **found)
-
-    def sensor_reports(self) -> tuple[SensorReport, ...]:
-        """The sensor buses as they are now."""
-        now_s = self._clock()
-        return tuple(bus.report(now_s) for bus in self._buses)

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 
 from adaptdrive.hardware.port import SensorPort
-from adaptdrive.runtime.reports import SensorReport
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,17 +86,6 @@ class SensorBus:
                     f"limit {self.stale_s * 1e3:g} ms{self._why()}"
                 )
         return None
-
-    def report(self, now_s: float) -> SensorReport:
-        """The bus as it is now."""
-        return SensorReport(
-            name=self.name,
-            up=self.up,
-            detail=self.detail,
-            values=dict(self.values),
-            age_s={name: now_s - taken_s for name, taken_s in self.taken_s.items()},
-            bus=asdict(self.port.statistics),
-        )
 
     def _why(self) -> str:
         if self.up:

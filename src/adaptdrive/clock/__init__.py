@@ -1,0 +1,1 @@
+"""Timers of the kernel, delivered in the event loop."""

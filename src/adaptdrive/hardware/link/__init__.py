@@ -1,0 +1,1 @@
+"""The CAN link: bus, reader, reconnection, arrival of frames, their codec and integrity."""
