@@ -18,19 +18,19 @@ from adaptdrive.analysis import style
 from adaptdrive_sim.experiments.case import Case, Disturbance, Variant
 from adaptdrive_sim.experiments.figure import save
 from adaptdrive_sim.experiments.motor import MOTOR
-from adaptdrive_sim.experiments.runner import Record, run_case
+from adaptdrive_sim.experiments.runner import RunRecord, run_case
 from adaptdrive_sim.experiments.settings import case_settings
 
 FIRST_min, LAST_min = 8.0, 20.0
 
 
-def run(variant: Variant) -> Record:
+def run(variant: Variant) -> RunRecord:
     """The standard experiment under one controller."""
     settings = case_settings(MOTOR, variant, "exact")
     return run_case(Case(MOTOR, variant, settings, Disturbance(MOTOR.noise), seed=0))
 
 
-def draw_speed(axes: Axes, record: Record, look: style.Look, title: str) -> None:
+def draw_speed(axes: Axes, record: RunRecord, look: style.Look, title: str) -> None:
     """Speed and reference."""
     minutes = [time_s / 60.0 for time_s in record.time_s]
     axes.step(minutes, record.reference, where="post", **style.REFERENCE)
@@ -41,7 +41,7 @@ def draw_speed(axes: Axes, record: Record, look: style.Look, title: str) -> None
     axes.set_yticks((3.0, 3.1, 3.2))
 
 
-def draw_inertia(axes: Axes, record: Record) -> None:
+def draw_inertia(axes: Axes, record: RunRecord) -> None:
     """What the adaptive controller has learnt: the mechanical time constant, in disks."""
     nominal_s = MOTOR.nominal().physical(
         list(MOTOR.nominal().numerator), list(MOTOR.nominal().denominator)
@@ -56,7 +56,7 @@ def draw_inertia(axes: Axes, record: Record) -> None:
     axes.set_yticks((1, 2, 3))
 
 
-def draw(fixed: Record, adaptive: Record, path: Path) -> None:
+def draw(fixed: RunRecord, adaptive: RunRecord, path: Path) -> None:
     """The whole picture."""
     with style.journal():
         figure = Figure(figsize=(style.WIDTH_in, 4.3), layout="constrained")

@@ -25,7 +25,7 @@ class BrokerAddress:
     port: int
 
 
-class Reply(msgspec.Struct, frozen=True):
+class DeviceReply(msgspec.Struct, frozen=True):
     """The answer to one request; the id is None where none could be read."""
 
     id: str | None

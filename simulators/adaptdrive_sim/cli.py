@@ -113,13 +113,13 @@ def reproduce(  # noqa: PLR0913 - one parameter for each option
     from adaptdrive_sim.experiments.report import print_claims  # noqa: PLC0415
     from adaptdrive_sim.experiments.reproduce import (  # noqa: PLC0415
         EXPERIMENTS,
-        Request,
+        ReproduceRequest,
         run_request,
     )
 
     chosen = EXPERIMENTS[experiment]
     disturbance = disturbance_of(chosen.noise if noise is None else noise, spikes)
-    claims = run_request(Request(chosen, design, disturbance, seed), output)
+    claims = run_request(ReproduceRequest(chosen, design, disturbance, seed), output)
     print_claims(f"{experiment}, {design} design, seed {seed}: {output}", claims)
 
 

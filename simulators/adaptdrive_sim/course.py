@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Interlocks:
+class TripLevels:
     """Trip levels that matter without a bus."""
 
     boost_voltage_max_V: float = math.inf
@@ -54,7 +54,7 @@ class Course:
     mode: Mode
     pole: float
     wire: Wire | None = None
-    interlocks: Interlocks = field(default_factory=Interlocks)
+    interlocks: TripLevels = field(default_factory=TripLevels)
 
 
 @dataclass(slots=True)

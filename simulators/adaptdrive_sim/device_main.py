@@ -20,7 +20,7 @@ from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.file import load_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.config.sensors import AnySensorBus
-from adaptdrive.config.sensors import CanSensors as CanSensorBus
+from adaptdrive.config.sensors import CanSensorSection as CanSensorBus
 from adaptdrive.errors import AdaptdriveError, RefusedError
 from adaptdrive.hardware.dbc.sensors import map_sensors
 from adaptdrive_sim.broker import parse_address

@@ -25,7 +25,9 @@ from adaptdrive_sim.parameters import ParameterError, check_range
 from adaptdrive_sim.plants.motor import Motor
 
 
-class Request(msgspec.Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True):
+class DisturbanceRequest(
+    msgspec.Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=True
+):
     """One request as it comes over the wire."""
 
     id: str
@@ -38,14 +40,14 @@ class Request(msgspec.Struct, forbid_unknown_fields=True, frozen=True, omit_defa
     sensor_fault: int | None = None
 
 
-def parse_request(payload: bytes) -> Request:
+def parse_request(payload: bytes) -> DisturbanceRequest:
     """Read one request and make sure that it asks for one thing.
 
     Raises:
         RefusedError: What is wrong with it.
     """
     try:
-        request = msgspec.json.decode(payload, type=Request)
+        request = msgspec.json.decode(payload, type=DisturbanceRequest)
     except (msgspec.DecodeError, UnicodeDecodeError) as problem:
         raise RefusedError(str(problem)) from problem
     asked = [name for name in _ACTIONS if getattr(request, name) is not None]
@@ -67,7 +69,7 @@ def read_id(payload: bytes) -> str | None:
     return name if isinstance(name, str) else None
 
 
-def apply_request(request: Request, drive: Drive) -> None:
+def apply_request(request: DisturbanceRequest, drive: Drive) -> None:
     """Do to the plant what a request asks for.
 
     Raises:
@@ -86,28 +88,28 @@ def _motor(drive: Drive) -> Motor:
     return drive.world.load
 
 
-def _change_disks(request: Request, drive: Drive) -> None:
+def _change_disks(request: DisturbanceRequest, drive: Drive) -> None:
     _motor(drive).disks += request.disks or 0
 
 
-def _load_shaft(request: Request, drive: Drive) -> None:
+def _load_shaft(request: DisturbanceRequest, drive: Drive) -> None:
     _motor(drive).torque_Nm = request.torque_Nm or 0.0
 
 
-def _sag_line(request: Request, drive: Drive) -> None:
+def _sag_line(request: DisturbanceRequest, drive: Drive) -> None:
     drive.world.line.sag(request.sag or 0.0, request.duration_s or 0.0)
 
 
-def _set_noise(request: Request, drive: Drive) -> None:
+def _set_noise(request: DisturbanceRequest, drive: Drive) -> None:
     world = drive.world
     world.noise = dataclasses.replace(world.noise, sigma=request.noise_V or 0.0)
 
 
-def _inject_fault(request: Request, drive: Drive) -> None:
+def _inject_fault(request: DisturbanceRequest, drive: Drive) -> None:
     drive.inject(request.fault or 0)
 
 
-def _spoil_sensors(request: Request, drive: Drive) -> None:
+def _spoil_sensors(request: DisturbanceRequest, drive: Drive) -> None:
     check_range("sensor_fault", request.sensor_fault or 0, 0, max(SensorFault), "")
     drive.world.sensor_fault = request.sensor_fault or 0
 

@@ -29,7 +29,7 @@ class ParameterError(AdaptdriveError):
 
 
 @dataclass(frozen=True, slots=True)
-class Quantity:
+class ParameterRange:
     """What a parameter means and which values it may take (both ends included)."""
 
     name: str
@@ -60,11 +60,11 @@ def quantity(default: float, unit: str, description: str, low: float, high: floa
     return field(default=default, metadata=metadata)
 
 
-def quantities(parameters: DataclassInstance | type[DataclassInstance]) -> Iterator[Quantity]:
+def quantities(parameters: DataclassInstance | type[DataclassInstance]) -> Iterator[ParameterRange]:
     """List the quantities of a parameter dataclass (its class or an instance of it)."""
     for one in fields(parameters):
         if "unit" in one.metadata:
-            yield Quantity(name=one.name, **one.metadata)
+            yield ParameterRange(name=one.name, **one.metadata)
 
 
 def check_quantities(parameters: DataclassInstance) -> None:

@@ -9,12 +9,12 @@ from typing import Any
 import aiomqtt
 import msgspec
 
-from adaptdrive_sim.broker import BrokerAddress, Reply, topic
+from adaptdrive_sim.broker import BrokerAddress, DeviceReply, topic
 
 ANSWER_s = 5.0
 
 
-async def ask(broker: BrokerAddress, drive: str, disturbance: dict[str, Any]) -> Reply | None:
+async def ask(broker: BrokerAddress, drive: str, disturbance: dict[str, Any]) -> DeviceReply | None:
     """Ask for one disturbance.
 
     Args:
@@ -35,9 +35,9 @@ async def ask(broker: BrokerAddress, drive: str, disturbance: dict[str, Any]) ->
         return None
 
 
-async def _answer(client: aiomqtt.Client, request_id: str) -> Reply | None:
+async def _answer(client: aiomqtt.Client, request_id: str) -> DeviceReply | None:
     async for message in client.messages:
-        reply = msgspec.json.decode(message.payload, type=Reply)
+        reply = msgspec.json.decode(message.payload, type=DeviceReply)
         if reply.id == request_id:
             return reply
     return None

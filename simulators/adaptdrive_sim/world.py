@@ -18,7 +18,7 @@ from adaptdrive_sim.noise import NoiseParameters, samples
 from adaptdrive_sim.parameters import ParameterError
 from adaptdrive_sim.plants.boost import Boost, BoostParameters
 from adaptdrive_sim.plants.coupling import Coupling, CouplingParameters
-from adaptdrive_sim.plants.load import Load
+from adaptdrive_sim.plants.load import SimulatedLoad
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class Sample(NamedTuple):
 class World:
     """Line, boost stage, dc/dc stage and load."""
 
-    def __init__(self, load: Load, parameters: WorldParameters | None = None) -> None:
+    def __init__(self, load: SimulatedLoad, parameters: WorldParameters | None = None) -> None:
         """Join a load to a drive whose capacitor is charged to the line's peak.
 
         Args:

@@ -27,7 +27,7 @@ from adaptdrive.runtime.requests import Disable, Enable, Request, SetSetpoint
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
-from adaptdrive_sim.plants.load import Load
+from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import World
 from tests.loopback_port import LoopbackPort
@@ -171,7 +171,7 @@ def configured(name: str, draw: random.Random) -> Configuration:
     return validate_configuration(tables, FOLDER / f"{name}.toml")
 
 
-def plant(name: str, draw: random.Random) -> Load:
+def plant(name: str, draw: random.Random) -> SimulatedLoad:
     """A load in a state in which somebody may find it."""
     if name == "motor":
         return Motor(MotorParameters(dropped_at_rest=draw.random() < 0.5), draw.randint(1, 3))

@@ -19,7 +19,7 @@ from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint, SetWaveform
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.noise import NoiseParameters
-from adaptdrive_sim.plants.load import Load
+from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import Sample, World, WorldParameters
@@ -230,6 +230,6 @@ def disks_at(*changes: tuple[float, int]) -> Event:
     return event
 
 
-def load_world(load: Load, noise: float = 0.0, seed: int = 0) -> World:
+def load_world(load: SimulatedLoad, noise: float = 0.0, seed: int = 0) -> World:
     """Any load behind the reference drive."""
     return World(load, WorldParameters(noise=NoiseParameters(sigma=noise), seed=seed))

@@ -17,7 +17,7 @@ from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
-from adaptdrive_sim.plants.load import Load
+from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World, WorldParameters
 
@@ -30,7 +30,7 @@ def configured(name: str) -> Configuration:
     return validate_configuration(example_tables(f"{name}.toml"), FOLDER / f"{name}.toml")
 
 
-def world(load: Load, noise: float) -> World:
+def world(load: SimulatedLoad, noise: float) -> World:
     return World(load, WorldParameters(noise=NoiseParameters(sigma=noise)))
 
 

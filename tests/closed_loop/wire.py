@@ -23,7 +23,7 @@ from adaptdrive.app.settings import build_load, controller_settings, daemon_sett
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.hardware.link.bus import open_bus
-from adaptdrive.hardware.modbus.link import Link
+from adaptdrive.hardware.modbus.link import ModbusConnection
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub, Subscription
 from adaptdrive.runtime.reports import LoadReport, Report, State
@@ -74,9 +74,9 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 @contextlib.contextmanager
 def virtual_time() -> Iterator[asyncio.Runner]:
     """Run coroutines in virtual time; requests on Modbus hold it still until they are answered."""
-    request = Link._request
+    request = ModbusConnection._request
 
-    async def counted(link: Link, *words: Any) -> Any:
+    async def counted(link: ModbusConnection, *words: Any) -> Any:
         selector = asyncio.get_running_loop().selector  # type: ignore[attr-defined]
         selector.under_way += 1
         try:
@@ -85,7 +85,7 @@ def virtual_time() -> Iterator[asyncio.Runner]:
             selector.under_way -= 1
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Link, "_request", counted)
+        patch.setattr(ModbusConnection, "_request", counted)
         with asyncio.Runner(loop_factory=VirtualLoop) as runner:
             yield runner
 

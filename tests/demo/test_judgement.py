@@ -7,7 +7,7 @@ import pytest
 from scipy import signal
 
 from adaptdrive_sim.demo.judgement import ideal_response, shortcomings, tracking_error
-from adaptdrive_sim.demo.record import Point, Record
+from adaptdrive_sim.demo.record import DemoRecord, SpeedPoint
 from tests.demo.stories import BEGAN, Clock, drive, event, load, state, steady_record
 
 
@@ -17,7 +17,7 @@ def square_wave(periods: int) -> list[float]:
 
 def test_the_ideal_response_has_four_poles_and_no_error_at_rest() -> None:
     references = [3.0, *square_wave(119)]
-    points = [Point(float(k), reference, 3.0) for k, reference in enumerate(references)]
+    points = [SpeedPoint(float(k), reference, 3.0) for k, reference in enumerate(references)]
     # The same loop as a transfer function, by an independent filter.
     denominator = np.poly([0.7] * 4)
     numerator = np.array([0.0, 1.0, 0.93]) * denominator.sum() / 1.93
@@ -46,7 +46,7 @@ def test_a_speed_that_does_not_answer_to_the_wave_fails() -> None:
 
 
 def test_a_drive_that_never_ran_fails() -> None:
-    assert list(shortcomings(Record(BEGAN, Clock()))) == ["the drive never ran"]
+    assert list(shortcomings(DemoRecord(BEGAN, Clock()))) == ["the drive never ran"]
 
 
 def test_a_trip_fails_even_when_it_was_reset() -> None:
@@ -68,6 +68,6 @@ def test_lost_ticks_fail() -> None:
 
 
 def test_a_state_from_an_earlier_daemon_is_not_believed() -> None:
-    record = Record(BEGAN, Clock())
+    record = DemoRecord(BEGAN, Clock())
     record.hear_state(state(time=BEGAN.replace(hour=11)))
     assert not record.running

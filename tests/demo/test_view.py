@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 from rich.console import Console
 
-from adaptdrive_sim.demo.record import Record
-from adaptdrive_sim.demo.view import Surroundings, screen
+from adaptdrive_sim.demo.record import DemoRecord
+from adaptdrive_sim.demo.view import ViewContext, screen
 from tests.demo.stories import BEGAN, Clock, event, state, steady_record
 
-AROUND = Surroundings(
+AROUND = ViewContext(
     bus="udp_multicast 239.74.163.2:41000",
     broker="127.0.0.1:42000",
     program=".venv/bin/adaptdrive",
@@ -19,7 +19,7 @@ AROUND = Surroundings(
 SIZES = [(80, 24), (120, 40)]
 
 
-def shown(record: Record, size: tuple[int, int], around: Surroundings = AROUND) -> list[str]:
+def shown(record: DemoRecord, size: tuple[int, int], around: ViewContext = AROUND) -> list[str]:
     console = Console(width=size[0], height=size[1], force_terminal=True, color_system=None)
     with console.capture() as capture:
         console.print(screen(record, around, size))
@@ -106,6 +106,6 @@ def test_shows_that_the_broker_is_lost() -> None:
 
 @pytest.mark.parametrize("size", [*SIZES, (40, 12), (20, 5)])
 def test_knows_nothing_yet_and_has_no_room(size: tuple[int, int]) -> None:
-    lines = shown(Record(BEGAN, Clock()), size)
+    lines = shown(DemoRecord(BEGAN, Clock()), size)
     assert len(lines) == size[1]
     assert "starting" in lines[0]

@@ -15,7 +15,7 @@ from adaptdrive.errors import RefusedError
 from adaptdrive_sim.demo.settings import VirtualSettings
 from adaptdrive_sim.demo.story import Story
 from adaptdrive_sim.demo.subject import Subject
-from adaptdrive_sim.demo.view import Surroundings, screen
+from adaptdrive_sim.demo.view import ViewContext, screen
 from adaptdrive_sim.demo.virtual import (
     Teller,
     build_story,
@@ -36,7 +36,7 @@ def told(load: Load, duration_s: float, until: Callable[[Story], bool] | None = 
 
 def shown(story: Story, size: tuple[int, int]) -> list[str]:
     subject = Subject(story.name, story.title, story.figures, ("virtual time",))
-    around = Surroundings("", "", "", None, story.window_s, subject)
+    around = ViewContext("", "", "", None, story.window_s, subject)
     console = Console(width=size[0], height=size[1], force_terminal=True, color_system=None)
     with console.capture() as capture:
         console.print(screen(story.play.record, around, size))

@@ -8,8 +8,8 @@ from concurrent.futures import ProcessPoolExecutor
 
 from adaptdrive_sim.experiments.case import Case, Design, Disturbance, Variant
 from adaptdrive_sim.experiments.experiment import Experiment
-from adaptdrive_sim.experiments.outcome import Outcome, judge
-from adaptdrive_sim.experiments.runner import Record, run_case
+from adaptdrive_sim.experiments.outcome import ExperimentOutcome, judge
+from adaptdrive_sim.experiments.runner import RunRecord, run_case
 from adaptdrive_sim.experiments.settings import case_settings
 from tests.experiments.compiled_case import run_case_compiled
 
@@ -28,13 +28,13 @@ def make_case(
     return Case(experiment, variant, case_settings(experiment, variant, design), noise, seed)
 
 
-def run_all(cases: Iterable[Case]) -> list[Record]:
+def run_all(cases: Iterable[Case]) -> list[RunRecord]:
     """Run many cases on all processors, in order."""
     with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
         return list(pool.map(run_case, cases))
 
 
-def run_all_compiled(cases: Iterable[Case]) -> list[Record]:
+def run_all_compiled(cases: Iterable[Case]) -> list[RunRecord]:
     """The same on compiled code, for many cases of one kind."""
     return [run_case_compiled(case) for case in cases]
 
@@ -44,8 +44,8 @@ def outcomes(
     variants: tuple[Variant, ...],
     disturbance: Disturbance | None = None,
     seeds: Iterable[int] = SEEDS,
-    run: Callable[[Iterable[Case]], list[Record]] = run_all,
-) -> list[Outcome]:
+    run: Callable[[Iterable[Case]], list[RunRecord]] = run_all,
+) -> list[ExperimentOutcome]:
     """The experiment in the paper's design, once for each seed."""
     noise = disturbance or Disturbance(experiment.noise)
     wanted = [(seed, variant) for seed in seeds for variant in variants]

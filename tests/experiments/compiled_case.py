@@ -8,10 +8,10 @@ from __future__ import annotations
 from adaptdrive_sim.compiled import bench
 from adaptdrive_sim.compiled.run import run_compiled
 from adaptdrive_sim.experiments.case import Case
-from adaptdrive_sim.experiments.runner import Record, planned, start_case
+from adaptdrive_sim.experiments.runner import RunRecord, planned, start_case
 
 
-def run_case_compiled(case: Case) -> Record:
+def run_case_compiled(case: Case) -> RunRecord:
     """Run one case from start to end on compiled code.
 
     Returns:
@@ -22,7 +22,7 @@ def run_case_compiled(case: Case) -> Record:
     if cause:
         raise RuntimeError(f"the run of seed {case.seed} ended by itself, cause {cause}")
     names = case.experiment.nominal().names
-    return Record(
+    return RunRecord(
         **planned(case.experiment, course),
         output=trace[:, bench.OUTPUT].tolist(),
         measured=trace[:, bench.MEASURED].tolist(),

@@ -11,15 +11,15 @@ from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
 from adaptdrive_sim.experiments.ideal import ideal_output
 from adaptdrive_sim.experiments.metrics import convergence_cycles, cycles, model_errors, rms_between
 from adaptdrive_sim.experiments.motor import MOTOR
-from adaptdrive_sim.experiments.runner import Record
+from adaptdrive_sim.experiments.runner import RunRecord
 
 TIMES = [float(k) for k in range(1320)]
 
 
-def square_record() -> Record:
+def square_record() -> RunRecord:
     """An output that follows the reference at once."""
     references = [MOTOR.reference.value(time_s) for time_s in TIMES]
-    return Record(time_s=TIMES, reference=references, output=list(references))
+    return RunRecord(time_s=TIMES, reference=references, output=list(references))
 
 
 def test_an_output_on_the_reference_neither_overshoots_nor_takes_time() -> None:
@@ -83,10 +83,10 @@ def test_the_model_error_of_the_ideal_output_is_nothing() -> None:
     assert rms_between(record, errors, 120.0, 240.0) == 0.0
 
 
-def estimates_of(experiment: Experiment) -> Record:
+def estimates_of(experiment: Experiment) -> RunRecord:
     truth = np.array([experiment.truth_at(time_s) for time_s in TIMES]).T
     names = experiment.nominal().names
-    return Record(
+    return RunRecord(
         time_s=TIMES, estimates={n: v.tolist() for n, v in zip(names, truth, strict=True)}
     )
 

@@ -13,8 +13,8 @@ from adaptdrive_sim.experiments.metrics import (
     rms_between,
 )
 from adaptdrive_sim.experiments.motor import MOTOR
-from adaptdrive_sim.experiments.outcome import Outcome
-from adaptdrive_sim.experiments.runner import Record, run_case
+from adaptdrive_sim.experiments.outcome import ExperimentOutcome
+from adaptdrive_sim.experiments.runner import RunRecord, run_case
 from tests.experiments.cases import make_case, outcomes, run_all
 
 LAST_CYCLES = (4, 7, 10)
@@ -22,48 +22,54 @@ SILENT = Disturbance(0.0)
 
 
 @pytest.fixture(scope="module")
-def published() -> Outcome:
+def published() -> ExperimentOutcome:
     return outcomes(MOTOR, ("fixed", "adaptive"), seeds=[0])[0]
 
 
-def overshoots(outcome: Outcome, variant: str) -> list[float]:
+def overshoots(outcome: ExperimentOutcome, variant: str) -> list[float]:
     judged = outcome.cycles[variant]  # type: ignore[index]
     return [judged[i].overshoot for i in LAST_CYCLES]
 
 
-def test_each_disk_makes_the_fixed_controller_overshoot_more(published: Outcome) -> None:
+def test_each_disk_makes_the_fixed_controller_overshoot_more(published: ExperimentOutcome) -> None:
     one, two, three = overshoots(published, "fixed")
     assert one < 0.01
     assert 0.04 < two < 0.10
     assert 0.15 < three < 0.30
 
 
-def test_the_adaptive_controller_does_not_overshoot_whatever_the_load(published: Outcome) -> None:
+def test_the_adaptive_controller_does_not_overshoot_whatever_the_load(
+    published: ExperimentOutcome,
+) -> None:
     assert max(overshoots(published, "adaptive")) < 0.02
 
 
-def test_the_estimates_follow_each_disk_within_two_cycles(published: Outcome) -> None:
+def test_the_estimates_follow_each_disk_within_two_cycles(published: ExperimentOutcome) -> None:
     assert all(found is not None and found <= 2.0 for found in published.converged)
 
 
-def test_the_load_of_a_cycle_is_the_number_of_disks(published: Outcome) -> None:
+def test_the_load_of_a_cycle_is_the_number_of_disks(published: ExperimentOutcome) -> None:
     assert [one.load for one in published.cycles["fixed"]] == [1.0] * 5 + [2.0] * 3 + [3.0] * 3
 
 
-def test_the_fixed_controller_is_in_force_until_the_warm_up_is_over(published: Outcome) -> None:
+def test_the_fixed_controller_is_in_force_until_the_warm_up_is_over(
+    published: ExperimentOutcome,
+) -> None:
     record = published.records["adaptive"]
     assert record.adaptive.index(True) == 90
     assert all(record.adaptive[90:])
     assert not any(published.records["fixed"].adaptive)
 
 
-def test_until_then_both_controllers_do_the_same(published: Outcome) -> None:
+def test_until_then_both_controllers_do_the_same(published: ExperimentOutcome) -> None:
     fixed, adaptive = published.records["fixed"], published.records["adaptive"]
     assert fixed.boost_reference_V[:90] == adaptive.boost_reference_V[:90]
     assert fixed.output[:90] == adaptive.output[:90]
 
 
-def test_the_reference_starts_with_its_high_half_and_the_plant_at_rest(published: Outcome) -> None:
+def test_the_reference_starts_with_its_high_half_and_the_plant_at_rest(
+    published: ExperimentOutcome,
+) -> None:
     record = published.records["fixed"]
     assert record.reference[:61] == [3.2] * 60 + [3.0]
     assert record.output[0] == pytest.approx(3.0, rel=1e-12)
@@ -71,13 +77,13 @@ def test_the_reference_starts_with_its_high_half_and_the_plant_at_rest(published
 
 
 @pytest.fixture(scope="module")
-def daemon() -> dict[str, Record]:
+def daemon() -> dict[str, RunRecord]:
     cases = [make_case(MOTOR, name, "exact") for name in ("fixed", "adaptive")]
     return dict(zip(("fixed", "adaptive"), run_all(cases), strict=True))
 
 
 def test_the_exact_design_comes_closer_to_its_ideal_than_the_papers(
-    daemon: dict[str, Record], published: Outcome
+    daemon: dict[str, RunRecord], published: ExperimentOutcome
 ) -> None:
     exact = cycles(MOTOR, "exact", daemon["adaptive"])
     for i in LAST_CYCLES:
@@ -87,7 +93,7 @@ def test_the_exact_design_comes_closer_to_its_ideal_than_the_papers(
 
 
 def test_the_exact_design_overshoots_no_more_than_the_papers_limits(
-    daemon: dict[str, Record],
+    daemon: dict[str, RunRecord],
 ) -> None:
     exact = cycles(MOTOR, "exact", daemon["adaptive"])
     assert max(exact[i].overshoot for i in LAST_CYCLES) < 0.02

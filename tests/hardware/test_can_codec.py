@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from adaptdrive.config.bus import FrameIntegrity
 from adaptdrive.hardware.link.codec import MessageCodec
-from adaptdrive.hardware.link.integrity import Verdict
+from adaptdrive.hardware.link.integrity import FrameVerdict
 from tests.hardware.bench import motor_bus, odd_database, reference_database
 
 SCALES = st.sampled_from([1, 2, 0.5, 0.1, 0.01, 1e-6, -0.25])
@@ -95,7 +95,7 @@ def test_decodes_what_cantools_decodes(message: Message, draw: st.DataObject) ->
     expected = message.decode_simple(data)
     decoded = MessageCodec(message).decode(data)
     finite = all(math.isfinite(float(str(value))) for value in expected.values())
-    assert decoded.verdict is (Verdict.GOOD if finite else Verdict.OUT_OF_RANGE)
+    assert decoded.verdict is (FrameVerdict.GOOD if finite else FrameVerdict.OUT_OF_RANGE)
     assert decoded.values == (expected if finite else {})
 
 
@@ -136,7 +136,7 @@ def test_big_endian_signals_of_a_database_are_those_of_cantools(data: bytes) -> 
     expected = message.decode_simple(data)
     decoded = MessageCodec(message).decode(data)
     in_range = float(str(expected["Volts"])) <= 400.0
-    assert decoded.verdict is (Verdict.GOOD if in_range else Verdict.OUT_OF_RANGE)
+    assert decoded.verdict is (FrameVerdict.GOOD if in_range else FrameVerdict.OUT_OF_RANGE)
     assert decoded.values == (expected if in_range else {})
 
 
@@ -161,7 +161,7 @@ def test_a_multiplexed_frame_gives_the_signals_it_carries(
 
 def test_a_multiplexed_frame_of_an_unknown_page_is_refused() -> None:
     assert MessageCodec(dbc(MULTIPLEXED)).decode(bytes((3, *bytes(7)))).verdict is (
-        Verdict.OUT_OF_RANGE
+        FrameVerdict.OUT_OF_RANGE
     )
 
 
@@ -170,7 +170,7 @@ def test_a_float_that_is_not_finite_is_refused(value: float) -> None:
     signal = Signal("Volts", 0, 32, conversion=BaseConversion.factory(is_float=True))
     message = Message(0x123, "Floats", 8, [signal])
     frame = message.encode({"Volts": value})
-    assert MessageCodec(message).decode(frame).verdict is Verdict.OUT_OF_RANGE
+    assert MessageCodec(message).decode(frame).verdict is FrameVerdict.OUT_OF_RANGE
     with pytest.raises(ValueError, match="Volts"):
         MessageCodec(message).encode({"Volts": value})
 
@@ -233,12 +233,12 @@ def test_a_refused_value_costs_no_count_of_the_alive_counter() -> None:
 def test_any_flipped_bit_is_noticed(payload: bytes, bit: int) -> None:
     frame = payload[:7] + bytes((Crc8SaeJ1850.calc(payload[:7]),))
     flipped = (int.from_bytes(frame, "little") ^ (1 << bit)).to_bytes(8, "little")
-    assert reference("DriveStatus").decode(flipped).verdict is Verdict.WRONG_CHECKSUM
+    assert reference("DriveStatus").decode(flipped).verdict is FrameVerdict.WRONG_CHECKSUM
 
 
 @pytest.mark.parametrize("length", [0, 1, 7, 9, 64])
 def test_a_frame_of_another_length_is_refused(length: int) -> None:
-    assert reference("DriveStatus").decode(bytes(length)).verdict is Verdict.WRONG_LENGTH
+    assert reference("DriveStatus").decode(bytes(length)).verdict is FrameVerdict.WRONG_LENGTH
 
 
 @pytest.mark.parametrize(
@@ -253,15 +253,17 @@ def test_a_frame_of_another_length_is_refused(length: int) -> None:
 )
 def test_a_measurement_that_is_not_available_is_refused(message: str, signal: str) -> None:
     frame = reference(message).encode({signal: None})
-    assert reference(message).decode(frame).verdict is Verdict.OUT_OF_RANGE
+    assert reference(message).decode(frame).verdict is FrameVerdict.OUT_OF_RANGE
 
 
 @pytest.mark.parametrize("declared", ["[0|0]", "[0|6553.5]"])
 def test_a_measurement_is_unavailable_even_where_the_database_forgot_it(declared: str) -> None:
     message = dbc(f' SG_ Volts : 0|16@1+ (0.1,0) {declared} "V" X')
     frame = b"\xff\xff" + bytes(6)
-    assert MessageCodec(message).decode(frame).verdict is Verdict.GOOD
-    assert MessageCodec(message, measured={"Volts"}).decode(frame).verdict is Verdict.OUT_OF_RANGE
+    assert MessageCodec(message).decode(frame).verdict is FrameVerdict.GOOD
+    assert (
+        MessageCodec(message, measured={"Volts"}).decode(frame).verdict is FrameVerdict.OUT_OF_RANGE
+    )
 
 
 def test_a_counter_that_the_database_ends_early_wraps_there() -> None:
@@ -275,13 +277,13 @@ def test_a_counter_that_the_database_ends_early_wraps_there() -> None:
     assert frames[0][:2] == b"\xcc\x00"
     assert frames[1][:2] == b"\x91\x01"
     assert [frame[1] for frame in frames] == [*range(15), *range(15), 0]
-    assert {receiver.decode(frame).verdict for frame in frames} == {Verdict.GOOD}
+    assert {receiver.decode(frame).verdict for frame in frames} == {FrameVerdict.GOOD}
 
 
 def test_a_counter_beyond_its_end_is_out_of_range() -> None:
     message = dbc(' SG_ Alive : 8|4@1+ (1,0) [0|14] "" X')
     codec = MessageCodec(message, FrameIntegrity(counter="Alive"))
-    assert codec.decode(b"\x00\x0f" + bytes(6)).verdict is Verdict.OUT_OF_RANGE
+    assert codec.decode(b"\x00\x0f" + bytes(6)).verdict is FrameVerdict.OUT_OF_RANGE
 
 
 @pytest.mark.parametrize("build", [bytes, bytearray])

@@ -7,7 +7,7 @@ from adaptdrive.config.bus import FrameIntegrity
 from adaptdrive.hardware.link.integrity import (
     AliveCounter,
     Checksum,
-    Verdict,
+    FrameVerdict,
     checksum_function,
 )
 
@@ -75,29 +75,34 @@ def test_a_counter_is_judged_by_its_advance(modulus: int, data: st.DataObject) -
     start = data.draw(st.integers(0, modulus - 1))
     jump = data.draw(st.integers(0, modulus - 1))
     counter = AliveCounter(modulus, max_jump)
-    assert counter.check(start) == (Verdict.GOOD, 0)
+    assert counter.check(start) == (FrameVerdict.GOOD, 0)
     verdict, lost = counter.check((start + jump) % modulus)
     if jump == 0:
-        assert (verdict, lost) == (Verdict.COUNTER_STUCK, 0)
+        assert (verdict, lost) == (FrameVerdict.COUNTER_STUCK, 0)
     else:
-        assert verdict is (Verdict.GOOD if jump <= max_jump else Verdict.COUNTER_LOST)
+        assert verdict is (FrameVerdict.GOOD if jump <= max_jump else FrameVerdict.COUNTER_LOST)
         assert lost == jump - 1
 
 
 def test_one_refusal_is_the_price_of_a_restarted_sender() -> None:
     counter = AliveCounter(16, max_jump=3)
     verdicts = [counter.check(value)[0] for value in (1, 2, 9, 10, 11)]
-    assert verdicts == [Verdict.GOOD, Verdict.GOOD, Verdict.COUNTER_LOST, *[Verdict.GOOD] * 2]
+    assert verdicts == [
+        FrameVerdict.GOOD,
+        FrameVerdict.GOOD,
+        FrameVerdict.COUNTER_LOST,
+        *[FrameVerdict.GOOD] * 2,
+    ]
 
 
 def test_a_repeated_frame_does_not_stop_the_ones_that_follow() -> None:
     counter = AliveCounter(16, max_jump=1)
     verdicts = [counter.check(value)[0] for value in (15, 15, 15, 0)]
-    assert verdicts == [Verdict.GOOD, *[Verdict.COUNTER_STUCK] * 2, Verdict.GOOD]
+    assert verdicts == [FrameVerdict.GOOD, *[FrameVerdict.COUNTER_STUCK] * 2, FrameVerdict.GOOD]
 
 
 def test_after_a_reset_any_counter_is_the_first() -> None:
     counter = AliveCounter(16, max_jump=1)
     counter.check(5)
     counter.reset()
-    assert counter.check(5) == (Verdict.GOOD, 0)
+    assert counter.check(5) == (FrameVerdict.GOOD, 0)

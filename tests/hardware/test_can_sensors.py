@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.config.sensors import CanSensors as Config
+from adaptdrive.config.sensors import CanSensorSection as Config
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.dbc.sensors import CanSensors, build_can_sensors
+from adaptdrive.hardware.dbc.sensors import CanSensorPort, build_can_sensors
 from adaptdrive.hardware.link.bus import open_bus
 from tests.hardware.bench import EXAMPLES, Drive, until
 
@@ -48,7 +48,7 @@ class Ear:
 
 
 class Bench:
-    def __init__(self, drive: Drive, port: CanSensors, ear: Ear) -> None:
+    def __init__(self, drive: Drive, port: CanSensorPort, ear: Ear) -> None:
         self.drive = drive
         self.port = port
         self.ear = ear

@@ -25,7 +25,7 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.errors import RefusedError
-from adaptdrive.operation.service import MqttService, Surroundings
+from adaptdrive.operation.service import MqttService, ServiceSurroundings
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import (
     DriveReport,
@@ -123,7 +123,7 @@ async def serving(
 ) -> AsyncIterator[Bench]:
     """Run a service for one drive; stop it orderly at the end."""
     host = host or RememberingHost()
-    surroundings = Surroundings(folder, **({"uniform": lambda low, _: low * 0.1} | around))
+    surroundings = ServiceSurroundings(folder, **({"uniform": lambda low, _: low * 0.1} | around))
     settings = Mqtt(host=broker.host, port=broker.port)
     service = MqttService(drive, settings, host, host.hub, surroundings)
     host.show(host.report)

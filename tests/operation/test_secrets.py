@@ -15,7 +15,7 @@ from structlog.testing import capture_logs
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.client import NoAnswerError, send_command
-from adaptdrive.operation.service import MqttService, Surroundings
+from adaptdrive.operation.service import MqttService, ServiceSurroundings
 from adaptdrive.runtime.requests import Enable
 from tests.operation.peers import PATIENCE_S, RememberingHost
 from tests.support import Spawn
@@ -70,7 +70,7 @@ async def _ask_until_answered(settings: Mqtt) -> bool:
 
 async def test_both_ends_get_in_with_password_and_tls(guarded: Mqtt, tmp_path: Path) -> None:
     host = RememberingHost()
-    surroundings = Surroundings(tmp_path, uniform=lambda low, _: 0.1 * low)
+    surroundings = ServiceSurroundings(tmp_path, uniform=lambda low, _: 0.1 * low)
     service = MqttService("guarded", guarded, host, host.hub, surroundings)
     running = asyncio.create_task(service.run())
     assert await _ask_until_answered(guarded)
@@ -90,7 +90,7 @@ async def test_a_password_that_cannot_be_read_is_tried_again(
     spoilt = tmp_path / "spoilt"
     damage(spoilt)
     host = RememberingHost()
-    surroundings = Surroundings(tmp_path, uniform=lambda low, _: 0.1 * low)
+    surroundings = ServiceSurroundings(tmp_path, uniform=lambda low, _: 0.1 * low)
     settings = guarded.model_copy(update={"password_file": spoilt})
     service = MqttService("guarded", settings, host, host.hub, surroundings)
     with capture_logs() as lines:

@@ -11,7 +11,7 @@ from itertools import count
 from pathlib import Path
 
 from adaptdrive.recording.batches import Header
-from adaptdrive.recording.recorder import Clocks, Feed, Pace, Recorder
+from adaptdrive.recording.recorder import Clocks, Feed, Recorder, WritePace
 from adaptdrive.runtime.hub import Hub
 from tests.recording.material import INFO, make_tick
 
@@ -25,7 +25,7 @@ async def publish(hub: Hub) -> None:
 async def main(sessions: Path) -> None:
     hub = Hub()
     clocks = Clocks(lambda: datetime.now(UTC), time.monotonic)
-    feed, pace = Feed.of(hub, flush_s=0.1), Pace(flush_s=0.1)
+    feed, pace = Feed.of(hub, flush_s=0.1), WritePace(flush_s=0.1)
     recorder = Recorder(Header(INFO, "", str(sessions)), feed, hub.publish, clocks, pace)
     async with asyncio.TaskGroup() as group:
         group.create_task(recorder.run())

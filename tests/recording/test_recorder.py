@@ -17,7 +17,7 @@ import pytest
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import Header
 from adaptdrive.recording.reader import Session, read_session
-from adaptdrive.recording.recorder import EVENT_KIND, Clocks, Feed, Pace, Recorder
+from adaptdrive.recording.recorder import EVENT_KIND, Clocks, Feed, Recorder, WritePace
 from adaptdrive.recording.session import Dropped, Ending, read_info, session_directories
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Event, Severity
@@ -46,7 +46,7 @@ class Bench:
         self.published = 0
         self.feed = Feed.of(self.hub, flush_s=0.05)
         self.told = self.hub.subscribe(Event, size=100)
-        pace = Pace(flush_s=0.05, backlog_bytes=backlog_bytes, close_s=close_s, trip_s=0.5)
+        pace = WritePace(flush_s=0.05, backlog_bytes=backlog_bytes, close_s=close_s, trip_s=0.5)
         header = Header(INFO, "# as configured\n", str(sessions))
         self.recorder = Recorder(header, self.feed, self.hub.publish, CLOCKS, pace)
         self.running: asyncio.Task[None] | None = None
@@ -136,7 +136,7 @@ async def test_an_orderly_end_records_every_tick_up_to_the_last(sessions: Path) 
 
 async def test_an_event_is_on_disk_before_the_next_flush(sessions: Path) -> None:
     hub = Hub()
-    pace = Pace(flush_s=10 * PATIENCE_S)
+    pace = WritePace(flush_s=10 * PATIENCE_S)
     header = Header(INFO, "", str(sessions))
     recorder = Recorder(header, Feed.of(hub, 1.0), hub.publish, CLOCKS, pace)
     hub.publish(Event("trip", Severity.ALARM, "over-voltage: 431 V", 77))

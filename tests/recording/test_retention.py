@@ -11,9 +11,9 @@ from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.repair import repair
 from adaptdrive.recording.retention import prune
 from adaptdrive.recording.session import (
-    Claim,
     Ending,
     NewSession,
+    SessionLock,
     create_session,
     read_info,
     session_directories,
@@ -58,7 +58,7 @@ def test_a_session_in_progress_loses_its_oldest_segments_only(tmp_path: Path) ->
     assert names(tmp_path) == [directory.name]
     assert not list(directory.glob("ticks-*.parquet"))
     second = recorded(tmp_path, 0.4)
-    claim = Claim.on(second)
+    claim = SessionLock.on(second)
     assert claim is not None
     list(prune(tmp_path, Keep(bytes=1), NOW))
     claim.release()
@@ -94,7 +94,7 @@ def test_a_session_that_was_lost_is_closed_and_reported(tmp_path: Path, lost: Pa
 
 def test_a_session_that_is_being_written_is_left_alone(tmp_path: Path, lost: Path) -> None:
     current = recorded(tmp_path, 0.0)
-    claim = Claim.on(lost)
+    claim = SessionLock.on(lost)
     assert claim is not None
     assert list(repair(tmp_path, current, lambda: False)) == []
     claim.release()

@@ -7,10 +7,10 @@ import pytest
 
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.session import (
-    Claim,
     Dropped,
     Ending,
     NewSession,
+    SessionLock,
     create_session,
     find_session,
     read_info,
@@ -77,11 +77,11 @@ def test_the_facts_about_a_session_come_back(directory: Path) -> None:
 
 
 def test_one_writer_at_a_time_claims_a_session(directory: Path) -> None:
-    claim = Claim.on(directory)
+    claim = SessionLock.on(directory)
     assert claim is not None
-    assert Claim.on(directory) is None
+    assert SessionLock.on(directory) is None
     claim.release()
-    again = Claim.on(directory)
+    again = SessionLock.on(directory)
     assert again is not None
     again.release()
 

@@ -22,7 +22,7 @@ from adaptdrive_sim.campaign.scenario import Scenario
 from adaptdrive_sim.compiled import bench
 from adaptdrive_sim.compiled.run import run_compiled
 from adaptdrive_sim.compiled.sources import compiled_modules
-from adaptdrive_sim.course import Course, Interlocks, Run, run_course, start_at_rest
+from adaptdrive_sim.course import Course, Run, TripLevels, run_course, start_at_rest
 from adaptdrive_sim.experiments.examples import FOLDER
 from adaptdrive_sim.plants.coupling import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
@@ -39,13 +39,13 @@ class Deployed:
 
     settings: ControllerSettings
     load: Load
-    interlocks: Interlocks
+    interlocks: TripLevels
     pole: float
     period_s: float
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class RunOutcome:
     """One run with one controller.
 
     Attributes:
@@ -74,7 +74,7 @@ def deployed() -> Deployed:
     return Deployed(
         settings=settings,
         load=build_load(configuration),
-        interlocks=Interlocks(limits.boost_voltage_max_V, limits.output_max),
+        interlocks=TripLevels(limits.boost_voltage_max_V, limits.output_max),
         pole=configuration.load.pole,
         period_s=period_s,
     )
@@ -94,16 +94,16 @@ class Stand:
         ticks = self.times_s.size * own.settings.rates.ticks_per_period
         self._disturbances = scenario.disturbances(ticks + 1)
 
-    def run(self, mode: Mode) -> Outcome:
+    def run(self, mode: Mode) -> RunOutcome:
         """Run compiled code."""
         course = self._course(mode)
-        return Outcome(*run_compiled(*self._start(course), course))
+        return RunOutcome(*run_compiled(*self._start(course), course))
 
-    def run_deployed(self, mode: Mode) -> tuple[Outcome, list[Decision]]:
+    def run_deployed(self, mode: Mode) -> tuple[RunOutcome, list[Decision]]:
         """Run the deployed controller itself, interpreted."""
         course = self._course(mode)
         run = run_course(*self._start(course), course, deployed().settings.rates)
-        return Outcome(_trace(run, len(course.references)), run.interlock), run.decisions
+        return RunOutcome(_trace(run, len(course.references)), run.interlock), run.decisions
 
     def ideal(self) -> Array:
         """Output of the loop as designed, at each slow instant."""

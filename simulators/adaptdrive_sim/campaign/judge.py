@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.supervisor import Verdict
-from adaptdrive_sim.campaign.bench import Outcome, Stand
+from adaptdrive_sim.campaign.bench import RunOutcome, Stand
 from adaptdrive_sim.campaign.scenario import Scenario, draw
 from adaptdrive_sim.campaign.settings import Campaign
 from adaptdrive_sim.compiled import bench
@@ -33,7 +33,7 @@ def run_seed(campaign: Campaign, seed: int) -> Row:
     return judge(stand, stand.run(Mode.FIXED), stand.run(Mode.ADAPTIVE))
 
 
-def judge(stand: Stand, fixed: Outcome, adaptive: Outcome) -> Row:
+def judge(stand: Stand, fixed: RunOutcome, adaptive: RunOutcome) -> Row:
     """One row of the results."""
     ideal = stand.ideal()
     row = parameters(stand.scenario)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from adaptdrive.control.signals import Decision, Mode
-from adaptdrive_sim.campaign.bench import Outcome, Stand
+from adaptdrive_sim.campaign.bench import RunOutcome, Stand
 from adaptdrive_sim.campaign.judge import judge
 from adaptdrive_sim.campaign.scenario import draw
 from adaptdrive_sim.campaign.settings import Campaign
@@ -34,7 +34,9 @@ def repeat(campaign: Campaign, seed: int, output: Path, console: Console) -> Non
     console.print(f"recorded: {output / f'run-{seed}.parquet'}, {output / f'run-{seed}.png'}")
 
 
-def _table(stand: Stand, fixed: Outcome, adaptive: Outcome, decisions: list[Decision]) -> pa.Table:
+def _table(
+    stand: Stand, fixed: RunOutcome, adaptive: RunOutcome, decisions: list[Decision]
+) -> pa.Table:
     columns: dict[str, Array | list[str]] = {
         "time_s": stand.times_s,
         "reference": stand.references,
@@ -57,7 +59,7 @@ def _table(stand: Stand, fixed: Outcome, adaptive: Outcome, decisions: list[Deci
     return pa.table(columns)
 
 
-def picture(stand: Stand, fixed: Outcome, adaptive: Outcome) -> Figure:
+def picture(stand: Stand, fixed: RunOutcome, adaptive: RunOutcome) -> Figure:
     """Output, boost voltage and estimates of one run."""
     figure = Figure(figsize=(11, 8), layout="constrained")
     top, middle, bottom = figure.subplots(3, 1, sharex=True)

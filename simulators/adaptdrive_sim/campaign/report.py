@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from adaptdrive_sim.campaign.judge import WORSE, Row
-from adaptdrive_sim.campaign.verdict import Claim, Failure, claims, failures
+from adaptdrive_sim.campaign.verdict import CampaignClaim, Failure, claims, failures
 
 _SHOWN = 20
 
@@ -38,7 +38,7 @@ def print_results(rows: list[Row], seconds: float, campaign: Path, console: Cons
         console.print(_failure_table(found, campaign))
 
 
-def _claim_table(found: list[Claim]) -> Table:
+def _claim_table(found: list[CampaignClaim]) -> Table:
     table = Table("claim", "found", "")
     for claim in found:
         mark = "[green]holds[/]" if claim.holds else "[red]fails[/]"

@@ -20,7 +20,7 @@ class Failure:
 
 
 @dataclass(frozen=True, slots=True)
-class Claim:
+class CampaignClaim:
     """One sentence about a campaign, and whether it holds."""
 
     text: str
@@ -46,7 +46,7 @@ def failures(rows: list[Row]) -> list[Failure]:
     return sorted(found, key=lambda failure: (failure.cause, -failure.ratio))
 
 
-def claims(rows: list[Row]) -> list[Claim]:
+def claims(rows: list[Row]) -> list[CampaignClaim]:
     """What is promised of a campaign."""
     changed = [row for row in rows if row["changes"]]
     better = sum(row["ratio"] < 1.0 for row in changed)
@@ -55,7 +55,7 @@ def claims(rows: list[Row]) -> list[Claim]:
         _none(rows, "no run is unstable", "unstable"),
         _none(rows, "no run ends with an interlock", "interlock"),
         _none(rows, "adaptive never costs over 5 % more than fixed", "worse than fixed"),
-        Claim(
+        CampaignClaim(
             "adaptive is better in 95 % of the runs whose load changed",
             f"{better} of {len(changed)}, {100.0 * share:.1f} %",
             share >= BETTER_SHARE,
@@ -63,6 +63,6 @@ def claims(rows: list[Row]) -> list[Claim]:
     ]
 
 
-def _none(rows: list[Row], text: str, cause: str) -> Claim:
+def _none(rows: list[Row], text: str, cause: str) -> CampaignClaim:
     count = sum(_CAUSES[cause](row) for row in rows)
-    return Claim(text, f"{count} of {len(rows)}", count == 0)
+    return CampaignClaim(text, f"{count} of {len(rows)}", count == 0)

@@ -27,7 +27,7 @@ _SCALARS: dict[type, Kind] = {float: "float", int: "int", bool: "bool"}
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class Attribute:
     """One attribute.
 
     Attributes:
@@ -61,11 +61,11 @@ class Layout:
 
     module: str
     name: str
-    fields: tuple[Field, ...]
+    fields: tuple[Attribute, ...]
     words: int
     absent: bool = False
 
-    def find(self, name: str) -> Field | None:
+    def find(self, name: str) -> Attribute | None:
         """The attribute of that name."""
         return next((field for field in self.fields if field.name == name), None)
 
@@ -73,7 +73,7 @@ class Layout:
 def layout_of(instance: Any) -> Layout:
     """The layout of an object and everything in it."""
     hints = _hints(instance.__class__)
-    fields: list[Field] = []
+    fields: list[Attribute] = []
     words = 0
     for name, value in _attributes(instance):
         field = _field(name, value, hints.get(name), words)
@@ -104,20 +104,20 @@ def write(layout: Layout, instance: Any, words: NDArray[np.int64]) -> None:
                 pass
 
 
-def _field(name: str, value: Any, hint: Any, offset: int) -> Field | None:
+def _field(name: str, value: Any, hint: Any, offset: int) -> Attribute | None:
     if value is None:
         optional = _optional_class(hint)
         part = _absent(optional) if optional is not None else None
-        return None if part is None else Field(name, "object", offset, part=part)
+        return None if part is None else Attribute(name, "object", offset, part=part)
     scalar = _SCALARS.get(hint) or _SCALARS.get(type(value))
     if scalar is not None or isinstance(value, int):
-        return Field(name, scalar or "int", offset)
+        return Attribute(name, scalar or "int", offset)
     if isinstance(value, list | tuple):
         return _sequence(name, value, hint, offset)
     if isinstance(value, types.FunctionType):
-        return Field(name, "function", offset, function=(value.__module__, value.__qualname__))
+        return Attribute(name, "function", offset, function=(value.__module__, value.__qualname__))
     if _is_ours(value):
-        return Field(name, "object", offset, part=layout_of(value))
+        return Attribute(name, "object", offset, part=layout_of(value))
     return None
 
 
@@ -129,22 +129,22 @@ def _is_ours(value: Any) -> bool:
 
 def _sequence(
     name: str, value: list[Any] | tuple[Any, ...], hint: Any, offset: int
-) -> Field | None:
+) -> Attribute | None:
     if not all(isinstance(entry, int | float) for entry in value):
         return None
     whole = value and all(isinstance(entry, int) for entry in value)
     kind: Kind = "ints" if whole and float not in typing.get_args(hint) else "floats"
-    return Field(name, kind, offset, length=len(value))
+    return Attribute(name, kind, offset, length=len(value))
 
 
 def _absent(cls: type) -> Layout:
     """What code that is never reached needs to know of something that is not there."""
     hints = _hints(cls)
-    fields: list[Field] = []
+    fields: list[Attribute] = []
     for field in dataclasses.fields(cls):
         kind = _SCALARS.get(hints[field.name])
         if kind is not None:
-            fields.append(Field(field.name, kind, len(fields)))
+            fields.append(Attribute(field.name, kind, len(fields)))
     return Layout(cls.__module__, cls.__name__, tuple(fields), len(fields), absent=True)
 
 
@@ -154,7 +154,7 @@ def _optional_class(hint: Any) -> type | None:
     return candidates[0] if len(candidates) == 1 else None
 
 
-def _size(field: Field) -> int:
+def _size(field: Attribute) -> int:
     if field.part is not None:
         return field.part.words
     return 0 if field.kind == "function" else field.length

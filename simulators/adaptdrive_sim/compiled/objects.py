@@ -31,7 +31,7 @@ from numba.extending import (
 )
 from numba.np.arrayobj import make_array, populate_array
 
-from adaptdrive_sim.compiled.layout import Field, Layout, layout_of, write
+from adaptdrive_sim.compiled.layout import Attribute, Layout, layout_of, write
 
 _WORD = 8
 _SCALAR_TYPES = {"float": types.float64, "int": types.int64, "bool": types.boolean}
@@ -174,7 +174,7 @@ class _Attributes(AttributeTemplate):
         return found.get_call_type(self.context, (this,), {}).return_type
 
 
-def _type_of(field: Field) -> Any:
+def _type_of(field: Attribute) -> Any:
     if field.part is not None:
         return ObjectType(field.part)
     if field.kind == "function":
@@ -182,7 +182,7 @@ def _type_of(field: Field) -> Any:
     return _SCALAR_TYPES.get(field.kind) or _VECTOR_TYPES[field.kind]
 
 
-def _pointer(builder: Any, value: Any, field: Field, element: Any) -> Any:
+def _pointer(builder: Any, value: Any, field: Attribute, element: Any) -> Any:
     place = cgutils.gep(builder, value, field.offset * _WORD)
     return builder.bitcast(place, element.as_pointer())
 
@@ -215,7 +215,7 @@ def _call_property(context: Any, builder: Any, this: ObjectType, value: Any, nam
     return call(builder, (value,))
 
 
-def _view(context: Any, builder: Any, value: Any, field: Field, kind: Any) -> Any:
+def _view(context: Any, builder: Any, value: Any, field: Attribute, kind: Any) -> Any:
     array = make_array(kind)(context, builder)
     populate_array(
         array,
@@ -245,7 +245,7 @@ def _set(context: Any, builder: Any, signature: Any, args: Any, name: str) -> No
 
 
 def _store_vector(
-    context: Any, builder: Any, field: Field, given: Any, target: Any, value: Any
+    context: Any, builder: Any, field: Attribute, given: Any, target: Any, value: Any
 ) -> None:
     """Copy a whole list: an object's lists keep their places, and their lengths."""
     source = make_array(given)(context, builder, value)

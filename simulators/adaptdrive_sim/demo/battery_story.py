@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 from rich.table import Table
 
-from adaptdrive.config.load import Battery as BatterySection
+from adaptdrive.config.load import BatterySection
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform

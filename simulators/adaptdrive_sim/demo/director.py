@@ -11,7 +11,7 @@ from adaptdrive.config.services import Mqtt
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.operation.client import NoAnswerError, send_command
 from adaptdrive_sim.broker import BrokerAddress
-from adaptdrive_sim.demo.record import Record
+from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.script import BEGINNING, Act, acts
 from adaptdrive_sim.demo.settings import DRIVE, HIGH_V, LOW_V, DemoError, DemoSettings
 from adaptdrive_sim.request_client import ask
@@ -38,7 +38,7 @@ class Director:
         started: Set when the drive is under control.
     """
 
-    def __init__(self, settings: DemoSettings, broker: Mqtt, record: Record) -> None:
+    def __init__(self, settings: DemoSettings, broker: Mqtt, record: DemoRecord) -> None:
         """Prepare the play.
 
         Args:

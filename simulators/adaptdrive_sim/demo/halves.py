@@ -11,7 +11,7 @@ _SETTLED_PERIODS = 12
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class HalfCase:
     """What a half wave was controlled by, and what it had to move."""
 
     controller: str
@@ -22,7 +22,7 @@ class Case:
 class _Half:
     reference: float
     step: float
-    case: Case
+    case: HalfCase
     beyond: float = -math.inf
     periods: int = 0
 
@@ -49,7 +49,7 @@ class Halves:
         self.periods = 0
         self._half: _Half | None = None
         self._reference: float | None = None
-        self._found: dict[Case, deque[float]] = {}
+        self._found: dict[HalfCase, deque[float]] = {}
 
     def add(self, reference: float, output: float, controller: str, disks: int) -> None:
         """Take in one slow period.
@@ -60,7 +60,7 @@ class Halves:
             controller: The controller in force.
             disks: Disks on the shaft.
         """
-        case = Case(controller, disks)
+        case = HalfCase(controller, disks)
         if self._half is not None and case != self._half.case:
             self._close()
         if self._reference is not None and reference != self._reference:
@@ -75,7 +75,7 @@ class Halves:
 
     def overshoot(self, controller: str, disks: int) -> float | None:
         """The larger overshoot of the last two half waves of a case, None before the first."""
-        found = self._found.get(Case(controller, disks))
+        found = self._found.get(HalfCase(controller, disks))
         return max(found) if found else None
 
     def _close(self) -> None:

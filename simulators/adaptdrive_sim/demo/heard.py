@@ -15,7 +15,7 @@ from adaptdrive.runtime import reports
 from adaptdrive.runtime.reports import StateReport
 
 
-class Quantiles(msgspec.Struct, frozen=True):
+class QuantilesMessage(msgspec.Struct, frozen=True):
     """Quantiles of a time in microseconds."""
 
     p50: float | None
@@ -24,13 +24,13 @@ class Quantiles(msgspec.Struct, frozen=True):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class State(StateReport):
+class StateMessage(StateReport):
     """From `state`."""
 
     time: datetime
 
 
-class Drive(msgspec.Struct, frozen=True):
+class DriveMessage(msgspec.Struct, frozen=True):
     """From `telemetry/drive`."""
 
     boost_voltage_V: float | None
@@ -39,30 +39,30 @@ class Drive(msgspec.Struct, frozen=True):
     ticks: int
     missed: int
     held: int
-    lateness_us: Quantiles
+    lateness_us: QuantilesMessage
 
 
-class Estimate(msgspec.Struct, frozen=True):
+class EstimateMessage(msgspec.Struct, frozen=True):
     """One estimated parameter."""
 
     value: float | None
     std: float | None
 
 
-class Load(msgspec.Struct, frozen=True):
+class LoadMessage(msgspec.Struct, frozen=True):
     """From `telemetry/load`."""
 
     k: int
     reference: float
     output: float | None
     boost_reference_V: float
-    estimates: dict[str, Estimate]
+    estimates: dict[str, EstimateMessage]
     controller: str
     handover_step_V: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Event(reports.Event):
+class EventMessage(reports.Event):
     """From `event`."""
 
     time: datetime

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from adaptdrive_sim.demo.record import Point, Record
+from adaptdrive_sim.demo.record import DemoRecord, SpeedPoint
 from adaptdrive_sim.demo.settings import HIGH_V, LOW_V
 
 STEP_V = HIGH_V - LOW_V
@@ -19,7 +19,7 @@ _BETWEEN_SAMPLES = 0.93
 """Zero of the motor's held model: how the response shares a step between two samples."""
 
 
-def ideal_response(points: Sequence[Point], pole: float) -> list[float]:
+def ideal_response(points: Sequence[SpeedPoint], pole: float) -> list[float]:
     """Speed at the slow instants if the closed loop had its four poles where they are asked for.
 
     Args:
@@ -47,7 +47,7 @@ def _recall(earlier: Sequence[float], pole: float) -> float:
     return sum(weight * value for weight, value in zip(weights, earlier, strict=True))
 
 
-def tracking_error(record: Record) -> float:
+def tracking_error(record: DemoRecord) -> float:
     """Rms distance from the ideal response over the last minute.
 
     It is a fraction of the wave's step, or of the span of the set-point where that is larger.
@@ -66,7 +66,7 @@ def tracking_error(record: Record) -> float:
     return math.sqrt(sum(error * error for error in judged) / len(judged)) / span
 
 
-def shortcomings(record: Record) -> Iterator[str]:
+def shortcomings(record: DemoRecord) -> Iterator[str]:
     """Everything that makes the demonstration a failure, in one sentence each."""
     counts = record.control
     if counts is None:

@@ -15,7 +15,7 @@ from adaptdrive.operation.messages import ONLINE
 from adaptdrive.operation.topics import Topics
 from adaptdrive_sim.broker import topic as simulator_topic
 from adaptdrive_sim.demo import heard
-from adaptdrive_sim.demo.record import Record
+from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoError
 
 _RETRY_s = 0.5
@@ -24,10 +24,10 @@ Take = Callable[[bytes], None]
 Payload = TypeVar("Payload")
 
 
-class Listener:
+class DemoListener:
     """Fills a record with what a drive says."""
 
-    def __init__(self, broker: Mqtt, drive: str, record: Record) -> None:
+    def __init__(self, broker: Mqtt, drive: str, record: DemoRecord) -> None:
         """Prepare to listen.
 
         Args:
@@ -40,10 +40,10 @@ class Listener:
         topics = Topics(drive)
         self._takes: dict[str, Take] = {
             topics.availability: self._hear_availability,
-            topics.state: _reading(heard.State, record.hear_state),
-            topics.drive_telemetry: _reading(heard.Drive, record.hear_drive),
-            topics.load_telemetry: _reading(heard.Load, record.hear_load),
-            topics.event: _reading(heard.Event, record.hear_event),
+            topics.state: _reading(heard.StateMessage, record.hear_state),
+            topics.drive_telemetry: _reading(heard.DriveMessage, record.hear_drive),
+            topics.load_telemetry: _reading(heard.LoadMessage, record.hear_load),
+            topics.event: _reading(heard.EventMessage, record.hear_event),
             simulator_topic(drive, "truth"): _reading(heard.Truth, record.hear_truth),
         }
 

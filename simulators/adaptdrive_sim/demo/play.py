@@ -14,11 +14,11 @@ from adaptdrive.runtime.accounts import state_report
 from adaptdrive.runtime.reports import Severity, StopWord
 from adaptdrive.runtime.requests import Request
 from adaptdrive_sim.demo import heard
-from adaptdrive_sim.demo.record import Record
+from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World
 
-_NO_LATENESS = heard.Quantiles(None, None, None)
+_NO_LATENESS = heard.QuantilesMessage(None, None, None)
 _REPORT_TICKS = 240
 
 
@@ -32,7 +32,7 @@ class Play:
 
     def __init__(self, configuration: Configuration, world: World) -> None:
         self.drive = OperatedDrive(configuration, world)
-        self.record = Record(datetime.now(UTC), lambda: self.drive.time_s, connected=True)
+        self.record = DemoRecord(datetime.now(UTC), lambda: self.drive.time_s, connected=True)
         self._report_ticks = max(_REPORT_TICKS, configuration.ticks_per_period // 2)
         self._told = ""
         self._tell_state()
@@ -49,7 +49,7 @@ class Play:
     def event(self, kind: str, detail: str, severity: Severity = Severity.INFO) -> None:
         """Add an event."""
         self.record.hear_event(
-            heard.Event(kind, severity, detail, self.drive.ticks, time=self._now())
+            heard.EventMessage(kind, severity, detail, self.drive.ticks, time=self._now())
         )
 
     def tick(self) -> bool:
@@ -68,18 +68,18 @@ class Play:
         """Tell what the fast loop does."""
         drive = self.drive
         values = drive.sample.boost_voltage_V, drive.sample.load_power_W, drive.sample.output
-        self.record.hear_drive(heard.Drive(*values, drive.ticks, 0, 0, _NO_LATENESS))
+        self.record.hear_drive(heard.DriveMessage(*values, drive.ticks, 0, 0, _NO_LATENESS))
 
     def _now(self) -> datetime:
         return self.record.began + timedelta(seconds=self.drive.time_s)
 
     def _tell_decision(self, snapshot: Snapshot, decision: Decision) -> None:
         estimates = {
-            name: heard.Estimate(estimate.value, estimate.std)
+            name: heard.EstimateMessage(estimate.value, estimate.std)
             for name, estimate in decision.estimates.items()
         }
         self.record.hear_load(
-            heard.Load(
+            heard.LoadMessage(
                 k=decision.k,
                 reference=snapshot.order.reference,
                 output=snapshot.output,
@@ -96,7 +96,7 @@ class Play:
         drive, machine = self.drive, self.drive.machine
         report = state_report(machine, drive.decision, StopWord.AWAITED)
         values = {one.name: getattr(report, one.name) for one in fields(report)}
-        self.record.hear_state(heard.State(**values, time=self._now()))
+        self.record.hear_state(heard.StateMessage(**values, time=self._now()))
         if machine.state != self._told:
             if self._told:
                 self.event("state", f"{self._told} to {machine.state}")

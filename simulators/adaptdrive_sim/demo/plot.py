@@ -8,7 +8,7 @@ from itertools import groupby
 
 from rich.text import Text
 
-from adaptdrive_sim.demo.record import Mark, Point
+from adaptdrive_sim.demo.record import Mark, SpeedPoint
 
 REFERENCE_STYLE = "bright_black"
 CONTROLLER_STYLES = {"fixed": "yellow", "adaptive": "green"}
@@ -27,7 +27,7 @@ _LEVELS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class PlotFrame:
     """What part of the world a plot shows, and how large.
 
     Attributes:
@@ -84,7 +84,7 @@ class Canvas:
 
 
 def plot(
-    points: Sequence[Point],
+    points: Sequence[SpeedPoint],
     marks: Sequence[Mark],
     now_s: float,
     window_s: float,
@@ -104,7 +104,7 @@ def plot(
     shown = [point for point in points if now_s - point.time_s <= window_s]
     if not shown or columns < 10 or rows < 2:
         return Text("waiting for the drive …", AXIS_STYLE)
-    frame = Frame(now_s, window_s, *_range(shown), columns, rows)
+    frame = PlotFrame(now_s, window_s, *_range(shown), columns, rows)
     canvas = Canvas(columns, rows)
     _trace(canvas, frame, [(p.time_s, p.reference, REFERENCE_STYLE) for p in shown])
     speeds = [(p.time_s, p.output, CONTROLLER_STYLES.get(p.controller, OFF_STYLE)) for p in shown]
@@ -118,7 +118,7 @@ def plot(
     return Text("\n").join([_marks(frame, marks), *labelled, _times(frame)])
 
 
-def _range(points: Sequence[Point]) -> tuple[float, float]:
+def _range(points: Sequence[SpeedPoint]) -> tuple[float, float]:
     values = [value for p in points for value in (p.reference, p.output)]
     low, high = min(values), max(values)
     missing = max(0.0, _LEAST_SPAN - (high - low))
@@ -126,7 +126,7 @@ def _range(points: Sequence[Point]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _trace(canvas: Canvas, frame: Frame, values: Sequence[tuple[float, float, str]]) -> None:
+def _trace(canvas: Canvas, frame: PlotFrame, values: Sequence[tuple[float, float, str]]) -> None:
     """Draw a curve without gaps: dots reach vertically from one value to the next."""
     before: int | None = None
     for time_s, value, style in values:
@@ -138,7 +138,7 @@ def _trace(canvas: Canvas, frame: Frame, values: Sequence[tuple[float, float, st
         before = row
 
 
-def _labels(frame: Frame, references: Iterable[float]) -> list[str]:
+def _labels(frame: PlotFrame, references: Iterable[float]) -> list[str]:
     """Values beside the rows: both edges, and the references, which matter more."""
     labels = [""] * frame.rows
     for value in (frame.low, frame.high, *references):
@@ -146,7 +146,7 @@ def _labels(frame: Frame, references: Iterable[float]) -> list[str]:
     return labels
 
 
-def _marks(frame: Frame, marks: Sequence[Mark]) -> Text:
+def _marks(frame: PlotFrame, marks: Sequence[Mark]) -> Text:
     """Marks with as much of their text as fits before the next one."""
     line = [" "] * (_LABEL_WIDTH + frame.columns)
     for mark in marks:
@@ -158,7 +158,7 @@ def _marks(frame: Frame, marks: Sequence[Mark]) -> Text:
     return Text("".join(line)[: _LABEL_WIDTH + frame.columns], MARK_STYLE)
 
 
-def _times(frame: Frame) -> Text:
+def _times(frame: PlotFrame) -> Text:
     """Times before now along the lower edge."""
     line = [" "] * (_LABEL_WIDTH + frame.columns)
     apart_s = next(s for s in _APART_s if frame.window_s <= 5 * s)

@@ -19,7 +19,7 @@ Clock = Callable[[], float]
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
+class SpeedPoint:
     """Speed and reference at one time, in tachometer volts.
 
     Attributes:
@@ -51,7 +51,7 @@ class Counts:
 
 
 @dataclass(slots=True)
-class Record:
+class DemoRecord:
     """What was heard; times are seconds of `clock`.
 
     Attributes:
@@ -82,21 +82,21 @@ class Record:
     clock: Clock
     connected: bool = False
     online: bool = False
-    state: heard.State | None = None
-    drive: heard.Drive | None = None
-    load: heard.Load | None = None
+    state: heard.StateMessage | None = None
+    drive: heard.DriveMessage | None = None
+    load: heard.LoadMessage | None = None
     truth: heard.Truth | None = None
-    events: deque[heard.Event] = field(default_factory=lambda: deque(maxlen=EVENTS_KEPT))
+    events: deque[heard.EventMessage] = field(default_factory=lambda: deque(maxlen=EVENTS_KEPT))
     trips: list[str] = field(default_factory=list)
     first: Counts | None = None
     last: Counts | None = None
-    trace: deque[Point] = field(default_factory=lambda: deque(maxlen=TRACE_LENGTH))
-    slow: deque[Point] = field(default_factory=lambda: deque(maxlen=SLOW_LENGTH))
+    trace: deque[SpeedPoint] = field(default_factory=lambda: deque(maxlen=TRACE_LENGTH))
+    slow: deque[SpeedPoint] = field(default_factory=lambda: deque(maxlen=SLOW_LENGTH))
     slow_periods: int = 0
     marks: deque[Mark] = field(default_factory=lambda: deque(maxlen=EVENTS_KEPT))
     handovers_V: list[float] = field(default_factory=list)
     halves: Halves = field(default_factory=Halves)
-    lateness: deque[heard.Quantiles] = field(
+    lateness: deque[heard.QuantilesMessage] = field(
         default_factory=lambda: deque(maxlen=_LATENESS_REPORTS)
     )
     caption: str = ""
@@ -129,12 +129,12 @@ class Record:
         """Count from here: control has begun."""
         self.first = self.last
 
-    def hear_state(self, state: heard.State) -> None:
+    def hear_state(self, state: heard.StateMessage) -> None:
         """Take a state, unless it is of an earlier daemon."""
         if state.time >= self.began:
             self.state = state
 
-    def hear_drive(self, drive: heard.Drive) -> None:
+    def hear_drive(self, drive: heard.DriveMessage) -> None:
         """Take a report of the fast loop."""
         now_s = self.clock()
         self.drive = drive
@@ -143,10 +143,10 @@ class Record:
             self.lateness.append(drive.lateness_us)
         if drive.output is not None and self.load is not None:
             controller = self.load.controller if self.running else "off"
-            point = Point(now_s, self.load.reference, drive.output, controller)
+            point = SpeedPoint(now_s, self.load.reference, drive.output, controller)
             self.trace.append(point)
 
-    def hear_load(self, load: heard.Load) -> None:
+    def hear_load(self, load: heard.LoadMessage) -> None:
         """Take a slow period."""
         if self.load is not None and load.controller != self.load.controller:
             if load.handover_step_V is not None:
@@ -155,7 +155,7 @@ class Record:
         self.load = load
         if load.output is not None:
             disks = self.truth.disks if self.truth else self.size
-            point = Point(self.clock(), load.reference, load.output, load.controller)
+            point = SpeedPoint(self.clock(), load.reference, load.output, load.controller)
             self.slow.append(point)
             self.halves.add(load.reference, load.output, load.controller, disks)
             self.slow_periods += 1
@@ -166,7 +166,7 @@ class Record:
             self.mark(f"{truth.disks} disk{'s' if truth.disks > 1 else ''}")
         self.truth = truth
 
-    def hear_event(self, event: heard.Event) -> None:
+    def hear_event(self, event: heard.EventMessage) -> None:
         """Take an event."""
         self.events.append(event)
         if event.kind == "trip":

@@ -13,10 +13,10 @@ from rich.console import Console
 from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from adaptdrive_sim.demo.record import Record
+from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoSettings
-from adaptdrive_sim.demo.stage import Scene, Show
-from adaptdrive_sim.demo.view import WIDE, Surroundings, screen
+from adaptdrive_sim.demo.stage import Show, Venue
+from adaptdrive_sim.demo.view import WIDE, ViewContext, screen
 
 _REFRESH_s = 0.25
 _PERIODS_SHOWN, _PERIODS_SHOWN_WIDE = 2.0, 3.0
@@ -38,7 +38,7 @@ def operator_program() -> str:
 
 
 def _live(settings: DemoSettings) -> Show:
-    async def show(record: Record, scene: Scene) -> None:
+    async def show(record: DemoRecord, scene: Venue) -> None:
         console = Console()
         try:
             with Live(console=console, screen=True, auto_refresh=False) as live:
@@ -53,9 +53,9 @@ def _live(settings: DemoSettings) -> Show:
     return show
 
 
-def _surroundings(settings: DemoSettings, scene: Scene, width: int) -> Surroundings:
+def _surroundings(settings: DemoSettings, scene: Venue, width: int) -> ViewContext:
     periods = _PERIODS_SHOWN_WIDE if width >= WIDE else _PERIODS_SHOWN
-    return Surroundings(
+    return ViewContext(
         bus=str(scene.bus),
         broker=scene.broker_text,
         program=operator_program(),
@@ -65,7 +65,7 @@ def _surroundings(settings: DemoSettings, scene: Scene, width: int) -> Surroundi
 
 
 def _progress(settings: DemoSettings) -> Show:
-    async def show(record: Record, _: Scene) -> None:
+    async def show(record: DemoRecord, _: Venue) -> None:
         columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
         console = Console(stderr=True)
         with Progress(*columns, console=console, transient=True, redirect_stdout=False) as bar:
@@ -77,15 +77,15 @@ def _progress(settings: DemoSettings) -> Show:
     return show
 
 
-def _what(record: Record) -> str:
+def _what(record: DemoRecord) -> str:
     state = record.state
     return f"{state.state}, {state.controller}" if state else "starting"
 
 
-def _controlled_s(record: Record) -> float:
+def _controlled_s(record: DemoRecord) -> float:
     return record.clock() - record.first.time_s if record.first else 0.0
 
 
-async def _nothing(_: Record, __: Scene) -> NoReturn:
+async def _nothing(_: DemoRecord, __: Venue) -> NoReturn:
     await asyncio.Event().wait()
     raise AssertionError

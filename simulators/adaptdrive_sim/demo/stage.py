@@ -22,9 +22,9 @@ from adaptdrive.recording.session import Ending, read_info
 from adaptdrive_sim.broker import BrokerAddress, parse_address
 from adaptdrive_sim.demo.bus import BusChoice, choose_bus, free_port
 from adaptdrive_sim.demo.director import Director
-from adaptdrive_sim.demo.listener import Listener
+from adaptdrive_sim.demo.listener import DemoListener
 from adaptdrive_sim.demo.processes import Household
-from adaptdrive_sim.demo.record import Record
+from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DRIVE, REST_BOOST_V, DemoError, DemoSettings
 from adaptdrive_sim.demo.summary import Places, summarise
 from adaptdrive_sim.demo.workspace import Workspace, make_workspace
@@ -39,7 +39,7 @@ _LOOK_s = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class Venue:
     """Where a demonstration takes place."""
 
     bus: BusChoice
@@ -58,12 +58,12 @@ class Scene:
         return Mqtt(host=self.broker.host, port=self.broker.port)
 
 
-Show = Callable[[Record, Scene], Awaitable[None]]
+Show = Callable[[DemoRecord, Venue], Awaitable[None]]
 """Shows a record to people until cancelled."""
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class DemoOutcome:
     """How a demonstration ended.
 
     Attributes:
@@ -75,7 +75,7 @@ class Outcome:
     failure: AdaptdriveError | None
 
 
-async def perform(settings: DemoSettings, show: Show) -> Outcome:
+async def perform(settings: DemoSettings, show: Show) -> DemoOutcome:
     """Run a demonstration until its time is over, it fails, or a signal asks for its end.
 
     Args:
@@ -87,7 +87,7 @@ async def perform(settings: DemoSettings, show: Show) -> Outcome:
     """
     asked = end_on_signals()
     scene = await _set_up(settings)
-    record = Record(datetime.now(UTC), time.monotonic)
+    record = DemoRecord(datetime.now(UTC), time.monotonic)
     failure: AdaptdriveError | None = None
     environment = {
         **os.environ,
@@ -108,7 +108,7 @@ async def perform(settings: DemoSettings, show: Show) -> Outcome:
         directory=scene.workspace.directory,
         session=scene.workspace.session(),
     )
-    return Outcome(summarise(record, places, str(failure) if failure else None), failure)
+    return DemoOutcome(summarise(record, places, str(failure) if failure else None), failure)
 
 
 def end_on_signals() -> asyncio.Event:
@@ -120,20 +120,20 @@ def end_on_signals() -> asyncio.Event:
     return asked
 
 
-async def _set_up(settings: DemoSettings) -> Scene:
+async def _set_up(settings: DemoSettings) -> Venue:
     bus = choose_bus(settings.interface, settings.channel)
     if settings.broker is None:
         broker = BrokerAddress("127.0.0.1", free_port(socket.SOCK_STREAM))
     else:
         broker = parse_address(settings.broker)
     workspace = make_workspace(settings, bus, broker, datetime.now(UTC))
-    scene = Scene(bus, broker, workspace)
+    scene = Venue(bus, broker, workspace)
     if settings.broker is not None:
         await _check_broker(scene)
     return scene
 
 
-async def _check_broker(scene: Scene) -> None:
+async def _check_broker(scene: Venue) -> None:
     """Make sure that the broker answers, and that the drive's name is free there."""
     try:
         _, writer = await asyncio.open_connection(scene.broker.host, scene.broker.port)
@@ -146,7 +146,7 @@ async def _check_broker(scene: Scene) -> None:
             raise DemoError(f"broker {scene.broker_text} already has a drive {DRIVE} online")
 
 
-async def _start(household: Household, settings: DemoSettings, scene: Scene) -> None:
+async def _start(household: Household, settings: DemoSettings, scene: Venue) -> None:
     workspace, configuration = scene.workspace, str(scene.workspace.configuration)
     if settings.broker is None:
         module, log = "adaptdrive_sim.demo.broker_main", workspace.log("broker")
@@ -165,7 +165,7 @@ async def _start(household: Household, settings: DemoSettings, scene: Scene) -> 
     await household.start("daemon", "adaptdrive.cli", daemon, workspace.log("daemon"))
 
 
-async def _broker_up(household: Household, scene: Scene) -> None:
+async def _broker_up(household: Household, scene: Venue) -> None:
     """Wait until the embedded broker listens."""
     try:
         async with asyncio.timeout(BROKER_s), asyncio.TaskGroup() as tasks:
@@ -190,8 +190,8 @@ async def _until_listening(broker: BrokerAddress) -> None:
 async def _play(  # noqa: PLR0913, PLR0917 - everybody on the stage
     household: Household,
     settings: DemoSettings,
-    scene: Scene,
-    record: Record,
+    scene: Venue,
+    record: DemoRecord,
     show: Show,
     asked: asyncio.Event,
 ) -> None:
@@ -199,7 +199,7 @@ async def _play(  # noqa: PLR0913, PLR0917 - everybody on the stage
     async with asyncio.TaskGroup() as tasks:
         roles = [
             tasks.create_task(household.watch(), name="processes"),
-            tasks.create_task(Listener(scene.mqtt, DRIVE, record).run(), name="listener"),
+            tasks.create_task(DemoListener(scene.mqtt, DRIVE, record).run(), name="listener"),
             tasks.create_task(director.run(), name="director"),
             tasks.create_task(_show(show, record, scene), name="show"),
             tasks.create_task(_end_in_time(settings, director, asked), name="clock"),
@@ -209,7 +209,7 @@ async def _play(  # noqa: PLR0913, PLR0917 - everybody on the stage
             role.cancel()
 
 
-async def _show(show: Show, record: Record, scene: Scene) -> None:
+async def _show(show: Show, record: DemoRecord, scene: Venue) -> None:
     await show(record, scene)
 
 

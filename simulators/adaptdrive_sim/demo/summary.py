@@ -12,7 +12,7 @@ import numpy as np
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import read_session
 from adaptdrive_sim.demo.judgement import shortcomings, tracking_error
-from adaptdrive_sim.demo.record import Counts, Record
+from adaptdrive_sim.demo.record import Counts, DemoRecord
 from adaptdrive_sim.demo.settings import DRIVE
 
 
@@ -32,7 +32,7 @@ class Places(msgspec.Struct, frozen=True):
     session: Path | None
 
 
-def summarise(record: Record, places: Places, failure: str | None) -> dict[str, Any]:
+def summarise(record: DemoRecord, places: Places, failure: str | None) -> dict[str, Any]:
     """Everything worth knowing at the end, as one flat object for JSON.
 
     Args:
@@ -67,7 +67,7 @@ def one_line(summary: dict[str, Any]) -> str:
     return msgspec.json.encode(summary).decode()
 
 
-def _state(record: Record) -> dict[str, Any]:
+def _state(record: DemoRecord) -> dict[str, Any]:
     state = record.state
     return {
         "state": state.state if state else None,
@@ -76,7 +76,7 @@ def _state(record: Record) -> dict[str, Any]:
     }
 
 
-def _counts(record: Record) -> dict[str, Any]:
+def _counts(record: DemoRecord) -> dict[str, Any]:
     """Counters since control began."""
     counts = record.control or Counts(0.0, 0, 0, 0)
     return {
@@ -109,7 +109,7 @@ def _quantiles(times_us: Any) -> dict[str, float] | None:  # noqa: ANN401 - nump
     return {name: round(us, 1) for name, us in zip(("p50", "p99", "max"), found, strict=True)}
 
 
-def _overshoot(record: Record) -> dict[str, dict[str, float]]:
+def _overshoot(record: DemoRecord) -> dict[str, dict[str, float]]:
     """Overshoot as a fraction of the step, by controller and number of disks."""
     return {
         controller: {
@@ -121,7 +121,7 @@ def _overshoot(record: Record) -> dict[str, dict[str, float]]:
     }
 
 
-def _estimates(record: Record) -> dict[str, Any] | None:
+def _estimates(record: DemoRecord) -> dict[str, Any] | None:
     if record.load is None:
         return None
     return {name: msgspec.to_builtins(one) for name, one in record.load.estimates.items()}

@@ -12,9 +12,9 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from adaptdrive_sim.demo.heard import Quantiles, known
+from adaptdrive_sim.demo.heard import QuantilesMessage, known
 from adaptdrive_sim.demo.plot import CONTROLLER_STYLES, REFERENCE_STYLE, plot
-from adaptdrive_sim.demo.record import Record
+from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DRIVE
 from adaptdrive_sim.demo.subject import Subject
 from adaptdrive_sim.demo.tables import figure, number, overshoot, percent, rows
@@ -29,7 +29,7 @@ _DIM = "bright_black"
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class ViewContext:
     """What the view says of where it is.
 
     Attributes:
@@ -54,7 +54,7 @@ class Surroundings:
         return self.subject.drive if self.subject else DRIVE
 
 
-def screen(record: Record, around: Surroundings, size: tuple[int, int]) -> Layout:
+def screen(record: DemoRecord, around: ViewContext, size: tuple[int, int]) -> Layout:
     """The whole screen.
 
     Args:
@@ -77,7 +77,7 @@ def screen(record: Record, around: Surroundings, size: tuple[int, int]) -> Layou
     return layout
 
 
-def _header(record: Record, around: Surroundings) -> Text:
+def _header(record: DemoRecord, around: ViewContext) -> Text:
     state = record.state
     name = state.state if state else "starting"
     style = _STATE_STYLES.get(name, "bold yellow")
@@ -90,7 +90,7 @@ def _header(record: Record, around: Surroundings) -> Text:
     return _cut(Text("\n").join([line, Text(f" {_caption(record, around)}", "italic")]))
 
 
-def _caption(record: Record, around: Surroundings) -> str:
+def _caption(record: DemoRecord, around: ViewContext) -> str:
     if around.subject is None and record.state is not None and record.state.trip is not None:
         return f"The drive is safe. adaptdrive reset {DRIVE}, then enable {DRIVE}, starts it again."
     return record.caption
@@ -107,7 +107,7 @@ def _controller(controller: str, mode: str, reason: str, trip: str | None) -> Te
     return text
 
 
-def _elapsed(record: Record, around: Surroundings) -> str:
+def _elapsed(record: DemoRecord, around: ViewContext) -> str:
     if record.first is None:
         return ""
     elapsed_s = record.clock() - record.first.time_s
@@ -119,7 +119,7 @@ def _minutes(time_s: float) -> str:
     return f"{int(time_s) // 60}:{int(time_s) % 60:02d}"
 
 
-def _plot_panel(record: Record, around: Surroundings, size: tuple[int, int]) -> Panel:
+def _plot_panel(record: DemoRecord, around: ViewContext, size: tuple[int, int]) -> Panel:
     now_s, points = record.clock(), list(record.trace)
     since_s = now_s - points[0].time_s if points else 0.0
     window_s = min(max(since_s, _SHORTEST_WINDOW_s), around.longest_window_s)
@@ -131,7 +131,7 @@ def _plot_panel(record: Record, around: Surroundings, size: tuple[int, int]) -> 
     return Panel(content, title=title, box=ROUNDED, border_style=_DIM, title_align="left")
 
 
-def _figures(record: Record, around: Surroundings, *, wide: bool) -> Table:
+def _figures(record: DemoRecord, around: ViewContext, *, wide: bool) -> Table:
     if around.subject is not None:
         contents = around.subject.figures()
     else:
@@ -159,7 +159,7 @@ def _boxed(title: str, content: Table, *, wide: bool) -> Panel:
     )
 
 
-def _drive(record: Record, *, wide: bool) -> Table:
+def _drive(record: DemoRecord, *, wide: bool) -> Table:
     table, drive, load = rows("l", "r"), record.drive, record.load
     output = known(drive.output) if drive else math.nan
     shaft = f" {record.truth.speed_rad_s:.0f} rad/s" if wide and record.truth else ""
@@ -173,7 +173,7 @@ def _drive(record: Record, *, wide: bool) -> Table:
     return table
 
 
-def _lateness(reports: Sequence[Quantiles]) -> str:
+def _lateness(reports: Sequence[QuantilesMessage]) -> str:
     """Lateness over the last reports: their median, their 99th percentile, and the worst tick."""
     if not reports:
         return "unknown"
@@ -185,7 +185,7 @@ def _lateness(reports: Sequence[Quantiles]) -> str:
     return "/".join(f"{time_us / 1e3:.1f}" for time_us in times)
 
 
-def _losses(record: Record, *, wide: bool) -> str:
+def _losses(record: DemoRecord, *, wide: bool) -> str:
     """Half cycles without a tick, and ticks that stood in for a late frame."""
     counts = record.control
     if counts is None:
@@ -194,7 +194,7 @@ def _losses(record: Record, *, wide: bool) -> str:
     return f"{counts.missed}/{counts.held}{whole}"
 
 
-def _estimates(record: Record, *, wide: bool) -> Table:
+def _estimates(record: DemoRecord, *, wide: bool) -> Table:
     table = rows("l", "r", "r", "r")
     table.add_row("", "learned", "truth", "error", style="bold")
     truth = record.truth.parameters if record.truth else {}
@@ -209,7 +209,7 @@ def _estimates(record: Record, *, wide: bool) -> Table:
     return table
 
 
-def _learned_disks(record: Record) -> float:
+def _learned_disks(record: DemoRecord) -> float:
     """The inertia that the estimates amount to, in disks; the filter's time is known."""
     if record.load is None or record.truth is None:
         return math.nan
@@ -219,7 +219,7 @@ def _learned_disks(record: Record) -> float:
     return (known(total.value) - truth.tau_filter_s) / per_disk_s if total else math.nan
 
 
-def _overshoots(record: Record) -> Table:
+def _overshoots(record: DemoRecord) -> Table:
     table = rows("l", "r", "r")
     fixed, adaptive = (Text(name, style) for name, style in CONTROLLER_STYLES.items())
     table.add_row("disks", fixed, adaptive, style="bold")
@@ -229,7 +229,7 @@ def _overshoots(record: Record) -> Table:
     return table
 
 
-def _events(record: Record, rows: int) -> Text:
+def _events(record: DemoRecord, rows: int) -> Text:
     lines = [
         Text.assemble(
             (f" {event.time.astimezone():%H:%M:%S} ", _DIM),
@@ -241,7 +241,7 @@ def _events(record: Record, rows: int) -> Text:
     return Text("\n").join(map(_cut, lines)) if lines else Text(" no events yet", _DIM)
 
 
-def _hints(record: Record, around: Surroundings, *, tall: bool) -> Iterator[Text]:
+def _hints(record: DemoRecord, around: ViewContext, *, tall: bool) -> Iterator[Text]:
     if around.subject is not None:
         yield from (_cut(Text(f" {line}", _DIM)) for line in around.subject.foot)
         return

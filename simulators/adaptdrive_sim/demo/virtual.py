@@ -22,7 +22,7 @@ from adaptdrive_sim.demo.stage import end_on_signals
 from adaptdrive_sim.demo.story import Scene, Story
 from adaptdrive_sim.demo.subject import Subject
 from adaptdrive_sim.demo.summary import one_line
-from adaptdrive_sim.demo.view import Surroundings, screen
+from adaptdrive_sim.demo.view import ViewContext, screen
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.noise import NoiseParameters
@@ -161,7 +161,7 @@ async def _show(settings: VirtualSettings, story: Story) -> None:
         f"virtual time, {settings.speed:g} times real time: no bus, no broker   Ctrl-C ends",
         f"the controller and settings of {story.name}.toml, against the simulated {story.name}",
     )
-    around = Surroundings(
+    around = ViewContext(
         bus="",
         broker="",
         program="",

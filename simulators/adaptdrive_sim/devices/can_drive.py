@@ -21,7 +21,7 @@ from adaptdrive.config.bus import CanBus
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.link.bus import describe_bus, open_bus
 from adaptdrive.hardware.link.codec import MessageCodec
-from adaptdrive.hardware.link.integrity import Verdict
+from adaptdrive.hardware.link.integrity import FrameVerdict
 from adaptdrive.hardware.link.reader import read_frames
 from adaptdrive_sim.devices.drive import Drive, Frame, Report
 from adaptdrive_sim.devices.frames import DriveMessages, quantities_of
@@ -83,7 +83,7 @@ class CanDrive:
         if codec is None:
             return
         decoded = codec.decode(bytes(frame.data))
-        if decoded.verdict is not Verdict.GOOD:
+        if decoded.verdict is not FrameVerdict.GOOD:
             self._refuse(decoded.verdict.value)
             return
         self._take_values(codec, decoded.values)

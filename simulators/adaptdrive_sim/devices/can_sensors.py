@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 
 import can
 
-from adaptdrive.config.sensors import CanSensors as Config
+from adaptdrive.config.sensors import CanSensorSection as Config
 from adaptdrive.hardware.dbc.sensors import SensorMessage
 from adaptdrive.hardware.link.bus import describe_bus, open_bus
 from adaptdrive_sim.devices.drive import Drive

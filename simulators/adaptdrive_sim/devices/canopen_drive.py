@@ -25,10 +25,10 @@ from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.references import COMMANDED, MEASURED, WORDS
 from adaptdrive.config.root import Configuration
 from adaptdrive.errors import BusError, ConfigurationError
-from adaptdrive.hardware.canopen.dictionary import Catalogue, load_dictionary
+from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, load_dictionary
 from adaptdrive.hardware.link.bus import describe_bus, open_bus
 from adaptdrive.hardware.link.reader import read_frames
-from adaptdrive_sim.devices.canopen_objects import Address, Objects, Wire
+from adaptdrive_sim.devices.canopen_objects import Address, NodeNetwork, Objects
 from adaptdrive_sim.devices.drive import Drive, Frame, Report
 from adaptdrive_sim.devices.frames import quantities_of
 from adaptdrive_sim.devices.pacing import run_half_cycles
@@ -88,7 +88,7 @@ class CanOpenDrive:
         self._clock = clock
         self._holds = configuration.voltage_loop.where == "drive"
         self._shown, self._obeyed = _addresses(configuration, self._config, source)
-        self._wire = Wire(self._put)
+        self._wire = NodeNetwork(self._put)
         self._objects = Objects(str(self._config.eds), self._config.node_id, self._wire)
         self._power = PowerStates()
         self._nmt = _Nmt.BOOT_UP
@@ -276,7 +276,7 @@ def _addresses(
     configuration: Configuration, bus: CanOpenBus, source: Path
 ) -> tuple[_Places, _Places]:
     """Where each quantity is shown, and where each part of the command is found."""
-    catalogue = Catalogue(load_dictionary(bus.eds, bus.node_id, source))
+    catalogue = ObjectCatalogue(load_dictionary(bus.eds, bus.node_id, source))
     find = functools.partial(_places, catalogue)
     shown = find(configuration.signals, (*MEASURED, *WORDS), "signals")
     obeyed = find(configuration.signals.command, COMMANDED, "signals.command")
@@ -285,7 +285,9 @@ def _addresses(
     return shown, obeyed
 
 
-def _places(catalogue: Catalogue, section: object, names: tuple[str, ...], place: str) -> _Places:
+def _places(
+    catalogue: ObjectCatalogue, section: object, names: tuple[str, ...], place: str
+) -> _Places:
     found: _Places = {}
     for name in names:
         given: SignalSource | None = getattr(section, name)

@@ -25,7 +25,7 @@ _LONGEST_BITS = 64
 _NOT_MAPPABLE, _TOO_LONG, _NOT_NOW = 0x06040041, 0x06040042, 0x08000022
 
 
-class Wire(canopen.Network):
+class NodeNetwork(canopen.Network):
     """The bus as the canopen library sees it."""
 
     def __init__(self, send: Callable[[int, bytes], None]) -> None:
@@ -60,7 +60,7 @@ class _Nothing:
 class Objects:
     """The object dictionary, with an SDO server."""
 
-    def __init__(self, eds: str, node_id: int, wire: Wire) -> None:
+    def __init__(self, eds: str, node_id: int, wire: NodeNetwork) -> None:
         """Read the EDS and serve it.
 
         Args:

@@ -16,8 +16,8 @@ from cantools.database.can.signal import Signal
 from adaptdrive.config.bus import CanBus, SignalSource, SwitchSource
 from adaptdrive.config.root import Configuration
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.dbc.database import Catalogue, load_database, message_codec
-from adaptdrive.hardware.dbc.orders import Order, build_orders, find_orders, page_of, resolve
+from adaptdrive.hardware.dbc.database import SignalCatalogue, load_database, message_codec
+from adaptdrive.hardware.dbc.orders import CommandFrame, build_orders, find_orders, page_of, resolve
 from adaptdrive.hardware.link.codec import MessageCodec, counter_modulus
 from adaptdrive.hardware.link.layout import compile_field
 from adaptdrive_sim.devices.drive import Frame
@@ -37,7 +37,7 @@ _QUANTITIES = (
 
 
 @dataclass(frozen=True, slots=True)
-class Sink:
+class SignalSink:
     """One quantity on its way into a signal.
 
     Attributes:
@@ -71,7 +71,7 @@ class Page:
     """What one frame of a message carries; a message that is not multiplexed has one page."""
 
     selectors: Mapping[str, float]
-    sinks: tuple[Sink, ...]
+    sinks: tuple[SignalSink, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ class DriveMessages:
     """
 
     status: tuple[StatusMessage, ...]
-    orders: tuple[Order, ...]
+    orders: tuple[CommandFrame, ...]
 
     @property
     def codecs(self) -> tuple[MessageCodec, ...]:
@@ -144,7 +144,7 @@ def load_messages(bus: CanBus, configuration: Configuration, source: Path) -> Dr
         ConfigurationError: The database and the configuration do not fit together.
     """
     database = load_database(bus.database, source)
-    catalogue = Catalogue(database, fd=bus.fd)
+    catalogue = SignalCatalogue(database, fd=bus.fd)
     sinks = _find_sinks(catalogue, configuration)
     orders = find_orders(catalogue, bus, configuration.signals)
     for name, integrity in bus.integrity.items():
@@ -167,10 +167,10 @@ def load_messages(bus: CanBus, configuration: Configuration, source: Path) -> Dr
 
 
 def _find_sinks(
-    catalogue: Catalogue, configuration: Configuration
-) -> dict[str, list[tuple[Signal, Sink]]]:
+    catalogue: SignalCatalogue, configuration: Configuration
+) -> dict[str, list[tuple[Signal, SignalSink]]]:
     """Signals and what goes into them, by message."""
-    sinks: dict[str, list[tuple[Signal, Sink]]] = {}
+    sinks: dict[str, list[tuple[Signal, SignalSink]]] = {}
     for quantity in _QUANTITIES:
         given: SignalSource | None = getattr(configuration.signals, quantity)
         if given is None:
@@ -185,11 +185,11 @@ def _find_sinks(
 
 
 def _pages(
-    catalogue: Catalogue, message: Message, sinks: list[tuple[Signal, Sink]]
+    catalogue: SignalCatalogue, message: Message, sinks: list[tuple[Signal, SignalSink]]
 ) -> Iterator[Page]:
     """Every page, whether or not it carries something; what pages have in common is in each."""
     place = f"bus.database.{message.name}"
-    pages: dict[tuple[tuple[str, float], ...], list[Sink]] = {
+    pages: dict[tuple[tuple[str, float], ...], list[SignalSink]] = {
         page_of(catalogue, message, signal, place): [] for signal in message.signals
     }
     for signal, sink in sinks:
@@ -205,7 +205,9 @@ def _every_ticks(message: Message, bus: CanBus, half_cycle_ms: float) -> int:
     return max(1, round((message.cycle_time or 0) / half_cycle_ms))
 
 
-def _sink(catalogue: Catalogue, quantity: str, signal: Signal, given: SignalSource) -> Sink:
+def _sink(
+    catalogue: SignalCatalogue, quantity: str, signal: Signal, given: SignalSource
+) -> SignalSink:
     scale, offset = given.scale, given.offset
     if isinstance(given, SwitchSource) and given.on is not None:
         on = resolve(catalogue, signal, given.on, f"signals.{quantity}.on") or 0.0
@@ -214,10 +216,10 @@ def _sink(catalogue: Catalogue, quantity: str, signal: Signal, given: SignalSour
     layout = compile_field(signal, measured=True)
     low, high = sorted((layout.physical(layout.low), layout.physical(layout.high)))
     modulus = counter_modulus(compile_field(signal)) if quantity == "counter" else 0
-    return Sink(quantity, signal.name, scale, offset, low, high, modulus)
+    return SignalSink(quantity, signal.name, scale, offset, low, high, modulus)
 
 
-def _load_current(catalogue: Catalogue, message: str) -> Iterator[tuple[Signal, Sink]]:
+def _load_current(catalogue: SignalCatalogue, message: str) -> Iterator[tuple[Signal, SignalSink]]:
     mapped = SignalSource(signal=f"{message}.{LOAD_CURRENT}")
     for signal in catalogue.known(message).signals:
         if signal.name == LOAD_CURRENT:

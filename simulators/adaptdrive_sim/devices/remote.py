@@ -15,7 +15,7 @@ import aiomqtt
 import msgspec
 
 from adaptdrive.errors import RefusedError
-from adaptdrive_sim.broker import BrokerAddress, Reply, topic
+from adaptdrive_sim.broker import BrokerAddress, DeviceReply, topic
 from adaptdrive_sim.devices.drive import Drive, Report
 from adaptdrive_sim.disturbances import apply_request, parse_request, read_id
 
@@ -76,18 +76,18 @@ class Remote:
             encoded = msgspec.json.encode(reply)
             await client.publish(topic(self._name, "reply"), encoded, qos=1)
 
-    def carry_out(self, payload: bytes, *, retained: bool) -> Reply:
+    def carry_out(self, payload: bytes, *, retained: bool) -> DeviceReply:
         """Carry out one request, or say why not."""
         if retained:
             reason = "a retained request is old and is not carried out"
-            return Reply(id=read_id(payload), accepted=False, reason=reason)
+            return DeviceReply(id=read_id(payload), accepted=False, reason=reason)
         try:
             request = parse_request(payload)
             apply_request(request, self._drive)
         except RefusedError as refusal:
-            return Reply(id=read_id(payload), accepted=False, reason=refusal.reason)
+            return DeviceReply(id=read_id(payload), accepted=False, reason=refusal.reason)
         self._report("disturbed", **msgspec.to_builtins(request))
-        return Reply(id=request.id, accepted=True, reason="")
+        return DeviceReply(id=request.id, accepted=True, reason="")
 
     def truth(self) -> Mapping[str, float | str]:
         """What an estimator would like to know, and what surrounds it."""

@@ -13,7 +13,7 @@ from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive_sim.devices.drive import Frame
 from adaptdrive_sim.devices.frames import quantities_of
 from adaptdrive_sim.plants.bath import Bath
-from adaptdrive_sim.plants.load import Load
+from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor
 from adaptdrive_sim.world import World
 
@@ -63,7 +63,7 @@ def check_names(names: Iterable[tuple[str, str]], known: Mapping[str, float], so
         raise ConfigurationError(source, flaws)
 
 
-def _values_of_load(load: Load, output: float) -> dict[str, float]:
+def _values_of_load(load: SimulatedLoad, output: float) -> dict[str, float]:
     if isinstance(load, Bath):
         inflow_K = load.inflow_K
         return {"inflow_temperature": inflow_K, "bath_temperature": inflow_K + output}

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from adaptdrive_sim.experiments.case import Disturbance, Variant
-from adaptdrive_sim.experiments.outcome import Outcome
-from adaptdrive_sim.experiments.sweep import Point, settling_time_s
+from adaptdrive_sim.experiments.outcome import ExperimentOutcome
+from adaptdrive_sim.experiments.sweep import SweepPoint, settling_time_s
 
 NOISY = Disturbance(noise=0.002, spike_share=0.02, spike_noise=0.10)
 """Under this noise direct least squares is held against the λ-method."""
 
 
 @dataclass(frozen=True, slots=True)
-class Claim:
+class ExperimentClaim:
     """One claim.
 
     Attributes:
@@ -31,15 +31,15 @@ class Claim:
     met: bool | None
 
 
-def claims(outcome: Outcome) -> list[Claim]:
+def claims(outcome: ExperimentOutcome) -> list[ExperimentClaim]:
     """Judge every claim that the paper makes of an experiment."""
     return [make(outcome) for make in _CLAIMS[outcome.experiment.name]]
 
 
-def _fixed_motor(outcome: Outcome) -> Claim:
+def _fixed_motor(outcome: ExperimentOutcome) -> ExperimentClaim:
     overshoots = _last_of_segments(outcome, "fixed")
     rising = all(a < b for a, b in pairwise(overshoots))
-    return Claim(
+    return ExperimentClaim(
         "the fixed controller overshoots more with each disk",
         _percents(overshoots),
         "rising, the last above 15 %",
@@ -47,9 +47,9 @@ def _fixed_motor(outcome: Outcome) -> Claim:
     )
 
 
-def _adaptive_motor(outcome: Outcome) -> Claim:
+def _adaptive_motor(outcome: ExperimentOutcome) -> ExperimentClaim:
     overshoots = _last_of_segments(outcome, "adaptive")
-    return Claim(
+    return ExperimentClaim(
         "the adaptive one does not, in the last cycle with each load",
         _percents(overshoots),
         "each below 2 %",
@@ -57,9 +57,9 @@ def _adaptive_motor(outcome: Outcome) -> Claim:
     )
 
 
-def _converged(outcome: Outcome) -> Claim:
+def _converged(outcome: ExperimentOutcome) -> ExperimentClaim:
     found = outcome.converged
-    return Claim(
+    return ExperimentClaim(
         "its estimates are within 5 % of the truth soon after each load change",
         ", ".join("never" if one is None else f"{one:.2f}" for one in found) + " cycles",
         "at most 2 cycles",
@@ -67,10 +67,10 @@ def _converged(outcome: Outcome) -> Claim:
     )
 
 
-def _direct_motor(outcome: Outcome) -> Claim:
+def _direct_motor(outcome: ExperimentOutcome) -> ExperimentClaim:
     ratio = outcome.model_error("direct_rls") / outcome.model_error("adaptive")
     judged = outcome.disturbance == NOISY and outcome.design == "paper"
-    return Claim(
+    return ExperimentClaim(
         "where there are spikes, direct RLS is erratic: its model error over that of LM-RLS",
         f"{ratio:.2f}",
         f"at least 1.8 with --spikes {NOISY.spike_share},{NOISY.spike_noise}",
@@ -78,10 +78,10 @@ def _direct_motor(outcome: Outcome) -> Claim:
     )
 
 
-def _fixed_bath(outcome: Outcome) -> Claim:
+def _fixed_bath(outcome: ExperimentOutcome) -> ExperimentClaim:
     last = outcome.experiment.changes[-1].size
     overshoots = [one.overshoot for one in outcome.cycles["fixed"] if one.load == last]
-    return Claim(
+    return ExperimentClaim(
         "the fixed controller overshoots in each cycle after the change of volume",
         _percents(overshoots),
         "each above 7 %",
@@ -89,9 +89,9 @@ def _fixed_bath(outcome: Outcome) -> Claim:
     )
 
 
-def _adaptive_bath(outcome: Outcome) -> Claim:
+def _adaptive_bath(outcome: ExperimentOutcome) -> ExperimentClaim:
     overshoots = [one.overshoot for one in outcome.cycles["adaptive"]]
-    return Claim(
+    return ExperimentClaim(
         "the adaptive one hardly does, in any cycle",
         _percents(overshoots),
         "each below 3.5 %",
@@ -99,11 +99,11 @@ def _adaptive_bath(outcome: Outcome) -> Claim:
     )
 
 
-def _forgetting(outcome: Outcome) -> Claim:
+def _forgetting(outcome: ExperimentOutcome) -> ExperimentClaim:
     method = outcome.experiment.sweep.methods[0]
     points = [one for one in outcome.over_forgetting if one.setting.method == method]
     first, last = points[0], points[-1]
-    return Claim(
+    return ExperimentClaim(
         "forgetting faster brings speed and costs noise",
         f"ρ = {first.setting.forgetting:g}: {_speed_and_noise(first)}; "
         f"ρ = {last.setting.forgetting:g}: {_speed_and_noise(last)}",
@@ -112,7 +112,7 @@ def _forgetting(outcome: Outcome) -> Claim:
     )
 
 
-def _tau_lambda(outcome: Outcome) -> Claim:
+def _tau_lambda(outcome: ExperimentOutcome) -> ExperimentClaim:
     experiment = outcome.experiment
     limit_s = settling_time_s(experiment.nominal(), 0.1 * experiment.period_s)
     points = outcome.over_tau_lambda
@@ -123,7 +123,7 @@ def _tau_lambda(outcome: Outcome) -> Claim:
     beyond = min(
         (one for one in points if one.setting.tau_lambda_s > limit_s), key=lambda one: one.deviation
     )
-    return Claim(
+    return ExperimentClaim(
         f"λ filters slower than the load's settling time of {limit_s:.0f} s gain nothing",
         f"noise in the estimates at best {100.0 * beyond.deviation:.2g} %",
         f"no more than a tenth below the {100.0 * below.deviation:.2g} % of faster ones",
@@ -131,7 +131,7 @@ def _tau_lambda(outcome: Outcome) -> Claim:
     )
 
 
-def _last_of_segments(outcome: Outcome, variant: Variant) -> list[float]:
+def _last_of_segments(outcome: ExperimentOutcome, variant: Variant) -> list[float]:
     """Overshoot in the last cycle with each load."""
     experiment = outcome.experiment
     ends = [*(change.time_s for change in experiment.changes), experiment.duration_s]
@@ -146,16 +146,16 @@ def _percents(values: list[float]) -> str:
     return ", ".join(f"{100.0 * value:.1f}" for value in values) + " %"
 
 
-def _cycles(point: Point) -> float:
+def _cycles(point: SweepPoint) -> float:
     return float("inf") if point.cycles is None else point.cycles
 
 
-def _speed_and_noise(point: Point) -> str:
+def _speed_and_noise(point: SweepPoint) -> str:
     speed = "never" if point.cycles is None else f"{point.cycles:.2f} cycles"
     return f"{speed}, {100.0 * point.deviation:.2g} %"
 
 
-_CLAIMS: dict[str, tuple[Callable[[Outcome], Claim], ...]] = {
+_CLAIMS: dict[str, tuple[Callable[[ExperimentOutcome], ExperimentClaim], ...]] = {
     "motor": (_fixed_motor, _adaptive_motor, _converged, _direct_motor, _forgetting, _tau_lambda),
     "bath": (_fixed_bath, _adaptive_bath, _forgetting, _tau_lambda),
 }

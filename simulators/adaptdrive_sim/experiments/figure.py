@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from adaptdrive.analysis import style
 from adaptdrive.control.load import to_input
 from adaptdrive_sim.experiments.experiment import Experiment
-from adaptdrive_sim.experiments.outcome import Outcome
-from adaptdrive_sim.experiments.runner import Record
+from adaptdrive_sim.experiments.outcome import ExperimentOutcome
+from adaptdrive_sim.experiments.runner import RunRecord
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ SYMBOLS = {
 }
 
 
-def draw_experiment(outcome: Outcome, path: Path) -> None:
+def draw_experiment(outcome: ExperimentOutcome, path: Path) -> None:
     """Draw the figure of an experiment as a PNG."""
     with style.journal():
         figure = _DRAW[outcome.experiment.name](outcome)
@@ -41,7 +41,7 @@ def save(figure: Figure, path: Path) -> None:
     figure.savefig(path, dpi=style.DPI, metadata={"Software": None})
 
 
-def _draw_motor(outcome: Outcome) -> Figure:
+def _draw_motor(outcome: ExperimentOutcome) -> Figure:
     """Speed and voltage of the fixed and of the adaptive controller, as in Fig. 9, and more."""
     figure = Figure(figsize=(style.WIDTH_in, 8.8), layout="constrained")
     axes = figure.subplots(6, 1, sharex=True, height_ratios=(1.3, 0.9, 1.3, 0.9, 1.2, 0.9))
@@ -72,7 +72,7 @@ def _draw_motor(outcome: Outcome) -> Figure:
     return figure
 
 
-def _draw_bath(outcome: Outcome) -> Figure:
+def _draw_bath(outcome: ExperimentOutcome) -> Figure:
     """Response and power of both controllers, as in Fig. 4, and the estimates."""
     figure = Figure(figsize=(style.WIDTH_in, 6.2), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True, height_ratios=(1.5, 1.2, 1.1))
@@ -106,18 +106,18 @@ def _draw_bath(outcome: Outcome) -> Figure:
     return figure
 
 
-def _speed(axes: Axes, record: Record, label: str, look: style.Look) -> None:
+def _speed(axes: Axes, record: RunRecord, label: str, look: style.Look) -> None:
     minutes = _minutes(record)
     axes.step(minutes, record.reference, where="post", label="reference", **style.REFERENCE)
     axes.plot(minutes, record.output, label=label, **look)
     style.legend_above(axes, 2)
 
 
-def _voltage(axes: Axes, record: Record, look: style.Look) -> None:
+def _voltage(axes: Axes, record: RunRecord, look: style.Look) -> None:
     axes.step(_minutes(record), record.boost_reference_V, where="post", **look)
 
 
-def _estimates(axes: Axes, outcome: Outcome, limits: tuple[float, float]) -> None:
+def _estimates(axes: Axes, outcome: ExperimentOutcome, limits: tuple[float, float]) -> None:
     """Estimates and truth, over the nominal values."""
     experiment, record = outcome.experiment, outcome.records["adaptive"]
     load = experiment.nominal()
@@ -135,7 +135,7 @@ def _estimates(axes: Axes, outcome: Outcome, limits: tuple[float, float]) -> Non
     style.legend_above(axes, len(load.names) + 1)
 
 
-def _model_errors(axes: Axes, outcome: Outcome) -> None:
+def _model_errors(axes: Axes, outcome: ExperimentOutcome) -> None:
     """One bar-like step for each reference cycle and controller."""
     looks = {"fixed": style.FIXED, "adaptive": style.ADAPTIVE, "direct_rls": style.DIRECT}
     labels = {"fixed": "fixed", "adaptive": "adaptive (LM-RLS)", "direct_rls": "direct RLS"}
@@ -184,7 +184,7 @@ def _time_axis(axes: Axes, experiment: Experiment, step_min: float) -> None:
     axes.set_xlabel("Time (min)")
 
 
-def _minutes(record: Record) -> Array:
+def _minutes(record: RunRecord) -> Array:
     return np.array(record.time_s) / 60.0
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from adaptdrive_sim.experiments.case import Design
 from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
 from adaptdrive_sim.experiments.ideal import ideal_output
-from adaptdrive_sim.experiments.runner import Record
+from adaptdrive_sim.experiments.runner import RunRecord
 
 Array = NDArray[np.float64]
 
@@ -39,23 +39,23 @@ class Cycle:
     model_error_rms: float
 
 
-def cycles(experiment: Experiment, design: Design, record: Record) -> list[Cycle]:
+def cycles(experiment: Experiment, design: Design, record: RunRecord) -> list[Cycle]:
     """Judge every reference cycle of a run."""
     errors = model_errors(experiment, design, record)
     return [_cycle(experiment, record, errors, start_s) for start_s in experiment.cycle_starts()]
 
 
-def model_errors(experiment: Experiment, design: Design, record: Record) -> Array:
+def model_errors(experiment: Experiment, design: Design, record: RunRecord) -> Array:
     """Deviation from the ideal closed loop at each slow instant, as a fraction of the step."""
     return (np.array(record.output) - ideal_output(experiment, design)) / experiment.step
 
 
-def rms_between(record: Record, errors: Array, first_s: float, last_s: float) -> float:
+def rms_between(record: RunRecord, errors: Array, first_s: float, last_s: float) -> float:
     """Root of the mean square over first <= t < last."""
     return _rms(errors[_between(record, first_s, last_s)])
 
 
-def _cycle(experiment: Experiment, record: Record, errors: Array, start_s: float) -> Cycle:
+def _cycle(experiment: Experiment, record: RunRecord, errors: Array, start_s: float) -> Cycle:
     half_s = 0.5 * experiment.reference.period_s
     end_s = min(start_s + 2.0 * half_s, experiment.duration_s)
     halves = [_half(experiment, record, start_s, start_s + half_s)]
@@ -73,7 +73,7 @@ def _cycle(experiment: Experiment, record: Record, errors: Array, start_s: float
 
 
 def _half(
-    experiment: Experiment, record: Record, first_s: float, last_s: float
+    experiment: Experiment, record: RunRecord, first_s: float, last_s: float
 ) -> tuple[float, float]:
     """Overshoot, and settling time or infinity, of one half cycle."""
     chosen = _between(record, first_s, last_s)
@@ -86,7 +86,9 @@ def _half(
     return max(0.0, float(excess.max())), settling_s
 
 
-def convergence_cycles(experiment: Experiment, record: Record, change: LoadChange) -> float | None:
+def convergence_cycles(
+    experiment: Experiment, record: RunRecord, change: LoadChange
+) -> float | None:
     """Reference cycles until every estimate is within 5 % of the truth and stays so.
 
     Args:
@@ -111,7 +113,7 @@ def convergence_cycles(experiment: Experiment, record: Record, change: LoadChang
     return float(times[first] - change.time_s) / experiment.reference.period_s
 
 
-def _between(record: Record, first_s: float, last_s: float) -> NDArray[np.bool_]:
+def _between(record: RunRecord, first_s: float, last_s: float) -> NDArray[np.bool_]:
     times = np.array(record.time_s)
     return (times >= first_s) & (times < last_s)
 

@@ -15,12 +15,12 @@ from adaptdrive_sim.experiments.metrics import (
     model_errors,
     rms_between,
 )
-from adaptdrive_sim.experiments.runner import Record
-from adaptdrive_sim.experiments.sweep import Point
+from adaptdrive_sim.experiments.runner import RunRecord
+from adaptdrive_sim.experiments.sweep import SweepPoint
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class ExperimentOutcome:
     """Everything that was found.
 
     Attributes:
@@ -39,11 +39,11 @@ class Outcome:
     design: Design
     disturbance: Disturbance
     seed: int
-    records: dict[Variant, Record]
+    records: dict[Variant, RunRecord]
     cycles: dict[Variant, list[Cycle]]
     converged: list[float | None]
-    over_forgetting: list[Point] = dataclasses.field(default_factory=list)
-    over_tau_lambda: list[Point] = dataclasses.field(default_factory=list)
+    over_forgetting: list[SweepPoint] = dataclasses.field(default_factory=list)
+    over_tau_lambda: list[SweepPoint] = dataclasses.field(default_factory=list)
 
     def model_error(self, variant: Variant) -> float:
         """Root mean square of the model error, all but the first reference cycle."""
@@ -57,16 +57,18 @@ def judge(
     design: Design,
     disturbance: Disturbance,
     seed: int,
-    records: dict[Variant, Record],
-) -> Outcome:
+    records: dict[Variant, RunRecord],
+) -> ExperimentOutcome:
     """Work out the metrics of all runs."""
     judged = {variant: cycles(experiment, design, record) for variant, record in records.items()}
     adaptive = records["adaptive"]
     converged = [convergence_cycles(experiment, adaptive, one) for one in experiment.changes]
-    return Outcome(experiment, design, disturbance, seed, records, judged, converged)
+    return ExperimentOutcome(experiment, design, disturbance, seed, records, judged, converged)
 
 
-def summary(outcome: Outcome, claims: list[dict[str, Any]], wall_s: float) -> dict[str, Any]:
+def summary(
+    outcome: ExperimentOutcome, claims: list[dict[str, Any]], wall_s: float
+) -> dict[str, Any]:
     """The content of summary.json."""
     return {
         "experiment": outcome.experiment.name,

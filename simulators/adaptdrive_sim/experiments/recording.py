@@ -8,11 +8,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from adaptdrive_sim.experiments.case import Variant
-from adaptdrive_sim.experiments.outcome import Outcome
-from adaptdrive_sim.experiments.runner import Record
+from adaptdrive_sim.experiments.outcome import ExperimentOutcome
+from adaptdrive_sim.experiments.runner import RunRecord
 
 
-def write_record(path: Path, outcome: Outcome, variant: Variant) -> None:
+def write_record(path: Path, outcome: ExperimentOutcome, variant: Variant) -> None:
     """Write one run; what it was made with is in the file's metadata."""
     disturbance = outcome.disturbance
     metadata = {
@@ -27,7 +27,7 @@ def write_record(path: Path, outcome: Outcome, variant: Variant) -> None:
     pq.write_table(table, path, compression="zstd")
 
 
-def _columns(record: Record) -> dict[str, pa.Array]:
+def _columns(record: RunRecord) -> dict[str, pa.Array]:
     names = (
         *("time_s", "reference", "size", "output", "measured", "boost_reference_V", "applied_V"),
         *("adaptive", "accepted", "reason", "gains", "innovation", "excitation"),

@@ -7,13 +7,13 @@ import sys
 from rich.console import Console
 from rich.table import Table
 
-from adaptdrive_sim.experiments.claims import Claim
+from adaptdrive_sim.experiments.claims import ExperimentClaim
 
 _VERDICTS = {True: "holds", False: "FAILS", None: "not judged"}
 _STYLES = {True: "green", False: "bold red", None: "dim"}
 
 
-def print_claims(title: str, claims: list[Claim]) -> None:
+def print_claims(title: str, claims: list[ExperimentClaim]) -> None:
     """Print the verdict on every claim."""
     if sys.stdout.isatty():
         Console().print(_table(title, claims))
@@ -25,7 +25,7 @@ def print_claims(title: str, claims: list[Claim]) -> None:
     sys.stdout.write("\n".join((title, *lines)) + "\n")
 
 
-def _table(title: str, claims: list[Claim]) -> Table:
+def _table(title: str, claims: list[ExperimentClaim]) -> Table:
     table = Table(title=title, title_justify="left", show_lines=True)
     for heading in ("claim", "measured", "target", "verdict"):
         table.add_column(heading)

@@ -23,12 +23,12 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from adaptdrive.errors import AdaptdriveError
 from adaptdrive_sim.experiments.bath import BATH
 from adaptdrive_sim.experiments.case import Case, Design, Disturbance, Variant
-from adaptdrive_sim.experiments.claims import Claim, claims
+from adaptdrive_sim.experiments.claims import ExperimentClaim, claims
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.experiments.motor import MOTOR
-from adaptdrive_sim.experiments.outcome import Outcome, judge, summary
+from adaptdrive_sim.experiments.outcome import ExperimentOutcome, judge, summary
 from adaptdrive_sim.experiments.recording import write_record
-from adaptdrive_sim.experiments.runner import Record, run_case
+from adaptdrive_sim.experiments.runner import RunRecord, run_case
 from adaptdrive_sim.experiments.settings import case_settings
 from adaptdrive_sim.experiments.sweep import (
     listen,
@@ -63,7 +63,7 @@ class RunError(AdaptdriveError):
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class ReproduceRequest:
     """What is to be reproduced.
 
     Attributes:
@@ -94,7 +94,7 @@ class Request:
         return Case(self.experiment, "fixed", settings, disturbance, self.seed)
 
 
-def run_request(request: Request, folder: Path) -> list[Claim]:
+def run_request(request: ReproduceRequest, folder: Path) -> list[ExperimentClaim]:
     """Run an experiment, and write its figures, its summary and its recorded runs.
 
     Args:
@@ -124,7 +124,7 @@ def run_request(request: Request, folder: Path) -> list[Claim]:
     return verdicts
 
 
-def _carry_out(request: Request, folder: Path) -> Outcome:
+def _carry_out(request: ReproduceRequest, folder: Path) -> ExperimentOutcome:
     """Run everything in parallel, and draw each figure as soon as its data is there."""
     experiment, variants = request.experiment, VARIANTS[request.experiment.name]
     with _pool(len(variants)) as pool, _progress(len(variants) + _OTHER_STEPS) as done:
@@ -139,7 +139,7 @@ def _carry_out(request: Request, folder: Path) -> Outcome:
         heard = listen(request.listener(), runs["fixed"].result())
         over_forgetting = pool.submit(try_settings, heard, settings_over_forgetting(experiment))
         over_tau_lambda = pool.submit(try_settings, heard, settings_over_tau_lambda(experiment))
-        records: dict[Variant, Record] = {}
+        records: dict[Variant, RunRecord] = {}
         for variant, run in runs.items():
             records[variant] = run.result()
             done(f"ran the {variant} controller")

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(slots=True)
-class Record:
+class RunRecord:
     """What happened: one entry for each slow period, taken at its first tick.
 
     Attributes:
@@ -67,7 +67,7 @@ class Record:
     fast_voltage_V: array[float] = field(default_factory=lambda: array("d"))
 
 
-def run_case(case: Case, *, keep_ticks: bool = False) -> Record:
+def run_case(case: Case, *, keep_ticks: bool = False) -> RunRecord:
     """Run one case from start to end.
 
     Args:
@@ -131,9 +131,9 @@ def planned(experiment: Experiment, course: Course) -> dict[str, Any]:
     }
 
 
-def _record(experiment: Experiment, course: Course, run: Run) -> Record:
+def _record(experiment: Experiment, course: Course, run: Run) -> RunRecord:
     decisions, names = run.decisions, run.decisions[0].estimates
-    return Record(
+    return RunRecord(
         **planned(experiment, course),
         output=run.outputs,
         measured=[one.output for one in run.snapshots],

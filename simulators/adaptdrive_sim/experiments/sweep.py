@@ -28,7 +28,7 @@ from adaptdrive.control.vectors import Vector, shift_in
 from adaptdrive_sim.experiments.case import Case
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.experiments.metrics import CONVERGED
-from adaptdrive_sim.experiments.runner import Record
+from adaptdrive_sim.experiments.runner import RunRecord
 from adaptdrive_sim.noise import samples
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ class Setting:
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
+class SweepPoint:
     """What became of one setting of the estimator.
 
     Attributes:
@@ -85,7 +85,7 @@ class Point:
     deviation: float
 
 
-def listen(case: Case, record: Record) -> Heard:
+def listen(case: Case, record: RunRecord) -> Heard:
     """Take what the estimators need from a run that kept its ticks."""
     load = case.experiment.nominal()
     gain, exponent = load.input_gain, load.input_exponent
@@ -110,7 +110,7 @@ def settings_over_tau_lambda(experiment: Experiment) -> list[Setting]:
     return [Setting("lm-rls", forgetting, tau_s) for tau_s in experiment.sweep.tau_lambda_s]
 
 
-def try_settings(heard: Heard, settings: list[Setting]) -> list[Point]:
+def try_settings(heard: Heard, settings: list[Setting]) -> list[SweepPoint]:
     """See how settings of the estimator do."""
     noises = _noises(heard)
     return [_try_setting(heard, noises, setting) for setting in settings]
@@ -136,7 +136,7 @@ def _noises(heard: Heard) -> list[Array]:
     return [np.fromiter(samples(parameters, one), np.float64, count) for one in generators]
 
 
-def _try_setting(heard: Heard, noises: list[Array], setting: Setting) -> Point:
+def _try_setting(heard: Heard, noises: list[Array], setting: Setting) -> SweepPoint:
     learning = dataclasses.replace(
         heard.case.settings.learning,
         filtered=setting.method == "lm-rls",
@@ -145,7 +145,7 @@ def _try_setting(heard: Heard, noises: list[Array], setting: Setting) -> Point:
     )
     estimate = _estimate_filtered if learning.filtered else _estimate_directly
     quiet, *noisy = estimate(heard, learning, noises)
-    return Point(setting, _speed(heard.case.experiment, quiet), _spread(heard, quiet, noisy))
+    return SweepPoint(setting, _speed(heard.case.experiment, quiet), _spread(heard, quiet, noisy))
 
 
 def _estimate_filtered(heard: Heard, learning: Learning, noises: list[Array]) -> list[Array]:

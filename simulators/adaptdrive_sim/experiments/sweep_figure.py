@@ -13,8 +13,8 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 from adaptdrive.analysis import style
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.experiments.figure import save
-from adaptdrive_sim.experiments.outcome import Outcome
-from adaptdrive_sim.experiments.sweep import Point, settling_time_s
+from adaptdrive_sim.experiments.outcome import ExperimentOutcome
+from adaptdrive_sim.experiments.sweep import SweepPoint, settling_time_s
 
 _DOTS = {"markersize": 3.2}
 _LOOKS: dict[str, tuple[str, style.Look]] = {
@@ -30,7 +30,7 @@ _PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
 Grid = Sequence[Sequence[Axes]]
 
 
-def draw_sweep(outcome: Outcome, path: Path) -> None:
+def draw_sweep(outcome: ExperimentOutcome, path: Path) -> None:
     """Draw what other values of ρ and τ_λ do as a PNG."""
     with style.journal():
         figure = Figure(figsize=(style.WIDTH_in, 4.6), layout="constrained")
@@ -48,7 +48,9 @@ def _memory(forgetting: float) -> float:
     return 1.0 / (1.0 - forgetting)
 
 
-def _column(axes: Sequence[Axes], points: list[Point], position: Callable[[Point], float]) -> None:
+def _column(
+    axes: Sequence[Axes], points: list[SweepPoint], position: Callable[[SweepPoint], float]
+) -> None:
     for method, (label, look) in _LOOKS.items():
         chosen = [one for one in points if one.setting.method == method]
         if chosen:
@@ -57,8 +59,8 @@ def _column(axes: Sequence[Axes], points: list[Point], position: Callable[[Point
 
 def _curves(
     axes: Sequence[Axes],
-    points: list[Point],
-    position: Callable[[Point], float],
+    points: list[SweepPoint],
+    position: Callable[[SweepPoint], float],
     label: str,
     look: style.Look,
 ) -> None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
-from adaptdrive_sim.plants.load import Load
+from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 
 
-def new_load(kind: str, disks: int = 1) -> Load:
+def new_load(kind: str, disks: int = 1) -> SimulatedLoad:
     """The reference load of a kind.
 
     Args:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Protocol
 
 
-class Load(Protocol):
+class SimulatedLoad(Protocol):
     """One simulated load, stepped by whole half line cycles."""
 
     @property

@@ -37,7 +37,7 @@ _SECTIONS = {"drive", "load", "estimator"}
 Values = tuple[float, ...]
 
 
-class Source(Protocol):
+class EstimateSource(Protocol):
     """Where trusted estimates come from: a controller."""
 
     @property
@@ -70,7 +70,7 @@ class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     format: int
 
 
-class _Format(msgspec.Struct):
+class _CheckpointFormat(msgspec.Struct):
     format: int
 
 
@@ -138,7 +138,7 @@ def read_checkpoint(path: Path, key: str, load: Load, jacket: Jacket) -> Values 
 
 def _decode(path: Path, text: bytes) -> Checkpoint:
     try:
-        version = msgspec.json.decode(text, type=_Format).format
+        version = msgspec.json.decode(text, type=_CheckpointFormat).format
         if version != FORMAT:
             raise CheckpointError(path, f"format {version} is not {FORMAT}, the one known here")
         return msgspec.json.decode(text, type=Checkpoint)
@@ -181,7 +181,7 @@ class Keeper:
     def __init__(
         self,
         write: Callable[[Values], None],
-        source: Source,
+        source: EstimateSource,
         hub: Hub,
         clock: Callable[[], float],
         every_s: float = EVERY_S,

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from adaptdrive.app.settings import build_load, controller_settings, tick_s
 from adaptdrive.config import Configuration
-from adaptdrive.config.load import Battery
+from adaptdrive.config.load import BatterySection
 from adaptdrive.control.design import compensator_gains, discrete_model
 from adaptdrive.control.load import Load, to_input
 from adaptdrive.errors import Flaw
@@ -36,7 +36,7 @@ def implausible(configuration: Configuration) -> Iterator[Flaw]:
 def _reach_flaws(configuration: Configuration, load: Load) -> Iterator[Flaw]:
     """The voltages that may be asked for lead to outputs among the set-points."""
     section, limits = configuration.load, configuration.drive.limits
-    if isinstance(section, Battery):
+    if isinstance(section, BatterySection):
         return
     gain = load.numerator[-1] / load.denominator[-1]
     ends_V = limits.boost_reference_min_V, limits.boost_reference_max_V
@@ -56,7 +56,7 @@ def _reach_flaws(configuration: Configuration, load: Load) -> Iterator[Flaw]:
 def _battery_flaws(configuration: Configuration) -> Iterator[Flaw]:
     """The dc/dc stage makes voltages at which the battery can be charged, and not charged."""
     section, limits = configuration.load, configuration.drive.limits
-    if not isinstance(section, Battery):
+    if not isinstance(section, BatterySection):
         return
     ratio, highest_V = section.model.turns_ratio, section.charge.voltage_max_V
     low_V = ratio * limits.boost_reference_min_V

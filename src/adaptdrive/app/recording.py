@@ -10,7 +10,7 @@ from adaptdrive import __version__
 from adaptdrive.app.checkpoint import Values
 from adaptdrive.config import Configuration
 from adaptdrive.recording.batches import Header, Keep, SensorColumn
-from adaptdrive.recording.recorder import Clocks, Feed, Pace, Recorder
+from adaptdrive.recording.recorder import Clocks, Feed, Recorder, WritePace
 from adaptdrive.recording.session import SessionInfo, sessions_directory
 from adaptdrive.runtime.hub import Hub
 
@@ -42,7 +42,7 @@ def build_recorder(
         keep=Keep(recording.keep_days, None if size is None else round(size * 1e6)),
     )
     clocks = Clocks(lambda: datetime.now(UTC), time.monotonic)
-    feed, pace = Feed.of(hub, recording.flush_s), Pace(flush_s=recording.flush_s)
+    feed, pace = Feed.of(hub, recording.flush_s), WritePace(flush_s=recording.flush_s)
     return Recorder(header, feed, hub.publish, clocks, pace)
 
 

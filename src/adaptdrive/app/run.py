@@ -33,7 +33,7 @@ from adaptdrive.app.state_file import directory_flaw
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.errors import AdaptdriveError, first_error
-from adaptdrive.operation.service import MqttService, Surroundings
+from adaptdrive.operation.service import MqttService, ServiceSurroundings
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.latency import WatchedLoop
@@ -160,7 +160,7 @@ def _mqtt(
     configuration: Configuration, daemon: Daemon, hub: Hub, start_thread: Callable[[], None]
 ) -> MqttService:
     directory = state_directory(os.environ.get("STATE_DIRECTORY", ""))
-    surroundings = Surroundings(directory, start_thread=start_thread)
+    surroundings = ServiceSurroundings(directory, start_thread=start_thread)
     return MqttService(configuration.drive.name, configuration.mqtt, daemon, hub, surroundings)
 
 

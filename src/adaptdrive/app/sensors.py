@@ -9,7 +9,7 @@ from pathlib import Path
 from adaptdrive.app.ports import build_port
 from adaptdrive.config import Configuration
 from adaptdrive.config.derived import Rule, in_order
-from adaptdrive.config.sensors import AnySensorBus, CanSensors
+from adaptdrive.config.sensors import AnySensorBus, CanSensorSection
 from adaptdrive.config.supply import needed_names
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.port import Port, SensorPort
@@ -92,7 +92,7 @@ def build_sensor_port(
     Raises:
         ConfigurationError: Bus and signals do not fit; every flaw is listed.
     """
-    if isinstance(bus, CanSensors):
+    if isinstance(bus, CanSensorSection):
         from adaptdrive.hardware.dbc.sensors import (  # noqa: PLC0415 - load what is used
             build_can_sensors,
         )

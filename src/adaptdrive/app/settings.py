@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.derived import moved_inputs
-from adaptdrive.config.load import Bath, Battery, Motor, Supervisor
+from adaptdrive.config.load import BathSection, BatterySection, MotorSection, Supervisor
 from adaptdrive.control.charging import Charging
 from adaptdrive.control.load import Load, to_input
 from adaptdrive.control.loads.bath import bath_load
@@ -42,9 +42,9 @@ _COLLECT_TICKS = 12
 def build_load(configuration: Configuration) -> Load:
     """The load with its nominal model."""
     match configuration.load:
-        case Motor(model=model):
+        case MotorSection(model=model):
             return motor_load(model.gain, model.tau_motor_s, model.tau_filter_s)
-        case Bath(model=model):
+        case BathSection(model=model):
             return bath_load(
                 model.resistance_K_per_W,
                 model.tau_s,
@@ -52,7 +52,7 @@ def build_load(configuration: Configuration) -> Load:
                 model.droop_Ohm,
                 model.heater_Ohm,
             )
-        case Battery(model=model):
+        case BatterySection(model=model):
             return battery_load(
                 model.turns_ratio,
                 model.droop_Ohm + model.internal_Ohm,
@@ -62,7 +62,7 @@ def build_load(configuration: Configuration) -> Load:
             )
 
 
-def _charging(battery: Battery) -> Charging:
+def _charging(battery: BatterySection) -> Charging:
     return Charging(
         turns_ratio=battery.model.turns_ratio,
         droop_Ohm=battery.model.droop_Ohm,
@@ -152,7 +152,7 @@ def _lowest_scale(configuration: Configuration) -> float:
 
 def _learning(configuration: Configuration, *, exact: bool) -> Learning:
     estimator, load = configuration.estimator, build_load(configuration)
-    battery = isinstance(configuration.load, Battery)
+    battery = isinstance(configuration.load, BatterySection)
     limits = configuration.drive.limits
     middle_V = 0.5 * (limits.boost_reference_min_V + limits.boost_reference_max_V)
     middle = to_input(middle_V, load.input_gain, load.input_exponent)
@@ -178,7 +178,7 @@ def _learning(configuration: Configuration, *, exact: bool) -> Learning:
 
 def _known_filter_s(configuration: Configuration) -> float:
     load = configuration.load
-    if not configuration.estimator.known_filter or not isinstance(load, Motor):
+    if not configuration.estimator.known_filter or not isinstance(load, MotorSection):
         return 0.0
     return load.model.tau_filter_s
 
@@ -282,7 +282,7 @@ def _stillness(configuration: Configuration) -> StillnessLimits | None:
         return None
     load = build_load(configuration)
     distance = interlocks.stuck_distance * (section.reference_max - section.reference_min)
-    if isinstance(section, Battery):  # takes no current at all below its own voltage
+    if isinstance(section, BatterySection):  # takes no current at all below its own voltage
         distance = 0.0
     return StillnessLimits(
         unit=section.output_unit,
@@ -319,7 +319,7 @@ def _response(configuration: Configuration) -> ResponseLimits | None:
         factor=factor,
         reference_range=reference_range,
     )
-    if not isinstance(section, Battery):
+    if not isinstance(section, BatterySection):
         return limits
     ratio = section.model.turns_ratio
     return replace(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from adaptdrive.operation.client import Status
+from adaptdrive.operation.client import DriveStatus
 
 
-def describe(drive: str, status: Status) -> str:
+def describe(drive: str, status: DriveStatus) -> str:
     """A few lines that say how a drive is doing.
 
     Args:

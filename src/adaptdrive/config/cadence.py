@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from adaptdrive.config.load import LoadSection
 from adaptdrive.config.modbus import ModbusBus
-from adaptdrive.config.services import Interlocks
+from adaptdrive.config.services import InterlocksSection
 from adaptdrive.errors import Flaw
 
 STALE_POLLS = 1.5
@@ -14,7 +14,7 @@ STALE_POLLS = 1.5
 
 
 def poll_flaws(
-    bus: ModbusBus, load: LoadSection, interlocks: Interlocks, half_cycle_s: float
+    bus: ModbusBus, load: LoadSection, interlocks: InterlocksSection, half_cycle_s: float
 ) -> Iterator[Flaw]:
     """What a poll cycle contradicts.
 

@@ -40,7 +40,7 @@ class DriveLimits(Section):
         return self
 
 
-class Drive(Section):
+class DriveSection(Section):
     """`[drive]`: the power-electronic drive."""
 
     name: str = Field(

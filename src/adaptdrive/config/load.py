@@ -74,7 +74,7 @@ class MotorModel(Section):
     tau_filter_s: PositiveFloat = Field(description="time constant τ_f of the tachometer filter")
 
 
-class Motor(LoadSection):
+class MotorSection(LoadSection):
     """`[load]` with `type = "motor"`."""
 
     type: Literal["motor"] = Field(description="kind of load")
@@ -93,7 +93,7 @@ class BathModel(Section):
     heater_Ohm: PositiveFloat = Field(description="R_h of the heater")
 
 
-class Bath(LoadSection):
+class BathSection(LoadSection):
     """`[load]` with `type = "bath"`."""
 
     type: Literal["bath"] = Field(description="kind of load")
@@ -126,7 +126,7 @@ class Charge(Section):
     end_current_A: PositiveFloat = Field(description="tapering current at which charging ends")
 
 
-class Battery(LoadSection):
+class BatterySection(LoadSection):
     """`[load]` with `type = "battery"`; the set-point is the charging current."""
 
     type: Literal["battery"] = Field(description="kind of load")

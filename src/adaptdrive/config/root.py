@@ -12,39 +12,41 @@ from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.cadence import poll_flaws
 from adaptdrive.config.canopen import CanOpenBus, canopen_flaws
 from adaptdrive.config.derived import Derived
-from adaptdrive.config.drive import Drive, VoltageLoop
-from adaptdrive.config.load import Bath, Battery, Estimator, Motor, Supervisor
+from adaptdrive.config.drive import DriveSection, VoltageLoop
+from adaptdrive.config.load import BathSection, BatterySection, Estimator, MotorSection, Supervisor
 from adaptdrive.config.modbus import ModbusBus, ModbusRtu, ModbusTcp
 from adaptdrive.config.references import can_flaws, modbus_flaws, unit_flaws
 from adaptdrive.config.section import Section, inconsistent
 from adaptdrive.config.sensors import (
-    CanSensors,
+    CanSensorSection,
     ModbusRtuSensors,
     ModbusTcpSensors,
     sensor_flaws,
 )
-from adaptdrive.config.services import Interlocks, Mqtt, Realtime, Recording
+from adaptdrive.config.services import InterlocksSection, Mqtt, Realtime, Recording
 from adaptdrive.config.supply import supply_flaws
 from adaptdrive.errors import Flaw
 
 BUS_TYPES = ("can", "canopen", "modbus-tcp", "modbus-rtu")
 
-SensorBus = Annotated[CanSensors | ModbusTcpSensors | ModbusRtuSensors, Field(discriminator="type")]
+SensorBus = Annotated[
+    CanSensorSection | ModbusTcpSensors | ModbusRtuSensors, Field(discriminator="type")
+]
 
 
 class Configuration(Section):
     """One TOML file, one drive."""
 
-    drive: Drive
+    drive: DriveSection
     bus: CanBus | CanOpenBus | ModbusTcp | ModbusRtu = Field(discriminator="type")
     signals: Signals
     sensor_bus: list[SensorBus] = Field(default=[])
     derived: dict[str, Derived] = Field(default={})
     voltage_loop: VoltageLoop = Field(default_factory=VoltageLoop)
-    load: Motor | Bath | Battery = Field(discriminator="type")
+    load: MotorSection | BathSection | BatterySection = Field(discriminator="type")
     estimator: Estimator = Field(default_factory=Estimator)
     supervisor: Supervisor = Field(default_factory=Supervisor)
-    interlocks: Interlocks
+    interlocks: InterlocksSection
     mqtt: Mqtt = Field(default_factory=Mqtt)
     recording: Recording = Field(default_factory=Recording)
     realtime: Realtime = Field(default_factory=Realtime)
@@ -180,7 +182,7 @@ def _filter_flaws(configuration: Configuration) -> Iterator[Flaw]:
     load, estimator = configuration.load, configuration.estimator
     if not estimator.known_filter:
         return
-    if not isinstance(load, Motor):
+    if not isinstance(load, MotorSection):
         yield Flaw("estimator.known_filter", f"a load of type {load.type!r} has no output filter")
     elif estimator.method != "lm-rls" or load.design != "exact":
         yield Flaw("estimator.known_filter", "needs method 'lm-rls' and load.design 'exact'")

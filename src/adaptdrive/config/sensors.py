@@ -39,7 +39,7 @@ class SensorRegister(Register):
     )
 
 
-class SensorBus(Section):
+class SensorBusSection(Section):
     """What `[[sensor_bus]]` holds for every kind of bus."""
 
     name: str = Field(
@@ -62,7 +62,7 @@ class SensorBus(Section):
         return DEFAULT_STALE_CYCLES * self.cycle_s if self.stale_s is None else self.stale_s
 
 
-class ModbusSensors(SensorBus, ModbusLink):
+class ModbusSensorSection(SensorBusSection, ModbusLink):
     """What `[[sensor_bus]]` holds for every kind of Modbus."""
 
     registers: dict[str, SensorRegister] = Field(
@@ -70,19 +70,19 @@ class ModbusSensors(SensorBus, ModbusLink):
     )
 
 
-class ModbusTcpSensors(ModbusSensors, TcpLink):
+class ModbusTcpSensors(ModbusSensorSection, TcpLink):
     """`[[sensor_bus]]` with `type = "modbus-tcp"`."""
 
     type: Literal["modbus-tcp"] = Field(description="kind of bus")
 
 
-class ModbusRtuSensors(ModbusSensors, RtuLink):
+class ModbusRtuSensors(ModbusSensorSection, RtuLink):
     """`[[sensor_bus]]` with `type = "modbus-rtu"`."""
 
     type: Literal["modbus-rtu"] = Field(description="kind of bus")
 
 
-class CanSensors(SensorBus, CanLink):
+class CanSensorSection(SensorBusSection, CanLink):
     """`[[sensor_bus]]` with `type = "can"`: sensors that send by themselves."""
 
     type: Literal["can"] = Field(description="kind of bus")
@@ -93,7 +93,7 @@ class CanSensors(SensorBus, CanLink):
     )
 
 
-AnySensorBus = CanSensors | ModbusTcpSensors | ModbusRtuSensors
+AnySensorBus = CanSensorSection | ModbusTcpSensors | ModbusRtuSensors
 
 
 def sensor_flaws(bus: AnySensorBus, place: str, period_s: float) -> Iterator[Flaw]:
@@ -121,20 +121,20 @@ def sensor_flaws(bus: AnySensorBus, place: str, period_s: float) -> Iterator[Fla
     for name in WORDS:
         if name in bus.signals:
             yield Flaw(f"{place}.signals.{name}", "comes from the drive alone")
-    if isinstance(bus, CanSensors):
+    if isinstance(bus, CanSensorSection):
         yield from _can_flaws(bus, place)
     else:
         yield from _modbus_flaws(bus, place)
 
 
-def _can_flaws(bus: CanSensors, place: str) -> Iterator[Flaw]:
+def _can_flaws(bus: CanSensorSection, place: str) -> Iterator[Flaw]:
     for name, source in bus.signals.items():
         if not CAN_SIGNAL.fullmatch(source.signal):
             problem = f"{source.signal!r} must be `Message.Signal` on a CAN bus"
             yield Flaw(f"{place}.signals.{name}.signal", problem)
 
 
-def _modbus_flaws(bus: ModbusSensors, place: str) -> Iterator[Flaw]:
+def _modbus_flaws(bus: ModbusSensorSection, place: str) -> Iterator[Flaw]:
     for name, register in bus.registers.items():
         yield from register_flaws(f"{place}.registers.{name}", register)
     for device in {register.device_id for register in bus.registers.values()}:

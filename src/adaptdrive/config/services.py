@@ -53,7 +53,7 @@ def _check_name(host: str) -> None:
         )
 
 
-class Interlocks(Section):
+class InterlocksSection(Section):
     """`[interlocks]`: limits that trip the drive; a trip is latched until `reset`."""
 
     stale_s: PositiveFloat = Field(

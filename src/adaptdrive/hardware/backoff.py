@@ -9,7 +9,7 @@ _LONGEST_S = 2.0
 """A cable or an adapter that is plugged in again should not be waited for."""
 
 
-class Backoff:
+class BusBackoff:
     """Waits that double, until the bus has been of use."""
 
     def __init__(self) -> None:

@@ -36,7 +36,7 @@ class NoAnswerError(AdaptdriveError):
 
 
 @dataclass(slots=True)
-class Status:
+class DriveStatus:
     """What a drive says about itself; each part None until it is heard.
 
     Attributes:
@@ -86,7 +86,7 @@ def sender() -> str:
     return f"{user}@{socket.gethostname()}"[:LONGEST_USER]
 
 
-async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> Status:
+async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> DriveStatus:
     """What a drive says now: its retained state, and telemetry when some comes soon.
 
     Args:
@@ -97,7 +97,7 @@ async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> Status:
     Raises:
         NoAnswerError: No state in time, or no broker.
     """
-    topics, status = Topics(drive), Status()
+    topics, status = Topics(drive), DriveStatus()
     async with _conversation(broker, drive) as client:
         async with asyncio.timeout(timeout_s):
             await client.subscribe(topics.availability, qos=1)
@@ -108,11 +108,11 @@ async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> Status:
     return status
 
 
-def _complete(status: Status) -> bool:
+def _complete(status: DriveStatus) -> bool:
     return status.state is not None and status.availability is not None
 
 
-async def _add_telemetry(client: Client, topics: Topics, status: Status) -> None:
+async def _add_telemetry(client: Client, topics: Topics, status: DriveStatus) -> None:
     with suppress(TimeoutError):
         async with asyncio.timeout(TELEMETRY_WAIT_S):
             await client.subscribe(topics.load_telemetry)
@@ -121,7 +121,7 @@ async def _add_telemetry(client: Client, topics: Topics, status: Status) -> None
 
 
 async def _listen(
-    client: Client, topics: Topics, status: Status, enough: Callable[[Status], bool]
+    client: Client, topics: Topics, status: DriveStatus, enough: Callable[[DriveStatus], bool]
 ) -> None:
     async for message in client.messages:
         _note(message.topic.value, bytes(message.payload), topics, status)
@@ -129,7 +129,7 @@ async def _listen(
             return
 
 
-def _note(topic: str, payload: bytes, topics: Topics, status: Status) -> None:
+def _note(topic: str, payload: bytes, topics: Topics, status: DriveStatus) -> None:
     if topic == topics.availability:
         status.availability = payload.decode("utf-8", "replace")
         return

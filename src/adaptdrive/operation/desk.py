@@ -31,7 +31,7 @@ LONGEST_REASON = 500
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class OperatorCommand:
     """A command as it arrived.
 
     Attributes:
@@ -93,19 +93,19 @@ class Desk:
         async with asyncio.TaskGroup() as self._tasks:
             await asyncio.Event().wait()
 
-    async def ask(self, command: Command) -> Reply | None:
+    async def ask(self, command: OperatorCommand) -> Reply | None:
         """Answer a command in a task that outlives its caller."""
         return await asyncio.shield(self._tasks.create_task(self.answer(command)))
 
-    def receive(self, verb: str, raw: bytes, *, retained: bool) -> Command:
+    def receive(self, verb: str, raw: bytes, *, retained: bool) -> OperatorCommand:
         """Take a command as it arrives; `disable` is carried out here, whatever its payload."""
         stopped = None
         if verb == STOP:
             stopped = self._host.stop()
             self._stops += 1
-        return Command(verb, raw, retained, self._stops, stopped)
+        return OperatorCommand(verb, raw, retained, self._stops, stopped)
 
-    async def answer(self, command: Command) -> Reply | None:
+    async def answer(self, command: OperatorCommand) -> Reply | None:
         """Carry out a command unless a rule forbids it.
 
         Returns:
@@ -126,7 +126,7 @@ class Desk:
         self._log_reply(reply)
         return reply
 
-    def refuse(self, command: Command, reason: str) -> Reply | None:
+    def refuse(self, command: OperatorCommand, reason: str) -> Reply | None:
         """Refuse a command without looking further than its id.
 
         Returns:
@@ -138,7 +138,7 @@ class Desk:
             return None
         return replace(_refusal(command, payload), reason=reason, state=self._present_state())
 
-    def _confirm(self, command: Command, payload: Payload, state: State) -> Reply:
+    def _confirm(self, command: OperatorCommand, payload: Payload, state: State) -> Reply:
         """Return the reply to a stop; it is accepted whatever is wrong with its payload."""
         flaw = self._flaw(command, payload)
         reason = _clean(f"carried out, although: {flaw}") if flaw else ""
@@ -148,7 +148,7 @@ class Desk:
         self._report(_report_of(payload, reply))
         return reply
 
-    def _flaw(self, command: Command, payload: Payload) -> str:
+    def _flaw(self, command: OperatorCommand, payload: Payload) -> str:
         if command.retained:
             return "it is retained; publish without retain"
         try:
@@ -157,7 +157,7 @@ class Desk:
             return str(problem)
         return self._other_verb(command, payload) or ""
 
-    def _log_unreadable(self, command: Command) -> None:
+    def _log_unreadable(self, command: OperatorCommand) -> None:
         if (withheld := self._ration.take()) is not None:
             self._log.warning(
                 "command without a readable id",
@@ -178,7 +178,7 @@ class Desk:
                 withheld_lines=withheld,
             )
 
-    def _repeated(self, command: Command, payload: Payload) -> Reply | None:
+    def _repeated(self, command: OperatorCommand, payload: Payload) -> Reply | None:
         """Return the reply to a command whose id is known, None for a new one."""
         known = self._memory.recall(str(payload.id)) if _memorable(payload.id) else None
         flaw = self._other_verb(command, payload)
@@ -186,7 +186,7 @@ class Desk:
             return known
         return replace(_refusal(command, payload), reason=flaw, state=self._present_state())
 
-    def _other_verb(self, command: Command, payload: Payload) -> str | None:
+    def _other_verb(self, command: OperatorCommand, payload: Payload) -> str | None:
         known = self._memory.recall(str(payload.id)) if _memorable(payload.id) else None
         if known is None or known.verb == command.verb:
             return None
@@ -194,7 +194,7 @@ class Desk:
             f"id {payload.id!r} was used by {known.verb!r}; give each command an id of its own"
         )
 
-    async def _decide(self, command: Command, payload: Payload) -> Reply:
+    async def _decide(self, command: OperatorCommand, payload: Payload) -> Reply:
         reply = _refusal(command, payload)
         try:
             request = self._read(command, payload)
@@ -208,14 +208,14 @@ class Desk:
         self._report(_report_of(payload, reply))
         return reply
 
-    def _read(self, command: Command, payload: Payload) -> Request:
+    def _read(self, command: OperatorCommand, payload: Payload) -> Request:
         if command.retained:
             raise RefusedError(RETAINED)
         request, expires = payload.request(command.verb)
         self._refuse_expired(expires)
         return request
 
-    async def _carry_out(self, request: Request, command: Command, doubt: Reply) -> State:
+    async def _carry_out(self, request: Request, command: OperatorCommand, doubt: Reply) -> State:
         # Written first: a daemon that dies in between must not act a second time on a repeat.
         await self._memory.keep(str(doubt.id), doubt)
         if command.stops != self._stops:
@@ -230,7 +230,7 @@ class Desk:
             )
 
 
-def _refusal(command: Command, payload: Payload) -> Reply:
+def _refusal(command: OperatorCommand, payload: Payload) -> Reply:
     return Reply(id=payload.id or "", verb=command.verb, accepted=False, reason="", state=None)
 
 

@@ -18,7 +18,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.clock import Monotonic
 from adaptdrive.operation.name import ClientName
-from adaptdrive.operation.pace import Backoff
+from adaptdrive.operation.pace import BrokerBackoff
 from adaptdrive.operation.steady import SteadyClient
 
 TIMEOUT_S = 5.0
@@ -27,7 +27,7 @@ KEEP_ALIVE_S = 15
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class BrokerConnection:
     """An open connection to a broker.
 
     Attributes:
@@ -41,13 +41,13 @@ class Line:
     name: ClientName
 
 
-Serve = Callable[[Line], Awaitable[None]]
+Serve = Callable[[BrokerConnection], Awaitable[None]]
 """Uses a line; ends with `MqttError` when it is lost."""
 
 _UNSUPPORTED_PROTOCOL = (1, 132)  # in the words of MQTT 3.1.1 and of MQTT 5
 
 
-class Link:
+class BrokerLink:
     """Keeps one client connected for as long as it runs."""
 
     def __init__(
@@ -55,7 +55,7 @@ class Link:
         settings: Mqtt,
         name: ClientName,
         will: Will,
-        backoff: Backoff,
+        backoff: BrokerBackoff,
         monotonic: Monotonic,
     ) -> None:
         self._settings = settings
@@ -106,7 +106,7 @@ class Link:
             self._problem = ""
             self._log.info("broker connected", protocol=protocol.name, name=self._name.present)
             try:
-                await serve(Line(client, protocol, self._name))
+                await serve(BrokerConnection(client, protocol, self._name))
             finally:
                 self._name.connection_ended(client)
 

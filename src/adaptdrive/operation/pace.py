@@ -64,7 +64,7 @@ class LogRation:
 
 
 @dataclass(slots=True)
-class Backoff:
+class BrokerBackoff:
     """Waiting times between attempts: doubling, capped, and spread so that a site does not surge.
 
     Attributes:

@@ -23,13 +23,13 @@ from adaptdrive.operation.clock import (
 from adaptdrive.operation.desk import Desk
 from adaptdrive.operation.intake import Intake
 from adaptdrive.operation.journal import Journal
-from adaptdrive.operation.link import Line, Link
+from adaptdrive.operation.link import BrokerConnection, BrokerLink
 from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.messages import OFFLINE
 from adaptdrive.operation.name import ClientName
 from adaptdrive.operation.outbox import Outbox
-from adaptdrive.operation.pace import Backoff, LogRation, Pace
-from adaptdrive.operation.session import Session
+from adaptdrive.operation.pace import BrokerBackoff, LogRation, Pace
+from adaptdrive.operation.session import BrokerSession
 from adaptdrive.operation.topics import Topics
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Severity
@@ -42,7 +42,7 @@ FAREWELL_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class ServiceSurroundings:
     """What the service takes from the machine it runs on.
 
     Attributes:
@@ -71,7 +71,7 @@ class MqttService:
         settings: Mqtt,
         host: Host,
         hub: Hub,
-        surroundings: Surroundings,
+        surroundings: ServiceSurroundings,
     ) -> None:
         """Subscribe to the hub: nothing is missed between now and `run`.
 
@@ -100,11 +100,11 @@ class MqttService:
             LogRation(surroundings.monotonic),
             report=hub.publish,
         )
-        self._link = Link(
+        self._link = BrokerLink(
             settings,
             ClientName(f"adaptdrive-{drive}", surroundings.monotonic, self._meet_rival),
             Will(self._topics.availability, OFFLINE, qos=1, retain=True),
-            Backoff(surroundings.uniform),
+            BrokerBackoff(surroundings.uniform),
             surroundings.monotonic,
         )
 
@@ -166,7 +166,7 @@ class MqttService:
             await asyncio.sleep(CLOCK_CHECK_S)
 
     async def _keep_connected(self) -> None:
-        async def serve(line: Line) -> None:
-            await Session(line, self._topics, self._intake, self._desk, self._pace).run()
+        async def serve(line: BrokerConnection) -> None:
+            await BrokerSession(line, self._topics, self._intake, self._desk, self._pace).run()
 
         await self._link.run(serve)

@@ -11,9 +11,9 @@ from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from adaptdrive.operation.board import Mailbox
-from adaptdrive.operation.desk import Command, Desk
+from adaptdrive.operation.desk import Desk, OperatorCommand
 from adaptdrive.operation.intake import Intake
-from adaptdrive.operation.link import Line
+from adaptdrive.operation.link import BrokerConnection
 from adaptdrive.operation.messages import OFFLINE, ONLINE, Reply, encode
 from adaptdrive.operation.pace import Pace
 from adaptdrive.operation.topics import Topics
@@ -31,12 +31,12 @@ RESET = "reset"
 SHUTTING_DOWN = "the daemon is shutting down"
 
 
-class Session:
+class BrokerSession:
     """Sends what the intake holds, and hands commands on, over one line."""
 
     def __init__(
         self,
-        line: Line,
+        line: BrokerConnection,
         topics: Topics,
         intake: Intake,
         desk: Desk,
@@ -49,8 +49,8 @@ class Session:
         self._intake = intake
         self._desk = desk
         self._pace = pace
-        self._commands: Mailbox[Command] = Mailbox(COMMANDS_HELD)
-        self._stops: Mailbox[Command] = Mailbox(COMMANDS_HELD)
+        self._commands: Mailbox[OperatorCommand] = Mailbox(COMMANDS_HELD)
+        self._stops: Mailbox[OperatorCommand] = Mailbox(COMMANDS_HELD)
         self._logged = 0
         self._logged_s = -LOGGED_EVERY_S
 

@@ -46,7 +46,7 @@ _EVENTS_HELD = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class Pace:
+class WritePace:
     """How often and how patiently the recorder writes.
 
     Attributes:
@@ -62,7 +62,7 @@ class Pace:
     trip_s: float = 10.0
 
 
-DEFAULT_PACE = Pace()
+DEFAULT_PACE = WritePace()
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +115,7 @@ class Recorder:
         feed: Feed,
         report: Callable[[Event], None],
         clocks: Clocks,
-        pace: Pace = DEFAULT_PACE,
+        pace: WritePace = DEFAULT_PACE,
     ) -> None:
         """Prepare to record.
 

@@ -12,9 +12,9 @@ from adaptdrive.recording.resume import find_written
 from adaptdrive.recording.segments import segments
 from adaptdrive.recording.session import (
     TICKS,
-    Claim,
     Ending,
     SessionInfo,
+    SessionLock,
     read_info,
     session_directories,
     write_info,
@@ -54,7 +54,7 @@ def close_lost(directory: Path) -> SessionInfo | None:
     Raises:
         RecordingError, OSError: It cannot be read or written.
     """
-    claim = Claim.on(directory)
+    claim = SessionLock.on(directory)
     if claim is None:
         return None
     try:
@@ -70,7 +70,7 @@ def close_lost(directory: Path) -> SessionInfo | None:
 
 def close_segments(directory: Path) -> None:
     """Turn the streams that a session has left into Parquet."""
-    claim = Claim.on(directory)
+    claim = SessionLock.on(directory)
     if claim is None:
         return
     try:

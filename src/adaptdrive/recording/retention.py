@@ -10,7 +10,7 @@ from pathlib import Path
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import Keep
 from adaptdrive.recording.segments import segments
-from adaptdrive.recording.session import Claim, read_info, session_directories
+from adaptdrive.recording.session import SessionLock, read_info, session_directories
 
 
 def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None) -> Iterator[str]:
@@ -53,7 +53,7 @@ def _prune_segments(directory: Path, excess: int) -> Iterator[str]:
 
 
 def _remove(directory: Path) -> bool:
-    claim = Claim.on(directory)
+    claim = SessionLock.on(directory)
     if claim is None:
         return False
     try:

@@ -157,7 +157,7 @@ def _renamed(unfinished: Path, name: str) -> Path:
     raise AssertionError
 
 
-class Claim:
+class SessionLock:
     """The lock that the writer of a session holds on its directory."""
 
     def __init__(self, descriptor: int) -> None:
@@ -226,7 +226,7 @@ def read_info(directory: Path) -> SessionInfo:
     path = directory / INFO_FILE
     try:
         text = path.read_bytes()
-        version = msgspec.json.decode(text, type=_Format).format
+        version = msgspec.json.decode(text, type=_SessionFormat).format
         if version not in FORMATS:
             known = " or ".join(map(str, FORMATS))
             raise RecordingError(path, f"format {version} is not {known}, those known here")
@@ -237,5 +237,5 @@ def read_info(directory: Path) -> SessionInfo:
         raise RecordingError(path, str(problem)) from problem
 
 
-class _Format(msgspec.Struct):
+class _SessionFormat(msgspec.Struct):
     format: int

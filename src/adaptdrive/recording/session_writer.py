@@ -25,11 +25,11 @@ from adaptdrive.recording.session import (
     SENSORS,
     SLOW,
     TICKS,
-    Claim,
     Dropped,
     Ending,
     NewSession,
     SessionInfo,
+    SessionLock,
     create_session,
     read_info,
     write_facts,
@@ -81,7 +81,7 @@ class SessionWriter:
         self._began_s = time.monotonic()
         goes_on = bool(header.directory) and Path(header.directory).is_dir()
         self.directory = Path(header.directory) if goes_on else self._made()
-        claim = Claim.on(self.directory)
+        claim = SessionLock.on(self.directory)
         if claim is None:
             raise RecordingError(self.directory, "another process writes this session")
         self._claim = claim

@@ -21,7 +21,7 @@ _BATCH_ROWS = 1 << 15
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class Verification:
     """What verification found.
 
     Attributes:
@@ -40,7 +40,7 @@ class Verdict:
         return not self.problems and not self.missing_ticks
 
 
-def verify(session: Session) -> Verdict:
+def verify(session: Session) -> Verification:
     """Read all of a session, a batch at a time.
 
     Args:
@@ -59,7 +59,7 @@ def verify(session: Session) -> Verdict:
                     expected = sequence[-1].as_py() + 1
         except (RecordingError, pa.ArrowException, OSError) as problem:
             problems.append(f"{segment.path.name}: {problem}")
-    return Verdict(rows, missing, tuple(problems))
+    return Verification(rows, missing, tuple(problems))
 
 
 def _checked(segment: Segment) -> Iterator[pa.RecordBatch]:

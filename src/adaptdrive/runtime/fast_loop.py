@@ -95,7 +95,7 @@ class FastLoopSettings:
     stop_s: float = 0.5
 
 
-class Surroundings(Protocol):
+class LoopSurroundings(Protocol):
     """What the fast loop needs of the rest of the runtime; every call returns at once."""
 
     def now_s(self) -> float:
@@ -132,7 +132,7 @@ class FastLoop:
         controller: TwoRate,
         machine: Machine,
         settings: FastLoopSettings,
-        surroundings: Surroundings,
+        surroundings: LoopSurroundings,
     ) -> None:
         """Join the pieces.
 

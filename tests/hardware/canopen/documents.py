@@ -10,7 +10,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.canopen.mapping import DriveMapping, map_drive
+from adaptdrive.hardware.canopen.mapping import CanOpenMapping, map_drive
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
 EXAMPLE = EXAMPLES / "motor-cia402.toml"
@@ -37,7 +37,7 @@ def bus_of(configuration: Configuration) -> CanOpenBus:
     return configuration.bus
 
 
-def plan(changes: dict[str, Any] | None = None) -> DriveMapping:
+def plan(changes: dict[str, Any] | None = None) -> CanOpenMapping:
     configuration = parse(changes)
     return map_drive(bus_of(configuration), configuration.signals, "bench.toml")
 

@@ -10,13 +10,13 @@ from canopen.pdo.base import PdoMap
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.hardware.canopen.dictionary import Catalogue, Entry, load_dictionary
+from adaptdrive.hardware.canopen.dictionary import Entry, ObjectCatalogue, load_dictionary
 from adaptdrive.hardware.canopen.pdo import Channel, codec, pack, receive_channel, transmit_channel
-from adaptdrive.hardware.link.integrity import Verdict
+from adaptdrive.hardware.link.integrity import FrameVerdict
 from tests.hardware.canopen.documents import EDS
 
 NODE = 5
-CATALOGUE = Catalogue(load_dictionary(EDS, NODE))
+CATALOGUE = ObjectCatalogue(load_dictionary(EDS, NODE))
 ADDRESSES = [(0x6041, 0), (0x6079, 0), (0x2000, 1), (0x2001, 1), (0x2001, 2), (0x2000, 3)]
 
 
@@ -68,7 +68,7 @@ def test_frames_are_those_of_the_library_in_both_directions(
         ours = codec(pdo)
         assert ours.encode(given_values) == bytes(theirs.data)
         decoded = ours.decode(bytes(theirs.data))
-        assert decoded.verdict is Verdict.GOOD
+        assert decoded.verdict is FrameVerdict.GOOD
         assert decoded.values == given_values
 
 
@@ -89,12 +89,12 @@ def test_what_does_not_fit_is_refused() -> None:
 @pytest.mark.parametrize("length", [0, 7, 9])
 def test_a_frame_of_another_length_is_refused(length: int) -> None:
     (pdo,) = pack("TPDO", [transmit_channel(1, NODE)], ENTRIES[:3]) or []
-    assert codec(pdo).decode(bytes(length)).verdict is Verdict.WRONG_LENGTH
+    assert codec(pdo).decode(bytes(length)).verdict is FrameVerdict.WRONG_LENGTH
 
 
 def test_a_number_that_is_none_is_refused() -> None:
     (pdo,) = pack("RPDO", [receive_channel(1, NODE)], [entry((0x2000, 3))]) or []
-    assert codec(pdo).decode(bytes.fromhex("0000c07f")).verdict is Verdict.OUT_OF_RANGE
+    assert codec(pdo).decode(bytes.fromhex("0000c07f")).verdict is FrameVerdict.OUT_OF_RANGE
     with pytest.raises(ValueError, match="outside"):
         codec(pdo).encode({"0x2000.3": float("nan")})
 

@@ -13,7 +13,7 @@ import pytest
 
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.modbus.sensors import ModbusSensors, build_modbus_sensors
+from adaptdrive.hardware.modbus.sensors import ModbusSensorPort, build_modbus_sensors
 from tests.hardware.modbus.bench import Pieces, RtuPeer, TcpPeer, until
 
 CYCLE_s = 0.1
@@ -60,7 +60,7 @@ class Ear:
 
 
 class Bench:
-    def __init__(self, peer: TcpPeer | RtuPeer, port: ModbusSensors, ear: Ear) -> None:
+    def __init__(self, peer: TcpPeer | RtuPeer, port: ModbusSensorPort, ear: Ear) -> None:
         self.peer = peer
         self.port = port
         self.ear = ear

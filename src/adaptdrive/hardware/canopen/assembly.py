@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from adaptdrive.hardware.canopen.mapping import Status
+from adaptdrive.hardware.canopen.mapping import StatusPdo
 from adaptdrive.hardware.port import Reading
 
 
@@ -16,7 +16,7 @@ class Assembly:
     one is never mixed with it.
     """
 
-    def __init__(self, statuses: tuple[Status, ...]) -> None:
+    def __init__(self, statuses: tuple[StatusPdo, ...]) -> None:
         self._count = len(statuses)
         self._heard: dict[str, Mapping[str, float]] = {}
         self._sampled_s: float | None = None

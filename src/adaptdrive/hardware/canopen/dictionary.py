@@ -141,7 +141,7 @@ def load_dictionary(
         raise ConfigurationError(source, [flaw]) from problem
 
 
-class Catalogue:
+class ObjectCatalogue:
     """Finds entries by name or number, and gathers a flaw for each that is not there."""
 
     def __init__(self, dictionary: ObjectDictionary) -> None:

@@ -13,7 +13,13 @@ from adaptdrive.config.bus import Signals
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.references import COMMANDED, MEASURED, WORDS
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.canopen.dictionary import Address, Catalogue, Entry, label, load_dictionary
+from adaptdrive.hardware.canopen.dictionary import (
+    Address,
+    Entry,
+    ObjectCatalogue,
+    label,
+    load_dictionary,
+)
 from adaptdrive.hardware.canopen.pdo import (
     Channel,
     Pdo,
@@ -48,7 +54,7 @@ _FIRST_PDO, _BEHIND_PDOS = 0x1400, 0x1C00
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class ObjectSource:
     """Where a quantity comes from.
 
     Attributes:
@@ -65,7 +71,7 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
-class Sink:
+class ObjectSink:
     """Where a part of the command goes.
 
     Attributes:
@@ -82,24 +88,24 @@ class Sink:
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class StatusPdo:
     """A PDO that carries measurements, and what is taken from it."""
 
     codec: MessageCodec
-    sources: tuple[Source, ...]
+    sources: tuple[ObjectSource, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class CommandPdo:
     """A PDO that carries the command, its controlword or both."""
 
     codec: MessageCodec
-    sinks: tuple[Sink, ...]
+    sinks: tuple[ObjectSink, ...]
     controlword: bool
 
 
 @dataclass(frozen=True, slots=True)
-class DriveMapping:
+class CanOpenMapping:
     """Everything that the port of one drive needs to know.
 
     Attributes:
@@ -117,15 +123,15 @@ class DriveMapping:
     transmits: tuple[Pdo, ...]
     receives: tuple[Pdo, ...]
     unused: tuple[Channel, ...]
-    statuses: tuple[Status, ...]
-    orders: tuple[Order, ...]
+    statuses: tuple[StatusPdo, ...]
+    orders: tuple[CommandPdo, ...]
     counter_modulus: int | None
     setup: tuple[tuple[Entry, bytes], ...]
     present: frozenset[Address]
     identity: tuple[tuple[Address, int], ...]
 
     @property
-    def sources(self) -> tuple[Source, ...]:
+    def sources(self) -> tuple[ObjectSource, ...]:
         """Every quantity that is measured."""
         return tuple(source for status in self.statuses for source in status.sources)
 
@@ -135,7 +141,7 @@ def map_drive(
     signals: Signals,
     source: Path | str = "configuration",
     demands: Demands = NO_DEMANDS,
-) -> DriveMapping:
+) -> CanOpenMapping:
     """Find every configured object in the EDS and plan the PDOs.
 
     Args:
@@ -148,7 +154,7 @@ def map_drive(
         ConfigurationError: Something does not fit; every flaw is listed.
     """
     dictionary = load_dictionary(bus.eds, bus.node_id, source)
-    catalogue = Catalogue(dictionary)
+    catalogue = ObjectCatalogue(dictionary)
     catalogue.flaws.extend(channel_flaws(bus))
     plan = _Plan(catalogue, bus)
     plan.find_sources(signals)
@@ -162,11 +168,11 @@ def map_drive(
 class _Plan:
     """Gathers what is wanted, and the flaws of it."""
 
-    def __init__(self, catalogue: Catalogue, bus: CanOpenBus) -> None:
+    def __init__(self, catalogue: ObjectCatalogue, bus: CanOpenBus) -> None:
         self._catalogue = catalogue
         self._bus = bus
-        self._sources: list[Source] = []
-        self._sinks: list[Sink] = []
+        self._sources: list[ObjectSource] = []
+        self._sinks: list[ObjectSink] = []
         for address, consequence in _NEEDED.items():
             if catalogue.at(address) is None:
                 missing = f"the EDS has no object {label(address)}: {consequence}"
@@ -184,7 +190,7 @@ class _Plan:
                 continue
             if not (entry.readable and entry.mappable):
                 self._catalogue.note(place, f"the drive does not send {entry.name!r} in a PDO")
-            source = Source(quantity, entry, given.scale, given.offset)
+            source = ObjectSource(quantity, entry, given.scale, given.offset)
             self._sources.append(source)
             if quantity in WORDS:
                 self._check_word(source, place)
@@ -208,9 +214,9 @@ class _Plan:
                     problem = f"{entry.name!r} cannot carry {wanted:g}, a limit of [drive.limits]"
                     ends = "{:g}…{:g}".format(*entry.limits)
                     self._catalogue.note(place, f"{problem}: its counts are {ends}")
-            self._sinks.append(Sink(name, entry, given.scale, given.offset))
+            self._sinks.append(ObjectSink(name, entry, given.scale, given.offset))
 
-    def mapping(self) -> DriveMapping | None:
+    def mapping(self) -> CanOpenMapping | None:
         """What came of it; None when there were flaws."""
         transmitted = [self._catalogue.at(STATUSWORD), *(source.entry for source in self._sources)]
         received = [self._catalogue.at(CONTROLWORD), *(sink.entry for sink in self._sinks)]
@@ -219,7 +225,7 @@ class _Plan:
         setup = self._setup()
         if self._catalogue.flaws:
             return None
-        return DriveMapping(
+        return CanOpenMapping(
             transmits=transmits,
             receives=receives,
             unused=self._unused((*transmits, *receives)),
@@ -231,7 +237,7 @@ class _Plan:
             identity=self._catalogue.identity,
         )
 
-    def _check_word(self, source: Source, place: str) -> None:
+    def _check_word(self, source: ObjectSource, place: str) -> None:
         entry = source.entry
         if (source.scale, source.offset) != (1.0, 0.0):
             self._catalogue.note(place, "is an integer: it takes no scale and no offset")
@@ -264,14 +270,14 @@ class _Plan:
         channels = [*self._channels(transmit_channel), *self._channels(receive_channel)]
         return tuple(channel for channel in channels if channel not in taken)
 
-    def _status(self, pdo: Pdo) -> Status:
+    def _status(self, pdo: Pdo) -> StatusPdo:
         sources = tuple(source for source in self._sources if source.entry in pdo.entries)
-        return Status(codec(pdo), sources)
+        return StatusPdo(codec(pdo), sources)
 
-    def _order(self, pdo: Pdo) -> Order:
+    def _order(self, pdo: Pdo) -> CommandPdo:
         sinks = tuple(sink for sink in self._sinks if sink.entry in pdo.entries)
         controlword = any(entry.address == CONTROLWORD for entry in pdo.entries)
-        return Order(codec(pdo), sinks, controlword)
+        return CommandPdo(codec(pdo), sinks, controlword)
 
     def _modulus(self) -> int | None:
         for source in self._sources:

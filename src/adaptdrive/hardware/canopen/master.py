@@ -15,7 +15,7 @@ from typing import Protocol
 
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.canopen.mapping import DriveMapping
+from adaptdrive.hardware.canopen.mapping import CanOpenMapping
 from adaptdrive.hardware.canopen.sdo import SdoLink, describe_node, in_thread
 from adaptdrive.hardware.canopen.setup import set_up
 
@@ -60,7 +60,7 @@ class Master:
     def __init__(
         self,
         bus: CanOpenBus,
-        mapping: DriveMapping,
+        mapping: CanOpenMapping,
         half_cycle_s: float,
         send: Callable[[int, bytes], bool],
         clock: Callable[[], float],

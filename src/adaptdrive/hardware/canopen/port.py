@@ -24,7 +24,7 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.canopen.assembly import Assembly
 from adaptdrive.hardware.canopen.dictionary import label
 from adaptdrive.hardware.canopen.health import Health
-from adaptdrive.hardware.canopen.mapping import DriveMapping, Order, Status, map_drive
+from adaptdrive.hardware.canopen.mapping import CanOpenMapping, CommandPdo, StatusPdo, map_drive
 from adaptdrive.hardware.canopen.master import Master, NodeState
 from adaptdrive.hardware.canopen.profile import CONTROLWORD, STATUSWORD, DriveControl, DriveState
 from adaptdrive.hardware.canopen.sdo import describe_node
@@ -34,7 +34,7 @@ from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.link.bus import describe_bus, open_bus
-from adaptdrive.hardware.link.integrity import Verdict
+from adaptdrive.hardware.link.integrity import FrameVerdict
 from adaptdrive.hardware.link.reader import FrameReader
 from adaptdrive.hardware.link.reconnect import serve_for_ever
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
@@ -82,7 +82,7 @@ class CanOpenPort:
     def __init__(
         self,
         config: CanOpenBus,
-        mapping: DriveMapping,
+        mapping: CanOpenMapping,
         half_cycle_s: float,
         clock: Callable[[], float],
         wall_clock: Callable[[], float] = time.time,
@@ -216,7 +216,7 @@ class CanOpenPort:
     def explain_age(self) -> str:
         """Which PDO is missing for a reading, and the likeliest cause."""
         missing = ", ".join(self._assembly.missing)
-        refused = self._counts[Verdict.WRONG_LENGTH] + self._counts[Verdict.OUT_OF_RANGE]
+        refused = self._counts[FrameVerdict.WRONG_LENGTH] + self._counts[FrameVerdict.OUT_OF_RANGE]
         why = f"{refused} PDOs were refused for their length or range: is the EDS the drive's own?"
         if not refused:
             why = "is SYNC on the bus, and the node operational?"
@@ -308,11 +308,11 @@ class CanOpenPort:
     def _take_reply(self, frame: can.Message) -> None:
         self._master.take_reply(frame.arbitration_id, bytes(frame.data))
 
-    def _take_pdo(self, status: Status, frame: can.Message) -> None:
+    def _take_pdo(self, status: StatusPdo, frame: can.Message) -> None:
         if not self._master.ready:
             return  # whatever it carries, it is not what the drive has been set up for
         decoded = status.codec.decode(bytes(frame.data))
-        if decoded.verdict is not Verdict.GOOD:
+        if decoded.verdict is not FrameVerdict.GOOD:
             self._counts[decoded.verdict] += 1
             return
         statusword = decoded.values.get(_STATUSWORD)
@@ -422,7 +422,7 @@ class CanOpenPort:
             self._listener.on_bus(up=True, detail=self.description)
 
 
-def _values(order: Order, command: Command, word: int) -> dict[str, float | None]:
+def _values(order: CommandPdo, command: Command, word: int) -> dict[str, float | None]:
     """What a PDO carries: its part of the command, and the controlword where it has one."""
     values: dict[str, float | None] = {
         sink.entry.label: (getattr(command, sink.name) - sink.offset) / sink.scale

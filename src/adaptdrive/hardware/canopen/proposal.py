@@ -7,7 +7,7 @@ from pathlib import Path
 
 from canopen.objectdictionary import ODVariable
 
-from adaptdrive.hardware.canopen.dictionary import Catalogue, load_dictionary
+from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, load_dictionary
 from adaptdrive.hardware.proposal import Candidate
 
 _FIRST_DEVICE_OBJECT = 0x2000
@@ -28,7 +28,7 @@ def candidates(path: Path, node_id: int) -> Iterator[Candidate]:
         ConfigurationError: The file cannot be read or is no EDS.
     """
     dictionary = load_dictionary(path, node_id, path)
-    catalogue = Catalogue(dictionary)
+    catalogue = ObjectCatalogue(dictionary)
     for thing in dictionary.values():
         for variable in [thing] if isinstance(thing, ODVariable) else thing.values():
             entry = catalogue.at((variable.index, variable.subindex))

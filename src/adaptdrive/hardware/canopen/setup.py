@@ -16,7 +16,7 @@ from adaptdrive.hardware.canopen.mapping import (
     HEARTBEATS_HEARD,
     SYNC_ID,
     SYNC_PERIOD,
-    DriveMapping,
+    CanOpenMapping,
 )
 from adaptdrive.hardware.canopen.pdo import Channel, Pdo
 from adaptdrive.hardware.canopen.sdo import Server
@@ -34,7 +34,7 @@ _ON_ARRIVAL = 255
 Write = tuple[Address, bytes]
 
 
-def set_up(server: Server, bus: CanOpenBus, mapping: DriveMapping, half_cycle_s: float) -> None:
+def set_up(server: Server, bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_s: float) -> None:
     """Write everything that the drive must know, and read back what safety hangs on.
 
     Args:
@@ -61,7 +61,7 @@ def set_up(server: Server, bus: CanOpenBus, mapping: DriveMapping, half_cycle_s:
         server.write(entry.address, data)
 
 
-def watch_writes(bus: CanOpenBus, mapping: DriveMapping) -> Iterator[Write]:
+def watch_writes(bus: CanOpenBus, mapping: CanOpenMapping) -> Iterator[Write]:
     """Heartbeats, and what the drive does when the daemon's stop."""
     yield HEARTBEAT_SENT, _milliseconds(bus.heartbeat_s).to_bytes(2, "little")
     consumer = bus.own_node_id << 16 | _milliseconds(bus.heartbeat_timeout_s)
@@ -70,7 +70,7 @@ def watch_writes(bus: CanOpenBus, mapping: DriveMapping) -> Iterator[Write]:
         yield ABORT_OPTION, _DISABLE_VOLTAGE.to_bytes(2, "little")
 
 
-def sync_writes(bus: CanOpenBus, mapping: DriveMapping, half_cycle_s: float) -> Iterator[Write]:
+def sync_writes(bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_s: float) -> Iterator[Write]:
     """Who sends SYNC, and how often."""
     yield SYNC_ID, SYNC_COB_ID.to_bytes(4, "little")
     if SYNC_PERIOD in mapping.present:
@@ -79,7 +79,7 @@ def sync_writes(bus: CanOpenBus, mapping: DriveMapping, half_cycle_s: float) -> 
         yield SYNC_ID, (SYNC_COB_ID | _PRODUCES_SYNC).to_bytes(4, "little")
 
 
-def _identify(server: Server, bus: CanOpenBus, mapping: DriveMapping) -> None:
+def _identify(server: Server, bus: CanOpenBus, mapping: CanOpenMapping) -> None:
     profile = server.number(DEVICE_TYPE) & 0xFFFF
     if profile != _PROFILE:
         raise server.refuse(f"is no CiA 402 drive: its device type 0x1000 names profile {profile}")

@@ -14,7 +14,7 @@ from adaptdrive.config.bus import Signals
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.canopen.mapping import DriveMapping, map_drive
+from adaptdrive.hardware.canopen.mapping import CanOpenMapping, map_drive
 from adaptdrive.hardware.canopen.profile import STATUSWORD, DriveState, state_of
 from adaptdrive.hardware.canopen.sdo import SdoLink, Server, describe_node, in_thread
 from adaptdrive.hardware.link.bus import describe_bus, open_bus
@@ -55,7 +55,7 @@ class CanOpenWatch:
     """Nothing can be energised from here."""
 
     def __init__(
-        self, config: CanOpenBus, mapping: DriveMapping, clock: Callable[[], float]
+        self, config: CanOpenBus, mapping: CanOpenMapping, clock: Callable[[], float]
     ) -> None:
         self._config = config
         self._sources = mapping.sources

@@ -66,7 +66,7 @@ def message_codec(
     Raises:
         ConfigurationError: The DBC has no such message, or its integrity does not fit it.
     """
-    catalogue = Catalogue(database, fd=bus.fd)
+    catalogue = SignalCatalogue(database, fd=bus.fd)
     message = catalogue.message(name, "bus")
     integrity = bus.integrity.get(name)
     if integrity:
@@ -76,7 +76,7 @@ def message_codec(
     return MessageCodec(message, integrity)
 
 
-class Catalogue:
+class SignalCatalogue:
     """Finds messages and signals by name, and gathers a flaw for each that is not there."""
 
     def __init__(self, database: Database, *, fd: bool) -> None:

@@ -15,8 +15,8 @@ from cantools.database.can.signal import Signal
 from adaptdrive.config.bus import CanBus, Signals, SignalSource, SwitchSource
 from adaptdrive.config.units import WANTED, unit_problem
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.dbc.database import Catalogue, is_word, load_database
-from adaptdrive.hardware.dbc.orders import Order, build_orders, find_orders, resolve
+from adaptdrive.hardware.dbc.database import SignalCatalogue, is_word, load_database
+from adaptdrive.hardware.dbc.orders import CommandFrame, build_orders, find_orders, resolve
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.link.bus import channel_flaws
 from adaptdrive.hardware.link.codec import MessageCodec, counter_modulus
@@ -46,7 +46,7 @@ class Timing:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class CanSource:
     """Where a quantity comes from.
 
     Attributes:
@@ -66,15 +66,15 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
+class StatusFrame:
     """A message that carries measurements, and what is taken from it."""
 
     codec: MessageCodec
-    sources: tuple[Source, ...]
+    sources: tuple[CanSource, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class DriveMapping:
+class CanMapping:
     """Everything that the port of one drive needs to know.
 
     Attributes:
@@ -86,15 +86,15 @@ class DriveMapping:
         fault_names: Value table of the fault word.
     """
 
-    statuses: tuple[Status, ...]
-    orders: tuple[Order, ...]
+    statuses: tuple[StatusFrame, ...]
+    orders: tuple[CommandFrame, ...]
     clock: str
     counter_modulus: int | None
     bridge_on: float
     fault_names: Mapping[int, str]
 
 
-_Sources = dict[str, list[Source]]
+_Sources = dict[str, list[CanSource]]
 """Sources by message."""
 
 
@@ -104,7 +104,7 @@ def map_drive(
     timing: Timing,
     source: Path | str = "configuration",
     demands: Demands = NO_DEMANDS,
-) -> DriveMapping:
+) -> CanMapping:
     """Find every configured signal in the DBC.
 
     Args:
@@ -117,7 +117,7 @@ def map_drive(
     Raises:
         ConfigurationError: Something does not fit; every flaw is listed.
     """
-    catalogue = Catalogue(load_database(bus.database, source), fd=bus.fd)
+    catalogue = SignalCatalogue(load_database(bus.database, source), fd=bus.fd)
     catalogue.flaws.extend(channel_flaws(bus))
     sources = _find_sources(catalogue, bus, signals, timing)
     bridge_on = _bridge_on(catalogue, signals.bridge, sources)
@@ -130,7 +130,7 @@ def map_drive(
         catalogue.note("signals.command", f"message {message!r} carries measurements too")
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
-    return DriveMapping(
+    return CanMapping(
         statuses=tuple(_status(catalogue, bus, *item) for item in sources.items()),
         orders=tuple(build_orders(catalogue, bus, orders)),
         clock=bus.clock,
@@ -140,7 +140,9 @@ def map_drive(
     )
 
 
-def _find_sources(catalogue: Catalogue, bus: CanBus, signals: Signals, timing: Timing) -> _Sources:
+def _find_sources(
+    catalogue: SignalCatalogue, bus: CanBus, signals: Signals, timing: Timing
+) -> _Sources:
     found: _Sources = {}
     for quantity, entry in _named(signals):
         place = f"signals.{quantity}"
@@ -153,7 +155,7 @@ def _find_sources(catalogue: Catalogue, bus: CanBus, signals: Signals, timing: T
             _note_slow(catalogue, message, place)
         if timing.stale_s + slack_s > LONGEST_STALE_S:
             _note_old(catalogue, message, place, timing.stale_s + slack_s)
-        source = Source(quantity, signal, entry.scale, entry.offset, slack_s)
+        source = CanSource(quantity, signal, entry.scale, entry.offset, slack_s)
         found.setdefault(message.name, []).append(source)
         if quantity in _WORDS:
             _check_word(catalogue, signal, place, plain=(entry.scale, entry.offset) == (1.0, 0.0))
@@ -161,7 +163,7 @@ def _find_sources(catalogue: Catalogue, bus: CanBus, signals: Signals, timing: T
 
 
 def _check_units(
-    catalogue: Catalogue, sources: _Sources, signals: Signals, output_unit: str
+    catalogue: SignalCatalogue, sources: _Sources, signals: Signals, output_unit: str
 ) -> None:
     units = {**WANTED, "output": output_unit}
     for source in (one for found in sources.values() for one in found):
@@ -200,18 +202,18 @@ def _pages(message: Message, signal: Signal) -> int:
     return len(pages) * _pages(message, message.get_signal_by_name(selector or ""))
 
 
-def _note_old(catalogue: Catalogue, message: Message, place: str, limit_s: float) -> None:
+def _note_old(catalogue: SignalCatalogue, message: Message, place: str, limit_s: float) -> None:
     problem = f"bus.stale_cycles lets a value of message {message.name!r}"
     comes = f"(GenMsgCycleTime {message.cycle_time} ms) age for {limit_s:.4g} s"
     catalogue.note(place, f"{problem} {comes}, limit {LONGEST_STALE_S:g} s")
 
 
-def _note_slow(catalogue: Catalogue, message: Message, place: str) -> None:
+def _note_slow(catalogue: SignalCatalogue, message: Message, place: str) -> None:
     problem = f"message {message.name!r} (GenMsgCycleTime {message.cycle_time} ms) comes too seldom"
     catalogue.note(place, f"{problem} for voltage_loop.where = 'daemon'")
 
 
-def _bridge_on(catalogue: Catalogue, bridge: SwitchSource | None, sources: _Sources) -> float:
+def _bridge_on(catalogue: SignalCatalogue, bridge: SwitchSource | None, sources: _Sources) -> float:
     source = _source(sources, "bridge")
     if bridge is None or bridge.on is None or source is None:
         return 1.0
@@ -219,7 +221,7 @@ def _bridge_on(catalogue: Catalogue, bridge: SwitchSource | None, sources: _Sour
     return 1.0 if value is None else float(value)
 
 
-def _check_word(catalogue: Catalogue, signal: Signal, place: str, *, plain: bool) -> None:
+def _check_word(catalogue: SignalCatalogue, signal: Signal, place: str, *, plain: bool) -> None:
     if not plain:
         catalogue.note(place, "is an integer: it takes no scale and no offset")
     if place == "signals.counter":
@@ -229,12 +231,14 @@ def _check_word(catalogue: Catalogue, signal: Signal, place: str, *, plain: bool
         catalogue.note(place, problem)
 
 
-def _check_clock(catalogue: Catalogue, clock: str, sources: _Sources) -> None:
+def _check_clock(catalogue: SignalCatalogue, clock: str, sources: _Sources) -> None:
     if catalogue.message(clock, "bus.clock") and clock not in sources:
         catalogue.note("bus.clock", f"no entry of [signals] is taken from message {clock!r}")
 
 
-def _status(catalogue: Catalogue, bus: CanBus, name: str, sources: Iterable[Source]) -> Status:
+def _status(
+    catalogue: SignalCatalogue, bus: CanBus, name: str, sources: Iterable[CanSource]
+) -> StatusFrame:
     sources = tuple(sources)
     codec = MessageCodec(
         catalogue.known(name),
@@ -242,10 +246,10 @@ def _status(catalogue: Catalogue, bus: CanBus, name: str, sources: Iterable[Sour
         wanted=dict.fromkeys(source.signal.name for source in sources),
         measured={source.signal.name for source in sources if source.quantity not in _WORDS},
     )
-    return Status(codec, sources)
+    return StatusFrame(codec, sources)
 
 
-def _source(sources: _Sources, quantity: str) -> Source | None:
+def _source(sources: _Sources, quantity: str) -> CanSource | None:
     every = (source for found in sources.values() for source in found)
     return next((source for source in every if source.quantity == quantity), None)
 

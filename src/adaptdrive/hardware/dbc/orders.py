@@ -16,7 +16,7 @@ from adaptdrive.config.bus import CanBus, CommandSignal, CommandSwitch, Signals
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.units import WANTED, unit_problem
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.dbc.database import Catalogue, is_word
+from adaptdrive.hardware.dbc.database import SignalCatalogue, is_word
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.link.codec import MessageCodec
 from adaptdrive.hardware.link.layout import compile_field
@@ -50,7 +50,7 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
+class CommandFrame:
     """One frame that carries a part of the command.
 
     Attributes:
@@ -89,7 +89,7 @@ _Drafts = dict[str, dict[Page, _Draft]]
 
 
 def find_orders(
-    catalogue: Catalogue, bus: CanBus, signals: Signals, demands: Demands = NO_DEMANDS
+    catalogue: SignalCatalogue, bus: CanBus, signals: Signals, demands: Demands = NO_DEMANDS
 ) -> _Drafts:
     """What each page of each message has to carry; flaws go to the catalogue."""
     drafts: _Drafts = {}
@@ -106,7 +106,9 @@ def find_orders(
     return drafts
 
 
-def build_orders(catalogue: Catalogue, bus: CanBus, drafts: _Drafts) -> Iterator[Order]:
+def build_orders(
+    catalogue: SignalCatalogue, bus: CanBus, drafts: _Drafts
+) -> Iterator[CommandFrame]:
     """The frames of a command, from drafts without a flaw."""
     for name, pages in drafts.items():
         codec = MessageCodec(catalogue.known(name), bus.integrity.get(name))
@@ -114,10 +116,12 @@ def build_orders(catalogue: Catalogue, bus: CanBus, drafts: _Drafts) -> Iterator
         for page in [page for page in pages if page] or [()]:
             draft = pages[page] if page else _Draft()
             parts = (*common.parts, *draft.parts)
-            yield Order(codec, parts, {**common.fixed, **draft.fixed, **dict(page)})
+            yield CommandFrame(codec, parts, {**common.fixed, **draft.fixed, **dict(page)})
 
 
-def resolve(catalogue: Catalogue, signal: Signal, given: float | str, place: str) -> float | None:
+def resolve(
+    catalogue: SignalCatalogue, signal: Signal, given: float | str, place: str
+) -> float | None:
     """A value, or the one that a name of the signal's value table stands for."""
     if not isinstance(given, str):
         return given
@@ -129,12 +133,14 @@ def resolve(catalogue: Catalogue, signal: Signal, given: float | str, place: str
     return None
 
 
-def page_of(catalogue: Catalogue, message: Message, signal: Signal, place: str) -> Page:
+def page_of(catalogue: SignalCatalogue, message: Message, signal: Signal, place: str) -> Page:
     """What selects the frames that carry a signal; nothing where all of its message do."""
     return tuple(_selectors(catalogue, message, signal, place))
 
 
-def _find_constants(catalogue: Catalogue, bus: CanBus, signals: Signals, drafts: _Drafts) -> None:
+def _find_constants(
+    catalogue: SignalCatalogue, bus: CanBus, signals: Signals, drafts: _Drafts
+) -> None:
     for reference, given in signals.command.constants.items():
         place = f"signals.command.constants.{reference}"
         hit = catalogue.signal(reference, place)
@@ -151,7 +157,9 @@ def _find_constants(catalogue: Catalogue, bus: CanBus, signals: Signals, drafts:
             draft.fixed[signal.name] = layout.physical(layout.raw(value))
 
 
-def _find_switch(catalogue: Catalogue, bus: CanBus, switch: CommandSwitch, drafts: _Drafts) -> None:
+def _find_switch(
+    catalogue: SignalCatalogue, bus: CanBus, switch: CommandSwitch, drafts: _Drafts
+) -> None:
     place = "signals.command.bridge"
     hit = catalogue.signal(switch.signal, place)
     if hit is None:
@@ -166,7 +174,7 @@ def _find_switch(catalogue: Catalogue, bus: CanBus, switch: CommandSwitch, draft
 
 
 def _add(
-    catalogue: Catalogue, bus: CanBus, drafts: _Drafts, reference: str, part: Part
+    catalogue: SignalCatalogue, bus: CanBus, drafts: _Drafts, reference: str, part: Part
 ) -> Signal | None:
     place = f"signals.command.{part.field}"
     hit = catalogue.signal(reference, place)
@@ -187,7 +195,7 @@ def _add(
 
 
 def _check_demands(
-    catalogue: Catalogue, given: CommandSignal, signal: Signal, part: Part, demands: Demands
+    catalogue: SignalCatalogue, given: CommandSignal, signal: Signal, part: Part, demands: Demands
 ) -> None:
     """The signal carries every command within the limits, in the unit of the quantity."""
     place = f"signals.command.{part.field}"
@@ -203,7 +211,7 @@ def _check_demands(
 
 
 def _check_proof(
-    catalogue: Catalogue, bus: CanBus, message: Message, signal: Signal, place: str
+    catalogue: SignalCatalogue, bus: CanBus, message: Message, signal: Signal, place: str
 ) -> None:
     proof = bus.integrity.get(message.name)
     if proof and signal.name in {proof.counter, proof.checksum, proof.nibble}:
@@ -211,7 +219,7 @@ def _check_proof(
 
 
 def _check_values(
-    catalogue: Catalogue, signal: Signal, values: Iterable[float], place: str
+    catalogue: SignalCatalogue, signal: Signal, values: Iterable[float], place: str
 ) -> bool:
     try:
         for value in values:
@@ -223,14 +231,14 @@ def _check_values(
 
 
 def _draft(
-    drafts: _Drafts, catalogue: Catalogue, message: Message, signal: Signal, place: str
+    drafts: _Drafts, catalogue: SignalCatalogue, message: Message, signal: Signal, place: str
 ) -> _Draft:
     page = page_of(catalogue, message, signal, place)
     return drafts.setdefault(message.name, {}).setdefault(page, _Draft())
 
 
 def _selectors(
-    catalogue: Catalogue, message: Message, signal: Signal, place: str
+    catalogue: SignalCatalogue, message: Message, signal: Signal, place: str
 ) -> Iterator[tuple[str, float]]:
     if not signal.multiplexer_ids or signal.multiplexer_signal is None:
         return

@@ -19,15 +19,15 @@ import can
 
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.dbc.mapping import OTHER, DriveMapping, Status, Timing, map_drive
-from adaptdrive.hardware.dbc.orders import Order
+from adaptdrive.hardware.dbc.mapping import OTHER, CanMapping, StatusFrame, Timing, map_drive
+from adaptdrive.hardware.dbc.orders import CommandFrame
 from adaptdrive.hardware.dbc.refusals import Refusals
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.link.bus import as_received, describe_bus, frame_key, open_bus
 from adaptdrive.hardware.link.codec import MessageCodec
-from adaptdrive.hardware.link.integrity import Verdict
+from adaptdrive.hardware.link.integrity import FrameVerdict
 from adaptdrive.hardware.link.reader import FrameReader
 from adaptdrive.hardware.link.reconnect import serve_for_ever
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
@@ -70,7 +70,7 @@ class CanPort:
     def __init__(
         self,
         config: CanBus,
-        mapping: DriveMapping,
+        mapping: CanMapping,
         clock: Callable[[], float],
         wall_clock: Callable[[], float],
         *,
@@ -209,7 +209,7 @@ class CanPort:
         others_come = newest_s > oldest_s and now_s - newest_s < 0.5 * (now_s - oldest_s)
         return f"{value} {found}: {self._explain_silence(status, others_come=others_come)}"
 
-    def _explain_silence(self, status: Status, *, others_come: bool) -> str:
+    def _explain_silence(self, status: StatusFrame, *, others_come: bool) -> str:
         if self._bus is None:
             return "the bus is lost"
         refused = self._refusals.explain(_label(status.codec))
@@ -250,15 +250,15 @@ class CanPort:
             self._counts["foreign_commands"] += 1
             self._rival.hear(self._commands[key])
 
-    def _take_status(self, status: Status, frame: can.Message) -> None:
+    def _take_status(self, status: StatusFrame, frame: can.Message) -> None:
         waited_s = self._arrivals.waited_s(frame)
         arrival_s = self._clock() - waited_s
         decoded = status.codec.decode(bytes(frame.data))
         if decoded.lost:
             self._counts["counter_lost"] += decoded.lost
-        if decoded.verdict is not Verdict.GOOD:
+        if decoded.verdict is not FrameVerdict.GOOD:
             # a counter that leapt is in `counter_lost` already, with the length of its leap
-            if decoded.verdict is not Verdict.COUNTER_LOST:
+            if decoded.verdict is not FrameVerdict.COUNTER_LOST:
                 self._counts[decoded.verdict] += 1
             self._refusals.note(_label(status.codec), decoded.verdict, bytes(frame.data))
             return
@@ -268,7 +268,7 @@ class CanPort:
             if frame.timestamp and waited_s < PROMPT_S:
                 self._hand_out()
 
-    def _keep(self, status: Status, found: Mapping[str, float], arrival_s: float) -> None:
+    def _keep(self, status: StatusFrame, found: Mapping[str, float], arrival_s: float) -> None:
         values, dues = self._values, self._dues
         if self._refusals.any:
             self._refusals.accept(_label(status.codec))
@@ -327,7 +327,7 @@ class CanPort:
         self._counts["sent"] += 1
         return True
 
-    def _frame(self, order: Order, command: Command) -> can.Message:
+    def _frame(self, order: CommandFrame, command: Command) -> can.Message:
         codec = order.codec
         return can.Message(
             arbitration_id=codec.frame_id,
@@ -376,7 +376,7 @@ class CanPort:
             self._dues[source.quantity] = -math.inf, 0.0
 
 
-def _made_up(config: CanBus, mapping: DriveMapping) -> Iterator[Callable[[], can.Message]]:
+def _made_up(config: CanBus, mapping: CanMapping) -> Iterator[Callable[[], can.Message]]:
     """Frames as the drive might send them, each from a function that gives it again and again."""
     for codec in (status.codec for status in mapping.statuses):
         data = codec.example()

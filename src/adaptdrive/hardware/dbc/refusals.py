@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from adaptdrive.hardware.link.integrity import Verdict
+from adaptdrive.hardware.link.integrity import FrameVerdict
 
 _KINDS_HELD = 64
 """Kinds of refused frames remembered: a flood of ids must not fill the memory."""
 
 _REMEDIES = {
-    Verdict.WRONG_LENGTH: "the DBC describes another version of the message",
-    Verdict.WRONG_CHECKSUM: "compare [bus.integrity] with the drive's manual; look at the cable",
-    Verdict.COUNTER_STUCK: "its sender hangs, or a gateway repeats frames",
-    Verdict.COUNTER_LOST: "frames are lost: look at the bus load and the cable",
-    Verdict.OUT_OF_RANGE: "a sensor of the drive is broken, or the DBC has another range",
+    FrameVerdict.WRONG_LENGTH: "the DBC describes another version of the message",
+    FrameVerdict.WRONG_CHECKSUM: "compare [bus.integrity] with the drive's manual; look at the "
+    "cable",
+    FrameVerdict.COUNTER_STUCK: "its sender hangs, or a gateway repeats frames",
+    FrameVerdict.COUNTER_LOST: "frames are lost: look at the bus load and the cable",
+    FrameVerdict.OUT_OF_RANGE: "a sensor of the drive is broken, or the DBC has another range",
 }
 
 
@@ -32,7 +33,7 @@ class Refusals:
     """What was refused of each message, and which frames are not of this drive."""
 
     def __init__(self) -> None:
-        self._messages: dict[str, dict[Verdict, _Refusal]] = {}
+        self._messages: dict[str, dict[FrameVerdict, _Refusal]] = {}
         self._strange: dict[str, _Refusal] = {}
 
     @property
@@ -40,7 +41,7 @@ class Refusals:
         """Whether a frame of the drive was refused since the start."""
         return bool(self._messages)
 
-    def note(self, message: str, verdict: Verdict, data: bytes) -> None:
+    def note(self, message: str, verdict: FrameVerdict, data: bytes) -> None:
         """Remember a frame of a message that failed a check."""
         refusal = self._messages.setdefault(message, {}).setdefault(verdict, _Refusal())
         refusal.count += 1

@@ -15,14 +15,14 @@ from pathlib import Path
 
 import can
 
-from adaptdrive.config.sensors import CanSensors as Config
+from adaptdrive.config.sensors import CanSensorSection as Config
 from adaptdrive.errors import BusError, ConfigurationError
-from adaptdrive.hardware.backoff import Backoff
-from adaptdrive.hardware.dbc.database import Catalogue, load_database
+from adaptdrive.hardware.backoff import BusBackoff
+from adaptdrive.hardware.dbc.database import SignalCatalogue, load_database
 from adaptdrive.hardware.link.arrival import ArrivalClock
 from adaptdrive.hardware.link.bus import channel_flaws, describe_bus, frame_key, open_bus
 from adaptdrive.hardware.link.codec import MessageCodec
-from adaptdrive.hardware.link.integrity import Verdict
+from adaptdrive.hardware.link.integrity import FrameVerdict
 from adaptdrive.hardware.link.reader import read_frames
 from adaptdrive.hardware.port import PortStatistics, SensorListener
 from adaptdrive.hardware.presence import Presence
@@ -43,7 +43,7 @@ def build_can_sensors(
     *,
     wall_clock: Callable[[], float] = time.time,
     source: Path | str = "configuration",
-) -> CanSensors:
+) -> CanSensorPort:
     """Build the port of one sensor bus; nothing is opened yet.
 
     Args:
@@ -56,7 +56,7 @@ def build_can_sensors(
     Raises:
         ConfigurationError: Configuration and DBC do not fit; every flaw is listed.
     """
-    return CanSensors(bus, map_sensors(bus, place, source), clock, wall_clock)
+    return CanSensorPort(bus, map_sensors(bus, place, source), clock, wall_clock)
 
 
 def map_sensors(bus: Config, place: str, source: Path | str) -> tuple[SensorMessage, ...]:
@@ -70,7 +70,7 @@ def map_sensors(bus: Config, place: str, source: Path | str) -> tuple[SensorMess
     Raises:
         ConfigurationError: Something does not fit; every flaw is listed.
     """
-    catalogue = Catalogue(load_database(bus.database, source, place), fd=bus.fd)
+    catalogue = SignalCatalogue(load_database(bus.database, source, place), fd=bus.fd)
     catalogue.flaws.extend(channel_flaws(bus, place))
     found: dict[str, list[tuple[str, str, float, float]]] = {}
     for name, given in bus.signals.items():
@@ -88,7 +88,7 @@ def map_sensors(bus: Config, place: str, source: Path | str) -> tuple[SensorMess
     )
 
 
-class CanSensors:
+class CanSensorPort:
     """One connection to the sensors on one CAN bus."""
 
     def __init__(
@@ -140,10 +140,10 @@ class CanSensors:
             return
         decoded = message.codec.decode(bytes(frame.data))
         self._counts["counter_lost"] += decoded.lost
-        if decoded.verdict is Verdict.GOOD:
+        if decoded.verdict is FrameVerdict.GOOD:
             waited_s = self._arrivals.waited_s(frame)
             self._hand_out(message, decoded.values, self._clock() - waited_s)
-        elif decoded.verdict is not Verdict.COUNTER_LOST:
+        elif decoded.verdict is not FrameVerdict.COUNTER_LOST:
             self._counts[decoded.verdict] += 1
 
     def take_garbage(self) -> None:
@@ -153,7 +153,7 @@ class CanSensors:
 
     async def _hear(self) -> None:
         """One bus after the other, less and less often while there is none."""
-        backoff = Backoff()
+        backoff = BusBackoff()
         while True:
             heard = self._counts["received"]
             problem = await self._try()
@@ -207,7 +207,7 @@ class CanSensors:
 
 
 def _codec(
-    catalogue: Catalogue, bus: Config, name: str, sources: list[tuple[str, str, float, float]]
+    catalogue: SignalCatalogue, bus: Config, name: str, sources: list[tuple[str, str, float, float]]
 ) -> MessageCodec:
     signals = dict.fromkeys(signal for _, signal, _, _ in sources)
     return MessageCodec(

@@ -12,14 +12,14 @@ from cantools.database.can.message import Message
 from adaptdrive.config.bus import FrameIntegrity
 from adaptdrive.hardware.link.integrity import (
     AliveCounter,
+    FrameVerdict,
     Span,
-    Verdict,
     checksum_function,
     covered_bytes,
 )
 from adaptdrive.hardware.link.layout import (
-    Field,
     Raw,
+    SignalField,
     compile_field,
     compile_pack,
     compile_unpack,
@@ -44,7 +44,7 @@ class Decoded(NamedTuple):
         lost: Frames that went missing before this one, as far as the alive counter tells.
     """
 
-    verdict: Verdict
+    verdict: FrameVerdict
     values: Mapping[str, float] = _NOTHING
     lost: int = 0
 
@@ -145,13 +145,13 @@ class MessageCodec:
             data: The bytes of the frame.
         """
         if len(data) != self._length:
-            return Decoded(Verdict.WRONG_LENGTH)
+            return Decoded(FrameVerdict.WRONG_LENGTH)
         if not self._is_whole(data):
-            return Decoded(Verdict.WRONG_CHECKSUM)
+            return Decoded(FrameVerdict.WRONG_CHECKSUM)
         try:
             raw = self._unpack(data)
         except DecodeError:
-            return Decoded(Verdict.OUT_OF_RANGE)
+            return Decoded(FrameVerdict.OUT_OF_RANGE)
         return self._judge(raw)
 
     def reset(self) -> None:
@@ -178,7 +178,7 @@ class MessageCodec:
 
     def _judge(self, raw: Mapping[str, Raw]) -> Decoded:
         verdict, lost = self._follow(raw)
-        if verdict is not Verdict.GOOD:
+        if verdict is not FrameVerdict.GOOD:
             return Decoded(verdict, lost=lost)
         values = {}
         for field_ in self._wanted:
@@ -186,16 +186,16 @@ class MessageCodec:
             if value is None:
                 continue
             if not field_.low <= value <= field_.high:
-                return Decoded(Verdict.OUT_OF_RANGE, lost=lost)
+                return Decoded(FrameVerdict.OUT_OF_RANGE, lost=lost)
             values[field_.name] = value * field_.scale + field_.offset
-        return Decoded(Verdict.GOOD, values, lost)
+        return Decoded(FrameVerdict.GOOD, values, lost)
 
-    def _follow(self, raw: Mapping[str, Raw]) -> tuple[Verdict, int]:
+    def _follow(self, raw: Mapping[str, Raw]) -> tuple[FrameVerdict, int]:
         if not self._counter:
-            return Verdict.GOOD, 0
+            return FrameVerdict.GOOD, 0
         value = int(raw[self._counter])
         if value >= self._modulus:
-            return Verdict.OUT_OF_RANGE, 0
+            return FrameVerdict.OUT_OF_RANGE, 0
         return self._alive.check(value)
 
 
@@ -204,7 +204,7 @@ def needs_fd(message: Message) -> bool:
     return message.is_fd or message.length > CLASSIC_LENGTH
 
 
-def counter_modulus(counter: Field) -> int:
+def counter_modulus(counter: SignalField) -> int:
     """Where a counter wraps: after the largest value that the DBC declares for it."""
     return int(counter.high) + 1
 

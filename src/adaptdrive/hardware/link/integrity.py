@@ -103,7 +103,7 @@ def covered_bytes(integrity: FrameIntegrity, span: Span) -> Callable[[bytes], by
     return take
 
 
-class Verdict(StrEnum):
+class FrameVerdict(StrEnum):
     """What the checks say about a frame; a refusal is named after the count that it adds to."""
 
     GOOD = "good"
@@ -126,7 +126,7 @@ class AliveCounter:
         self._max_jump = max_jump
         self._last: int | None = None
 
-    def check(self, value: int) -> tuple[Verdict, int]:
+    def check(self, value: int) -> tuple[FrameVerdict, int]:
         """Compare a counter with the one before it.
 
         Args:
@@ -137,12 +137,12 @@ class AliveCounter:
         """
         if self._last is None:
             self._last = value
-            return Verdict.GOOD, 0
+            return FrameVerdict.GOOD, 0
         jump = (value - self._last) % self._modulus
         if jump == 0:
-            return Verdict.COUNTER_STUCK, 0
+            return FrameVerdict.COUNTER_STUCK, 0
         self._last = value
-        verdict = Verdict.GOOD if jump <= self._max_jump else Verdict.COUNTER_LOST
+        verdict = FrameVerdict.GOOD if jump <= self._max_jump else FrameVerdict.COUNTER_LOST
         return verdict, jump - 1
 
     def reset(self) -> None:

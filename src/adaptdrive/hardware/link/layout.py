@@ -24,7 +24,7 @@ _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class SignalField:
     """One signal: its unit, and the raw values that mean something.
 
     Attributes:
@@ -68,7 +68,7 @@ class Field:
         return raw
 
 
-def compile_field(signal: Signal, *, measured: bool = False) -> Field:
+def compile_field(signal: Signal, *, measured: bool = False) -> SignalField:
     """Compile one signal.
 
     Args:
@@ -84,7 +84,7 @@ def compile_field(signal: Signal, *, measured: bool = False) -> Field:
         high = high if high < top - 1 else _below_names(names, top - 1)
         if signal.is_signed and low == bottom:
             low = -_below_names([-raw for raw in names], -low)
-    return Field(
+    return SignalField(
         name=signal.name,
         scale=signal.scale,
         offset=signal.offset,

@@ -10,7 +10,7 @@ from typing import NoReturn
 import can
 
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.backoff import Backoff
+from adaptdrive.hardware.backoff import BusBackoff
 
 Serve = Callable[[can.BusABC, Callable[[], None]], Awaitable[str]]
 
@@ -39,7 +39,7 @@ async def serve_for_ever(  # noqa: PLR0913 - each turn in the life of a bus
         BusError: The bus cannot be opened at the first attempt.
     """
     problem = await serve(open_one(), opened)
-    backoff = Backoff()
+    backoff = BusBackoff()
     while True:
         lost(problem)
         bus = await _reopen(open_one, backoff)
@@ -49,7 +49,7 @@ async def serve_for_ever(  # noqa: PLR0913 - each turn in the life of a bus
             backoff.reset()
 
 
-async def _reopen(open_one: Callable[[], can.BusABC], backoff: Backoff) -> can.BusABC:
+async def _reopen(open_one: Callable[[], can.BusABC], backoff: BusBackoff) -> can.BusABC:
     """Try again, less and less often."""
     while True:
         await asyncio.sleep(backoff.next_s())

@@ -63,7 +63,7 @@ class ExchangeError(AdaptdriveError):
         super().__init__(problem)
 
 
-class Link:
+class ModbusConnection:
     """An open link to one device.
 
     Attributes:

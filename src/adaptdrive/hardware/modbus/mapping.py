@@ -26,7 +26,7 @@ _COUNTS = (*WORDS, HEARTBEAT)
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class RegisterSource:
     """Where a quantity comes from.
 
     Attributes:
@@ -56,7 +56,7 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
-class Sink:
+class RegisterSink:
     """Where a part of the command goes: a field of `Command` or the daemon's heartbeat."""
 
     name: str
@@ -90,8 +90,8 @@ class Poll:
         other: Names of more values of the drive.
     """
 
-    reads: tuple[tuple[Block, tuple[Source, ...]], ...]
-    writes: tuple[tuple[Block, tuple[Sink, ...]], ...]
+    reads: tuple[tuple[Block, tuple[RegisterSource, ...]], ...]
+    writes: tuple[tuple[Block, tuple[RegisterSink, ...]], ...]
     combined: bool
     other: tuple[str, ...] = ()
 
@@ -150,40 +150,40 @@ def heartbeat_modulus(register: Register) -> int:
     return 1 << (16 * register.words - register.type.startswith("int"))
 
 
-def _sources(bus: ModbusBus, signals: Signals) -> Iterator[Source]:
+def _sources(bus: ModbusBus, signals: Signals) -> Iterator[RegisterSource]:
     named = [(quantity, getattr(signals, quantity)) for quantity in (*MEASURED, *WORDS)]
     for quantity, given in (*named, *signals.other.items()):
         if given is not None:
             register = bus.registers[given.signal]
             on = given.on if isinstance(given, SwitchSource) else None
             count = None if on is None else float(on)
-            yield Source(quantity, register, given.scale, given.offset, count)
+            yield RegisterSource(quantity, register, given.scale, given.offset, count)
     if bus.heartbeat.drive is not None:
-        yield Source(HEARTBEAT, bus.registers[bus.heartbeat.drive])
+        yield RegisterSource(HEARTBEAT, bus.registers[bus.heartbeat.drive])
 
 
-def _sinks(bus: ModbusBus, signals: Signals) -> Iterator[Sink]:
+def _sinks(bus: ModbusBus, signals: Signals) -> Iterator[RegisterSink]:
     for name in COMMANDED:
         given = getattr(signals.command, name)
         if given is not None:
             scaled = isinstance(given, SignalSource)
             conversion = (given.scale, given.offset) if scaled else ()
-            yield Sink(name, bus.registers[given.signal], *conversion)
+            yield RegisterSink(name, bus.registers[given.signal], *conversion)
     if bus.heartbeat.daemon is not None:
-        yield Sink(HEARTBEAT, bus.registers[bus.heartbeat.daemon])
+        yield RegisterSink(HEARTBEAT, bus.registers[bus.heartbeat.daemon])
 
 
-def _inside(block: Block, sources: Iterable[Source]) -> Iterator[Source]:
+def _inside(block: Block, sources: Iterable[RegisterSource]) -> Iterator[RegisterSource]:
     return (one for one in sources if block.holds(one.register))
 
 
-def _within(block: Block, sinks: Iterable[Sink]) -> Iterator[Sink]:
+def _within(block: Block, sinks: Iterable[RegisterSink]) -> Iterator[RegisterSink]:
     """In the order of the addresses: a write has no gaps."""
     inside = (one for one in sinks if block.holds(one.register))
     return iter(sorted(inside, key=lambda one: one.register.address))
 
 
-def _command_flaws(sinks: Iterable[Sink]) -> Iterator[Flaw]:
+def _command_flaws(sinks: Iterable[RegisterSink]) -> Iterator[Flaw]:
     """The safe command, and the bridge both ways, must fit into their registers."""
     for sink in sinks:
         for bridge in (False, True):
@@ -196,7 +196,7 @@ def _command_flaws(sinks: Iterable[Sink]) -> Iterator[Flaw]:
                 break
 
 
-def _demand_flaws(sinks: Iterable[Sink], demands: Demands) -> Iterator[Flaw]:
+def _demand_flaws(sinks: Iterable[RegisterSink], demands: Demands) -> Iterator[Flaw]:
     """Every command within the limits must fit into its registers."""
     for sink in sinks:
         if sink.name not in WANTED:

@@ -18,13 +18,13 @@ from adaptdrive.config.bus import Signals
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.backoff import Backoff
+from adaptdrive.hardware.backoff import BusBackoff
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.modbus.blocks import Block
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange
-from adaptdrive.hardware.modbus.link import EXCEPTIONS, ExchangeError, Link
+from adaptdrive.hardware.modbus.link import EXCEPTIONS, ExchangeError, ModbusConnection
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, map_drive
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 
@@ -86,7 +86,7 @@ class ModbusPort:
         self._clock = clock
         self._counts: Counter[str] = Counter()
         self._listener: Listener | None = None
-        self._link: Link | None = None
+        self._link: ModbusConnection | None = None
         self._wake = asyncio.Event()
         self._closing = False
         self._command: Command | None = None
@@ -212,7 +212,7 @@ class ModbusPort:
         """Whether the drive must be made safe before anything else."""
         return self._command == SAFE_COMMAND and not self._safe
 
-    async def _try_first(self) -> tuple[Link | None, str]:
+    async def _try_first(self) -> tuple[ModbusConnection | None, str]:
         try:
             return await self._open(), ""
         except BusError as problem:
@@ -220,14 +220,14 @@ class ModbusPort:
                 raise
             return None, problem.problem
 
-    async def _open(self) -> Link:
-        link = Link(self._config, self._counts, self._clock)
+    async def _open(self) -> ModbusConnection:
+        link = ModbusConnection(self._config, self._counts, self._clock)
         await link.open()
         return link
 
-    async def _work(self, link: Link | None, problem: str) -> None:
+    async def _work(self, link: ModbusConnection | None, problem: str) -> None:
         """Serve one link after the other until the port is closed."""
-        backoff = Backoff()
+        backoff = BusBackoff()
         while link is not None or not self._closing:
             if link is None:
                 self._tell_down(problem)
@@ -241,14 +241,14 @@ class ModbusPort:
             if self._counts["received"] > heard:
                 backoff.reset()
 
-    async def _reopen(self) -> Link | None:
+    async def _reopen(self) -> ModbusConnection | None:
         with contextlib.suppress(BusError):
             link = await self._open()
             self._counts["reconnects"] += 1
             return link
         return None
 
-    async def _serve(self, link: Link) -> str:
+    async def _serve(self, link: ModbusConnection) -> str:
         """Poll over an open link until it is lost or the port is closed; why it was lost."""
         self._link, self._heartbeat = link, None
         self._safe_s, self._refused, self._unanswered = math.inf, 0, 0
@@ -270,7 +270,7 @@ class ModbusPort:
         late = max(0.0, self._clock() - last_s)
         return last_s + (1 + int(late / self._poll_s)) * self._poll_s
 
-    async def _idle(self, link: Link, until_s: float) -> None:
+    async def _idle(self, link: ModbusConnection, until_s: float) -> None:
         """Wait for the next poll; a safe command goes out at once."""
         while link.lost is None and not self._closing and self._clock() < until_s:
             self._wake.clear()
@@ -284,12 +284,12 @@ class ModbusPort:
             async with asyncio.timeout(max(0.0, seconds)):
                 await self._wake.wait()
 
-    async def _leave_safe(self, link: Link) -> None:
+    async def _leave_safe(self, link: ModbusConnection) -> None:
         if link.lost is None and not self._safe:
             self._command = SAFE_COMMAND
             await self._write(link)
 
-    async def _poll_once(self, link: Link) -> None:
+    async def _poll_once(self, link: ModbusConnection) -> None:
         """Read everything, hand it out, and tell the drive what comes of it."""
         start_s = self._clock()
         try:
@@ -306,7 +306,7 @@ class ModbusPort:
         if link.lost is None and fresh:
             await self._write(link)
 
-    async def _read(self, link: Link) -> dict[str, float] | None:
+    async def _read(self, link: ModbusConnection) -> dict[str, float] | None:
         """Every quantity; None when one of them must not be used.
 
         Raises:
@@ -329,7 +329,9 @@ class ModbusPort:
             return None
         return good
 
-    async def _ask(self, link: Link, exchange: Exchange, command: Command | None) -> list[int]:
+    async def _ask(
+        self, link: ModbusConnection, exchange: Exchange, command: Command | None
+    ) -> list[int]:
         """Read a block, and write the command with it where there is one."""
         if command is None:
             return await link.exchange(exchange, [])
@@ -364,7 +366,7 @@ class ModbusPort:
             for _, sinks in self._poll.writes
         ]
 
-    async def _write(self, link: Link) -> None:
+    async def _write(self, link: ModbusConnection) -> None:
         """Write the newest command."""
         command = self._current()
         if command is None:
@@ -382,7 +384,7 @@ class ModbusPort:
             self._confirm(command)
 
     async def _wrote(
-        self, link: Link, exchange: Exchange, registers: list[int], *, at_once: bool
+        self, link: ModbusConnection, exchange: Exchange, registers: list[int], *, at_once: bool
     ) -> bool:
         """Write one block; whether the drive has taken it."""
         try:

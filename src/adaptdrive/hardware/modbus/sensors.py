@@ -17,12 +17,12 @@ from pathlib import Path
 
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.errors import BusError, ConfigurationError
-from adaptdrive.hardware.backoff import Backoff
+from adaptdrive.hardware.backoff import BusBackoff
 from adaptdrive.hardware.modbus.blocks import plan_blocks
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange, cycle_flaws
-from adaptdrive.hardware.modbus.link import ExchangeError, Link
-from adaptdrive.hardware.modbus.mapping import Source
+from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
+from adaptdrive.hardware.modbus.mapping import RegisterSource
 from adaptdrive.hardware.port import PortStatistics, SensorListener
 from adaptdrive.hardware.presence import Presence
 
@@ -35,7 +35,7 @@ class SensorBlock:
     """Registers that are asked for at once, and what is taken from them."""
 
     exchange: Exchange
-    sources: tuple[Source, ...]
+    sources: tuple[RegisterSource, ...]
 
 
 def build_modbus_sensors(
@@ -43,7 +43,7 @@ def build_modbus_sensors(
     place: str,
     clock: Callable[[], float],
     source: Path | str = "configuration",
-) -> ModbusSensors:
+) -> ModbusSensorPort:
     """Build the port of one sensor bus; nothing is opened yet.
 
     Args:
@@ -59,10 +59,10 @@ def build_modbus_sensors(
     flaws = list(cycle_flaws(bus, (one.exchange for one in blocks), bus.cycle_s, place))
     if flaws:
         raise ConfigurationError(source, flaws)
-    return ModbusSensors(bus, blocks, clock)
+    return ModbusSensorPort(bus, blocks, clock)
 
 
-class ModbusSensors:
+class ModbusSensorPort:
     """One connection to the modules on one link."""
 
     def __init__(
@@ -104,7 +104,7 @@ class ModbusSensors:
 
     async def _work(self, listener: SensorListener) -> None:
         """Serve one link after the other until the port is closed."""
-        backoff = Backoff()
+        backoff = BusBackoff()
         while not self._closing.is_set():
             heard = self._counts["received"]
             problem = await self._try(listener)
@@ -115,7 +115,7 @@ class ModbusSensors:
 
     async def _try(self, listener: SensorListener) -> str:
         """Open the link and poll it until it is lost; why it was."""
-        link = Link(self._config, self._counts, self._clock)
+        link = ModbusConnection(self._config, self._counts, self._clock)
         try:
             await link.open()
         except BusError as problem:
@@ -127,7 +127,7 @@ class ModbusSensors:
         finally:
             link.close()
 
-    async def _serve(self, link: Link, listener: SensorListener) -> str:
+    async def _serve(self, link: ModbusConnection, listener: SensorListener) -> str:
         next_s = self._clock()
         while link.lost is None and not self._closing.is_set():
             await self._poll(link, listener)
@@ -136,7 +136,7 @@ class ModbusSensors:
             await self._sleep(next_s - self._clock())
         return link.lost or "closed"
 
-    async def _poll(self, link: Link, listener: SensorListener) -> None:
+    async def _poll(self, link: ModbusConnection, listener: SensorListener) -> None:
         """Ask for every block; one that does not come leaves the others alone."""
         heard, problem = False, ""
         for block in self._blocks:
@@ -183,7 +183,7 @@ def _blocks(bus: ModbusTcpSensors | ModbusRtuSensors) -> Iterator[SensorBlock]:
 
     for device_id, names in groupby(sorted(bus.signals, key=device), key=device):
         sources = [
-            Source(name, bus.registers[given.signal], given.scale, given.offset)
+            RegisterSource(name, bus.registers[given.signal], given.scale, given.offset)
             for name, given in ((name, bus.signals[name]) for name in names)
         ]
         for block in plan_blocks((one.register for one in sources), bus.max_gap, bus.max_block):
