@@ -22,7 +22,9 @@ PRIOR = (0.0113, 40.0 + 1.0 / 3.0, 300.7)
 SECONDS = 50
 
 
-def lived(prior: tuple[float, ...]) -> tuple[list[TickReport], list[LoadReport]]:
+def lived(
+    prior: tuple[float, ...] | None, seconds: int = SECONDS
+) -> tuple[list[TickReport], list[LoadReport]]:
     """Ticks and slow periods of a run that ends under adaptive control."""
     configuration = load_configuration(EXAMPLE)
     bench = Bench(noise=NoiseParameters(sigma=0.002 * STEP), seed=3)
@@ -32,7 +34,7 @@ def lived(prior: tuple[float, ...]) -> tuple[list[TickReport], list[LoadReport]]
     ticks: list[TickReport] = []
     slow: list[LoadReport] = []
     due = -1
-    for n in range(SECONDS * 120):
+    for n in range(seconds * 120):
         wanted = order(square_wave(n / 120), Mode.ADAPTIVE, Stage.RUN)
         applied = slow[-1].decision.k if n == due else -1
         if applied >= 0:
@@ -45,7 +47,6 @@ def lived(prior: tuple[float, ...]) -> tuple[list[TickReport], list[LoadReport]]
             slow.append(LoadReport(snapshot, controller.decide(snapshot)))
             due = n + settings.rates.latency_ticks
         bench._sample = bench.world.step(command.current_scale_S, command.bridge)
-    assert slow[-1].decision.controller is Mode.ADAPTIVE
     return ticks, slow
 
 
@@ -56,6 +57,7 @@ def test_the_prior_is_part_of_the_record(
     text = EXAMPLE.read_text(encoding="utf-8")
     directory = create_session(NewSession(tmp_path, info, text))
     ticks, slow = lived(PRIOR)
+    assert slow[-1].decision.controller is Mode.ADAPTIVE
     header = Header(info, text)
     record_messages(directory, header, make_batch(ticks, slow, last=True))
     recorded = read_info(directory)
@@ -63,3 +65,25 @@ def test_the_prior_is_part_of_the_record(
     assert replay(str(directory)) == 0, capsys.readouterr().out
     write_info(directory, INFO)
     assert replay(str(directory)) == 1
+
+
+@pytest.mark.parametrize(
+    ("setting", "warned"),
+    [
+        ("load.pole=0.8", True),
+        ("mqtt.port=1884", True),
+        ("estimator.forgetting=0.95", False),
+        ("load.samples=30", False),
+    ],
+)
+def test_a_setting_without_effect_on_a_replay_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], setting: str, warned: bool
+) -> None:
+    text = EXAMPLE.read_text(encoding="utf-8")
+    directory = create_session(NewSession(tmp_path, INFO, text))
+    ticks, slow = lived(None, seconds=3)
+    record_messages(directory, Header(INFO, text), make_batch(ticks, slow, last=True))
+    replay(str(directory), [setting])
+    said = capsys.readouterr().err
+    assert (setting in said) is warned
+    assert ("has no effect on a replay" in said) is warned

@@ -6,7 +6,7 @@ import pytest
 
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.control.signals import Mode
+from adaptdrive.control.signals import Mode, Stage
 from adaptdrive_sim.noise import NoiseParameters
 from tests.closed_loop.bench import EXACT, MOTOR, STEP, Bench, order, square_wave
 
@@ -66,3 +66,21 @@ def test_a_prior_changes_nothing_of_direct_least_squares() -> None:
     direct = replace(EXACT, learning=replace(EXACT.learning, filtered=False))
     found = [first_adaptive(prior, 3, direct)[1].commands for prior in (None, THREE_DISKS)]
     assert found[0] == found[1]
+
+
+def test_trusted_estimates_survive_a_trip_and_are_confirmed_again() -> None:
+    settled = replace(CAREFUL, learning=replace(CAREFUL.learning, initial_state=True))
+    start, bench = first_adaptive(None, 3, settled)
+    trusted = bench.controller.trusted
+    assert trusted is not None
+    assert start >= 90
+    before = len(bench.decisions)
+    bench.run(5.0, order(square_wave(120), Mode.ADAPTIVE, Stage.OFF))
+    bench.run(0.5, order(square_wave(120), Mode.ADAPTIVE, Stage.PRECHARGE))
+    for second in range(125, 185):
+        bench.run(1.0, order(square_wave(second), Mode.ADAPTIVE))
+    after = bench.decisions[before:]
+    values = [after[0].estimates[name].value for name in MOTOR.names]
+    assert values == pytest.approx(trusted, rel=0.02)
+    modes = [decision.controller for decision in after]
+    assert 20 <= modes.index(Mode.ADAPTIVE) <= 40

@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 _BINS = 3000
 """Points across a figure; each shows the least and the largest value of its time."""
 
+_MOST_STEPS = 6000
+"""Slow steps that a figure shows; of more, every n-th."""
+
 _GAP_PERIODS = 3.0
 """Time between two slow steps from which on they are no line: late ones are none."""
 
@@ -145,16 +148,18 @@ def read_curves(session: Session, window: Window) -> Curves:
     steps = list(slow)
     slow_s = np.concatenate([time_s for time_s, _ in steps]) if steps else np.empty(0)
     batches = [batch for _, batch in steps]
+    shown = slice(None, None, 1 + len(slow_s) // _MOST_STEPS)
+    estimates = _estimates(batches, len(slow_s))
     return Curves(
         window=window,
         ticks=_envelopes(session, window, clock),
-        slow_s=slow_s,
+        slow_s=slow_s[shown],
         slow={
-            name: np.concatenate([_values(batch, name) for batch in batches])
+            name: np.concatenate([_values(batch, name) for batch in batches])[shown]
             for name in _SLOW_COLUMNS
             if name != "estimates" and batches
         },
-        estimates=_estimates(batches, len(slow_s)),
+        estimates={name: (value[shown], std[shown]) for name, (value, std) in estimates.items()},
     )
 
 

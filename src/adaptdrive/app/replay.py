@@ -5,9 +5,14 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from adaptdrive.app.settings import build_load, controller_settings
+from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
+from adaptdrive.control.load import Load
+from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.errors import ConfigurationError
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.replay import replay as run_again
 from adaptdrive.recording.session import find_session, sessions_directory
@@ -36,5 +41,28 @@ def replay(name: str, settings: Sequence[str] = ()) -> int:
         prior = None  # the settings ask for another kind of load
     controller = Controller(controller_settings(configuration), load, prior)
     report = run_again(session, controller)
+    for setting in settings:
+        if not _acts(session.config_text, path / "config.toml", setting):
+            sys.stderr.write(f"adaptdrive: {setting}: {_WITHOUT_EFFECT}\n")
     sys.stdout.write(f"{report}\n")
     return 0 if report.exact or settings else 1
+
+
+_WITHOUT_EFFECT = (
+    "has no effect on a replay, which takes measurements and orders (set-point, pole, mode, stage) "
+    "from the record"
+)
+
+
+def _acts(text: str, source: Path, setting: str) -> bool:
+    """Return whether a setting changes anything of the controller that is run again."""
+    try:
+        changed = reconfigured(text, source, (setting,))
+    except ConfigurationError:  # it needs another setting beside it
+        return True
+    recorded = reconfigured(text, source, ())
+    return _controlled(changed) != _controlled(recorded)
+
+
+def _controlled(configuration: Configuration) -> tuple[ControllerSettings, Load]:
+    return controller_settings(configuration), build_load(configuration)

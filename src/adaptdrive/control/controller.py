@@ -49,11 +49,14 @@ class Controller:
             settings: Designs, rates and rules.
             load: The load and its nominal model.
             prior: Physical parameters that an earlier run had trusted, in the order of
-                `Load.names`: each run starts from them. Direct least squares has no use for them.
+                `Load.names`: each run starts from them, or from those that a run before it had
+                trusted. Direct least squares has no use for them.
         """
         self._prior = prior if settings.learning.filtered else None
         self._settings = settings if self._prior is None else _confirming(settings)
         self._trusted: tuple[float, ...] | None = None
+        self._proposed: dict[int, tuple[float, ...]] = {}
+        self._learnt: tuple[float, ...] | None = None
         self._load = load
         self._stage = Stage.OFF
         self._fast = fast.FastState(tick=0, boost_reference_V=0.0, error_sum=0.0)
@@ -91,7 +94,7 @@ class Controller:
         load_input = slow_step(settings, self._load, state, self._sample(snapshot))
         voltage = to_voltage(load_input, self._load.input_gain, self._load.input_exponent)
         if state.accepted and state.watch.fallback == Fallback.NONE:
-            self._trusted = tuple(state.values)
+            self._trusted = self._proposed[snapshot.k] = tuple(state.values)
         taps = len(state.inputs)
         gains = state.adaptive_gains if state.adaptive else state.fixed_gains
         return Decision(
@@ -119,6 +122,22 @@ class Controller:
         """Let a decision take effect from the next tick on."""
         if self._stage is Stage.RUN:
             self._fast.boost_reference_V = decision.boost_reference_V
+            self._learn(decision.k)
+
+    def _learn(self, k: int) -> None:
+        """Keep the estimates of a decision for the next run.
+
+        Only those that took effect count: a record shows these, so that a replay keeps the same.
+        """
+        self._learnt = self._proposed.get(k, self._learnt)
+        self._proposed = {later: kept for later, kept in self._proposed.items() if later > k}
+
+    def _recall(self) -> None:
+        """Begin a run with what the one before had trusted; it is confirmed before it is used."""
+        self._proposed = {}
+        if self._learnt is not None and self._settings.exact and self._settings.learning.filtered:
+            self._prior = self._learnt
+            self._settings = _confirming(self._settings)
 
     def _enter(self, stage: Stage, measurement: Measurement) -> None:
         """Start a stage from what is measured now, so that it begins without a bump."""
@@ -136,6 +155,7 @@ class Controller:
             error_sum=initial_sum(voltage),
         )
         if stage is Stage.RUN:
+            self._recall()
             output = measurement.output
             at_rest = voltage if fed else self._resting_voltage(output, voltage)
             self._bank = self._new_bank(measurement.tick_period_s, output, at_rest)
