@@ -36,6 +36,7 @@ def test_signals_of_a_foreign_dbc_are_proposed(tmp_path: Path) -> None:
     by_hand = load_configuration(EXAMPLES / "motor-inverter.toml")
     assert isinstance(proposed.bus, CanBus)
     assert isinstance(by_hand.bus, CanBus)
+    assert proposed.load.output_unit == "rad/s"
     assert proposed.bus.clock == by_hand.bus.clock
     assert proposed.bus.clock_ticks == by_hand.bus.clock_ticks
     for quantity in ("boost_voltage_V", "line_voltage_V", "load_power_W", "output", "fault"):

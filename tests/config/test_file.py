@@ -32,7 +32,9 @@ def test_a_small_file_is_enough(tmp_path: Path) -> None:
 
 def test_relative_paths_start_at_the_folder_of_the_file(tmp_path: Path) -> None:
     file = tmp_path / "bench.toml"
-    text = document(mqtt__ca_file='"tls/ca.pem"', recording__directory='"sessions"')
+    text = document(
+        mqtt__tls="true", mqtt__ca_file='"tls/ca.pem"', recording__directory='"sessions"'
+    )
     file.write_text(text, encoding="utf-8")
     configuration = load_configuration(file)
     assert can(configuration).database == tmp_path / "bench.dbc"

@@ -7,7 +7,7 @@ import gc
 import os
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -26,6 +26,20 @@ def _run(name: str, *words: str | Path) -> None:
     if program is None:
         pytest.skip(f"{name} is not installed")
     subprocess.run([program, *words], check=True, capture_output=True)
+
+
+# paho leaves the socket of a failed handshake to the garbage collector.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*SSLSocket:pytest.PytestUnraisableExceptionWarning"),
+    pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning"),
+]
+
+
+@pytest.fixture(autouse=True)
+def _collected() -> Iterator[None]:
+    """Collect such sockets here, not in the test of another file."""
+    yield
+    gc.collect()
 
 
 @pytest.fixture
@@ -105,9 +119,6 @@ async def test_a_password_that_cannot_be_read_is_tried_again(
     await asyncio.wait([running])
 
 
-# paho leaves the socket of a failed handshake to the garbage collector.
-@pytest.mark.filterwarnings("ignore:.*SSLSocket:pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.filterwarnings("ignore:unclosed <ssl.SSLSocket:ResourceWarning")
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
@@ -128,5 +139,3 @@ async def test_others_stay_outside(
             break
         await asyncio.sleep(0.05)
     assert refusal.match(problem)
-    del refusal
-    gc.collect()

@@ -9,6 +9,7 @@ from pathlib import Path
 from cantools.database.can.database import Database
 from cantools.database.can.message import Message
 
+from adaptdrive.config.units import si_unit
 from adaptdrive.hardware.dbc.proposal import proofs
 from adaptdrive.hardware.proposal import Candidate
 
@@ -81,6 +82,12 @@ def clock_ticks(part: str) -> int:
     """Return the half cycles from one reading to the next that a bus part states, 1 for none."""
     stated = re.search(r"(?m)^clock_ticks = (\d+)", part)
     return int(stated[1]) if stated else 1
+
+
+def output_unit(part: str) -> str | None:
+    """Return the SI unit of the output that a bus part states, None for none."""
+    stated = re.search(r"(?m)^output = .*  # ([^,\n]+)", part)
+    return si_unit(stated[1]) if stated else None
 
 
 def _clock(used: Iterable[Message], choices: Choices) -> Message | None:

@@ -103,6 +103,7 @@ def daemon_settings(configuration: Configuration) -> DaemonSettings:
         spin_s=configuration.realtime.spin_us * 1e-6,
         rehearse_s=configuration.realtime.rehearse_us * 1e-6,
         collect_ticks=_COLLECT_TICKS if configuration.realtime.freeze_gc else 0,
+        refused_share=configuration.interlocks.refused_share,
     )
 
 

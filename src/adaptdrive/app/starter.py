@@ -50,8 +50,14 @@ class Starter:
     content: bytes
 
 
-def compose(
-    load: LoadName, bus: BusName, name: str, bus_part: str | None = None, stride: int = 1
+def compose(  # noqa: PLR0913 - what the user and the drive's own description say
+    load: LoadName,
+    bus: BusName,
+    name: str,
+    bus_part: str | None = None,
+    *,
+    stride: int = 1,
+    output_unit: str | None = None,
 ) -> Starter:
     """Return a commented configuration that passes `check`.
 
@@ -62,6 +68,7 @@ def compose(
         bus_part: `[bus]` and `[signals]` of a drive other than the reference drive, with the
             `[voltage_loop]` that fits; None for the reference drive.
         stride: Half cycles from one reading of that drive to the next.
+        output_unit: SI unit of that drive's output, None for the unit of the example.
     """
     load_text, bus_text = _example(f"{load}.toml"), _bus_example(load, bus)
     text = "".join(
@@ -69,7 +76,9 @@ def compose(
             _HEAD.format(load=load, bus=bus),
             _named(_between(load_text, "[drive]", "[bus]"), name),
             bus_part or _between(bus_text, "[bus]", "[load]"),
-            _load_part(load_text, _POLL_TICKS if bus in _POLLED else stride),
+            _with_output_unit(
+                _load_part(load_text, _POLL_TICKS if bus in _POLLED else stride), output_unit
+            ),
             _with_stale_limit(load_text[load_text.index("[interlocks]") :], bus_text),
         )
     )
@@ -120,6 +129,14 @@ def _load_part(load_text: str, stride: int) -> str:
         return section
     latency = f"latency_ticks = {stride:<20}# one reading from the slow sample to its effect"
     return section.replace("\nreference_min", f"\n{latency}\nreference_min", 1)
+
+
+def _with_output_unit(section: str, unit: str | None) -> str:
+    """Return `[load]` for an output in another unit than that of the example."""
+    if unit is None or f'\noutput_unit = "{unit}"' in section:
+        return section
+    line = f'output_unit = "{unit}"  # that of signals.output: adapt range, model and limits to it'
+    return re.sub(r"(?m)^output_unit = .*$", line, section)
 
 
 def _with_stale_limit(section: str, bus_text: str) -> str:

@@ -10,6 +10,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanBus
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.references import MEASURED
+from adaptdrive.runtime.refused_share import WINDOW_S
 
 Row = tuple[str, float, str]
 """What is limited, for how many seconds, and by which keys."""
@@ -28,6 +29,11 @@ def time_limits(configuration: Configuration, source: Path | str) -> list[Row]:
         *_sensor_rows(configuration),
         ("daemon not running", interlocks.stale_s, "interlocks.stale_s"),
         ("starting", interlocks.precharge_timeout_s, "interlocks.precharge_timeout_s"),
+        (
+            "share of refused frames",
+            WINDOW_S if interlocks.refused_share else 0.0,
+            "interlocks.refused_share",
+        ),
         ("output standing still", interlocks.stuck_s, "interlocks.stuck_s"),
         ("input at its limit, no response", supervisor.response_s, "supervisor.response_s"),
     ]

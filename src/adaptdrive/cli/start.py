@@ -10,7 +10,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from adaptdrive.app.described import Choices, can_part, canopen_part, clock_ticks
+from adaptdrive.app.described import Choices, can_part, canopen_part, clock_ticks, output_unit
 from adaptdrive.app.starter import BusName, LoadName, Starter, compose
 from adaptdrive.config import load_configuration
 from adaptdrive.errors import ConfigurationError, Flaw
@@ -51,7 +51,9 @@ def init(  # noqa: PLR0913 - one parameter for each option
     _refuse_misfits(bus, dbc, eds)
     drive = name or load
     part = _described(load, dbc, eds, ask=sys.stdin.isatty() and not yes)
-    starter = compose(load, bus, drive, part, clock_ticks(part or ""))
+    starter = compose(
+        load, bus, drive, part, stride=clock_ticks(part or ""), output_unit=output_unit(part or "")
+    )
     path = _write(starter, directory, drive)
     problem = _check(path)
     print(f"wrote {path}")

@@ -100,6 +100,14 @@ class InterlocksSection(Section):
         description="trip when the drive has not said for so long after a stop that its bridge is "
         "off; four readings at least, for a drive that is read seldom",
     )
+    refused_share: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=1.0,
+        description="trip when this share of the frames of the drive or of a sensor bus was "
+        "refused over 5 s (checksum, length, counter, range; Modbus: exceptions, time-outs); "
+        "0: never; an event tells of a tenth and more in any case",
+    )
 
     @field_validator("response_factor")
     @classmethod

@@ -70,6 +70,11 @@ class Converted(Protocol):
     def model_fields_set(self) -> set[str]: ...  # noqa: D102
 
 
+def si_unit(unit: str) -> str | None:
+    """Return the SI unit of what has a unit, None for a unit that the configuration knows not."""
+    return _DIMENSIONS.get(unit)
+
+
 def unit_problem(source: Converted, found: str, wanted: str) -> str | None:
     """Return why a signal is not in the unit of its quantity, None where nothing speaks against it.
 

@@ -71,7 +71,7 @@ def drive_message(report: DriveReport, time: datetime) -> Payload:
     """Return the payload of `telemetry/drive` for a report that arrived at `time`."""
     measured = {name: getattr(report.measurement, name, None) for name in _MEASURED}
     sensors = {one.name: _fields(one, "name") for one in report.sensors}
-    whole = _fields(report, "measurement", "sensors")
+    whole = _fields(report, "measurement", "sensors", "time_s")
     return {"time": time} | measured | whole | {"sensors": sensors}
 
 

@@ -21,7 +21,9 @@ from adaptdrive.runtime.frame_watch import DressRehearsal, FrameWatch
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.latency import LatencyDetector, WatchedLoop
 from adaptdrive.runtime.machine import Machine, MachineLimits
+from adaptdrive.runtime.refused_share import RefusedShares
 from adaptdrive.runtime.reports import (
+    DriveReport,
     Event,
     LoadReport,
     SensorReport,
@@ -54,6 +56,7 @@ class DaemonSettings:
         spin_s: Busy wait before a frame of the drive is due, and before a deadline of the timer.
         rehearse_s: How long before a frame of the drive is due a tick is rehearsed, 0 for never.
         collect_ticks: Ticks between two collections of garbage, 0 to leave that to Python.
+        refused_share: Share of refused frames that trips the drive, 0 for none.
     """
 
     machine: MachineLimits
@@ -64,6 +67,7 @@ class DaemonSettings:
     spin_s: float = 0.0
     rehearse_s: float = 0.0
     collect_ticks: int = 0
+    refused_share: float = 0.0
 
 
 class Daemon:
@@ -117,6 +121,7 @@ class Daemon:
         self._shutting_down = False
         self._stopped_s = -math.inf
         self._bus_problem: str | None = None
+        self._refused = RefusedShares(settings.refused_share)
         self._told = state_report(self._machine, None, self._fast.stop)
 
     async def run(self, stop: asyncio.Event) -> None:
@@ -259,7 +264,8 @@ class Daemon:
             await self._port.reset_fault()
         fast, mode = self._fast, self._machine.mode
         output = fast.reading.output if fast.reading is not None else float("nan")
-        self._machine.carry_out(request, fast.tick, output, fast.cause)
+        cause = fast.cause or self._refused.cause
+        self._machine.carry_out(request, fast.tick, output, cause)
         if not self._machine.energised:
             self._fast.send_safe()
         if self._machine.mode is not mode:
@@ -351,8 +357,16 @@ class Daemon:
             await asyncio.sleep(self._settings.report_s)
             books = drive_report(self._fast, self._port.statistics, self._sensors(), self._clock())
             self._hub.publish(books)
+            self._watch_refusals(books)
             self._publish_state()
             self._tell_manager()
+
+    def _watch_refusals(self, books: DriveReport) -> None:
+        """Report a large share of refused frames, and trip where that is configured."""
+        for detail in self._refused.add(books):
+            self._tell("refused", Severity.WARNING, detail)
+        if self._refused.cause is not None and self._machine.energised:
+            self.trip(self._refused.cause)
 
     async def _shut_down(self) -> None:
         """Bring the drive to zero, until it confirms; a frame can be lost, so more than once."""

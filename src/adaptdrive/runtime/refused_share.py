@@ -1,0 +1,156 @@
+"""The share of its frames that a port has to refuse, over a window of time.
+
+A lost or disturbed frame now and then is what the age of the values is for. A large share of them
+for long is a mistake in the configuration, a second sender or a bad cable. It can go unnoticed:
+where every other frame is refused, no value ever grows old.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from adaptdrive.runtime.reports import DriveReport
+
+WINDOW_S = 5.0
+"""Long beside a burst of disturbances, short beside what any load takes to be damaged."""
+
+_LEAST_FRAMES = 20
+"""Frames in a window from which on a share is judged: one of them is half of the share noted."""
+
+_NOTED_SHARE = 0.1
+"""Share that is reported; a bus in order refuses less than one frame in a thousand."""
+
+_FORGOTTEN_SHARE = 0.05
+"""Share below which the next one is reported again."""
+
+_CAUSES = {
+    "wrong_checksum": "is data_id, data_id_mode or the algorithm of [bus.integrity] another one, "
+    "does a second sender use the id, or is the cable disturbed?",
+    "wrong_length": "does the DBC, the EDS or the register map describe another version?",
+    "counter_stuck": "does the sender hang, or does a gateway repeat its frames?",
+    "out_of_range": "is a scale, an offset or a range wrong, or a sensor broken?",
+    "exceptions": "does the device have these registers, and does it take commands (remote mode)?",
+    "timeouts": "are the baud rate, the device id and the cable right, and the time-out long "
+    "enough?",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class _Mark:
+    """What a port had counted at a time, by name."""
+
+    time_s: float
+    counts: Mapping[str, int]
+
+
+class RefusedShares:
+    """Measures the shares of the drive's port and of the sensor buses beside it."""
+
+    def __init__(self, limit: float) -> None:
+        """Start without a count.
+
+        Args:
+            limit: Share that must not be reached while the drive is energised, 0 for any.
+        """
+        self._limit = limit
+        self._ports: dict[str, RefusedShare] = {}
+
+    def add(self, books: DriveReport) -> list[str]:
+        """Take the counts of every port, and return what is to be reported."""
+        ports = {"drive": books.bus} | {one.name: one.bus for one in books.sensors}
+        found = [self._port(name).add(books.time_s, counts) for name, counts in ports.items()]
+        return [text for text in found if text is not None]
+
+    @property
+    def cause(self) -> str | None:
+        """Why the drive must not be energised, None for no reason."""
+        causes = (port.cause for port in self._ports.values())
+        return next((cause for cause in causes if cause is not None), None)
+
+    def _port(self, name: str) -> RefusedShare:
+        return self._ports.setdefault(name, RefusedShare(name, self._limit))
+
+
+class RefusedShare:
+    """Measures the share of one port."""
+
+    def __init__(self, name: str, limit: float) -> None:
+        """Start without a count.
+
+        Args:
+            name: The port, for people.
+            limit: Share that must not be reached while the drive is energised, 0 for any.
+        """
+        self._name = name
+        self._limit = limit
+        self._marks: deque[_Mark] = deque()
+        self._noted = False
+        self.cause: str | None = None
+
+    def add(self, now_s: float, counts: Mapping[str, int]) -> str | None:
+        """Take the counts of the port, and judge its share anew.
+
+        Args:
+            now_s: Monotonic time.
+            counts: Its statistics by name.
+
+        Returns:
+            What is to be reported, None for nothing new.
+        """
+        marks = self._marks
+        marks.append(_Mark(now_s, counts))
+        while len(marks) > 1 and now_s - marks[1].time_s >= WINDOW_S:
+            marks.popleft()
+        first = marks[0].counts
+        judged = _judged(first, counts)
+        if now_s - marks[0].time_s < WINDOW_S or judged < _LEAST_FRAMES:
+            self.cause = None
+            return None
+        refused = _refused(first, counts)
+        return self._judge(min(1.0, sum(refused.values()) / judged), judged, refused)
+
+    def _judge(self, share: float, judged: int, refused: Mapping[str, int]) -> str | None:
+        text = self._text(share, judged, refused)
+        self.cause = self._problem(share, text)
+        if share < _FORGOTTEN_SHARE:
+            self._noted = False
+        if share < _NOTED_SHARE or self._noted:
+            return None
+        self._noted = True
+        return text
+
+    def _problem(self, share: float, text: str) -> str | None:
+        if not self._limit or share < self._limit:
+            return None
+        return f"refused frames: {text}, limit {self._limit:.0%}"
+
+    def _text(self, share: float, judged: int, refused: Mapping[str, int]) -> str:
+        reason = max(refused, key=lambda name: refused[name])
+        return (
+            f"{self._name}: {share:.0%} of the last {judged} frames were refused, most for "
+            f"{reason} ({refused[reason]}): {_CAUSES[reason]} `adaptdrive probe` shows them"
+        )
+
+
+def _judged(before: Mapping[str, int], after: Mapping[str, int]) -> int:
+    """Return the frames since that were meant for this port; for one that polls, its requests.
+
+    A port that hears nothing at all has nothing to refuse: its values grow old.
+    """
+    grown = {name: after[name] - before[name] for name in after}
+    asked = grown["exceptions"] + grown["timeouts"]
+    if not asked:
+        return grown["received"] - grown["foreign"]
+    heard = grown["received"] + grown["exceptions"]
+    return heard + grown["timeouts"] if heard else 0
+
+
+def _refused(before: Mapping[str, int], after: Mapping[str, int]) -> dict[str, int]:
+    """Return the frames refused since, by reason."""
+    refused = {name: after[name] - before[name] for name in _CAUSES}
+    # a disturbed reply on a serial line is a missing one, too
+    disturbed = refused["wrong_checksum"] + refused["wrong_length"]
+    refused["timeouts"] = max(0, refused["timeouts"] - disturbed)
+    return refused
