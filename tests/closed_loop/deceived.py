@@ -1,7 +1,7 @@
 """The fast loop with all its watches, a plant, and a sensor that may lie; in virtual time.
 
-`python -m tests.closed_loop.deceived [SEEDS]` prints the tables of docs/reliability.md: how many of
-the honest courses tripped, and after which time each fault of the sensor did.
+`python -m tests.closed_loop.deceived [SEEDS [SEEDS OF FAULTS]]` prints the tables of
+docs/reliability.md: how many of the honest courses tripped, and how soon each fault did.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Snapshot
+from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
@@ -168,6 +169,7 @@ def configured(name: str, draw: random.Random) -> Configuration:
     }
     for key in wrong[name]:
         model[key] *= odds(draw, 3.0)
+    tables["interlocks"]["output_max"] *= 1.5  # noise of 5 % is above the limit of the example
     return validate_configuration(tables, FOLDER / f"{name}.toml")
 
 
@@ -248,7 +250,6 @@ def stuck() -> Sensor:
 FAULTS: dict[str, Callable[[], Sensor]] = {
     "reversed from the start": lambda: lambda _, output: -output,
     "wire broken: reads 0": lambda: lambda _, _output: 0.0,
-    "decays, 1 s": lambda: decaying(1.0),
     "decays, 3 s": lambda: decaying(3.0),
     "decays, 10 s": lambda: decaying(10.0),
     "decays, 30 s": lambda: decaying(30.0),
@@ -267,7 +268,9 @@ def lied_to(job: tuple[str, str, int]) -> float:
     drive.sensor = FAULTS[fault]()
     if fault.endswith("from the start"):
         drive.fault_s = drive.now
-    if not drive.start():
+    try:
+        drive.start()
+    except RefusedError:  # the drive is not even enabled
         return 0.0
     low, high = load.reference_min, load.reference_max
     drive.ask(SetSetpoint(draw.uniform(0.5 * (low + high), high)))
@@ -285,7 +288,8 @@ def lied_to(job: tuple[str, str, int]) -> float:
 
 def main() -> None:
     """Print both tables."""
-    span = range(int(sys.argv[1]) if len(sys.argv) > 1 else 20)
+    counts = [int(word) for word in sys.argv[1:]] or [20]
+    span, fault_span = range(counts[0]), range(counts[-1])
     with Pool(2) as pool:
         for name in LOADS:
             trips = [trip for trip in pool.map(honest, [(name, seed) for seed in span], 1) if trip]
@@ -293,7 +297,7 @@ def main() -> None:
         for fault in FAULTS:
             cells = []
             for name in LOADS:
-                found = pool.map(lied_to, [(name, fault, seed) for seed in span], 1)
+                found = pool.map(lied_to, [(name, fault, seed) for seed in fault_span], 1)
                 times = [time_s for time_s in found if not math.isnan(time_s)]
                 missed = sum(math.isinf(time_s) for time_s in times)
                 middle = statistics.median(times) if times else math.nan

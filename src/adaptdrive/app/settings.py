@@ -35,6 +35,7 @@ _SWING_SHARE = 0.01
 _ERROR_SHARE = 0.1
 _PAPER_PATIENCE = 30
 _SHORTEST_WAVE_PERIODS = 4
+_POWER_FACTOR = 2.0  # a power is measured, and half of it at most is lost on the way to the load
 _BELOW_RANGE = 0.25  # noise of 5 % and the overshoot of a step downwards stay above
 _COLLECT_TICKS = 12
 
@@ -328,5 +329,6 @@ def _response(configuration: Configuration) -> ResponseLimits | None:
         gain=1.0 / ratio,
         input_max=reference_range * ratio,
         lags_s=(section.period_s,),  # a sensor's cycle is no longer
+        factor=min(factor, _POWER_FACTOR),
         by_power=True,
     )

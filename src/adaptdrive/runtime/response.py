@@ -134,8 +134,9 @@ class Response:
         level = max(0.0, limits.gain / limits.factor * usable)
         for number, lag_s in enumerate(limits.lags_s):
             stage = self._stages[number]
-            slow_s = lag_s * limits.factor if level > stage else lag_s / limits.factor
-            level = stage - (level - stage) * math.expm1(-period_s / slow_s)
+            if level > stage or not limits.by_power:
+                slow_s = lag_s * limits.factor if level > stage else lag_s / limits.factor
+                level = stage - (level - stage) * math.expm1(-period_s / slow_s)
             self._stages[number] = level
         return level
 
