@@ -18,7 +18,7 @@ from pathlib import Path
 
 from tests.benchmarks.rows import Extent, Row, table, write_json
 
-PARTS = ("compute", "experiment", "campaign", "lateness", "turnaround", "load", "daemons")
+PARTS = ("compute", "experiment", "campaign", "lateness", "turnaround", "load", "daemons", "stop")
 RESULT = Path("build/bench.json")
 
 

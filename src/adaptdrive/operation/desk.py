@@ -204,7 +204,9 @@ class Desk:
         else:
             reply = replace(reply, accepted=True, state=state)
         if _memorable(payload.id):
-            await self._memory.keep(str(payload.id), reply)
+            self._memory.note(str(payload.id), reply)
+            if reply.reason != OVERTAKEN:  # a hundred may wait, and none had an effect
+                await self._memory.written()
         self._report(_report_of(payload, reply))
         return reply
 
@@ -216,11 +218,15 @@ class Desk:
         return request
 
     async def _carry_out(self, request: Request, command: OperatorCommand, doubt: Reply) -> State:
+        self._refuse_overtaken(command)
         # Written first: a daemon that dies in between must not act a second time on a repeat.
         await self._memory.keep(str(doubt.id), doubt)
+        self._refuse_overtaken(command)
+        return await self._host.execute(request)
+
+    def _refuse_overtaken(self, command: OperatorCommand) -> None:
         if command.stops != self._stops:
             raise RefusedError(OVERTAKEN)
-        return await self._host.execute(request)
 
     def _refuse_expired(self, expires: datetime | None) -> None:
         now = self._wall()

@@ -27,8 +27,10 @@ LARGEST_BACKLOG = 50_000
 _SCHEMA = (
     "PRAGMA journal_mode = WAL",
     "PRAGMA synchronous = FULL",
+    "BEGIN",
     "CREATE TABLE IF NOT EXISTS reply (id TEXT PRIMARY KEY, time_s REAL, body BLOB)",
     "CREATE TABLE IF NOT EXISTS event (sequence INTEGER PRIMARY KEY, body BLOB)",
+    "COMMIT",
 )
 _DAMAGED = (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT)
 _PRIMARY_CODE = 0xFF  # the low byte of an extended result code

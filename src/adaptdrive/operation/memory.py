@@ -70,10 +70,11 @@ class ReplyMemory:
         self._loaded.set()
 
     async def ready(self) -> None:
-        """Wait until earlier replies are known; not for long, as the disk may hang."""
+        """Wait until earlier replies are known; once, and not for long, as the disk may hang."""
         with suppress(TimeoutError):
             async with asyncio.timeout(PATIENCE_S):
                 await self._loaded.wait()
+        self.begin()
 
     def recall(self, identity: str) -> Reply | None:
         """The first reply to a command with this id, None for a new one."""
@@ -84,6 +85,10 @@ class ReplyMemory:
     async def keep(self, identity: str, reply: Reply) -> None:
         """Remember the reply to a command; returns when it is on disk, or the disk too slow."""
         self.note(identity, reply)
+        await self.written()
+
+    async def written(self) -> None:
+        """Wait until all that was noted is on disk, or the disk too slow."""
         await self._journal.written(PATIENCE_S)
 
     def note(self, identity: str, reply: Reply) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import math
+import socket
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from typing import Any, NoReturn, TypeVar
 
 import paho.mqtt.client as paho
@@ -68,6 +70,21 @@ class SteadyClient(Client):
             super()._on_message(client, userdata, message)
         else:
             self._receive(Message._from_paho_message(message))  # noqa: SLF001
+        self._acknowledge_segment()
+
+    def _on_publish(self, *args: Any) -> None:  # noqa: ANN401 - aiomqtt's signature
+        super()._on_publish(*args)
+        self._acknowledge_segment()
+
+    def _acknowledge_segment(self) -> None:
+        """Acknowledge received data to TCP at once, not within 40 ms.
+
+        A broker with Nagle's algorithm holds back the next command until then.
+        """
+        connection = self._client.socket()
+        if isinstance(connection, socket.socket):
+            with suppress(OSError):
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
 
     async def release(self) -> None:
         """Close the socket of a client that was never connected, or whose broker hangs.
