@@ -13,7 +13,7 @@ class AdaptdriveError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Flaw:
-    """One thing wrong in a configuration: where it is and what is wrong."""
+    """One error in a configuration: its place and its description."""
 
     place: str
     message: str
@@ -24,7 +24,7 @@ class Flaw:
 
 
 class ConfigurationError(AdaptdriveError):
-    """A configuration cannot be used; carries every flaw found, not just the first."""
+    """A configuration cannot be used; lists every error found, not just the first."""
 
     def __init__(self, source: Path | str, flaws: Sequence[Flaw]) -> None:
         self.source = source
@@ -59,7 +59,7 @@ class RecordingError(AdaptdriveError):
 
 
 def first_error(group: BaseExceptionGroup[AdaptdriveError]) -> AdaptdriveError:
-    """The one error to tell about: tasks die together, and the first one is the cause."""
+    """Return the error to report: tasks end together, and the first error is the cause."""
     error: BaseException = group
     while isinstance(error, BaseExceptionGroup):
         error = error.exceptions[0]

@@ -69,7 +69,7 @@ class Envelope:
 
 @dataclass(frozen=True, slots=True)
 class Curves:
-    """What the figure of a session shows.
+    """Data of the figure of a session.
 
     Attributes:
         window: Its part of the session.

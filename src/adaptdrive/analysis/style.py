@@ -1,4 +1,4 @@
-"""How the figures look: one typeface, few colours, no frame that is not needed."""
+"""Style of the figures: one typeface, few colours, no unnecessary frames."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Where everything is put together: one drive, from its configuration to its running tasks."""
+"""Assembly of the daemon of one drive, from its configuration to its running tasks."""

@@ -38,7 +38,7 @@ Values = tuple[float, ...]
 
 
 class EstimateSource(Protocol):
-    """Where trusted estimates come from: a controller."""
+    """Source of trusted estimates: a controller."""
 
     @property
     def trusted(self) -> Values | None:
@@ -55,7 +55,7 @@ class CheckpointError(AdaptdriveError):
 
 
 class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the file says.
+    """Contents of a checkpoint file.
 
     Attributes:
         key: Hash of the configuration that the estimates were made with.
@@ -75,7 +75,7 @@ class _CheckpointFormat(msgspec.Struct):
 
 
 def checkpoint_path(state: Path, drive: str) -> Path:
-    """Where the checkpoint of a drive lies."""
+    """Return the path of the checkpoint of a drive."""
     return state / f"{drive}.estimates.json"
 
 
@@ -87,7 +87,7 @@ def configuration_key(configuration: Configuration) -> str:
 
 
 def is_kept(settings: ControllerSettings) -> bool:
-    """Whether this controller's estimates are physical parameters that it can start from."""
+    """Return whether this controller's estimates are physical parameters that it can start from."""
     return settings.exact and settings.learning.filtered
 
 
@@ -149,7 +149,7 @@ def _decode(path: Path, text: bytes) -> Checkpoint:
 def recall(
     path: Path, configuration: Configuration, settings: ControllerSettings, load: Load
 ) -> tuple[Values | None, Event | None]:
-    """What to start from, and what to tell about it.
+    """Return the estimates to start from, and the event that reports them.
 
     Args:
         path: The checkpoint.

@@ -21,7 +21,7 @@ _SI_UNITS = ("", "V", "A", "W", "K", "rad/s", "S")
 _NODE_ID = 1
 _OPTIONAL = ("counter", "fault", "bridge", "command.current_scale_S")
 _OF_THE_PROFILE = ("counter", "fault", "bridge", "command.bridge", "command.current_scale_S")
-"""What statusword and controlword of CiA 402 carry, or a drive that they control does not take."""
+"""Names that a CiA 402 drive needs no entry for, or that it does not take."""
 
 
 _CAN = """\

@@ -39,7 +39,7 @@ def load_examined(path: Path) -> Configuration:
 
 
 def _description_flaws(findings: Findings, path: Path) -> Iterator[Flaw]:
-    """What does not fit the files and maps that describe drive and sensors."""
+    """Yield the errors in the files and maps that describe drive and sensors."""
     configuration = findings.configuration
     if findings.mended >= _OF_PORT and _leads_somewhere(findings):
         yield from _flaws_of(lambda: build_port(configuration, time.monotonic, path))
@@ -55,7 +55,7 @@ def _description_flaws(findings: Findings, path: Path) -> Iterator[Flaw]:
 
 
 def _leads_somewhere(findings: Findings) -> bool:
-    """Whether the names in `[signals]` can be looked up: a register map must be sound for that."""
+    """Return whether names in `[signals]` can be looked up, which needs a valid register map."""
     if not isinstance(findings.configuration.bus, ModbusBus):
         return True
     flawed = any(flaw.place.startswith(("bus", "signals")) for flaw in findings.flaws)

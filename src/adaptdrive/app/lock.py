@@ -50,7 +50,7 @@ class LockedError(AdaptdriveError):
 
 
 def lock_names(configuration: Configuration) -> Iterator[str]:
-    """What one daemon alone may have: the drive's name and, on Modbus, its device.
+    """Return the names of exclusive resources: the drive's name and, on Modbus, its device.
 
     On CAN and CANopen another sender is heard; on Modbus nothing is heard of another client.
 
@@ -131,7 +131,7 @@ def _holder(address: str) -> str:
 
 
 def _since(pid: int) -> str:
-    """When a process was started, in words."""
+    """Return the start time of a process as text."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8")
     except OSError:

@@ -43,7 +43,7 @@ def set_up_logging() -> structlog.typing.FilteringBoundLogger:
 
 
 def leads_to_journal(stream: TextIO, environment: Mapping[str, str]) -> bool:
-    """Whether what is written to a stream goes to the journal itself.
+    """Return whether what is written to a stream goes to the journal itself.
 
     Args:
         stream: The stream.

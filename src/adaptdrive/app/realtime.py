@@ -41,7 +41,7 @@ def prepared(configuration: Configuration, rehearsal: Rehearsal, hub: Hub) -> It
 
 
 def before_frames(configuration: Configuration) -> Iterator[Grant]:
-    """What is done in the time before each frame of the drive, and what that means.
+    """Return the work to do before each frame of the drive, and its description.
 
     Args:
         configuration: The drive.

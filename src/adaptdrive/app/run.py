@@ -165,13 +165,13 @@ def _mqtt(
 
 
 def state_directory(given: str) -> Path:
-    """Where replies and unsent events are kept: the service manager's folder, else `./state`."""
+    """Return the state directory of the daemon: the service manager's folder, else `./state`."""
     first = given.split(":", maxsplit=1)[0]
     return Path(first) if first else Path("state")
 
 
 def state_event(directory: Path) -> Event | None:
-    """What is lost where nothing can be kept, None where it can."""
+    """Return the event that reports an unusable state directory, None for a usable one."""
     flaw = directory_flaw(directory)
     if flaw is None:
         return None

@@ -106,7 +106,7 @@ def build_sensor_port(
 
 
 def derivations(configuration: Configuration) -> list[Derivation]:
-    """What `[derived]` makes, each after those that it is made of."""
+    """Return the rules of `[derived]`, each after those that it depends on."""
     given = configuration.derived
     return [
         Derivation(name, _RULES[one.rule], tuple(one.of), one.scale, one.offset)

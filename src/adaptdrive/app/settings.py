@@ -109,7 +109,7 @@ def daemon_settings(configuration: Configuration) -> DaemonSettings:
 
 
 def realtime_settings(configuration: Configuration) -> RealtimeSettings:
-    """What the kernel is asked for."""
+    """Return the settings of `[realtime]`."""
     realtime = configuration.realtime
     return RealtimeSettings(
         priority=realtime.priority,

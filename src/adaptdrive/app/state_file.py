@@ -68,7 +68,7 @@ def replace_regular(path: Path, content: bytes) -> None:
 
 
 def directory_flaw(directory: Path) -> str | None:
-    """Why nothing can be kept in a directory, None when it is there or was made, and writable."""
+    """Return why a directory cannot be created or written, None when it can be used."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=directory).close()

@@ -1,4 +1,4 @@
-"""How long each thing may last before the drive trips, as it follows from a whole configuration."""
+"""Time limits of each quantity, as they follow from a whole configuration."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from adaptdrive.config.references import MEASURED
 from adaptdrive.runtime.refused_share import WINDOW_S
 
 Row = tuple[str, float, str]
-"""What is limited, for how many seconds, and by which keys."""
+"""Name of a limit, its duration in seconds, and the keys that set it."""
 
 
 def time_limits(configuration: Configuration, source: Path | str) -> list[Row]:

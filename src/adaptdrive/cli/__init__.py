@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _close_quietly() -> int:
-    """Who reads the output has had enough: keep the interpreter from complaining at its end."""
+    """Discard output whose reader has ended, which would be an error at the exit of Python."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return FAILED
 

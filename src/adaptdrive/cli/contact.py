@@ -1,4 +1,4 @@
-"""How an operator's command reaches the broker: options that all of them share."""
+"""Options of all operator commands: the address of the broker and the login."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ DriveName = Annotated[str, Parameter(validator=_check_drive)]
 @Parameter(name="*", validator=_check_authority)
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Where the broker is and how long to wait; each but the time-out also from the environment.
+    """Address of the broker and time-out; each but the time-out also from the environment.
 
     Attributes:
         broker: Broker as HOST or HOST:PORT.

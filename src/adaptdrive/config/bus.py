@@ -81,7 +81,7 @@ class FrameIntegrity(Section):
 
 
 class CanLink(Section):
-    """What `[bus]` holds for every kind of CAN bus."""
+    """Keys of `[bus]` for every kind of CAN bus."""
 
     interface: Literal["socketcan", "udp_multicast", "virtual"] = Field(
         description="python-can interface"

@@ -16,7 +16,7 @@ STALE_POLLS = 1.5
 def poll_flaws(
     bus: ModbusBus, load: LoadSection, interlocks: InterlocksSection, half_cycle_s: float
 ) -> Iterator[Flaw]:
-    """What a poll cycle contradicts.
+    """Yield the contradictions to a poll cycle.
 
     Args:
         bus: `[bus]`.

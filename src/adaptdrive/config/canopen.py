@@ -51,7 +51,7 @@ class CanOpenBus(CanLink):
 
 
 def canopen_flaws(bus: CanOpenBus, signals: Signals) -> Iterator[Flaw]:
-    """What contradicts the profile, as far as it shows without the EDS.
+    """Yield the contradictions to the profile that need no EDS to detect.
 
     Args:
         bus: `[bus]`.

@@ -57,8 +57,8 @@ class DriveSection(Section):
     boost_capacitance_F: PositiveFloat = Field(default=1.0e-3, description="boost capacitor")
     enable_bit: Literal["bridge", "bridge-and-boost"] = Field(
         default="bridge",
-        description="what `signals.command.bridge` switches: the bridge, on from `running`, or the "
-        "boost stage with it, on from `starting`; the load is then fed while v_bst rises",
+        description="stages switched by `signals.command.bridge`: the bridge, on from `running`, "
+        "or the boost stage too, on from `starting`; the load is then energised while v_bst rises",
     )
     limits: DriveLimits = Field(default_factory=DriveLimits)
 

@@ -26,7 +26,7 @@ _ALL = frozenset(Configuration.model_fields)
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """What a file holds, as far as it can be used.
+    """Contents of a file, as far as they are valid.
 
     Attributes:
         configuration: Its sections; those that are not in `sound` or `mended` are missing.

@@ -21,7 +21,7 @@ Period = Annotated[PositiveFloat, Field(le=3600.0)]
 
 
 class LoadSection(Section):
-    """What `[load]` holds for every type of load."""
+    """Keys of `[load]` for every type of load."""
 
     period_s: Period = Field(
         default=1.0, description="slow period T_k, a whole number of half line cycles"

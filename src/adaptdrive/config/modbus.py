@@ -71,7 +71,7 @@ class Heartbeat(Section):
 
 
 class ModbusLink(Section):
-    """What every link to devices on Modbus has."""
+    """Keys of every link to devices on Modbus."""
 
     device_id: int = Field(default=1, ge=1, le=255, description="device (slave, unit) id")
     timeout_s: PositiveFloat = Field(
@@ -113,7 +113,7 @@ class RtuLink(ModbusLink):
 
 
 class ModbusBus(ModbusLink):
-    """What `[bus]` holds for every kind of Modbus."""
+    """Keys of `[bus]` for every kind of Modbus."""
 
     poll_ticks: int = Field(
         default=12,

@@ -19,7 +19,7 @@ _INTRODUCTION = """\
 # Configuration
 
 One TOML file describes one drive. Numbers are in SI units; a unit that could be mistaken is part
-of the key. Every flaw of a file is listed with its place, and an unknown key is a flaw.
+of the key. Every error in a file is listed with its place, and an unknown key is an error.
 
 Sections that a file must have: {required}. The others have defaults throughout.
 `make docs` writes this page from the models in `src/adaptdrive/config`.

@@ -28,7 +28,7 @@ def can_flaws(signals: Signals) -> Iterator[Flaw]:
 
 
 def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
-    """What is wrong with a register map, or with what refers to it."""
+    """Yield the errors in a register map, and in references to it."""
     for name, register in bus.registers.items():
         yield from register_flaws(f"bus.registers.{name}", register)
     yield from map_flaws("bus.registers", bus.registers, zero_based=bus.zero_based)
@@ -73,7 +73,7 @@ def _known(bus: ModbusBus, place: str, name: str) -> Iterator[Flaw]:
 
 
 def register_flaws(place: str, register: Register) -> Iterator[Flaw]:
-    """What is wrong with a register by itself."""
+    """Yield the errors in a single register."""
     if register.end > 0x10000:
         yield Flaw(f"{place}.address", f"{register.address} leaves no room for two registers")
     if register.scale == 0.0:
@@ -107,7 +107,7 @@ def unit_flaws(bus: ModbusBus, signals: Signals, output_unit: str) -> Iterator[F
 
 
 def map_flaws(place: str, registers: Mapping[str, Register], *, zero_based: bool) -> Iterator[Flaw]:
-    """What is wrong with the registers of one device together.
+    """Yield the errors in the combination of the registers of one device.
 
     Args:
         place: Where they stand in the configuration.
@@ -140,7 +140,7 @@ def _span(register: Register) -> str:
 
 
 def _collide(first: Register, second: Register) -> bool:
-    """Whether two values share a register without being the same value, or bits of one word."""
+    """Return whether two values share a register and are neither equal nor bits of one word."""
     if first.table != second.table or first.end <= second.address:
         return False
     if first.bit is not None or second.bit is not None:

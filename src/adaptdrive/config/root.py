@@ -65,7 +65,7 @@ class Configuration(Section):
 
     @property
     def drive_clocks(self) -> bool:
-        """Whether the drive decides when a reading comes; one that is polled does not."""
+        """True if the drive determines the time of a reading; false for a polled drive."""
         bus = self.bus
         return isinstance(bus, CanBus) or (isinstance(bus, CanOpenBus) and bus.sync == "drive")
 
@@ -137,7 +137,7 @@ def _sensor_flaws(configuration: Configuration) -> Iterator[Flaw]:
 
 
 def _clock_flaws(configuration: Configuration, bus: CanBus) -> Iterator[Flaw]:
-    """What a drive that sends less often than each half cycle contradicts."""
+    """Yield the contradictions to a drive that sends less often than each half cycle."""
     stride, load = bus.clock_ticks, configuration.load
     if stride == 1:
         return

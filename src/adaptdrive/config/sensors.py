@@ -40,7 +40,7 @@ class SensorRegister(Register):
 
 
 class SensorBusSection(Section):
-    """What `[[sensor_bus]]` holds for every kind of bus."""
+    """Keys of `[[sensor_bus]]` for every kind of bus."""
 
     name: str = Field(
         pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,63}$",
@@ -63,7 +63,7 @@ class SensorBusSection(Section):
 
 
 class ModbusSensorSection(SensorBusSection, ModbusLink):
-    """What `[[sensor_bus]]` holds for every kind of Modbus."""
+    """Keys of `[[sensor_bus]]` for every kind of Modbus."""
 
     registers: dict[str, SensorRegister] = Field(
         default_factory=dict, description="register map, by name"
@@ -97,7 +97,7 @@ AnySensorBus = CanSensorSection | ModbusTcpSensors | ModbusRtuSensors
 
 
 def sensor_flaws(bus: AnySensorBus, place: str, period_s: float) -> Iterator[Flaw]:
-    """What is wrong with one sensor bus by itself.
+    """Yield the errors in a single sensor bus.
 
     Args:
         bus: The bus.

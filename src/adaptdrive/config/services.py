@@ -213,7 +213,7 @@ class Realtime(Section):
         default=2000.0,
         ge=10.0,
         le=1e6,
-        description="lateness of a tick that is told as an event, with its cause",
+        description="lateness from which a tick is reported as an event, with its cause",
     )
 
     @field_validator("spin_us")

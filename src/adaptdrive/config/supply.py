@@ -1,4 +1,4 @@
-"""Who gives which value: every quantity needs one giver, and no name may have two."""
+"""Sources of values: every quantity needs exactly one source, and no name may have two."""
 
 from __future__ import annotations
 

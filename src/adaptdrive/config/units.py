@@ -58,7 +58,7 @@ _DIMENSIONS = {
 
 
 class Converted(Protocol):
-    """What says how a signal becomes a quantity."""
+    """Conversion of a signal to a quantity."""
 
     @property
     def scale(self) -> float: ...  # noqa: D102
@@ -99,7 +99,7 @@ def unit_problem(source: Converted, found: str, wanted: str) -> str | None:
 
 
 def _stated_problem(source: Converted, is_in: str | None, to_be: str | None) -> str | None:
-    """Why the `unit` of a signal is not that of its quantity, or of the signal itself."""
+    """Return why the `unit` of a signal does not fit its quantity or the signal itself."""
     stated = str(source.unit)
     if to_be in _DIMENSIONS and _DIMENSIONS[stated] != _DIMENSIONS[to_be]:
         return f"unit = {stated!r} leads to {_DIMENSIONS[stated]}, the quantity is in {to_be}"

@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """What least squares says.
+    """Result of a least-squares fit.
 
     Attributes:
         theta: θ; the shortest one of all where the data leave a choice.
@@ -73,7 +73,7 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class Structure:
-    """What is looked for in a record.
+    """Structure of the model to fit to a record.
 
     Attributes:
         order: m.

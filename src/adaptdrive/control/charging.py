@@ -23,7 +23,7 @@ _END_PERIODS = 10
 
 @dataclass(frozen=True, slots=True)
 class Charging:
-    """How a battery is charged.
+    """Settings of the charge of a battery.
 
     Attributes:
         turns_ratio: N2.
@@ -42,7 +42,7 @@ class Charging:
 
 @dataclass(slots=True)
 class ChargeState:
-    """What the charger remembers.
+    """State of the charger.
 
     Attributes:
         current_A: i_cv, the current that the voltage allows.

@@ -40,7 +40,7 @@ def window_ticks(rates: Rates) -> float:
 
 
 def past_inputs(settings: ControllerSettings, load: Load) -> int:
-    """How many past inputs the compensator needs."""
+    """Return the number of past inputs that the compensator needs."""
     if not settings.exact:
         return load.paper_taps
     rates = settings.rates

@@ -60,12 +60,12 @@ def held_model(
 
 
 def input_taps(order: int, period_s: float, delay_s: float, window_s: float) -> int:
-    """How many past inputs the model of `held_model` has: n in the equation above."""
+    """Return the number of past inputs in the model of `held_model`: n in the equation above."""
     return order + math.ceil((delay_s + window_s) / period_s - 1e-9)
 
 
 def _companion(numerator: Vector, denominator: Vector) -> Vector:
-    """What is not 0 or 1 in the matrix M of z' = M z with z = (x, u, ∫y): the companion form.
+    """Return the non-trivial entries of M in z' = M z, z = (x, u, ∫y), in companion form.
 
     x_1' = x_2, ..., x_m' = u - a_m x_1 - ... - a_1 x_m and u' = 0;
     y = c_m x_1 + ... + c_1 x_m + b_0 u.

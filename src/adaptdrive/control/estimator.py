@@ -31,7 +31,7 @@ _GAIN_DOUBT = 0.5
 
 @dataclass(slots=True)
 class EstimatorState:
-    """What the estimator remembers.
+    """State of the estimator.
 
     Attributes:
         theta: θ in scaled units.

@@ -52,7 +52,7 @@ class FilterBank:
 
 @dataclass(slots=True)
 class FastState:
-    """What the fast half remembers besides its filters.
+    """State of the fast half, apart from its filters.
 
     Attributes:
         tick: Last tick.
@@ -181,7 +181,7 @@ def take_means(bank: FilterBank) -> Vector:
 
 
 def drive(state: FastState, stage: PowerStage, measurement: Measurement) -> tuple[float, float]:
-    """What the drive is to be told: current scale k in siemens, and V_c in force."""
+    """Return the command for the drive: current scale k in siemens, and V_c in force in volts."""
     voltage_V, power_W = measurement.boost_voltage_V, measurement.load_power_W
     reference_V = limit_power(state, stage, voltage_V, power_W)
     if stage.holds_voltage:

@@ -1,4 +1,4 @@
-"""What the controller must know of a load: the shape that every file in `loads` has.
+"""Interface of a load to the controller, which every file in `loads` implements.
 
 A load is a linear model of order m between an input u and the output y, and a map from the boost
 voltage to that input. A new load is one new file that provides a `Load`.

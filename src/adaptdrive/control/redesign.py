@@ -70,7 +70,7 @@ def _redesign(
 def _judge_robustness(
     settings: ControllerSettings, load: Load, state: SlowState, gains: Vector, period_s: float
 ) -> int:
-    """Whether the gains stand what the estimate may be wrong by, and the last trusted load."""
+    """Check the gains within the uncertainty of the estimate, and with the last trusted load."""
     if not settings.jacket.confidence > 0.0:
         return sup.Verdict.TRUSTED
     values, deviations = state.values, state.deviations
@@ -110,7 +110,7 @@ def _estimated_model(
 
 
 def _judge_quality(settings: ControllerSettings, load: Load, state: SlowState) -> int:
-    """Whether the estimate is certain enough, and predicts no worse than the nominal model."""
+    """Check the standard deviations of an estimate, and its residuals against the nominal model."""
     learning, jacket, supervisor = settings.learning, settings.jacket, state.supervisor
     if jacket.deviation_max > 0.0:
         deviations = est.parameter_deviations(state.estimator, learning, load, state.values)

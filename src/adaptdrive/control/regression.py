@@ -1,4 +1,4 @@
-"""What is learnt, and from what: θ and r of the λ-method and of direct least squares.
+"""Parameters θ and regressors r of the λ-method and of direct least squares.
 
 λ-method (LM-RLS): the regressor is [-λy ... -λ^m y, λ^i u ...] with the powers i that the load's
 structure leaves; θ holds α and the free β (29). Direct: [-y[k-1] ... -y[k-m], u[k-1] ... u[k-n]];
@@ -50,12 +50,12 @@ def parameter_count(learning: Learning, load: Load, taps: int) -> int:
 
 
 def knows_filter(learning: Learning) -> bool:
-    """Whether the output passes a filter whose time constant is known."""
+    """Return whether the output passes a filter whose time constant is known."""
     return learning.filtered and learning.known_filter_s > 0.0
 
 
 def fitted_order(learning: Learning, load: Load) -> int:
-    """How many coefficients of the denominator are learnt."""
+    """Return the number of estimated coefficients of the denominator."""
     return load.order - 1 if knows_filter(learning) else load.order
 
 
@@ -148,7 +148,7 @@ def fill_initial_state(regressor: Vector, learning: Learning, load: Load, elapse
 
 
 def learning_target(learning: Learning, output: float, output_filtered: Vector) -> float:
-    """What r predicts: y[k], or w[k] where a filter of the output is known.
+    """Return the value that r predicts: y[k], or w[k] with a known filter of the output.
 
     Args:
         learning: What is known.

@@ -1,4 +1,4 @@
-"""Where the load rests at a constant input: the nominal model's answer, and the trusted one's.
+"""Steady state of the load at a constant input, by the nominal and by the trusted model.
 
 A set-point at the edge of what the drive can do leaves the input at its limit for ever. That is no
 trouble while the output rests where a model puts it,

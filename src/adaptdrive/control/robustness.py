@@ -1,4 +1,4 @@
-"""Whether new gains would stand what the estimate may be wrong by.
+"""Stability of new gains within the uncertainty of the estimate.
 
 The design is right for the estimate itself. The load may lie anywhere in the estimate's confidence
 ellipsoid; its extreme points along the physical parameters stand for it: one parameter at a time,
@@ -34,7 +34,7 @@ def stands_uncertainty(
     deviations: Vector,
     period_s: float,
 ) -> bool:
-    """Whether gains keep the load stable wherever its parameters may be.
+    """Return whether gains keep the load stable wherever its parameters may be.
 
     Args:
         settings: Design, and how many standard deviations to try; 0 tries none.
@@ -62,7 +62,7 @@ def stands_uncertainty(
 
 
 def closes_stably(gains: Vector, a: Vector, b: Vector, order: int, radius: float) -> bool:
-    """Whether gains and a model A, B make a loop whose poles lie within a circle.
+    """Return whether gains and a model A, B make a loop whose poles lie within a circle.
 
     Args:
         gains: r_1 ... r_n, s_0 ... s_m.

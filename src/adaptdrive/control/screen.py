@@ -27,7 +27,7 @@ _NARROWEST = 1e-9
 
 @dataclass(slots=True)
 class Screen:
-    """What the screen remembers.
+    """State of the screen.
 
     Attributes:
         level: ŷ.

@@ -1,4 +1,4 @@
-"""What the controller is told once, when it is built."""
+"""Settings of the controller, fixed when it is built."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Rates:
 
 @dataclass(frozen=True, slots=True)
 class Learning:
-    """How the load is learnt.
+    """Settings of the estimation.
 
     Attributes:
         filtered: True for the λ-method, False for least squares on the samples themselves.
@@ -99,7 +99,7 @@ class Learning:
 
 @dataclass(frozen=True, slots=True)
 class Jacket:
-    """What an estimate, and the loop, must satisfy; a limit of 0 switches its check off.
+    """Limits for estimates and for the loop; a limit of 0 switches its check off.
 
     Attributes:
         warm_up_periods: Slow periods after start before adaptive may take over.

@@ -16,14 +16,14 @@ from adaptdrive.control.columns import Quantity
 
 
 class Mode(StrEnum):
-    """Which load controller the operator asks for."""
+    """Load controller that the operator selected."""
 
     FIXED = "fixed"
     ADAPTIVE = "adaptive"
 
 
 class Stage(StrEnum):
-    """How far the drive may be energised at a tick."""
+    """Degree to which the drive may be energised at a tick."""
 
     OFF = "off"
     PRECHARGE = "precharge"
@@ -47,7 +47,7 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What is asked of the controller at one fast tick."""
+    """Request to the controller at one fast tick."""
 
     stage: Annotated[Stage, Quantity("", "how far the drive may be energised")]
     reference: Annotated[float, Quantity("y", "set-point")]
@@ -59,7 +59,7 @@ class Order:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the drive is to do from one fast tick on."""
+    """Command to the drive, in force from one fast tick on."""
 
     current_scale_S: Annotated[
         float, Quantity("S", "line-current scale k: line current over line voltage")
@@ -78,7 +78,7 @@ SAFE_COMMAND = Command(current_scale_S=0.0, boost_reference_V=0.0, bridge=False)
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """What the fast half hands to the slow half at tick n = kQ."""
+    """Data that the fast half passes to the slow half at tick n = kQ."""
 
     k: Annotated[int, Quantity("", "slow index")]
     tick: Annotated[int, Quantity("", "fast tick of the snapshot")]
@@ -112,7 +112,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What the slow half made of snapshot k."""
+    """Result of the slow half for snapshot k."""
 
     k: int
     boost_reference_V: Annotated[float, Quantity("V", "V_c decided now, after limits")]

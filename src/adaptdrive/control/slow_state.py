@@ -1,4 +1,4 @@
-"""What the slow half remembers from period to period, and what it is given in each."""
+"""State of the slow half between periods, and its input in each period."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from adaptdrive.control.watch import WatchState
 
 @dataclass(slots=True)
 class SlowState:
-    """What the slow half remembers.
+    """State of the slow half between periods.
 
     Attributes:
         inputs: u[k-1] ... u[k-n] as applied.
@@ -79,7 +79,7 @@ class SlowState:
 
 @dataclass(slots=True)
 class SlowSample:
-    """What the slow half is given each period.
+    """Input of the slow half in each period.
 
     Attributes:
         period_s: T_k.

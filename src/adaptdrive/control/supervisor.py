@@ -26,7 +26,7 @@ _RESIDUAL_FLOOR = 1.0e-6  # a thousandth of the scale: at rest, less says nothin
 
 
 class Verdict(IntEnum):
-    """What the supervisor said of an estimate."""
+    """Result of the supervisor's checks of an estimate."""
 
     TRUSTED = 0
     WARMING_UP = 1
@@ -44,7 +44,7 @@ class Verdict(IntEnum):
 
 @dataclass(slots=True)
 class SupervisorState:
-    """What the supervisor remembers.
+    """State of the supervisor.
 
     Attributes:
         verdict: The last verdict.
@@ -66,7 +66,7 @@ class SupervisorState:
 
 
 def judge_model(numerator: Vector, denominator: Vector) -> int:
-    """Whether a continuous model can be used at all: finite, and with a dc gain."""
+    """Check whether a continuous model can be used at all: finite, and with a dc gain."""
     finite = all_finite(numerator) and all_finite(denominator)
     if not finite or abs(denominator[len(denominator) - 1]) < _TINY:
         return Verdict.NOT_FINITE
@@ -74,7 +74,7 @@ def judge_model(numerator: Vector, denominator: Vector) -> int:
 
 
 def judge_bounds(values: Vector, nominal: Vector, jacket: Jacket, state: SupervisorState) -> int:
-    """Whether every parameter is within its bounds around the nominal one."""
+    """Check whether every parameter is within its bounds around the nominal one."""
     for i in range(len(values)):
         ratio = values[i] / nominal[i]
         if not jacket.ratio_min <= ratio <= jacket.ratio_max:
@@ -84,7 +84,7 @@ def judge_bounds(values: Vector, nominal: Vector, jacket: Jacket, state: Supervi
 
 
 def judge_damping(denominator: Vector, jacket: Jacket) -> int:
-    """Whether a model of second order is damped as a load that only stores and loses must be."""
+    """Check that a model of second order is damped like a passive load with losses."""
     if len(denominator) != 3 or not jacket.damping_min > 0.0:
         return Verdict.TRUSTED
     least = 4.0 * jacket.damping_min * jacket.damping_min * denominator[2]
@@ -95,7 +95,7 @@ def judge_damping(denominator: Vector, jacket: Jacket) -> int:
 def judge_certainty(
     values: Vector, deviations: Vector, jacket: Jacket, state: SupervisorState
 ) -> int:
-    """Whether every parameter is known well enough; an unknown deviation is not."""
+    """Check whether every parameter is known well enough; an unknown deviation is not."""
     if not jacket.deviation_max > 0.0:
         return Verdict.TRUSTED
     for i in range(len(values)):
@@ -118,7 +118,7 @@ def compare_residuals(state: SupervisorState, own: float, fixed: float) -> None:
 
 
 def judge_residual(state: SupervisorState, jacket: Jacket) -> int:
-    """Whether the estimate predicts no worse than the nominal model does."""
+    """Check whether the estimate predicts no worse than the nominal model does."""
     margin = jacket.residual_margin * jacket.residual_margin
     if margin > 0.0 and state.own_power > margin * state.fixed_power + _RESIDUAL_FLOOR:
         return Verdict.WORSE_THAN_FIXED
@@ -126,14 +126,14 @@ def judge_residual(state: SupervisorState, jacket: Jacket) -> int:
 
 
 def judge_load(a: Vector) -> int:
-    """Whether the discrete model is finite and stable."""
+    """Check whether the discrete model is finite and stable."""
     if not all_finite(a):
         return Verdict.NOT_FINITE
     return Verdict.TRUSTED if is_stable(a, _STABLE_RADIUS) else Verdict.UNSTABLE_LOAD
 
 
 def judge_loop(closed_loop: Vector) -> int:
-    """Whether the designed loop is finite and stable with a margin."""
+    """Check whether the designed loop is finite and stable with a margin."""
     if not all_finite(closed_loop):
         return Verdict.NOT_FINITE
     return Verdict.TRUSTED if is_stable(closed_loop, _DESIGN_RADIUS) else Verdict.UNSTABLE_LOOP
@@ -178,7 +178,7 @@ def take_verdict(
 
 
 def _is_doubt(verdict: int) -> bool:
-    """Whether the estimate is not wrong, but not known well enough."""
+    """Check whether the estimate is not wrong, but not known well enough."""
     if verdict == Verdict.UNCERTAIN or verdict == Verdict.FRAGILE:  # noqa: PLR1714 - compiled
         return True
     return verdict == Verdict.UNDERDAMPED

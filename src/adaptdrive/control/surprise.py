@@ -30,7 +30,7 @@ _SLOW_LARGEST = 4.0
 
 @dataclass(slots=True)
 class Surprise:
-    """What the detector remembers.
+    """State of the detector of abrupt changes.
 
     Attributes:
         power: σ², mean square of the innovations in units of the scaled output.
@@ -52,7 +52,7 @@ class Surprise:
 
 
 def is_surprising(state: Surprise, squared: float) -> bool:
-    """Whether the load has just changed.
+    """Return whether the load has just changed.
 
     Args:
         state: Overwritten.

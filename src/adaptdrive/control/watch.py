@@ -29,7 +29,7 @@ CLOSER = 0.9  # a tenth of the way within `saturated_s`: a lag of nine times tha
 
 
 class Fallback(IntEnum):
-    """Why the fixed controller was taken back."""
+    """Reason for a fallback to the fixed controller."""
 
     NONE = 0
     SATURATED = 1
@@ -40,7 +40,7 @@ class Fallback(IntEnum):
 
 @dataclass(slots=True)
 class WatchState:
-    """What the watch remembers.
+    """State of the watch.
 
     Attributes:
         fallback: Latched reason, 0 for none.

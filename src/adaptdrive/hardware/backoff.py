@@ -1,4 +1,4 @@
-"""How long a bus that was lost is left alone before it is opened again."""
+"""Delay before a lost bus is opened again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the description of a drive must be able to carry."""
+"""Values that the description of a drive must be able to carry."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from adaptdrive.control.signals import Command
 
 @dataclass(frozen=True, slots=True)
 class Demands:
-    """What the limits of a configuration ask of its signals.
+    """Requirements of the limits of a configuration on its signals.
 
     Attributes:
         output_unit: Unit of the regulated quantity, empty where it has none.

@@ -40,7 +40,7 @@ class FaultLatch:
 
     @property
     def complaint(self) -> str | None:
-        """What was seen and no reading has carried yet, in words."""
+        """Faults that no reading has carried yet, as text."""
         return describe_fault(self.word, self.name) if self.word else None
 
 

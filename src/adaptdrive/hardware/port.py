@@ -76,7 +76,7 @@ class PortStatistics:
 
 
 class Listener(Protocol):
-    """Who is told what a port hears. Called in the event loop; must return at once."""
+    """Receiver of a port's events. Called in the event loop; must return at once."""
 
     def on_reading(self, reading: Reading) -> None:
         """Take one complete, checked reading."""
@@ -94,7 +94,7 @@ class Port(Protocol):
 
     @property
     def counter_modulus(self) -> int | None:
-        """Where the drive's half-cycle counter wraps, None for a drive without a counter."""
+        """Modulus of the drive's half-cycle counter, None for a drive without a counter."""
 
     @property
     def statistics(self) -> PortStatistics:
@@ -102,18 +102,18 @@ class Port(Protocol):
 
     @property
     def complaint(self) -> str | None:
-        """Why the drive must not be energised, where its protocol tells; None for no reason."""
+        """Reason of the protocol not to energise the drive, None for no reason."""
 
     @property
     def safe_s(self) -> float:
-        """When the safe command in force was taken, monotonic; infinite while none is in force.
+        """Time at which the safe command in force was taken, monotonic; infinite while none is.
 
         Taken by the bus, or by the drive where its protocol acknowledges commands.
         """
 
     @property
     def stop_slack_s(self) -> float | None:
-        """How much later than `interlocks.stale_s` the drive may speak of its bridge.
+        """Additional time, beyond `interlocks.stale_s`, for the report of the bridge.
 
         None for a drive that never does: it cannot confirm that it has stopped.
         """
@@ -129,22 +129,22 @@ class Port(Protocol):
         """Send one command now; False when the bus did not take it (counted, not retried)."""
 
     def catch_up(self) -> None:
-        """Hand the listener what has arrived already and has not been looked at yet."""
+        """Pass the frames that have arrived, but were not read yet, to the listener."""
 
     def rehearse(self) -> None:
-        """Do what a reading costs, on frames that are made up, and nothing that can be noticed.
+        """Run the decode path on synthetic frames, without side effects.
 
         Called on ports that are never opened, so that the CPU's caches hold what a real one needs.
         """
 
     def explain_age(self) -> str:
-        """Which value is the oldest, where it comes from, and the likeliest cause of its age.
+        """Return the oldest value, its source, and the likeliest cause of its age.
 
         Called when the values are too old to be used, never in a tick that drives.
         """
 
     def details(self) -> list[str]:
-        """What the bus said and was not used, in lines for people."""
+        """Return the messages of the bus that were not used, as lines of text."""
 
     async def reset_fault(self) -> None:
         """Have the drive leave a fault that it keeps until told; ends in bounded time.
@@ -154,7 +154,7 @@ class Port(Protocol):
 
 
 class SensorListener(Protocol):
-    """Who is told what a sensor bus says. Called in the event loop; must return at once."""
+    """Receiver of a sensor bus's events. Called in the event loop; must return at once."""
 
     def on_values(self, values: Mapping[str, float], taken_s: float) -> None:
         """Take checked values by name, none of which was measured before `taken_s`."""

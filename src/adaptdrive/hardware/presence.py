@@ -1,4 +1,4 @@
-"""Whether a sensor bus is there, told when that changes."""
+"""Presence of a sensor bus, reported at each change."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from adaptdrive.hardware.port import SensorListener
 
 
 class Presence:
-    """What a listener was last told of one sensor bus.
+    """Last report on one sensor bus to a listener.
 
     Args:
         description: The bus in one phrase for people.
@@ -18,7 +18,7 @@ class Presence:
 
     @property
     def known(self) -> bool:
-        """Whether the bus has been there, or missed, before."""
+        """True if the bus was reported present or missing before."""
         return self._up is not None
 
     def tell(self, listener: SensorListener, *, up: bool, problem: str = "") -> None:

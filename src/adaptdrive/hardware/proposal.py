@@ -1,4 +1,4 @@
-"""Which described value of a drive is probably which quantity, by unit and by name.
+"""Proposal of the signal of each quantity, by unit and by name.
 
 A proposal is a start for the person who writes a configuration, who confirms each line of it.
 """
@@ -52,7 +52,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What a quantity looks like in other people's descriptions.
+    """Units and names by which a quantity is recognised in foreign descriptions.
 
     Attributes:
         words: Parts of a name that speak for it.

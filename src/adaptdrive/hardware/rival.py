@@ -36,7 +36,7 @@ class Rival:
 
     @property
     def complaint(self) -> str | None:
-        """Why the drive must not be energised, None without a recent foreign command."""
+        """Reason not to energise the drive, None without a recent foreign command."""
         if not self._count:
             return None
         age_s = self._clock() - self._heard_s

@@ -51,7 +51,7 @@ class SensoredPort:
 
     @property
     def counter_modulus(self) -> int | None:
-        """Where the drive's half-cycle counter wraps, None for a drive without a counter."""
+        """Modulus of the drive's half-cycle counter, None for a drive without a counter."""
         return self._drive.counter_modulus
 
     @property
@@ -61,7 +61,7 @@ class SensoredPort:
 
     @property
     def complaint(self) -> str | None:
-        """What the drive's protocol says, else the sensor value that is too old."""
+        """Complaint of the drive's protocol, else the sensor value that is too old."""
         complaint, now_s = self._drive.complaint, self._clock()
         for bus in self.buses:
             complaint = complaint or bus.complaint(now_s)
@@ -69,12 +69,12 @@ class SensoredPort:
 
     @property
     def safe_s(self) -> float:
-        """When the safe command in force was taken, infinite while none is in force."""
+        """Time at which the safe command in force was taken, infinite while none is in force."""
         return self._drive.safe_s
 
     @property
     def stop_slack_s(self) -> float | None:
-        """How much later the drive may speak of its bridge, None for a drive that never does."""
+        """Additional time for the report of the bridge, None for a drive that never reports it."""
         return self._drive.stop_slack_s
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
@@ -108,11 +108,11 @@ class SensoredPort:
         self._drive.rehearse()
 
     def explain_age(self) -> str:
-        """Which value of the drive is the oldest; those of sensors are in the complaint."""
+        """Return the oldest value of the drive; those of sensors are in the complaint."""
         return self._drive.explain_age()
 
     def details(self) -> list[str]:
-        """What the drive's bus said and was not used."""
+        """Return the messages of the drive's bus that were not used."""
         return self._drive.details()
 
     async def reset_fault(self) -> None:

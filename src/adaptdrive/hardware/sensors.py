@@ -1,4 +1,4 @@
-"""What sensor buses say, kept with the time at which it was measured, and what is made of it.
+"""Values of sensor buses with their measurement times, and the values derived from them.
 
 A value keeps the time of its measurement for as long as it is held. Nothing here waits: the buses
 bring their values when they have them, and the fast loop takes those that are there.

@@ -1,4 +1,4 @@
-"""What waits to be shown: the present state, and telemetry that nobody has seen yet."""
+"""Reports to publish: the present state, and telemetry that was not published yet."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class StateBoard:
 
     @property
     def message(self) -> Payload | None:
-        """What is to be published, None before the first report."""
+        """Payload to publish, None before the first report."""
         if self._report is None:
             return None
         return state_message(self._report, self._clock, self._since)

@@ -37,7 +37,7 @@ class NoAnswerError(AdaptdriveError):
 
 @dataclass(slots=True)
 class DriveStatus:
-    """What a drive says about itself; each part None until it is heard.
+    """State and telemetry of a drive; each part None until it is received.
 
     Attributes:
         availability: `online` or `offline`.
@@ -87,7 +87,7 @@ def sender() -> str:
 
 
 async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> DriveStatus:
-    """What a drive says now: its retained state, and telemetry when some comes soon.
+    """Return the retained state of a drive, and its telemetry if some arrives in time.
 
     Args:
         broker: Where the broker is.

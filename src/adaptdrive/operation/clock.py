@@ -15,7 +15,7 @@ Monotonic = Callable[[], float]
 
 
 class Synchronisation(StrEnum):
-    """Whether the wall clock follows a time source."""
+    """Synchronisation of the wall clock with a time source."""
 
     SYNCHRONISED = "synchronised"
     UNSYNCHRONISED = "unsynchronised"

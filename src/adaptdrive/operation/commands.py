@@ -109,7 +109,7 @@ class Payload:
 
     @property
     def user(self) -> str:
-        """What the sender says of itself; nothing proves it."""
+        """Name that the sender gives itself, unverified."""
         user = self._field("user")
         return user[:LONGEST_USER] if isinstance(user, str) and user.isprintable() else ""
 
@@ -117,7 +117,7 @@ class Payload:
         return self._document.get(name) if isinstance(self._document, dict) else None
 
     def request(self, verb: str) -> tuple[Request, datetime | None]:
-        """What is asked for, and when it expires.
+        """Return the request of a command and its expiry.
 
         Args:
             verb: Last part of the topic.

@@ -1,4 +1,4 @@
-"""Where commands are answered: refuse, repeat, or carry out, and always remember.
+"""Processing of commands: refuse, repeat or carry out, and always record.
 
 `disable` is carried out as it arrives, before its payload, the queue of commands or the journal is
 looked at. Every other command that arrived before it and still waits is refused: an `enable` that
@@ -50,7 +50,7 @@ class OperatorCommand:
 
     @property
     def remains_on_broker(self) -> bool:
-        """Whether the broker keeps it; a retained message without a payload is a deletion."""
+        """True if the broker retains it; a retained message without a payload is a deletion."""
         return self.retained and bool(self.raw)
 
 

@@ -35,7 +35,7 @@ LOAD_MESSAGES_HELD = 16
 
 
 class Intake:
-    """Where reports arrive.
+    """Receiver of reports.
 
     Attributes:
         board: The present state.

@@ -1,4 +1,4 @@
-"""What the daemon says: the payloads of state, telemetry, events and replies.
+"""Payloads of the daemon: state, telemetry, events and replies.
 
 A payload holds the fields of a report, as `runtime/reports.py` documents them. It is JSON in SI
 units with RFC 3339 times in UTC. JSON knows neither NaN nor infinity: the encoder writes null.

@@ -44,7 +44,7 @@ class ClientName:
 
     @property
     def given_way(self) -> bool:
-        """Whether another client has the drive's own name."""
+        """True if another client has the drive's own name."""
         return self.present != self._own
 
     def connection_ended(self, client: SteadyClient) -> None:

@@ -1,4 +1,4 @@
-"""How often something may happen, and how long to wait before trying again."""
+"""Rate limits, and delays before the next attempt."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ FAREWELL_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class ServiceSurroundings:
-    """What the service takes from the machine it runs on.
+    """Resources of the machine that the service uses.
 
     Attributes:
         directory: Where replies and unsent events are kept across restarts.

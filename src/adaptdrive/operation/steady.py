@@ -36,12 +36,12 @@ class SteadyClient(Client):
 
     @property
     def taken_over(self) -> bool:
-        """Whether the broker ended the connection for another client of the same name."""
+        """True if the broker ended the connection for another client of the same name."""
         return self._end_code == _TAKEN_OVER
 
     @property
     def closed_by_broker(self) -> bool:
-        """Whether the broker closed the connection without a reason."""
+        """True if the broker closed the connection without a reason."""
         return self._end_code in (paho.MQTT_ERR_CONN_LOST, _UNSPECIFIED)
 
     @property

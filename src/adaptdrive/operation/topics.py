@@ -1,4 +1,4 @@
-"""Where on the broker each message of a drive lies."""
+"""Topics of a drive at the broker."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What goes through the pipe from the control process to the recorder process.
+"""Messages in the pipe from the control process to the recorder process.
 
 Each message is a length (four bytes, little-endian) and that many bytes of MessagePack: one
 `Header`, then `Batch` after `Batch`. Numbers of fast ticks travel as packed machine arrays, so
@@ -125,7 +125,7 @@ class CommandRow(msgspec.Struct, frozen=True):
 
 
 class Keep(msgspec.Struct, frozen=True):
-    """How long sessions are kept.
+    """Retention limits of sessions.
 
     Attributes:
         days: Oldest session kept, None for ever.
@@ -159,7 +159,7 @@ class Header(msgspec.Struct, frozen=True):
 
 
 class Batch(msgspec.Struct, frozen=True):
-    """What was gathered since the last batch.
+    """Rows gathered since the last batch.
 
     Attributes:
         tick_rows: Rows in `ticks`.
@@ -193,7 +193,7 @@ class Batch(msgspec.Struct, frozen=True):
 
 
 class News(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What the recorder process reports back, one JSON object a line.
+    """Reports of the recorder process, one JSON object a line.
 
     Attributes:
         written: Number of the last batch that is on disk.

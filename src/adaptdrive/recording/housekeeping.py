@@ -12,7 +12,7 @@ import pyarrow as pa
 from adaptdrive.errors import AdaptdriveError
 
 ERRORS = (AdaptdriveError, OSError, sqlite3.Error, pa.ArrowException)
-"""What a disk or damaged files can cause."""
+"""Errors that a disk or damaged files can cause."""
 
 Job = Callable[[], None]
 

@@ -47,7 +47,7 @@ _EVENTS_HELD = 1000
 
 @dataclass(frozen=True, slots=True)
 class WritePace:
-    """How often and how patiently the recorder writes.
+    """Intervals and time-outs of the recorder's writes.
 
     Attributes:
         flush_s: Longest time that ticks stay in the control process.
@@ -80,7 +80,7 @@ class Clocks:
 
 @dataclass(frozen=True, slots=True)
 class Feed:
-    """What is recorded: a queue for each kind, so that ticks never push out an event."""
+    """Queues of the recorder, one for each kind, so that ticks never push out an event."""
 
     ticks: Subscription
     slow: Subscription

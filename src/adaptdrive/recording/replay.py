@@ -78,7 +78,7 @@ class _Player:
             self._decide(snapshot)
 
     def report(self) -> ReplayReport:
-        """What was found."""
+        """Return the result."""
         return ReplayReport(
             session=self._session.path.name,
             ticks=self._ticks,
@@ -157,7 +157,7 @@ def _row_values(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def _alike(recorded: object, replayed: object) -> bool:
-    """Whether two values are the same to the last bit; one NaN is as good as another."""
+    """Return whether two values are the same to the last bit; one NaN is as good as another."""
     if isinstance(recorded, list) and isinstance(replayed, list):
         same_length = len(recorded) == len(replayed)
         return same_length and all(map(_alike_items, recorded, replayed))
@@ -173,7 +173,7 @@ def _alike_items(recorded: object, replayed: object) -> bool:
 
 
 def _distance(recorded: object, replayed: object) -> float:
-    """How far apart two numbers are; infinite where that has no number."""
+    """Return the distance of two numbers; infinite if one of them is not a number."""
     if isinstance(recorded, float) and isinstance(replayed, int | float):
         distance = abs(recorded - replayed)
         return math.inf if math.isnan(distance) else distance

@@ -1,4 +1,4 @@
-"""What a replay found, and how it is told."""
+"""Result of a replay, and its text."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Gap:
 
 @dataclass(frozen=True, slots=True)
 class ReplayReport:
-    """What a replay found.
+    """Result of a replay.
 
     Attributes:
         session: Name of the session.

@@ -1,4 +1,4 @@
-"""Where a session that was interrupted goes on: what is on disk already is not written again."""
+"""Continuation of an interrupted session without writing again the rows on disk."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KEYS = {TICKS: "sequence", SLOW: "monotonic_s", SENSORS: "monotonic_s"}
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What a session holds already.
+    """Rows that a session already contains.
 
     Attributes:
         segment: Number of the last segment, 0 for none.

@@ -37,7 +37,7 @@ TABLES = (TICKS, SLOW, SENSORS)
 
 
 class Ending(StrEnum):
-    """How a session ended."""
+    """Kind of end of a session."""
 
     OPEN = "open"
     """Still being written, or its writer died."""
@@ -64,7 +64,7 @@ class Dropped(msgspec.Struct, frozen=True):
 
 
 class SessionInfo(msgspec.Struct, frozen=True):
-    """What `session.json` says.
+    """Contents of `session.json`.
 
     Attributes:
         drive: Name of the drive.
@@ -113,7 +113,7 @@ class NewSession:
 
 
 def sessions_directory(configured: Path | None, environment: Mapping[str, str]) -> Path:
-    """Where sessions lie: as configured, else `$STATE_DIRECTORY/sessions`, else `./sessions`."""
+    """Return the folder of sessions: configured, else in `$STATE_DIRECTORY`, else `./sessions`."""
     if configured is not None:
         return configured
     # systemd joins several state directories with colons; the first is the daemon's own.

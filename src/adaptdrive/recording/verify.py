@@ -22,7 +22,7 @@ _BATCH_ROWS = 1 << 15
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """What verification found.
+    """Result of a verification.
 
     Attributes:
         rows: Rows that can be read, by table.

@@ -1,4 +1,4 @@
-"""What if: a recorded configuration with some of its keys set anew."""
+"""Replay of a recorded configuration with some of its keys changed."""
 
 from __future__ import annotations
 

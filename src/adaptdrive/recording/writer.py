@@ -28,7 +28,7 @@ Tell = Callable[[News], None]
 
 _LONGEST_PAUSE_S = 10.0
 _ORPHAN_PATIENCE_S = 60.0
-"""How long a recorder without a control process tries to write what it still has."""
+"""Time for which a recorder without a control process tries to write its remaining data."""
 
 
 class PatientWriter:

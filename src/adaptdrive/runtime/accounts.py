@@ -1,4 +1,4 @@
-"""What a daemon reports of itself from time to time, put together from its parts."""
+"""Periodic reports of a daemon, collected from its parts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One drive under control: the tasks, who owns them, and what the world hears of them."""
+"""The daemon of one drive: its tasks, their ownership, and their reports."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ _STOP_GAP_S = 0.004
 
 @dataclass(frozen=True, slots=True)
 class DaemonSettings:
-    """What the runtime must know.
+    """Settings of the runtime.
 
     Attributes:
         machine: Operator's limits.
         pole: Closed-loop pole at start.
         fast: The fast loop.
         report_s: Time between two drive reports.
-        late_us: Lateness of a tick that is told as an event.
+        late_us: Lateness from which a tick is reported as an event.
         spin_s: Busy wait before a frame of the drive is due, and before a deadline of the timer.
         rehearse_s: How long before a frame of the drive is due a tick is rehearsed, 0 for never.
         collect_ticks: Ticks between two collections of garbage, 0 to leave that to Python.
@@ -156,7 +156,7 @@ class Daemon:
             self._manager.close()
 
     def _get_ready(self, loop: asyncio.AbstractEventLoop) -> Iterator[DressRehearsal | FrameWatch]:
-        """What is done before each frame of a drive that sends them of its own accord."""
+        """Prepare for each frame of a drive that sends cyclically."""
         settings = self._settings
         if settings.fast.ticks_per_reading > 1:
             # the replies of a drive that is polled come through the loop, which must not be kept
@@ -167,7 +167,7 @@ class Daemon:
             yield FrameWatch(loop, self._port.catch_up, settings.spin_s, self._clock)
 
     def _rehearse_tick(self) -> None:
-        """A tick of a drive that is made up, and a look at the bus, where nothing waits yet."""
+        """Run a tick on synthetic frames, and read the bus, which has no frame yet."""
         self._rehearse()
         self._port.catch_up()
 
@@ -195,7 +195,7 @@ class Daemon:
                 task.cancel()
 
     def _on_deadline(self, deadline_s: float) -> None:
-        """A stand-in tick; an event loop would only log what goes wrong in it."""
+        """Run a stand-in tick; the event loop alone would only log its errors."""
         try:
             self._fast.on_deadline(deadline_s)
         except Exception as problem:  # noqa: BLE001 - passed on by the task that watches
@@ -205,7 +205,7 @@ class Daemon:
         """Make the drive safe at once, and end with an error.
 
         Args:
-            problem: What went wrong where no task of the daemon could see it.
+            problem: Error that was raised outside of the daemon's tasks.
         """
         self._machine.latch(f"internal error: {problem!r}; keep the log for a report")
         with contextlib.suppress(Exception):  # the first problem counts
@@ -214,12 +214,12 @@ class Daemon:
             self._failure.set_exception(problem)
 
     async def _watch_failure(self) -> None:
-        """Die of what went wrong in a callback, so that the daemon does."""
+        """Raise the error of a callback, so that the daemon ends."""
         if self._failure is not None:
             await self._failure
 
     def _stop_driving(self) -> None:
-        """Whatever has happened: from now on only safe commands, and the first one at once."""
+        """Send only safe commands from now on, and the first one at once."""
         self._machine.carry_out(Disable(), self._fast.tick, float("nan"), None)
         self._fast.send_safe()
 
@@ -322,7 +322,7 @@ class Daemon:
         return self._slow.offer(snapshot)
 
     def decided(self, snapshot: Snapshot, decision: Decision) -> None:
-        """A decision was taken over: tell about it, and about a change of controller."""
+        """Report a decision that took effect, and a change of controller."""
         self._decision = decision
         self._hub.publish(LoadReport(snapshot, decision, self._clock()))
         if decision.fault:
@@ -338,7 +338,7 @@ class Daemon:
         self._stop_driving()
 
     def not_stopped(self, detail: str) -> None:
-        """Tell that the drive has not confirmed its stop in time, whatever tripped it first."""
+        """Report that the drive has not confirmed its stop in time, for any first cause."""
         self._tell("stop", Severity.ALARM, detail)
 
     def run_ended(self) -> None:

@@ -65,7 +65,7 @@ class TickCounts:
 
 @dataclass(frozen=True, slots=True)
 class FastLoopSettings:
-    """What the fast loop must know.
+    """Settings of the fast loop.
 
     Attributes:
         limits: Trip levels.
@@ -96,7 +96,7 @@ class FastLoopSettings:
 
 
 class LoopSurroundings(Protocol):
-    """What the fast loop needs of the rest of the runtime; every call returns at once."""
+    """Interfaces of the fast loop to the rest of the runtime; every call returns at once."""
 
     def now_s(self) -> float:
         """Monotonic time."""
@@ -141,7 +141,7 @@ class FastLoop:
             controller: The two-rate controller.
             machine: The state machine.
             settings: Limits and rates.
-            surroundings: Who is told what.
+            surroundings: Receivers of the loop's reports.
         """
         self._port = port
         self._schedule = Schedule(controller, settings.latency_ticks)
@@ -250,7 +250,7 @@ class FastLoop:
             self.send_safe()
 
     def _judge(self, due_s: float, ended_s: float) -> None:
-        """Tell when a tick was complete within half a period of its time.
+        """Notify the watchdog when a tick was complete within half a period of its time.
 
         A frame that waited while the loop overslept its deadline was due at that deadline, however
         fast its own tick was.
@@ -302,7 +302,7 @@ class FastLoop:
             self._machine.doubt_stop()
 
     def _miss_stop(self, problem: str) -> None:
-        """Trip; a drive that had tripped before keeps that cause, and this is told beside it."""
+        """Trip; a drive that had tripped before keeps that cause, and this one is reported too."""
         self.stop = StopWord.MISSING
         if self._machine.state is State.TRIPPED:
             self._surroundings.not_stopped(problem)

@@ -34,7 +34,7 @@ _THIN_SHARE = 0.9
 
 @dataclass(frozen=True, slots=True)
 class _Mark:
-    """What has been counted up to one reading: its time, half cycles, and late readings."""
+    """Counts up to one reading: its time, half cycles, and late readings."""
 
     arrival_s: float
     ticks: int

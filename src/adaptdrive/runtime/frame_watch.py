@@ -1,4 +1,4 @@
-"""What is done shortly before the drive's next frame, so that its tick takes less time."""
+"""Work shortly before the drive's next frame, which shortens its tick."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command
 
 @dataclass(frozen=True, slots=True)
 class CommandLimits:
-    """What may be sent.
+    """Limits of commands.
 
     Attributes:
         current_scale_min_S: Lowest k.

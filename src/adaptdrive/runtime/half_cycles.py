@@ -71,7 +71,7 @@ class HalfCycles:
         return tick
 
     def _steps(self, counter: int | None, arrival_s: float) -> int | None:
-        """Half cycles since the last frame; None when they cannot be told."""
+        """Half cycles since the last frame; None when they cannot be determined."""
         if self._frame_tick < 0:
             return None
         elapsed = (arrival_s - self._arrival_s) / self.tick_period_s

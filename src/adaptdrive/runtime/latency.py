@@ -1,4 +1,4 @@
-"""Who made a tick late: the event loop's last callbacks, garbage collections and sleeps.
+"""Causes of a late tick: the event loop's last callbacks, garbage collections and sleeps.
 
 The loop notes what it runs in a ring; nothing of it is looked at until a tick is late.
 """
@@ -23,7 +23,7 @@ COLLECTION = "garbage collection"
 UNKNOWN = "unknown"
 
 Entry = tuple[float, Any]
-"""When something began, and what: a handle of the loop or a word."""
+"""Start of an activity, and its source: a handle of the loop or a word."""
 
 
 class _Ready(deque[Any]):
@@ -65,7 +65,7 @@ class WatchedLoop(asyncio.SelectorEventLoop):
 
 
 class LatencyDetector:
-    """Tells, at most every ten seconds, what ran while a tick had to wait."""
+    """Reports, at most once in 10 s, the callbacks that ran while a tick had to wait."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class LatencyDetector:
         """Watch nothing yet.
 
         Args:
-            late_us: Lateness from which on a tick is told about.
+            late_us: Lateness from which a tick is reported.
             tell: Takes one sentence.
             clock: Monotonic clock in seconds, the one that lateness is measured with.
             ring: The loop's memory; without one only garbage collections are named.
@@ -125,7 +125,7 @@ class LatencyDetector:
         self._ring.append((monotonic(), COLLECTION if phase == "start" else self._interrupted))
 
     def _causes(self, due_s: float, began_s: float) -> str:
-        """What ran between the time a tick was due and the time it began, longest first."""
+        """Return the activities between the due time and the start of a tick, longest first."""
         times: dict[str, float] = {}
         for name, spent_s in self._spent(due_s, began_s):
             times[name] = times.get(name, 0.0) + spent_s

@@ -30,7 +30,7 @@ _FLOOR_REACHED = 0.99
 
 @dataclass(frozen=True, slots=True)
 class MachineLimits:
-    """What an operator may ask for, and when starting has failed.
+    """Limits of an operator's requests, and of the time to start.
 
     Attributes:
         reference_min: Lowest set-point.
@@ -85,12 +85,12 @@ class Machine:
 
     @property
     def energised(self) -> bool:
-        """Whether the drive may be on."""
+        """True if the drive may be energised."""
         return self.state in (State.STARTING, State.RUNNING)
 
     @property
     def stage(self) -> Stage:
-        """What the controller may do."""
+        """Degree to which the controller may energise the drive."""
         return _STAGES[self.state]
 
     def reference(self, tick: int) -> float:

@@ -27,7 +27,7 @@ _SWITCH_S = 2e-4  # another thread of the process keeps a tick waiting no longer
 
 @dataclass(frozen=True, slots=True)
 class RealtimeSettings:
-    """What to ask for.
+    """Requested real-time settings.
 
     Attributes:
         priority: SCHED_FIFO priority, None for ordinary scheduling.
@@ -74,7 +74,7 @@ def real_time(settings: RealtimeSettings) -> Iterator[list[Grant]]:
 
 
 def helper_thread(priority: int | None) -> Callable[[], None]:
-    """What a helper thread of the process has to do first.
+    """Return the function that a helper thread of the process must call first.
 
     Python runs one thread at a time. An ordinary thread that has Python's lock may be kept from
     running by any busy process, and with it the ticks, which wait for the lock. Helpers therefore
@@ -173,7 +173,7 @@ def _lock_memory() -> Grant:
 
 
 def may_lock_memory() -> bool:
-    """Whether memory may be locked without limit.
+    """Return whether memory may be locked without limit.
 
     A finite limit is worse than none: later allocations would fail at it.
     """

@@ -1,4 +1,4 @@
-"""What the runtime tells the rest of the house: immutable snapshots, never live objects."""
+"""Reports of the runtime: immutable snapshots, never live objects."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MONOTONIC = "monotonic_s"
 
 
 class State(StrEnum):
-    """Where the drive's state machine is."""
+    """State of the drive's state machine."""
 
     STANDBY = "standby"
     STARTING = "starting"
@@ -27,7 +27,7 @@ class State(StrEnum):
 
 
 class StopWord(StrEnum):
-    """What the drive says of its stop."""
+    """Confirmation of a stop by the drive."""
 
     CONFIRMED = "confirmed"
     AWAITED = "awaited"
@@ -36,7 +36,7 @@ class StopWord(StrEnum):
 
 
 class Severity(StrEnum):
-    """How much an event matters."""
+    """Severity of an event."""
 
     INFO = "info"
     WARNING = "warning"

@@ -1,4 +1,4 @@
-"""What an operator may ask of a running drive, and who carries it out."""
+"""Requests of an operator to a running drive, and their execution."""
 
 from __future__ import annotations
 

@@ -37,8 +37,8 @@ _FALL_MARGIN = 0.15
 """The same for a fall, which is compared with the highest of many noisy values."""
 
 _FASTEST = 10.0
-"""How many times shorter than its model's shortest lag that of a load may be: a bath is emptied, or
-filled with cold water, faster than it cools."""
+"""Permitted ratio of the model's shortest lag to the load's: a bath is emptied, or filled with
+cold water, faster than it cools."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ seen may be larger than a digit."""
 
 @dataclass(frozen=True, slots=True)
 class StillnessLimits:
-    """When the output has stood still for too long.
+    """Limits of the time that the output may stand still.
 
     Attributes:
         unit: Unit of the output, for the text of the trip.
@@ -153,7 +153,7 @@ class Stillness:
         return f"{self._stands} {self._output:.6g}{self._unit} for {still_s:.3g} s"
 
     def _predict(self, change: float, period_s: float) -> float:
-        """How far the output has moved since it came to stand, by the model."""
+        """Return the movement of the output since it came to stand, by the model."""
         level = self._limits.gain * change
         for number, lag_s in enumerate(self._limits.lags_s):
             self._stages[number] += (level - self._stages[number]) * -math.expm1(-period_s / lag_s)

@@ -15,13 +15,13 @@ _ON_READINGS = 2
 
 
 class Stop(Enum):
-    """What is known of a drive that is commanded off."""
+    """State of the stop of a drive that is commanded off."""
 
     AWAITED = auto()
     CONFIRMED = auto()
     OVERDUE = auto()
     DENIED = auto()
-    """The bridge came on, or was found on, although nobody here commanded it."""
+    """The bridge came on, or was found on, without a command of this daemon."""
 
 
 class StopWatch:

@@ -46,7 +46,7 @@ class Entry:
         real: Whether it is a floating-point number.
         low: Smallest raw value, None where the EDS sets no limit.
         high: Largest raw value, likewise.
-        readable: Whether the drive tells it.
+        readable: Whether the drive permits reading it.
         writable: Whether the drive takes it.
         mappable: Whether it may travel in a PDO.
     """
@@ -113,7 +113,7 @@ class Entry:
 
 
 def label(address: Address) -> str:
-    """How people write an address, such as `0x2001.2`."""
+    """Return an address in the usual notation, such as `0x2001.2`."""
     index, subindex = address
     return f"0x{index:04X}.{subindex}" if subindex else f"0x{index:04X}"
 
@@ -142,7 +142,7 @@ def load_dictionary(
 
 
 class ObjectCatalogue:
-    """Finds entries by name or number, and gathers a flaw for each that is not there."""
+    """Finds entries by name or number, and collects an error for each missing entry."""
 
     def __init__(self, dictionary: ObjectDictionary) -> None:
         self._dictionary = dictionary
@@ -160,7 +160,7 @@ class ObjectCatalogue:
         return tuple((address, number) for address, number in told if number and self.at(address))
 
     def has(self, index: int) -> bool:
-        """Whether the drive has an object."""
+        """Return whether the drive has an object."""
         return index in self._dictionary
 
     def at(self, address: Address) -> Entry | None:

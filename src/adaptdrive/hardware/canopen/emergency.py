@@ -39,7 +39,7 @@ class Emergency:
 
     @property
     def over(self) -> bool:
-        """Whether the frame says that there is no error any more."""
+        """True if the frame reports the end of all errors."""
         return self.code >> 8 == 0
 
     def __str__(self) -> str:

@@ -1,4 +1,4 @@
-"""What keeps a node from being energised, in words."""
+"""Conditions that prevent a node from being energised, as text."""
 
 from __future__ import annotations
 

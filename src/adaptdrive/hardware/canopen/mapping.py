@@ -1,4 +1,4 @@
-"""Which object is which quantity: the configuration and its EDS brought together, and checked.
+"""Mapping of objects to quantities: checks the configuration against its EDS.
 
 Everything that can be wrong is found here, before a bus is opened, and all of it at once.
 """
@@ -55,7 +55,7 @@ _FIRST_PDO, _BEHIND_PDOS = 0x1400, 0x1C00
 
 @dataclass(frozen=True, slots=True)
 class ObjectSource:
-    """Where a quantity comes from.
+    """Source of a quantity.
 
     Attributes:
         quantity: Field of `Reading`, or a name in its `other`.
@@ -72,7 +72,7 @@ class ObjectSource:
 
 @dataclass(frozen=True, slots=True)
 class ObjectSink:
-    """Where a part of the command goes.
+    """Destination of a part of the command.
 
     Attributes:
         name: Field of `Command`.
@@ -166,7 +166,7 @@ def map_drive(
 
 
 class _Plan:
-    """Gathers what is wanted, and the flaws of it."""
+    """Collects the requested objects, and the errors in them."""
 
     def __init__(self, catalogue: ObjectCatalogue, bus: CanOpenBus) -> None:
         self._catalogue = catalogue
@@ -217,7 +217,7 @@ class _Plan:
             self._sinks.append(ObjectSink(name, entry, given.scale, given.offset))
 
     def mapping(self) -> CanOpenMapping | None:
-        """What came of it; None when there were flaws."""
+        """Return the mapping; None when errors were found."""
         transmitted = [self._catalogue.at(STATUSWORD), *(source.entry for source in self._sources)]
         received = [self._catalogue.at(CONTROLWORD), *(sink.entry for sink in self._sinks)]
         transmits = self._pack("TPDO", transmitted, self._channels(transmit_channel))

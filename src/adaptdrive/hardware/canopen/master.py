@@ -1,8 +1,8 @@
 """The daemon as NMT master of one node: bringing it up, watching it, and doing so again.
 
 A node is set up in state pre-operational and started then. It is lost when it is restarted, leaves
-the state operational, or its heartbeat stays away; it is then set up anew, but whoever was using it
-is told first.
+the state operational, or its heartbeat stays away; it is then set up again, and the port is
+notified first.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ whatever loop it is and whether it looks at timers or at sockets first."""
 
 
 class NodeState(IntEnum):
-    """What a heartbeat says."""
+    """State of a node in its heartbeat."""
 
     BOOT_UP = 0
     STOPPED = 4
@@ -43,7 +43,7 @@ class NodeState(IntEnum):
 
 
 class Tell(Protocol):
-    """Who is told what has become of the node."""
+    """Receiver of reports on the state of the node."""
 
     def __call__(self, *, up: bool, detail: str) -> None:
         """It is ready (`up`), or it is not, and why."""
@@ -91,7 +91,7 @@ class Master:
         """Bring the node up whenever it is lost, until cancelled.
 
         Args:
-            tell: Told when the node is ready, and when it is not and why; no reason twice in a row.
+            tell: Called when the node is ready, and when it is not, with each new reason.
         """
         told = ""
         while True:

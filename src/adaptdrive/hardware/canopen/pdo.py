@@ -49,13 +49,13 @@ class Pdo:
 
 
 def transmit_channel(number: int, node_id: int) -> Channel:
-    """What the drive sends."""
+    """Return the PDO channel from the drive."""
     offset = number - 1
     return Channel(number, 0x180 + 0x100 * offset + node_id, 0x1800 + offset, 0x1A00 + offset)
 
 
 def receive_channel(number: int, node_id: int) -> Channel:
-    """What the drive takes."""
+    """Return the PDO channel to the drive."""
     offset = number - 1
     return Channel(number, 0x200 + 0x100 * offset + node_id, 0x1400 + offset, 0x1600 + offset)
 

@@ -125,7 +125,7 @@ class CanOpenPort:
 
     @property
     def counter_modulus(self) -> int | None:
-        """Where the drive's half-cycle counter wraps, None for a drive without a counter."""
+        """Modulus of the drive's half-cycle counter, None for a drive without a counter."""
         return self._mapping.counter_modulus
 
     @property
@@ -135,7 +135,7 @@ class CanOpenPort:
 
     @property
     def complaint(self) -> str | None:
-        """Why the drive must not be energised, None for no reason."""
+        """Reason not to energise the drive, None for no reason."""
         if (seen := self._rival.complaint or self._faults.complaint) is not None:
             return seen
         if self._bus is None and self._control.fallen is None:
@@ -145,12 +145,12 @@ class CanOpenPort:
 
     @property
     def safe_s(self) -> float:
-        """When the bus took the safe command in force, infinite while none is in force."""
+        """Time at which the bus took the safe command in force, infinite while none is in force."""
         return self._safe_s
 
     @property
     def stop_slack_s(self) -> float | None:
-        """Nothing: each statusword tells of the bridge."""
+        """Return 0: each statusword contains the state of the bridge."""
         return 0.0
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
@@ -159,7 +159,7 @@ class CanOpenPort:
         A drive that is not there yet is waited for, like one that is switched off.
 
         Args:
-            listener: Who is told what the port hears.
+            listener: Receiver of readings and of the state of the bus.
             opened: Called once, when the bus is open.
 
         Raises:
@@ -179,7 +179,7 @@ class CanOpenPort:
         """Send one command now, and the daemon's heartbeat when it is due.
 
         Args:
-            command: What the drive is told; it must have passed the guard.
+            command: Command to the drive; it must have passed the guard.
 
         Returns:
             Whether the bus took it; False is counted, and nothing is sent again.
@@ -214,7 +214,7 @@ class CanOpenPort:
         """Not worth it: what a PDO costs is little beside what a tick does."""
 
     def explain_age(self) -> str:
-        """Which PDO is missing for a reading, and the likeliest cause."""
+        """Return the PDO that is missing for a reading, and the likeliest cause."""
         missing = ", ".join(self._assembly.missing)
         refused = self._counts[FrameVerdict.WRONG_LENGTH] + self._counts[FrameVerdict.OUT_OF_RANGE]
         why = f"{refused} PDOs were refused for their length or range: is the EDS the drive's own?"
@@ -223,7 +223,7 @@ class CanOpenPort:
         return f"no complete set of PDOs: {missing} has not come since the last SYNC: {why}"
 
     def details(self) -> list[str]:
-        """What the node's PDOs lack."""
+        """Return the missing PDOs of the node."""
         return [self.explain_age()] if self._assembly.missing else []
 
     async def reset_fault(self) -> None:
@@ -259,7 +259,7 @@ class CanOpenPort:
         self._counts["foreign"] += 1
 
     def _make_takers(self) -> dict[int, Callable[[can.Message], None]]:
-        """Who takes which frame."""
+        """Return the handler of each frame."""
         node = self._config.node_id
         takers: dict[int, Callable[[can.Message], None]] = {
             0x080 + node: self._take_emergency,
@@ -280,7 +280,7 @@ class CanOpenPort:
         return {can_id: f"0x{can_id:03X} ({name})" for can_id, name in names.items()}
 
     def _is_command(self, frame: can.Message) -> bool:
-        """Whether a foreign frame commands this drive: to read its objects does not.
+        """Return whether a foreign frame commands this drive: to read its objects does not.
 
         Nor does NMT: a node that it stops or restarts says so itself.
         """
@@ -386,7 +386,7 @@ class CanOpenPort:
             bus.shutdown()
 
     async def _read_and_watch(self, bus: can.BusABC) -> str:
-        """Hear the bus and keep the node up; why the bus was lost."""
+        """Read the bus and keep the node set up; return the reason of a lost bus."""
         async with asyncio.TaskGroup() as tasks:
             watch = tasks.create_task(self._master.run(self._tell), name="node")
             self._reader = FrameReader(bus, self, self._arrivals, self._hand_out)
@@ -423,7 +423,7 @@ class CanOpenPort:
 
 
 def _values(order: CommandPdo, command: Command, word: int) -> dict[str, float | None]:
-    """What a PDO carries: its part of the command, and the controlword where it has one."""
+    """Return the values of a PDO: its part of the command, and the controlword if mapped."""
     values: dict[str, float | None] = {
         sink.entry.label: (getattr(command, sink.name) - sink.offset) / sink.scale
         for sink in order.sinks

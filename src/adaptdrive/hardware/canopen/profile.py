@@ -29,7 +29,7 @@ _RESET_COMMANDS = 30
 
 
 class DriveState(StrEnum):
-    """What a statusword says."""
+    """State of a CiA 402 drive by its statusword."""
 
     NOT_READY = "not ready to switch on"
     SWITCH_ON_DISABLED = "switch on disabled"
@@ -43,7 +43,7 @@ class DriveState(StrEnum):
 
 
 class Goal(IntEnum):
-    """How far a command wants the drive to be switched on."""
+    """Degree to which a command switches the drive on."""
 
     REST = 0
     SWITCHED_ON = 2
@@ -84,7 +84,7 @@ def state_of(statusword: int) -> DriveState:
 
 
 def goal_of(command: Command) -> Goal:
-    """How far the drive must be switched on for a command."""
+    """Return the degree to which a command switches the drive on."""
     if command.bridge:
         return Goal.ENABLED
     if command.current_scale_S or command.boost_reference_V:
@@ -110,7 +110,7 @@ class DriveControl:
 
     @property
     def faulty(self) -> bool:
-        """Whether the drive is in a fault, or on its way there."""
+        """True if the drive is in a fault, or reacts to one."""
         return self.state in _FAULTS
 
     def hear(self, statusword: int) -> None:
@@ -143,7 +143,7 @@ class DriveControl:
         """The word to send with a command.
 
         Args:
-            command: What the drive is told.
+            command: Command to the drive.
         """
         goal = goal_of(command)
         if goal is Goal.REST:

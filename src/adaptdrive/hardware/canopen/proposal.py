@@ -1,4 +1,4 @@
-"""What an EDS describes, as candidates for the quantities of a configuration."""
+"""Objects of an EDS, as candidates for the quantities of a configuration."""
 
 from __future__ import annotations
 

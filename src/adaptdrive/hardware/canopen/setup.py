@@ -1,4 +1,4 @@
-"""Setting a node up over SDO: who it is, whom it watches, when it measures, what its PDOs carry.
+"""Set-up of a node over SDO: identity, heartbeats, SYNC and PDO mapping.
 
 The drive is not energised meanwhile.
 """
@@ -71,7 +71,7 @@ def watch_writes(bus: CanOpenBus, mapping: CanOpenMapping) -> Iterator[Write]:
 
 
 def sync_writes(bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_s: float) -> Iterator[Write]:
-    """Who sends SYNC, and how often."""
+    """Return the writes that select the sender of SYNC and its period."""
     yield SYNC_ID, SYNC_COB_ID.to_bytes(4, "little")
     if SYNC_PERIOD in mapping.present:
         yield SYNC_PERIOD, round(1e6 * half_cycle_s).to_bytes(4, "little")
@@ -94,7 +94,7 @@ def _identify(server: Server, bus: CanOpenBus, mapping: CanOpenMapping) -> None:
 
 
 def _describe(server: Server, pdo: Pdo, transmission: int) -> None:
-    """Tell the drive what a PDO carries; it is switched off meanwhile."""
+    """Write the mapping of a PDO, which is switched off meanwhile."""
     channel = pdo.channel
     remote = _switch_off(server, channel) & _NO_REMOTE_REQUEST
     server.write((channel.communication, 2), bytes((transmission,)))

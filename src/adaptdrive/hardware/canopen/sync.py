@@ -9,7 +9,7 @@ from adaptdrive.clock.tick_timer import TickTimer
 
 
 class SyncProducer:
-    """Calls back on a grid; what the machine overslept is left out, not made up for."""
+    """Calls back on a grid; deadlines missed while the process slept are skipped, not repeated."""
 
     def __init__(
         self, period_s: float, clock: Callable[[], float], due: Callable[[], None]

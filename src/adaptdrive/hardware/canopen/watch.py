@@ -46,13 +46,13 @@ def build_canopen_watch(
 
 
 class CanOpenWatch:
-    """One drive, looked at. It is a port that commands nothing and leaves the node as it is."""
+    """Read-only port to one drive: it sends no command and leaves the node unchanged."""
 
     counter_modulus = None
-    """What is read now and then has no tick."""
+    """Objects read at intervals have no ticks."""
 
     complaint = None
-    """Nothing can be energised from here."""
+    """None: this port cannot energise the drive."""
 
     def __init__(
         self, config: CanOpenBus, mapping: CanOpenMapping, clock: Callable[[], float]
@@ -81,14 +81,14 @@ class CanOpenWatch:
 
     @property
     def stop_slack_s(self) -> float | None:
-        """Nothing: each statusword tells of the bridge."""
+        """Return 0: each statusword contains the state of the bridge."""
         return 0.0
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and read the drive again and again until cancelled.
 
         Args:
-            listener: Who is told what the drive says.
+            listener: Receiver of the drive's values.
             opened: Called once, when the bus is open.
 
         Raises:
@@ -113,7 +113,7 @@ class CanOpenWatch:
         """Nothing waits: each answer is taken by who asked."""
 
     def rehearse(self) -> None:
-        """Who only looks has time."""
+        """No-op: a probe has no deadline."""
 
     def explain_age(self) -> str:
         """Name nothing: nothing is driven from here."""
@@ -142,7 +142,7 @@ class CanOpenWatch:
         self._counts["foreign"] += 1
 
     async def _look(self, listener: Listener) -> None:
-        """Read everything now and then; tell when the drive stops to answer, and when it does."""
+        """Read all objects at intervals; report when the drive stops or resumes its replies."""
         told = ""
         while True:
             start_s = self._clock()

@@ -178,7 +178,7 @@ class SignalCatalogue:
             self.note(place.replace(".counter", ".max_jump"), problem)
 
     def check_counter(self, signal: Signal, place: str) -> bool:
-        """Whether a signal can count; a flaw at `place` when it cannot."""
+        """Return whether a signal can count; a flaw at `place` when it cannot."""
         counts = (
             is_word(signal)
             and not signal.is_signed
@@ -224,10 +224,10 @@ class SignalCatalogue:
 
 
 def is_usable(signal: Signal) -> bool:
-    """Whether the factor and the offset of a signal give it a value."""
+    """Return whether the factor and the offset of a signal give it a value."""
     return signal.scale != 0 and math.isfinite(signal.scale) and math.isfinite(signal.offset)
 
 
 def is_word(signal: Signal) -> bool:
-    """Whether the physical value of a signal is its raw integer."""
+    """Return whether the physical value of a signal is its raw integer."""
     return not signal.is_float and signal.scale == 1 and signal.offset == 0

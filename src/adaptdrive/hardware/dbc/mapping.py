@@ -1,4 +1,4 @@
-"""Which signal is which quantity: the configuration and its DBC brought together, and checked.
+"""Mapping of signals to quantities: checks the configuration against its DBC.
 
 Everything that can be wrong is found here, before a bus is opened, and all of it at once.
 """
@@ -32,7 +32,7 @@ LONGEST_STALE_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """What of the configuration decides how old a value may be.
+    """Settings that determine the maximum age of a value.
 
     Attributes:
         half_cycle_s: Half a line cycle.
@@ -47,7 +47,7 @@ class Timing:
 
 @dataclass(frozen=True, slots=True)
 class CanSource:
-    """Where a quantity comes from.
+    """Source of a quantity.
 
     Attributes:
         quantity: Field of `Reading`; one of its other values by `OTHER` and its name.
@@ -193,7 +193,7 @@ def _slack_s(message: Message, signal: Signal, bus: CanBus, timing: Timing) -> f
 
 
 def _pages(message: Message, signal: Signal) -> int:
-    """How many pages of a multiplexed message take turns until a signal comes again."""
+    """Return the number of pages of a multiplexed message between two frames of a signal."""
     if not is_multiplexed(signal):
         return 1
     selector = signal.multiplexer_signal

@@ -79,7 +79,7 @@ Page = tuple[tuple[str, float], ...]
 
 @dataclass(slots=True)
 class _Draft:
-    """What one page of a message will carry."""
+    """Commanded signals of one page of a message."""
 
     parts: list[Part] = field(default_factory=list)
     fixed: dict[str, float] = field(default_factory=dict)
@@ -91,7 +91,7 @@ _Drafts = dict[str, dict[Page, _Draft]]
 def find_orders(
     catalogue: SignalCatalogue, bus: CanBus, signals: Signals, demands: Demands = NO_DEMANDS
 ) -> _Drafts:
-    """What each page of each message has to carry; flaws go to the catalogue."""
+    """Return the content of each page of each message; errors go to the catalogue."""
     drafts: _Drafts = {}
     _find_constants(catalogue, bus, signals, drafts)
     for name in _VALUES:
@@ -134,7 +134,7 @@ def resolve(
 
 
 def page_of(catalogue: SignalCatalogue, message: Message, signal: Signal, place: str) -> Page:
-    """What selects the frames that carry a signal; nothing where all of its message do."""
+    """Return the selector of the frames with a signal, empty if all frames have it."""
     return tuple(_selectors(catalogue, message, signal, place))
 
 

@@ -111,7 +111,7 @@ class CanPort:
 
     @property
     def counter_modulus(self) -> int | None:
-        """Where the drive's half-cycle counter wraps, None for a drive without a counter."""
+        """Modulus of the drive's half-cycle counter, None for a drive without a counter."""
         return self._mapping.counter_modulus
 
     @property
@@ -126,12 +126,12 @@ class CanPort:
 
     @property
     def safe_s(self) -> float:
-        """When the bus took the safe command in force, infinite while none is in force."""
+        """Time at which the bus took the safe command in force, infinite while none is in force."""
         return self._safe_s
 
     @property
     def stop_slack_s(self) -> float | None:
-        """How much later the drive may speak of its bridge, None for a drive that never does."""
+        """Additional time for the report of the bridge, None for a drive that never reports it."""
         words = (source.slack_s for source in self._sources if source.quantity == "bridge")
         return next(words, None)
 
@@ -193,7 +193,7 @@ class CanPort:
             self.take(received())
 
     def explain_age(self) -> str:
-        """Which value is the oldest, where it comes from, and the likeliest cause of its age."""
+        """Return the oldest value, its source, and the likeliest cause of its age."""
         now_s = self._clock()
         arrivals = [
             (due_s - slack_s, status, source)

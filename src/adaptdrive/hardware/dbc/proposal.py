@@ -1,4 +1,4 @@
-"""What a DBC describes, as candidates for the quantities of a configuration."""
+"""Signals of a DBC, as candidates for the quantities of a configuration."""
 
 from __future__ import annotations
 

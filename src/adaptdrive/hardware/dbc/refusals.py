@@ -30,7 +30,7 @@ class _Refusal:
 
 
 class Refusals:
-    """What was refused of each message, and which frames are not of this drive."""
+    """Refused frames of each message, and frames that are not of this drive."""
 
     def __init__(self) -> None:
         self._messages: dict[str, dict[FrameVerdict, _Refusal]] = {}
@@ -38,7 +38,7 @@ class Refusals:
 
     @property
     def any(self) -> bool:
-        """Whether a frame of the drive was refused since the start."""
+        """True if a frame of the drive was refused since the start."""
         return bool(self._messages)
 
     def note(self, message: str, verdict: FrameVerdict, data: bytes) -> None:
@@ -61,7 +61,7 @@ class Refusals:
             refusal.data = data
 
     def explain(self, message: str) -> str | None:
-        """Why there is no good frame of a message, None when none was refused since the last."""
+        """Return why a message has no good frame, None when none was refused since the last one."""
         found = self._messages.get(message, {})
         verdict = max(found, key=lambda one: found[one].in_a_row, default=None)
         if verdict is None or not found[verdict].in_a_row:

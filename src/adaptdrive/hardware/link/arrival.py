@@ -1,4 +1,4 @@
-"""When a frame reached the machine, by the monotonic clock.
+"""Arrival time of a frame at the machine, by the monotonic clock.
 
 The kernel stamps a frame with the wall clock, which may be set while the frame waits to be read.
 The offset between both clocks is measured at each frame. A frame that was stamped before the wall

@@ -35,7 +35,7 @@ def describe_bus(config: CanLink) -> str:
 
 
 def channel_flaws(config: CanLink, bus: str = "bus") -> list[Flaw]:
-    """What is wrong with the channel, as far as it shows without opening it."""
+    """Return the errors in the channel that can be detected without opening it."""
     place, channel = f"{bus}.channel", config.channel
     if config.interface == "udp_multicast" and not _is_group(channel):
         example = "an IPv4 multicast group such as 239.74.163.2"
@@ -88,7 +88,7 @@ def frame_key(frame_id: int, *, extended: bool) -> int:
 
 
 def _has_fd(config: CanLink) -> bool:
-    """Whether the bus carries CAN FD frames; CANopen's are classic."""
+    """Return whether the bus carries CAN FD frames; CANopen's are classic."""
     return isinstance(config, CanBus) and config.fd
 
 

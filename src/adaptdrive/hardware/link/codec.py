@@ -35,7 +35,7 @@ _NOTHING: Mapping[str, float] = MappingProxyType({})
 
 
 class Decoded(NamedTuple):
-    """What became of a frame.
+    """Result of decoding a frame.
 
     Attributes:
         verdict: `GOOD`, or the first check that the frame failed.
@@ -200,23 +200,23 @@ class MessageCodec:
 
 
 def needs_fd(message: Message) -> bool:
-    """Whether the frames of a message are those of CAN FD."""
+    """Return whether the frames of a message are those of CAN FD."""
     return message.is_fd or message.length > CLASSIC_LENGTH
 
 
 def counter_modulus(counter: SignalField) -> int:
-    """Where a counter wraps: after the largest value that the DBC declares for it."""
+    """Return the modulus of a counter, from the largest value that the DBC declares for it."""
     return int(counter.high) + 1
 
 
 def follows_counter(integrity: FrameIntegrity) -> bool:
-    """Whether a checksum covers something that goes with the alive counter."""
+    """Return whether a checksum covers something that goes with the alive counter."""
     by_counter = integrity.crc is not None and bool(integrity.crc.by_counter)
     return by_counter or integrity.data_id_mode == "alternating"
 
 
 def checksum_span(message: Message, checksum: str) -> Span | None:
-    """Where a checksum signal lies, None when it does not fill whole bytes."""
+    """Return the position of a checksum signal, None when it does not fill whole bytes."""
     signal = message.get_signal_by_name(checksum)
     little = signal.byte_order == "little_endian"
     first_bit = signal.start if little else signal.start - 7

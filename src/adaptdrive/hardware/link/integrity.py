@@ -29,7 +29,7 @@ _AUTOSAR_P01 = Crc(width=8, poly=0x1D)
 
 
 class Span(NamedTuple):
-    """Where a checksum lies in its frame: whole bytes.
+    """Position of a checksum in its frame: whole bytes.
 
     Attributes:
         first: Its first byte.
@@ -104,7 +104,7 @@ def covered_bytes(integrity: FrameIntegrity, span: Span) -> Callable[[bytes], by
 
 
 class FrameVerdict(StrEnum):
-    """What the checks say about a frame; a refusal is named after the count that it adds to."""
+    """Result of the checks of a frame; a refusal is named after the count that it adds to."""
 
     GOOD = "good"
     WRONG_LENGTH = "wrong_length"

@@ -1,4 +1,4 @@
-"""Where the bits of a signal lie: a DBC's layout, compiled for the fast path.
+"""Positions of the bits of a signal: a DBC's layout, compiled for the fast path.
 
 Integers of either byte order are cut out of one big integer by shift and mask. Whatever else a DBC
 can describe (floating point and multiplexed signals) takes the slow way through cantools, with the
@@ -170,7 +170,7 @@ def compile_pack(message: Message, idle: Mapping[str, Raw]) -> Pack:
 
 
 def is_multiplexed(signal: Signal) -> bool:
-    """Whether only some frames of its message carry a signal."""
+    """Return whether only some frames of its message carry a signal."""
     return bool(signal.multiplexer_ids)
 
 
@@ -179,7 +179,7 @@ def _is_plain(signal: Signal) -> bool:
 
 
 class _Cut(NamedTuple):
-    """Where an integer lies in the whole frame as one number of its byte order."""
+    """Position of an integer in the whole frame as one number of its byte order."""
 
     name: str
     shift: int

@@ -1,7 +1,7 @@
-"""Hearing a CAN bus from within the event loop.
+"""Reader of a CAN bus in the event loop.
 
-python-can's own adapter spins when a bus dies and tells nobody. This one reads a bounded number of
-frames per wake-up, so that a flood cannot starve the loop, and ends when the bus does.
+python-can's own adapter spins when a bus is lost and reports no error. This reader reads a bounded
+number of frames per wake-up, so that a flood cannot starve the loop, and ends with a lost bus.
 
 After each wake-up it says that no more frames wait. Whoever was kept from running for a while can
 then act once, on the newest of what has piled up, and not once for each.
@@ -23,10 +23,10 @@ _BUDGET = 256
 default that queue holds as many: one wake-up clears what piled up while the process did not run."""
 
 _POLL_S = 0.001
-"""How often a bus without a file descriptor is looked at."""
+"""Poll interval of a bus without a file descriptor."""
 
 _HEALTH_S = 0.25
-"""How often an idle bus is checked: a socket that is closed under the reader never wakes it."""
+"""Interval of checks of an idle bus: a socket that is closed under the reader never wakes it."""
 
 _BUS_OFF = 0x40
 """Linux: the error class, in the id of an error frame, of a controller that left the bus."""
@@ -36,7 +36,7 @@ _NO_FILE = -2
 
 
 class FrameTaker(Protocol):
-    """Who gets the frames. Called in the event loop; must return at once."""
+    """Receiver of frames. Called in the event loop; must return at once."""
 
     def take(self, frame: can.Message) -> None:
         """Take one frame."""
@@ -168,5 +168,5 @@ def _polling(loop: asyncio.AbstractEventLoop, drain: Callable[[], None]) -> Iter
 
 
 def _is_garbage(problem: can.CanOperationError) -> bool:
-    """Whether a datagram could not be understood, as opposed to a socket that failed."""
+    """Return whether a datagram could not be understood, as opposed to a socket that failed."""
     return problem.__cause__ is not None and not isinstance(problem.__cause__, OSError)

@@ -31,8 +31,8 @@ async def serve_for_ever(  # noqa: PLR0913 - each turn in the life of a bus
         serve: Uses an open bus until it is lost, and closes it; it calls what it is given when it
             has begun, and gives the reason of the loss.
         opened: Called once, when the bus is in use for the first time.
-        lost: Told that the bus was lost, and why.
-        returned: Told that it is in use again.
+        lost: Called with the reason when the bus was lost.
+        returned: Called when the bus is open again.
         heard: Counts frames: a bus that is open but mute is opened again less and less often.
 
     Raises:

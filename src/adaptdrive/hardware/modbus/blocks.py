@@ -35,7 +35,7 @@ class Block:
         return f"{self.table} {self.address}{last} (address from 0)"
 
     def holds(self, register: Register) -> bool:
-        """Whether a register lies in this block."""
+        """Return whether a register lies in this block."""
         inside = self.address <= register.address and register.end <= self.end
         return register.table == self.table and inside
 

@@ -1,4 +1,4 @@
-"""What a poll costs on the wire, and whether the wanted rate fits.
+"""Duration of a poll on the wire, compared with the wanted cycle.
 
 A serial line carries one character of 10 or 11 bits per byte, one frame at a time, with silence
 around each. On TCP the bytes cost next to nothing; the drive's turnaround is what counts.
@@ -75,7 +75,7 @@ def exchange_s(bus: ModbusLink, exchange: Exchange) -> float:
 def capacity_flaws(
     bus: ModbusBus, exchanges: Iterable[Exchange], half_cycle_s: float
 ) -> Iterator[Flaw]:
-    """Why the wanted rate does not fit on the link, in its own figures.
+    """Yield why the wanted rate does not fit on the link, with the link's figures.
 
     Args:
         bus: `[bus]`.
@@ -105,7 +105,7 @@ def capacity_flaws(
 def cycle_flaws(
     bus: ModbusLink, exchanges: Iterable[Exchange], cycle_s: float, place: str
 ) -> Iterator[Flaw]:
-    """Why the exchanges of one cycle do not fit into it, in the link's own figures.
+    """Yield why the exchanges of one cycle do not fit into it, with the link's figures.
 
     Args:
         bus: The link.

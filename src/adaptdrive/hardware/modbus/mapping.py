@@ -1,4 +1,4 @@
-"""Which register is which quantity, and how few exchanges a poll needs.
+"""Mapping of registers to quantities, with as few exchanges per poll as possible.
 
 Everything that can be wrong is found here, before a link is opened, and all of it at once.
 """
@@ -27,7 +27,7 @@ _COUNTS = (*WORDS, HEARTBEAT)
 
 @dataclass(frozen=True, slots=True)
 class RegisterSource:
-    """Where a quantity comes from.
+    """Source of a quantity.
 
     Attributes:
         quantity: Field of `Reading`, or the drive's heartbeat.
@@ -57,7 +57,7 @@ class RegisterSource:
 
 @dataclass(frozen=True, slots=True)
 class RegisterSink:
-    """Where a part of the command goes: a field of `Command` or the daemon's heartbeat."""
+    """Destination of a part of the command: a field of `Command` or the daemon's heartbeat."""
 
     name: str
     register: Register
@@ -81,7 +81,7 @@ class RegisterSink:
 
 @dataclass(frozen=True, slots=True)
 class Poll:
-    """What is exchanged with the drive in one poll cycle.
+    """Exchanges with the drive in one poll cycle.
 
     Attributes:
         reads: Blocks to read, and what is taken from each.
@@ -146,7 +146,7 @@ def map_drive(
 
 
 def heartbeat_modulus(register: Register) -> int:
-    """Where a heartbeat wraps: a signed register stays positive."""
+    """Return the modulus of a heartbeat: a signed register stays positive."""
     return 1 << (16 * register.words - register.type.startswith("int"))
 
 

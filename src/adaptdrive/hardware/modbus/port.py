@@ -119,7 +119,7 @@ class ModbusPort:
 
     @property
     def complaint(self) -> str | None:
-        """Why the drive must not be energised: it does not take what it is commanded."""
+        """Reason not to energise the drive: it does not accept its commands."""
         if self._refused >= _REFUSED_WRITES:
             return f"the drive refuses commands: {self._refusal}"
         if self._unanswered >= _UNANSWERED_WRITES:
@@ -128,7 +128,7 @@ class ModbusPort:
 
     @property
     def safe_s(self) -> float:
-        """When the drive acknowledged the safe command in force, infinite while none is."""
+        """Time at which the drive acknowledged the safe command, infinite without one in force."""
         return self._safe_s
 
     @property
@@ -192,7 +192,7 @@ class ModbusPort:
         """A drive that is polled has time."""
 
     def explain_age(self) -> str:
-        """What the last poll lacked, with the registers; every value is as old as its poll."""
+        """Return the missing registers of the last poll; every value is as old as its poll."""
         return f"the polls give no reading: {self._failure or 'no reply has come yet'}"
 
     def details(self) -> list[str]:
@@ -209,7 +209,7 @@ class ModbusPort:
 
     @property
     def _urgent(self) -> bool:
-        """Whether the drive must be made safe before anything else."""
+        """True if the safe command must be sent before anything else."""
         return self._command == SAFE_COMMAND and not self._safe
 
     async def _try_first(self) -> tuple[ModbusConnection | None, str]:
