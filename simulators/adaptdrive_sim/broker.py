@@ -19,7 +19,7 @@ from adaptdrive.errors import RefusedError
 
 @dataclass(frozen=True, slots=True)
 class BrokerAddress:
-    """Where a broker listens."""
+    """Address of a broker."""
 
     host: str
     port: int

@@ -34,7 +34,7 @@ class TripLevels:
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """What happens in the course of a run.
+    """Events in the course of a run.
 
     Attributes:
         references: r[k].
@@ -59,7 +59,7 @@ class Course:
 
 @dataclass(slots=True)
 class Run:
-    """What happened: one entry for each slow period, taken at its first tick.
+    """Record of a run: one entry for each slow period, taken at its first tick.
 
     Attributes:
         outputs: Output without noise.

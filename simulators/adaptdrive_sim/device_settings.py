@@ -1,4 +1,4 @@
-"""What the command line says about a simulated drive."""
+"""Command-line settings of a simulated drive."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ InterfaceChoice = Literal["socketcan", "udp_multicast"]
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
 class DeviceSettings:
-    """What `adaptdrive-sim device` adds to the configuration.
+    """Settings that `adaptdrive-sim device` adds to the configuration.
 
     Attributes:
         broker: HOST:PORT of an MQTT broker for disturbances; none when left out.

@@ -1,4 +1,4 @@
-"""What may be done to a running plant from outside, and how it is asked for.
+"""Disturbances of a running plant, and their requests.
 
 A request is a JSON object with an `id` and exactly one disturbance:
 

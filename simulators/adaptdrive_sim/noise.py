@@ -29,7 +29,7 @@ class NoiseParameters:
 
     @property
     def silent(self) -> bool:
-        """Whether no sample is ever disturbed."""
+        """True if no sample is ever disturbed."""
         return self.sigma == 0.0 and (self.spike_share == 0.0 or self.spike_sigma == 0.0)
 
 

@@ -30,7 +30,7 @@ class ParameterError(AdaptdriveError):
 
 @dataclass(frozen=True, slots=True)
 class ParameterRange:
-    """What a parameter means and which values it may take (both ends included)."""
+    """Meaning and permitted values of a parameter (both ends included)."""
 
     name: str
     description: str

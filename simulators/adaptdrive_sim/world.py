@@ -44,7 +44,7 @@ class WorldParameters:
 
 
 class Sample(NamedTuple):
-    """What the drive measures at the end of a half cycle.
+    """Measurements of the drive at the end of a half cycle.
 
     Attributes:
         tick: Half cycles since the start.
@@ -138,7 +138,7 @@ class World:
         self.load_current_A = 0.0
 
     def at_rest(self) -> Sample:
-        """What would be measured now, without any time passing."""
+        """Return the present measurements, without any time passing."""
         return Sample(
             self.tick,
             self.line.half_cycle_s,

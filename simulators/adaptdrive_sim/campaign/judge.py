@@ -1,4 +1,4 @@
-"""What a run is judged by.
+"""Criteria of a run.
 
 The cost of a controller is the squared error against the loop as it was designed, summed over the
 slow instants, plus (0.005 · step)² for each: errors that nobody could see cost nothing relative to
@@ -50,7 +50,7 @@ def judge(stand: Stand, fixed: RunOutcome, adaptive: RunOutcome) -> Row:
 
 
 def parameters(scenario: Scenario) -> Row:
-    """What was drawn, as columns."""
+    """Return the drawn values as columns."""
     return {
         "seed": scenario.seed,
         "inertia_first": scenario.inertias[0],
@@ -78,7 +78,7 @@ def cost(errors: Array) -> float:
 
 
 def is_unstable(scenario: Scenario, errors: Array) -> bool:
-    """Whether the last period of the reference is nothing like what was designed."""
+    """Return whether the last period of the reference is nothing like what was designed."""
     last = errors[-round(scenario.reference.period_s) :]
     return not float(np.sqrt(np.mean(last**2))) < _UNSTABLE
 

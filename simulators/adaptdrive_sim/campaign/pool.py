@@ -47,7 +47,7 @@ def run_all(campaign: Campaign, executor: Executor) -> Iterator[list[Row]]:
 
 @contextmanager
 def workers(count: int | None, scheduler: str | None) -> Iterator[Executor]:
-    """Where runs are run.
+    """Yield an executor of runs.
 
     Args:
         count: Processes of this machine; as many as it has processors when left out.

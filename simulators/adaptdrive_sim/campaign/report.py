@@ -101,7 +101,7 @@ def costs(rows: list[Row]) -> Figure:
 
 
 def influences(rows: list[Row]) -> Figure:
-    """How the cost ratio depends on what was drawn."""
+    """Plot the cost ratio over each drawn value."""
     names = {
         "inertia_largest": "largest inertia, disks",
         "sigma": "noise σ, fraction of the step",

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """What was drawn.
+    """Drawn values of a run.
 
     Attributes:
         seed: It was drawn from this.
@@ -90,7 +90,7 @@ class Scenario:
         return LineParameters(voltage_V=voltage_V, frequency_Hz=self.frequency_Hz)
 
     def wire(self) -> Wire:
-        """What lies between drive and controller, at rest."""
+        """Return the connection between drive and controller, at rest."""
         return Wire(
             output_quantum=self.output_V,
             voltage_quantum_V=self.voltage_V,

@@ -1,4 +1,4 @@
-"""How fast campaigns run, and how that grows with the number of processes."""
+"""Speed of campaigns, and its growth with the number of processes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a campaign shows: how many runs failed, in which way, and which ones."""
+"""Result of a campaign: the number of failed runs, the kinds of failure, and their seeds."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def failures(rows: list[Row]) -> list[Failure]:
 
 
 def claims(rows: list[Row]) -> list[CampaignClaim]:
-    """What is promised of a campaign."""
+    """Return the claims of a campaign."""
     changed = [row for row in rows if row["changes"]]
     better = sum(row["ratio"] < 1.0 for row in changed)
     share = better / len(changed) if changed else 1.0

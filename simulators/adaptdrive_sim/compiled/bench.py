@@ -206,7 +206,7 @@ def ideal_weights(
 
 
 def changed(rows: Array, k: int) -> bool:
-    """Whether a row differs from the one before."""
+    """Return whether a row differs from the one before."""
     for i in range(rows.shape[1]):
         if rows[k, i] != rows[k - 1, i]:
             return True

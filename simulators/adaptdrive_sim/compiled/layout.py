@@ -1,4 +1,4 @@
-"""How an object lies in memory when compiled code works on it.
+"""Memory layout of an object in compiled code.
 
 A `Layout` is made from a live object: every number is one word of eight bytes, a list or tuple of
 numbers as many words, an object inside an object lies inside it. Lengths are thus known when code
@@ -138,7 +138,7 @@ def _sequence(
 
 
 def _absent(cls: type) -> Layout:
-    """What code that is never reached needs to know of something that is not there."""
+    """Return the stand-in for a missing object in code that is never reached."""
     hints = _hints(cls)
     fields: list[Attribute] = []
     for field in dataclasses.fields(cls):

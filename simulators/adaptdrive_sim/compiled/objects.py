@@ -51,7 +51,7 @@ class ObjectType(types.Type):
 
     @property
     def key(self) -> Layout:
-        """What makes two types the same."""
+        """Key by which two types are equal."""
         return self.layout
 
 

@@ -79,7 +79,7 @@ def _take(_: Any, count: Any) -> Any:  # noqa: ARG001  # shows how it is called
 
 
 def _counter(builder: Any) -> Any:
-    """Where it is kept how many places are taken."""
+    """Return the address of the count of used places."""
     return cgutils.gep_inbounds(builder, _memory(builder), 0, 0)
 
 

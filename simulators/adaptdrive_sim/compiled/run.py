@@ -53,12 +53,12 @@ def run_compiled(controller: Controller, world: World, course: Course) -> tuple[
 
 @cache
 def _constant(instance: Any) -> Memory:
-    """What no run changes, copied once."""
+    """Return the data that no run changes, copied once."""
     return Memory(instance)
 
 
 def _parts(controller: Controller) -> tuple[Any, ...]:
-    """What the deployed controller consists of, once it has been started."""
+    """Return the parts of the deployed controller, once it has been started."""
     own = controller
     return own._settings, own._load, own._fast, own._bank, own._slow  # noqa: SLF001
 

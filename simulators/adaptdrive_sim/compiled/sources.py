@@ -1,4 +1,4 @@
-"""Which modules are compiled, and a lazy way to their functions."""
+"""Modules to compile, and a lazy way to their functions."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def _write(texts: dict[str, str], copies: dict[str, str]) -> Path:
 
 
 def cache_folder() -> Path:
-    """Where translated sources and compiled code are kept between runs."""
+    """Return the folder of translated sources and compiled code, kept between runs."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "adaptdrive" / "compiled"
 

@@ -1,4 +1,4 @@
-"""What stands in for lists of floats in compiled code, and how code is compiled."""
+"""Stand-in for lists of floats in compiled code, and the compilation."""
 
 from __future__ import annotations
 

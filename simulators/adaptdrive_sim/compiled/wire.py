@@ -1,4 +1,4 @@
-"""What lies between the drive and its controller: rounding, a late sensor, interlocks.
+"""Connection between the drive and its controller: rounding, a late sensor, interlocks.
 
 Numbers on a bus are whole multiples of a quantum. The regulated output may come from a sensor of
 its own, some half cycles older than the drive's frame.
@@ -59,7 +59,7 @@ def rounded(value: float, quantum: float) -> float:
 
 
 def delayed(wire: Wire, output: float) -> float:
-    """What arrives of the output now, when `output` is measured."""
+    """Return the output that arrives now, when `output` is measured."""
     shift_in(wire.outputs, output)
     return rounded(wire.outputs[wire.output_delay], wire.output_quantum)
 

@@ -79,7 +79,7 @@ class BatteryStory(Story):
 
     @property
     def phase(self) -> str:
-        """Where the charge is: constant current, constant voltage, or its end."""
+        """Phase of the charge: constant current, constant voltage, or its end."""
         if self.play.drive.completed:
             return "complete"
         if not self.play.record.running:

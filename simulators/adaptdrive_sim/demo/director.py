@@ -22,7 +22,7 @@ NEAR_V = 0.03
 NEAR_REPORTS = 20
 NEAR_s = 60.0
 LEAD_s = 3.0
-"""How long before a step of the reference an act comes."""
+"""Time of an act before the next step of the reference."""
 
 _LOOK_s = 0.1
 _ANSWER_s = 5.0

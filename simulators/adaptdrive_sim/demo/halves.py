@@ -12,7 +12,7 @@ _SETTLED_PERIODS = 12
 
 @dataclass(frozen=True, slots=True)
 class HalfCase:
-    """What a half wave was controlled by, and what it had to move."""
+    """Controller and load of a half wave."""
 
     controller: str
     disks: int

@@ -1,4 +1,4 @@
-"""What the demonstration hears over MQTT: as much of each payload as it needs.
+"""Messages that the demonstration receives over MQTT, with the keys that it uses.
 
 A number is None where the payload has null, which is how JSON says "not known".
 """

@@ -1,4 +1,4 @@
-"""Whether control worked, by what was heard and against what the ideal loop would have done."""
+"""Verdict on control, from the received messages and the response of the ideal loop."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def ideal_response(points: Sequence[SpeedPoint], pole: float) -> list[float]:
 
 
 def _recall(earlier: Sequence[float], pole: float) -> float:
-    """What (1 - p/z)^4 carries over from four earlier values."""
+    """Return the contribution of four earlier values to (1 - p/z)^4."""
     weights = (4.0 * pole, -6.0 * pole**2, 4.0 * pole**3, -(pole**4))
     return sum(weight * value for weight, value in zip(weights, earlier, strict=True))
 

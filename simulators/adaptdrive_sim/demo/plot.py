@@ -28,7 +28,7 @@ _LEVELS = 3
 
 @dataclass(frozen=True, slots=True)
 class PlotFrame:
-    """What part of the world a plot shows, and how large.
+    """Range and size of a plot.
 
     Attributes:
         now_s: Right edge.

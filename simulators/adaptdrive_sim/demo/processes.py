@@ -21,7 +21,7 @@ from adaptdrive_sim.demo import leash
 from adaptdrive_sim.demo.settings import DemoError
 
 PATIENCE_s = 20.0
-"""How long a process may take to end before it is killed: the daemon closes its session."""
+"""Time for a process to end before it is killed: the daemon closes its session."""
 
 _TAIL_LINES = 8
 

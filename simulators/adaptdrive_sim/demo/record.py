@@ -52,7 +52,7 @@ class Counts:
 
 @dataclass(slots=True)
 class DemoRecord:
-    """What was heard; times are seconds of `clock`.
+    """Received messages; times are seconds of `clock`.
 
     Attributes:
         began: When the demonstration began, UTC: what was said before is not about it.
@@ -117,12 +117,12 @@ class DemoRecord:
 
     @property
     def running(self) -> bool:
-        """Whether the drive is under control."""
+        """True if the drive is under control."""
         return self.state is not None and self.state.state == "running"
 
     @property
     def drive_seen(self) -> bool:
-        """Whether the daemon hears the drive."""
+        """True if the daemon receives the drive's frames."""
         return self.drive is not None and self.drive.output is not None
 
     def begin(self) -> None:

@@ -1,4 +1,4 @@
-"""What happens in a demonstration, told in half waves.
+"""Script of a demonstration, in half waves.
 
 Each act comes shortly before a step of the reference, when the speed has settled, so that the
 step shows what the act has changed.

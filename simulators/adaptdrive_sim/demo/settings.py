@@ -1,4 +1,4 @@
-"""What the command line says about a demonstration."""
+"""Command-line settings of a demonstration."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def choose_show(settings: DemoSettings) -> Show:
 
 
 def operator_program() -> str:
-    """How `adaptdrive` is called from here: by its name, or by its path if that is not found."""
+    """Return the command for `adaptdrive`: its name, or its path if the name is not found."""
     if shutil.which("adaptdrive"):
         return "adaptdrive"
     path = Path(sys.executable).with_name("adaptdrive")

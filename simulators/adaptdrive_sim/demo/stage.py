@@ -40,7 +40,7 @@ _LOOK_s = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Venue:
-    """Where a demonstration takes place."""
+    """Place of a demonstration."""
 
     bus: BusChoice
     broker: BrokerAddress
@@ -64,7 +64,7 @@ Show = Callable[[DemoRecord, Venue], Awaitable[None]]
 
 @dataclass(frozen=True, slots=True)
 class DemoOutcome:
-    """How a demonstration ended.
+    """Result of a demonstration.
 
     Attributes:
         summary: The figures.

@@ -1,4 +1,4 @@
-"""What a demonstration in virtual time is made of."""
+"""Parts of a demonstration in virtual time."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Story:
         self.play = Play(configuration, world)
 
     def scenes(self) -> Iterator[Scene]:
-        """What happens, in the order of time; the first is the beginning."""
+        """Return the scenes in the order of time; the first is the beginning."""
         raise NotImplementedError
 
     def watch(self) -> None:
@@ -68,15 +68,15 @@ class Story:
         raise NotImplementedError
 
     def ended(self) -> bool:
-        """Whether there is nothing more to see."""
+        """Return whether there is nothing more to see."""
         return self.play.drive.completed
 
     def summary(self) -> dict[str, Any]:
-        """What is worth knowing at the end, apart from what all demonstrations have."""
+        """Return the summary for the end, apart from the part that all demonstrations have."""
         raise NotImplementedError
 
     def problems(self) -> Iterator[str]:
-        """What went wrong."""
+        """Return the problems that occurred."""
         raise NotImplementedError
 
     def truth(self) -> dict[str, float]:

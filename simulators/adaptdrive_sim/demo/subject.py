@@ -1,4 +1,4 @@
-"""What the live view shows, apart from the plot that all loads have."""
+"""Contents of the live view, apart from the plot that all loads have."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from adaptdrive_sim.demo.settings import DRIVE
 
 
 class Places(msgspec.Struct, frozen=True):
-    """Where a demonstration took place.
+    """Files and addresses of a demonstration.
 
     Attributes:
         bus: The bus.

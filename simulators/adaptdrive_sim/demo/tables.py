@@ -1,4 +1,4 @@
-"""What the tables of the live view are made of."""
+"""Elements of the tables of the live view."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ _DIM = "bright_black"
 
 @dataclass(frozen=True, slots=True)
 class ViewContext:
-    """What the view says of where it is.
+    """Surroundings of the live view, as shown.
 
     Attributes:
         bus: The bus in use.

@@ -110,7 +110,7 @@ async def _pace(
 
 
 def _over(story: Story, teller: Teller, end_s: float, *, stay: bool) -> bool:
-    """What has ended stays on the screen until somebody ends the demonstration."""
+    """Keep the last view on the screen until the user ends the demonstration."""
     return teller.time_s >= end_s or (not stay and (story.ended() or _tripped(story)))
 
 

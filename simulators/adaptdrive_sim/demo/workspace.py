@@ -24,7 +24,7 @@ _HEAD = "# Written by `adaptdrive-sim demo`. The commented original is in deploy
 
 @dataclass(frozen=True, slots=True)
 class Workspace:
-    """Where a demonstration keeps its things.
+    """Folder with the files of a demonstration.
 
     Attributes:
         directory: The folder.
@@ -44,12 +44,12 @@ class Workspace:
 
     @property
     def sessions(self) -> Path:
-        """What the daemon records."""
+        """Folder of the daemon's sessions."""
         return self.directory / "sessions"
 
     @property
     def state(self) -> Path:
-        """What the daemon remembers of its operators."""
+        """Folder of the daemon's state."""
         return self.directory / "state"
 
     def log(self, name: str) -> Path:

@@ -28,7 +28,7 @@ from adaptdrive_sim.devices.frames import DriveMessages, quantities_of
 from adaptdrive_sim.devices.pacing import run_half_cycles
 
 _REOPEN_S = 0.1
-"""How often a drive that has lost its bus tries to open it."""
+"""Interval at which a drive that has lost its bus tries to open it."""
 
 
 class CanDrive:

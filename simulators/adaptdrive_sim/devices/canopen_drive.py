@@ -138,7 +138,7 @@ class CanOpenDrive:
 
     @property
     def _watched(self) -> tuple[int, float]:
-        """Whose heartbeat is watched, and the longest time between two of them; 0 for none."""
+        """Monitored node, and the longest time between two of its heartbeats; 0 for none."""
         entry = int(self._objects.number(_HEARD))
         return entry >> 16 & 0x7F, (entry & 0xFFFF) * 1e-3
 
@@ -198,7 +198,7 @@ class CanOpenDrive:
             self._drive.command(values["current_scale_S"], bridge, now_s)
 
     def _half_cycle(self, frame: Frame) -> None:
-        """What happens at each zero crossing of the line."""
+        """Carry out one zero crossing of the line."""
         for name, value in quantities_of(frame).items():
             if name in self._shown:
                 address, source = self._shown[name]
@@ -275,7 +275,7 @@ _Places = dict[str, tuple[Address, SignalSource]]
 def _addresses(
     configuration: Configuration, bus: CanOpenBus, source: Path
 ) -> tuple[_Places, _Places]:
-    """Where each quantity is shown, and where each part of the command is found."""
+    """Return the address of each quantity, and of each part of the command."""
     catalogue = ObjectCatalogue(load_dictionary(bus.eds, bus.node_id, source))
     find = functools.partial(_places, catalogue)
     shown = find(configuration.signals, (*MEASURED, *WORDS), "signals")

@@ -77,7 +77,7 @@ class Objects:
         self._node.data_store.clear()
 
     def has(self, address: Address) -> bool:
-        """Whether there is such an entry."""
+        """Return whether there is such an entry."""
         return self._variable(address) is not None
 
     def number(self, address: Address) -> float:

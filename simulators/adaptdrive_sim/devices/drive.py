@@ -1,4 +1,4 @@
-"""What the simulated drive does by itself, whatever bus it hangs on.
+"""Behaviour of the simulated drive that does not depend on its bus.
 
 Once per half cycle it steps the plant under the last valid command and measures. It protects
 itself and does not trust its host:
@@ -41,7 +41,7 @@ class Fault(IntFlag):
 
 
 class Frame(NamedTuple):
-    """What the drive says after one half cycle."""
+    """Status of the drive after one half cycle."""
 
     sample: Sample
     fault: int
@@ -92,7 +92,7 @@ class Drive:
 
     @property
     def holds_voltage(self) -> bool:
-        """Whether it takes V_c instead of a line-current scale."""
+        """True if the drive takes V_c instead of a line-current scale."""
         return self._holder is not None
 
     def command(self, current_scale_S: float, bridge: bool, now_s: float) -> None:

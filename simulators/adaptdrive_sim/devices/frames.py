@@ -1,4 +1,4 @@
-"""Which quantity of the simulated drive travels in which signal of which message.
+"""Mapping of the simulated drive's quantities to signals and messages.
 
 The drive reads the same configuration as the daemon, from the other side: what is measured there
 is sent here, and what is commanded there is obeyed here.
@@ -68,7 +68,7 @@ class SignalSink:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """What one frame of a message carries; a message that is not multiplexed has one page."""
+    """Contents of one frame of a message; a message that is not multiplexed has one page."""
 
     selectors: Mapping[str, float]
     sinks: tuple[SignalSink, ...]
@@ -89,7 +89,7 @@ class StatusMessage:
     every_ticks: int
 
     def number(self, tick: int) -> int:
-        """How many frames are due by the end of a half cycle."""
+        """Return the number of frames due by the end of a half cycle."""
         return tick // self.every_ticks
 
     def encode(self, number: int, quantities: Mapping[str, float]) -> bytes:

@@ -21,7 +21,7 @@ from adaptdrive_sim.devices.registers import Table, addresses, bounded, not_avai
 from adaptdrive_sim.devices.sensor_values import SensorFault, values_of
 
 _LOOK_S = 0.05
-"""How often modules look whether they are unplugged."""
+"""Interval at which modules check whether they are unplugged."""
 
 Config = ModbusTcpSensors | ModbusRtuSensors
 

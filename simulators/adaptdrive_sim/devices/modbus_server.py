@@ -22,7 +22,7 @@ _TABLES = {3: "holding", 4: "input", 6: "holding", 16: "holding", 22: "holding",
 
 
 class Registers(Protocol):
-    """What a device says to requests."""
+    """Replies of a device to requests."""
 
     def read(self) -> Mapping[str, Table]:
         """Both tables as they are now."""

@@ -22,7 +22,7 @@ class PowerState(IntEnum):
 
 
 class PowerStates:
-    """Where the drive is.
+    """State of the drive.
 
     Attributes:
         state: The present state.
@@ -34,7 +34,7 @@ class PowerStates:
 
     @property
     def charging(self) -> bool:
-        """Whether line current may flow."""
+        """True if line current may flow."""
         return self.state in {PowerState.SWITCHED_ON, PowerState.ENABLED}
 
     def obey(self, controlword: int, *, healthy: bool) -> None:

@@ -46,7 +46,7 @@ class RegisterImage:
             self.tables[table][address] = word
 
     def command(self, tables: Mapping[str, Table]) -> Command | None:
-        """What the daemon asks for; None when a register holds nonsense."""
+        """Return the command of the daemon; None when a register has an invalid value."""
         found: dict[str, float] = {"current_scale_S": 0.0, "boost_reference_V": 0.0}
         for name in COMMANDED:
             given = getattr(self._signals.command, name)

@@ -90,7 +90,7 @@ class Remote:
         return DeviceReply(id=request.id, accepted=True, reason="")
 
     def truth(self) -> Mapping[str, float | str]:
-        """What an estimator would like to know, and what surrounds it."""
+        """Return the true parameters for comparison with estimates, and the surroundings."""
         world = self._drive.world
         return {
             "time": datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z"),

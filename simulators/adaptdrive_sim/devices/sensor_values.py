@@ -1,4 +1,4 @@
-"""What sensors beside the drive can measure on the simulated plant, by name.
+"""Quantities that sensors on other buses can measure on the simulated plant, by name.
 
 The sensors read the same configuration as the daemon: what is called so there is shown so here.
 """
@@ -19,7 +19,7 @@ from adaptdrive_sim.world import World
 
 
 class SensorFault(IntEnum):
-    """What may be wrong with the sensors beside the drive."""
+    """Fault of the sensors on other buses."""
 
     NONE = 0
     OPEN = 1

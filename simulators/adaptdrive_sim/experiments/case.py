@@ -41,7 +41,7 @@ class Disturbance:
 
 
 def disturbance_of(noise: float, spikes: str) -> Disturbance:
-    """What a command line asks for.
+    """Return the disturbance that a command line requests.
 
     Args:
         noise: Standard deviation of every sample, as a fraction of the step.
@@ -79,5 +79,5 @@ class Case:
 
     @property
     def mode(self) -> Mode:
-        """What the operator asks for."""
+        """Controller that the operator selects."""
         return Mode.FIXED if self.variant == "fixed" else Mode.ADAPTIVE

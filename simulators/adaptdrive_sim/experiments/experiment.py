@@ -121,7 +121,7 @@ class Experiment:
         return [i * self.reference.period_s for i in range(count)]
 
     def until_next_change(self, change: LoadChange) -> float:
-        """When the load is changed again, or the experiment ends."""
+        """Return the time of the next change of the load, or of the end of the experiment."""
         later = [other.time_s for other in self.changes if other.time_s > change.time_s]
         return min(later, default=self.duration_s)
 

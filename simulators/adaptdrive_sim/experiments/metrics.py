@@ -1,4 +1,4 @@
-"""What an experiment is judged by, always from the output without noise at the slow instants."""
+"""Metrics of an experiment, always from the output without noise at the slow instants."""
 
 from __future__ import annotations
 

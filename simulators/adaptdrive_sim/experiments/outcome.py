@@ -1,4 +1,4 @@
-"""What came of an experiment: its runs, its metrics, and whether the paper's claims hold."""
+"""Result of an experiment: its runs, its metrics, and the verdicts on the paper's claims."""
 
 from __future__ import annotations
 

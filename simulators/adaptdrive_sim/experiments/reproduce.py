@@ -64,7 +64,7 @@ class RunError(AdaptdriveError):
 
 @dataclass(frozen=True, slots=True)
 class ReproduceRequest:
-    """What is to be reproduced.
+    """Experiment to reproduce, and its options.
 
     Attributes:
         experiment: The experiment.

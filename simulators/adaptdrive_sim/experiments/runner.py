@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 @dataclass(slots=True)
 class RunRecord:
-    """What happened: one entry for each slow period, taken at its first tick.
+    """Record of a run: one entry for each slow period, taken at its first tick.
 
     Attributes:
         time_s: Time since the start.
@@ -109,7 +109,7 @@ def _times_s(experiment: Experiment) -> list[float]:
 
 
 def _size_wanted(experiment: Experiment, time_s: float) -> float:
-    """Where the load is, or is on its way to."""
+    """Return the present or next size of the load."""
     sizes = [change.size for change in experiment.changes if change.time_s <= time_s]
     return sizes[-1] if sizes else 1.0
 

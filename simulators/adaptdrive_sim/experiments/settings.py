@@ -1,4 +1,4 @@
-"""What the controller of an experiment is told, in the paper's design and in the exact one."""
+"""Settings of the controller in an experiment, in the paper's design and in the exact one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How fast and how quietly the estimator follows, for other ρ and τ_λ than the paper's.
+"""Speed and noise of the estimator, for other ρ and τ_λ than the paper's.
 
 Nothing is simulated again: the estimators listen to one recorded run under the fixed controller,
 once without noise, for the speed, and several times with it, for what the noise does to them. The
@@ -44,7 +44,7 @@ Method = Literal["lm-rls", "rls"]
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """What the estimators listen to.
+    """Input of the estimators.
 
     Attributes:
         case: The run; its settings are the estimator's but for ρ and τ_λ.
@@ -70,7 +70,7 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class SweepPoint:
-    """What became of one setting of the estimator.
+    """Result of one setting of the estimator.
 
     Attributes:
         setting: The setting.
@@ -117,7 +117,7 @@ def try_settings(heard: Heard, settings: list[Setting]) -> list[SweepPoint]:
 
 
 def settling_time_s(load: Load, tick_s: float) -> float:
-    """When the step response of a load has come to within 2 % of its end for good."""
+    """Return the time after which the step response of a load stays within 2 % of its end."""
     a, b = held_model(list(load.numerator), list(load.denominator), tick_s, 0.0, 0.0)
     lags_s = load.denominator[load.order - 1] / load.denominator[load.order]
     outputs = [0.0] * (load.order + 1)

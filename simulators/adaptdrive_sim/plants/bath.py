@@ -146,7 +146,7 @@ class Bath:
         self.output = rest + (self.output - rest) * decay
 
     def _steady_decay(self, duration_s: float) -> float:
-        """What is left of a temperature excess after a time at constant volume."""
+        """Return the remaining fraction of a temperature excess after a time at constant volume."""
         return math.exp(-duration_s * self._inflow_W_per_K / (self._mass_kg * HEAT_J_per_kgK))
 
     def _fill_step(self, duration_s: float) -> float:

@@ -161,7 +161,7 @@ class Boost:
         return last, (sqrt(x) + 4.0 * sqrt(middle) + v) / 6.0
 
     def _rectified(self, first: float, floor: float, duration_s: float) -> float:
-        """Where the diodes keep x: at the line's peak, or on the way there from below."""
+        """Return the x that the diodes enforce: the line's peak, or the way there from below."""
         if first >= floor:
             return floor
         return floor - (floor - first) * math.exp(-duration_s / self.parameters.precharge_s)

@@ -32,7 +32,7 @@ class Coupling:
         self.droop_Ohm = parameters.droop_Ohm
 
     def draw(self, emf_V: float, resistance_Ohm: float) -> tuple[float, float]:
-        """How a load looks from the boost capacitor.
+        """Return the load as seen from the boost capacitor.
 
         Returns:
             Conductance G in siemens and offset current H in ampere: i_boost(v) = G·v − H.

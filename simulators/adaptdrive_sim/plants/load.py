@@ -50,4 +50,4 @@ class SimulatedLoad(Protocol):
         """
 
     def state(self) -> dict[str, float]:
-        """What goes on inside, by name with unit."""
+        """Return the internal state, by name with unit."""

@@ -193,7 +193,7 @@ class Motor:
 
 @dataclass(slots=True)
 class _Step:
-    """What one step of given length does to shaft and filter.
+    """Effect of one step of given length on shaft and filter.
 
     Attributes:
         duration_s: Length of the step; NaN before it is known.

@@ -39,7 +39,7 @@ _CAUSES = {
 
 @dataclass(frozen=True, slots=True)
 class _Mark:
-    """What a port had counted at a time, by name."""
+    """Counts of a port at a time, by name."""
 
     time_s: float
     counts: Mapping[str, int]
@@ -65,7 +65,7 @@ class RefusedShares:
 
     @property
     def cause(self) -> str | None:
-        """Why the drive must not be energised, None for no reason."""
+        """Reason not to energise the drive, None for no reason."""
         causes = (port.cause for port in self._ports.values())
         return next((cause for cause in causes if cause is not None), None)
 
