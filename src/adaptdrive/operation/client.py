@@ -108,6 +108,27 @@ async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> DriveStatus
     return status
 
 
+async def telemetry(broker: Mqtt, drive: str) -> AsyncIterator[tuple[str, dict[str, Any]]]:
+    """Yield telemetry as it is published: `load` or `drive`, and the message.
+
+    Args:
+        broker: Where the broker is.
+        drive: Name of the drive.
+
+    Raises:
+        NoAnswerError: The broker cannot be reached, or closed the connection.
+    """
+    topics, status = Topics(drive), DriveStatus()
+    async with _conversation(broker, drive) as client:
+        await client.subscribe(topics.load_telemetry)
+        await client.subscribe(topics.drive_telemetry)
+        async for message in client.messages:
+            status.telemetry.clear()
+            _note(message.topic.value, bytes(message.payload), topics, status)
+            for name, content in status.telemetry.items():
+                yield name, content
+
+
 def _complete(status: DriveStatus) -> bool:
     return status.state is not None and status.availability is not None
 

@@ -1,0 +1,129 @@
+"""The Python interface: recorded sessions as tables, and running drives over MQTT.
+
+`docs/python.md` shows it at work. `load_session` needs the extra `adaptdrive[analysis]`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from adaptdrive.config.services import Mqtt
+from adaptdrive.errors import RefusedError
+from adaptdrive.operation.client import read_status, send_command, telemetry
+from adaptdrive.operation.messages import Reply
+from adaptdrive.recording.session import SessionInfo
+
+
+@dataclass(frozen=True, slots=True)
+class Tables:
+    """A recorded session as tables.
+
+    Attributes:
+        info: What `session.json` says.
+        ticks: Fast ticks.
+        slow: Slow steps; a column for each estimate, its deviation (`…_std`) and each gain.
+        sensors: Values of the sensor buses.
+        events: Events.
+        commands: Operator commands.
+        units: Unit of each column that has one, by name.
+    """
+
+    info: SessionInfo
+    ticks: Any
+    slow: Any
+    sensors: Any
+    events: Any
+    commands: Any
+    units: dict[str, str]
+
+
+def load_session(path: str | Path, frames: Literal["polars", "pandas"] = "polars") -> Tables:
+    """Load a recorded session, or the record of a trip, into memory.
+
+    Args:
+        path: Its folder.
+        frames: Library of the tables.
+
+    Raises:
+        AdaptdriveError: There is no session, or it is damaged.
+        ModuleNotFoundError: The library is not installed.
+    """
+    from adaptdrive.analysis.frames import session_frames  # noqa: PLC0415 - `Drive` needs none
+
+    return Tables(**session_frames(Path(path), frames))
+
+
+class Drive:
+    """A running drive, commanded over MQTT.
+
+    Each command waits for the reply of the drive and raises `RefusedError` when it is refused,
+    `NoAnswerError` when there is none.
+    """
+
+    def __init__(self, name: str, broker: Mqtt | None = None, timeout_s: float = 5.0) -> None:
+        """Name a drive; nothing is connected yet.
+
+        Args:
+            name: Name of the drive.
+            broker: The broker; port 1883 of this machine when None.
+            timeout_s: Longest wait for a reply.
+        """
+        self._name = name
+        self._broker = broker or Mqtt()
+        self._timeout_s = timeout_s
+
+    async def state(self) -> dict[str, Any]:
+        """Return the state, as on the topic `state`."""
+        return (await read_status(self._broker, self._name, self._timeout_s)).state or {}
+
+    def telemetry(self) -> AsyncIterator[tuple[str, dict[str, Any]]]:
+        """Yield `load` and `drive` telemetry as it is published, until the caller stops."""
+        return telemetry(self._broker, self._name)
+
+    async def set_setpoint(self, value: float) -> Reply:
+        """Hold a constant set-point, in the unit of the output."""
+        return await self.command("setpoint", value)
+
+    async def set_mode(self, mode: Literal["fixed", "adaptive"]) -> Reply:
+        """Choose the controller."""
+        return await self.command("mode", mode)
+
+    async def set_pole(self, pole: float) -> Reply:
+        """Choose the closed-loop pole of the load loop."""
+        return await self.command("pole", pole)
+
+    async def set_waveform(self, shape: str, low: float, high: float, period_s: float) -> Reply:
+        """Follow a periodic set-point."""
+        value = {"shape": shape, "low": low, "high": high, "period_s": period_s}
+        return await self.command("waveform", value)
+
+    async def enable(self) -> Reply:
+        """Energise the drive and hold the present output."""
+        return await self.command("enable")
+
+    async def disable(self) -> Reply:
+        """Bring the drive into its safe state."""
+        return await self.command("disable")
+
+    async def reset(self) -> Reply:
+        """Leave a trip whose cause is gone."""
+        return await self.command("reset")
+
+    async def command(self, verb: str, value: object = None) -> Reply:
+        """Send any command.
+
+        Args:
+            verb: Last part of its topic.
+            value: Its value, None for a verb without one.
+
+        Raises:
+            RefusedError: The drive refused it.
+            NoAnswerError: No reply in time, or no broker.
+        """
+        reply = await send_command(self._broker, self._name, verb, value, self._timeout_s)
+        if not reply.accepted:
+            raise RefusedError(reply.reason)
+        return reply

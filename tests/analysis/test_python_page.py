@@ -1,0 +1,63 @@
+"""The examples of docs/python.md, run in their order."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from adaptdrive.config.services import Mqtt
+from adaptdrive.errors import RefusedError
+from adaptdrive.lab import Drive, load_session
+from adaptdrive.recording.reader import read_session
+from tests.operation.peers import load_report, serving
+from tests.support import Broker
+
+PAGE = Path(__file__).parents[2] / "docs" / "python.md"
+
+
+def examples() -> list[str]:
+    return re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def test_the_examples_on_sessions_run(
+    session_path: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "session").symlink_to(session_path)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    for code in examples()[:2]:
+        exec(code, names)
+    said = capsys.readouterr().out
+    assert "motor orderly" in said
+    assert re.search(r"gain 0\.01\d+ ± .*adaptive", said)
+
+
+async def test_the_example_on_a_running_drive_runs(mosquitto: Broker, tmp_path: Path) -> None:
+    names: dict[str, Any] = {}
+    exec(examples()[2], names)
+    broker = Mqtt(host=mosquitto.host, port=mosquitto.port)
+    async with serving(mosquitto, "motor", tmp_path) as bench, asyncio.TaskGroup() as group:
+        stepping = group.create_task(names["step"](broker))
+        while not stepping.done():
+            bench.hub.publish(load_report(7))
+            await asyncio.sleep(0.05)
+        assert isinstance(stepping.result(), float)
+        with pytest.raises(RefusedError, match="outside"):
+            await Drive("motor", broker).set_setpoint(9.0)
+
+
+def test_pandas_holds_the_same(session_path: Path) -> None:
+    tables = load_session(session_path, "pandas")
+    assert isinstance(tables.ticks, pd.DataFrame)
+    recorded = read_session(session_path).ticks["output"].to_pylist()
+    assert tables.ticks["output"].tolist() == recorded
+    assert tables.units["output"] == "V"
+    assert tables.events["detail"].tolist() == ["stale: 54 ms"]
