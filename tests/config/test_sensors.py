@@ -97,7 +97,7 @@ def test_a_quantity_that_two_give_is_a_flaw_that_names_both() -> None:
             "sensor_bus.0.signals.hot.unit",
             "",
         ),
-        ('["hot", "cold"]', '["hot", "tepid"]', "derived.output.of", "nobody gives 'tepid'"),
+        ('["hot", "cold"]', '["hot", "tepid"]', "derived.output.of", "no source gives 'tepid'"),
         ('["hot", "cold"]', '["hot"]', "derived.output.of", "takes two values, not 1"),
         ('["hot", "cold"]', '["hot", "output"]', "derived.output.of", "made of itself"),
         ('"difference"', '"eval"', "derived.output.rule", "'eval'"),

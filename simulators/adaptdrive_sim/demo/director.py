@@ -31,8 +31,8 @@ _ANSWER_s = 5.0
 class Director:
     """Plays one demonstration until cancelled.
 
-    Whoever operates the drive from elsewhere is left alone: once the mode or the wave is not what
-    the director asked for, that part of the play is over.
+    Commands of other clients take precedence: once the mode or the wave is not the director's, it
+    commands no more.
 
     Attributes:
         started: Set when the drive is under control.
@@ -75,7 +75,9 @@ class Director:
         record = self._record
         record.caption = "Daemon and simulated drive are starting."
         await _until_late(lambda: record.online, START_s, "the daemon did not come online")
-        await _until_late(lambda: record.drive_seen, START_s, "the daemon did not hear the drive")
+        await _until_late(
+            lambda: record.drive_seen, START_s, "the daemon received no frame of the drive"
+        )
         record.caption = "The drive is enabled and precharges its boost capacitor."
         await self._order("enable", None)
         await _until_late(lambda: record.running, RUNNING_s, "the drive did not reach running")
@@ -129,7 +131,7 @@ class Director:
         """Do what an act says, as far as nobody else has taken the drive over."""
         state = self._record.state
         if state is None or not self._record.running or state.waveform != self._wave:
-            self._record.caption = "Somebody else is operating the drive: the play is over."
+            self._record.caption = "Another client operates the drive: the demonstration has ended."
             return
         with suppress(NoAnswerError):
             await self._set_disks(act.disks)

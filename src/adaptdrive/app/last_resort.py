@@ -1,4 +1,4 @@
-"""No error is left to a log line: one that nobody catches ends the daemon, with the drive safe."""
+"""Handlers of uncaught errors: each one ends the daemon with the drive in its safe state."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def leads_to_journal(stream: TextIO, environment: Mapping[str, str]) -> bool:
 
 
 def loss_line(lost: int) -> str:
-    """The line that says how many lines before it were lost, as nobody read them."""
+    """Return the line with the number of lines discarded before it, as the reader had stopped."""
     entry = {
         "lost": lost,
         "event": "log lines lost: the reader of this log had stopped reading",

@@ -41,7 +41,7 @@ class QueuedStream(io.TextIOBase):
 
         Args:
             target: Stream on the file; it is not used itself.
-            loss_line: Makes the line that tells of lost ones.
+            loss_line: Makes the line that reports lost lines.
             start_thread: What the thread does first.
         """
         super().__init__()
@@ -117,7 +117,7 @@ class QueuedStream(io.TextIOBase):
         while rest:
             try:
                 rest = rest[os.write(self._file, rest) :]
-            except BlockingIOError:  # whoever shares the file has asked it not to block
+            except BlockingIOError:  # another process with this file has made it non-blocking
                 _await_room(self._file)
             except OSError:
                 return False
@@ -140,7 +140,7 @@ def unblocked_output(
     what is printed after the block must not hang either.
 
     Args:
-        loss_line: Makes the line that tells of lost ones.
+        loss_line: Makes the line that reports lost lines.
         start_thread: What a thread does first.
     """
     plain = sys.stdout, sys.stderr

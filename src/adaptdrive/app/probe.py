@@ -59,7 +59,7 @@ def probe(path: Path, *, safe_command: bool) -> int:
         safe_command: Whether to send the safe command, and print what the drive answers.
 
     Raises:
-        AdaptdriveError: The configuration or the bus cannot be used, or somebody else commands the
+        AdaptdriveError: The configuration or the bus cannot be used, or another sender commands the
             drive that the safe command is for.
     """
     configuration = load_examined(path)

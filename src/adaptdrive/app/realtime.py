@@ -1,4 +1,4 @@
-"""`[realtime]` at start: rehearse, ask the kernel, and tell what came of it."""
+"""`[realtime]` at start: rehearse, request the settings, and report the kernel's answers."""
 
 from __future__ import annotations
 

@@ -131,7 +131,7 @@ async def _serve(
             await _end(keeping)
             if kept:
                 await keeper.save()
-            # each may report until it ends: broker and log hear the recorder's last words
+            # each may report until it ends: broker and log receive the recorder's last reports
             await _end(recording, broker, log, lock)
     logger.info("stopped", drive=configuration.drive.name)
     return recorder is None or recorder.complete

@@ -1,4 +1,4 @@
-"""From the configuration to what controller and runtime are told."""
+"""Settings of controller and runtime, made from the configuration."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _charging(battery: BatterySection) -> Charging:
 
 
 def controller_settings(configuration: Configuration) -> ControllerSettings:
-    """Everything that the controller is told."""
+    """Return all settings of the controller."""
     load = configuration.load
     exact = load.design == "exact"
     return ControllerSettings(
@@ -94,7 +94,7 @@ def controller_settings(configuration: Configuration) -> ControllerSettings:
 
 
 def daemon_settings(configuration: Configuration) -> DaemonSettings:
-    """Everything that the runtime is told."""
+    """Return all settings of the runtime."""
     return DaemonSettings(
         machine=_machine_limits(configuration),
         pole=configuration.load.pole,

@@ -33,7 +33,7 @@ def read_regular(path: Path) -> bytes:
         FileNotFoundError: There is nothing.
         OSError: It cannot be read, or is no regular file of a sensible size.
     """
-    # without O_NONBLOCK a FIFO is opened only when somebody writes to it
+    # without O_NONBLOCK the open of a FIFO waits for a writer
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
     try:
         found = os.fstat(descriptor)

@@ -24,7 +24,7 @@ _READINGS_TO_RUN = 4
 
 
 class _Nobody:
-    """Surroundings that only keep the time, which runs as fast as it is told to."""
+    """Surroundings with a simulated clock and no other function."""
 
     def __init__(self) -> None:
         self.time_s = 0.0

@@ -17,7 +17,7 @@ INTERRUPTED = 130
 
 _COMMANDS = {
     "init": ("start", "Write a first configuration for a load and a bus."),
-    "run": ("daemon", "Run the daemon for one drive until it is told to stop."),
+    "run": ("daemon", "Run the daemon for one drive until a signal stops it."),
     "check": ("configuration", "Validate a configuration; list every error with its place."),
     "schema": ("configuration", "Print the JSON Schema of the configuration, for editors."),
     "probe": ("daemon", "Show decoded measurements from the bus; command nothing."),

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 
 def run(config: Path, /) -> int:
-    """Run the daemon for one drive until it is told to stop.
+    """Run the daemon for one drive until a signal stops it.
 
     Args:
         config: Configuration file.

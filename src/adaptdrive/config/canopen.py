@@ -65,7 +65,7 @@ def canopen_flaws(bus: CanOpenBus, signals: Signals) -> Iterator[Flaw]:
             "bus.heartbeat_timeout_s", f"{bus.heartbeat_timeout_s} must be at least {lowest}"
         )
     if signals.bridge is not None:
-        yield Flaw("signals.bridge", "the statusword 0x6041 tells it: leave it out")
+        yield Flaw("signals.bridge", "the statusword 0x6041 contains it: leave it out")
     if signals.command.bridge is not None:
         yield Flaw("signals.command.bridge", "the controlword 0x6040 carries it: leave it out")
     if signals.command.constants:

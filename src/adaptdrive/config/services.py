@@ -97,8 +97,8 @@ class InterlocksSection(Section):
         default=0.5,
         gt=0.0,
         le=5.0,
-        description="trip when the drive has not said for so long after a stop that its bridge is "
-        "off; four readings at least, for a drive that is read seldom",
+        description="trip when the drive has not reported its bridge off within this time after a "
+        "stop; at least four readings",
     )
     refused_share: float = Field(
         default=0.0,
@@ -106,7 +106,7 @@ class InterlocksSection(Section):
         le=1.0,
         description="trip when this share of the frames of the drive or of a sensor bus was "
         "refused over 5 s (checksum, length, counter, range; Modbus: exceptions, time-outs); "
-        "0: never; an event tells of a tenth and more in any case",
+        "0: never; an event reports a share of a tenth and more in any case",
     )
 
     @field_validator("response_factor")

@@ -46,7 +46,7 @@ def supply_flaws(
         yield from rule_flaws(name, one)
         for part in one.of:
             if part not in givers:
-                yield Flaw(f"derived.{name}.of", f"nobody gives {part!r}")
+                yield Flaw(f"derived.{name}.of", f"no source gives {part!r}")
     yield from cycle_flaws(derived)
     yield from _name_flaws(buses)
     yield from _line_flaws(bus, buses)

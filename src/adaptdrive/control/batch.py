@@ -2,7 +2,7 @@
 
 The textbook solution θ = (ΦᵀΦ)⁻¹ Φᵀy squares the condition number of Φ: at 1e8 nothing is left of
 it in double precision. Here Φ is factored instead, Φ = Q R by Householder's reflections with its
-columns brought to one length first, and R = U Σ Vᵀ tells what the data do not determine.
+columns brought to one length first, and R = U Σ Vᵀ shows what the data do not determine.
 
 `identify` is the batch form of the λ-method: the same filters and the same transform as on line,
 for a record of any order, with the direct term and the constant that the load may need. A record

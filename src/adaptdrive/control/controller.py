@@ -72,7 +72,7 @@ class Controller:
             order: What is asked for.
 
         Returns:
-            What the drive is to be told.
+            Command to the drive.
         """
         if order.stage is not self._stage:
             self._enter(order.stage, measurement)

@@ -147,7 +147,7 @@ class Port(Protocol):
         """Return the messages of the bus that were not used, as lines of text."""
 
     async def reset_fault(self) -> None:
-        """Have the drive leave a fault that it keeps until told; ends in bounded time.
+        """Reset a latched fault of the drive; ends in bounded time.
 
         Called when the operator resets, and at no other time.
         """

@@ -81,7 +81,7 @@ class SensoredPort:
         """Serve the drive and the sensors until cancelled; the sensors end first.
 
         Args:
-            listener: Who is told what the ports hear.
+            listener: Receiver of readings and of the states of the buses.
             opened: Called once, when the drive's bus is open.
 
         Raises:
@@ -116,7 +116,7 @@ class SensoredPort:
         return self._drive.details()
 
     async def reset_fault(self) -> None:
-        """Have the drive leave a fault that it keeps until told."""
+        """Reset a latched fault of the drive."""
         await self._drive.reset_fault()
 
     def on_reading(self, reading: Reading) -> None:

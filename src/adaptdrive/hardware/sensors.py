@@ -46,7 +46,7 @@ class SensorBus:
         port: Where its values come from.
         stale_s: Oldest usable value.
         needed: Names of those values without which the drive must not be energised.
-        tell: Told when the bus is lost or back.
+        tell: Called when the bus is lost or open again.
         values: Latest values by name.
         taken_s: When each was measured, at the earliest; monotonic.
         up: Whether the bus answers.
@@ -69,7 +69,7 @@ class SensorBus:
         self.taken_s.update(dict.fromkeys(values, taken_s))
 
     def on_bus(self, up: bool, detail: str) -> None:
-        """Keep the state, and tell of it."""
+        """Store the state, and report it."""
         self.up, self.detail = up, detail
         self.tell(up, f"sensor bus {self.name}: {detail}")
 

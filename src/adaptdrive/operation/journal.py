@@ -1,4 +1,4 @@
-"""A small SQLite file that is written by a thread of its own, so that a slow disk delays nobody.
+"""A small SQLite file, written by a separate thread, so that a slow disk delays no command.
 
 What is kept here is also held in memory by its owner: the file serves restarts. Statements that are
 posted while the file cannot be used are discarded; when it can be used again, its owners write all

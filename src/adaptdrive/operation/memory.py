@@ -1,4 +1,4 @@
-"""Memory of the replies given, so that a repeated command acts once and hears the same."""
+"""Memory of the replies, so that a repeated command acts once and gets the same reply."""
 
 from __future__ import annotations
 

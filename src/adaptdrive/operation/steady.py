@@ -121,7 +121,7 @@ class SteadyClient(Client):
         def write() -> None:
             try:
                 client.loop_write()
-            except Exception as problem:  # noqa: BLE001 - handed on to whoever awaits the client
+            except Exception as problem:  # noqa: BLE001 - passed to the task that awaits the client
                 if not self._disconnected.done():
                     self._disconnected.set_exception(problem)
 

@@ -24,7 +24,7 @@ _UNTIDY = {Ending.CUT, Ending.LOST}
 
 
 def repair(sessions: Path, current: Path, ending: Callable[[], bool]) -> Iterator[str]:
-    """Close the sessions that nobody writes any more.
+    """Close the sessions whose recorder has died.
 
     Args:
         sessions: Folder of all sessions.

@@ -101,7 +101,7 @@ class PatientWriter:
         return self._writer
 
     def _give_up(self, problem: Exception, waited_s: float) -> None:
-        """Leave the files as they are; end when nobody is left to wait for."""
+        """Leave the files as they are; end when the control process has ended."""
         if self._writer is not None:
             self._writer.abandon()
             self._writer = None

@@ -26,7 +26,7 @@ class FrameWatch:
 
         Args:
             loop: Event loop of the port.
-            look: Hands on what has arrived; whoever gets the frame calls `expect` again.
+            look: Passes arrived frames on; the receiver of a frame calls `expect` again.
             spin_s: How long before a frame is due the wait begins, and after it ends.
             clock: Monotonic clock in seconds.
         """

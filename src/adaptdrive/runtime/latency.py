@@ -78,7 +78,7 @@ class LatencyDetector:
 
         Args:
             late_us: Lateness from which a tick is reported.
-            tell: Takes one sentence.
+            tell: Receives the report as one sentence.
             clock: Monotonic clock in seconds, the one that lateness is measured with.
             ring: The loop's memory; without one only garbage collections are named.
         """
@@ -134,7 +134,7 @@ class LatencyDetector:
         if sum(times.values()) >= _SHARE_WORTH_NAMING * (began_s - due_s):
             return named
         if not self._watching:
-            return "this event loop does not tell what ran"
+            return "this event loop does not record its callbacks"
         if self._ring and self._ring[0][0] > due_s:
             return f"more callbacks than are remembered, the last of them {named}"
         return "nothing of the daemon ran; another process had the CPU, or the frame was late"

@@ -86,7 +86,7 @@ def helper_thread(priority: int | None) -> Callable[[], None]:
 
     def start() -> None:
         if priority is not None:
-            with suppress(PermissionError):  # what it means has been told for the ticks
+            with suppress(PermissionError):  # the refusal was reported for the ticks
                 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(max(1, priority - 1)))
 
     return start

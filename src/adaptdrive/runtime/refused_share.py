@@ -137,7 +137,7 @@ class RefusedShare:
 def _judged(before: Mapping[str, int], after: Mapping[str, int]) -> int:
     """Return the frames since that were meant for this port; for one that polls, its requests.
 
-    A port that hears nothing at all has nothing to refuse: its values grow old.
+    A port that receives nothing refuses nothing: its values age.
     """
     grown = {name: after[name] - before[name] for name in after}
     asked = grown["exceptions"] + grown["timeouts"]

@@ -1,7 +1,7 @@
 """A measured output that stands still while it cannot.
 
 A sensor may freeze while its messages go on with live counters. An honest value may stand still
-too: at rest, where its last digit is coarse. What tells them apart is the input. From the moment at
+too: at rest, where its last digit is coarse. The input distinguishes them. From the moment at
 which the output came to stand, the model of the load predicts how far the *change* of the input
 since then must have moved it:
 

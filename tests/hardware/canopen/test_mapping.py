@@ -63,7 +63,7 @@ def test_a_counter_wraps_where_its_type_does() -> None:
             "signals.command.boost_reference_V",
             "does not take",
         ),
-        ({"signals/bridge": "0x6041"}, "signals.bridge", "the statusword 0x6041 tells it"),
+        ({"signals/bridge": "0x6041"}, "signals.bridge", "the statusword 0x6041 contains it"),
         ({"signals/command/bridge": "0x6040"}, "signals.command.bridge", "the controlword 0x6040"),
         ({"signals/counter": "0x2000.2"}, "signals.counter", "makes the daemon the clock"),
         (
@@ -103,9 +103,9 @@ def test_all_flaws_are_told_at_once() -> None:
 @pytest.mark.parametrize(
     ("index", "consequence"),
     [
-        ("1016", "0x1016.1: it could not watch the daemon"),
-        ("1017", "0x1017: it could not be watched"),
-        ("1005", "0x1005: it could not be told when to measure"),
+        ("1016", "0x1016.1: it could not monitor the daemon's heartbeat"),
+        ("1017", "0x1017: its heartbeat could not be monitored"),
+        ("1005", "0x1005: its measurements could not be synchronised"),
         ("6040", "0x6040: it is no CiA 402 drive"),
         ("6041", "0x6041: it is no CiA 402 drive"),
     ],

@@ -43,9 +43,9 @@ ABORT_OPTION = (0x6007, 0)
 _OPTIONAL = (SYNC_PERIOD, ABORT_OPTION)
 _CHANNELS = 4
 _NEEDED = {
-    SYNC_ID: "it could not be told when to measure",
-    HEARTBEATS_HEARD: "it could not watch the daemon, and make itself safe when that dies",
-    HEARTBEAT_SENT: "it could not be watched",
+    SYNC_ID: "its measurements could not be synchronised",
+    HEARTBEATS_HEARD: "it could not monitor the daemon's heartbeat",
+    HEARTBEAT_SENT: "its heartbeat could not be monitored",
     CONTROLWORD: "it is no CiA 402 drive",
     STATUSWORD: "it is no CiA 402 drive",
 }

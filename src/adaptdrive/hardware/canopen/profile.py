@@ -5,7 +5,7 @@ A drive is brought up one transition at a time, each only once its statusword sh
     switch on disabled → ready to switch on → switched on → operation enabled
 
 It is energised from rest only. One that falls back by itself, into a fault, a quick stop or a lower
-state, is told to disable its voltage and is not brought up again before it has been commanded safe.
+state, is commanded to disable its voltage and is not brought up again before a safe command.
 A fault is reset by an edge of bit 7, and only when that is asked for.
 """
 

@@ -83,7 +83,7 @@ class Server:
         """The bytes of an entry.
 
         Raises:
-            BusError: The drive does not tell.
+            BusError: The drive refuses to be read.
         """
         try:
             return self._client.upload(*address)
@@ -98,7 +98,7 @@ class Server:
         """The raw value of an entry.
 
         Raises:
-            BusError: The drive does not tell, or it is of another length.
+            BusError: The drive refuses the read, or the length differs.
         """
         try:
             return entry.decode(self.read(entry.address))
@@ -156,4 +156,4 @@ async def in_thread(bus: CanOpenBus, link: SdoLink, work: Callable[[Server], T])
         link.close()
         await asyncio.wait([future])
         if not future.cancelled():
-            future.exception()  # it has been raised above, or nobody wants it any more
+            future.exception()  # it was raised above, or is not needed any more

@@ -54,7 +54,7 @@ def build_can_port(  # noqa: PLR0913 - what the configuration says, and both clo
         clock: Monotonic clock, in seconds.
         wall_clock: The clock with which the bus stamps frames, in seconds.
         source: The configuration, for error messages.
-        hears_all: Whether to hear, and remember, frames of ids that nothing is taken from, too.
+        hears_all: Whether to receive and record frames with unused ids, too.
         demands: What the limits of the configuration ask of the signals.
 
     Raises:
@@ -139,7 +139,7 @@ class CanPort:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
 
         Args:
-            listener: Who is told what the port hears.
+            listener: Receiver of readings and of the state of the bus.
             opened: Called once, when the bus is open.
 
         Raises:
@@ -159,7 +159,7 @@ class CanPort:
         """Send one command now.
 
         Args:
-            command: What the drive is told; it must have passed the guard.
+            command: Command to the drive; it must have passed the guard.
 
         Returns:
             Whether the bus took it; False is counted, and nothing is sent again.
@@ -186,7 +186,7 @@ class CanPort:
             self._reader.drain()
 
     def rehearse(self) -> None:
-        """Take frames that are made up; nobody is told what they say."""
+        """Decode synthetic frames, without a report to the listener."""
         for status in self._mapping.statuses:
             status.codec.reset()
         for received in self._made_up:
@@ -298,7 +298,7 @@ class CanPort:
             output=values.get("output", math.nan),
             fault=faults.word,
             fault_name=faults.name if faults.word else "",
-            # a drive that does not say is taken to do what it was told last
+            # a drive without a bridge signal is assumed to follow the last command
             bridge=self._bridge_sent if bridge is None else bridge == self._mapping.bridge_on,
             bridge_s=self._heard_s("bridge"),
             other={name: values[key] for key, name in self._others.items()},

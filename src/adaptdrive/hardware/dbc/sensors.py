@@ -123,7 +123,7 @@ class CanSensorPort:
         """Hear the bus until cancelled; one that is lost or not there is opened again.
 
         Args:
-            listener: Who is told what comes.
+            listener: Receiver of values and of the state of the bus.
         """
         self._listener = listener
         async with asyncio.TaskGroup() as tasks:
@@ -163,7 +163,7 @@ class CanSensorPort:
             await asyncio.sleep(backoff.next_s())
 
     async def _try(self) -> str:
-        """Open the bus and hear it until it is lost; why it was."""
+        """Open the bus and read it until it is lost; return the reason."""
         self._arrivals.begin_drain()
         self._arrivals.end_drain()
         try:

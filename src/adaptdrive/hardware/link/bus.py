@@ -46,11 +46,11 @@ def channel_flaws(config: CanLink, bus: str = "bus") -> list[Flaw]:
 
 
 def open_bus(config: CanLink, listen: Iterable[int] = ()) -> can.BusABC:
-    """Open a bus; whoever opens it calls its `shutdown()`.
+    """Open a bus; the caller must call its `shutdown()`.
 
     Args:
         config: Which bus.
-        listen: Frame ids to hear, everything when empty. A kernel interface then keeps other
+        listen: Frame ids to receive, all when empty. A kernel interface then keeps other
             frames away from the process; other buses ignore it.
 
     Raises:

@@ -41,7 +41,7 @@ class Decoded(NamedTuple):
         verdict: `GOOD`, or the first check that the frame failed.
         values: Physical values by signal, in the units of the DBC; empty unless `GOOD`. A
             multiplexed frame gives those that it carries.
-        lost: Frames that went missing before this one, as far as the alive counter tells.
+        lost: Frames that went missing before this one, as far as the alive counter shows.
     """
 
     verdict: FrameVerdict

@@ -21,7 +21,7 @@ from can.interfaces.udp_multicast import UdpMulticastBus
 from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
 _IP_MULTICAST_ALL = 49
-"""Linux: whether a socket hears groups that other sockets of the machine have joined."""
+"""Linux: whether a socket receives groups that other sockets of the machine have joined."""
 
 _LARGEST = 4096
 _TIMESPEC = struct.Struct("@ll")

@@ -24,7 +24,7 @@ def describe_bus(config: ModbusLink) -> str:
 
 
 async def open_client(config: TcpLink | RtuLink, trace: Trace) -> Client:
-    """Connect; whoever opens a client closes it.
+    """Connect; the caller must close the client.
 
     Args:
         config: Which link.
@@ -83,7 +83,7 @@ def _medium(config: ModbusLink) -> str:
 
 def _why_not(config: TcpLink | RtuLink) -> str:
     if isinstance(config, TcpLink):
-        return "no connection: refused, or nobody answers"
+        return "no connection: refused, or no reply"
     if not config.device.exists():
         return "there is no such serial port"
-    return "the serial port cannot be opened: no permission, or somebody else has it"
+    return "the serial port cannot be opened: no permission, or another process uses it"

@@ -1,4 +1,4 @@
-"""The port of a drive on Modbus: it is polled on an absolute grid, and told the newest command.
+"""Port of a drive on Modbus: polls it on an absolute grid, and writes the newest command.
 
 A poll that gives every value makes one reading, as old as the first of its requests; one that does
 not gives none, so that the values in use grow old until they trip the drive. A command waits for
@@ -143,7 +143,7 @@ class ModbusPort:
         A drive on TCP that is not there yet is waited for, like one that is switched off.
 
         Args:
-            listener: Who is told what the port hears.
+            listener: Receiver of readings and of the state of the bus.
             opened: Called once, when the port is ready.
 
         Raises:
@@ -166,7 +166,7 @@ class ModbusPort:
         """Give the drive a command with the next exchange; a later one takes its place.
 
         Args:
-            command: What the drive is told; it must have passed the guard.
+            command: Command to the drive; it must have passed the guard.
 
         Returns:
             Whether there is a link to send it on; False is counted.
@@ -290,7 +290,7 @@ class ModbusPort:
             await self._write(link)
 
     async def _poll_once(self, link: ModbusConnection) -> None:
-        """Read everything, hand it out, and tell the drive what comes of it."""
+        """Read all registers, pass the reading on, and write the resulting command."""
         start_s = self._clock()
         try:
             values = await self._read(link)
@@ -410,7 +410,7 @@ class ModbusPort:
         )
 
     def _doubt(self, command: Command) -> None:
-        """From the first byte to the reply nobody knows what the drive was told."""
+        """Mark the drive's command as unknown, from the first byte sent until the reply."""
         self._written = None
         self._safe = self._safe and command == SAFE_COMMAND
         if command != SAFE_COMMAND:
@@ -443,7 +443,7 @@ class ModbusPort:
                     load_power_W=values.get("load_power_W", math.nan),
                     output=values.get("output", math.nan),
                     fault=fault,
-                    # a drive that does not say is taken to do what it was told last
+                    # a drive without a bridge signal is assumed to follow the last command
                     bridge=self._bridge if bridge is None else bridge != 0,
                     other={name: values[name] for name in self._poll.other},
                 )

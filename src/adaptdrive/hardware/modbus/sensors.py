@@ -93,7 +93,7 @@ class ModbusSensorPort:
         """Poll until cancelled; a link that is lost or not there is opened again.
 
         Args:
-            listener: Who is told what comes.
+            listener: Receiver of values and of the state of the bus.
         """
         worker = asyncio.create_task(self._work(listener), name="modbus sensors")
         try:
