@@ -15,23 +15,14 @@ from typing import Any
 import structlog
 from structlog.typing import EventDict, WrappedLogger
 
-from adaptdrive.config.bus import CanBus
-from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.file import load_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.config.sensors import AnySensorBus
-from adaptdrive.config.sensors import CanSensorSection as CanSensorBus
 from adaptdrive.errors import AdaptdriveError, RefusedError
-from adaptdrive.hardware.dbc.sensors import map_sensors
 from adaptdrive_sim.broker import parse_address
 from adaptdrive_sim.device_settings import DeviceSettings
-from adaptdrive_sim.devices.can_drive import CanDrive
-from adaptdrive_sim.devices.can_sensors import CanSensors
-from adaptdrive_sim.devices.canopen_drive import CanOpenDrive
 from adaptdrive_sim.devices.drive import Drive, Frame, Report
-from adaptdrive_sim.devices.frames import load_messages
-from adaptdrive_sim.devices.modbus_drive import ModbusDrive
-from adaptdrive_sim.devices.modbus_sensors import ModbusSensors
+from adaptdrive_sim.devices.kinds import KINDS, DriveNode, SensorNode
 from adaptdrive_sim.devices.remote import Remote
 from adaptdrive_sim.devices.sensor_values import check_names, values_of
 from adaptdrive_sim.devices.voltage_holder import VoltageHolder
@@ -87,33 +78,24 @@ def build_drive(configuration: Configuration, settings: DeviceSettings, report: 
     if configuration.voltage_loop.where == "drive":
         bidirectional = power.kind == "bidirectional"
         holder = VoltageHolder(power.boost_capacitance_F, bidirectional=bidirectional)
-        reading_s = 0.5 * configuration.ticks_per_reading / power.line_frequency_Hz
+        reading_s = 0.5 * configuration.bus.ticks_per_reading / power.line_frequency_Hz
         timeout_s = max(timeout_s, PATIENCE_READINGS * reading_s)
-    if isinstance(configuration.bus, CanOpenBus):  # it watches a heartbeat, not commands
+    if not KINDS[configuration.bus.type].times_commands:
         timeout_s = math.inf
     needs_bridge = settings.boost_needs_bridge
     return Drive(world, report, holder, timeout_s, boost_needs_bridge=needs_bridge)
 
 
-def build_node(
-    configuration: Configuration, drive: Drive, report: Report, path: Path
-) -> CanDrive | CanOpenDrive | ModbusDrive:
+def build_node(configuration: Configuration, drive: Drive, report: Report, path: Path) -> DriveNode:
     """Put the drive on the bus that its configuration names.
 
     Raises:
         ConfigurationError: Bus and signals do not fit together.
     """
-    bus = configuration.bus
-    if isinstance(bus, CanBus):
-        return CanDrive(drive, bus, load_messages(bus, configuration, path), report)
-    if isinstance(bus, CanOpenBus):
-        return CanOpenDrive(drive, configuration, report, path)
-    return ModbusDrive(drive, bus, configuration.signals, report)
+    return KINDS[configuration.bus.type].drive(drive, configuration, report, path)
 
 
-def build_sensors(
-    configuration: Configuration, drive: Drive, path: Path
-) -> list[CanSensors | ModbusSensors]:
+def build_sensors(configuration: Configuration, drive: Drive, path: Path) -> list[SensorNode]:
     """Put sensors beside the drive on the buses that its configuration names.
 
     Raises:
@@ -130,10 +112,10 @@ def build_sensors(
     return [_sensors(bus, f"sensor_bus.{number}", drive, path) for number, bus in enumerate(buses)]
 
 
-def _sensors(bus: AnySensorBus, place: str, drive: Drive, path: Path) -> CanSensors | ModbusSensors:
-    if isinstance(bus, CanSensorBus):
-        return CanSensors(drive, bus, map_sensors(bus, place, path))
-    return ModbusSensors(drive, bus)
+def _sensors(bus: AnySensorBus, place: str, drive: Drive, path: Path) -> SensorNode:
+    build = KINDS[bus.type].sensors
+    assert build is not None  # noqa: S101 - `AnySensorBus` has only kinds that can have sensors
+    return build(drive, bus, place, path)
 
 
 def build_world(configuration: Configuration, settings: DeviceSettings) -> World:
@@ -186,7 +168,7 @@ def _add_monotonic(_: WrappedLogger, __: str, event: EventDict) -> EventDict:
 
 def _overridden(configuration: Configuration, settings: DeviceSettings) -> Configuration:
     """Let the command line choose another bus."""
-    names = _OVERRIDES[configuration.bus.type]
+    names = KINDS[configuration.bus.type].overrides
     device = None if settings.channel is None else Path(settings.channel)
     given = {
         "interface": settings.interface,
@@ -198,14 +180,6 @@ def _overridden(configuration: Configuration, settings: DeviceSettings) -> Confi
         raise RefusedError(f"--interface and --port do not all fit {configuration.bus.type}")
     bus = configuration.bus.model_copy(update=changes)
     return configuration.model_copy(update={"bus": bus})
-
-
-_OVERRIDES = {
-    "can": {"interface": "interface", "channel": "channel", "port": "udp_port"},
-    "canopen": {"interface": "interface", "channel": "channel", "port": "udp_port"},
-    "modbus-tcp": {"channel": "host", "port": "port"},
-    "modbus-rtu": {"channel": "device"},
-}
 
 
 def _spikes(text: str) -> tuple[float, float]:

@@ -199,7 +199,7 @@ async def _begin(
 ) -> Coroutine[Any, Any, None]:
     """Put the drive on its bus; what keeps it alive."""
     node = build_node(configuration, drive, lambda *_, **__: None, path)
-    node._clock = clock
+    node._clock = clock  # type: ignore[attr-defined] # every kind of node keeps its clock so
     if isinstance(node, ModbusDrive):
         await stack.enter_async_context(serving(node._config, {node._config.device_id: node}))
         return _live(drive, node.show)

@@ -20,8 +20,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NoReturn
 
+from adaptdrive.app.ports import bus_kind
 from adaptdrive.config import Configuration
-from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.errors import AdaptdriveError
 
 NAMESPACE = "ADAPTDRIVE_LOCK_NAMESPACE"
@@ -58,10 +58,7 @@ def lock_names(configuration: Configuration) -> Iterator[str]:
         configuration: The drive.
     """
     yield f"drive {configuration.drive.name!r}"
-    if isinstance(configuration.bus, ModbusTcp | ModbusRtu):
-        from adaptdrive.hardware.modbus.bus import describe_bus  # noqa: PLC0415 - load what is used
-
-        yield describe_bus(configuration.bus)
+    yield from bus_kind(configuration.bus.type).lock_names(configuration)
 
 
 @contextmanager

@@ -47,7 +47,7 @@ def before_frames(configuration: Configuration) -> Iterator[Grant]:
         configuration: The drive.
     """
     wanted, tick_us = configuration.realtime, 0.5e6 / configuration.drive.line_frequency_Hz
-    polled = configuration.ticks_per_reading > 1
+    polled = configuration.bus.ticks_per_reading > 1
     if wanted.rehearse_us > 0.0:
         meaning = "a tick on a made-up drive before each frame keeps the CPU's caches warm"
         if polled:

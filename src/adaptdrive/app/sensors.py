@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from adaptdrive.app.ports import build_port
+from adaptdrive.app.ports import build_port, bus_kind
 from adaptdrive.config import Configuration
 from adaptdrive.config.derived import Rule, in_order
-from adaptdrive.config.sensors import AnySensorBus, CanSensorSection
+from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.config.supply import needed_names
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.port import Port, SensorPort
@@ -92,17 +92,9 @@ def build_sensor_port(
     Raises:
         ConfigurationError: Bus and signals do not fit; every flaw is listed.
     """
-    if isinstance(bus, CanSensorSection):
-        from adaptdrive.hardware.dbc.sensors import (  # noqa: PLC0415 - load what is used
-            build_can_sensors,
-        )
-
-        return build_can_sensors(bus, place, clock, source=source)
-    from adaptdrive.hardware.modbus.sensors import (  # noqa: PLC0415 - load what is used
-        build_modbus_sensors,
-    )
-
-    return build_modbus_sensors(bus, place, clock, source)
+    build = bus_kind(bus.type, source).build_sensors
+    assert build is not None  # noqa: S101 - `AnySensorBus` has only kinds that can have sensors
+    return build(bus, place, clock, source)
 
 
 def derivations(configuration: Configuration) -> list[Derivation]:

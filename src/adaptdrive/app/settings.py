@@ -262,10 +262,10 @@ def _fast_loop(configuration: Configuration) -> FastLoopSettings:
         latency_ticks=configuration.load.latency_ticks,
         late_fraction=configuration.realtime.late_fraction,
         timer_standin=configuration.realtime.timer_standin,
-        ticks_per_reading=configuration.ticks_per_reading,
+        ticks_per_reading=configuration.bus.ticks_per_reading,
         stillness=_stillness(configuration),
         response=_response(configuration),
-        drive_clocks=configuration.drive_clocks,
+        drive_clocks=configuration.bus.drive_clocks,
         stop_s=interlocks.stop_s,
     )
 

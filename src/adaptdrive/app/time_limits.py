@@ -5,15 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from adaptdrive.app.ports import can_timing
+from adaptdrive.app.ports import bus_kind
 from adaptdrive.config import Configuration
-from adaptdrive.config.bus import CanBus
-from adaptdrive.config.canopen import CanOpenBus
-from adaptdrive.config.references import MEASURED
+from adaptdrive.hardware.bus_kind import Row
 from adaptdrive.runtime.refused_share import WINDOW_S
-
-Row = tuple[str, float, str]
-"""Name of a limit, its duration in seconds, and the keys that set it."""
 
 
 def time_limits(configuration: Configuration, source: Path | str) -> list[Row]:
@@ -25,7 +20,7 @@ def time_limits(configuration: Configuration, source: Path | str) -> list[Row]:
     """
     interlocks, supervisor = configuration.interlocks, configuration.supervisor
     return [
-        *_drive_rows(configuration, source),
+        *bus_kind(configuration.bus.type, source).time_limits(configuration, source),
         *_sensor_rows(configuration),
         ("daemon not running", interlocks.stale_s, "interlocks.stale_s"),
         ("starting", interlocks.precharge_timeout_s, "interlocks.precharge_timeout_s"),
@@ -54,26 +49,6 @@ def _line(what: str, limit_s: float, keys: str, tick_s: float) -> str:
     if not limit_s:
         return f"{what:36} {'never':>9} {'':>8}  {keys} = 0"
     return f"{what:36} {limit_s * 1e3:9.6g} {limit_s / tick_s:8.4g}  {keys}"
-
-
-def _drive_rows(configuration: Configuration, source: Path | str) -> Iterator[Row]:
-    """The age of each value of the drive, with the slack of a message that comes seldom."""
-    bus, stale_s = configuration.bus, configuration.interlocks.stale_s
-    if isinstance(bus, CanBus):
-        from adaptdrive.hardware.dbc.mapping import map_drive  # noqa: PLC0415 - load what is used
-
-        mapping = map_drive(bus, configuration.signals, can_timing(configuration), source)
-        for one in (one for status in mapping.statuses for one in status.sources):
-            keys = "interlocks.stale_s"
-            if one.slack_s:
-                keys = "bus.stale_cycles, GenMsgCycleTime"
-            yield f"stale {one.quantity}", stale_s + one.slack_s, keys
-        return
-    given = [name for name in MEASURED if getattr(configuration.signals, name) is not None]
-    for name in (*given, *configuration.signals.other):
-        yield f"stale {name}", stale_s, "interlocks.stale_s"
-    if isinstance(bus, CanOpenBus):
-        yield "silent node", bus.heartbeat_timeout_s, "bus.heartbeat_timeout_s"
 
 
 def _sensor_rows(configuration: Configuration) -> Iterator[Row]:

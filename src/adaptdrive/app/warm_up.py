@@ -115,7 +115,7 @@ class Rehearsal:
 
     def _read(self) -> None:
         configuration, nobody = self._configuration, self._nobody
-        nobody.time_s += configuration.ticks_per_reading * self._settings.fast.tick_s
+        nobody.time_s += configuration.bus.ticks_per_reading * self._settings.fast.tick_s
         bridge = self._loop.command.bridge
         reading = _reading(configuration, self._readings, nobody.time_s, bridge=bridge)
         self._loop.on_reading(reading)

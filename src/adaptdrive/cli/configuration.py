@@ -24,7 +24,7 @@ def check(config: Path, /) -> int:
     from adaptdrive.app.time_limits import limits_table, time_limits  # noqa: PLC0415
 
     configuration = load_examined(config)
-    if configuration.signals.bridge is None and configuration.bus.type != "canopen":
+    if configuration.signals.bridge is None and not configuration.bus.has_bridge_words:
         print(f"{config}: signals.bridge is missing: the drive cannot confirm that it has stopped")
     print(limits_table(time_limits(configuration, config), tick_s(configuration)))
     print(f"{config}: drive {configuration.drive.name} is configured correctly")

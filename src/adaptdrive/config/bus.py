@@ -80,6 +80,25 @@ class FrameIntegrity(Section):
     )
 
 
+class BusSection(Section):
+    """Properties that every kind of `[bus]` states of the drive behind it."""
+
+    @property
+    def ticks_per_reading(self) -> int:
+        """Half cycles from one reading of the drive to the next."""
+        return 1
+
+    @property
+    def drive_clocks(self) -> bool:
+        """True when the drive decides when a reading comes."""
+        return False
+
+    @property
+    def has_bridge_words(self) -> bool:
+        """True when the protocol itself switches the bridge and confirms that it is off."""
+        return False
+
+
 class CanLink(Section):
     """Keys of `[bus]` for every kind of CAN bus."""
 
@@ -90,7 +109,7 @@ class CanLink(Section):
     udp_port: int = Field(default=43113, ge=1, le=65535, description="port of `udp_multicast`")
 
 
-class CanBus(CanLink):
+class CanBus(CanLink, BusSection):
     """`[bus]` with `type = "can"`."""
 
     type: Literal["can"] = Field(description="kind of bus")
@@ -117,6 +136,16 @@ class CanBus(CanLink):
     integrity: dict[str, FrameIntegrity] = Field(
         default_factory=dict, description="alive counters and checksums by message"
     )
+
+    @property
+    def ticks_per_reading(self) -> int:
+        """Half cycles from one clocking message to the next."""
+        return self.clock_ticks
+
+    @property
+    def drive_clocks(self) -> bool:
+        """True: each reading comes with the clocking message of the drive."""
+        return True
 
 
 class SignalSource(Section):

@@ -1,29 +1,65 @@
-"""Does the cadence of a polled drive fit what surrounds it?"""
+"""Checks of the time between two readings of a drive against the other sections."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-from adaptdrive.config.load import LoadSection
+from adaptdrive.config.bus import CanBus
 from adaptdrive.config.modbus import ModbusBus
-from adaptdrive.config.services import InterlocksSection
 from adaptdrive.errors import Flaw
+
+if TYPE_CHECKING:
+    from adaptdrive.config.root import Configuration
 
 STALE_POLLS = 1.5
 """Poll cycles that a measurement must be allowed to age: it is one old when the next one comes."""
 
 
-def poll_flaws(
-    bus: ModbusBus, load: LoadSection, interlocks: InterlocksSection, half_cycle_s: float
-) -> Iterator[Flaw]:
-    """Yield the contradictions to a poll cycle.
+def poll_flaws(bus: ModbusBus, configuration: Configuration) -> Iterator[Flaw]:
+    """Yield the contradictions to a drive that is polled.
 
     Args:
         bus: `[bus]`.
-        load: `[load]`.
-        interlocks: `[interlocks]`.
-        half_cycle_s: Half a line cycle.
+        configuration: The other sections.
     """
+    yield from _cycle_flaws(bus, configuration)
+    if configuration.voltage_loop.where == "daemon":
+        yield Flaw(
+            "voltage_loop.where",
+            "'daemon' needs a drive that sends each half cycle; one that is polled must hold its "
+            "own boost voltage: 'drive'",
+        )
+    elif configuration.signals.command.current_scale_S is not None:
+        yield Flaw("signals.command.current_scale_S", "a drive that is polled takes V_c only")
+
+
+def clock_flaws(bus: CanBus, configuration: Configuration) -> Iterator[Flaw]:
+    """Yield the contradictions to a drive that sends less often than each half cycle.
+
+    Args:
+        bus: `[bus]`.
+        configuration: The other sections.
+    """
+    stride, load = bus.clock_ticks, configuration.load
+    if stride == 1:
+        return
+    if configuration.voltage_loop.where == "daemon":
+        problem = "'daemon' needs a drive that sends each half cycle: bus.clock_ticks = 1"
+        yield Flaw("voltage_loop.where", problem)
+    if configuration.signals.counter is not None:
+        yield Flaw("signals.counter", "counts half cycles, which needs bus.clock_ticks = 1")
+    for place, ticks in (
+        ("load.latency_ticks", load.latency_ticks),
+        ("load.period_s", configuration.ticks_per_period),
+    ):
+        if ticks % stride:
+            yield Flaw(place, f"its {ticks} ticks must be a multiple of bus.clock_ticks = {stride}")
+
+
+def _cycle_flaws(bus: ModbusBus, configuration: Configuration) -> Iterator[Flaw]:
+    load, interlocks = configuration.load, configuration.interlocks
+    half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
     poll_s = bus.poll_ticks * half_cycle_s
     cycle = f"one poll of bus.poll_ticks = {bus.poll_ticks} half cycles ({poll_s * 1e3:.4g} ms)"
     if bus.timeout_s >= poll_s:

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from adaptdrive.config.bus import CanLink, Signals
+from adaptdrive.config.bus import BusSection, CanLink, Signals
 from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat
 from adaptdrive.errors import Flaw
 
@@ -15,7 +15,7 @@ _LATE_HEARTBEATS = 2.0
 """Heartbeats that must fit into a time-out: one may go missing."""
 
 
-class CanOpenBus(CanLink):
+class CanOpenBus(CanLink, BusSection):
     """`[bus]` with `type = "canopen"`: a CiA 402 drive."""
 
     type: Literal["canopen"] = Field(description="kind of bus")
@@ -48,6 +48,16 @@ class CanOpenBus(CanLink):
         default={},
         description="objects and the values written to them before the drive is made operational",
     )
+
+    @property
+    def drive_clocks(self) -> bool:
+        """True when the drive sends SYNC."""
+        return self.sync == "drive"
+
+    @property
+    def has_bridge_words(self) -> bool:
+        """True: the controlword switches the bridge, the statusword confirms it."""
+        return True
 
 
 def canopen_flaws(bus: CanOpenBus, signals: Signals) -> Iterator[Flaw]:

@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from adaptdrive.config.bus import BusSection
 from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Range, Section
 
 
@@ -112,7 +113,7 @@ class RtuLink(ModbusLink):
     stop_bits: Literal[1, 2] = Field(default=1, description="stop bits")
 
 
-class ModbusBus(ModbusLink):
+class ModbusBus(ModbusLink, BusSection):
     """Keys of `[bus]` for every kind of Modbus."""
 
     poll_ticks: int = Field(
@@ -128,6 +129,11 @@ class ModbusBus(ModbusLink):
     registers: dict[str, Register] = Field(
         default_factory=dict, description="register map, by name"
     )
+
+    @property
+    def ticks_per_reading(self) -> int:
+        """Half cycles from one poll to the next."""
+        return self.poll_ticks
 
 
 class ModbusTcp(ModbusBus, TcpLink):

@@ -6,7 +6,7 @@ import itertools
 import re
 from collections.abc import Iterator, Mapping
 
-from adaptdrive.config.bus import Signals
+from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.modbus import ModbusBus, Register
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.units import WANTED, unit_problem
@@ -19,7 +19,7 @@ COMMANDED = ("current_scale_S", "boost_reference_V", "bridge")
 CAN_SIGNAL = re.compile(r"[^.]+\.[^.]+")
 
 
-def can_flaws(signals: Signals) -> Iterator[Flaw]:
+def can_flaws(_: CanBus, signals: Signals) -> Iterator[Flaw]:
     """References that are no `Message.Signal`."""
     constants = [(f"signals.command.constants.{name}", name) for name in signals.command.constants]
     for place, name in (*measured_names(signals), *commanded_names(signals), *constants):

@@ -8,14 +8,11 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from adaptdrive.config.bus import CanBus, Signals
-from adaptdrive.config.cadence import poll_flaws
-from adaptdrive.config.canopen import CanOpenBus, canopen_flaws
+from adaptdrive.config.bus import Signals
+from adaptdrive.config.buses import AnyBus, bus_checks
 from adaptdrive.config.derived import Derived
 from adaptdrive.config.drive import DriveSection, VoltageLoop
 from adaptdrive.config.load import BathSection, BatterySection, Estimator, MotorSection, Supervisor
-from adaptdrive.config.modbus import ModbusBus, ModbusRtu, ModbusTcp
-from adaptdrive.config.references import can_flaws, modbus_flaws, unit_flaws
 from adaptdrive.config.section import Section, inconsistent
 from adaptdrive.config.sensors import (
     CanSensorSection,
@@ -27,8 +24,6 @@ from adaptdrive.config.services import InterlocksSection, Mqtt, Realtime, Record
 from adaptdrive.config.supply import supply_flaws
 from adaptdrive.errors import Flaw
 
-BUS_TYPES = ("can", "canopen", "modbus-tcp", "modbus-rtu")
-
 SensorBus = Annotated[
     CanSensorSection | ModbusTcpSensors | ModbusRtuSensors, Field(discriminator="type")
 ]
@@ -38,7 +33,7 @@ class Configuration(Section):
     """One TOML file, one drive."""
 
     drive: DriveSection
-    bus: CanBus | CanOpenBus | ModbusTcp | ModbusRtu = Field(discriminator="type")
+    bus: AnyBus = Field(discriminator="type")
     signals: Signals
     sensor_bus: list[SensorBus] = Field(default=[])
     derived: dict[str, Derived] = Field(default={})
@@ -55,19 +50,6 @@ class Configuration(Section):
     def ticks_per_period(self) -> int:
         """Q: fast ticks in one slow period."""
         return round(2 * self.drive.line_frequency_Hz * self.load.period_s)
-
-    @property
-    def ticks_per_reading(self) -> int:
-        """Half cycles from one reading of the drive to the next: 1 for a drive that sends each."""
-        if isinstance(self.bus, CanBus):
-            return self.bus.clock_ticks
-        return self.bus.poll_ticks if isinstance(self.bus, ModbusBus) else 1
-
-    @property
-    def drive_clocks(self) -> bool:
-        """True if the drive determines the time of a reading; false for a polled drive."""
-        bus = self.bus
-        return isinstance(bus, CanBus) or (isinstance(bus, CanOpenBus) and bus.sync == "drive")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -95,38 +77,17 @@ def _rate_flaws(configuration: Configuration) -> Iterator[Flaw]:
 
 
 def _bus_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    bus, signals = configuration.bus, configuration.signals
-    if isinstance(bus, CanBus):
-        yield from can_flaws(signals)
-    elif isinstance(bus, CanOpenBus):
-        yield from canopen_flaws(bus, signals)
-    else:
-        yield from modbus_flaws(bus, signals)
+    yield from bus_checks(configuration.bus).signals(configuration.bus, configuration.signals)
 
 
 def _unit_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    bus = configuration.bus
-    if isinstance(bus, ModbusBus):
-        yield from unit_flaws(bus, configuration.signals, configuration.load.output_unit)
+    bus, unit = configuration.bus, configuration.load.output_unit
+    yield from bus_checks(bus).units(bus, configuration.signals, unit)
 
 
 def _pace_flaws(configuration: Configuration) -> Iterator[Flaw]:
     """Does the pace of the drive fit what surrounds it?"""
-    bus, signals = configuration.bus, configuration.signals
-    if isinstance(bus, CanBus):
-        yield from _clock_flaws(configuration, bus)
-    if not isinstance(bus, ModbusBus):
-        return
-    half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
-    yield from poll_flaws(bus, configuration.load, configuration.interlocks, half_cycle_s)
-    if configuration.voltage_loop.where == "daemon":
-        yield Flaw(
-            "voltage_loop.where",
-            "'daemon' needs a drive that sends each half cycle; one that is polled must hold its "
-            "own boost voltage: 'drive'",
-        )
-    elif signals.command.current_scale_S is not None:
-        yield Flaw("signals.command.current_scale_S", "a drive that is polled takes V_c only")
+    yield from bus_checks(configuration.bus).pace(configuration.bus, configuration)
 
 
 def _sensor_flaws(configuration: Configuration) -> Iterator[Flaw]:
@@ -136,28 +97,10 @@ def _sensor_flaws(configuration: Configuration) -> Iterator[Flaw]:
         yield from sensor_flaws(bus, f"sensor_bus.{number}", configuration.load.period_s)
 
 
-def _clock_flaws(configuration: Configuration, bus: CanBus) -> Iterator[Flaw]:
-    """Yield the contradictions to a drive that sends less often than each half cycle."""
-    stride, load = bus.clock_ticks, configuration.load
-    if stride == 1:
-        return
-    if configuration.voltage_loop.where == "daemon":
-        problem = "'daemon' needs a drive that sends each half cycle: bus.clock_ticks = 1"
-        yield Flaw("voltage_loop.where", problem)
-    if configuration.signals.counter is not None:
-        yield Flaw("signals.counter", "counts half cycles, which needs bus.clock_ticks = 1")
-    for place, ticks in (
-        ("load.latency_ticks", load.latency_ticks),
-        ("load.period_s", configuration.ticks_per_period),
-    ):
-        if ticks % stride:
-            yield Flaw(place, f"its {ticks} ticks must be a multiple of bus.clock_ticks = {stride}")
-
-
 def _command_flaws(configuration: Configuration) -> Iterator[Flaw]:
     where = configuration.voltage_loop.where
     needed = ["current_scale_S" if where == "daemon" else "boost_reference_V"]
-    if not isinstance(configuration.bus, CanOpenBus):  # there the controlword has it
+    if not configuration.bus.has_bridge_words:
         needed.append("bridge")
     for name in needed:
         if getattr(configuration.signals.command, name) is None:

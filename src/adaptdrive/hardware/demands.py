@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Command
 
 
@@ -25,3 +26,18 @@ class Demands:
 
 
 NO_DEMANDS = Demands()
+
+
+def demands_of(configuration: Configuration) -> Demands:
+    """Return what the limits of a configuration ask of its signals."""
+    limits, scale_S = configuration.drive.limits, 0.0
+    if configuration.voltage_loop.where == "daemon":
+        scale_S = configuration.drive.limits.current_scale_max_S
+    lowest_S = -scale_S if configuration.drive.kind == "bidirectional" else 0.0
+    return Demands(
+        output_unit=configuration.load.output_unit,
+        commands=(
+            Command(lowest_S, limits.boost_reference_min_V, bridge=True),
+            Command(scale_S, limits.boost_reference_max_V, bridge=True),
+        ),
+    )

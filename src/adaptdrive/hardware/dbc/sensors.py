@@ -40,9 +40,9 @@ def build_can_sensors(
     bus: Config,
     place: str,
     clock: Callable[[], float],
+    source: Path | str = "configuration",
     *,
     wall_clock: Callable[[], float] = time.time,
-    source: Path | str = "configuration",
 ) -> CanSensorPort:
     """Build the port of one sensor bus; nothing is opened yet.
 

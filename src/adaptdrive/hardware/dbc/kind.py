@@ -1,0 +1,54 @@
+"""A drive on CAN, as the daemon builds it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from adaptdrive.config import Configuration
+from adaptdrive.config.bus import CanBus
+from adaptdrive.hardware.bus_kind import BusKind, Row
+from adaptdrive.hardware.dbc.mapping import Timing, map_drive
+from adaptdrive.hardware.dbc.port import build_can_port
+from adaptdrive.hardware.dbc.sensors import build_can_sensors
+from adaptdrive.hardware.demands import demands_of
+from adaptdrive.hardware.port import Port
+
+
+def _build(
+    configuration: Configuration,
+    clock: Callable[[], float],
+    source: Path | str,
+    *,
+    passive: bool,
+) -> Port:
+    bus, demands = _bus(configuration), demands_of(configuration)
+    timing = _timing(configuration)
+    return build_can_port(
+        bus, configuration.signals, timing, clock, source=source, hears_all=passive, demands=demands
+    )
+
+
+def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[Row]:
+    """Yield the age of each value, with the slack of a message that comes seldom."""
+    stale_s = configuration.interlocks.stale_s
+    mapping = map_drive(_bus(configuration), configuration.signals, _timing(configuration), source)
+    for one in (one for status in mapping.statuses for one in status.sources):
+        keys = "bus.stale_cycles, GenMsgCycleTime" if one.slack_s else "interlocks.stale_s"
+        yield f"stale {one.quantity}", stale_s + one.slack_s, keys
+
+
+def _bus(configuration: Configuration) -> CanBus:
+    assert isinstance(configuration.bus, CanBus)  # noqa: S101 - selected by its type
+    return configuration.bus
+
+
+def _timing(configuration: Configuration) -> Timing:
+    return Timing(
+        half_cycle_s=0.5 / configuration.drive.line_frequency_Hz,
+        stale_s=configuration.interlocks.stale_s,
+        daemon_holds_voltage=configuration.voltage_loop.where == "daemon",
+    )
+
+
+CAN = BusKind(_build, build_can_sensors, _time_limits)
