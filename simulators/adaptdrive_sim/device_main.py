@@ -21,7 +21,7 @@ from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.errors import AdaptdriveError, RefusedError
 from adaptdrive_sim.broker import parse_address
 from adaptdrive_sim.device_settings import DeviceSettings
-from adaptdrive_sim.devices.drive import Drive, Frame, Report
+from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
 from adaptdrive_sim.devices.kinds import KINDS, DriveNode, SensorNode
 from adaptdrive_sim.devices.remote import Remote
 from adaptdrive_sim.devices.sensor_values import check_names, values_of
@@ -64,7 +64,9 @@ def run_device(path: Path, settings: DeviceSettings) -> None:
         report("stopped", ticks=drive.world.tick, **node.counts)
 
 
-def build_drive(configuration: Configuration, settings: DeviceSettings, report: Report) -> Drive:
+def build_drive(
+    configuration: Configuration, settings: DeviceSettings, report: Report
+) -> SimulatedDrive:
     """Build the drive and its plant.
 
     Raises:
@@ -83,10 +85,12 @@ def build_drive(configuration: Configuration, settings: DeviceSettings, report: 
     if not KINDS[configuration.bus.type].times_commands:
         timeout_s = math.inf
     needs_bridge = settings.boost_needs_bridge
-    return Drive(world, report, holder, timeout_s, boost_needs_bridge=needs_bridge)
+    return SimulatedDrive(world, report, holder, timeout_s, boost_needs_bridge=needs_bridge)
 
 
-def build_node(configuration: Configuration, drive: Drive, report: Report, path: Path) -> DriveNode:
+def build_node(
+    configuration: Configuration, drive: SimulatedDrive, report: Report, path: Path
+) -> DriveNode:
     """Put the drive on the bus that its configuration names.
 
     Raises:
@@ -95,7 +99,9 @@ def build_node(configuration: Configuration, drive: Drive, report: Report, path:
     return KINDS[configuration.bus.type].drive(drive, configuration, report, path)
 
 
-def build_sensors(configuration: Configuration, drive: Drive, path: Path) -> list[SensorNode]:
+def build_sensors(
+    configuration: Configuration, drive: SimulatedDrive, path: Path
+) -> list[SensorNode]:
     """Put sensors beside the drive on the buses that its configuration names.
 
     Raises:
@@ -112,7 +118,7 @@ def build_sensors(configuration: Configuration, drive: Drive, path: Path) -> lis
     return [_sensors(bus, f"sensor_bus.{number}", drive, path) for number, bus in enumerate(buses)]
 
 
-def _sensors(bus: AnySensorBus, place: str, drive: Drive, path: Path) -> SensorNode:
+def _sensors(bus: AnySensorBus, place: str, drive: SimulatedDrive, path: Path) -> SensorNode:
     build = KINDS[bus.type].sensors
     assert build is not None  # noqa: S101 - `AnySensorBus` has only kinds that can have sensors
     return build(drive, bus, place, path)

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import msgspec
 
 from adaptdrive.errors import RefusedError
-from adaptdrive_sim.devices.drive import Drive
+from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.sensor_values import SensorFault
 from adaptdrive_sim.parameters import ParameterError, check_range
 from adaptdrive_sim.plants.motor import Motor
@@ -69,7 +69,7 @@ def read_id(payload: bytes) -> str | None:
     return name if isinstance(name, str) else None
 
 
-def apply_request(request: DisturbanceRequest, drive: Drive) -> None:
+def apply_request(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
     """Do to the plant what a request asks for.
 
     Raises:
@@ -82,34 +82,34 @@ def apply_request(request: DisturbanceRequest, drive: Drive) -> None:
         raise RefusedError(str(problem)) from problem
 
 
-def _motor(drive: Drive) -> Motor:
+def _motor(drive: SimulatedDrive) -> Motor:
     if not isinstance(drive.world.load, Motor):
         raise RefusedError("this load has no shaft")
     return drive.world.load
 
 
-def _change_disks(request: DisturbanceRequest, drive: Drive) -> None:
+def _change_disks(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
     _motor(drive).disks += request.disks or 0
 
 
-def _load_shaft(request: DisturbanceRequest, drive: Drive) -> None:
+def _load_shaft(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
     _motor(drive).torque_Nm = request.torque_Nm or 0.0
 
 
-def _sag_line(request: DisturbanceRequest, drive: Drive) -> None:
+def _sag_line(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
     drive.world.line.sag(request.sag or 0.0, request.duration_s or 0.0)
 
 
-def _set_noise(request: DisturbanceRequest, drive: Drive) -> None:
+def _set_noise(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
     world = drive.world
     world.noise = dataclasses.replace(world.noise, sigma=request.noise_V or 0.0)
 
 
-def _inject_fault(request: DisturbanceRequest, drive: Drive) -> None:
+def _inject_fault(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
     drive.inject(request.fault or 0)
 
 
-def _spoil_sensors(request: DisturbanceRequest, drive: Drive) -> None:
+def _spoil_sensors(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
     check_range("sensor_fault", request.sensor_fault or 0, 0, max(SensorFault), "")
     drive.world.sensor_fault = request.sensor_fault or 0
 

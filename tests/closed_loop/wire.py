@@ -32,7 +32,7 @@ from adaptdrive.runtime.watchdog import ServiceManager
 from adaptdrive_sim.device_main import build_drive, build_node, build_sensors
 from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.devices.can_drive import CanDrive
-from adaptdrive_sim.devices.drive import Drive
+from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.modbus_drive import ModbusDrive
 from adaptdrive_sim.devices.modbus_server import serving
 from adaptdrive_sim.world import World
@@ -90,7 +90,7 @@ def virtual_time() -> Iterator[asyncio.Runner]:
             yield runner
 
 
-async def _live(drive: Drive, deliver: Any) -> None:
+async def _live(drive: SimulatedDrive, deliver: Any) -> None:
     """Half cycle after half cycle."""
     loop = asyncio.get_running_loop()
     deadline_s = loop.time()
@@ -193,7 +193,7 @@ def _forget_real_time(port: Any) -> None:
 async def _begin(
     stack: contextlib.AsyncExitStack,
     configuration: Configuration,
-    drive: Drive,
+    drive: SimulatedDrive,
     path: Path,
     clock: Any,
 ) -> Coroutine[Any, Any, None]:

@@ -8,7 +8,7 @@ import pytest
 
 from adaptdrive.errors import RefusedError
 from adaptdrive_sim.broker import BrokerAddress, parse_address
-from adaptdrive_sim.devices.drive import Drive
+from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.remote import Remote
 from adaptdrive_sim.disturbances import from_words, parse_request
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
@@ -21,7 +21,7 @@ def ignore(*_: Any, **__: Any) -> None:
 
 @pytest.fixture
 def remote() -> Remote:
-    drive = Drive(World(Motor(MotorParameters())), ignore)
+    drive = SimulatedDrive(World(Motor(MotorParameters())), ignore)
     return Remote(BrokerAddress("localhost", 1), "bench", drive, ignore)
 
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive_sim.devices.drive import Drive, Frame
+from adaptdrive_sim.devices.drive import Frame, SimulatedDrive
 from adaptdrive_sim.parameters import ParameterError
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import World
@@ -22,7 +22,9 @@ class Bench:
         self.world = World(Motor(MotorParameters()))
         self.world.settle(boost_voltage_V)
         self.holding_S = self.world.current_scale_S
-        self.drive = Drive(self.world, lambda event, **data: self.events.append((event, data)))
+        self.drive = SimulatedDrive(
+            self.world, lambda event, **data: self.events.append((event, data))
+        )
         self.now_s = 1000.0
 
     def commanded(self, ticks: int, scale_S: float, *, bridge: bool = True) -> Frame:

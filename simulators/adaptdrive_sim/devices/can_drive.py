@@ -23,7 +23,7 @@ from adaptdrive.hardware.link.bus import describe_bus, open_bus
 from adaptdrive.hardware.link.codec import MessageCodec
 from adaptdrive.hardware.link.integrity import FrameVerdict
 from adaptdrive.hardware.link.reader import read_frames
-from adaptdrive_sim.devices.drive import Drive, Frame, Report
+from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import DriveMessages, quantities_of
 from adaptdrive_sim.devices.pacing import run_half_cycles
 
@@ -40,7 +40,7 @@ class CanDrive:
 
     def __init__(
         self,
-        drive: Drive,
+        drive: SimulatedDrive,
         config: CanBus,
         messages: DriveMessages,
         report: Report,

@@ -11,7 +11,7 @@ import can
 from adaptdrive.config.sensors import CanSensorSection as Config
 from adaptdrive.hardware.dbc.sensors import SensorMessage
 from adaptdrive.hardware.link.bus import describe_bus, open_bus
-from adaptdrive_sim.devices.drive import Drive
+from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.sensor_values import SensorFault, values_of
 
 
@@ -22,7 +22,9 @@ class CanSensors:
         counts: Frames sent and dropped, by name.
     """
 
-    def __init__(self, drive: Drive, config: Config, messages: tuple[SensorMessage, ...]) -> None:
+    def __init__(
+        self, drive: SimulatedDrive, config: Config, messages: tuple[SensorMessage, ...]
+    ) -> None:
         self.counts: collections.Counter[str] = collections.Counter()
         self._drive = drive
         self._config = config

@@ -29,7 +29,7 @@ from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, load_diction
 from adaptdrive.hardware.link.bus import describe_bus, open_bus
 from adaptdrive.hardware.link.reader import read_frames
 from adaptdrive_sim.devices.canopen_objects import Address, NodeNetwork, Objects
-from adaptdrive_sim.devices.drive import Drive, Frame, Report
+from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import quantities_of
 from adaptdrive_sim.devices.pacing import run_half_cycles
 from adaptdrive_sim.devices.power_states import PowerState, PowerStates
@@ -69,7 +69,7 @@ class CanOpenDrive:
 
     def __init__(
         self,
-        drive: Drive,
+        drive: SimulatedDrive,
         configuration: Configuration,
         report: Report,
         source: Path,

@@ -48,7 +48,7 @@ class Frame(NamedTuple):
     bridge: bool
 
 
-class Drive:
+class SimulatedDrive:
     """The drive's own logic around the simulated plant.
 
     Attributes:

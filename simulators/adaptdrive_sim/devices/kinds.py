@@ -13,7 +13,7 @@ from adaptdrive.hardware.dbc.sensors import map_sensors
 from adaptdrive_sim.devices.can_drive import CanDrive
 from adaptdrive_sim.devices.can_sensors import CanSensors
 from adaptdrive_sim.devices.canopen_drive import CanOpenDrive
-from adaptdrive_sim.devices.drive import Drive, Report
+from adaptdrive_sim.devices.drive import Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import load_messages
 from adaptdrive_sim.devices.modbus_drive import ModbusDrive
 from adaptdrive_sim.devices.modbus_sensors import ModbusSensors
@@ -43,29 +43,31 @@ class DeviceKind:
         times_commands: Whether the drive shuts down when commands stop; otherwise a heartbeat.
     """
 
-    drive: Callable[[Drive, Configuration, Report, Path], DriveNode]
+    drive: Callable[[SimulatedDrive, Configuration, Report, Path], DriveNode]
     overrides: Mapping[str, str]
-    sensors: Callable[[Drive, Any, str, Path], SensorNode] | None = None
+    sensors: Callable[[SimulatedDrive, Any, str, Path], SensorNode] | None = None
     times_commands: bool = True
 
 
 def _can_drive(
-    drive: Drive, configuration: Configuration, report: Report, source: Path
+    drive: SimulatedDrive, configuration: Configuration, report: Report, source: Path
 ) -> DriveNode:
     bus: Any = configuration.bus
     return CanDrive(drive, bus, load_messages(bus, configuration, source), report)
 
 
-def _can_sensors(drive: Drive, bus: Any, place: str, source: Path) -> SensorNode:  # noqa: ANN401
+def _can_sensors(drive: SimulatedDrive, bus: Any, place: str, source: Path) -> SensorNode:  # noqa: ANN401
     return CanSensors(drive, bus, map_sensors(bus, place, source))
 
 
-def _modbus_drive(drive: Drive, configuration: Configuration, report: Report, _: Path) -> DriveNode:
+def _modbus_drive(
+    drive: SimulatedDrive, configuration: Configuration, report: Report, _: Path
+) -> DriveNode:
     bus: Any = configuration.bus
     return ModbusDrive(drive, bus, configuration.signals, report)
 
 
-def _modbus_sensors(drive: Drive, bus: Any, _: str, __: Path) -> SensorNode:  # noqa: ANN401
+def _modbus_sensors(drive: SimulatedDrive, bus: Any, _: str, __: Path) -> SensorNode:  # noqa: ANN401
     return ModbusSensors(drive, bus)
 
 

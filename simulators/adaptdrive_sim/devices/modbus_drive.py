@@ -16,7 +16,7 @@ from pymodbus.constants import ExcCodes
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.hardware.modbus.bus import describe_bus
-from adaptdrive_sim.devices.drive import Drive, Frame, Report
+from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
 from adaptdrive_sim.devices.frames import quantities_of
 from adaptdrive_sim.devices.modbus_server import serving
 from adaptdrive_sim.devices.pacing import run_half_cycles
@@ -32,7 +32,7 @@ class ModbusDrive:
 
     def __init__(
         self,
-        drive: Drive,
+        drive: SimulatedDrive,
         config: ModbusTcp | ModbusRtu,
         signals: Signals,
         report: Report,

@@ -15,7 +15,7 @@ from pymodbus.constants import ExcCodes
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors, SensorRegister
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.codec import encode_count, encode_value
-from adaptdrive_sim.devices.drive import Drive
+from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.modbus_server import serving
 from adaptdrive_sim.devices.registers import Table, addresses, bounded, not_available
 from adaptdrive_sim.devices.sensor_values import SensorFault, values_of
@@ -33,7 +33,7 @@ class SensorModule:
         counts: Requests answered, and settings written and refused, by name.
     """
 
-    def __init__(self, drive: Drive, config: Config, device_id: int) -> None:
+    def __init__(self, drive: SimulatedDrive, config: Config, device_id: int) -> None:
         self.counts: collections.Counter[str] = collections.Counter()
         self._drive = drive
         self._registers = {
@@ -97,7 +97,7 @@ class SensorModule:
 class ModbusSensors:
     """The modules on one link."""
 
-    def __init__(self, drive: Drive, config: Config) -> None:
+    def __init__(self, drive: SimulatedDrive, config: Config) -> None:
         ids = {register.device_id or config.device_id for register in config.registers.values()}
         self.modules = {number: SensorModule(drive, config, number) for number in sorted(ids)}
         self._drive = drive

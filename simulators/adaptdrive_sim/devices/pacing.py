@@ -7,14 +7,17 @@ import contextlib
 from collections.abc import Callable, Iterator
 
 from adaptdrive.clock.tick_timer import TickTimer
-from adaptdrive_sim.devices.drive import Drive, Frame, Report
+from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
 
 STALL_s = 1.0
 """A process that slept longer than this (a suspended machine) starts a new grid."""
 
 
 async def run_half_cycles(
-    drive: Drive, clock: Callable[[], float], deliver: Callable[[Frame], None], report: Report
+    drive: SimulatedDrive,
+    clock: Callable[[], float],
+    deliver: Callable[[Frame], None],
+    report: Report,
 ) -> None:
     """Run one half cycle after the other until cancelled.
 
@@ -39,7 +42,7 @@ async def run_half_cycles(
 
 
 def _catch_up(
-    drive: Drive, now_s: float, deadline_s: float, deliver: Callable[[Frame], None]
+    drive: SimulatedDrive, now_s: float, deadline_s: float, deliver: Callable[[Frame], None]
 ) -> float:
     """Run every half cycle that has passed and deliver the last one; the next deadline."""
     frame: Frame | None = None

@@ -16,7 +16,7 @@ import msgspec
 
 from adaptdrive.errors import RefusedError
 from adaptdrive_sim.broker import BrokerAddress, DeviceReply, topic
-from adaptdrive_sim.devices.drive import Drive, Report
+from adaptdrive_sim.devices.drive import Report, SimulatedDrive
 from adaptdrive_sim.disturbances import apply_request, parse_request, read_id
 
 TRUTH_PERIOD_s = 1.0
@@ -28,7 +28,9 @@ FAREWELL_s = 1.0
 class Remote:
     """Serves one simulated drive on one broker."""
 
-    def __init__(self, broker: BrokerAddress, name: str, drive: Drive, report: Report) -> None:
+    def __init__(
+        self, broker: BrokerAddress, name: str, drive: SimulatedDrive, report: Report
+    ) -> None:
         self._broker = broker
         self._name = name
         self._drive = drive
