@@ -34,6 +34,8 @@ from adaptdrive.control.voltage_loop import initial_sum
 from adaptdrive.control.watch import Fallback
 
 _IDLE_PERIODS = 60
+"""Slow periods without an update before the reason names it: 60 s of a motor."""
+
 _UNRESPONSIVE = "no response: input at its limit for long, and the output has not moved"
 
 

@@ -14,6 +14,7 @@ from adaptdrive.control.settings import ControllerSettings, Rates
 from adaptdrive.control.vectors import Vector, multiply
 
 _HALVINGS = 50
+"""Halvings of an interval of 1 until it is as short as the rounding of a double."""
 
 
 def loop_delay_ticks(rates: Rates) -> float:

@@ -21,9 +21,16 @@ import math
 from adaptdrive.control.vectors import Vector, copy_into
 
 _TAYLOR_TERMS = 30
+"""Terms of the exponential: 2^30/30! is below the rounding of a double."""
+
 _LONGEST_STEP = 2.0
+"""Norm of one Taylor step; a longer one loses digits by cancellation."""
+
 _LONGEST_REACH = 1.0e4
+"""Norm from which the model is given up as NaN: it would take 5,000 Taylor steps."""
+
 _LARGEST_EXPONENT = 700.0
+"""Largest argument of exp before a double overflows (709)."""
 
 
 def held_model(

@@ -19,6 +19,7 @@ from adaptdrive.control.signals import Measurement
 from adaptdrive.control.vectors import Vector
 
 _CEILING_RISE = 1.002
+"""Rise of the ceiling of V_c for each tick: slow, so that the power limit does not oscillate."""
 
 
 @dataclass(slots=True)

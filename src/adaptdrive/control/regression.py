@@ -41,6 +41,7 @@ from adaptdrive.control.settings import Learning
 from adaptdrive.control.vectors import Vector, copy_into, multiply
 
 _TINY = 1e-12
+"""Below this a divisor counts as zero."""
 
 
 def parameter_count(learning: Learning, load: Load, taps: int) -> int:

@@ -17,6 +17,7 @@ import math
 from adaptdrive.control.vectors import Vector
 
 COVARIANCE_CEILING = 1.0e12
+"""Largest variance that P may grow to: above it few digits of a double would be left."""
 
 
 def reset(theta: Vector, upper: Vector, diagonal: Vector, covariance: float) -> None:

@@ -21,9 +21,13 @@ SURE = 0.03
 """Relative standard deviation below which a parameter need not be tried."""
 
 MARGIN_RADIUS = 0.995
+"""Largest pole of the loop with a possible load: a time constant of 200 slow periods."""
+
 STABLE_RADIUS = 0.9999
+"""Largest pole of a possible load that is stable: 10,000 slow periods."""
 
 _SMALLEST_SHARE = 0.05
+"""Least share of a parameter that is tried: physical parameters are positive."""
 
 
 def stands_uncertainty(

@@ -16,13 +16,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 ALPHA = 0.1
+"""Gain on the level: it follows a change within about 10 samples."""
+
 BETA = ALPHA * ALPHA / (2.0 - ALPHA)
 GAMMA = 0.02
+"""Rate of the mean deviation: a mean over about 50 samples."""
 
 WIDE = 0.01
 """Deviation to start with, as a share of the output: wide enough for an honest first second."""
 
 _NARROWEST = 1e-9
+"""Least deviation: a noiseless output must not close the screen."""
 
 
 @dataclass(slots=True)

@@ -19,9 +19,17 @@ from adaptdrive.control.settings import Jacket
 from adaptdrive.control.vectors import Vector, all_finite, is_stable
 
 _TINY = 1e-12
+"""Below this a coefficient counts as zero: the model has no dc gain."""
+
 _STABLE_RADIUS = 0.9999
+"""Largest pole of a stable load: a time constant of 10,000 slow periods."""
+
 _DESIGN_RADIUS = 0.995
+"""Largest pole of a designed loop: a time constant of 200 slow periods."""
+
 _RESIDUAL_RATE = 0.05
+"""Rate of the mean residuals: a mean over about 20 slow periods."""
+
 _RESIDUAL_FLOOR = 1.0e-6  # a thousandth of the scale: at rest, less says nothing
 
 

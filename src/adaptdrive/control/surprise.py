@@ -16,16 +16,34 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 DRIFT = 3.0
+"""Subtracted from each z²: the sum rises only while z² is larger than three times its mean."""
+
 LARGEST = 20.0
+"""Largest z² that counts: one sample adds at most 17 to the sum."""
+
 THRESHOLD = 6.0
+"""One z² above 9, or several smaller ones in a row; chosen by campaigns."""
+
 SETTLE_PERIODS = 40
+"""Slow periods after a start in which the variance is measured and no alarm is given."""
+
 HOLD_PERIODS = 30
+"""Slow periods after an alarm without another one, in which the estimate converges."""
+
 SOON_PERIODS = 10
+"""Slow periods after that in which an alarm counts as a repetition."""
 
 _FLOOR = 1.0e-8
+"""Least variance: a ten-thousandth of the scale, squared, for rounding and model error."""
+
 _FAST_RATE = 0.1
+"""Rate of the variance after a start: a mean over about 10 periods."""
+
 _SLOW_RATE = 0.01
+"""Rate of the variance later: a mean over about 100 periods."""
+
 _SLOW_LARGEST = 4.0
+"""Largest z² in that mean: one outlier raises the variance by 3 % at most."""
 
 
 @dataclass(slots=True)

@@ -1,10 +1,10 @@
 """The watch over the adaptive controller: when to return to the fixed one, and stay there.
 
-Estimates can be sound and the loop still be in trouble. The watch looks at what happens: an input
+Estimates can be sound and the loop still be in trouble. The watch checks the closed loop: an input
 that stays at its limit while the output neither rests where a model puts it nor comes closer, an
 error that stays large although the input is free, errors that swing with growing peaks,
 measurements that fail. Any of them returns to the fixed controller. The return is latched: only the
-operator, by asking for adaptive again, arms it anew.
+operator, by asking for adaptive again, arms it again.
 
 The response monitor trips where a load must have moved and has not: the sensor or the drive is
 broken then, and no controller can help. Two first-order lags follow the input, one as fast and one
@@ -22,9 +22,17 @@ from enum import IntEnum
 from adaptdrive.control.settings import Jacket
 
 GROWTH = 1.1
+"""Ratio of a growing peak to the one before: noise changes equal peaks by less than 10 %."""
+
 SWINGS = 6
+"""Growing peaks in a row: three full oscillations, which a step response does not make."""
+
 TIME_CONSTANTS = 5.0
+"""Closed-loop time constants with a large error: a step has decayed to 1 % by then."""
+
 HELD_SHARE = 0.5
+"""Share of held measurements from which a sample is more guessed than measured."""
+
 CLOSER = 0.9  # a tenth of the way within `saturated_s`: a lag of nine times that time does it
 
 
@@ -88,7 +96,7 @@ def watch_loop(
     held_share: float,
     saturated: bool,
 ) -> int:
-    """Look at one slow period.
+    """Check one slow period.
 
     Args:
         state: Overwritten.

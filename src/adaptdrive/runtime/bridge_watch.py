@@ -5,7 +5,11 @@ from __future__ import annotations
 from adaptdrive.hardware.port import Reading
 
 _GRACE_TICKS = 30
+"""Half cycles that a bridge may take to switch: 0.25 s on a 60 Hz line."""
+
 _GRACE_READINGS = 3
+"""The same in readings, for a drive that is read seldom."""
+
 _GAP_READINGS = 3
 """Readings that pass unwatched before a bridge that was on and is off is a stop, not a flicker."""
 

@@ -38,7 +38,11 @@ from adaptdrive.runtime.status import status_line
 from adaptdrive.runtime.watchdog import ServiceManager
 
 _FAREWELLS = 3
+"""Safe commands at the end: two of them may be lost."""
+
 _FAREWELL_GAP_S = 0.005
+"""Time between them, so that one disturbance of the bus does not hit all."""
+
 # A flood of stops must not fill the bus: at most one safe command in half a tick is enough.
 _STOP_GAP_S = 0.004
 

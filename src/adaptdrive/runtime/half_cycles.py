@@ -15,10 +15,17 @@ from collections import deque
 from adaptdrive.runtime.frame_rate import FrameRate
 
 _SLACK_TICKS = 3
+"""Permitted difference of counter and elapsed time, in half cycles, for jitter of the arrival."""
+
 _LATE_TICKS = 0.75  # without a counter, a frame later than this is taken for the next one
 _PERIOD_TOLERANCE = 0.02
+"""Permitted deviation of the measured half cycle: line frequencies stay within 2 %."""
+
 _MARK_EVERY_TICKS = 60
+"""Half cycles between two marks: 0.5 s on a 60 Hz line."""
+
 _MARKS = 20
+"""Marks of the measured window: 10 s on a 60 Hz line, beside which jitter is small."""
 
 
 class HalfCycles:

@@ -14,9 +14,16 @@ from time import monotonic
 from typing import Any
 
 _RING = 256
+"""Callbacks remembered: more than run in one tick."""
+
 _NAMED = 3
+"""Causes that one report names."""
+
 _SHARE_WORTH_NAMING = 0.2
+"""Least share of the lateness of a cause that is named."""
+
 _QUIET_S = 10.0
+"""Least time between two reports: a busy machine must not flood the log."""
 
 SLEEP = "sleep"
 COLLECTION = "garbage collection"

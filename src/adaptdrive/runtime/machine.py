@@ -26,6 +26,7 @@ from adaptdrive.runtime.requests import (
 )
 
 _FLOOR_REACHED = 0.99
+"""Share of the floor of v_bst that ends `starting`: ripple and measurement differ by 1 %."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,6 +32,7 @@ _MARGIN = 0.05
 deviations of a noise of 5 %, smoothed."""
 
 _SMOOTHING_S = 0.2
+"""Time constant of the smoothed output, against the noise of single readings."""
 
 _FALL_MARGIN = 0.15
 """The same for a fall, which is compared with the highest of many noisy values."""

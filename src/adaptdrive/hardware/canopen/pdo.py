@@ -13,7 +13,10 @@ from adaptdrive.hardware.canopen.dictionary import Entry
 from adaptdrive.hardware.link.codec import MessageCodec
 
 _LARGEST_BITS = 64
+"""Bits of a classic CAN frame."""
+
 _LARGEST_ENTRIES = 8
+"""Mapped objects of one PDO: at least a byte each."""
 
 
 @dataclass(frozen=True, slots=True)

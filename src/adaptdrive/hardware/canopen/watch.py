@@ -22,6 +22,7 @@ from adaptdrive.hardware.link.reader import read_frames
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 
 _PAUSE_S = 0.2
+"""Pause between two readings: five lines a second are as many as can be read."""
 
 
 def build_canopen_watch(

@@ -21,7 +21,10 @@ RTU_FRAME = 3
 
 _TCP_HEADER = 7
 _SILENCE_CHARACTERS = 3.5
+"""Silence between two frames on a serial line (Modbus over serial line, 2.5.1.1)."""
+
 _LEAST_SILENCE_S = 0.00175
+"""The same above 19200 baud."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,8 @@ from adaptdrive.hardware.modbus.codec import decode_value, encode_count, encode_
 
 HEARTBEAT = "heartbeat"
 _MAX_WRITE = 121
+"""Registers that function 23 can write (Modbus application protocol, 6.17)."""
+
 _COUNTS = (*WORDS, HEARTBEAT)
 
 
