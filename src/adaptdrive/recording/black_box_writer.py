@@ -20,7 +20,7 @@ from adaptdrive.recording import reserve
 from adaptdrive.recording.batches import Batch, EventRow, Header, News, read_frames
 from adaptdrive.recording.black_box import trip_of
 from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
-from adaptdrive.recording.session import Dropped, Ending
+from adaptdrive.recording.session import Dropped, Ending, rename_free
 from adaptdrive.recording.session_writer import SessionWriter
 from adaptdrive.recording.writer import step_aside, tell_parent
 from adaptdrive.runtime.reports import Severity
@@ -69,7 +69,7 @@ def _write(header: Header, batches: Sequence[Batch], parent: Path) -> Path:
     unfinished.mkdir()
     _write_tables(msgspec.structs.replace(header, directory=str(unfinished)), batches)
     (unfinished / TEXT_FILE).write_text(_text(header, trip, events), encoding="utf-8")
-    return unfinished.rename(parent / f"trip-{trip.time:%Y%m%dT%H%M%S%fZ}")
+    return rename_free(unfinished, f"trip-{trip.time:%Y%m%dT%H%M%S%fZ}")
 
 
 def _write_tables(header: Header, batches: Sequence[Batch]) -> None:

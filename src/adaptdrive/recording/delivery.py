@@ -15,7 +15,7 @@ from adaptdrive.recording.session import Dropped
 from adaptdrive.recording.writer_process import WriterProcess
 from adaptdrive.runtime.reports import Severity
 
-_SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 1.0, 30.0
+_SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 30.0
 _FAILING_CLOSE_S = 2.0
 """Patience at the end with a recorder that has been failing already."""
 
@@ -52,6 +52,7 @@ class Delivery:
         self._unwritten: deque[_Sent] = deque()
         self._waiting_bytes = 0
         self._failing = False
+        self._cause: str | None = None
         self._number = 0
 
     def offer(self, batch: Batch, *, urgent: bool = False) -> bool:
@@ -80,7 +81,7 @@ class Delivery:
             cause = await self._serve()
             if self._number_written > before:
                 pause_s = _SHORTEST_PAUSE_S
-            self._fail(f"{cause}; next attempt in {pause_s:g} s")
+            self._fail(cause)
             await asyncio.sleep(pause_s)
             pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
 
@@ -164,14 +165,17 @@ class Delivery:
         self.directory = news.directory or self.directory
         while self._unwritten and self._unwritten[0].number <= news.written:
             self._waiting_bytes -= len(self._unwritten.popleft().message)
-            self._failing = False
+            self._failing, self._cause = False, None
         if news.detail:
             self._failing = self._failing or news.failing
             self._report(Severity(news.severity), news.detail)
 
     def _fail(self, cause: str) -> None:
+        """Report a failure, but not the same one with each attempt."""
         self._failing = True
-        self._report(Severity.ALARM, f"{STOPPED if self.directory else UNBEGUN}: {cause}")
+        if cause != self._cause:
+            self._report(Severity.ALARM, f"{STOPPED if self.directory else UNBEGUN}: {cause}")
+        self._cause = cause
 
     async def _dismiss(self) -> None:
         if self._writer is not None:

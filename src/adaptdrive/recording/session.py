@@ -139,12 +139,17 @@ def create_session(new: NewSession) -> Path:
     unfinished.mkdir()
     try:
         write_facts(unfinished, new.info, new.config_text)
-        return _renamed(unfinished, f"{new.info.started:%Y%m%dT%H%M%SZ}_{new.info.drive}")
+        return rename_free(unfinished, f"{new.info.started:%Y%m%dT%H%M%SZ}_{new.info.drive}")
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
 
 
-def _renamed(unfinished: Path, name: str) -> Path:
+def rename_free(unfinished: Path, name: str) -> Path:
+    """Rename a folder; a name that is taken gets a number.
+
+    Raises:
+        OSError: It cannot be renamed.
+    """
     for number in count(1):
         directory = unfinished.with_name(name if number == 1 else f"{name}-{number}")
         try:
