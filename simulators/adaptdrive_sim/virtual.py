@@ -6,7 +6,8 @@ nothing waits: time passes as fast as the machine counts it.
 
 from __future__ import annotations
 
-from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.schedule import Schedule

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.app import checkpoint as cp
-from adaptdrive.app.settings import build_load, controller_settings
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Decision, Mode, Order, Snapshot, Stage
 from adaptdrive.runtime.hub import Hub

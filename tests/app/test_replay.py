@@ -5,8 +5,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from adaptdrive.app.loads import build_load
 from adaptdrive.app.replay import replay
-from adaptdrive.app.settings import build_load, controller_settings
+from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import load_configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Mode, Stage

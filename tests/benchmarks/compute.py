@@ -12,7 +12,8 @@ import can
 import numpy as np
 import padasip
 
-from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.control import rls
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import (

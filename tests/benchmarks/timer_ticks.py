@@ -11,7 +11,8 @@ import json
 import sys
 import time
 
-from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.clock.tick_timer import TickTimer
 from adaptdrive.control.controller import Controller
 from adaptdrive.runtime.fast_loop import FastLoop

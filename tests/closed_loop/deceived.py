@@ -14,7 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing import Pool
 
-from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller

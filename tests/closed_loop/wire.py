@@ -18,8 +18,9 @@ from typing import Any
 
 import pytest
 
+from adaptdrive.app.loads import build_load
 from adaptdrive.app.sensors import build_whole_port, sensor_reports
-from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
+from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.hardware.link.bus import open_bus

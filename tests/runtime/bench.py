@@ -9,7 +9,8 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import load_configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Command, Decision, Mode, Order, Snapshot, Stage

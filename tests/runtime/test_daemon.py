@@ -15,7 +15,8 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.app.last_resort import uncaught_errors_end
-from adaptdrive.app.settings import build_load, controller_settings
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Mode, Snapshot
 from adaptdrive.errors import BusError, RefusedError

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adaptdrive.app.settings import daemon_settings
+from adaptdrive.app.interlocks import response_limits
 from adaptdrive.config import load_configuration
 from adaptdrive.runtime.response import Response, ResponseLimits
 from tests.config.documents import flaws
@@ -23,7 +23,7 @@ FACTORS = st.floats(0.3, 3.0)
 
 
 def limits(example: str) -> ResponseLimits:
-    found = daemon_settings(load_configuration(EXAMPLES / f"{example}.toml")).fast.response
+    found = response_limits(load_configuration(EXAMPLES / f"{example}.toml"))
     assert found is not None
     return found
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
-from adaptdrive.app.settings import daemon_settings
+from adaptdrive.app.interlocks import stillness_limits
 from adaptdrive.config import load_configuration
 from adaptdrive.runtime.stillness import Stillness, StillnessLimits, StillnessWatch
 from tests.hardware.bench import EXAMPLES, MOTOR
@@ -110,7 +110,7 @@ def test_a_noisy_sensor_may_not_stand_still_for_long() -> None:
 @pytest.mark.parametrize("example", ["motor", "bath", "battery"])
 def test_the_limits_come_from_the_load_of_the_configuration(example: str) -> None:
     configuration = load_configuration(EXAMPLES / f"{example}.toml")
-    limits = daemon_settings(configuration).fast.stillness
+    limits = stillness_limits(configuration)
     assert limits is not None
     load = configuration.load
     share = math.inf if example == "battery" else 0.05
@@ -123,7 +123,7 @@ def test_the_limits_come_from_the_load_of_the_configuration(example: str) -> Non
 def test_it_can_be_left_out() -> None:
     interlocks = MOTOR.interlocks.model_copy(update={"stuck_distance": 0.0})
     configuration = MOTOR.model_copy(update={"interlocks": interlocks})
-    assert daemon_settings(configuration).fast.stillness is None
+    assert stillness_limits(configuration) is None
 
 
 def derived_complaint(hot: np.ndarray, cold: np.ndarray, voltages: np.ndarray) -> tuple[float, str]:
@@ -166,7 +166,7 @@ def test_an_input_that_the_load_does_not_move_may_stand_still() -> None:
 
 def test_the_inputs_come_from_the_derived_output() -> None:
     configuration = load_configuration(EXAMPLES / "bath-thermocouples.toml")
-    limits = daemon_settings(configuration).fast.stillness
+    limits = stillness_limits(configuration)
     assert limits is not None
     assert limits.inputs == ("bath_temperature",)
     assert limits.name == "temperature"

@@ -12,8 +12,9 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from adaptdrive.app.loads import build_load
 from adaptdrive.app.ports import build_port
-from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
+from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.app.warm_up import Rehearsal
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller

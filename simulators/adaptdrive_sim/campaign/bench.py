@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptdrive.app.settings import build_load, controller_settings
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.load import Load

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from adaptdrive.analysis import style
 from adaptdrive.analysis.curves import Curves
-from adaptdrive.app.settings import build_load
+from adaptdrive.app.loads import build_load
 from adaptdrive.config import Configuration
 from adaptdrive.recording.reader import Session
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from adaptdrive.app.settings import build_load, controller_settings, tick_s
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings, tick_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BatterySection
 from adaptdrive.control.design import compensator_gains, discrete_model

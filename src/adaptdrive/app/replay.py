@@ -7,7 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from adaptdrive.app.settings import build_load, controller_settings
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.load import Load

@@ -22,13 +22,14 @@ from adaptdrive.app.checkpoint import (
 )
 from adaptdrive.app.examine import load_examined
 from adaptdrive.app.last_resort import uncaught_errors_end
+from adaptdrive.app.loads import build_load
 from adaptdrive.app.lock import lock_names, locked, send_visitors_away
 from adaptdrive.app.log import log_events, loss_line, set_up_logging
 from adaptdrive.app.output import unblocked_output
 from adaptdrive.app.realtime import build_rehearsal, prepared
 from adaptdrive.app.recording import build_recorder
 from adaptdrive.app.sensors import build_whole_port, sensor_reports
-from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
+from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.app.state_file import directory_flaw
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller

@@ -5,14 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from adaptdrive.app.interlocks import trip_limits, watches
+from adaptdrive.app.loads import build_load
 from adaptdrive.config import Configuration
-from adaptdrive.config.derived import moved_inputs
-from adaptdrive.config.load import BathSection, BatterySection, MotorSection, Supervisor
-from adaptdrive.control.charging import Charging
-from adaptdrive.control.load import Load, to_input
-from adaptdrive.control.loads.bath import bath_load
-from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.loads.motor import motor_load
+from adaptdrive.config.load import BatterySection, MotorSection, Supervisor
+from adaptdrive.control.load import to_input
 from adaptdrive.control.settings import (
     ControllerSettings,
     Jacket,
@@ -24,53 +21,15 @@ from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive.runtime.daemon import DaemonSettings
 from adaptdrive.runtime.fast_loop import FastLoopSettings
 from adaptdrive.runtime.guard import CommandLimits
-from adaptdrive.runtime.interlocks import Limits
 from adaptdrive.runtime.machine import MachineLimits
 from adaptdrive.runtime.realtime import RealtimeSettings
-from adaptdrive.runtime.response import ResponseLimits
-from adaptdrive.runtime.stillness import StillnessLimits
 
 _LOWEST_LINE = 0.5
 _SWING_SHARE = 0.01
 _ERROR_SHARE = 0.1
 _PAPER_PATIENCE = 30
 _SHORTEST_WAVE_PERIODS = 4
-_POWER_FACTOR = 2.0  # a power is measured, and half of it at most is lost on the way to the load
-_BELOW_RANGE = 0.25  # noise of 5 % and the overshoot of a step downwards stay above
 _COLLECT_TICKS = 12
-
-
-def build_load(configuration: Configuration) -> Load:
-    """The load with its nominal model."""
-    match configuration.load:
-        case MotorSection(model=model):
-            return motor_load(model.gain, model.tau_motor_s, model.tau_filter_s)
-        case BathSection(model=model):
-            return bath_load(
-                model.resistance_K_per_W,
-                model.tau_s,
-                model.turns_ratio,
-                model.droop_Ohm,
-                model.heater_Ohm,
-            )
-        case BatterySection(model=model):
-            return battery_load(
-                model.turns_ratio,
-                model.droop_Ohm + model.internal_Ohm,
-                model.relaxation_Ohm,
-                model.relaxation_s,
-                _charging(configuration.load),
-            )
-
-
-def _charging(battery: BatterySection) -> Charging:
-    return Charging(
-        turns_ratio=battery.model.turns_ratio,
-        droop_Ohm=battery.model.droop_Ohm,
-        internal_Ohm=battery.model.internal_Ohm,
-        voltage_max_V=battery.charge.voltage_max_V,
-        end_current_A=battery.charge.end_current_A,
-    )
 
 
 def controller_settings(configuration: Configuration) -> ControllerSettings:
@@ -244,14 +203,8 @@ def _machine_limits(configuration: Configuration) -> MachineLimits:
 def _fast_loop(configuration: Configuration) -> FastLoopSettings:
     interlocks, limits = configuration.interlocks, configuration.drive.limits
     return FastLoopSettings(
-        limits=Limits(
-            stale_s=interlocks.stale_s,
-            boost_voltage_max_V=interlocks.boost_voltage_max_V,
-            output_max=interlocks.output_max,
-            output_unit=configuration.load.output_unit,
-            output_name=configuration.load.output_name,
-            output_min=_output_min(configuration),
-        ),
+        limits=trip_limits(configuration),
+        watches=watches(configuration),
         command=CommandLimits(
             current_scale_min_S=_lowest_scale(configuration),
             current_scale_max_S=limits.current_scale_max_S,
@@ -263,72 +216,6 @@ def _fast_loop(configuration: Configuration) -> FastLoopSettings:
         late_fraction=configuration.realtime.late_fraction,
         timer_standin=configuration.realtime.timer_standin,
         ticks_per_reading=configuration.bus.ticks_per_reading,
-        stillness=_stillness(configuration),
-        response=_response(configuration),
         drive_clocks=configuration.bus.drive_clocks,
         stop_s=interlocks.stop_s,
-    )
-
-
-def _output_min(configuration: Configuration) -> float:
-    """Return the lowest output: below it is none that a load at rest or in control has."""
-    load, given = configuration.load, configuration.interlocks.output_min
-    if given is not None:
-        return given
-    return min(0.0, load.reference_min) - _BELOW_RANGE * (load.reference_max - load.reference_min)
-
-
-def _stillness(configuration: Configuration) -> StillnessLimits | None:
-    interlocks, section = configuration.interlocks, configuration.load
-    if not interlocks.stuck_distance and not interlocks.stuck_s:
-        return None
-    load = build_load(configuration)
-    distance = interlocks.stuck_distance * (section.reference_max - section.reference_min)
-    if isinstance(section, BatterySection):  # takes no current at all below its own voltage
-        distance = 0.0
-    return StillnessLimits(
-        unit=section.output_unit,
-        gain=load.numerator[-1] / load.denominator[-1],
-        input_gain=load.input_gain,
-        input_exponent=load.input_exponent,
-        lags_s=_lags_s(load),
-        distance=distance or math.inf,
-        longest_s=interlocks.stuck_s or math.inf,
-        name=section.output_name,
-        inputs=moved_inputs("output", configuration.derived),
-    )
-
-
-def _lags_s(load: Load) -> tuple[float, ...]:
-    """Return equal time constants with the same sum as those of the load."""
-    return (load.denominator[-2] / load.denominator[-1] / load.order,) * load.order
-
-
-def _response(configuration: Configuration) -> ResponseLimits | None:
-    factor, section = configuration.interlocks.response_factor, configuration.load
-    if not factor:
-        return None
-    load, highest_V = build_load(configuration), configuration.drive.limits.boost_reference_max_V
-    reference_range = section.reference_max - section.reference_min
-    limits = ResponseLimits(
-        name=section.output_name,
-        unit=section.output_unit,
-        gain=load.numerator[-1] / load.denominator[-1],
-        input_gain=load.input_gain,
-        input_exponent=load.input_exponent,
-        input_max=to_input(highest_V, load.input_gain, load.input_exponent),
-        lags_s=_lags_s(load),
-        factor=factor,
-        reference_range=reference_range,
-    )
-    if not isinstance(section, BatterySection):
-        return limits
-    ratio = section.model.turns_ratio
-    return replace(
-        limits,
-        gain=1.0 / ratio,
-        input_max=reference_range * ratio,
-        lags_s=(section.period_s,),  # a sensor's cycle is no longer
-        factor=min(factor, _POWER_FACTOR),
-        by_power=True,
     )

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Literal
 
-LoadName = Literal["motor", "bath", "battery"]
+from adaptdrive.config.load import LoadName
+
 BusName = Literal["can", "modbus-tcp", "modbus-rtu", "canopen"]
 
 _POLLED = ("modbus-tcp", "modbus-rtu")

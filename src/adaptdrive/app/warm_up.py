@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 
-from adaptdrive.app.settings import build_load, controller_settings, daemon_settings
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Decision, Mode, Snapshot

@@ -11,8 +11,9 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from adaptdrive.app.described import Choices, can_part, canopen_part, clock_ticks, output_unit
-from adaptdrive.app.starter import BusName, LoadName, Starter, compose
+from adaptdrive.app.starter import BusName, Starter, compose
 from adaptdrive.config import load_configuration
+from adaptdrive.config.load import LoadName
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.proposal import OUTPUTS, QUANTITIES, Candidate, propose
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, get_args
 
 from pydantic import Field, model_validator
 
@@ -15,7 +15,8 @@ from adaptdrive.config.section import (
     Section,
 )
 
-LOAD_TYPES = ("motor", "bath", "battery")
+LoadName = Literal["motor", "bath", "battery"]
+LOAD_TYPES: tuple[str, ...] = get_args(LoadName)
 
 Period = Annotated[PositiveFloat, Field(le=3600.0)]
 
@@ -134,6 +135,9 @@ class BatterySection(LoadSection):
     output_unit: str = Field(default="A", description="unit of the output for people")
     model: BatteryModel
     charge: Charge
+
+
+AnyLoad = MotorSection | BathSection | BatterySection
 
 
 class Estimator(Section):

@@ -12,7 +12,7 @@ from adaptdrive.config.bus import Signals
 from adaptdrive.config.buses import AnyBus, bus_checks
 from adaptdrive.config.derived import Derived
 from adaptdrive.config.drive import DriveSection, VoltageLoop
-from adaptdrive.config.load import BathSection, BatterySection, Estimator, MotorSection, Supervisor
+from adaptdrive.config.load import AnyLoad, Estimator, MotorSection, Supervisor
 from adaptdrive.config.section import Section, inconsistent
 from adaptdrive.config.sensors import (
     CanSensorSection,
@@ -38,7 +38,7 @@ class Configuration(Section):
     sensor_bus: list[SensorBus] = Field(default=[])
     derived: dict[str, Derived] = Field(default={})
     voltage_loop: VoltageLoop = Field(default_factory=VoltageLoop)
-    load: MotorSection | BathSection | BatterySection = Field(discriminator="type")
+    load: AnyLoad = Field(discriminator="type")
     estimator: Estimator = Field(default_factory=Estimator)
     supervisor: Supervisor = Field(default_factory=Supervisor)
     interlocks: InterlocksSection

@@ -11,6 +11,7 @@ loop, the watchdog, the books and the report) comes after it.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -28,12 +29,10 @@ from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.bridge_watch import BridgeWatch
 from adaptdrive.runtime.guard import CommandLimits, Guard
 from adaptdrive.runtime.half_cycles import HalfCycles
-from adaptdrive.runtime.interlocks import Limits, find_cause
+from adaptdrive.runtime.interlocks import Limits, Watch, find_cause
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State, StopWord, TickReport
-from adaptdrive.runtime.response import Response, ResponseLimits
 from adaptdrive.runtime.statistics import TimeWindow
-from adaptdrive.runtime.stillness import StillnessLimits, StillnessWatch
 from adaptdrive.runtime.stop_watch import Stop, StopWatch
 
 _GAP_READINGS = 2
@@ -76,8 +75,7 @@ class FastLoopSettings:
         timer_standin: Whether the timer stands in at all.
         ticks_per_reading: Half cycles from one reading to the next, 1 for a drive that sends
             each. A drive that is polled has one tick for each poll.
-        stillness: When the output is stuck, None for never.
-        response: The lowest output that is believed, None for any.
+        watches: Factories of the watches over the output, in the order of their causes.
         drive_clocks: Whether the drive decides when a reading comes.
         stop_s: Longest time from a stop to the drive's word that its bridge is off.
     """
@@ -89,8 +87,7 @@ class FastLoopSettings:
     late_fraction: float
     timer_standin: bool
     ticks_per_reading: int = 1
-    stillness: StillnessLimits | None = None
-    response: ResponseLimits | None = None
+    watches: tuple[Callable[[], Watch], ...] = ()
     drive_clocks: bool = True
     stop_s: float = 0.5
 
@@ -150,11 +147,7 @@ class FastLoop:
             port.counter_modulus, settings.tick_s, settings.ticks_per_reading
         )
         self._guard = Guard(settings.command)
-        self._watches: list[StillnessWatch | Response] = []
-        if settings.stillness is not None:
-            self._watches.append(StillnessWatch(settings.stillness))
-        if settings.response is not None:
-            self._watches.append(Response(settings.response))
+        self._watches = [build() for build in settings.watches]
         self._settings = settings
         self._surroundings = surroundings
         self._bridge = BridgeWatch(settings.tick_s, settings.ticks_per_reading)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 from adaptdrive.hardware.fault_latch import describe_fault
 from adaptdrive.hardware.port import Reading
@@ -35,6 +36,20 @@ class Limits:
     output_unit: str
     output_name: str = "output"
     output_min: float = -math.inf
+
+
+class Watch(Protocol):
+    """Compares the readings of a running drive with each other, one after the other."""
+
+    def forget(self) -> None:
+        """Begin anew: the drive is not running."""
+
+    def find_cause(self, reading: Reading) -> str | None:
+        """Return the cause of a trip, None for none.
+
+        Args:
+            reading: The newest, again where there is no newer one.
+        """
 
 
 def find_cause(

@@ -1,0 +1,44 @@
+"""The load that a configuration describes, as the controller takes it."""
+
+from __future__ import annotations
+
+from adaptdrive.config import Configuration
+from adaptdrive.config.load import BathSection, BatterySection, MotorSection
+from adaptdrive.control.charging import Charging
+from adaptdrive.control.load import Load
+from adaptdrive.control.loads.bath import bath_load
+from adaptdrive.control.loads.battery import battery_load
+from adaptdrive.control.loads.motor import motor_load
+
+
+def build_load(configuration: Configuration) -> Load:
+    """The load with its nominal model."""
+    match configuration.load:
+        case MotorSection(model=model):
+            return motor_load(model.gain, model.tau_motor_s, model.tau_filter_s)
+        case BathSection(model=model):
+            return bath_load(
+                model.resistance_K_per_W,
+                model.tau_s,
+                model.turns_ratio,
+                model.droop_Ohm,
+                model.heater_Ohm,
+            )
+        case BatterySection(model=model):
+            return battery_load(
+                model.turns_ratio,
+                model.droop_Ohm + model.internal_Ohm,
+                model.relaxation_Ohm,
+                model.relaxation_s,
+                _charging(configuration.load),
+            )
+
+
+def _charging(battery: BatterySection) -> Charging:
+    return Charging(
+        turns_ratio=battery.model.turns_ratio,
+        droop_Ohm=battery.model.droop_Ohm,
+        internal_Ohm=battery.model.internal_Ohm,
+        voltage_max_V=battery.charge.voltage_max_V,
+        end_current_A=battery.charge.end_current_A,
+    )
