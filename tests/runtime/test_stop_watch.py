@@ -74,7 +74,7 @@ async def test_a_drive_that_falls_silent_in_its_stop_is_an_alarm(running: FastBe
     disable(running)
     running.wait(FAST.stop_s + 3 * TICK_S)
     assert (running.machine.trip or "").startswith(
-        "the drive does not stop: it has not said that its bridge is off"
+        "the drive does not stop: it has not reported its bridge off"
     )
 
 

@@ -28,7 +28,7 @@ class CanOpenBus(CanLink, BusSection):
     )
     sync: Literal["drive", "daemon"] = Field(
         default="daemon",
-        description="who sends SYNC each half line cycle; the drive does so at the same line phase",
+        description="sender of SYNC each half line cycle; the drive sends it at a fixed line phase",
     )
     heartbeat_s: PositiveFloat = Field(
         default=0.04,

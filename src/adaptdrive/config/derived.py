@@ -24,8 +24,8 @@ class Derived(Section):
     """
 
     rule: Rule = Field(
-        description="what is made of the values: `difference` is the first less the second, "
-        "`ratio` the first over the second"
+        description="rule that combines the values: `difference` is the first minus the second, "
+        "`ratio` the first divided by the second"
     )
     of: list[str] = Field(
         min_length=1, description="names of values: of the drive, of sensor buses, or derived"

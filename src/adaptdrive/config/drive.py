@@ -87,7 +87,7 @@ class VoltageLoop(Section):
     """`[voltage_loop]`: the fast loop that makes v_bst follow V_c."""
 
     where: Literal["daemon", "drive"] = Field(
-        default="daemon", description="who computes the current scale from V_c"
+        default="daemon", description="place of the voltage loop (from V_c to the current scale)"
     )
     feed_forward: bool = Field(default=True, description="add the measured load power")
     lag_s: NonNegativeFloat | None = Field(

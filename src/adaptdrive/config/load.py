@@ -172,12 +172,12 @@ class Estimator(Section):
     )
     initial_state: bool = Field(
         default=True,
-        description="estimate what is left of the time before the start too, such as the speed of "
-        "a motor that still turns (`exact` and `lm-rls` only); not of a battery",
+        description="estimate the initial state too, such as the speed of a motor that still "
+        "turns (`exact` and `lm-rls` only); not for a battery",
     )
     known_filter: bool = Field(
         default=False,
-        description="take `load.model.tau_filter_s` of a motor as known and learn the rest: faster "
+        description="take `load.model.tau_filter_s` as known and estimate the rest: faster "
         "and surer where it is right, biased where it is not (`exact` and `lm-rls` only)",
     )
     settle_s: Duration = Field(default=30.0, description="time after start before the first update")
@@ -212,8 +212,8 @@ class Supervisor(Section):
     )
     confidence: NonNegativeFloat = Field(
         default=2.0,
-        description="standard deviations by which an estimate may be wrong without its gains "
-        "making the loop unstable; 0: any, whatever the last trusted estimate was",
+        description="standard deviations of an estimate within which its gains must keep the loop "
+        "stable; 0: no such check, nor with the last trusted estimate",
     )
     dwell_periods: int = Field(
         default=7, ge=1, le=10_000, description="good estimates in a row before the first goes live"
@@ -248,8 +248,8 @@ class Supervisor(Section):
     )
     response_s: Duration = Field(
         default=120.0,
-        description="trip when the input has been at a limit for so long, the model says that the "
-        "output must have moved, and it has not; 0: never",
+        description="trip when the input has been at a limit for this time and the output has not "
+        "moved, although every load within the bounds would have; 0: never",
     )
     response_distance: NonNegativeFloat = Field(
         default=0.02, description="how far it must have moved, as a share of the set-point range"

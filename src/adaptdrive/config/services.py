@@ -59,7 +59,7 @@ class InterlocksSection(Section):
     stale_s: PositiveFloat = Field(
         default=0.05,
         le=LONGEST_STALE_S,
-        description="oldest usable measurement; the drive is commanded on held values for so long",
+        description="greatest age of a measurement; until then ticks use held values, then trip",
     )
     boost_voltage_max_V: PositiveFloat = Field(default=430.0, description="over-voltage trip")
     output_max: FiniteFloat = Field(description="trip when the output is above")
@@ -79,8 +79,8 @@ class InterlocksSection(Section):
     stuck_s: NonNegativeFloat = Field(
         default=0.0,
         le=3600.0,
-        description="trip when the running drive's output stands at exactly one value for so long, "
-        "for sensors whose noise is more than their last digit; 0: never",
+        description="trip when the running drive's output has exactly one value for this time, "
+        "for sensors whose noise is larger than their last digit; 0: never",
     )
     response_factor: float = Field(
         default=4.0,
@@ -190,7 +190,7 @@ class Realtime(Section):
     )
     lock_memory: bool = Field(default=False, description="keep the daemon's memory in RAM")
     freeze_gc: bool = Field(
-        default=True, description="collect garbage in the slack after a tick, and only what is new"
+        default=True, description="collect garbage in idle time after a tick, young objects only"
     )
     warm_up: bool = Field(
         default=True, description="rehearse ticks and slow steps before the bus is opened"
@@ -199,8 +199,8 @@ class Realtime(Section):
         default=0.0,
         ge=0.0,
         le=3000.0,
-        description="rehearse a tick so long before the drive's next frame, to warm the CPU's "
-        "caches; costs as much CPU time as a tick; 0 for never",
+        description="rehearse a tick at this time before the drive's next frame, to warm the CPU's "
+        "caches; needs as much CPU time as a tick; 0: never",
     )
     spin_us: float = Field(
         default=0.0,

@@ -90,17 +90,17 @@ class StopWatch:
         waited = f"{(now_s - self._commanded_s) * 1e3:.0f} ms after the stop"
         if safe_s == math.inf:
             return (
-                f"it has not taken the safe command {waited}; look whether it takes commands from "
-                "the bus (remote mode, write access), and cut its supply"
+                f"it has not taken the safe command {waited}; check that it accepts commands from "
+                "the bus (remote mode, write access), and disconnect its supply"
             )
         if reading is not None and reading.bridge and spoken_s(reading) > self._commanded_s:
             return (
-                f"its bridge is still on {waited}; look whether it takes commands from the bus "
-                "(remote mode, checksum, another sender), and cut its supply"
+                f"its bridge is still on {waited}; check that it accepts commands from the bus "
+                "(remote mode, checksum, another sender), and disconnect its supply"
             )
         return (
-            f"it has not said that its bridge is off {waited}; look at its cable and its supply, "
-            "and go there before anybody touches the load"
+            f"it has not reported its bridge off {waited}; check its cable and its supply, "
+            "and disconnect the supply before the load is touched"
         )
 
 
