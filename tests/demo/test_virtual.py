@@ -85,8 +85,8 @@ def run(*words: str) -> tuple[int, dict[str, Any], str]:
 
 @pytest.mark.parametrize("load", ["bath", "battery"])
 def test_headless_it_prints_one_line_of_json(load: str) -> None:
-    status, summary, _ = run(load, "--duration=120", "--speed=100000")
-    assert status == 0
+    status, summary, problem = run(load, "--duration=120", "--speed=100000")
+    assert status == 0, (summary, problem)
     assert summary["demo"] == load
     assert summary["ok"] is True
     assert summary["virtual_time"] is True

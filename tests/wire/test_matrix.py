@@ -84,7 +84,7 @@ async def run_steadily(wire: Wire, rig: Rig) -> None:
     while True:
         await rig.run()
         rig.events.clear()
-        await until(lambda: wire.told[1])
+        await until(lambda: wire.told[1] or rig.heard("trip"))
         await asyncio.sleep(_RUNNING_s)
         if not rig.heard("trip"):
             return
@@ -112,8 +112,7 @@ async def back(wire: Wire, rig: Rig) -> float:
     await wire.heal()
     await rig.recovers()
     recovered_s = time.monotonic()
-    await rig.run()
-    await until(lambda: wire.told[1])
+    await run_steadily(wire, rig)
     return recovered_s - healed_s
 
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from pathlib import Path
 
@@ -13,6 +14,8 @@ import pytest
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import Disable, Enable, Reset
+from tests.hardware.canopen.documents import parse
+from tests.hardware.canopen.peer import ENABLED, MEASURED, Peer
 from tests.wire.rig import Rig, rigged, until
 from tests.wire.test_matrix import note, run_steadily
 from tests.wire.wires import CanWire, PATIENT_s, modbus_wire, motor_text, strung
@@ -59,6 +62,42 @@ async def test_a_bridge_that_stays_on_is_announced(free_udp_port: int) -> None:
         await rig.reaches(State.STANDBY)
         assert rig.state is not None
         assert rig.state.stop is StopWord.CONFIRMED
+
+
+_PATIENT_NODE = {
+    "interlocks/stale_s": 1.5,
+    "interlocks/stuck_distance": 0.0,
+    "interlocks/response_factor": 0.0,
+    "bus/heartbeat_timeout_s": 2.0,
+    "bus/sdo_timeout_s": 2.0,
+}
+"""A node whose values stand still, on a machine with more work than processors."""
+
+
+async def test_a_node_that_stays_enabled_is_announced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(MEASURED, "0x2001.2", 1_000_000)
+    with contextlib.closing(Peer(f"canopen {tmp_path.name}")) as peer:
+        bus = {"bus/interface": peer.interface, "bus/channel": peer.channel}
+        async with rigged(parse({**_PATIENT_NODE, **bus})) as rig:
+            await rig.run()
+            await until(lambda: peer.statusword == ENABLED)
+            peer.obeys = False
+            began_s = time.monotonic()
+            assert await rig.daemon.execute(Disable()) is State.STOPPING
+            trip, after_s = await alarm(rig, "trip", began_s)
+            assert trip.startswith("the drive does not stop: its bridge is still on ")
+            assert after_s < ANNOUNCED_s + BUSY_s
+            note("stop-unconfirmed-canopen", after_s, 0.0)
+            told = len(peer.words)
+            await until(lambda: len(peer.words) > told + 10)
+            assert set(peer.words[told:]) == {0x00}
+            with pytest.raises(RefusedError):
+                await rig.daemon.execute(Enable())
+            peer.obeys = True
+            await rig.ask(Reset())
+            await rig.reaches(State.STANDBY)
 
 
 async def test_a_bridge_switched_on_by_others_trips(free_udp_port: int) -> None:

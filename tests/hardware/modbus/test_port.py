@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from pathlib import Path
 
 import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
+from adaptdrive.hardware.port import Reading
 from tests.hardware.modbus.bench import (
     FUNCTION_23,
     RUN,
@@ -19,6 +21,9 @@ from tests.hardware.modbus.bench import (
     serial,
     until,
 )
+
+POLL_s = 6 / 120.0
+FROZEN_POLLS = 4.0
 
 both = pytest.mark.parametrize("kind", ["tcp", "rtu"])
 
@@ -192,3 +197,29 @@ async def test_a_port_that_is_closed_while_it_waits_for_the_drive_opens_no_link(
         await asyncio.gather(task, return_exceptions=True)
         await asyncio.sleep(0.05)
     assert mute.connections == 0
+
+
+@both
+async def test_after_a_freeze_nothing_energising_is_written(
+    kind: str, tmp_path: Path, free_tcp_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The process stands still between a reading and the command that goes with it."""
+    async with bench(kind, tmp_path, free_tcp_port) as one:
+        one.port.send(RUN)
+        await until(lambda: bool(one.peer.writes) and one.told()[1] == 1)
+        take, thawed = one.ear.on_reading, asyncio.Event()
+
+        def freeze(reading: Reading) -> None:
+            take(reading)
+            if not thawed.is_set():
+                time.sleep(FROZEN_POLLS * POLL_s)
+                written.append(len(one.peer.writes))
+                thawed.set()
+            else:
+                one.port.send(SAFE_COMMAND)
+
+        written: list[int] = []
+        monkeypatch.setattr(one.ear, "on_reading", freeze)
+        await until(lambda: thawed.is_set() and one.told()[1] == 0)
+        await one.hears(3)
+        assert not any(registers[1] for _, registers in one.peer.writes[written[0] :])
