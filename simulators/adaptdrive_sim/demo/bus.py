@@ -57,7 +57,7 @@ def choose_bus(interface: InterfaceChoice | None, channel: str | None) -> BusCho
 
 
 def free_port(kind: socket.SocketKind) -> int:
-    """A port of the loopback interface that nobody held a moment ago."""
+    """Return a port of the loopback interface that was free at the call."""
     with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

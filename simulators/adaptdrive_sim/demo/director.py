@@ -128,7 +128,7 @@ class Director:
         return record.halves.edges - self._first_edge - 1, float(record.halves.periods)
 
     async def _perform(self, act: Act) -> None:
-        """Do what an act says, as far as nobody else has taken the drive over."""
+        """Carry out an act, unless another client operates the drive."""
         state = self._record.state
         if state is None or not self._record.running or state.waveform != self._wave:
             self._record.caption = "Another client operates the drive: the demonstration has ended."

@@ -161,7 +161,7 @@ class DemoRecord:
             self.slow_periods += 1
 
     def hear_truth(self, truth: heard.Truth) -> None:
-        """Take what the simulator knows."""
+        """Record the true state of the simulator."""
         if self.truth is not None and truth.disks != self.truth.disks:
             self.mark(f"{truth.disks} disk{'s' if truth.disks > 1 else ''}")
         self.truth = truth

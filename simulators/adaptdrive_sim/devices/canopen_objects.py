@@ -48,7 +48,7 @@ class NodeNetwork(canopen.Network):
 
 
 class _Nothing:
-    """Stands for a periodic message that nobody sends."""
+    """Stand-in for a periodic message that is not sent."""
 
     def update(self, data: bytes) -> None:
         """Take other data."""

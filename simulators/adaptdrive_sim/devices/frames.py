@@ -101,7 +101,7 @@ class StatusMessage:
 
 @dataclass(frozen=True, slots=True)
 class DriveMessages:
-    """All that the drive says and hears.
+    """All messages that the drive sends and receives.
 
     Attributes:
         status: Messages in the order of sending, the clocking one last.

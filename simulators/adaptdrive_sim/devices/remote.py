@@ -1,4 +1,4 @@
-"""Disturbances over MQTT, and the truth for whoever compares estimates with it.
+"""Disturbances over MQTT, and the true parameters for comparison with estimates.
 
 The drive's node never waits for any of this: when the broker is away the node runs on, and a new
 client is tried at growing intervals.

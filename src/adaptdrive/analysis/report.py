@@ -88,7 +88,7 @@ def _commands(session: Session) -> str:
         )
         for one in session.commands
     ]
-    return _table(("UTC", "command", "sender, as it says", "answer"), rows)
+    return _table(("UTC", "command", "sender, unverified", "answer"), rows)
 
 
 def _table(heads: Sequence[str], rows: Sequence[tuple[Iterable[str], str]]) -> str:

@@ -1,4 +1,4 @@
-"""Rehearsal: ticks and slow steps on a drive that is made up.
+"""Rehearsal: ticks and slow steps on synthetic readings.
 
 Before the first real one it makes imports and memory ready, so that the first real ticks take no
 longer than later ones. Shortly before each real one it fills the caches of the CPU.

@@ -25,7 +25,7 @@ _COMMANDS = {
     "events": ("sessions", "Show the events of a recorded session."),
     "plot": ("analysis", "Draw a recorded session: a figure, and a report as one HTML file."),
     "export": ("analysis", "Write a session as CSV, Parquet, MATLAB, MDF 4 or MCAP."),
-    "status": ("operate", "Show what a drive says about itself."),
+    "status": ("operate", "Show the state and the telemetry of a drive."),
     "setpoint": ("operate", "Hold a constant set-point."),
     "waveform": ("operate", "Follow a periodic set-point, or stop following it."),
     "pole": ("operate", "Choose the closed-loop pole of the load loop."),

@@ -71,7 +71,7 @@ class Converted(Protocol):
 
 
 def si_unit(unit: str) -> str | None:
-    """Return the SI unit of what has a unit, None for a unit that the configuration knows not."""
+    """Return the SI unit of a quantity in a given unit, None for an unknown unit."""
     return _DIMENSIONS.get(unit)
 
 

@@ -63,7 +63,7 @@ class EstimatorState:
 
 
 def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:
-    """An estimator that knows nothing, or only the nominal model."""
+    """Return an estimator without data, which starts from zero or from the nominal model."""
     count = parameter_count(learning, load, taps)
     state = EstimatorState(
         [0.0] * count, [0.0] * (count * count), [0.0] * count, [0.0] * count, Surprise()

@@ -89,7 +89,7 @@ class SensorBus:
 
     def _why(self) -> str:
         if self.up:
-            return "; its bus answers: look at the sensor, its wire and its module"
+            return "; its bus answers: check the sensor, its wire and its module"
         return f" ({self.detail})"
 
 

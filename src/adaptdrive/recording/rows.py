@@ -1,4 +1,4 @@
-"""Rows of a recorded session as the values that the controller knows."""
+"""Rows of a recorded session, converted to the controller's types."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The runtime: the only place that knows time."""
+"""The runtime: the only package that reads the clock."""

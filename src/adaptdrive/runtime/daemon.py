@@ -81,7 +81,7 @@ class Daemon:
         opened: Set once the bus is open.
     """
 
-    def __init__(  # noqa: PLR0913 - it joins the rooms of the house, and names each
+    def __init__(  # noqa: PLR0913 - it connects all packages, one parameter each
         self,
         *,
         port: Port,

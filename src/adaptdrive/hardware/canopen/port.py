@@ -206,7 +206,7 @@ class CanOpenPort:
         return True
 
     def catch_up(self) -> None:
-        """Hand out what has arrived and has not been looked at yet."""
+        """Process the frames that have arrived, but were not read yet."""
         if self._reader is not None:
             self._reader.drain()
 

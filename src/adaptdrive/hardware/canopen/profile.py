@@ -93,7 +93,7 @@ def goal_of(command: Command) -> Goal:
 
 
 class DriveControl:
-    """Follows one drive's state, and knows the controlword that it needs next.
+    """Follows one drive's state, and derives the next controlword.
 
     Attributes:
         state: State heard last, None before the first.

@@ -181,7 +181,7 @@ class CanPort:
         return True
 
     def catch_up(self) -> None:
-        """Hand out what has arrived and has not been looked at yet."""
+        """Process the frames that have arrived, but were not read yet."""
         if self._reader is not None:
             self._reader.drain()
 
@@ -217,14 +217,14 @@ class CanPort:
             return refused
         if others_come:
             return "other messages come: is this one switched on in the drive, with this id?"
-        return "no message comes: look at the drive's supply, the cable, the bit rate, the ids"
+        return "no message comes: check the drive's supply, the cable, the bit rate, the ids"
 
     def details(self) -> list[str]:
         """Frames that were refused, one line for each kind."""
         return list(self._refusals.lines())
 
     async def reset_fault(self) -> None:
-        """A DBC knows no way to reset a fault: the drive clears its fault word by itself."""
+        """No-op: a DBC has no fault reset; the drive clears its fault word by itself."""
 
     def take(self, frame: can.Message) -> None:
         """Take one frame from the bus."""

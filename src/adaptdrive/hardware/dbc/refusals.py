@@ -15,7 +15,7 @@ _REMEDIES = {
     FrameVerdict.WRONG_CHECKSUM: "compare [bus.integrity] with the drive's manual; look at the "
     "cable",
     FrameVerdict.COUNTER_STUCK: "its sender hangs, or a gateway repeats frames",
-    FrameVerdict.COUNTER_LOST: "frames are lost: look at the bus load and the cable",
+    FrameVerdict.COUNTER_LOST: "frames are lost: check the bus load and the cable",
     FrameVerdict.OUT_OF_RANGE: "a sensor of the drive is broken, or the DBC has another range",
 }
 

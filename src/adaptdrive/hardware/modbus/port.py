@@ -205,7 +205,7 @@ class ModbusPort:
         return [*read, *(f"refused: {one}" for one in problems if one)]
 
     async def reset_fault(self) -> None:
-        """A register map knows no way to reset a fault: the drive clears its word by itself."""
+        """No-op: a register map has no fault reset; the drive clears its fault word by itself."""
 
     @property
     def _urgent(self) -> bool:
@@ -406,7 +406,7 @@ class ModbusPort:
         self._unanswered = self._unanswered + 1 if code is None else 0
         register = "" if block is None else f" at register {block.address}"
         self._refusal = (
-            f"{reason}{register}; look at [bus.registers], its remote mode and write access"
+            f"{reason}{register}; check [bus.registers], its remote mode and write access"
         )
 
     def _doubt(self, command: Command) -> None:
