@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Callable
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
@@ -68,19 +69,18 @@ class _Plain(_Envelope, frozen=True):
 
 _Form = _Number | _ModeName | _WaveformOrOff | _Plain
 
-_FORMS: dict[str, type[_Form]] = {
-    "setpoint": _Number,
-    "waveform": _WaveformOrOff,
-    "mode": _ModeName,
-    "enable": _Plain,
-    "disable": _Plain,
-    "reset": _Plain,
-    "pole": _Number,
+_VERBS: dict[str, tuple[type[_Form], Callable[[Any], Request]]] = {
+    "setpoint": (_Number, lambda form: SetSetpoint(_finite("value", form.value))),
+    "waveform": (_WaveformOrOff, lambda form: SetWaveform(_waveform(form.value))),
+    "mode": (_ModeName, lambda form: SetMode(form.value)),
+    "enable": (_Plain, lambda _: Enable()),
+    "disable": (_Plain, lambda _: Disable()),
+    "reset": (_Plain, lambda _: Reset()),
+    "pole": (_Number, lambda form: SetPole(_finite("value", form.value))),
 }
+"""Shape of the payload of each verb, and the request that a filled one makes."""
 
-_PLAIN: dict[str, Request] = {"enable": Enable(), "disable": Disable(), "reset": Reset()}
-
-VERBS = tuple(_FORMS)
+VERBS = tuple(_VERBS)
 STOP = "disable"
 """The verb that is carried out at its arrival, whatever its payload says."""
 
@@ -125,18 +125,18 @@ class Payload:
         Raises:
             RefusedError: The payload is malformed, or the verb is not known.
         """
-        form = _FORMS.get(verb)
-        if form is None:
+        if verb not in _VERBS:
             raise RefusedError(f"unknown verb {verb!r}; known are {', '.join(VERBS)}")
         if self._flaw:
             raise RefusedError(self._flaw)
+        form, make = _VERBS[verb]
         try:
             filled = msgspec.convert(self._document, form)
         except msgspec.ValidationError as problem:
             raise RefusedError(str(problem).replace("`$.", "`")) from problem
         except UnicodeError as problem:
             raise RefusedError("text with a lone surrogate") from problem
-        return _request(verb, filled), filled.expires
+        return make(filled), filled.expires
 
 
 def _read(raw: bytes) -> object:
@@ -171,19 +171,6 @@ def _can_be_sent(found: str | int) -> bool:
     if isinstance(found, int):
         return -(2**63) <= found < 2**63
     return not _SURROGATE.search(found)
-
-
-def _request(verb: str, form: _Form) -> Request:
-    match form:
-        case _Number():
-            value = _finite("value", form.value)
-            return SetPole(value) if verb == "pole" else SetSetpoint(value)
-        case _ModeName():
-            return SetMode(form.value)
-        case _WaveformOrOff():
-            return SetWaveform(_waveform(form.value))
-        case _Plain():
-            return _PLAIN[verb]
 
 
 def _waveform(form: _Waveform | Literal["off"] | None) -> Waveform | None:
