@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 from adaptdrive.config.bus import BusSection, CanBus, Signals
-from adaptdrive.config.cadence import clock_flaws, poll_flaws
+from adaptdrive.config.cadence import Sections, clock_flaws, poll_flaws
 from adaptdrive.config.canopen import CanOpenBus, canopen_flaws
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.config.references import can_flaws, modbus_flaws, unit_flaws
 from adaptdrive.errors import Flaw
-
-if TYPE_CHECKING:
-    from adaptdrive.config.root import Configuration
 
 AnyBus = CanBus | CanOpenBus | ModbusTcp | ModbusRtu
 
@@ -39,7 +36,7 @@ class BusChecks:
 
     signals: Callable[[Any, Signals], Iterator[Flaw]]
     units: Callable[[Any, Signals, str], Iterator[Flaw]] = _nothing
-    pace: Callable[[Any, Configuration], Iterator[Flaw]] = _nothing
+    pace: Callable[[Any, Sections], Iterator[Flaw]] = _nothing
 
 
 _MODBUS = BusChecks(modbus_flaws, unit_flaws, poll_flaws)

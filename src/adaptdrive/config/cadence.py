@@ -3,20 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import Protocol
 
-from adaptdrive.config.bus import CanBus
+from adaptdrive.config.bus import CanBus, Signals
+from adaptdrive.config.drive import DriveSection, VoltageLoop
+from adaptdrive.config.load import LoadSection
 from adaptdrive.config.modbus import ModbusBus
+from adaptdrive.config.services import InterlocksSection
 from adaptdrive.errors import Flaw
-
-if TYPE_CHECKING:
-    from adaptdrive.config.root import Configuration
 
 STALE_POLLS = 1.5
 """Poll cycles that a measurement must be allowed to age: it is one old when the next one comes."""
 
 
-def poll_flaws(bus: ModbusBus, configuration: Configuration) -> Iterator[Flaw]:
+class Sections(Protocol):
+    """The sections that the pace of a drive is compared with."""
+
+    @property
+    def drive(self) -> DriveSection:
+        """`[drive]`."""
+
+    @property
+    def signals(self) -> Signals:
+        """`[signals]`."""
+
+    @property
+    def voltage_loop(self) -> VoltageLoop:
+        """`[voltage_loop]`."""
+
+    @property
+    def interlocks(self) -> InterlocksSection:
+        """`[interlocks]`."""
+
+    @property
+    def load(self) -> LoadSection:
+        """`[load]`."""
+
+    @property
+    def ticks_per_period(self) -> int:
+        """Fast ticks in one slow period."""
+
+
+def poll_flaws(bus: ModbusBus, configuration: Sections) -> Iterator[Flaw]:
     """Yield the contradictions to a drive that is polled.
 
     Args:
@@ -34,7 +62,7 @@ def poll_flaws(bus: ModbusBus, configuration: Configuration) -> Iterator[Flaw]:
         yield Flaw("signals.command.current_scale_S", "a drive that is polled takes V_c only")
 
 
-def clock_flaws(bus: CanBus, configuration: Configuration) -> Iterator[Flaw]:
+def clock_flaws(bus: CanBus, configuration: Sections) -> Iterator[Flaw]:
     """Yield the contradictions to a drive that sends less often than each half cycle.
 
     Args:
@@ -57,7 +85,7 @@ def clock_flaws(bus: CanBus, configuration: Configuration) -> Iterator[Flaw]:
             yield Flaw(place, f"its {ticks} ticks must be a multiple of bus.clock_ticks = {stride}")
 
 
-def _cycle_flaws(bus: ModbusBus, configuration: Configuration) -> Iterator[Flaw]:
+def _cycle_flaws(bus: ModbusBus, configuration: Sections) -> Iterator[Flaw]:
     load, interlocks = configuration.load, configuration.interlocks
     half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
     poll_s = bus.poll_ticks * half_cycle_s
