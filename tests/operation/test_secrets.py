@@ -97,15 +97,25 @@ def _binary(path: Path) -> None:
     path.write_bytes(b"\xff\x00\xfe")
 
 
-@pytest.mark.parametrize("damage", [_binary, Path.mkdir, os.mkfifo])
-async def test_a_password_that_cannot_be_read_is_tried_again(
-    guarded: Mqtt, tmp_path: Path, damage: Callable[[Path], None]
+@pytest.mark.parametrize(
+    ("key", "damage"),
+    [
+        ("password_file", _binary),
+        ("password_file", Path.mkdir),
+        ("password_file", os.mkfifo),
+        ("ca_file", Path.touch),  # no certificate must not mean the machine's authorities
+        ("ca_file", os.mkfifo),
+    ],
+)
+async def test_a_secret_that_cannot_be_read_is_tried_again(
+    guarded: Mqtt, tmp_path: Path, key: str, damage: Callable[[Path], None]
 ) -> None:
+    right = getattr(guarded, key).read_text()
     spoilt = tmp_path / "spoilt"
     damage(spoilt)
     host = RememberingHost()
     surroundings = ServiceSurroundings(tmp_path, uniform=lambda low, _: 0.1 * low)
-    settings = guarded.model_copy(update={"password_file": spoilt})
+    settings = guarded.model_copy(update={key: spoilt})
     service = MqttService("guarded", settings, host, host.hub, surroundings)
     with capture_logs() as lines:
         running = asyncio.create_task(service.run())
@@ -113,7 +123,7 @@ async def test_a_password_that_cannot_be_read_is_tried_again(
         assert not running.done()
     assert "spoilt" in next(line["problem"] for line in lines if line["event"] == "broker lost")
     spoilt.rename(tmp_path / "put aside")
-    spoilt.write_text("open sesame\n")
+    spoilt.write_text(right)
     assert await _ask_until_answered(guarded)
     running.cancel()
     await asyncio.wait([running])

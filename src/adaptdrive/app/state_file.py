@@ -1,50 +1,10 @@
-"""Small files of the daemon's state: read and replaced without ever waiting for anybody.
-
-Whatever lies in place of a file, a FIFO, a directory, a file of another user, it costs what the
-file would have told and nothing else.
-"""
+"""Small files of the daemon's state: replaced whole, in a directory that can be written."""
 
 from __future__ import annotations
 
-import errno
 import os
-import stat
 import tempfile
 from pathlib import Path
-
-_LARGEST_BYTES = 1 << 20
-"""A thousand times the size of any such file."""
-
-_KINDS = {
-    stat.S_IFIFO: "a FIFO",
-    stat.S_IFDIR: "a directory",
-    stat.S_IFCHR: "a device",
-    stat.S_IFBLK: "a device",
-}
-
-
-def read_regular(path: Path) -> bytes:
-    """The bytes of a regular file.
-
-    Args:
-        path: The file.
-
-    Raises:
-        FileNotFoundError: There is nothing.
-        OSError: It cannot be read, or is no regular file of a sensible size.
-    """
-    # without O_NONBLOCK the open of a FIFO waits for a writer
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
-    try:
-        found = os.fstat(descriptor)
-        if not stat.S_ISREG(found.st_mode):
-            kind = _KINDS.get(stat.S_IFMT(found.st_mode), "something else")
-            raise OSError(errno.EINVAL, f"it is {kind}, not a file")
-        if found.st_size > _LARGEST_BYTES:
-            raise OSError(errno.EFBIG, f"it has {found.st_size} bytes")
-        return os.read(descriptor, _LARGEST_BYTES)
-    finally:
-        os.close(descriptor)
 
 
 def replace_regular(path: Path, content: bytes) -> None:

@@ -15,6 +15,7 @@ from aiomqtt import Client, MqttError, ProtocolVersion, Will
 from aiomqtt.exceptions import MqttConnectError
 from paho.mqtt.reasoncodes import ReasonCode
 
+from adaptdrive.config.regular_file import read_regular
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.clock import Monotonic
 from adaptdrive.operation.name import ClientName
@@ -170,26 +171,29 @@ async def _client(
 def _secrets(settings: Mqtt) -> tuple[str | None, ssl.SSLContext | None]:
     password = None
     if settings.password_file is not None:
-        _require_file(settings.password_file)
         password = _read_password(settings.password_file)
-    if not settings.tls:
-        return password, None
-    if settings.ca_file is not None:
-        _require_file(settings.ca_file)
-    return password, ssl.create_default_context(cafile=settings.ca_file)
+    return password, _tls(settings.ca_file) if settings.tls else None
 
 
 def _read_password(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8").rstrip("\r\n")
+        return read_regular(path).decode("utf-8").rstrip("\r\n")
     except UnicodeDecodeError as problem:
         raise OSError(f"password file {path} is not text: {problem}") from problem
 
 
-def _require_file(path: Path) -> None:
-    """Refuse a FIFO, which would be waited for without end."""
-    if path.exists() and not path.is_file():
-        raise OSError(f"{path} is not a file")
+def _tls(ca_file: Path | None) -> ssl.SSLContext:
+    """Return a context that trusts the authority of a file, or those of the machine."""
+    if ca_file is None:
+        return ssl.create_default_context()
+    # comments between certificates may be in any encoding; what counts is ASCII
+    certificates = read_regular(ca_file).decode("ascii", errors="ignore")
+    if "-----BEGIN" not in certificates:  # an empty text would mean the machine's authorities
+        raise OSError(f"ca_file {ca_file} contains no certificate")
+    try:
+        return ssl.create_default_context(cadata=certificates)
+    except ssl.SSLError as problem:
+        raise OSError(f"ca_file {ca_file} cannot be used: {problem}") from problem
 
 
 async def _enter(client: Client) -> None:

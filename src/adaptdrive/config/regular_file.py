@@ -1,0 +1,42 @@
+"""Small files that are read without waiting for anything: a FIFO or a device is refused."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+
+_LARGEST_BYTES = 1 << 20
+"""Four times a bundle of all public certificate authorities, the largest of these files."""
+
+_KINDS = {
+    stat.S_IFIFO: "a FIFO",
+    stat.S_IFDIR: "a directory",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+def read_regular(path: Path) -> bytes:
+    """Return the bytes of a regular file.
+
+    Args:
+        path: The file.
+
+    Raises:
+        FileNotFoundError: There is nothing.
+        OSError: It cannot be read, or is no regular file of a sensible size.
+    """
+    # without O_NONBLOCK the open of a FIFO waits for a writer
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
+    try:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode):
+            kind = _KINDS.get(stat.S_IFMT(found.st_mode), "something else")
+            raise OSError(errno.EINVAL, f"it is {kind}, not a file", str(path))
+        if found.st_size > _LARGEST_BYTES:
+            raise OSError(errno.EFBIG, f"it has {found.st_size} bytes", str(path))
+        return os.read(descriptor, _LARGEST_BYTES)
+    finally:
+        os.close(descriptor)
