@@ -70,6 +70,24 @@ class ResponseLimits:
     reference_range: float
     by_power: bool = False
 
+    @property
+    def margin(self) -> float:
+        """Distance below the lowest output at which the drive trips."""
+        return _MARGIN * self.reference_range
+
+    @property
+    def fastest_s(self) -> float:
+        """Shortest time constant with which an output that is stored may fall."""
+        return min(self.lags_s) / _FASTEST
+
+    def at_rest(self, input_value: float) -> float:
+        """Return the lowest output at rest.
+
+        Args:
+            input_value: The constant input.
+        """
+        return max(0.0, self.gain / self.factor * (input_value - _LOAD_SHARE * self.input_max))
+
 
 class Response:
     """Watches the output of a running drive."""
@@ -106,7 +124,7 @@ class Response:
 
     def _low(self, lowest: float) -> str | None:
         limits = self._limits
-        if self._output >= lowest - _MARGIN * limits.reference_range:
+        if self._output >= lowest - limits.margin:
             return None
         return (
             f"no response: {limits.name} = {self._value(self._output)}, and with this input must "
@@ -119,8 +137,7 @@ class Response:
         limits = self._limits
         if limits.by_power:
             return None
-        fastest_s = min(limits.lags_s) / _FASTEST
-        self._highest = max(self._highest * math.exp(-period_s / fastest_s), self._output)
+        self._highest = max(self._highest * math.exp(-period_s / limits.fastest_s), self._output)
         if self._output >= self._highest - _FALL_MARGIN * limits.reference_range:
             return None
         return (
@@ -131,8 +148,7 @@ class Response:
     def _lowest(self, reading: Reading, period_s: float) -> float:
         """Return the lowest output of a load that has been fed with this input."""
         limits = self._limits
-        usable = self._input(reading) - _LOAD_SHARE * limits.input_max
-        level = max(0.0, limits.gain / limits.factor * usable)
+        level = limits.at_rest(self._input(reading))
         for number, lag_s in enumerate(limits.lags_s):
             stage = self._stages[number]
             if level > stage or not limits.by_power:
