@@ -29,6 +29,8 @@ TICK_S = FAST.tick_s
 Q = MOTOR.ticks_per_period
 LATENCY = FAST.latency_ticks
 PATIENCE_S = 20.0
+RATE_FRAMES = 61
+"""Readings from which the rate is judged."""
 
 CALM = Reading(
     arrival_s=0.0,
@@ -191,8 +193,8 @@ class FastBench:
         return self.machine.state
 
     def start(self) -> None:
-        """Enable the drive and wait until it runs."""
-        self.frames(3)
+        """Wait until the frame rate is known, enable the drive and wait until it runs."""
+        self.frames(RATE_FRAMES)
         self.ask(Enable())
         self.frames(3)
         assert self.state() is State.RUNNING

@@ -12,7 +12,7 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command, Measurement, Order
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
-from tests.runtime.bench import FAST, TICK_S, FastBench, fast_bench
+from tests.runtime.bench import FAST, RATE_FRAMES, TICK_S, FastBench, fast_bench
 
 TIMERLESS = replace(FAST, timer_standin=False)
 STALE_S = FAST.limits.stale_s
@@ -113,7 +113,7 @@ async def test_in_standby_every_command_is_safe() -> None:
 async def test_enabled_it_precharges_with_the_bridge_off_and_then_runs() -> None:
     async with fast_bench() as bench:
         bench.measured = replace(bench.measured, boost_voltage_V=171.0)
-        bench.frames(3)
+        bench.frames(RATE_FRAMES)
         bench.ask(Enable())
         bench.frames(20)
         assert bench.state() is State.STARTING

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.half_cycles import HalfCycles
 from adaptdrive.runtime.reports import State
@@ -140,6 +141,34 @@ async def test_a_wrong_rate_refuses_enable(rate_Hz: float) -> None:
         )
         with pytest.raises(RefusedError, match=expected):
             bench.ask(Enable())
+
+
+@pytest.mark.parametrize("rate_Hz", [50.0, 60.0, 100.0, 400.0, 1000.0])
+@pytest.mark.parametrize("earlier", [1, 30, 60, 75])
+async def test_a_drive_enabled_early_is_never_energised_wrongly(
+    rate_Hz: float, earlier: int
+) -> None:
+    async with fast_bench(modulus=None) as bench:
+        for _ in range(earlier):
+            bench.frame(1.0 / rate_Hz)
+        bench.ask(Enable())
+        for _ in range(150):
+            bench.frame(1.0 / rate_Hz)
+        assert bench.state() is State.TRIPPED
+        assert bench.machine.trip is not None
+        assert bench.machine.trip.startswith("frame rate: the drive ")
+        assert set(bench.sent) == {SAFE_COMMAND}
+
+
+async def test_enabled_at_the_first_frame_it_runs_by_itself() -> None:
+    async with fast_bench() as bench:
+        bench.frame()
+        bench.ask(Enable())
+        bench.frames(59)
+        assert bench.state() is State.STARTING
+        assert set(bench.sent) == {SAFE_COMMAND}
+        bench.frames(4)
+        assert bench.state() is State.RUNNING
 
 
 async def test_a_rate_that_goes_wrong_later_trips() -> None:

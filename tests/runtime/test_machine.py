@@ -101,6 +101,8 @@ def test_it_begins_in_standby_with_everything_off(standby: Desk) -> None:
 def test_enabling_starts_and_holds_the_present_output(standby: Desk) -> None:
     standby.ask(Enable(), output=2.75)
     assert standby.state() is State.STARTING
+    assert standby.machine.stage is Stage.OFF
+    standby.pass_ticks(1)
     assert standby.machine.stage is Stage.PRECHARGE
     assert standby.machine.reference(standby.tick) == 2.75
 
@@ -131,7 +133,7 @@ def test_starting_lasts_a_tick_at_least(starting: Desk) -> None:
 
 
 def test_starting_that_takes_too_long_trips(starting: Desk) -> None:
-    starting.pass_ticks(600, boost_voltage_V=171.0)
+    starting.pass_ticks(601, boost_voltage_V=171.0)
     assert starting.state() is State.STARTING
     starting.pass_ticks(1, boost_voltage_V=171.0)
     assert starting.state() is State.TRIPPED

@@ -115,7 +115,8 @@ class AnyOperator(RuleBasedStateMachine):
     @invariant()
     def nothing_is_energised_unless_enabled(self) -> None:
         assert self.machine.energised <= self.allowed
-        assert (self.machine.stage is not Stage.OFF) == self.machine.energised
+        assert self.machine.stage is Stage.OFF or self.machine.energised
+        assert (self.machine.stage is Stage.RUN) == (self.machine.state is State.RUNNING)
 
     @invariant()
     def a_trip_stays_with_its_first_cause(self) -> None:

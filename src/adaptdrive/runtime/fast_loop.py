@@ -365,11 +365,16 @@ class FastLoop:
             or self._bridge.find_cause(reading, commanded=commanded, unwatched_s=unwatched_s)
             or self._implausible(reading)
         )
-        if cause is None and reading is not None:
-            machine.advance(self.tick, reading.boost_voltage_V)
-        elif cause is not None:
+        if cause is not None:
             machine.latch(cause)
             self._stop.command(now_s)
+        elif reading is not None and self._rate_known:
+            machine.advance(self.tick, reading.boost_voltage_V)
+
+    @property
+    def _rate_known(self) -> bool:
+        """Whether the drive's rate was judged: the drive is not energised at an unknown one."""
+        return not self._settings.drive_clocks or self._half_cycles.rate.judged
 
     def _gap_cause(self, unwatched_s: float) -> str | None:
         """The cause of a trip when nothing of this process ran for long."""

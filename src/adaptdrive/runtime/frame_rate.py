@@ -60,6 +60,14 @@ class FrameRate:
         self._wrong = 0
         self.cause: str | None = None
 
+    @property
+    def judged(self) -> bool:
+        """True once enough readings have come at the right rate.
+
+        Within one and a half of the shortest window a rate is either judged or named in `cause`.
+        """
+        return len(self._marks) > self._least and not self._wrong
+
     def add(self, arrival_s: float, steps: int | None, *, stood_in: bool) -> None:
         """Take one reading, and judge the rate anew.
 

@@ -92,6 +92,8 @@ class Machine:
     @property
     def stage(self) -> Stage:
         """Degree to which the controller may energise the drive."""
+        if self.state is State.STARTING and not self._precharging:
+            return Stage.OFF
         return _STAGES[self.state]
 
     def reference(self, tick: int) -> float:
@@ -122,14 +124,14 @@ class Machine:
             case SetPole(value):
                 self._set_pole(value)
             case Enable():
-                self._enable(tick, output, cause)
+                self._enable(output, cause)
             case Disable():
                 self._disable()
             case Reset():
                 self._reset(cause)
 
     def advance(self, tick: int, boost_voltage_V: float) -> None:
-        """Move from `starting` to `running` when the boost voltage is at its floor.
+        """Begin to precharge, and move to `running` when the boost voltage is at its floor.
 
         The first tick is always one of `starting`: a controller that ran until just before then
         knows that it must begin anew.
@@ -137,7 +139,7 @@ class Machine:
         if self.state is not State.STARTING:
             return
         if not self._precharging:
-            self._precharging = True
+            self._precharging, self._since_tick = True, tick
         elif boost_voltage_V >= _FLOOR_REACHED * self._limits.floor_V:
             self.state = State.RUNNING
         elif tick - self._since_tick > self._limits.starting_ticks:
@@ -190,7 +192,7 @@ class Machine:
             )
         self.pole = value
 
-    def _enable(self, tick: int, output: float, cause: str | None) -> None:
+    def _enable(self, output: float, cause: str | None) -> None:
         if self.state is State.TRIPPED:
             raise RefusedError(f"tripped ({self.trip}); reset first")
         if self.energised:
@@ -203,7 +205,6 @@ class Machine:
         self.setpoint = min(max(output, limits.reference_min), limits.reference_max)
         self.waveform = None
         self.state, self.stopped = State.STARTING, False
-        self._since_tick = tick
         self._precharging = False
 
     def _disable(self) -> None:
