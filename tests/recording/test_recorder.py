@@ -242,9 +242,12 @@ async def test_a_full_disk_stops_recording_which_resumes_in_a_new_segment(sessio
             heard.extend(bench.said())
             return bool(heard)
 
+        assert not bench.recorder.failing
         await bench.publish_until(stopped)
+        assert bench.recorder.failing
         resource.prlimit(writer, resource.RLIMIT_FSIZE, (FREE[0], hard))
         await bench.settle()
+        assert not bench.recorder.failing
         await bench.stop()
         heard += bench.said()
     read = bench.session()

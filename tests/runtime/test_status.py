@@ -40,3 +40,5 @@ def test_it_says_what_is_awaited(
         trip=TRIP if state is State.TRIPPED else None,
     )
     assert status_line(report, bus_problem, cause) == line
+    failed = status_line(report, bus_problem, cause, recorded=False)
+    assert failed == f"{line}; recording has failed"

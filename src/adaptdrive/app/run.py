@@ -92,6 +92,7 @@ async def _serve(
     prior, recalled = recall(checkpoint, configuration, settings, load)
     controller = Controller(settings, load, prior)
     rehearsal = build_rehearsal(configuration, path)
+    recorder = build_recorder(configuration, text, hub, prior)
     daemon = Daemon(
         port=port,
         controller=controller,
@@ -101,6 +102,7 @@ async def _serve(
         manager=ServiceManager(os.environ),
         sensors=sensor_reports(port, time.monotonic),
         rehearse=rehearsal.tick,
+        recorded=lambda: recorder is None or not recorder.failing,
     )
     start_thread = helper_thread(configuration.realtime.priority)
     asyncio.get_running_loop().set_default_executor(
@@ -115,7 +117,6 @@ async def _serve(
         mqtt = _mqtt(configuration, daemon, hub, start_thread)
         broker = tasks.create_task(mqtt.run(), name="mqtt")
         lock = tasks.create_task(send_visitors_away(locks), name="lock")
-        recorder = build_recorder(configuration, text, hub, prior)
         recording = tasks.create_task(
             recorder.run(daemon.opened) if recorder else _idle(), name="recorder"
         )

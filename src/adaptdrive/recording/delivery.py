@@ -32,6 +32,7 @@ class Delivery:
 
     Attributes:
         directory: Folder of the session, empty until there is one.
+        failing: Whether what is handed over is not written now.
     """
 
     def __init__(
@@ -51,7 +52,7 @@ class Delivery:
         self._writer: WriterProcess | None = None
         self._unwritten: deque[_Sent] = deque()
         self._waiting_bytes = 0
-        self._failing = False
+        self.failing = False
         self._cause: str | None = None
         self._number = 0
 
@@ -95,8 +96,8 @@ class Delivery:
         Returns:
             What was lost now: it is reported.
         """
-        cause = await self._drain(_FAILING_CLOSE_S if self._failing else timeout_s)
-        if self._unwritten and not self._failing:
+        cause = await self._drain(_FAILING_CLOSE_S if self.failing else timeout_s)
+        if self._unwritten and not self.failing:
             cause = await self._drain(timeout_s)  # a new process, for one that died or stood still
         if self._unwritten:
             return await self._give_up(dropped, cause or "the recorder process ended", timeout_s)
@@ -165,14 +166,14 @@ class Delivery:
         self.directory = news.directory or self.directory
         while self._unwritten and self._unwritten[0].number <= news.written:
             self._waiting_bytes -= len(self._unwritten.popleft().message)
-            self._failing, self._cause = False, None
+            self.failing, self._cause = False, None
         if news.detail:
-            self._failing = self._failing or news.failing
+            self.failing = self.failing or news.failing
             self._report(Severity(news.severity), news.detail)
 
     def _fail(self, cause: str) -> None:
         """Report a failure, but not the same one with each attempt."""
-        self._failing = True
+        self.failing = True
         if cause != self._cause:
             self._report(Severity.ALARM, f"{STOPPED if self.directory else UNBEGUN}: {cause}")
         self._cause = cause

@@ -145,6 +145,11 @@ class Recorder:
         self._stalled = False
         self._last_tick = 0
 
+    @property
+    def failing(self) -> bool:
+        """True while what is to be recorded is not written."""
+        return self._stalled or self._delivery.failing
+
     async def run(self, begin: asyncio.Event | None = None) -> None:
         """Record until cancelled, then write what is left and close the session.
 

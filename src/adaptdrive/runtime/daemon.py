@@ -92,6 +92,7 @@ class Daemon:
         manager: ServiceManager,
         sensors: Callable[[], tuple[SensorReport, ...]] = tuple,
         rehearse: Callable[[], None] = lambda: None,
+        recorded: Callable[[], bool] = lambda: True,
     ) -> None:
         """Join port, controller and reports.
 
@@ -104,9 +105,11 @@ class Daemon:
             manager: The service manager.
             sensors: Gives the state of the sensor buses beside the drive.
             rehearse: Does what a tick does, and nothing that can be noticed.
+            recorded: Gives whether all that is to be recorded is.
         """
         self.opened = asyncio.Event()
         self._rehearse = rehearse
+        self._recorded = recorded
         self._sensors = sensors
         self._port = port
         self._settings = settings
@@ -406,7 +409,10 @@ class Daemon:
         self._tell_manager()
 
     def _tell_manager(self) -> None:
-        self._manager.status(status_line(self._told, self._bus_problem, self._fast.cause))
+        line = status_line(
+            self._told, self._bus_problem, self._fast.cause, recorded=self._recorded()
+        )
+        self._manager.status(line)
 
     def _tell_controller(self, report: StateReport) -> None:
         fell_back = report.mode is Mode.ADAPTIVE and report.controller is Mode.FIXED

@@ -5,15 +5,23 @@ from __future__ import annotations
 from adaptdrive.runtime.reports import State, StateReport
 
 
-def status_line(report: StateReport, bus_problem: str | None, cause: str | None) -> str:
-    """The state of a drive and what it waits for.
+def status_line(
+    report: StateReport, bus_problem: str | None, cause: str | None, *, recorded: bool = True
+) -> str:
+    """Return the state of a drive and what it waits for, and whether recording has failed.
 
     Args:
         report: The state.
         bus_problem: Why the bus is lost, None while it is there.
         cause: Interlock that is active now, None for none. Only what comes before its colon is
             told: the figures behind it change all the time.
+        recorded: Whether all that is to be recorded is.
     """
+    line = _state_line(report, bus_problem, cause)
+    return line if recorded else f"{line}; recording has failed"
+
+
+def _state_line(report: StateReport, bus_problem: str | None, cause: str | None) -> str:
     obstacle = bus_problem or (cause and cause.partition(":")[0])
     match report.state:
         case State.STANDBY:
