@@ -18,6 +18,7 @@ STRIDE = 12
 POLL_S = STRIDE * TICK_S
 POLLED = replace(
     FAST,
+    drive_clocks=False,
     limits=replace(FAST.limits, stale_s=2.5 * POLL_S),
     ticks_per_reading=STRIDE,
     latency_ticks=STRIDE,

@@ -373,7 +373,7 @@ class FastLoop:
 
     @property
     def _rate_known(self) -> bool:
-        """Whether the drive's rate was judged: the drive is not energised at an unknown one."""
+        """True once the rate of the drive was judged; at an unknown one it is not energised."""
         return not self._settings.drive_clocks or self._half_cycles.rate.judged
 
     def _gap_cause(self, unwatched_s: float) -> str | None:
