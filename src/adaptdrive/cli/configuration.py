@@ -20,15 +20,16 @@ def check(config: Path, /) -> int:
         0 when it can be used; otherwise `ConfigurationError` lists what is wrong.
     """
     from adaptdrive.app.examine import load_examined  # noqa: PLC0415 - `schema` needs no bus
-    from adaptdrive.app.response_limits import response_table  # noqa: PLC0415
-    from adaptdrive.app.settings import daemon_settings, tick_s  # noqa: PLC0415
+    from adaptdrive.app.interlocks import response_limits  # noqa: PLC0415
+    from adaptdrive.app.response_table import response_table  # noqa: PLC0415
+    from adaptdrive.app.settings import tick_s  # noqa: PLC0415
     from adaptdrive.app.time_limits import limits_table, time_limits  # noqa: PLC0415
 
     configuration = load_examined(config)
     if configuration.signals.bridge is None and not configuration.bus.has_bridge_words:
         print(f"{config}: signals.bridge is missing: the drive cannot confirm that it has stopped")
     print(limits_table(time_limits(configuration, config), tick_s(configuration)))
-    print(response_table(daemon_settings(configuration).fast.response))
+    print(response_table(response_limits(configuration)))
     print(f"{config}: drive {configuration.drive.name} is configured correctly")
     return 0
 

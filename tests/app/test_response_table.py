@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from adaptdrive.app.response_limits import response_table
-from adaptdrive.app.settings import daemon_settings
+from adaptdrive.app.interlocks import response_limits
+from adaptdrive.app.response_table import response_table
 from adaptdrive.cli.configuration import check
 from adaptdrive.config import load_configuration
 from adaptdrive.hardware.port import Reading
@@ -17,7 +17,7 @@ from tests.runtime.bench import CALM
 
 
 def limits(example: str) -> ResponseLimits:
-    found = daemon_settings(load_configuration(EXAMPLES / f"{example}.toml")).fast.response
+    found = response_limits(load_configuration(EXAMPLES / f"{example}.toml"))
     assert found is not None
     return found
 
