@@ -47,7 +47,9 @@ def _comes_back_in_standby(site: Site) -> None:
         until(lambda: bus.commands()[-1].bridge, "the bridge is commanded on")
 
 
-@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGQUIT, signal.SIGINT])
+@pytest.mark.parametrize(
+    "number", [signal.SIGHUP, signal.SIGQUIT, signal.SIGINT, signal.SIGUSR1, signal.SIGXCPU]
+)
 def test_each_signal_that_ends_leaves_the_bridge_off(
     make_site: MakeSite, number: signal.Signals
 ) -> None:

@@ -47,6 +47,22 @@ UNRECORDED = 4
 
 _EVENTS_HELD = 1000
 
+_ENDING = (
+    signal.SIGTERM,
+    signal.SIGINT,
+    signal.SIGQUIT,
+    signal.SIGHUP,
+    signal.SIGUSR1,
+    signal.SIGUSR2,
+    signal.SIGALRM,
+    signal.SIGVTALRM,
+    signal.SIGPROF,
+    signal.SIGIO,
+    signal.SIGPWR,
+    signal.SIGXCPU,
+)
+"""Signals that end a process by default; those of a crash, SIGABRT among them, stay as they are."""
+
 
 def run(path: Path) -> int:
     """Run the daemon until SIGTERM or SIGINT; the drive is left in its safe state.
@@ -151,9 +167,9 @@ async def _end(*services: asyncio.Task[None]) -> None:
 
 
 def _stop_on_signals(stop: asyncio.Event) -> None:
-    """Have each signal that asks a process to end do so in order; `nohup` is respected."""
+    """Have each signal that would end the process do so in order; `nohup` is respected."""
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
+    for number in _ENDING:
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             loop.add_signal_handler(number, stop.set)
 
