@@ -266,6 +266,20 @@ async def test_a_fault_among_readings_that_piled_up_is_not_forgotten(
     assert [reading.fault for reading in ear.readings] == [4, 0]
 
 
+async def test_a_fault_behind_a_piled_up_reading_is_kept(
+    config: CanBus, drive: Drive, ear: Ear
+) -> None:
+    """The drive falls silent after the frame that shows it."""
+    port = build_port(config)
+    async with running(port, ear):
+        drive.send_both()
+        drive.send_status(Fault=4)
+        time.sleep(0.01)  # noqa: ASYNC251 - the loop must not look
+        await heard_by(port, 3)
+        assert [reading.fault for reading in ear.readings] == [0]
+        assert port.complaint == "drive fault: word 0x4 (Boost overvoltage)"
+
+
 async def test_what_waits_is_handed_out_when_it_is_asked_for(
     port: CanPort, drive: Drive, ear: Ear
 ) -> None:

@@ -26,9 +26,13 @@ class FaultLatch:
         if word:
             self.word |= int(word)
 
-    def clear(self) -> None:
-        """Note that a reading has carried what was seen."""
-        self.word = 0
+    def clear(self, carried: int) -> None:
+        """Forget what a reading has carried; a fault seen after it was composed stays.
+
+        Args:
+            carried: The reading's fault word.
+        """
+        self.word &= ~carried
 
     @property
     def name(self) -> str:

@@ -334,7 +334,7 @@ class CanOpenPort:
         """No more frames wait."""
         reading, self._newest = self._newest, None
         if reading is not None and self._listener is not None:
-            self._faults.clear()
+            self._faults.clear(reading.fault)
             self._listener.on_reading(reading)
 
     def _send_sync(self) -> None:

@@ -432,7 +432,7 @@ class ModbusPort:
         counter, bridge = values.get("counter"), values.get("bridge")
         if self._listener is not None:
             fault = self._faults.word
-            self._faults.clear()
+            self._faults.clear(fault)
             self._listener.on_reading(
                 Reading(
                     arrival_s=self._clock(),
