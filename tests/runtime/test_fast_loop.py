@@ -284,6 +284,21 @@ async def test_a_tick_frozen_before_its_command_sends_none(monkeypatch: pytest.M
         assert bench.sent[known:] == [SAFE_COMMAND]
 
 
+async def test_a_tick_frozen_in_its_command_ends_safe(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        send = bench.port.send
+
+        def freeze(command: Command) -> bool:
+            bench.around.now += 0.0 if command == SAFE_COMMAND else 0.5
+            return send(command)
+
+        monkeypatch.setattr(bench.port, "send", freeze)
+        bench.frame()
+        assert (bench.machine.trip or "").startswith("overslept: ")
+        assert bench.sent[-1] == SAFE_COMMAND
+
+
 @pytest.mark.parametrize("name", ["current_scale_S", "boost_reference_V"])
 async def test_a_command_that_is_not_finite_trips(
     monkeypatch: pytest.MonkeyPatch, name: str

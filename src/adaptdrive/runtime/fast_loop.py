@@ -412,8 +412,10 @@ class FastLoop:
         self._wanted = command
         if self._overslept():
             self.send_safe()
-        else:
-            self._send(command)
+            return
+        self._send(command)
+        if self._overslept():  # between that look at the clock and the bus
+            self.send_safe()
 
     def _overslept(self) -> bool:
         """Return whether this tick was kept from running for so long that its command is void."""
