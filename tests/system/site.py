@@ -33,6 +33,11 @@ T = TypeVar("T")
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 PATIENCE_S = 20.0
+START_PATIENCE_S = 60.0
+"""Interpreter and numeric libraries of a process, where five others start at the same time."""
+
+PATIENT_DRIVE = ("--command-timeout", "1.0")
+"""Options of a simulated drive that must not stop by itself while the machine runs others."""
 POLL_S = 0.02
 
 
@@ -165,7 +170,11 @@ class Site:
         self.device = self._start(
             "device.log", "-m", "adaptdrive_sim", "device", self.config, *broker, *options
         )
-        until(lambda: "simulated drive" in self._read("device.log"), "the drive is on the bus")
+        until(
+            lambda: "simulated drive" in self._read("device.log"),
+            "the drive is on the bus",
+            START_PATIENCE_S,
+        )
 
     def start_daemon(self) -> None:
         """Start the daemon and wait until it is on the broker."""
@@ -264,8 +273,9 @@ class Site:
         broker = ("--broker", f"127.0.0.1:{self.broker_port}")
         command = [sys.executable, "-m", "adaptdrive_sim", "disturb", "motor", *words, *broker]
         until(
-            lambda: subprocess.run(command, check=False, timeout=PATIENCE_S).returncode == 0,
+            lambda: subprocess.run(command, check=False, timeout=START_PATIENCE_S).returncode == 0,
             f"the drive is disturbed: {' '.join(words)}",
+            START_PATIENCE_S,
         )
 
     @property
@@ -291,7 +301,7 @@ class Site:
             heard = self.ear.on("availability")
             return bool(heard) and heard[-1].payload == wanted
 
-        until(find, wanted)
+        until(find, wanted, START_PATIENCE_S)
 
     def await_measurement(self) -> None:
         """Wait until the daemon hears the drive."""

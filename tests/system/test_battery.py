@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.system.conftest import PATIENT_STALE_S, MakeSite
-from tests.system.site import EXAMPLES, Site, _with_setting
+from tests.system.site import EXAMPLES, PATIENT_DRIVE, Site, _with_setting
 
 pytestmark = pytest.mark.slow
 
@@ -30,7 +30,7 @@ def battery_site(make_site: MakeSite) -> Site:
 
 def test_the_daemon_brings_the_current_up_and_it_follows_a_wave(make_site: MakeSite) -> None:
     site = battery_site(make_site)
-    site.start("--noise", "0.02")
+    site.start("--noise", "0.02", *PATIENT_DRIVE)
     site.run_drive()
     site.demand("setpoint", 10.0)
     site.let_periods_pass(20)

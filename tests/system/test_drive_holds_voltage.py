@@ -6,13 +6,14 @@ import pytest
 
 from tests.system.bus_ear import BusEar
 from tests.system.conftest import MakeSite
+from tests.system.site import PATIENT_DRIVE
 
 pytestmark = pytest.mark.slow
 
 
 def test_the_daemon_sends_v_c_alone_and_the_speed_follows(make_site: MakeSite) -> None:
     site = make_site({"voltage_loop.where": '"drive"'})
-    site.start("--initial-voltage", "260")
+    site.start("--initial-voltage", "260", *PATIENT_DRIVE)
     with BusEar(site.config) as bus:
         site.run_drive()
         site.demand("setpoint", 3.1)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from tests.system.conftest import MakeSite
-from tests.system.site import Site, until
+from tests.system.site import PATIENT_DRIVE, Site, until
 
 CALM_PERIODS = 20
 LEARNT_S = 90.0
@@ -19,7 +19,7 @@ WAVE = {"shape": "square", "low": 2.9, "high": 3.2, "period_s": 12.0}
 @pytest.mark.timeout(180)
 def test_switching_controllers_makes_no_bump(make_site: MakeSite) -> None:
     site = make_site(QUICK)
-    site.start("--initial-voltage", "280")
+    site.start("--initial-voltage", "280", *PATIENT_DRIVE)
     site.run_drive()
     site.demand("waveform", WAVE)
     until(lambda: [load for load in _loads(site) if load["accepted"]][2:], "gains", LEARNT_S)
