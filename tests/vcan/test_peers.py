@@ -124,8 +124,8 @@ async def test_a_bus_full_of_strangers_hides_nothing(
     """cangen fills the bus with ids that nobody asked for: the kernel keeps them from the port."""
     ear = Answering()
     ear.port = port = build_port(config)
-    load = can_utils.generate("-I", "3FF")
     async with running(port, ear):
+        load = can_utils.generate("-I", "3FF")
         await until(lambda: can_utils.carried > 100)
         before = can_utils.carried
         for number in range(100):
