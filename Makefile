@@ -3,7 +3,7 @@
 
 PYTHON ?= python3
 MINUTES ?= 1
-EXTRAS := sim,canopen,cluster,dev
+EXTRAS := sim,canopen,analysis,export,cluster,dev
 
 venv := .venv
 bin := $(venv)/bin

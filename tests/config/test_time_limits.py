@@ -33,7 +33,7 @@ def times() -> Iterator[tuple[str, str, Mapping[str, Any]]]:
     """Section, name and schema of each time in the configuration."""
     for section, schema in Configuration.model_json_schema()["$defs"].items():
         for name, key in schema.get("properties", {}).items():
-            known = {name, f"{name} of a sensor bus" if "Sensors" in section else name}
+            known = {name, f"{name} of a sensor bus" if "Sensor" in section else name}
             if TIME.match(name) and known.isdisjoint(NO_LIMITS):
                 yield section, name, key
 
