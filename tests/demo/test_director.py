@@ -21,7 +21,7 @@ async def test_somebody_elses_wave_ends_the_play() -> None:
     director = Director(DemoSettings(), NOBODY, record)
     for act in islice(acts("alternate", disks=True), 4):
         await director._perform(act)
-    assert "Somebody else" in record.caption
+    assert "Another client" in record.caption
     assert record.truth is not None
     assert record.truth.disks == 2
 
@@ -31,4 +31,4 @@ async def test_a_drive_that_is_not_running_is_left_alone() -> None:
     record.hear_state(state(state="tripped", trip="stale"))
     director = Director(DemoSettings(), NOBODY, record)
     await director._perform(next(iter(acts("alternate", disks=True))))
-    assert "Somebody else" in record.caption
+    assert "Another client" in record.caption

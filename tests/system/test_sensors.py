@@ -108,6 +108,7 @@ def test_probe_and_check_show_the_sensors(make_site: MakeSite) -> None:
     lines = [line for line in site._read("probe.log").splitlines() if "temperature  1" in line]
     assert lines, site._read("probe.log")
     text = site.config.read_text().replace("cycle_s = 0.25", "cycle_s = 0.05")
+    text = text.replace("stale_s = 1.0 ", "stale_s = 0.5 ")
     site.config.write_text(text.replace("timeout_s = 0.06", "timeout_s = 0.01"))
     done = subprocess.run(
         [sys.executable, "-m", "adaptdrive.cli", "check", site.config],
