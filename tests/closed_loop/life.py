@@ -114,7 +114,10 @@ def started(
     """A drive of an example configuration that has just reached `running`."""
     tables = example_tables(f"{name}.toml")
     for section, values in (changes or {}).items():
-        tables.setdefault(section, {}).update(values)
+        table = tables
+        for name_of_table in section.split("."):
+            table = table.setdefault(name_of_table, {})
+        table.update(values)
     drive = OperatedDrive(validate_configuration(tables, FOLDER / f"{name}.toml"), world)
     drive.tick()
     drive.carry_out(Enable())

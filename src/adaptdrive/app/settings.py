@@ -28,6 +28,8 @@ _LOWEST_LINE = 0.5
 _SWING_SHARE = 0.01
 _ERROR_SHARE = 0.1
 _PAPER_PATIENCE = 30
+_PAPER_COVARIANCE = 1.0e4
+_OPEN = 1.0e8  # deviation 1 of each scaled parameter, at the smallest σ of 1e-4
 _SHORTEST_WAVE_PERIODS = 4
 _COLLECT_TICKS = 12
 
@@ -118,23 +120,32 @@ def _learning(configuration: Configuration, *, exact: bool) -> Learning:
     middle_V = 0.5 * (limits.boost_reference_min_V + limits.boost_reference_max_V)
     middle = to_input(middle_V, load.input_gain, load.input_exponent)
     dc_gain = load.numerator[-1] / load.denominator[-1]
+    directional = exact and estimator.alert and estimator.method == "lm-rls"
     return Learning(
         filtered=estimator.method == "lm-rls",
         forgetting=estimator.forgetting,
         tau_lambda_s=estimator.tau_lambda_s,
         dead_band=estimator.dead_band,
-        initial_covariance=estimator.initial_covariance,
+        initial_covariance=_initial_covariance(configuration, exact=exact),
         settle_periods=math.ceil(estimator.settle_s / configuration.load.period_s),
         gate=estimator.gate if exact else 0.0,
         output_scale=dc_gain * middle if exact else 1.0,
         input_scale=middle if exact else 1.0,
         start_at_nominal=exact,
         alert=exact and estimator.alert,
-        covariance_max=estimator.covariance_max if exact else 0.0,
+        covariance_max=0.0 if not exact or directional else estimator.covariance_max,
         known_filter_s=_known_filter_s(configuration),
         bias=(exact and estimator.bias) or battery,
         initial_state=exact and estimator.initial_state and not battery,
     )
+
+
+def _initial_covariance(configuration: Configuration, *, exact: bool) -> float:
+    """P[0] over σ²: open enough that the first alarm is not the nominal model's fault."""
+    estimator = configuration.estimator
+    if estimator.initial_covariance is not None:
+        return estimator.initial_covariance
+    return _OPEN if exact and estimator.method == "lm-rls" else _PAPER_COVARIANCE
 
 
 def _known_filter_s(configuration: Configuration) -> float:

@@ -151,7 +151,11 @@ class Estimator(Section):
     dead_band: float = Field(
         default=0.0, ge=0.0, description="skip updates while the output moves less than this"
     )
-    initial_covariance: PositiveFloat = Field(default=1.0e4, description="P[0] = this times I")
+    initial_covariance: PositiveFloat | None = Field(
+        default=None,
+        description="P[0] = this times I, over the variance of the noise; when left out 1e8 for "
+        "the `exact` design with `lm-rls`, else the paper's 1e4",
+    )
     gate: float = Field(
         ge=0.0,
         default=1.2,
@@ -160,7 +164,8 @@ class Estimator(Section):
     covariance_max: float = Field(
         ge=0.0,
         default=1.0e6,
-        description="bound of P by exponential resetting; 0 for plain forgetting (`exact` only)",
+        description="bound of P by exponential resetting; 0 for plain forgetting (`exact` only; "
+        "unused by `lm-rls` with `alert`, which forgets only what is learnt anew)",
     )
     alert: bool = Field(
         default=True, description="open up when the load changes abruptly (`exact` only)"

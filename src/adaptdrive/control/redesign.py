@@ -19,11 +19,14 @@ from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.control.slow_state import SlowSample, SlowState
 from adaptdrive.control.vectors import Vector, copy_into
 
+_LOST_PERIODS = 60  # three windows of evidence: an explanation that is being learnt needs one
+
 
 def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample) -> None:
     """Judge the estimate and, if it is trusted, make gains of it."""
     gains = [0.0] * len(state.adaptive_gains)
     verdict = _redesign(settings, load, state, sample, gains)
+    _look_for_a_way_back(settings, load, state, verdict)
     periods = state.estimator.periods
     state.accepted = sup.take_verdict(
         state.supervisor, verdict, settings.jacket, periods, state.adaptive
@@ -32,6 +35,19 @@ def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: Sl
         _take_gains(settings.jacket, state, gains)
         state.trusted_a, state.trusted_b = state.model_a, state.model_b
         state.trusted_alarms = state.estimator.surprise.alarms
+
+
+def _look_for_a_way_back(
+    settings: ControllerSettings, load: Load, state: SlowState, verdict: int
+) -> None:
+    """Let an estimate that learns and cannot be right for long begin anew."""
+    estimator = state.estimator
+    if not settings.learning.alert or estimator.idle_periods > 0 or not sup.is_impossible(verdict):
+        estimator.lost_periods = 0
+        return
+    estimator.lost_periods += 1
+    if settings.learning.filtered and estimator.lost_periods > _LOST_PERIODS:
+        est.begin_anew(estimator, settings.learning, load)
 
 
 def _take_gains(jacket: Jacket, state: SlowState, gains: Vector) -> None:

@@ -148,6 +148,34 @@ def fill_initial_state(regressor: Vector, learning: Learning, load: Load, elapse
         value *= ratio
 
 
+def fill_lowered_regressor(
+    lowered: Vector,
+    learning: Learning,
+    load: Load,
+    output: float,
+    output_filtered: Vector,
+    input_filtered: Vector,
+) -> None:
+    """(τ_λ p + 1) r: r of the λ-method with every power of λ lowered by one.
+
+    Args:
+        lowered: Overwritten; without the functions of the initial state.
+        learning: Scales.
+        load: Order and structure; a direct term is left as it is, no load of second order has one.
+        output: y.
+        output_filtered: λy ... λ^m y.
+        input_filtered: u, λu ... λ^m u.
+    """
+    outputs = [0.0] * len(output_filtered)
+    inputs = [0.0] * len(input_filtered)
+    outputs[0], inputs[0] = output, input_filtered[0]
+    for i in range(1, len(outputs)):
+        outputs[i] = output_filtered[i - 1]
+    for i in range(1, len(inputs)):
+        inputs[i] = input_filtered[i - 1]
+    fill_filtered_regressor(lowered, learning, load, outputs, inputs)
+
+
 def learning_target(learning: Learning, output: float, output_filtered: Vector) -> float:
     """Return the value that r predicts: y[k], or w[k] with a known filter of the output.
 
@@ -188,8 +216,9 @@ def fill_direct_regressor(
 
 
 def initial_state_count(learning: Learning, load: Load) -> int:
-    """Length of γ."""
-    return load.order if learning.filtered and learning.initial_state else 0
+    """Length of γ: of the state at the start, and of that at each change."""
+    known = learning.filtered and (learning.initial_state or learning.alert)
+    return load.order if known else 0
 
 
 def _extra_count(learning: Learning, load: Load) -> int:

@@ -18,6 +18,8 @@ from adaptdrive.control.vectors import Vector
 
 COVARIANCE_CEILING = 1.0e12
 """Largest variance that P may grow to: above it few digits of a double would be left."""
+_SMALLEST = 1.0e-12
+"""Least entry of D after a transformation: 0 would end learning in its direction."""
 
 
 def reset(theta: Vector, upper: Vector, diagonal: Vector, covariance: float) -> None:
@@ -115,6 +117,48 @@ def update(
     return innovation
 
 
+def update_along(
+    theta: Vector,
+    upper: Vector,
+    diagonal: Vector,
+    regressor: Vector,
+    target: float,
+    forgetting: float,
+) -> None:
+    """Take in one sample, and forget only what it tells anew (directional forgetting).
+
+    P is widened along P r so that rᵀPr becomes rᵀPr/ρ, then updated without forgetting: what this
+    sample says nothing of stays as sure as it is (R. Kulhavy, Automatica 23, 1987).
+
+    Args:
+        theta: θ, n entries, overwritten.
+        upper: U, flat, n by n, overwritten.
+        diagonal: D, n entries, overwritten.
+        regressor: r, n entries.
+        target: y.
+        forgetting: ρ.
+    """
+    size = len(theta)
+    direction = [0.0] * size
+    gain = [0.0] * size
+    taught = 0.0
+    for j in range(size):
+        f = regressor[j]
+        for i in range(j):
+            f += upper[i * size + j] * regressor[i]
+        v = diagonal[j] * f
+        taught += f * v
+        direction[j] += v
+        for i in range(j):
+            direction[i] += upper[i * size + j] * v
+    if taught > 0.0:
+        widen(upper, diagonal, direction, (1.0 / forgetting - 1.0) / taught)
+    innovation = target - predict(theta, regressor)
+    share = innovation / absorb(upper, diagonal, regressor, 1.0, gain)
+    for i in range(size):
+        theta[i] += gain[i] * share
+
+
 def _forget(variance: float, forgetting: float) -> float:
     """An entry of D after forgetting, which stops at the ceiling."""
     grown = variance / forgetting
@@ -170,6 +214,52 @@ def bound(upper: Vector, diagonal: Vector, information: float) -> None:
         unit[i] = 1.0
         absorb(upper, diagonal, unit, 1.0 / information, gain)
         unit[i] = 0.0
+
+
+def transform(upper: Vector, diagonal: Vector, matrix: Vector) -> None:
+    """P <- M P Mᵀ, in factored form.
+
+    Args:
+        upper: U, overwritten.
+        diagonal: D, overwritten.
+        matrix: M, flat, n by n.
+    """
+    size = len(diagonal)
+    columns = [0.0] * (size * size)
+    for i in range(size):
+        for j in range(size):
+            for m in range(j + 1):
+                columns[i * size + j] += matrix[i * size + m] * upper[m * size + j]
+    weights = list(diagonal)
+    factor(columns, weights, upper, diagonal)
+
+
+def factor(columns: Vector, weights: Vector, upper: Vector, diagonal: Vector) -> None:
+    """Bring W diag(w) Wᵀ into the form U D Uᵀ (Thornton's weighted Gram-Schmidt).
+
+    Bierman 1977, section VI.4. A row without any weight gets the smallest variance that is left.
+
+    Args:
+        columns: W, flat, n by n, overwritten.
+        weights: w, n entries, none negative.
+        upper: U, overwritten.
+        diagonal: D, overwritten.
+    """
+    size = len(diagonal)
+    for j in range(size - 1, -1, -1):
+        total = 0.0
+        for m in range(size):
+            total += weights[m] * columns[j * size + m] * columns[j * size + m]
+        diagonal[j] = max(total, _SMALLEST)
+        upper[j * size + j] = 1.0
+        for i in range(j):
+            shared = 0.0
+            for m in range(size):
+                shared += weights[m] * columns[i * size + m] * columns[j * size + m]
+            ratio = shared / diagonal[j]
+            upper[i * size + j], upper[j * size + i] = ratio, 0.0
+            for m in range(size):
+                columns[i * size + m] -= ratio * columns[j * size + m]
 
 
 def covariance(upper: Vector, diagonal: Vector) -> Vector:

@@ -65,7 +65,16 @@ def _take_sample(
         reg.fill_filtered_regressor(
             estimator.regressor, learning, load, sample.output_filtered, sample.input_filtered
         )
-        reg.fill_initial_state(estimator.regressor, learning, load, estimator.elapsed_s)
+        elapsed_s = estimator.elapsed_s - estimator.origin_s
+        reg.fill_initial_state(estimator.regressor, learning, load, elapsed_s)
+        reg.fill_lowered_regressor(
+            estimator.rivals.lowered,
+            learning,
+            load,
+            sample.output,
+            sample.output_filtered,
+            sample.input_filtered,
+        )
     else:
         reg.fill_direct_regressor(estimator.regressor, learning, load, state.outputs, state.inputs)
     moved = abs(sample.output - state.outputs[0]) >= learning.dead_band

@@ -185,6 +185,13 @@ def take_verdict(
     return True
 
 
+def is_impossible(verdict: int) -> bool:
+    """Say whether no load within the bounds can have such an estimate."""
+    if verdict == Verdict.OUT_OF_BOUNDS or verdict == Verdict.UNDERDAMPED:  # noqa: PLR1714 - compiled
+        return True
+    return verdict == Verdict.NOT_FINITE or verdict == Verdict.UNSTABLE_LOAD  # noqa: PLR1714
+
+
 def _is_doubt(verdict: int) -> bool:
     """Check whether the estimate is not wrong, but not known well enough."""
     if verdict == Verdict.UNCERTAIN or verdict == Verdict.FRAGILE:  # noqa: PLR1714 - compiled

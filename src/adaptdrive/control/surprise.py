@@ -5,10 +5,13 @@ cumulative sum (E. S. Page, Biometrika 41, 1954, doi:10.1093/biomet/41.1-2.100)
 
     S <- max(0, S + min(z², z²_max) - drift)          alarm when S > threshold
 
-stays at 0 then, and reaches the threshold within a few samples of a change. The alarm opens the
-estimator up, so that the new load is learnt from the samples after the change instead of waiting
-for the old ones to be forgotten. σ² is a slow mean of z² σ²; it hardly moves while S is not at
-rest, has a floor against rounding and model error, and is learnt afresh after a start.
+stays at 0 then, and reaches the threshold within a few samples of a change. The last sample at
+which it was 0 is Page's estimate of the change. σ² follows the median of z² σ², which is 0.455 of
+the mean for Gaussian noise: a change moves it hardly, however large it is. It has a floor against
+rounding and model error.
+
+While an estimate is new, its innovations say little of σ². What noise a sample has shows in their
+second differences, (ε[k] - 2 ε[k-1] + ε[k-2])² / 6 on average, whatever slow error is under it.
 """
 
 from __future__ import annotations
@@ -21,29 +24,23 @@ DRIFT = 3.0
 LARGEST = 20.0
 """Largest z² that counts: one sample adds at most 17 to the sum."""
 
-THRESHOLD = 6.0
-"""One z² above 9, or several smaller ones in a row; chosen by campaigns."""
+THRESHOLD = 9.0
+"""One z² above 12, or several smaller ones in a row: rare with noise alone."""
 
-SETTLE_PERIODS = 40
-"""Slow periods after a start in which the variance is measured and no alarm is given."""
-
-HOLD_PERIODS = 30
-"""Slow periods after an alarm without another one, in which the estimate converges."""
-
-SOON_PERIODS = 10
-"""Slow periods after that in which an alarm counts as a repetition."""
+SETTLE_SAMPLES = 20
+"""Samples in which σ² is that of the second differences and no alarm is given."""
 
 _FLOOR = 1.0e-8
 """Least variance: a ten-thousandth of the scale, squared, for rounding and model error."""
 
-_FAST_RATE = 0.1
-"""Rate of the variance after a start: a mean over about 10 periods."""
+_FAST_RATE = 0.3
+"""Rate of the median after a start: within a factor of 2 after about 3 samples."""
 
-_SLOW_RATE = 0.01
-"""Rate of the variance later: a mean over about 100 periods."""
+_SLOW_RATE = 0.03
+"""Rate of the median later: a factor of 2 takes 25 samples, longer than a comparison."""
 
-_SLOW_LARGEST = 4.0
-"""Largest z² in that mean: one outlier raises the variance by 3 % at most."""
+_MEDIAN = 0.455
+"""Median over mean of the square of Gaussian noise (χ² with one degree of freedom)."""
 
 
 @dataclass(slots=True)
@@ -51,22 +48,22 @@ class Surprise:
     """State of the detector of abrupt changes.
 
     Attributes:
-        power: σ², mean square of the innovations in units of the scaled output.
+        power: σ², of the innovations in units of the scaled output.
         sum: S.
-        periods: Samples seen.
-        held_periods: Samples until the next alarm may be given.
+        samples: Samples seen.
         alarms: Alarms so far.
-        calm_periods: Samples since the last alarm.
-        repeated: Whether the last alarm came soon after the one before.
+        noise: Mean square of the noise of a sample, from second differences.
+        last: ε of the last sample.
+        slope: Difference of the last two.
     """
 
     power: float = 0.0
     sum: float = 0.0
-    periods: int = 0
-    held_periods: int = 0
+    samples: int = 0
     alarms: int = 0
-    calm_periods: int = 0
-    repeated: bool = False
+    noise: float = 0.0
+    last: float = 0.0
+    slope: float = 0.0
 
 
 def is_surprising(state: Surprise, squared: float) -> bool:
@@ -76,23 +73,34 @@ def is_surprising(state: Surprise, squared: float) -> bool:
         state: Overwritten.
         squared: ε² ρ / (ρ + rᵀPr), scaled.
     """
-    state.periods += 1
-    state.calm_periods += 1
-    state.held_periods = max(0, state.held_periods - 1)
-    if state.periods <= SETTLE_PERIODS:
-        first = state.periods == 1
-        rate = 1.0 if first else _FAST_RATE
-        state.power = max(_FLOOR, state.power + rate * (squared - state.power))
+    state.samples += 1
+    if state.samples <= SETTLE_SAMPLES:
+        state.power = max(_FLOOR, state.noise)
         return False
     ratio = squared / state.power
+    state.power = max(_FLOOR, _moved(state.power, squared, _SLOW_RATE))
     state.sum = max(0.0, state.sum + min(ratio, LARGEST) - DRIFT)
-    change = _SLOW_RATE * (min(ratio, _SLOW_LARGEST) - 1.0)
-    state.power = max(_FLOOR, state.power * (1.0 + change))
-    if state.sum <= THRESHOLD or state.held_periods > 0:
+    if state.sum <= THRESHOLD:
         return False
     state.sum = 0.0
-    state.repeated = state.alarms > 0 and state.calm_periods <= HOLD_PERIODS + SOON_PERIODS
-    state.held_periods = HOLD_PERIODS
-    state.calm_periods = 0
     state.alarms += 1
     return True
+
+
+def watch_noise(state: Surprise, innovation: float) -> None:
+    """Follow the noise of a sample, which no slow error hides.
+
+    Args:
+        state: Overwritten.
+        innovation: ε, scaled.
+    """
+    slope = innovation - state.last
+    squared = (slope - state.slope) ** 2 / 6.0
+    state.last, state.slope = innovation, slope
+    rate = _FAST_RATE if state.samples <= SETTLE_SAMPLES else _SLOW_RATE
+    state.noise = max(_FLOOR, _moved(max(_FLOOR, state.noise), squared, rate))
+
+
+def _moved(power: float, squared: float, rate: float) -> float:
+    """Move a mean square so that its median is that of Gaussian noise."""
+    return power * (1.0 + (rate if squared > _MEDIAN * power else -rate))

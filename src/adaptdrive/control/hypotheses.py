@@ -1,0 +1,208 @@
+"""What an abrupt change may have been, as directions in which θ becomes uncertain.
+
+Let θ jump by Δ at t0. The regression with the new θ then has the error e = y - rᵀθ = -r(t0)ᵀΔ at
+t0, and (τ_λ p + 1)^m e = 0 from there on, because every term of it has passed the λ filters:
+
+    e(t) = Σ c_i h^i e^-h      h = (t - t0)/τ_λ     c_i = -(1/i!) ((τ_λ p + 1)^i r)(t0)ᵀ Δ
+
+These are the functions of the initial state, counted from t0. Their weights γ are therefore not
+free: with a direction of Δ goes a direction of γ. (τ_λ p + 1) λ^j y is λ^(j-1) y, so that
+(τ_λ p + 1) r is the regressor with every power of λ lowered by one.
+
+A disturbance of the input moves the bias. A load that changes keeps its dc gain, and the offset of
+its input: inertia, volume. Either may come with the other, and with another gain.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adaptdrive.control import rls
+from adaptdrive.control.load import Load
+from adaptdrive.control.regression import dc_gain, fitted_order, initial_state_count
+from adaptdrive.control.settings import Learning
+from adaptdrive.control.vectors import Vector
+
+NOTHING = 0
+DISTURBANCE = 1
+LOAD = 2
+BOTH = 3
+
+_DISTURBANCE_SHARE = 0.1
+"""Deviation of a disturbance, of the input's scale: 30 V of 300 V."""
+
+_LOAD_SPREAD = 0.5
+"""Deviation of α: a second disk moves it by 0.43, a third by 0.57 in all."""
+
+_GAIN_SHARE = 0.5
+"""Relative deviation of the gain."""
+
+_TINY = 1e-12
+
+
+@dataclass(slots=True)
+class Branch:
+    """One explanation: an estimate of its own, and how well it has predicted.
+
+    Attributes:
+        theta: θ.
+        upper: U of P = U D Uᵀ.
+        diagonal: D.
+        origin_s: Since when the functions of the initial state are counted.
+        squares: Sum of ε² ρ / (ρ + rᵀPr).
+        logs: Sum of ln(1 + rᵀPr / ρ).
+        score: Logarithm of its likelihood, up to a constant.
+        innovation: ε of the last sample, scaled.
+        excitation: rᵀPr of the last sample.
+    """
+
+    theta: Vector
+    upper: Vector
+    diagonal: Vector
+    origin_s: float = 0.0
+    squares: float = 0.0
+    logs: float = 0.0
+    score: float = 0.0
+    innovation: float = 0.0
+    excitation: float = 0.0
+
+
+@dataclass(slots=True)
+class Anchor:
+    """The last sample before the change.
+
+    Attributes:
+        regressor: r.
+        lowered: r with every power of λ lowered by one.
+        time_s: t0.
+        power: σ² of the innovations.
+        gap_s: From there to the first sample after the change.
+    """
+
+    regressor: Vector
+    lowered: Vector
+    time_s: float = 0.0
+    power: float = 0.0
+    gap_s: float = 0.0
+
+
+def restart_past(branch: Branch, learning: Learning, load: Load, time_s: float) -> None:
+    """Count the functions of the initial state from another time; θ and P follow.
+
+    Args:
+        branch: θ, P and origin, overwritten.
+        learning: τ_λ.
+        load: Order.
+        time_s: The new origin, not before the old one.
+    """
+    size, count = len(branch.theta), initial_state_count(learning, load)
+    first = fitted_order(learning, load) + len(load.input_powers)
+    shift = (time_s - branch.origin_s) / learning.tau_lambda_s
+    change = _shifted_functions(count, shift)
+    transform = [0.0] * (size * size)
+    for i in range(size):
+        transform[i * size + i] = 1.0
+    for i in range(count):
+        for j in range(count):
+            transform[(first + i) * size + first + j] = change[i * count + j]
+    old = list(branch.theta)
+    for i in range(size):
+        branch.theta[i] = 0.0
+        for j in range(size):
+            branch.theta[i] += transform[i * size + j] * old[j]
+    rls.transform(branch.upper, branch.diagonal, transform)
+    branch.origin_s = time_s
+
+
+def _shifted_functions(count: int, shift: float) -> Vector:
+    """Weights of h^i e^-h that make of Σ γ_j (h + s)^j e^-(h + s) the same course."""
+    weights = [0.0] * (count * count)
+    decay = math.exp(-shift)
+    for j in range(count):
+        factor = decay  # C(j, i) s^(j - i) e^-s, from i = j down
+        for i in range(j, -1, -1):
+            weights[i * count + j] = factor
+            factor *= shift * i / (j - i + 1)
+    return weights
+
+
+def widen(branch: Branch, kind: int, learning: Learning, load: Load, anchor: Anchor) -> None:
+    """Open an estimate up for what a kind of change may have moved.
+
+    Args:
+        branch: P is overwritten.
+        kind: NOTHING, DISTURBANCE, LOAD or BOTH.
+        learning: Scales.
+        load: Order and structure.
+        anchor: The last sample before the change.
+    """
+    if kind == NOTHING:
+        return
+    order, size = fitted_order(learning, load), len(branch.theta)
+    last = order + len(load.input_powers) - 1
+    gains = 0.0
+    for i in range(order, last + 1):
+        gains += branch.theta[i]
+    if kind != LOAD and learning.bias:
+        direction = [0.0] * size
+        direction[size - 1] = 1.0
+        _open(branch, direction, _DISTURBANCE_SHARE * abs(gains), learning, load, anchor)
+    if kind != DISTURBANCE:
+        _widen_load(branch, learning, load, anchor)
+    if kind == BOTH:
+        direction = [0.0] * size
+        for i in range(order, last + 1):
+            direction[i] = branch.theta[i]
+        if learning.bias:
+            direction[size - 1] = branch.theta[size - 1]
+        _open(branch, direction, _GAIN_SHARE, learning, load, anchor)
+    _blur(branch, _DISTURBANCE_SHARE * abs(gains), learning, load, anchor)
+
+
+def _widen_load(branch: Branch, learning: Learning, load: Load, anchor: Anchor) -> None:
+    """Other dynamics with the same dc gain and the same offset of the input."""
+    order, size = fitted_order(learning, load), len(branch.theta)
+    last = order + len(load.input_powers) - 1
+    below = 1.0
+    for i in range(order):
+        below += branch.theta[i]
+    for i in range(last):
+        direction = [0.0] * size
+        direction[i] = 1.0
+        if i >= order:
+            direction[last] = -1.0
+        else:
+            direction[last] = dc_gain(branch.theta, learning, load)
+            if learning.bias and abs(below) > _TINY:
+                direction[size - 1] = branch.theta[size - 1] / below
+        _open(branch, direction, _LOAD_SPREAD, learning, load, anchor)
+
+
+def _open(
+    branch: Branch, direction: Vector, spread: float, learning: Learning, load: Load, anchor: Anchor
+) -> None:
+    """Widen P by a spread along a direction of θ and along what goes with it in γ."""
+    size, count = len(direction), initial_state_count(learning, load)
+    first = fitted_order(learning, load) + len(load.input_powers)
+    plain, lowered = 0.0, 0.0
+    for i in range(size):
+        if not first <= i < first + count:
+            plain += anchor.regressor[i] * direction[i]
+            lowered += anchor.lowered[i] * direction[i]
+    if count > 0:
+        direction[first] = -plain
+    if count > 1:
+        direction[first + 1] = -lowered
+    rls.widen(branch.upper, branch.diagonal, direction, spread * spread / anchor.power)
+
+
+def _blur(branch: Branch, spread: float, learning: Learning, load: Load, anchor: Anchor) -> None:
+    """Doubt the moment of the change: γ by what the change does between two samples."""
+    first = fitted_order(learning, load) + len(load.input_powers)
+    share = min(1.0, anchor.gap_s / learning.tau_lambda_s)
+    for i in range(initial_state_count(learning, load)):
+        direction = [0.0] * len(branch.theta)
+        direction[first + i] = 1.0
+        variance = share * share * spread * spread / anchor.power
+        rls.widen(branch.upper, branch.diagonal, direction, variance)
