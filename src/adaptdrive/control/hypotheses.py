@@ -1,4 +1,4 @@
-"""What an abrupt change may have been, as directions in which θ becomes uncertain.
+"""Rival explanations of an abrupt change, as directions in which θ becomes uncertain.
 
 Let θ jump by Δ at t0. The regression with the new θ then has the error e = y - rᵀθ = -r(t0)ᵀΔ at
 t0, and (τ_λ p + 1)^m e = 0 from there on, because every term of it has passed the λ filters:
