@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +11,6 @@ from cyclopts import Parameter
 
 from adaptdrive.app.described import Choices, can_part, canopen_part, clock_ticks, output_unit
 from adaptdrive.app.starter import BusName, Starter, compose
-from adaptdrive.config import load_configuration
 from adaptdrive.config.load import LoadName
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.proposal import OUTPUTS, QUANTITIES, Candidate, propose
@@ -142,10 +140,10 @@ def _write(starter: Starter, directory: Path, drive: str) -> Path:
 
 def _check(path: Path) -> str:
     """Return what `check` has against a configuration, an empty string for nothing."""
-    from adaptdrive.app.sensors import build_whole_port  # noqa: PLC0415 - as in `check`
+    from adaptdrive.app.examine import load_examined  # noqa: PLC0415 - as in `check`
 
     try:
-        build_whole_port(load_configuration(path), time.monotonic, path)
+        load_examined(path)
     except ConfigurationError as problem:
         return str(problem)
     return ""
