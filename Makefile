@@ -7,11 +7,10 @@ EXTRAS := sim,canopen,analysis,export,cluster,dev
 
 venv := .venv
 bin := $(venv)/bin
-tests := $(bin)/python -m pytest -rfEs
 # The stamp's name follows the content of both files: an unchanged checkout never reinstalls.
 installed := $(venv)/.installed-$(firstword $(shell cat pyproject.toml constraints.txt | cksum))
 
-.PHONY: help demo test lint bench docs wheel deb constraints clean
+.PHONY: help demo test quick lint bench docs wheel deb constraints clean
 
 help:
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 20
@@ -22,11 +21,10 @@ demo: $(installed) ## watch the motor being held while disks drop onto its shaft
 test: $(installed) ## run the whole test suite
 	@tests/install-peers
 	@! command -v dpkg-deb >/dev/null || $(MAKE) --no-print-directory deb
-	@failed=0; \
-	$(tests) -m calculating --numprocesses auto --dist worksteal || failed=1; \
-	$(tests) -m waiting --numprocesses 4 --dist worksteal || failed=1; \
-	$(tests) -m alone || failed=1; \
-	exit $$failed
+	@tests/suite $(bin)/python
+
+quick: $(installed) ## run the tests that need no clock, process, network or virtual machine
+	$(bin)/python -m pytest -rfE -m 'calculating and not slow' --numprocesses auto --dist worksteal
 
 lint: $(installed) ## lint, formatting, types and import layers
 	$(bin)/ruff check

@@ -25,6 +25,7 @@ from tests.support import (
     Process,
     complete_lines,
     logged_events,
+    prefer,
     start_process,
     stop_process,
 )
@@ -175,11 +176,13 @@ class Site:
             "the drive is on the bus",
             START_PATIENCE_S,
         )
+        prefer(self.device)
 
     def start_daemon(self) -> None:
         """Start the daemon and wait until it is on the broker."""
         self.daemon = self._start("daemon.log", "-m", "adaptdrive.cli", "run", self.config)
         self.await_availability("online")
+        prefer(self.daemon)
 
     def start(self, *device_options: str) -> None:
         """Start everything."""
@@ -215,15 +218,6 @@ class Site:
         assert self.daemon is not None
         self.daemon.terminate()
         return self.daemon.wait(timeout=PATIENCE_S)
-
-    def prefer_device(self) -> None:
-        """Schedule the simulated drive before everything else, where that is granted.
-
-        A real drive shares no processor with what else is tested.
-        """
-        assert self.device is not None
-        with contextlib.suppress(PermissionError):
-            os.sched_setscheduler(self.device.pid, os.SCHED_FIFO, os.sched_param(60))
 
     @contextlib.contextmanager
     def stalled(self, process: Process | None) -> Iterator[None]:

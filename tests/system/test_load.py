@@ -58,7 +58,6 @@ Load = Callable[[Site], contextlib.AbstractContextManager[None]]
 def busy_site(make_shared_site: MakeSite) -> Site:
     site = make_shared_site(BUSY)
     site.start("--initial-voltage", "280")
-    site.prefer_device()
     site.run_drive()
     return site
 

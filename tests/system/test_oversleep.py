@@ -29,7 +29,6 @@ def test_after_a_short_stop_the_newest_frame_decides(make_site: MakeSite) -> Non
         }
     )
     site.start("--initial-voltage", "280")
-    site.prefer_device()
     site.run_drive()
     for _ in range(NAPS):
         with site.stalled(site.daemon):
@@ -63,7 +62,6 @@ def test_a_thawed_daemon_energises_nothing(
         text = site.config.read_text(encoding="utf-8")
         site.config.write_text(text.replace('bridge = "DriveStatus.BridgeOn"\n', ""))
     site.start("--initial-voltage", "280")
-    site.prefer_device()
     site.run_drive()
     with BusEar(site.config) as bus:
         until(lambda: bus.commands() and bus.commands()[-1].bridge, "the bridge is commanded on")

@@ -10,7 +10,7 @@ import pytest
 
 from tests.system.conftest import MakeSite
 from tests.system.sensor_site import bath_site, mbpoll
-from tests.system.site import Site, until
+from tests.system.site import PATIENT_DRIVE, Site, until
 
 pytestmark = pytest.mark.slow
 
@@ -57,7 +57,7 @@ def test_a_sensor_that_fails_trips_the_drive_and_its_return_lets_it_be_reset(
     make_site: MakeSite, fault: str, words: str
 ) -> None:
     site = bath_site(make_site)
-    site.start("--initial-voltage", "300")
+    site.start("--initial-voltage", "300", *PATIENT_DRIVE)
     until(lambda: sensors(site).get("values"), "values of the thermocouples")
     site.run_drive()
     site.disturb("sensor-fault", fault)
