@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -28,7 +29,15 @@ from adaptdrive.runtime.requests import (
     SetSetpoint,
     SetWaveform,
 )
-from tests.operation.peers import Bench, drive_report, listening, load_report, publish, serving
+from tests.operation.peers import (
+    STANDBY,
+    Bench,
+    drive_report,
+    listening,
+    load_report,
+    publish,
+    serving,
+)
 from tests.support import Broker
 
 EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml"
@@ -136,6 +145,26 @@ async def test_status_tells_people(bench: Bench) -> None:
     assert outcome.output.startswith("bench is online\n")
     assert "standby" in outcome.output
     assert "fixed (asked for fixed)" in outcome.output
+
+
+async def test_status_is_complete_at_once_with_units_and_the_remedy(bench: Bench) -> None:
+    """The last slow step is retained: no luck is needed to see it."""
+    trip = "over-voltage: v_bst = 431 V, limit 430 V"
+    async with listening(bench.broker, bench.topic("#")) as ear:
+        bench.hub.publish(load_report(5))
+        await ear.on(bench.topic("telemetry/load"))
+        bench.host.trip(trip)
+        await ear.until(lambda message: '"tripped"' in message.payload)
+    output = (await adaptdrive("status", "bench", *at(bench.broker))).output
+    assert "  slow step   5 at " in output
+    assert "  reference   3 V\n" in output
+    assert "  set-point   0 V\n" in output
+    assert f"  trip        {trip}\n  remedy      look for" in output
+    bench.host.show(STANDBY)
+    async with listening(bench.broker, bench.topic("state")) as ear:
+        await ear.until(lambda message: '"standby"' in message.payload)
+    output = (await adaptdrive("status", "bench", *at(bench.broker))).output
+    assert re.search(r"  last trip   \S+Z: over-voltage", output)
 
 
 async def test_status_tells_programs_with_telemetry(bench: Bench) -> None:

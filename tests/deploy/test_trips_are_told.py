@@ -1,4 +1,4 @@
-"""Operators find every trip that the code can name in a table that says what to do."""
+"""Every trip that the code can name has a remedy, in the registry and in the manual."""
 
 from __future__ import annotations
 
@@ -9,6 +9,10 @@ from pathlib import Path
 
 import pytest
 from typing_extensions import TypeIs
+
+from adaptdrive.runtime.trips import TRIPS as REGISTRY
+from adaptdrive.runtime.trips import Trip, remedy
+from tests.runtime.trips_table import with_table
 
 CHECKOUT = Path(__file__).parents[2]
 SOURCE = CHECKOUT / "src" / "adaptdrive"
@@ -62,23 +66,24 @@ def _pattern(text: Text) -> str:
 TRIPS = sorted({trip for trip in trips() if re.search("[a-z]", trip)})
 
 
-def told() -> list[str]:
-    """All trips of the two tables; a node on a bus puts its name before its own."""
-    operation = section("operation.md", "## Trips and what to do")
-    hardware = section("hardware.md", "**What trips, and in which words**")
-    cells = re.findall(r"\| `(.+?)` \|", operation + hardware)
-    return cells + [cell.removeprefix("node 5: ") for cell in cells]
-
-
-def section(page: str, start: str) -> str:
-    """What a page says from a line on, up to the next heading."""
-    text = (CHECKOUT / "docs" / page).read_text(encoding="utf-8")
-    return text.partition(f"\n{start}\n")[2].partition("\n## ")[0]
+def test_the_table_of_the_manual_is_current() -> None:
+    page = (CHECKOUT / "docs" / "operation.md").read_text(encoding="utf-8")
+    assert page == with_table(page), "run `make docs`"
 
 
 @pytest.mark.parametrize("trip", TRIPS)
-def test_a_trip_is_in_a_table(trip: str) -> None:
-    assert any(re.fullmatch(trip, cell) for cell in told()), f"no page tells what to do: {trip}"
+def test_a_trip_is_in_the_registry(trip: str) -> None:
+    examples = [re.sub(r"^node 5: ", "", known.example) for known in REGISTRY]
+    assert any(re.fullmatch(trip, one) for one in examples), f"no remedy for: {trip}"
+
+
+@pytest.mark.parametrize("known", REGISTRY, ids=lambda known: known.sign)
+def test_the_text_of_a_trip_leads_to_its_own_remedy(known: Trip) -> None:
+    assert remedy(known.example) == known.remedy
+
+
+def test_an_unknown_trip_has_no_remedy() -> None:
+    assert remedy("stalemate") == ""
 
 
 def test_the_trips_are_found_in_the_source() -> None:

@@ -25,6 +25,7 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.errors import RefusedError
+from adaptdrive.operation.profile import Output, Profile
 from adaptdrive.operation.service import MqttService, ServiceSurroundings
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import (
@@ -125,7 +126,7 @@ async def serving(
     host = host or RememberingHost()
     surroundings = ServiceSurroundings(folder, **({"uniform": lambda low, _: low * 0.1} | around))
     settings = Mqtt(host=broker.host, port=broker.port)
-    service = MqttService(drive, settings, host, host.hub, surroundings)
+    service = MqttService(profile(drive), settings, host, host.hub, surroundings)
     host.show(host.report)
     task = asyncio.create_task(service.run())
     bench = Bench(drive, broker, host, service)
@@ -138,6 +139,13 @@ async def serving(
         await asyncio.wait([task])
         if not task.cancelled():
             task.result()
+
+
+def profile(drive: str) -> Profile:
+    """A drive whose output is a speed of up to 4 V."""
+    return Profile(
+        drive, Output("speed", "V"), {"setpoint": (0.0, 4.0), "power_W": (None, 900.0)}, version="9"
+    )
 
 
 @dataclass(frozen=True)

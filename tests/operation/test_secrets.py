@@ -15,6 +15,7 @@ from structlog.testing import capture_logs
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.client import NoAnswerError, send_command
+from adaptdrive.operation.profile import Profile
 from adaptdrive.operation.service import MqttService, ServiceSurroundings
 from adaptdrive.runtime.requests import Enable
 from tests.operation.peers import PATIENCE_S, RememberingHost
@@ -85,7 +86,7 @@ async def _ask_until_answered(settings: Mqtt) -> bool:
 async def test_both_ends_get_in_with_password_and_tls(guarded: Mqtt, tmp_path: Path) -> None:
     host = RememberingHost()
     surroundings = ServiceSurroundings(tmp_path, uniform=lambda low, _: 0.1 * low)
-    service = MqttService("guarded", guarded, host, host.hub, surroundings)
+    service = MqttService(Profile("guarded"), guarded, host, host.hub, surroundings)
     running = asyncio.create_task(service.run())
     assert await _ask_until_answered(guarded)
     assert Enable() in host.asked
@@ -116,7 +117,7 @@ async def test_a_secret_that_cannot_be_read_is_tried_again(
     host = RememberingHost()
     surroundings = ServiceSurroundings(tmp_path, uniform=lambda low, _: 0.1 * low)
     settings = guarded.model_copy(update={key: spoilt})
-    service = MqttService("guarded", settings, host, host.hub, surroundings)
+    service = MqttService(Profile("guarded"), settings, host, host.hub, surroundings)
     with capture_logs() as lines:
         running = asyncio.create_task(service.run())
         await asyncio.sleep(1.0)

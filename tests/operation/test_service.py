@@ -231,7 +231,9 @@ async def test_the_state_is_retained_and_follows_every_change(bench: Bench) -> N
         second = (await ear.on(bench.topic("state"))).content
     assert list(second) == [
         *("state", "mode", "controller", "reason", "enabled", "setpoint"),
-        *("waveform", "pole", "trip", "shutting_down", "stop", "clock", "time"),
+        *("waveform", "pole", "trip", "shutting_down", "stop"),
+        *("since", "last_trip", "clock", "time"),
+        *("drive", "output", "limits", "modes", "version"),
     ]
     assert second["waveform"] == SQUARE
     assert second["setpoint"] is None
@@ -251,13 +253,12 @@ async def test_the_state_says_whether_the_clock_can_be_trusted(
         await ear.until(lambda message: message.content["clock"] == word.value)
 
 
-async def test_telemetry_is_json_and_not_retained(bench: Bench) -> None:
+async def test_telemetry_is_json_with_name_and_unit_of_the_output(bench: Bench) -> None:
     async with listening(bench.broker, bench.topic("telemetry/+")) as ear:
         bench.hub.publish(load_report(7))
         bench.hub.publish(drive_report(840))
         load = await ear.on(bench.topic("telemetry/load"))
         drive = await ear.on(bench.topic("telemetry/drive"))
-    assert not load.retained
     assert not drive.retained
     assert (load.qos, drive.qos) == (0, 0)
     assert list(load.content) == [
@@ -265,8 +266,9 @@ async def test_telemetry_is_json_and_not_retained(bench: Bench) -> None:
         *("output_filtered", "input_filtered", "applied_V", "followed", "held_ticks"),
         *("boost_reference_V", "controller", "accepted", "reason", "estimates", "gains"),
         *("innovation", "excitation", "handover_step_V", "pole_in_force", "fault", "complete"),
-        "monotonic_s",
+        *("monotonic_s", "output_name", "output_unit"),
     ]
+    assert (load.content["output_name"], load.content["output_unit"]) == ("speed", "V")
     assert drive.content["sensors"] == {
         "thermocouples": {
             "up": False,
@@ -280,9 +282,8 @@ async def test_telemetry_is_json_and_not_retained(bench: Bench) -> None:
     assert set(drive.content) == {
         *("time", "boost_voltage_V", "line_voltage_V", "load_power_W", "output", "age_s"),
         *("command", "ticks", "missed", "held", "limited", "lateness_us", "turnaround_us"),
-        *("tick_us", "histograms", "bus", "sensors"),
+        *("tick_us", "bus", "sensors", "output_name", "output_unit"),
     }
-    assert drive.content["histograms"] == {"tick_us": [0, 2, 1]}
     assert drive.content["lateness_us"] == {"p50": 10.0, "p99": 20.0, "max": 30.0}
     assert drive.content["turnaround_us"] == {"p50": None, "p99": None, "max": None}
     assert drive.content["command"] == {
@@ -290,6 +291,75 @@ async def test_telemetry_is_json_and_not_retained(bench: Bench) -> None:
         "boost_reference_V": 0.0,
         "bridge": False,
     }
+
+
+async def test_a_late_listener_receives_the_last_slow_step_and_the_histograms(bench: Bench) -> None:
+    async with listening(bench.broker, bench.topic("telemetry/#")) as ear:
+        bench.hub.publish(load_report(7))
+        bench.hub.publish(drive_report(840))
+        await ear.on(bench.topic("telemetry/load"))
+        await ear.on(bench.topic("telemetry/histograms"))
+    async with listening(bench.broker, bench.topic("telemetry/#")) as late:
+        load = await late.on(bench.topic("telemetry/load"))
+        late.start_over("none")
+        histograms = await late.on(bench.topic("telemetry/histograms"))
+    assert (load.retained, load.content["k"]) == (True, 7)
+    assert histograms.retained
+    assert histograms.content["tick_us"] == [0, 2, 1]
+
+
+async def test_the_state_tells_drive_output_limits_modes_and_version(bench: Bench) -> None:
+    async with listening(bench.broker, bench.topic("state")) as ear:
+        state = (await ear.on(bench.topic("state"))).content
+    assert state["drive"] == bench.drive
+    assert state["output"] == {"name": "speed", "unit": "V"}
+    assert state["limits"] == {"setpoint": [0.0, 4.0], "power_W": [None, 900.0]}
+    assert state["modes"] == [mode.value for mode in Mode]
+    assert state["version"] == "9"
+
+
+async def test_since_is_the_time_of_the_state_not_of_any_change(
+    mosquitto: Broker, tmp_path: Path
+) -> None:
+    start, passed_s = datetime(2026, 1, 1, tzinfo=UTC), 0.0
+    wall = lambda: start + timedelta(seconds=passed_s)  # noqa: E731
+    async with (
+        serving(mosquitto, "since", tmp_path, wall=wall) as bench,
+        listening(mosquitto, bench.topic("state")) as ear,
+    ):
+        passed_s = 10.0
+        bench.host.show(replace(STANDBY, state=State.RUNNING))
+        await ear.until(lambda message: message.content["state"] == "running")
+        passed_s = 20.0
+        bench.host.show(replace(STANDBY, state=State.RUNNING, setpoint=2.0))
+        state = (await ear.until(lambda message: message.content["setpoint"] == 2.0)).content
+    assert datetime.fromisoformat(state["since"]) == start + timedelta(seconds=10)
+    assert datetime.fromisoformat(state["time"]) == start + timedelta(seconds=20)
+
+
+async def test_the_last_trip_stays_with_its_remedy_after_a_reset(bench: Bench) -> None:
+    cause = "over-voltage: v_bst = 431.2 V, limit 430 V"
+    async with listening(bench.broker, bench.topic("state")) as ear:
+        first = (await ear.on(bench.topic("state"))).content
+        bench.host.trip(cause)
+        tripped = (await ear.until(lambda message: message.content["trip"])).content
+        bench.host.show(STANDBY)
+        reset = (await ear.until(lambda message: not message.content["trip"])).content
+    assert first["last_trip"] is None
+    assert tripped["last_trip"] == reset["last_trip"]
+    assert tripped["last_trip"]["text"] == cause
+    assert "wrong capacitance" in tripped["last_trip"]["remedy"]
+    assert tripped["last_trip"]["time"] == tripped["since"]
+
+
+async def test_the_event_of_a_trip_carries_its_remedy(bench: Bench) -> None:
+    async with listening(bench.broker, bench.topic("event")) as ear:
+        bench.hub.publish(Event("trip", Severity.ALARM, "slow loop: no decision for three", 1))
+        bench.hub.publish(Event("state", Severity.INFO, "running to tripped", 1))
+        trip = (await ear.on(bench.topic("event"))).content
+        state = (await ear.on(bench.topic("event"))).content
+    assert trip["remedy"].startswith("reduce its load")
+    assert state["remedy"] == ""
 
 
 async def test_a_drive_that_was_never_measured_sends_null(bench: Bench) -> None:
@@ -326,7 +396,7 @@ async def test_events_are_sent_in_order(bench: Bench) -> None:
             bench.hub.publish(Event("trip", Severity.ALARM, "over-speed", tick))
         last = await ear.until(lambda message: message.content["tick"] == 19)
     assert [message.content["tick"] for message in ear.heard] == list(range(20))
-    assert list(last.content) == ["time", "kind", "severity", "detail", "tick"]
+    assert list(last.content) == ["time", "kind", "severity", "detail", "tick", "remedy"]
     assert last.qos == 1
     assert not last.retained
 

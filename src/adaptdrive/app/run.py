@@ -26,6 +26,7 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.app.lock import lock_names, locked, send_visitors_away
 from adaptdrive.app.log import log_events, loss_line, set_up_logging
 from adaptdrive.app.output import unblocked_output
+from adaptdrive.app.profile import operator_profile
 from adaptdrive.app.realtime import build_rehearsal, prepared
 from adaptdrive.app.recording import build_recorder
 from adaptdrive.app.sensors import build_whole_port, sensor_reports
@@ -179,7 +180,8 @@ def _mqtt(
 ) -> MqttService:
     directory = state_directory(os.environ.get("STATE_DIRECTORY", ""))
     surroundings = ServiceSurroundings(directory, start_thread=start_thread)
-    return MqttService(configuration.drive.name, configuration.mqtt, daemon, hub, surroundings)
+    profile = operator_profile(configuration)
+    return MqttService(profile, configuration.mqtt, daemon, hub, surroundings)
 
 
 def state_directory(given: str) -> Path:

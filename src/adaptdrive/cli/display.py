@@ -15,50 +15,61 @@ def describe(drive: str, status: DriveStatus) -> str:
         status: What it said about itself.
     """
     lines = [f"{drive} is {status.availability}"]
+    unit = str(((status.state or {}).get("output") or {}).get("unit") or "")
     if status.state is not None:
-        lines += _state(status.state, live=status.availability == "online")
+        lines += _state(status.state, unit, live=status.availability == "online")
     if "load" in status.telemetry:
-        lines += _load(status.telemetry["load"])
+        lines += _load(status.telemetry["load"], unit)
     if "drive" in status.telemetry:
-        lines += _drive(status.telemetry["drive"])
+        lines += _drive(status.telemetry["drive"], unit)
     return "\n".join(lines)
 
 
-def _state(state: dict[str, Any], *, live: bool) -> list[str]:
+def _state(state: dict[str, Any], unit: str, *, live: bool) -> list[str]:
+    since = state.get("since") or state.get("time")
     rows = [
-        ("state" if live else "last state", f"{state.get('state')}, since {state.get('time')}"),
+        ("state" if live else "last state", f"{state.get('state')}, since {since}"),
+        *_trip(state),
         ("controller", _controller(state)),
-        ("set-point", _setpoint(state)),
+        ("set-point", _setpoint(state, unit)),
         ("pole", _number(state.get("pole"))),
         ("clock", str(state.get("clock"))),
     ]
-    if state.get("trip"):
-        rows.insert(1, ("trip", str(state["trip"])))
     return [_row(name, text) for name, text in rows]
 
 
-def _load(load: dict[str, Any]) -> list[str]:
+def _trip(state: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the latched trip with its remedy, or the last one of this run of the daemon."""
+    last = state.get("last_trip") or {}
+    if state.get("trip"):
+        remedy = last.get("remedy")
+        return [("trip", str(state["trip"]))] + ([("remedy", str(remedy))] if remedy else [])
+    return [("last trip", f"{last.get('time')}: {last.get('text')}")] if last else []
+
+
+def _load(load: dict[str, Any], unit: str) -> list[str]:
     estimates = ", ".join(
         f"{name} {_number(estimate.get('value'))} ± {_number(estimate.get('std'))}"
         for name, estimate in (load.get("estimates") or {}).items()
     )
     voltages = (
-        f"asked {_number(load.get('boost_reference_V'))} V, "
-        f"applied {_number(load.get('applied_V'))} V"
+        f"asked {_number(load.get('boost_reference_V'), 'V')}, "
+        f"applied {_number(load.get('applied_V'), 'V')}"
     )
     return [
-        _row("reference", _number(load.get("reference"))),
+        _row("slow step", f"{load.get('k')} at {load.get('time')}"),
+        _row("reference", _number(load.get("reference"), unit)),
         _row("boost", voltages),
         _row("estimates", estimates or "none"),
     ]
 
 
-def _drive(drive: dict[str, Any]) -> list[str]:
+def _drive(drive: dict[str, Any], unit: str) -> list[str]:
     return [
-        _row("output", _number(drive.get("output"))),
-        _row("boost now", f"{_number(drive.get('boost_voltage_V'))} V"),
-        _row("load power", f"{_number(drive.get('load_power_W'))} W"),
-        _row("age", f"{_number(drive.get('age_s'))} s"),
+        _row(str(drive.get("output_name") or "output"), _number(drive.get("output"), unit)),
+        _row("boost now", _number(drive.get("boost_voltage_V"), "V")),
+        _row("load power", _number(drive.get("load_power_W"), "W")),
+        _row("age", _number(drive.get("age_s"), "s")),
         _row("ticks", f"{drive.get('ticks')}, missed {drive.get('missed')}"),
     ]
 
@@ -68,18 +79,20 @@ def _controller(state: dict[str, Any]) -> str:
     return f"{text}: {state['reason']}" if state.get("reason") else text
 
 
-def _setpoint(state: dict[str, Any]) -> str:
+def _setpoint(state: dict[str, Any], unit: str) -> str:
     wave = state.get("waveform")
     if not wave:
-        return _number(state.get("setpoint"))
+        return _number(state.get("setpoint"), unit)
     return (
-        f"{wave.get('shape')} {_number(wave.get('low'))} to {_number(wave.get('high'))}, "
-        f"period {_number(wave.get('period_s'))} s"
+        f"{wave.get('shape')} {_number(wave.get('low'))} to {_number(wave.get('high'), unit)}, "
+        f"period {_number(wave.get('period_s'), 's')}"
     )
 
 
-def _number(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, int | float) else "unknown"
+def _number(value: object, unit: str = "") -> str:
+    if not isinstance(value, int | float):
+        return "unknown"
+    return f"{value:.6g} {unit}".rstrip()
 
 
 def _row(name: str, text: str) -> str:

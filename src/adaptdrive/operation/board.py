@@ -8,8 +8,10 @@ from datetime import datetime
 from typing import Generic, TypeVar
 
 from adaptdrive.operation.clock import Synchronisation, WallClock
-from adaptdrive.operation.messages import Payload, state_message
+from adaptdrive.operation.messages import LastTrip, Payload, Standing, state_message
+from adaptdrive.operation.profile import Profile
 from adaptdrive.runtime.reports import State, StateReport
+from adaptdrive.runtime.trips import remedy
 
 T = TypeVar("T")
 
@@ -49,11 +51,14 @@ class Mailbox(Generic[T]):
 class StateBoard:
     """The state as operators see it; its time moves only when something else does."""
 
-    def __init__(self, wall: WallClock) -> None:
+    def __init__(self, wall: WallClock, profile: Profile) -> None:
         self._wall = wall
+        self._profile = profile
         self._report: StateReport | None = None
         self._clock = Synchronisation.UNKNOWN
         self._since: datetime = wall()
+        self._changed_at = self._since
+        self._last_trip: LastTrip | None = None
         self._changed = asyncio.Event()
 
     @property
@@ -66,13 +71,19 @@ class StateBoard:
         """Payload to publish, None before the first report."""
         if self._report is None:
             return None
-        return state_message(self._report, self._clock, self._since)
+        standing = Standing(self._since, self._last_trip, self._clock, self._changed_at)
+        return state_message(self._report, standing, self._profile)
 
     def show(self, report: StateReport) -> None:
         """Take a report of the runtime."""
-        if report != self._report:
-            self._report = report
-            self._note_change()
+        known, self._report = self._report, report
+        if report == known:
+            return
+        self._note_change()
+        if known is None or report.state is not known.state:
+            self._since = self._changed_at
+        if report.trip is not None and (known is None or report.trip != known.trip):
+            self._last_trip = LastTrip(self._changed_at, report.trip, remedy(report.trip))
 
     def show_clock(self, clock: Synchronisation) -> None:
         """Take the word of the wall clock's watcher."""
@@ -86,5 +97,5 @@ class StateBoard:
         self._changed.clear()
 
     def _note_change(self) -> None:
-        self._since = self._wall()
+        self._changed_at = self._wall()
         self._changed.set()

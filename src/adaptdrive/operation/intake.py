@@ -15,9 +15,11 @@ from adaptdrive.operation.messages import (
     drive_message,
     encode,
     event_message,
+    histogram_message,
     load_message,
 )
 from adaptdrive.operation.outbox import Outbox
+from adaptdrive.operation.profile import Output
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import (
     CommandReport,
@@ -42,14 +44,19 @@ class Intake:
         outbox: Events that the broker has not taken yet.
         load: Slow periods not sent yet.
         drive: The newest word of the fast loop, unless sent.
+        histograms: The newest histograms of the fast loop, unless sent.
     """
 
-    def __init__(self, hub: Hub, board: StateBoard, outbox: Outbox, wall: WallClock) -> None:
+    def __init__(
+        self, hub: Hub, board: StateBoard, outbox: Outbox, wall: WallClock, output: Output
+    ) -> None:
         self.board = board
         self.outbox = outbox
         self.load: Mailbox[Payload] = Mailbox(LOAD_MESSAGES_HELD)
         self.drive: Mailbox[Payload] = Mailbox(1)
+        self.histograms: Mailbox[Payload] = Mailbox(1)
         self._wall = wall
+        self._output = output
         self._hub = hub
         self._discarded = 0
         self._reports = hub.subscribe(
@@ -87,15 +94,17 @@ class Intake:
         """Throw away telemetry that was not sent in time."""
         self.load.clear()
         self.drive.clear()
+        self.histograms.clear()
 
     def _lay_out(self, report: Report) -> None:
         match report:
             case StateReport():
                 self.board.show(report)
             case LoadReport():
-                self.load.put(load_message(report, self._wall()))
+                self.load.put(load_message(report, self._wall(), self._output))
             case DriveReport():
-                self.drive.put(drive_message(report, self._wall()))
+                self.drive.put(drive_message(report, self._wall(), self._output))
+                self.histograms.put(histogram_message(report, self._wall()))
             case Event():
                 self.outbox.append(encode(event_message(report, self._wall())))
             case TickReport() | CommandReport():

@@ -29,6 +29,7 @@ from adaptdrive.operation.messages import OFFLINE
 from adaptdrive.operation.name import ClientName
 from adaptdrive.operation.outbox import Outbox
 from adaptdrive.operation.pace import BrokerBackoff, LogRation, Pace
+from adaptdrive.operation.profile import Profile
 from adaptdrive.operation.session import BrokerSession
 from adaptdrive.operation.topics import Topics
 from adaptdrive.runtime.hub import Hub
@@ -67,7 +68,7 @@ class MqttService:
 
     def __init__(
         self,
-        drive: str,
+        profile: Profile,
         settings: Mqtt,
         host: Host,
         hub: Hub,
@@ -76,12 +77,13 @@ class MqttService:
         """Subscribe to the hub: nothing is missed between now and `run`.
 
         Args:
-            drive: Name of the drive.
+            profile: Name, unit and limits of the drive.
             settings: Section `[mqtt]`.
             host: Who carries commands out.
             hub: Where the runtime's reports come from.
             surroundings: Folder, clocks and chance.
         """
+        drive = profile.drive
         self._topics = Topics(drive)
         self._pace = Pace(1.0 / settings.telemetry_Hz, surroundings.monotonic)
         self._around = surroundings
@@ -89,9 +91,9 @@ class MqttService:
         path = surroundings.directory / f"{drive}.operation.sqlite3"
         self._journal = Journal(path, surroundings.start_thread)
         self._memory = ReplyMemory(self._journal, surroundings.wall, surroundings.monotonic)
-        self._board = StateBoard(surroundings.wall)
+        self._board = StateBoard(surroundings.wall, profile)
         self._outbox = Outbox(self._journal, surroundings.wall)
-        self._intake = Intake(hub, self._board, self._outbox, surroundings.wall)
+        self._intake = Intake(hub, self._board, self._outbox, surroundings.wall, profile.output)
         self._desk = Desk(
             host,
             self._memory,

@@ -24,6 +24,7 @@ PAUSE_S = 0.005
 """From one answer to the next command: a flood of them must not keep a CPU busy."""
 
 LOGGED_EVERY_S = 10.0
+HISTOGRAMS_EVERY_S = 10.0
 FAREWELL_S = 1.0
 LOWEST_FAILURE_CODE = 128
 
@@ -70,6 +71,7 @@ class BrokerSession:
                 tasks.create_task(self._send_events(), name="mqtt events")
                 tasks.create_task(self._send_load(), name="mqtt telemetry/load")
                 tasks.create_task(self._send_drive(), name="mqtt telemetry/drive")
+                tasks.create_task(self._send_histograms(), name="mqtt telemetry/histograms")
         except asyncio.CancelledError:
             await self._take_leave()
             raise
@@ -167,13 +169,19 @@ class BrokerSession:
     async def _send_load(self) -> None:
         while True:
             message = await self._intake.load.take()
-            await self._client.publish(self._topics.load_telemetry, encode(message))
+            await self._client.publish(self._topics.load_telemetry, encode(message), retain=True)
 
     async def _send_drive(self) -> None:
         while True:
             message = await self._intake.drive.take()
             await self._pace.wait()
             await self._client.publish(self._topics.drive_telemetry, encode(message))
+
+    async def _send_histograms(self) -> None:
+        while True:
+            message = await self._intake.histograms.take()
+            await self._client.publish(self._topics.histograms, encode(message), retain=True)
+            await asyncio.sleep(HISTOGRAMS_EVERY_S)
 
     async def _take_leave(self) -> None:
         """Say goodbye while commands are still answered: all but a stop are refused."""

@@ -31,13 +31,18 @@ class Topics:
 
     @property
     def load_telemetry(self) -> str:
-        """One message per slow period."""
+        """One message per slow period, the last one retained."""
         return self._below("telemetry/load")
 
     @property
     def drive_telemetry(self) -> str:
         """The fast loop, at most ten messages a second."""
         return self._below("telemetry/drive")
+
+    @property
+    def histograms(self) -> str:
+        """Counts of all times of ticks since the start, retained."""
+        return self._below("telemetry/histograms")
 
     @property
     def event(self) -> str:

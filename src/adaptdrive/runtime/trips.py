@@ -1,0 +1,317 @@
+"""The causes of trips with their remedies: the table of `docs/operation.md`, and of each message.
+
+An interlock gives its cause as text. The first entry whose sign occurs in that text applies, so a
+special cause stands before the general one.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Trip:
+    """A kind of trip.
+
+    Attributes:
+        sign: Regular expression that occurs in the text of such a trip.
+        example: Text of such a trip; `…` stands for the rest.
+        cause: Cause in words.
+        remedy: Steps that remove the cause, before `reset`.
+    """
+
+    sign: str
+    example: str
+    cause: str
+    remedy: str
+
+
+_STALE = "stale: measurement is 54 ms old, limit 50 ms"
+_OLDEST = f"{_STALE}; output (0x101 (DriveLoad), Tachometer) is the oldest value"
+
+TRIPS = (
+    Trip(
+        r"^stale: .*: no message comes",
+        f"{_OLDEST}: no message comes: …",
+        "no message of the drive arrives",
+        "check the drive's supply, the cable, the bit rate, the ids",
+    ),
+    Trip(
+        r"^stale: .*: other messages come",
+        f"{_OLDEST}: other messages come: …",
+        "only this message is missing",
+        "switch the message on in the drive; compare its id with the DBC",
+    ),
+    Trip(
+        r"^stale: .*: its frames come and are refused",
+        f"{_OLDEST}: its frames come and are refused (wrong_checksum, 12 in a row): …",
+        "the frames fail a check; also `wrong_length`, `counter_stuck`, `out_of_range`",
+        "compare the setting that the text names; `adaptdrive probe` shows the frames",
+    ),
+    Trip(
+        r"^stale: .*: the polls give no reading",
+        f"{_STALE}; output is the oldest value: the polls give no reading: exception reply 2 to "
+        "function 4 (illegal address), input 16…19 (address from 0)",
+        "the Modbus device refuses the poll, or does not answer",
+        "check the register map; `adaptdrive probe` shows the registers",
+    ),
+    Trip(
+        r"^stale: no measurement yet",
+        "stale: no measurement yet",
+        "a command was refused before the first frame",
+        "start the drive; compare `[bus]` and `[signals]` with `adaptdrive probe`",
+    ),
+    Trip(
+        r"^stale: .*: no measurement yet",
+        "stale: module.water: no measurement yet",
+        "that value of a sensor bus has never arrived",
+        "check the module, its cable and its bus; compare `[[sensor_bus]]` with the module; "
+        "`adaptdrive probe` shows each value with its age",
+    ),
+    Trip(
+        r"^stale: measurement is ",
+        f"{_STALE}; …",
+        "no usable measurement for `interlocks.stale_s`; the text names the oldest value with its "
+        "message and signal (CAN), the missing PDO (CANopen) or the registers of the poll that "
+        "failed (Modbus); without such a text, with events `latency`, the machine is overloaded",
+        "check the part that the text names; if it names none, reduce the load of the machine and "
+        "see `[realtime]`",
+    ),
+    Trip(
+        r"^stale: ",
+        "stale: module.water is 5012 ms old, limit 5000 ms",
+        "a value of a sensor bus is older than its own limit; the state of that bus follows in "
+        "brackets",
+        "check the module, its cable and its bus: `sensors` in `telemetry/drive` and "
+        "`adaptdrive probe` show each value with its age, and the refused messages",
+    ),
+    Trip(
+        r"^invalid: ",
+        "invalid: output = nan is not a finite number: look at its sensor, its scale and offset, "
+        "and at [derived]",
+        "the named measured value is NaN or infinite",
+        "check its sensor, its `scale` and `offset`, and `[derived]`",
+    ),
+    Trip(
+        r"^overslept: ",
+        "overslept: the daemon did not run for 512 ms, limit 50 ms: …",
+        "the process was frozen, suspended or starved for longer than `interlocks.stale_s`; the "
+        "state of the drive during that time is unknown",
+        "reduce the load of the machine; see `[realtime]`",
+    ),
+    Trip(
+        r"^drive fault: ",
+        "drive fault: word 0x3",
+        "the drive reports a fault; the names of the fault bits follow if the DBC has them",
+        "look the fault up in the drive's manual and clear it in the drive",
+    ),
+    Trip(
+        r"^node \d+: emergency ",
+        "node 5: emergency 0x2310, continuous over-current at the output (error register 0x01)",
+        "a CiA 402 drive reports an error over CANopen",
+        "remove the error that the text names; the drive reports *no error*, or leaves its fault, "
+        "before `reset` is accepted",
+    ),
+    Trip(
+        r"^node \d+: the drive left its state by itself",
+        "node 5: the drive left its state by itself: fault",
+        "a CiA 402 drive entered a fault without an emergency, or another state without a command",
+        "look the fault up in the drive's manual; `reset` also resets the drive's fault",
+    ),
+    Trip(
+        r"^node \d+: the drive's state is ",
+        "node 5: the drive's state is fault",
+        "a CiA 402 drive is in a fault, or has not reported its state",
+        "look the fault up in the drive's manual; `not known yet` ends when its TPDOs arrive",
+    ),
+    Trip(
+        r"^node \d+: has been restarted",
+        "node 5: has been restarted",
+        "a CiA 402 drive has restarted by itself; the daemon sets it up again",
+        "check the drive's supply",
+    ),
+    Trip(
+        r"^node \d+: heartbeat lost",
+        "node 5: heartbeat lost for 112 ms",
+        "a CiA 402 drive sends no heartbeat",
+        "check the drive's supply and the cable; the daemon sets the drive up again",
+    ),
+    Trip(
+        r"^node \d+: is not operational any more",
+        "node 5: is not operational any more (state 127)",
+        "another NMT master has stopped a CiA 402 drive",
+        "end the other NMT master",
+    ),
+    Trip(
+        r"^over-voltage: ",
+        "over-voltage: v_bst = 431.2 V, limit 430 V",
+        "boost voltage above `boost_voltage_max_V`",
+        "look for a load that feeds back into a unidirectional drive, and for a wrong capacitance "
+        "in `[drive]`",
+    ),
+    Trip(
+        r"^precharge: ",
+        "precharge: v_bst = 171.0 V after 5 s, needs 200 V; a boost stage that works only with the "
+        "enable bit on needs drive.enable_bit = 'bridge-and-boost'; else the drive refuses the "
+        "commands (checksum, counter, local instead of remote mode), or line or precharge circuit "
+        "is open",
+        "`starting` took too long",
+        "check in this order: a boost stage that works only with the enable bit on "
+        "(`drive.enable_bit`); a drive that refuses the commands because of their checksum or "
+        "counter, or because it is in local mode; the line voltage; the precharge circuit",
+    ),
+    Trip(
+        r"^output above its limit: ",
+        "output above its limit: speed = 5.1 V, limit 5 V: look for a lost load, or at the sensor",
+        "output above `output_max`",
+        "check the sensor and the coupling to the load",
+    ),
+    Trip(
+        r"^output below its limit: ",
+        "output below its limit: speed = -1.2 V, limit -1.125 V: is the sensor reversed, or its "
+        "wire broken?",
+        "output below `output_min`",
+        "check the sign and the wires of the sensor",
+    ),
+    Trip(
+        r"^frame rate: ",
+        "frame rate: the drive sends 100 readings/s, expected 120/s: …",
+        "the rate of the clocking message differs from the rate of the half cycles for 0.5 s or "
+        "more; only for a drive that is the clock",
+        "correct `drive.line_frequency_Hz`; set `bus.clock` to a message that arrives every half "
+        "cycle, or set `bus.clock_ticks` to the half cycles between two messages",
+    ),
+    Trip(
+        r"^refused frames: ",
+        "refused frames: drive: 52% of the last 1190 frames were refused, most for wrong_checksum "
+        "(619): …, limit 50%",
+        "the share of refused frames over 5 s has reached `interlocks.refused_share`",
+        "check what the text names; `adaptdrive probe` shows the frames",
+    ),
+    Trip(
+        r"^stuck: ",
+        "stuck: speed stands at exactly … V for … s, and speed should have moved by … V",
+        "the output, or a value from which it is derived, does not change although the input "
+        "moves the load (`stuck_distance`), or does not change for `stuck_s`",
+        "check the sensor: its value is frozen while its messages continue",
+    ),
+    Trip(
+        r"^the drive does not stop: its bridge is still on ",
+        "the drive does not stop: its bridge is still on 512 ms after the stop; …",
+        "the drive does not follow commands: local mode, checksum, another sender, a welded "
+        "contact",
+        "disconnect its supply; look at `wrong_checksum` in the drive's own diagnosis and at its "
+        "mode",
+    ),
+    Trip(
+        r"^the drive does not stop: it has not taken the safe command",
+        "the drive does not stop: it has not taken the safe command …",
+        "the bus did not send the safe command, or the drive refused it",
+        "disconnect the drive's supply; the trip or the `bus` events give the reason",
+    ),
+    Trip(
+        r"^the drive does not stop: ",
+        "the drive does not stop: it has not reported its bridge off …",
+        "the drive stopped sending measurements during its stop",
+        "assume that the drive is energised; check the cable and the supply",
+    ),
+    Trip(
+        r"^the drive's bridge is on although ",
+        "the drive's bridge is on although this daemon did not command it: …",
+        "another source switched the bridge on: a second sender, the drive's panel, a restart of "
+        "the drive",
+        "remove that source",
+    ),
+    Trip(
+        r"^the drive refuses commands: ",
+        "the drive refuses commands: exception code 3 (illegal value) at register 0; …",
+        "Modbus: two commands in a row were refused; the drive may still follow the last accepted "
+        "command",
+        "check the register map, its limits, remote mode and write access",
+    ),
+    Trip(
+        r"^the drive does not answer commands: ",
+        "the drive does not answer commands: …",
+        "Modbus: the drive answered reads, but three commands remained without a reply",
+        "check write access; look at `timeouts` in `bus`",
+    ),
+    Trip(
+        r"^drive stopped: ",
+        "drive stopped: its bridge is off although it was commanded on",
+        "the drive has reported its bridge off for 30 ticks",
+        "check the drive's own time-out and protection; look for lost commands on the bus",
+    ),
+    Trip(
+        r"^another sender commands this drive: ",
+        "another sender commands this drive: 12 x frame 0x080 (DriveCommand), the last 0.0 s ago; "
+        "end the other daemon, PLC or tool: the bus must be free of its commands for 5 s",
+        "frames with the id of this drive's command that this daemon has not sent; "
+        "`foreign_commands` in `bus` counts them",
+        "end the other daemon, PLC or test tool; `reset` and `enable` are refused until the bus "
+        "has been free of its commands for 5 s",
+    ),
+    Trip(
+        r"^no response: .* must be above ",
+        "no response: speed = … V, and with this input must be above … V: is the sensor reversed "
+        "or its wire broken, is the load blocked?",
+        "the output is lower than any load within `interlocks.response_factor` of `[load.model]` "
+        "gives after that input",
+        "check the sign and the wires of the sensor; look for a blocked shaft, a broken heater, "
+        "and a `[load.model]` that is wrong by more than that factor",
+    ),
+    Trip(
+        r"^no response: .* fell to ",
+        "no response: speed fell to … V, and the load cannot have fallen below … V yet: is the "
+        "sensor's wire broken?",
+        "the output fell ten times faster than the shortest lag of the model allows",
+        "check the sensor's wires and supply",
+    ),
+    Trip(
+        r"^no response: ",
+        "no response: input at its limit for long, and the output has not moved",
+        "the input was at a limit for `response_s`, and every load within the supervisor's bounds "
+        "would have moved",
+        "check for an unplugged sensor, a blocked shaft, a broken heater",
+    ),
+    Trip(
+        r"^slow loop: ",
+        "slow loop: no decision for three slow periods",
+        "the machine is overloaded",
+        "reduce its load; see `[realtime]`",
+    ),
+    Trip(
+        r"^second broker client: ",
+        "second broker client: …",
+        "another client connected with this daemon's client id, or publishes as this drive",
+        "end the second daemon",
+    ),
+    Trip(
+        r"^command cannot be sent: the controller gave ",
+        "command cannot be sent: the controller gave k = nan S, …",
+        "the controller gave a value that is not finite",
+        "keep the session for a bug report; `reset` restarts the controller",
+    ),
+    Trip(
+        r"^command cannot be sent: ",
+        "command cannot be sent: …",
+        "a value does not fit its signal on the bus",
+        "compare the limits of the signals in the DBC with `[drive.limits]`",
+    ),
+    Trip(
+        r"^internal error: ",
+        "internal error: …; keep the log for a report",
+        "an error in the daemon itself; the daemon sends the safe command and ends",
+        "keep the log and the session for a bug report; the service manager restarts the daemon in "
+        "`standby`",
+    ),
+)
+
+
+def remedy(text: str) -> str:
+    """Return the steps that remove the cause of a trip, empty for an unknown cause.
+
+    Args:
+        text: Text of the trip.
+    """
+    return next((trip.remedy for trip in TRIPS if re.search(trip.sign, text)), "")

@@ -1,0 +1,33 @@
+"""The table of the trips in `docs/operation.md`, made from the registry of `runtime/trips.py`.
+
+`python -m tests.runtime.trips_table docs/operation.md` writes the table; a test keeps it current.
+"""
+
+import sys
+from pathlib import Path
+
+from adaptdrive.runtime.trips import TRIPS
+
+BEGIN, END = "<!-- trips: written by `make docs` -->\n", "<!-- end of trips -->\n"
+
+
+def table() -> str:
+    """Return the table as Markdown."""
+    rows = [f"| `{trip.example}` | {trip.cause} | {trip.remedy} |" for trip in TRIPS]
+    return "\n".join(["| trip | cause | remedy |", "|---|---|---|", *rows, ""])
+
+
+def with_table(page: str) -> str:
+    """Return a page with the table between its marks.
+
+    Args:
+        page: Text of the page.
+    """
+    before, rest = page.split(BEGIN)
+    _, after = rest.split(END)
+    return before + BEGIN + table() + END + after
+
+
+if __name__ == "__main__":
+    path = Path(sys.argv[1])
+    path.write_text(with_table(path.read_text(encoding="utf-8")), encoding="utf-8")
