@@ -12,11 +12,12 @@ from tests.deploy.broker import Ear, GuardedBroker, password
 
 Listen = Callable[[str], Ear]
 
-NAMES = ("availability", "state", "telemetry/load", "telemetry/drive", "event", "reply")
+NAMES = ("availability", "state", "telemetry/load", "telemetry/drive", "event", "reply", "history")
 OWN = [f"adaptdrive/motor/{name}" for name in NAMES]
 OTHERS = [f"adaptdrive/bath/{name}" for name in NAMES]
 OWN_STOP = "adaptdrive/motor/command/disable"
 COMMANDS = [f"adaptdrive/{drive}/command/{verb}" for drive in ("motor", "bath") for verb in "ab"]
+QUESTIONS = [f"adaptdrive/{drive}/ask/history" for drive in ("motor", "bath")]
 ELSEWHERE = ["adaptdrive", "adaptdrive/motor", "adaptdrive/motor/state/x", "adaptdrive//state"]
 
 
@@ -47,7 +48,8 @@ def heard(
 
 def test_a_drive_speaks_for_itself_alone(guarded: GuardedBroker, listen: Listen) -> None:
     other_stop = OWN_STOP.replace("motor", "bath")
-    tried = [*OWN, *OTHERS, *COMMANDS, *ELSEWHERE, "adaptdrive/operator/state", other_stop]
+    others = [*COMMANDS, *QUESTIONS, *ELSEWHERE]
+    tried = [*OWN, *OTHERS, *others, "adaptdrive/operator/state", other_stop]
     assert heard(guarded, listen, "operator", "motor", [*tried, OWN_STOP]) == [*OWN, OWN_STOP]
 
 
@@ -59,16 +61,20 @@ def test_a_drive_hears_its_own_commands_only(guarded: GuardedBroker, listen: Lis
     assert heard(guarded, listen, "motor", "motor", OWN) == telemetry
 
 
+def test_a_drive_hears_what_it_is_asked(guarded: GuardedBroker, listen: Listen) -> None:
+    assert heard(guarded, listen, "motor", "viewer", QUESTIONS) == QUESTIONS[:1]
+
+
 def test_an_operator_commands_and_speaks_for_no_drive(
     guarded: GuardedBroker, listen: Listen
 ) -> None:
-    tried = [*COMMANDS, *OWN, *OTHERS, *ELSEWHERE, "adaptdrive/operator/state"]
-    assert heard(guarded, listen, "viewer", "operator", tried) == COMMANDS
+    tried = [*COMMANDS, *QUESTIONS, *OWN, *OTHERS, *ELSEWHERE, "adaptdrive/operator/state"]
+    assert heard(guarded, listen, "viewer", "operator", tried) == [*COMMANDS, *QUESTIONS]
 
 
-def test_a_viewer_hears_everything_and_says_nothing(guarded: GuardedBroker, listen: Listen) -> None:
-    tried = [*COMMANDS, *OWN, *OTHERS, *ELSEWHERE, "adaptdrive/viewer/state"]
-    assert heard(guarded, listen, "operator", "viewer", tried) == []
+def test_a_viewer_hears_everything_and_only_asks(guarded: GuardedBroker, listen: Listen) -> None:
+    tried = [*COMMANDS, *QUESTIONS, *OWN, *OTHERS, *ELSEWHERE, "adaptdrive/viewer/state"]
+    assert heard(guarded, listen, "operator", "viewer", tried) == QUESTIONS
     assert heard(guarded, listen, "viewer", "motor", OWN) == OWN
 
 

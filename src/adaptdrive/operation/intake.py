@@ -6,10 +6,12 @@ long it then waits, so that nothing old is ever sent as new.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import assert_never
 
 from adaptdrive.operation.board import Mailbox, StateBoard
 from adaptdrive.operation.clock import WallClock
+from adaptdrive.operation.history import History
 from adaptdrive.operation.messages import (
     Payload,
     drive_message,
@@ -47,8 +49,15 @@ class Intake:
         histograms: The newest histograms of the fast loop, unless sent.
     """
 
-    def __init__(
-        self, hub: Hub, board: StateBoard, outbox: Outbox, wall: WallClock, output: Output
+    def __init__(  # noqa: PLR0913 - it joins the parts of the service
+        self,
+        hub: Hub,
+        board: StateBoard,
+        outbox: Outbox,
+        history: History,
+        *,
+        wall: WallClock,
+        output: Output,
     ) -> None:
         self.board = board
         self.outbox = outbox
@@ -58,6 +67,7 @@ class Intake:
         self._wall = wall
         self._output = output
         self._hub = hub
+        self._history = history
         self._discarded = 0
         self._reports = hub.subscribe(
             StateReport, LoadReport, DriveReport, Event, size=REPORTS_HELD
@@ -90,6 +100,10 @@ class Intake:
         for report in self._reports.drain():
             self._lay_out(report)
 
+    def history_pages(self) -> Iterator[Payload]:
+        """Yield the payloads that answer a request for the last hour."""
+        return self._history.pages(self._wall())
+
     def forget_telemetry(self) -> None:
         """Throw away telemetry that was not sent in time."""
         self.load.clear()
@@ -101,7 +115,9 @@ class Intake:
             case StateReport():
                 self.board.show(report)
             case LoadReport():
-                self.load.put(load_message(report, self._wall(), self._output))
+                message = load_message(report, self._wall(), self._output)
+                self.load.put(message)
+                self._history.add(message)
             case DriveReport():
                 self.drive.put(drive_message(report, self._wall(), self._output))
                 self.histograms.put(histogram_message(report, self._wall()))

@@ -21,6 +21,7 @@ from adaptdrive.operation.clock import (
     utc_now,
 )
 from adaptdrive.operation.desk import Desk
+from adaptdrive.operation.history import History
 from adaptdrive.operation.intake import Intake
 from adaptdrive.operation.journal import Journal
 from adaptdrive.operation.link import BrokerConnection, BrokerLink
@@ -93,7 +94,10 @@ class MqttService:
         self._memory = ReplyMemory(self._journal, surroundings.wall, surroundings.monotonic)
         self._board = StateBoard(surroundings.wall, profile)
         self._outbox = Outbox(self._journal, surroundings.wall)
-        self._intake = Intake(hub, self._board, self._outbox, surroundings.wall, profile.output)
+        history = History(surroundings.monotonic)
+        self._intake = Intake(
+            hub, self._board, self._outbox, history, wall=surroundings.wall, output=profile.output
+        )
         self._desk = Desk(
             host,
             self._memory,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import suppress
+from typing import Any
 
 import structlog
 from aiomqtt import Message, MqttError, ProtocolVersion
@@ -25,6 +26,7 @@ PAUSE_S = 0.005
 
 LOGGED_EVERY_S = 10.0
 HISTOGRAMS_EVERY_S = 10.0
+HISTORY_EVERY_S = 5.0
 FAREWELL_S = 1.0
 LOWEST_FAILURE_CODE = 128
 
@@ -52,6 +54,7 @@ class BrokerSession:
         self._pace = pace
         self._commands: Mailbox[OperatorCommand] = Mailbox(COMMANDS_HELD)
         self._stops: Mailbox[OperatorCommand] = Mailbox(COMMANDS_HELD)
+        self._asked = asyncio.Event()
         self._logged = 0
         self._logged_s = -LOGGED_EVERY_S
 
@@ -72,6 +75,7 @@ class BrokerSession:
                 tasks.create_task(self._send_load(), name="mqtt telemetry/load")
                 tasks.create_task(self._send_drive(), name="mqtt telemetry/drive")
                 tasks.create_task(self._send_histograms(), name="mqtt telemetry/histograms")
+                tasks.create_task(self._send_history(), name="mqtt history")
         except asyncio.CancelledError:
             await self._take_leave()
             raise
@@ -84,19 +88,19 @@ class BrokerSession:
         await self._client.publish(self._topics.availability, ONLINE, qos=1, retain=True)
 
     async def _subscribe(self) -> None:
+        topics = [self._topics.commands, self._topics.ask_history]
+        wishes: dict[str, Any] = {"qos": 1}
         if self._protocol is ProtocolVersion.V5:
-            options = SubscribeOptions(qos=1, retainAsPublished=True, noLocal=True)
-            granted = await self._client.subscribe(self._topics.commands, options=options)
+            wishes = {"options": SubscribeOptions(qos=1, retainAsPublished=True, noLocal=True)}
             if self._line.name.given_way:  # what it publishes itself does not come back
-                await self._client.subscribe(self._topics.drive_telemetry, options=options)
-        else:
-            granted = await self._client.subscribe(self._topics.commands, qos=1)
-        for code in granted:
-            value = code.value if isinstance(code, ReasonCode) else code
-            if value >= LOWEST_FAILURE_CODE:
-                structlog.get_logger().error(
-                    "broker does not allow commands", topic=self._topics.commands, code=str(code)
-                )
+                topics.append(self._topics.drive_telemetry)
+        for topic in topics:
+            for code in await self._client.subscribe(topic, **wishes):
+                value = code.value if isinstance(code, ReasonCode) else code
+                if value >= LOWEST_FAILURE_CODE:
+                    structlog.get_logger().error(
+                        "broker does not allow to subscribe", topic=topic, code=str(code)
+                    )
 
     async def _publish_state(self) -> None:
         if (message := self._intake.board.message) is not None:
@@ -105,6 +109,9 @@ class BrokerSession:
     def _receive(self, message: Message) -> None:
         if message.topic.value == self._topics.drive_telemetry:
             self._line.name.heard_rival()
+            return
+        if message.topic.value == self._topics.ask_history:
+            self._asked.set()
             return
         verb = self._topics.verb(message.topic.value)
         command = self._desk.receive(verb, bytes(message.payload), retained=message.retain)
@@ -182,6 +189,16 @@ class BrokerSession:
             message = await self._intake.histograms.take()
             await self._client.publish(self._topics.histograms, encode(message), retain=True)
             await asyncio.sleep(HISTOGRAMS_EVERY_S)
+
+    async def _send_history(self) -> None:
+        """Answer all who ask meanwhile with one answer, which every client can read."""
+        while True:
+            await self._asked.wait()
+            self._asked.clear()
+            for page in self._intake.history_pages():
+                await self._client.publish(self._topics.history, encode(page), qos=1)
+                await asyncio.sleep(PAUSE_S)
+            await asyncio.sleep(HISTORY_EVERY_S)
 
     async def _take_leave(self) -> None:
         """Say goodbye while commands are still answered: all but a stop are refused."""

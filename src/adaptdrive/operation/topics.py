@@ -45,6 +45,16 @@ class Topics:
         return self._below("telemetry/histograms")
 
     @property
+    def ask_history(self) -> str:
+        """Request for the slow steps of the last hour; its payload has no meaning."""
+        return self._below("ask/history")
+
+    @property
+    def history(self) -> str:
+        """Answers to such requests, for all who listen."""
+        return self._below("history")
+
+    @property
     def event(self) -> str:
         """Trips, mode changes, fallbacks, bus loss and return."""
         return self._below("event")

@@ -24,6 +24,7 @@
  *   sensors: Record<string, {up: boolean, detail: string}>
  * }} Fast
  * @typedef {{time: string, kind: string, severity: string, detail: string}} DriveEvent
+ * @typedef {{time: string, page: number, pages: number, rows: Load[]}} History
  * @typedef {{id: string|number, verb: string, accepted: boolean, reason: string}} Reply
  */
 
@@ -37,9 +38,10 @@ const Contract = (() => {
     ["telemetry/drive", "fast"],
     ["event", "event"],
     ["reply", "reply"],
+    ["history", "history"],
   ]);
 
-  const SUBSCRIPTIONS = [...KINDS.keys()].map((tail) => `${ROOT}/+/${tail}`);
+  const SUBSCRIPTIONS = [...KINDS.keys()].filter((tail) => tail !== "history").map((tail) => `${ROOT}/+/${tail}`);
 
   /** Split a topic; null for one that is not of the contract.
    * @param {string} topic @returns {{drive: string, kind: string} | null} */
@@ -66,11 +68,16 @@ const Contract = (() => {
     return `${ROOT}/${drive}/command/${verb}`;
   }
 
+  /** Where the last hour is asked for, and where it is answered. @param {string} drive */
+  function history(drive) {
+    return { ask: `${ROOT}/${drive}/ask/history`, answer: `${ROOT}/${drive}/history` };
+  }
+
   /** The unit of an estimate, from its name. @param {string} name */
   function unitOf(name) {
     const match = /_([A-Za-z]+(?:_per_[A-Za-z]+)?\d?)$/.exec(name);
     return match ? match[1].replace("_per_", "/").replace("s2", "s²").replace("Ohm", "Ω") : "";
   }
 
-  return { SUBSCRIPTIONS, place, read, command, unitOf };
+  return { SUBSCRIPTIONS, place, read, command, history, unitOf };
 })();

@@ -21,6 +21,7 @@ const DrivePage = (() => {
       Dom.make("section", {}, Dom.make("h2", {}, "Events"), events),
     );
     const plots = Plots.open(plotted, drive);
+    Link.askHistory(drive.name);
     let seen = -1;
 
     function draw() {

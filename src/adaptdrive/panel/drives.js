@@ -49,18 +49,19 @@ const Drives = (() => {
     /** @param {string} kind @param {any} message @param {boolean} retained */
     take(kind, message, retained) {
       this.version += 1;
-      if (!retained) this.heardS = nowS();
+      if (!retained && kind !== "history") this.heardS = nowS();
       if (kind === "state") this.state = message;
       if (kind === "load") this._takeLoad(message);
       if (kind === "fast") this._takeFast(message);
       if (kind === "event") this._takeEvent(message);
+      if (kind === "history" && Array.isArray(message.rows)) this.remember(message.rows);
     }
 
-    /** Add rows from before the page was opened; the newest known stay. @param {Load[]} rows */
+    /** Add rows that are not known yet. @param {Load[]} rows */
     remember(rows) {
-      const first = this.slowRows.length ? timeS(this.slowRows[0].time) : Infinity;
-      const older = rows.filter((row) => timeS(row.time) < first);
-      this.slowRows = [...older, ...this.slowRows].slice(-SLOW_ROWS);
+      const known = new Set(this.slowRows.map((row) => row.time));
+      const all = [...rows.filter((row) => !known.has(row.time)), ...this.slowRows];
+      this.slowRows = all.sort((a, b) => timeS(a.time) - timeS(b.time)).slice(-SLOW_ROWS);
       this.version += 1;
     }
 

@@ -9,6 +9,7 @@ const Link = (() => {
   /** @type {any} */ let client = null;
   /** @type {Map<string, (reply: Reply|null) => void>} */ const waiting = new Map();
   /** @type {Set<() => void>} */ const listeners = new Set();
+  /** @type {Set<string>} */ const remembered = new Set(); // drives whose last hour is shown
   let status = "offline";
   let problem = "";
   /** @type {Map<string, boolean>} */ const allowed = new Map();
@@ -34,6 +35,7 @@ const Link = (() => {
       const own = client;
       own.on("connect", () => {
         own.subscribe(Contract.SUBSCRIPTIONS, { qos: 1 });
+        for (const drive of remembered) askHistory(drive);
         allowed.clear();
         tell("online", "");
         resolve();
@@ -97,6 +99,14 @@ const Link = (() => {
     });
   }
 
+  /** Ask for the last hour of a drive, now and after each loss of the broker. @param {string} drive */
+  function askHistory(drive) {
+    remembered.add(drive);
+    const { ask, answer } = Contract.history(drive);
+    client?.subscribe(answer, { qos: 1 });
+    client?.publish(ask, "", { qos: 1 });
+  }
+
   /** The drive's clock now, as far as it is known. @param {string} drive */
   function clockMs(drive) {
     const view = Drives.named(drive);
@@ -122,7 +132,7 @@ const Link = (() => {
   }
 
   return {
-    open, close, ask, mayCommand,
+    open, close, ask, askHistory, mayCommand,
     /** @param {() => void} listener */ watch: (listener) => listeners.add(listener),
     get online() { return status === "online"; },
     get problem() { return problem; },
