@@ -151,12 +151,45 @@ async def test_an_unusable_id_is_told_so_under_that_id(bench: Bench, identity: s
 @pytest.mark.parametrize(
     "payload", ["", "3", "[]", '{"value": 3}', '{"id": null, "value": 3}', '{"id": true}', "\0"]
 )
-async def test_without_a_readable_id_nothing_happens(bench: Bench, payload: str) -> None:
-    async with listening(bench.broker, bench.topic("reply")) as ear:
-        await publish(bench.broker, bench.topic("command/setpoint"), payload)
-        await publish(bench.broker, bench.topic("command/setpoint"), '{"id": "b", "value": 1}')
-        assert (await ear.on(bench.topic("reply"))).content["id"] == "b"
-    assert bench.host.asked == [SetSetpoint(1.0)]
+async def test_without_a_readable_id_a_command_is_refused_and_answered(
+    bench: Bench, payload: str
+) -> None:
+    reply = await ask(bench, "setpoint", payload)
+    assert reply["reason"]
+    del reply["reason"]
+    assert reply == {"id": None, "verb": "setpoint", "accepted": False, "state": "standby"}
+    assert bench.host.asked == []
+
+
+async def test_an_id_that_cannot_be_sent_back_is_refused(bench: Bench) -> None:
+    reply = await ask(bench, "enable", '{"id": "\\ud800"}')
+    assert (reply["id"], reply["accepted"]) == (None, False)
+    assert "id" in reply["reason"]
+    assert bench.host.asked == []
+
+
+@pytest.mark.parametrize("payload", ['{"id": "p"}', '{"id": "p", "value": 3}'])
+async def test_a_ping_is_accepted_and_changes_nothing(
+    mosquitto: Broker, tmp_path: Path, payload: str
+) -> None:
+    async with serving(mosquitto, "pinged", tmp_path) as bench:
+        reports = bench.hub.subscribe(CommandReport, size=9)
+        reply = await ask(bench, "ping", payload)
+        assert reply == {
+            "id": "p",
+            "verb": "ping",
+            "accepted": True,
+            "reason": "",
+            "state": "standby",
+        }
+        assert (await ask(bench, "setpoint", '{"id": "p", "value": 1}'))["accepted"]
+        assert bench.host.asked == [SetSetpoint(1.0)]
+        answered = (one for one in reports.drain() if isinstance(one, CommandReport))
+        assert [one.verb for one in answered] == ["setpoint"]
+
+
+async def test_a_retained_ping_is_refused(bench: Bench) -> None:
+    assert "retain" in (await ask(bench, "ping", '{"id": "p"}', "-r"))["reason"]
 
 
 async def test_expires_is_held_against_the_clock_of_the_daemon(

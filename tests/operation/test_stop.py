@@ -45,7 +45,8 @@ async def asked(bench: Bench, *wanted: Request) -> None:
     ["", "{}", "OFF", "0", "[]", b"\xff\x00\xfe", '{"id": null}', "{" * 9000, b"\x00" * 100_000],
 )
 async def test_a_stop_without_an_id_acts(bench: Bench, payload: str | bytes) -> None:
-    await publish(bench.broker, bench.topic("command/disable"), payload)
+    reply = await ask(bench, "disable", payload)
+    assert (reply["id"], reply["accepted"]) == (None, True)
     await asked(bench, Disable())
 
 

@@ -27,7 +27,10 @@ from adaptdrive.runtime.requests import Host, Request
 INTERRUPTED = "the daemon stopped while it carried this out; it may or may not have taken effect"
 OVERTAKEN = "a disable arrived after this command and before it was carried out"
 RETAINED = "retained commands are not carried out; publish without retain"
+UNREADABLE = "id: not readable; give each command an id of 1 to 128 characters"
 LONGEST_REASON = 500
+PING = "ping"
+"""The verb that changes nothing: its answer shows that the sender may command the drive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +96,7 @@ class Desk:
         async with asyncio.TaskGroup() as self._tasks:
             await asyncio.Event().wait()
 
-    async def ask(self, command: OperatorCommand) -> Reply | None:
+    async def ask(self, command: OperatorCommand) -> Reply:
         """Answer a command in a task that outlives its caller."""
         return await asyncio.shield(self._tasks.create_task(self.answer(command)))
 
@@ -103,22 +106,23 @@ class Desk:
         if verb == STOP:
             stopped = self._host.stop()
             self._stops += 1
-        return OperatorCommand(verb, raw, retained, self._stops, stopped)
+        return OperatorCommand(_clean(verb), raw, retained, self._stops, stopped)
 
-    async def answer(self, command: OperatorCommand) -> Reply | None:
+    async def answer(self, command: OperatorCommand) -> Reply:
         """Carry out a command unless a rule forbids it.
 
         Returns:
-            The reply, None where no id can be read to reply to.
+            The reply; its id is None where the command has no readable one.
         """
         payload = Payload(command.raw)
         if payload.id is None:
             self._log_unreadable(command)
-            if command.stopped is not None:
-                self._confirm(command, payload, command.stopped)
-            return None
         if command.stopped is not None:
             reply = self._confirm(command, payload, command.stopped)
+        elif payload.id is None:
+            return self._refused(command, payload, self._flaw(command, payload) or UNREADABLE)
+        elif command.verb == PING:
+            reply = self._acknowledge(command, payload)
         else:
             async with self._turn:
                 await self._memory.ready()
@@ -126,17 +130,22 @@ class Desk:
         self._log_reply(reply)
         return reply
 
-    def refuse(self, command: OperatorCommand, reason: str) -> Reply | None:
-        """Refuse a command without looking further than its id.
-
-        Returns:
-            The reply, None where no id can be read to reply to.
-        """
+    def refuse(self, command: OperatorCommand, reason: str) -> Reply:
+        """Refuse a command without looking further than its id."""
         payload = Payload(command.raw)
         if payload.id is None:
             self._log_unreadable(command)
-            return None
-        return replace(_refusal(command, payload), reason=reason, state=self._present_state())
+        return self._refused(command, payload, reason)
+
+    def _refused(self, command: OperatorCommand, payload: Payload, reason: str) -> Reply:
+        refusal = _refusal(command, payload)
+        return replace(refusal, reason=_clean(reason), state=self._present_state())
+
+    def _acknowledge(self, command: OperatorCommand, payload: Payload) -> Reply:
+        """Return the reply to a command that changes nothing and is not recorded."""
+        if command.retained:
+            return self._refused(command, payload, RETAINED)
+        return replace(_refusal(command, payload), accepted=True, state=self._present_state())
 
     def _confirm(self, command: OperatorCommand, payload: Payload, state: State) -> Reply:
         """Return the reply to a stop; it is accepted whatever is wrong with its payload."""
@@ -161,7 +170,7 @@ class Desk:
         if (withheld := self._ration.take()) is not None:
             self._log.warning(
                 "command without a readable id",
-                verb=_clean(command.verb),
+                verb=command.verb,
                 size=len(command.raw),
                 carried_out=command.stopped is not None,
                 withheld_lines=withheld,
@@ -172,7 +181,7 @@ class Desk:
             self._log.info(
                 "command",
                 id=reply.id,
-                verb=_clean(reply.verb),
+                verb=reply.verb,
                 accepted=reply.accepted,
                 reason=reply.reason or None,
                 withheld_lines=withheld,
@@ -184,7 +193,7 @@ class Desk:
         flaw = self._other_verb(command, payload)
         if known is None or flaw is None:
             return known
-        return replace(_refusal(command, payload), reason=flaw, state=self._present_state())
+        return self._refused(command, payload, flaw)
 
     def _other_verb(self, command: OperatorCommand, payload: Payload) -> str | None:
         known = self._memory.recall(str(payload.id)) if _memorable(payload.id) else None
@@ -237,13 +246,13 @@ class Desk:
 
 
 def _refusal(command: OperatorCommand, payload: Payload) -> Reply:
-    return Reply(id=payload.id or "", verb=command.verb, accepted=False, reason="", state=None)
+    return Reply(id=payload.id, verb=command.verb, accepted=False, reason="", state=None)
 
 
 def _report_of(payload: Payload, reply: Reply) -> CommandReport:
     return CommandReport(
-        id=str(reply.id),
-        verb=_clean(reply.verb),
+        id="" if reply.id is None else str(reply.id),
+        verb=reply.verb,
         value=_clean(payload.value),
         user=payload.user,
         accepted=reply.accepted,

@@ -42,14 +42,15 @@ class Reply(msgspec.Struct, frozen=True):
     """Payload of `reply`.
 
     Attributes:
-        id: Id of the command; a number only where a malformed command had one.
+        id: Id of the command; a number only where a malformed command had one, None where none
+            can be read.
         verb: What was asked.
         accepted: Whether it was carried out.
         reason: Why not; empty when it was.
         state: State of the drive afterwards, None while it is not known yet.
     """
 
-    id: str | int
+    id: str | int | None
     verb: str
     accepted: bool
     reason: str

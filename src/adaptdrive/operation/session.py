@@ -122,7 +122,7 @@ class BrokerSession:
             reply = await self._desk.ask(await self._commands.take())
             await self._reply(reply)
             self._log_dropped()
-            if reply is not None and reply.accepted and reply.verb == RESET:
+            if reply.accepted and reply.verb == RESET:
                 self._line.name.reclaim(self._client)
             await asyncio.sleep(PAUSE_S)
 
@@ -145,9 +145,8 @@ class BrokerSession:
             "publish disable without retain",
         )
 
-    async def _reply(self, reply: Reply | None) -> None:
-        if reply is not None:
-            await self._client.publish(self._topics.reply, encode(reply), qos=1)
+    async def _reply(self, reply: Reply) -> None:
+        await self._client.publish(self._topics.reply, encode(reply), qos=1)
 
     def _log_dropped(self) -> None:
         """Log that commands went unread, and how many, but not each."""
