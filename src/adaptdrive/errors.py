@@ -58,6 +58,10 @@ class RecordingError(AdaptdriveError):
         super().__init__(f"{session}: {problem}")
 
 
+class IdentificationError(AdaptdriveError):
+    """Data do not determine a load; the reason is the message."""
+
+
 def first_error(group: BaseExceptionGroup[AdaptdriveError]) -> AdaptdriveError:
     """Return the error to report: tasks end together, and the first error is the cause."""
     error: BaseException = group

@@ -14,7 +14,7 @@ which are m known signals with unknown factors: they are estimated along, and le
 result.
 
 For records and benches, not for the daemon, which must start without the array library it needs
-(`pip install adaptdrive[identify]`).
+(`pip install adaptdrive[analysis]`).
 """
 
 from __future__ import annotations

@@ -1,0 +1,1 @@
+"""Batch identification of a load from records, for commissioning and analysis."""

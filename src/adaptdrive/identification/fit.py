@@ -1,0 +1,225 @@
+"""Fit of a load to blocks of a record by prediction errors.
+
+The model of the measured output is
+
+    y = N(s)/D(s) u + free response + constant + v,        A(q) v = e
+
+with white e. Numerator, free responses and constant enter linearly, and are solved for each
+denominator by least squares (Golub and Pereyra, doi:10.1137/0710036). The noise model makes the
+estimate consistent also where a controller feeds the noise back to the input (Ljung, System
+Identification, section 13.4).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
+
+from adaptdrive.errors import IdentificationError
+from adaptdrive.identification.excerpt import Blocks
+from adaptdrive.identification.response import responses
+
+Array = NDArray[np.float64]
+
+_STEP = 1e-5
+"""Step of the logarithms in a difference quotient."""
+
+_WORST_CONDITION = 1e9
+"""Condition of the columns, brought to one length, above which they are not told apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Data and structure of a fit.
+
+    Attributes:
+        parts: The data.
+        order: m.
+        powers: The i of the numerator's terms b_i s^(m-i).
+        drift: The numerator with which the charge ∫y dt of a battery acts on its current; its
+            factor is fitted, its shape is not, as s ∫y dt would explain any y. Empty for none.
+        noise: 1, A_1 ... A_n of the noise model.
+    """
+
+    parts: Sequence[Blocks]
+    order: int
+    powers: tuple[int, ...]
+    drift: tuple[float, ...]
+    noise: Array
+
+    @property
+    def shared(self) -> int:
+        """Number of columns that all parts share: the numerator's, the charge's, the constant."""
+        return len(self.powers) + (1 if self.drift else 0) + 1
+
+    @property
+    def targets(self) -> Array:
+        """The outputs of all parts."""
+        return np.concatenate([part.outputs for part in self.parts])
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """Result of a fit.
+
+    Attributes:
+        logarithms: Of a_1 ... a_m.
+        weights: Factors of the columns.
+        simulated: Output of the load without noise.
+        errors: e.
+        condition: Condition number of the columns, brought to one length.
+    """
+
+    logarithms: Array
+    weights: Array
+    simulated: Array
+    errors: Array
+    condition: float
+
+    @property
+    def loss(self) -> float:
+        """Sum of e²."""
+        return float(self.errors @ self.errors)
+
+
+def columns(problem: Problem, logarithms: Array) -> Array:
+    """Return what the linear parameters weigh: a row for each block.
+
+    Args:
+        problem: Data and structure.
+        logarithms: Of a_1 ... a_m.
+    """
+    denominator = np.concatenate(([1.0], np.exp(logarithms)))
+    filters = responses(denominator, problem.parts[0].period_s)
+    shared, order = problem.shared, problem.order
+    count = sum(len(part.outputs) for part in problem.parts)
+    made = np.zeros((count, shared + order * len(problem.parts)))
+    row = 0
+    for number, part in enumerate(problem.parts):
+        rows = slice(row, row + len(part.outputs))
+        made[rows, : len(problem.powers)] = filters.of(part.inputs, problem.powers)
+        if problem.drift:
+            made[rows, shared - 2] = filters.of(part.charge, problem.powers) @ problem.drift
+        made[rows, shared - 1] = 1.0
+        first = shared + order * number
+        made[rows, first : first + order] = filters.free(len(part.outputs))
+        row = rows.stop
+    return made
+
+
+def whitened(problem: Problem, values: Array) -> Array:
+    """Return A(q) of values, without the blocks at the start of each part that it needs."""
+    lost = len(problem.noise) - 1
+    if lost == 0:
+        return values
+    rows = split(problem, values)
+    return np.concatenate([lfilter(problem.noise, [1.0], one, axis=0)[lost:] for one in rows])
+
+
+def split(problem: Problem, values: Array, lost: int = 0) -> list[Array]:
+    """Return values of all blocks as one array for each part.
+
+    Args:
+        problem: Data and structure.
+        values: A row for each block.
+        lost: Blocks without a row at the start of each part.
+    """
+    lengths = [max(0, len(part.outputs) - lost) for part in problem.parts]
+    return np.split(values, np.cumsum(lengths)[:-1])
+
+
+def solve(problem: Problem, logarithms: Array) -> Solution:
+    """Return the best linear parameters for a denominator."""
+    matrix = columns(problem, logarithms)
+    rows, targets = whitened(problem, matrix), whitened(problem, problem.targets)
+    lengths = np.linalg.norm(rows, axis=0)
+    lengths[lengths == 0.0] = 1.0
+    scaled, _, _, values = np.linalg.lstsq(rows / lengths, targets, rcond=1e-14)
+    weights = scaled / lengths
+    condition = float(values[0] / values[-1]) if values[-1] > 0.0 else np.inf
+    return Solution(logarithms, weights, matrix @ weights, targets - rows @ weights, condition)
+
+
+def limits(problem: Problem) -> tuple[Array, Array]:
+    """Logarithms of a_i for time constants from a twentieth of a block to twenty records."""
+    block_s = problem.parts[0].period_s
+    fastest_s, slowest_s = 0.05 * block_s, 20.0 * block_s * len(problem.targets)
+    powers = np.arange(1.0, problem.order + 1.0)
+    low: Array = -powers * math.log(slowest_s)
+    high: Array = math.log(2.0) - powers * math.log(fastest_s)
+    return low, high
+
+
+def refine(problem: Problem, start: Array) -> Solution:
+    """Return the best fit near a start.
+
+    Args:
+        problem: Data and structure.
+        start: Logarithms of a_1 ... a_m.
+    """
+    low, high = limits(problem)
+    found = least_squares(
+        lambda logarithms: solve(problem, logarithms).errors,
+        np.clip(start, low + _STEP, high - _STEP),
+        jac=lambda logarithms: _error_slopes(problem, logarithms),
+        bounds=(low, high),
+        max_nfev=50,
+    )
+    return solve(problem, found.x)
+
+
+def _error_slopes(problem: Problem, logarithms: Array) -> Array:
+    """Return the derivatives of e to log a_1 ... log a_m, with the best linear parameters.
+
+    The step is the same at log a = 0, where scipy's own, a fraction of the value, vanishes.
+    """
+    here = solve(problem, logarithms).errors
+    steps = _STEP * np.eye(problem.order)
+    slopes = [(solve(problem, logarithms + step).errors - here) / _STEP for step in steps]
+    return np.column_stack(slopes)
+
+
+def jacobian(problem: Problem, solution: Solution) -> Array:
+    """Return the derivatives of the predicted output.
+
+    Returns:
+        A column for each of log a_1 ... log a_m, the linear parameters, and A_1 ... A_n.
+    """
+    matrix = columns(problem, solution.logarithms)
+    slopes = []
+    for i in range(problem.order):
+        step = np.zeros(problem.order)
+        step[i] = _STEP
+        ahead = columns(problem, solution.logarithms + step) @ solution.weights
+        behind = columns(problem, solution.logarithms - step) @ solution.weights
+        slopes.append((ahead - behind) / (2.0 * _STEP))
+    inner = whitened(problem, np.column_stack((*slopes, matrix)))
+    return np.hstack((inner, -lagged(problem, problem.targets - solution.simulated)))
+
+
+def lagged(problem: Problem, values: Array) -> Array:
+    """Return v[k-1] ... v[k-n], in the rows that `whitened` leaves."""
+    count = len(problem.noise) - 1
+    if count == 0:
+        return np.empty((len(values), 0))
+    parts = [part for part in split(problem, values) if len(part) > count]
+    windows = [np.lib.stride_tricks.sliding_window_view(part[:-1], count) for part in parts]
+    return np.concatenate(windows)[:, ::-1]
+
+
+def require_excitation(problem: Problem, solution: Solution) -> None:
+    """Make sure that the data determine the model.
+
+    Raises:
+        IdentificationError: They do not.
+    """
+    inputs = np.concatenate([part.inputs for part in problem.parts])
+    if solution.condition > _WORST_CONDITION or np.ptp(inputs) <= 1e-9 * np.abs(inputs).max():
+        span = f"{inputs.min():.6g}…{inputs.max():.6g}"
+        raise IdentificationError(f"the input moves too little to show the load: u = {span}")
