@@ -11,7 +11,15 @@ from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.schedule import Schedule
-from adaptdrive.control.signals import Command, Decision, Measurement, Order, Snapshot, Stage
+from adaptdrive.control.signals import (
+    SAFE_COMMAND,
+    Command,
+    Decision,
+    Measurement,
+    Order,
+    Snapshot,
+    Stage,
+)
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.requests import Disable, Request
 from adaptdrive_sim.compiled.wire import Wire, delayed, rounded
@@ -107,6 +115,7 @@ class OperatedDrive(VirtualDrive):
         self.ticks = 0
         self.time_s = 0.0
         self.completed = False
+        self._command = SAFE_COMMAND
 
     def carry_out(self, request: Request) -> None:
         """Carry out an operator's request before the next tick.
@@ -114,7 +123,8 @@ class OperatedDrive(VirtualDrive):
         Raises:
             RefusedError: It cannot be done; nothing was changed.
         """
-        self.machine.carry_out(request, self.ticks, self.sample.output, None)
+        voltage_V = self._command.boost_reference_V
+        self.machine.carry_out(request, self.ticks, self.sample.output, None, voltage_V)
 
     def tick(self) -> bool:
         """Run one half line cycle; says whether a slow period has ended with it."""
@@ -129,6 +139,7 @@ class OperatedDrive(VirtualDrive):
             self.machine.confirm_stop()
             self.world.shut()
             command, _ = self.control(measurement, self._order())
+        self._command = command
         self.advance(command)
         return decided
 
@@ -139,7 +150,8 @@ class OperatedDrive(VirtualDrive):
 
     def _order(self) -> Order:
         machine = self.machine
-        return Order(machine.stage, self.reference, machine.mode, machine.pole)
+        manual_V = machine.manual_V(self.ticks)
+        return Order(machine.stage, self.reference, machine.mode, machine.pole, manual_V)
 
     def _obey(self, decision: Decision) -> None:
         """Trip or stop where a decision says so."""

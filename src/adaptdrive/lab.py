@@ -87,9 +87,13 @@ class Drive:
         """Hold a constant set-point, in the unit of the output."""
         return await self.command("setpoint", value)
 
-    async def set_mode(self, mode: Literal["fixed", "adaptive"]) -> Reply:
-        """Choose the controller."""
+    async def set_mode(self, mode: Literal["fixed", "adaptive", "manual"]) -> Reply:
+        """Choose the controller, or manual."""
         return await self.command("mode", mode)
+
+    async def set_voltage(self, voltage_V: float, hold_s: float | None = None) -> Reply:
+        """Set V_c in mode manual; after `hold_s` without another one the drive trips."""
+        return await self.command("voltage", voltage_V, hold_s=hold_s)
 
     async def set_pole(self, pole: float) -> Reply:
         """Choose the closed-loop pole of the load loop."""
@@ -112,18 +116,20 @@ class Drive:
         """Leave a trip whose cause is gone."""
         return await self.command("reset")
 
-    async def command(self, verb: str, value: object = None) -> Reply:
+    async def command(self, verb: str, value: object = None, **fields: object) -> Reply:
         """Send any command.
 
         Args:
             verb: Last part of its topic.
             value: Its value, None for a verb without one.
+            fields: Fields of the payload beside the value.
 
         Raises:
             RefusedError: The drive refused it.
             NoAnswerError: No reply in time, or no broker.
         """
-        reply = await send_command(self._broker, self._name, verb, value, self._timeout_s)
+        sending = send_command(self._broker, self._name, verb, value, self._timeout_s, **fields)
+        reply = await sending
         if not reply.accepted:
             raise RefusedError(reply.reason)
         return reply

@@ -27,6 +27,7 @@ from adaptdrive.runtime.requests import (
     SetMode,
     SetPole,
     SetSetpoint,
+    SetVoltage,
     SetWaveform,
 )
 from tests.operation.peers import (
@@ -89,6 +90,8 @@ def at(broker: Broker) -> tuple[str, str]:
         ("waveform bench off", SetWaveform(None)),
         ("pole bench 0.8", SetPole(0.8)),
         ("mode bench adaptive", SetMode(Mode.ADAPTIVE)),
+        ("voltage bench 280", SetVoltage(280.0)),
+        ("voltage bench 280 --hold 5", SetVoltage(280.0, hold_s=5.0)),
         ("enable bench", Enable()),
         ("disable bench", Disable()),
         ("reset bench", Reset()),
@@ -100,6 +103,11 @@ async def test_an_accepted_command_ends_with_0(bench: Bench, words: str, request
     state = "running" if verb == "enable" else "standby"
     assert outcome == Outcome(0, f"bench: {verb} accepted, {state}\n", "")
     assert bench.host.asked == [request_]
+
+
+async def test_manual_is_a_mode(bench: Bench) -> None:
+    assert (await adaptdrive("manual", "bench", *at(bench.broker))).status == 0
+    assert bench.host.asked == [SetMode(Mode.MANUAL)]
 
 
 @pytest.mark.parametrize(

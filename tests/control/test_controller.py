@@ -298,6 +298,7 @@ orders = st.builds(
     st.floats(-5.0, 5.0) | anything,
     st.sampled_from(Mode),
     st.floats(0.3, 0.95),
+    voltages,
 )
 
 

@@ -25,6 +25,7 @@ from adaptdrive.runtime.requests import (
     SetMode,
     SetPole,
     SetSetpoint,
+    SetVoltage,
     SetWaveform,
 )
 from tests.operation.peers import (
@@ -61,6 +62,8 @@ async def bench(
         ("waveform", None, SetWaveform(None)),
         ("waveform", "off", SetWaveform(None)),
         ("mode", "adaptive", SetMode(Mode.ADAPTIVE)),
+        ("mode", "manual", SetMode(Mode.MANUAL)),
+        ("voltage", 280, SetVoltage(280.0)),
         ("pole", 0.8, SetPole(0.8)),
         ("enable", None, Enable()),
         ("disable", None, Disable()),
@@ -264,7 +267,7 @@ async def test_the_state_is_retained_and_follows_every_change(bench: Bench) -> N
         second = (await ear.on(bench.topic("state"))).content
     assert list(second) == [
         *("state", "mode", "controller", "reason", "enabled", "setpoint"),
-        *("waveform", "pole", "trip", "shutting_down", "stop"),
+        *("waveform", "pole", "trip", "shutting_down", "stop", "voltage_V"),
         *("since", "last_trip", "clock", "time"),
         *("drive", "output", "limits", "modes", "version"),
     ]
@@ -295,8 +298,10 @@ async def test_telemetry_is_json_with_name_and_unit_of_the_output(bench: Bench) 
     assert not drive.retained
     assert (load.qos, drive.qos) == (0, 0)
     assert list(load.content) == [
-        *("time", "k", "tick", "period_s", "stage", "reference", "mode", "pole", "output"),
+        *("time", "k", "tick", "period_s", "stage", "reference", "mode", "pole", "manual_V"),
+        "output",
         *("output_filtered", "input_filtered", "applied_V", "followed", "held_ticks"),
+        "held_V",
         *("boost_reference_V", "controller", "accepted", "reason", "estimates", "gains"),
         *("innovation", "excitation", "handover_step_V", "pole_in_force", "fault", "complete"),
         *("monotonic_s", "output_name", "output_unit"),

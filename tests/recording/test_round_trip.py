@@ -40,7 +40,7 @@ from tests.recording.material import INFO, make_batch, make_tick, record_message
 FLOATS = st.floats(allow_subnormal=True) | st.sampled_from([0.0, -0.0, 5e-324, -5e-324])
 INTS = st.integers(-(2**63), 2**63 - 1)
 MODES = st.sampled_from(Mode)
-ORDERS = st.builds(Order, st.sampled_from(Stage), FLOATS, MODES, FLOATS)
+ORDERS = st.builds(Order, st.sampled_from(Stage), FLOATS, MODES, FLOATS, FLOATS)
 TICKS = st.builds(
     TickReport,
     sequence=INTS,

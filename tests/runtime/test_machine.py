@@ -31,6 +31,8 @@ LIMITS = MachineLimits(
     pole_max=0.98,
     period_min_s=4.0,
     floor_V=200.0,
+    ceiling_V=400.0,
+    slew_V_per_s=60.0,
     starting_ticks=600,
     tick_s=1.0 / 120.0,
 )

@@ -24,6 +24,7 @@ from adaptdrive.runtime.requests import (
     SetMode,
     SetPole,
     SetSetpoint,
+    SetVoltage,
     SetWaveform,
 )
 from tests.runtime.test_machine import LIMITS
@@ -34,6 +35,7 @@ WISHES = st.one_of(
     st.builds(SetSetpoint, ANY),
     st.builds(SetWaveform, st.none() | WAVEFORMS),
     st.builds(SetMode, st.sampled_from(Mode)),
+    st.builds(SetVoltage, st.floats() | st.floats(200.0, 400.0), st.none() | ANY),
     st.builds(SetPole, ANY),
 )
 CAUSES = st.none() | st.sampled_from(["stale: x", "drive fault: x"])

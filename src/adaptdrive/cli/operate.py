@@ -74,16 +74,45 @@ def pole(drive: DriveName, value: float, /, *, contact: Contact = _HERE) -> int:
 
 
 def mode(
-    drive: DriveName, value: Literal["fixed", "adaptive"], /, *, contact: Contact = _HERE
+    drive: DriveName, value: Literal["fixed", "adaptive", "manual"], /, *, contact: Contact = _HERE
 ) -> int:
-    """Choose the controller.
+    """Choose the controller, or set V_c by hand.
 
     Args:
         drive: Name of the drive.
-        value: The controller.
+        value: The controller, or manual.
         contact: Broker.
     """
     return _ask(drive, "mode", value, contact)
+
+
+def manual(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
+    """Hold the present V_c, to be set by hand.
+
+    Args:
+        drive: Name of the drive.
+        contact: Broker.
+    """
+    return _ask(drive, "mode", "manual", contact)
+
+
+def voltage(
+    drive: DriveName,
+    value: float,
+    /,
+    *,
+    hold: float | None = None,
+    contact: Contact = _HERE,
+) -> int:
+    """Set V_c in mode manual.
+
+    Args:
+        drive: Name of the drive.
+        value: V_c in volts.
+        hold: Longest time in seconds until the next one; then the drive trips.
+        contact: Broker.
+    """
+    return _ask(drive, "voltage", value, contact, hold_s=hold)
 
 
 def enable(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
@@ -138,9 +167,10 @@ def status(
     return ACCEPTED if found.availability == ONLINE.decode() else NO_ANSWER
 
 
-def _ask(drive: str, verb: str, value: object, contact: Contact) -> int:
+def _ask(drive: str, verb: str, value: object, contact: Contact, **fields: object) -> int:
     try:
-        reply = asyncio.run(send_command(contact.settings, drive, verb, value, contact.timeout))
+        sending = send_command(contact.settings, drive, verb, value, contact.timeout, **fields)
+        reply = asyncio.run(sending)
     except NoAnswerError as problem:
         return _no_answer(problem)
     if reply.accepted:

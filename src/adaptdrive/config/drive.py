@@ -26,6 +26,9 @@ class DriveLimits(Section):
         default=0.15, description="largest change of k from one tick to the next"
     )
 
+    manual_slew_V_per_s: PositiveFloat = Field(
+        default=100.0, description="largest slope of V_c in mode `manual`"
+    )
     load_power_max_W: PositiveFloat = Field(
         default=1500.0, description="load power above which V_c is held back"
     )

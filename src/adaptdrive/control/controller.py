@@ -81,6 +81,8 @@ class Controller:
         if order.stage is Stage.OFF:
             return SAFE_COMMAND
         if order.stage is Stage.RUN:
+            if order.mode is Mode.MANUAL:
+                fast.set_by_hand(self._fast, self._settings.stage, order.manual_V)
             self._run_filters(measurement, order)
         bridge = order.stage is Stage.RUN or self._settings.stage.boost_needs_bridge
         return self._drive(measurement, bridge)
@@ -102,7 +104,7 @@ class Controller:
         return Decision(
             k=snapshot.k,
             boost_reference_V=voltage,
-            controller=Mode.ADAPTIVE if state.adaptive else Mode.FIXED,
+            controller=_in_force(snapshot.order.mode, adaptive=state.adaptive),
             accepted=state.accepted,
             reason=self._reason(snapshot.order.mode),
             estimates=self._estimates(),
@@ -121,9 +123,13 @@ class Controller:
         return self._trusted
 
     def apply(self, decision: Decision) -> None:
-        """Let a decision take effect from the next tick on."""
+        """Let a decision take effect from the next tick on.
+
+        V_c stays where the operator has set it since: the decision is older.
+        """
         if self._stage is Stage.RUN:
-            self._fast.boost_reference_V = decision.boost_reference_V
+            if decision.controller is not Mode.MANUAL and not self._fast.by_hand:
+                self._fast.boost_reference_V = decision.boost_reference_V
             self._learn(decision.k)
 
     def _learn(self, k: int) -> None:
@@ -190,6 +196,7 @@ class Controller:
 
     def _take(self, measurement: Measurement, order: Order, k: int) -> Snapshot:
         rates, learning, order_m = self._settings.rates, self._settings.learning, self._load.order
+        held_V = self._fast.boost_reference_V if self._fast.by_hand else math.nan
         means = fast.take_means(self._bank)
         applied_V, followed, held = fast.close_period(self._fast, self._settings)
         fast.tune_filters(self._bank, measurement.tick_period_s, learning.tau_lambda_s)
@@ -204,6 +211,7 @@ class Controller:
             applied_V=applied_V,
             followed=followed,
             held_ticks=held,
+            held_V=held_V,
         )
 
     def _drive(self, measurement: Measurement, bridge: bool) -> Command:
@@ -227,6 +235,8 @@ class Controller:
             pole=snapshot.order.pole,
             low=to_input(stage.boost_reference_min_V, gain, exponent),
             high=to_input(stage.boost_reference_max_V, gain, exponent),
+            manual=snapshot.order.mode is Mode.MANUAL,
+            held=to_input(snapshot.held_V, gain, exponent),
         )
 
     def _estimates(self) -> dict[str, Estimate]:
@@ -249,7 +259,7 @@ class Controller:
             return f"{_FALLBACKS[Fallback(state.watch.fallback)]}; ask for adaptive again"
         verdict = Verdict(state.supervisor.verdict)
         if verdict is Verdict.TRUSTED:
-            return "" if mode is Mode.ADAPTIVE else "fixed controller asked for"
+            return "" if mode is Mode.ADAPTIVE else f"mode {mode} asked for"
         if verdict is Verdict.WARMING_UP:
             return f"warming up: needs {jacket.warm_up_periods} slow periods"
         if verdict is Verdict.OUT_OF_BOUNDS:
@@ -274,6 +284,13 @@ class Controller:
         low, high = jacket.ratio_min * nominal, jacket.ratio_max * nominal
         name, value = self._load.names[index], state.values[index]
         return f"estimate {name} = {value:.4g} outside {low:.4g}…{high:.4g}"
+
+
+def _in_force(mode: Mode, *, adaptive: bool) -> Mode:
+    """Return the source of V_c: the operator, or the law in force."""
+    if mode is Mode.MANUAL:
+        return mode
+    return Mode.ADAPTIVE if adaptive else Mode.FIXED
 
 
 def _confirming(settings: ControllerSettings) -> ControllerSettings:

@@ -65,6 +65,7 @@ class FastState:
         ticks: Ticks in `voltage_sum`.
         limited_ticks: Those of them with k at a limit.
         held_ticks: Those of them without a fresh measurement.
+        by_hand: Whether the operator has set V_c in the slow period so far.
     """
 
     tick: int
@@ -76,6 +77,7 @@ class FastState:
     ticks: int = 0
     limited_ticks: int = 0
     held_ticks: int = 0
+    by_hand: bool = False
 
 
 def new_filter_bank(
@@ -192,6 +194,20 @@ def drive(state: FastState, stage: PowerStage, measurement: Measurement) -> tupl
     return scale_S, reference_V
 
 
+def set_by_hand(state: FastState, stage: PowerStage, voltage_V: float) -> None:
+    """Set V_c to the operator's value within the limits of the drive; one that is NaN changes none.
+
+    Args:
+        state: Overwritten.
+        stage: Limits.
+        voltage_V: The operator's value.
+    """
+    if math.isfinite(voltage_V):
+        limited_V = max(voltage_V, stage.boost_reference_min_V)
+        state.boost_reference_V = min(limited_V, stage.boost_reference_max_V)
+    state.by_hand = True
+
+
 def limit_power(
     state: FastState, stage: PowerStage, boost_voltage_V: float, load_power_W: float
 ) -> float:
@@ -253,4 +269,5 @@ def close_period(state: FastState, settings: ControllerSettings) -> tuple[float,
     held = state.held_ticks
     state.voltage_sum = 0.0
     state.ticks = state.limited_ticks = state.held_ticks = 0
+    state.by_hand = False
     return applied_V, followed, held

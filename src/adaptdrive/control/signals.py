@@ -16,10 +16,11 @@ from adaptdrive.control.columns import Quantity
 
 
 class Mode(StrEnum):
-    """Load controller that the operator selected."""
+    """Source of V_c that the operator selected: a load controller, or the operator's own value."""
 
     FIXED = "fixed"
     ADAPTIVE = "adaptive"
+    MANUAL = "manual"
 
 
 class Stage(StrEnum):
@@ -51,10 +52,13 @@ class Order:
 
     stage: Annotated[Stage, Quantity("", "how far the drive may be energised")]
     reference: Annotated[float, Quantity("y", "set-point")]
-    mode: Annotated[Mode, Quantity("", "load controller asked for: fixed or adaptive")]
+    mode: Annotated[Mode, Quantity("", "source of V_c asked for: fixed, adaptive or manual")]
     pole: Annotated[
         float, Quantity("", "closed-loop pole asked for, in the z-plane of the slow rate")
     ]
+    manual_V: Annotated[float, Quantity("V", "V_c asked for in mode manual, 0 in every other")] = (
+        0.0
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +104,10 @@ class Snapshot:
     held_ticks: Annotated[
         int, Quantity("", "ticks of the elapsed slow period without a fresh measurement")
     ]
+    held_V: Annotated[
+        float,
+        Quantity("V", "V_c in force where the operator set it in the elapsed period, else unknown"),
+    ] = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +125,8 @@ class Decision:
     k: int
     boost_reference_V: Annotated[float, Quantity("V", "V_c decided now, after limits")]
     controller: Annotated[
-        Mode, Quantity("", "load controller in force: fixed until the estimates are trusted")
+        Mode,
+        Quantity("", "source of V_c in force; fixed until the estimates are trusted"),
     ]
     accepted: Annotated[
         bool, Quantity("", "true when the estimates of this step reached the adaptive gains")

@@ -42,9 +42,7 @@ def slow_step(
     Returns:
         The load's input u[k] after limits.
     """
-    if not sample.followed and math.isfinite(sample.applied):
-        state.inputs[0] = sample.applied
-        state.saturated = True
+    _note_applied(state, sample)
     _take_sample(settings, load, state, sample)
     jacket = settings.jacket
     _design_fixed(settings, load, state, sample)
@@ -53,7 +51,26 @@ def slow_step(
     _look_at_loop(settings, load, state, sample, reference)
     led = lead_reference(reference, state.reference, reference_lead(settings))
     state.reference = reference
+    if sample.manual:
+        return _follow_hand(state, sample)
     return _act(jacket, state, sample, led)
+
+
+def _note_applied(state: SlowState, sample: SlowSample) -> None:
+    """Correct the last input of the history where the law in force has not decided it."""
+    if not sample.followed and math.isfinite(sample.applied):
+        state.inputs[0] = sample.applied
+        state.saturated = True
+    elif math.isfinite(sample.held):
+        state.inputs[0] = sample.held
+        state.saturated = sample.held <= sample.low or sample.held >= sample.high
+
+
+def _follow_hand(state: SlowState, sample: SlowSample) -> float:
+    """Keep the operator's input in the history of both laws, so that either can take over."""
+    state.adaptive, state.blend, state.handover_step = False, 0.0, math.nan
+    shift_in(state.inputs, sample.held)
+    return sample.held
 
 
 def _take_sample(
@@ -101,8 +118,11 @@ def _design_fixed(
 
 
 def _governed_reference(load: Load, state: SlowState, sample: SlowSample) -> float:
-    """The reference, lowered where the load must be spared."""
+    """The reference, lowered where the load must be spared; the output where it is led by hand."""
     charging = load.charging
+    if sample.manual:
+        state.charge.current_A, state.charge.ending_periods = max(0.0, sample.output), 0
+        return sample.output
     if charging is None:
         return sample.reference
     terminal_V = terminal_voltage(charging, sample.input_filtered[0], sample.output)

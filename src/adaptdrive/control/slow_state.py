@@ -94,6 +94,8 @@ class SlowSample:
         pole: Pole asked for.
         low: Lowest input.
         high: Highest input.
+        manual: True when the operator sets the input.
+        held: Input in force that the operator has set in the elapsed period, NaN for none.
     """
 
     period_s: float
@@ -108,6 +110,8 @@ class SlowSample:
     pole: float
     low: float
     high: float
+    manual: bool = False
+    held: float = math.nan
 
 
 def new_slow_state(

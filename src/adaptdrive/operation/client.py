@@ -51,7 +51,7 @@ class DriveStatus:
 
 
 async def send_command(
-    broker: Mqtt, drive: str, verb: str, value: object, timeout_s: float
+    broker: Mqtt, drive: str, verb: str, value: object, timeout_s: float, **fields: object
 ) -> Reply:
     """Send one command and wait for the reply to it.
 
@@ -61,12 +61,13 @@ async def send_command(
         verb: What to do.
         value: Value of the command, None for verbs that take none.
         timeout_s: Longest wait for the reply.
+        fields: Fields of the payload beside the value.
 
     Raises:
         NoAnswerError: No reply in time, or no broker.
     """
     topics, identity = Topics(drive), str(uuid.uuid4())
-    command = json.dumps({"id": identity, "value": value, "user": sender()})
+    command = json.dumps({"id": identity, "value": value, "user": sender(), **fields})
     async with _conversation(broker, drive) as client, asyncio.timeout(timeout_s):
         await client.subscribe(topics.reply, qos=1)
         await client.publish(topics.command(verb), command, qos=1)

@@ -27,6 +27,7 @@ from adaptdrive.runtime.requests import (
     SetMode,
     SetPole,
     SetSetpoint,
+    SetVoltage,
     SetWaveform,
 )
 
@@ -63,16 +64,22 @@ class _WaveformOrOff(_Envelope, frozen=True):
     value: _Waveform | Literal["off"] | None
 
 
+class _Voltage(_Envelope, frozen=True):
+    value: float
+    hold_s: float | None = None
+
+
 class _Plain(_Envelope, frozen=True):
     value: None = None
 
 
-_Form = _Number | _ModeName | _WaveformOrOff | _Plain
+_Form = _Number | _ModeName | _WaveformOrOff | _Voltage | _Plain
 
 _VERBS: dict[str, tuple[type[_Form], Callable[[Any], Request]]] = {
     "setpoint": (_Number, lambda form: SetSetpoint(_finite("value", form.value))),
     "waveform": (_WaveformOrOff, lambda form: SetWaveform(_waveform(form.value))),
     "mode": (_ModeName, lambda form: SetMode(form.value)),
+    "voltage": (_Voltage, lambda form: _voltage(form)),  # noqa: PLW0108 - defined below
     "enable": (_Plain, lambda _: Enable()),
     "disable": (_Plain, lambda _: Disable()),
     "reset": (_Plain, lambda _: Reset()),
@@ -182,6 +189,11 @@ def _waveform(form: _Waveform | Literal["off"] | None) -> Waveform | None:
         high=_finite("value.high", form.high),
         period_s=_finite("value.period_s", form.period_s),
     )
+
+
+def _voltage(form: _Voltage) -> SetVoltage:
+    hold_s = None if form.hold_s is None else _finite("hold_s", form.hold_s)
+    return SetVoltage(_finite("value", form.value), hold_s)
 
 
 def _finite(place: str, value: float) -> float:

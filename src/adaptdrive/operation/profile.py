@@ -1,4 +1,4 @@
-"""What operators must know of a drive beside its state: names, units and limits."""
+"""The description of a drive for operators beside its state: names, units and limits."""
 
 from __future__ import annotations
 

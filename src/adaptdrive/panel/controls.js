@@ -58,6 +58,7 @@ const Controls = (() => {
     const low = field(`low${unit()}`), high = field(`high${unit()}`), period = field("period, s");
     const shape = /** @type {HTMLSelectElement} */ (Dom.make("select", { "aria-label": "shape" },
       ...["square", "sine", "triangle"].map((name) => Dom.make("option", {}, name))));
+    const voltage = field("V_c, V");
     const pole = field("pole, per slow period", { min: "0", max: "1" });
     const modes = drive.state?.modes ?? ["fixed", "adaptive"];
     const choose = modes.map((name) => Dom.make("button", { type: "button", "data-mode": name, onclick: () => send("mode", name) }, name));
@@ -69,6 +70,7 @@ const Controls = (() => {
         form("Start", () => send("waveform", { shape: shape.value, low: low.input.valueAsNumber, high: high.input.valueAsNumber, period_s: period.input.valueAsNumber }),
           Dom.make("label", {}, "shape", shape), low.row, high.row, period.row),
         Dom.make("button", { type: "button", onclick: () => send("waveform", "off") }, "Hold the present value")),
+      Dom.make("details", {}, Dom.make("summary", {}, "Voltage by hand, in mode manual"), form("Set", () => send("voltage", voltage.input.valueAsNumber), voltage.row)),
       Dom.make("details", {}, Dom.make("summary", {}, "Pole"), form("Set", () => send("pole", pole.input.valueAsNumber), pole.row)),
     );
     const viewer = Dom.make("p.viewer", { hidden: true }, "This user may look and not command.");
@@ -86,6 +88,7 @@ const Controls = (() => {
         bound(low.input, limits.setpoint);
         bound(high.input, limits.setpoint);
         bound(pole.input, limits.pole);
+        bound(voltage.input, limits.boost_V);
       },
     };
   }

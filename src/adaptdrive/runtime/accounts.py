@@ -21,7 +21,7 @@ def state_report(machine: Machine, decision: Decision | None, stop: StopWord) ->
         decision: The decision in force, None while there is none.
         stop: What the drive says of its stop.
     """
-    controller = decision.controller if decision is not None else Mode.FIXED
+    controller = _source(machine.mode, decision)
     waiting = machine.mode is Mode.ADAPTIVE and controller is Mode.FIXED
     reason = "not running" if decision is None else decision.reason
     return StateReport(
@@ -35,7 +35,16 @@ def state_report(machine: Machine, decision: Decision | None, stop: StopWord) ->
         pole=machine.pole,
         trip=machine.trip,
         stop=None if machine.energised else stop,
+        voltage_V=machine.manual.target_V if machine.mode is Mode.MANUAL else None,
     )
+
+
+def _source(mode: Mode, decision: Decision | None) -> Mode:
+    """Return the source of V_c in force: from and to manual it changes at once."""
+    if mode is Mode.MANUAL:
+        return mode
+    decided = decision.controller if decision is not None else Mode.FIXED
+    return Mode.FIXED if decided is Mode.MANUAL else decided
 
 
 def drive_report(

@@ -272,7 +272,8 @@ class Daemon:
         fast, mode = self._fast, self._machine.mode
         output = fast.reading.output if fast.reading is not None else float("nan")
         cause = fast.cause or self._refused.cause
-        self._machine.carry_out(request, fast.tick, output, cause)
+        voltage_V = fast.command.boost_reference_V
+        self._machine.carry_out(request, fast.tick, output, cause, voltage_V)
         if not self._machine.energised:
             self._fast.send_safe()
         if self._machine.mode is not mode:
@@ -400,7 +401,7 @@ class Daemon:
         if report.state is not told.state:
             self._tell_state(report, told)
         elif report.controller is not told.controller:
-            self._tell_controller(report)
+            self._tell_controller(report, told)
 
     def _tell_state(self, report: StateReport, told: StateReport) -> None:
         if report.trip is not None and told.trip is None:
@@ -414,9 +415,9 @@ class Daemon:
         )
         self._manager.status(line)
 
-    def _tell_controller(self, report: StateReport) -> None:
-        fell_back = report.mode is Mode.ADAPTIVE and report.controller is Mode.FIXED
-        if fell_back:
+    def _tell_controller(self, report: StateReport, told: StateReport) -> None:
+        fell_back = (told.controller, report.controller) == (Mode.ADAPTIVE, Mode.FIXED)
+        if fell_back and report.mode is Mode.ADAPTIVE:
             self._tell("fallback", Severity.WARNING, report.reason)
         else:
             self._tell("controller", Severity.INFO, f"{report.controller} controller in force")

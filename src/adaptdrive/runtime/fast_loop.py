@@ -430,17 +430,19 @@ class FastLoop:
         """The order of this tick; a new object only when something changed."""
         machine, last = self._machine, self._order
         stage, reference = machine.stage, machine.reference(tick)
+        manual_V = machine.manual_V(tick)
         if (
             last is not None
             and last.stage is stage
             and last.reference == reference
             and last.mode is machine.mode
             and last.pole == machine.pole
+            and last.manual_V == manual_V
         ):
             return last
         if stage is not Stage.RUN:
             self._surroundings.run_ended()
-        self._order = Order(stage, reference, machine.mode, machine.pole)
+        self._order = Order(stage, reference, machine.mode, machine.pole, manual_V)
         return self._order
 
     def _report(

@@ -8,11 +8,12 @@ trip, once its cause is gone.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.control.waveform import Waveform
 from adaptdrive.errors import RefusedError
+from adaptdrive.runtime.manual import ManualVoltage
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import (
     Disable,
@@ -22,6 +23,7 @@ from adaptdrive.runtime.requests import (
     SetMode,
     SetPole,
     SetSetpoint,
+    SetVoltage,
     SetWaveform,
 )
 
@@ -40,7 +42,9 @@ class MachineLimits:
         pole_min: Fastest pole.
         pole_max: Slowest pole.
         period_min_s: Shortest period of a waveform.
-        floor_V: Boost voltage at which starting ends.
+        floor_V: Boost voltage at which starting ends, and lowest V_c.
+        ceiling_V: Highest V_c.
+        slew_V_per_s: Largest slope of V_c in mode manual.
         starting_ticks: Longest time in state `starting`, in fast ticks.
         tick_s: Half a line cycle at nominal frequency.
         boost_needs_bridge: Whether the bridge is on in `starting` already.
@@ -53,6 +57,8 @@ class MachineLimits:
     pole_max: float
     period_min_s: float
     floor_V: float
+    ceiling_V: float
+    slew_V_per_s: float
     starting_ticks: int
     tick_s: float
     boost_needs_bridge: bool = False
@@ -63,7 +69,8 @@ class Machine:
 
     Attributes:
         state: Where the machine is.
-        mode: Controller asked for.
+        mode: Controller asked for, or manual.
+        manual: V_c as the operator sets it.
         setpoint: Constant set-point.
         waveform: Running waveform, None while the set-point is constant.
         pole: Closed-loop pole asked for.
@@ -75,6 +82,7 @@ class Machine:
         self._limits = limits
         self.state = State.STANDBY
         self.mode = Mode.FIXED
+        self.manual = self._held(limits.floor_V, 0)
         self.setpoint = limits.reference_min
         self.waveform: Waveform | None = None
         self.pole = pole
@@ -102,7 +110,18 @@ class Machine:
             return self.setpoint
         return self.waveform.value((tick - self._waveform_tick) * self._limits.tick_s)
 
-    def carry_out(self, request: Request, tick: int, output: float, cause: str | None) -> None:
+    def manual_V(self, tick: int) -> float:
+        """V_c asked for at a tick in mode manual, 0 in every other."""
+        return self.manual.value(tick) if self.mode is Mode.MANUAL else 0.0
+
+    def carry_out(
+        self,
+        request: Request,
+        tick: int,
+        output: float,
+        cause: str | None,
+        voltage_V: float = math.nan,
+    ) -> None:
         """Carry out an operator's request.
 
         Args:
@@ -110,6 +129,7 @@ class Machine:
             tick: Present tick.
             output: Present output, NaN while unknown.
             cause: Interlock that is active now, None for none.
+            voltage_V: V_c in force, NaN while unknown.
 
         Raises:
             RefusedError: It cannot be done; nothing was changed.
@@ -120,22 +140,28 @@ class Machine:
             case SetWaveform(value):
                 self._set_waveform(value, tick)
             case SetMode(value):
-                self.mode = value
+                self._set_mode(value, tick, output, voltage_V)
+            case SetVoltage(value, hold_s):
+                self._set_voltage(value, hold_s, tick)
             case SetPole(value):
                 self._set_pole(value)
             case Enable():
-                self._enable(output, cause)
+                self._enable(output, cause, tick)
             case Disable():
                 self._disable()
             case Reset():
                 self._reset(cause)
 
     def advance(self, tick: int, boost_voltage_V: float) -> None:
-        """Begin to precharge, and move to `running` when the boost voltage is at its floor.
+        """Move from `starting` to `running` at the floor of the boost voltage, and watch the hand.
 
         The first tick is always one of `starting`: a controller that ran until just before then
         knows that it must begin anew.
         """
+        if self.state is State.RUNNING and self.mode is Mode.MANUAL:
+            cause = self.manual.find_cause(tick)
+            if cause is not None:
+                self.latch(cause)
         if self.state is not State.STARTING:
             return
         if not self._precharging:
@@ -163,14 +189,53 @@ class Machine:
             self.state = State.TRIPPED
             self.trip = cause
 
+    def _held(self, voltage_V: float, tick: int) -> ManualVoltage:
+        """Return a V_c that stays, at the limit nearest to the given one."""
+        limits = self._limits
+        held_V = min(max(limits.floor_V, voltage_V), limits.ceiling_V)
+        return ManualVoltage(held_V, held_V, tick, limits.slew_V_per_s * limits.tick_s)
+
+    def _set_mode(self, mode: Mode, tick: int, output: float, voltage_V: float) -> None:
+        """Change the mode without a bump: V_c stays into manual, the output stays out of it."""
+        if mode is self.mode:
+            return
+        if Mode.MANUAL in (mode, self.mode):
+            self.waveform = None
+        if mode is Mode.MANUAL:
+            self.manual = self._held(voltage_V, tick)
+        elif self.mode is Mode.MANUAL and self.energised:
+            self.setpoint = self._nearest_reference(output)
+        self.mode = mode
+
+    def _set_voltage(self, value: float, hold_s: float | None, tick: int) -> None:
+        limits = self._limits
+        if self.mode is not Mode.MANUAL:
+            raise RefusedError(f"voltage needs mode manual; mode is {self.mode}")
+        if self.state is not State.RUNNING:
+            raise RefusedError(f"voltage needs a running drive; state is {self.state}")
+        if not limits.floor_V <= value <= limits.ceiling_V:
+            raise RefusedError(
+                f"voltage = {value:g} V is outside {limits.floor_V:g}…{limits.ceiling_V:g} V"
+            )
+        if hold_s is not None and not 0.0 < hold_s < math.inf:
+            raise RefusedError(f"hold_s = {hold_s:g} s is not a finite time above 0 s")
+        self.manual = replace(
+            self.manual,
+            start_V=self.manual.value(tick),
+            target_V=value,
+            since_tick=tick,
+            hold_s=hold_s,
+            hold_ticks=0 if hold_s is None else math.ceil(hold_s / limits.tick_s),
+        )
+
     def _set_setpoint(self, value: float) -> None:
-        self._require_energised("setpoint")
+        self._require_loop("setpoint")
         self._require_reference("setpoint", value)
         self.setpoint = value
         self.waveform = None
 
     def _set_waveform(self, waveform: Waveform | None, tick: int) -> None:
-        self._require_energised("waveform")
+        self._require_loop("waveform")
         if waveform is None:
             self.setpoint = self.reference(tick)
         else:
@@ -192,7 +257,7 @@ class Machine:
             )
         self.pole = value
 
-    def _enable(self, output: float, cause: str | None) -> None:
+    def _enable(self, output: float, cause: str | None, tick: int) -> None:
         if self.state is State.TRIPPED:
             raise RefusedError(f"tripped ({self.trip}); reset first")
         if self.energised:
@@ -201,9 +266,9 @@ class Machine:
             raise RefusedError("the drive has not confirmed its stop; enable it in standby")
         if cause is not None:
             raise RefusedError(cause)
-        limits = self._limits
-        self.setpoint = min(max(output, limits.reference_min), limits.reference_max)
+        self.setpoint = self._nearest_reference(output)
         self.waveform = None
+        self.manual = self._held(self._limits.floor_V, tick)
         self.state, self.stopped = State.STARTING, False
         self._precharging = False
 
@@ -220,9 +285,15 @@ class Machine:
         self.trip = None
         self.state = State.STANDBY if self.stopped else State.STOPPING
 
-    def _require_energised(self, what: str) -> None:
+    def _nearest_reference(self, output: float) -> float:
+        return min(max(output, self._limits.reference_min), self._limits.reference_max)
+
+    def _require_loop(self, what: str) -> None:
+        """Refuse a set-point that nothing follows."""
         if not self.energised:
             raise RefusedError(f"{what} needs an enabled drive; state is {self.state}")
+        if self.mode is Mode.MANUAL:
+            raise RefusedError(f"{what} needs mode fixed or adaptive; mode is manual")
 
     def _require_reference(self, what: str, value: float) -> None:
         limits = self._limits

@@ -59,6 +59,7 @@ class StateReport:
         trip: Cause of the latched trip, None when not tripped.
         shutting_down: Whether the daemon ends and refuses every command but `disable`.
         stop: What the drive says of its stop, None while it is enabled.
+        voltage_V: V_c that the operator has set in mode manual, None in every other.
     """
 
     state: State
@@ -72,6 +73,7 @@ class StateReport:
     trip: str | None
     shutting_down: bool = False
     stop: StopWord | None = None
+    voltage_V: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,9 +26,22 @@ class SetWaveform:
 
 @dataclass(frozen=True, slots=True)
 class SetMode:
-    """Choose the fixed or the adaptive controller."""
+    """Choose the fixed or the adaptive controller, or set V_c by hand."""
 
     value: Mode
+
+
+@dataclass(frozen=True, slots=True)
+class SetVoltage:
+    """Set V_c, in mode manual.
+
+    Attributes:
+        value: V_c in volts.
+        hold_s: Longest time until the next one; then the drive trips. None without a limit.
+    """
+
+    value: float
+    hold_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +66,7 @@ class Reset:
     """Leave a trip whose cause is gone."""
 
 
-Request = SetSetpoint | SetWaveform | SetMode | SetPole | Enable | Disable | Reset
+Request = SetSetpoint | SetWaveform | SetMode | SetVoltage | SetPole | Enable | Disable | Reset
 
 
 class Host(Protocol):

@@ -275,6 +275,12 @@ TRIPS = (
         "check for an unplugged sensor, a blocked shaft, a broken heater",
     ),
     Trip(
+        r"^manual: ",
+        "manual: no new voltage within the 5 s that its sender had set",
+        "in mode `manual`, the program that sets V_c has sent none within its own `hold_s`",
+        "look at that program and its connection; a voltage without `hold_s` stays in force",
+    ),
+    Trip(
         r"^slow loop: ",
         "slow loop: no decision for three slow periods",
         "the machine is overloaded",

@@ -1,0 +1,188 @@
+"""Mode manual in virtual time: V_c from the operator, and the transfers between the modes."""
+
+from __future__ import annotations
+
+import pytest
+
+from adaptdrive.control.signals import Mode
+from adaptdrive.errors import RefusedError
+from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.requests import Disable, Enable, SetMode, SetSetpoint, SetVoltage
+from adaptdrive_sim.noise import NoiseParameters
+from adaptdrive_sim.plants.bath import Bath, BathParameters
+from adaptdrive_sim.plants.battery import Battery, BatteryParameters
+from adaptdrive_sim.plants.load import SimulatedLoad
+from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from adaptdrive_sim.virtual import OperatedDrive
+from adaptdrive_sim.world import World, WorldParameters
+from tests.closed_loop.life import started, wait
+
+SLEW_V_PER_S = 100.0
+
+
+def settled(name: str, load: SimulatedLoad, output: float, noise: float = 0.0) -> OperatedDrive:
+    """A drive at rest at an output under the fixed controller."""
+    plant = World(load, WorldParameters(noise=NoiseParameters(sigma=noise)))
+    plant.settle(plant.boost_voltage_for(output))
+    drive = started(name, plant)
+    drive.carry_out(SetSetpoint(output))
+    wait(drive, 120.0)
+    return drive
+
+
+def motor(noise: float = 0.0) -> OperatedDrive:
+    return settled("motor", Motor(MotorParameters()), 3.0, noise)
+
+
+def bath() -> OperatedDrive:
+    return settled("bath", Bath(BathParameters()), 10.0)
+
+
+def battery() -> OperatedDrive:
+    return settled("battery", Battery(BatteryParameters()), 5.0)
+
+
+def in_force_V(drive: OperatedDrive) -> float:
+    return drive._command.boost_reference_V
+
+
+def courses(drive: OperatedDrive, seconds: float) -> tuple[list[float], list[float]]:
+    """V_c and output of each tick for a while."""
+    voltages, outputs, end_s = [], [], drive.time_s + seconds
+    while drive.time_s < end_s:
+        drive.tick()
+        voltages.append(in_force_V(drive))
+        outputs.append(drive.world.true_output)
+    return voltages, outputs
+
+
+@pytest.mark.parametrize("started_drive", [motor, bath, battery])
+def test_manual_holds_the_present_voltage(started_drive: object) -> None:
+    assert callable(started_drive)
+    drive: OperatedDrive = started_drive()
+    present_V = in_force_V(drive)
+    drive.carry_out(SetMode(Mode.MANUAL))
+    voltages, _ = courses(drive, 60.0)
+    assert set(voltages) == {present_V}
+    assert drive.decision is not None
+    assert drive.decision.controller is Mode.MANUAL
+
+
+def test_a_voltage_is_approached_at_the_slew_and_held() -> None:
+    drive = motor()
+    drive.carry_out(SetMode(Mode.MANUAL))
+    before_V = in_force_V(drive)
+    drive.carry_out(SetVoltage(before_V + 50.0))
+    voltages, _ = courses(drive, 2.0)
+    slopes = [b - a for a, b in zip([before_V, *voltages], voltages, strict=False)]
+    assert max(slopes) <= SLEW_V_PER_S / 120.0 * (1.0 + 1e-9)
+    assert sum(voltage < before_V + 50.0 for voltage in voltages) in {59, 60}
+    assert voltages[-1] == before_V + 50.0
+
+
+@pytest.mark.parametrize("mode", [Mode.FIXED, Mode.ADAPTIVE])
+@pytest.mark.parametrize(
+    ("started_drive", "step_V", "wait_s", "limit_V"),
+    [(motor, 30.0, 300.0, 1.0), (bath, 20.0, 3000.0, 1.0), (battery, 2.0, 30.0, 0.5)],
+)
+def test_the_transfer_from_manual_has_no_bump(
+    started_drive: object, step_V: float, wait_s: float, limit_V: float, mode: Mode
+) -> None:
+    assert callable(started_drive)
+    drive: OperatedDrive = started_drive()
+    drive.carry_out(SetMode(Mode.MANUAL))
+    drive.carry_out(SetVoltage(in_force_V(drive) + step_V))
+    wait(drive, wait_s)
+    present_V, present = in_force_V(drive), drive.world.true_output
+    drive.carry_out(SetMode(mode))
+    assert drive.machine.setpoint == pytest.approx(present, rel=1e-3)
+    voltages, outputs = courses(drive, wait_s)
+    assert max(abs(voltage - present_V) for voltage in voltages) < limit_V
+    assert max(abs(output - present) for output in outputs) < 0.01 * present
+
+
+def test_a_voltage_set_within_one_slow_period_is_not_taken_back() -> None:
+    drive = bath()
+    present_V = in_force_V(drive)
+    courses(drive, 5.0)
+    drive.carry_out(SetMode(Mode.MANUAL))
+    drive.carry_out(SetVoltage(present_V + 40.0))
+    courses(drive, 1.0)
+    drive.carry_out(SetMode(Mode.FIXED))
+    voltages, _ = courses(drive, 30.0)
+    assert voltages[0] == present_V + 40.0
+    assert abs(voltages[-1] - present_V - 40.0) < 15.0
+
+
+def test_the_estimator_learns_from_the_steps_of_the_operator() -> None:
+    drive = motor(noise=0.01)
+    drive.carry_out(SetMode(Mode.MANUAL))
+    for _ in range(4):
+        for voltage_V in (300.0, 260.0):
+            drive.carry_out(SetVoltage(voltage_V))
+            wait(drive, 30.0)
+    assert drive.decision is not None
+    true_value = 0.011
+    gain = drive.decision.estimates["gain"]
+    assert gain.value == pytest.approx(true_value, rel=0.03)
+    drive.carry_out(SetMode(Mode.ADAPTIVE))
+    wait(drive, 5.0)
+    assert drive.decision.controller is Mode.ADAPTIVE
+
+
+def test_after_enable_manual_begins_at_the_lowest_voltage() -> None:
+    drive = motor()
+    drive.carry_out(Disable())
+    courses(drive, 1.0)
+    drive.carry_out(SetMode(Mode.MANUAL))
+    drive.carry_out(Enable())
+    voltages, _ = courses(drive, 10.0)
+    assert drive.machine.state is State.RUNNING
+    assert voltages[-1] == 200.0
+    assert max(voltages) == 200.0
+
+
+def test_a_lost_operator_trips_the_drive() -> None:
+    drive = motor()
+    drive.carry_out(SetMode(Mode.MANUAL))
+    for _ in range(3):
+        drive.carry_out(SetVoltage(280.0, hold_s=2.0))
+        courses(drive, 1.9)
+        assert drive.machine.state is State.RUNNING
+    courses(drive, 0.2)
+    assert drive.machine.trip == "manual: no new voltage within the 2 s that its sender had set"
+    assert not drive._command.bridge
+
+
+def test_a_voltage_without_a_time_ends_the_watch() -> None:
+    drive = motor()
+    drive.carry_out(SetMode(Mode.MANUAL))
+    drive.carry_out(SetVoltage(280.0, hold_s=1.0))
+    drive.carry_out(SetVoltage(280.0))
+    courses(drive, 5.0)
+    assert drive.machine.trip is None
+
+
+@pytest.mark.parametrize(
+    ("request_", "reason"),
+    [
+        (SetVoltage(199.0), "voltage = 199 V is outside 200…400 V"),
+        (SetVoltage(401.0), "voltage = 401 V is outside 200…400 V"),
+        (SetVoltage(float("nan")), "voltage = nan V is outside"),
+        (SetVoltage(300.0, hold_s=0.0), "hold_s = 0 s is not a finite time above 0 s"),
+        (SetVoltage(300.0, hold_s=float("inf")), "hold_s = inf s is not"),
+        (SetSetpoint(3.0), "setpoint needs mode fixed or adaptive; mode is manual"),
+    ],
+)
+def test_manual_refuses(request_: SetVoltage | SetSetpoint, reason: str) -> None:
+    drive = motor()
+    drive.carry_out(SetMode(Mode.MANUAL))
+    before = drive.machine.manual
+    with pytest.raises(RefusedError, match=reason):
+        drive.carry_out(request_)
+    assert drive.machine.manual == before
+
+
+def test_a_voltage_needs_mode_manual() -> None:
+    with pytest.raises(RefusedError, match="voltage needs mode manual; mode is fixed"):
+        motor().carry_out(SetVoltage(300.0))
