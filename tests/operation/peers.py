@@ -326,7 +326,7 @@ def drive_report(ticks: int) -> DriveReport:
         missed=1,
         held=2,
         lateness_us=times,
-        histograms={"tick_us": (0, 2, 1)},
+        histograms={"lateness_us": (3,), "turnaround_us": (0, 3), "tick_us": (0, 2, 1)},
         turnaround_us=nothing,
         bus=bus,
         sensors=(thermocouples,),

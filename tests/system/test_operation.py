@@ -9,6 +9,7 @@ from datetime import datetime
 import pytest
 
 from adaptdrive.runtime.statistics import BINS
+from tests.operation.contract import validators
 from tests.system.conftest import MakeSite
 from tests.system.site import PATIENT_DRIVE, Site, publish, until
 
@@ -181,3 +182,15 @@ def test_over_speed_trips(site: Site) -> None:
     assert tripped["trip"].startswith("output above its limit: speed = ")
     assert " V, limit 5 V: " in tripped["trip"]
     site.disturb("noise", "0")
+
+
+def test_every_message_of_a_running_daemon_fits_its_schema(site: Site) -> None:
+    site.run_drive()
+    site.ear.next_on("telemetry/load", after=len(site.ear.on("telemetry/load")))
+    publish(site.broker_port, "adaptdrive/motor/ask/history", "")
+    site.ear.next_on("history", after=0)
+    for name, validator in validators().items():
+        if name.partition("/")[0] not in {"command", "ask", "availability"}:
+            for message in site.ear.on(name):
+                validator.validate(message.content)
+    assert site.ear.on("history")[0].content["rows"]

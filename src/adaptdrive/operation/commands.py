@@ -200,3 +200,8 @@ def _finite(place: str, value: float) -> float:
     if not math.isfinite(value):
         raise RefusedError(f"{place} = {value} is not a finite number")
     return value
+
+
+def payload_type(verb: str) -> type[_Form]:
+    """Return the shape of the payload of a verb."""
+    return _VERBS[verb][0]

@@ -34,7 +34,7 @@ OFFLINE = b"offline"
 
 Payload = dict[str, Any]
 
-_MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
+MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
 """Null before the first measurement."""
 
 
@@ -112,7 +112,7 @@ def histogram_message(report: DriveReport, time: datetime) -> Payload:
 
 def drive_message(report: DriveReport, time: datetime, output: Output) -> Payload:
     """Return the payload of `telemetry/drive` for a report that arrived at `time`."""
-    measured = {name: getattr(report.measurement, name, None) for name in _MEASURED}
+    measured = {name: getattr(report.measurement, name, None) for name in MEASURED}
     sensors = {one.name: _fields(one, "name") for one in report.sensors}
     whole = _fields(report, "measurement", "sensors", "histograms", "time_s")
     return {"time": time} | measured | whole | {"sensors": sensors} | _named(output)

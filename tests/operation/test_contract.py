@@ -1,0 +1,124 @@
+"""The published contract: current, complete, and true of what a daemon sends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.operation.asyncapi import asyncapi, documents, schema
+from adaptdrive.operation.commands import VERBS
+from adaptdrive.operation.contract import Topic, topics
+from adaptdrive.runtime.reports import Event, Severity, State
+from tests.operation.contract import validators
+from tests.operation.peers import (
+    STANDBY,
+    Heard,
+    drive_report,
+    listening,
+    load_report,
+    publish,
+    serving,
+)
+from tests.support import Broker
+
+FOLDER = Path(__file__).parents[2] / "docs" / "mqtt"
+VALIDATORS = validators()
+SELF_EXPLAINING = {"p50", "p99", "max", "value", "std"}
+
+
+def test_the_published_files_are_current() -> None:
+    made = documents()
+    assert {path.name for path in FOLDER.iterdir()} == set(made), "run `make docs`"
+    for name, text in made.items():
+        assert (FOLDER / name).read_text(encoding="utf-8") == text, f"{name}: run `make docs`"
+
+
+def test_every_reference_of_the_document_leads_somewhere() -> None:
+    document = asyncapi()
+
+    def follow(part: Any) -> None:
+        if isinstance(part, dict):
+            if isinstance(reference := part.get("$ref"), str):
+                target: Any = document
+                for step in reference.removeprefix("#/").split("/"):
+                    target = target[step]
+            for one in part.values():
+                follow(one)
+        elif isinstance(part, list):
+            for one in part:
+                follow(one)
+
+    follow(document)
+    assert document["channels"].keys() == document["operations"].keys()
+
+
+@pytest.mark.parametrize("topic", [one for one in topics() if one.sent], ids=lambda one: one.name)
+def test_each_key_of_a_message_is_explained(topic: Topic) -> None:
+    for found in schema(topic)["$defs"].values():
+        for name, described in found.get("properties", {}).items():
+            assert described.get("description") or name in SELF_EXPLAINING, name
+
+
+@pytest.mark.parametrize(
+    ("verb", "payload", "valid"),
+    [
+        ("setpoint", {"id": "a", "value": 3.1}, True),
+        ("setpoint", {"id": "a", "value": None}, False),
+        ("setpoint", {"value": 3.1}, False),
+        ("setpoint", {"id": "a", "value": 3.1, "x": 1}, False),
+        ("mode", {"id": "a", "value": "adaptive"}, True),
+        ("mode", {"id": "a", "value": "clever"}, False),
+        ("enable", {"id": "", "value": None}, False),
+        ("enable", {"id": "a"}, True),
+        ("waveform", {"id": "a", "value": "off"}, True),
+    ],
+)
+def test_the_schema_of_a_command_judges_as_the_daemon_does(
+    verb: str, payload: dict[str, Any], valid: bool
+) -> None:
+    assert VALIDATORS[f"command/{verb}"].is_valid(payload) is valid
+
+
+def test_every_verb_has_a_topic() -> None:
+    assert {f"command/{verb}" for verb in VERBS} <= VALIDATORS.keys()
+
+
+async def test_every_message_of_a_service_fits_its_schema(
+    mosquitto: Broker, tmp_path: Path
+) -> None:
+    async with (
+        listening(mosquitto, "adaptdrive/strict/#") as ear,
+        serving(mosquitto, "strict", tmp_path) as bench,
+    ):
+        wave = Waveform(Shape.SINE, 1.0, 2.0, 60.0)
+        bench.host.show(replace(STANDBY, state=State.RUNNING, waveform=wave))
+        bench.host.trip("over-voltage: v_bst = 431 V, limit 430 V")
+        bench.hub.publish(load_report(7))
+        bench.hub.publish(drive_report(840))
+        bench.hub.publish(replace(drive_report(0), measurement=None, age_s=float("nan")))
+        bench.hub.publish(Event("trip", Severity.ALARM, "slow loop: no decision for three", 1))
+        for payload in ("", "{}", '{"id": 7}', '{"id": "a", "value": 1}'):
+            await publish(mosquitto, bench.topic("command/setpoint"), payload)
+        await publish(mosquitto, bench.topic("ask/history"), "")
+        wanted = {topic.name for topic in topics() if topic.sent}
+
+        def judge(message: Heard) -> bool:
+            name = message.topic.removeprefix("adaptdrive/strict/")
+            if name.partition("/")[0] not in {"command", "ask"}:
+                content = message.payload if name == "availability" else message.content
+                VALIDATORS[name].validate(content)
+            wanted.discard(name)
+            return not wanted
+
+        await ear.until(judge)
+
+
+def test_a_key_that_the_schema_does_not_name_is_found() -> None:
+    """The checks above are strict, although the published schemas let later versions add keys."""
+    reply = {"id": "a", "verb": "x", "accepted": True, "reason": "", "state": None}
+    assert VALIDATORS["reply"].is_valid(reply)
+    assert not VALIDATORS["reply"].is_valid(reply | {"new": 1})
