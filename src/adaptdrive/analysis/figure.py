@@ -67,10 +67,11 @@ def draw_session(session: Session, configuration: Configuration, curves: Curves)
         axes[3].set_xlim(0.0, span_s / scale_s)
         axes[3].set_xlabel(f"time since {curves.window.started:%Y-%m-%d %H:%M:%S} UTC ({unit})")
         figure.align_ylabels(list(axes[:3]))
-        return _png(figure)
+        return as_png(figure)
 
 
-def _png(figure: Figure) -> bytes:
+def as_png(figure: Figure) -> bytes:
+    """Return a figure as a PNG."""
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=200, metadata={"Software": None})

@@ -24,6 +24,7 @@ _COMMANDS = {
     "replay": ("daemon", "Run the controller again on a recorded session."),
     "events": ("sessions", "Show the events of a recorded session."),
     "plot": ("analysis", "Draw a recorded session: a figure, and a report as one HTML file."),
+    "identify": ("analysis", "Identify the load from a recorded session, with error bars."),
     "export": ("analysis", "Write a session as CSV, Parquet, MATLAB, MDF 4 or MCAP."),
     "status": ("operate", "Show the state and the telemetry of a drive."),
     "setpoint": ("operate", "Hold a constant set-point."),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import webbrowser
+from json import dumps
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -36,6 +37,45 @@ def plot(
     print(report)
     if show:
         webbrowser.open(report.absolute().as_uri())
+    return 0
+
+
+def identify(  # noqa: PLR0913 - one parameter for each option
+    session: str,
+    /,
+    *,
+    begin: Annotated[float | None, Parameter(name="--from")] = None,
+    end: Annotated[float | None, Parameter(name="--to")] = None,
+    into: Path | None = None,
+    show: Annotated[bool, Parameter(name="--open", negative=())] = False,
+    json: Annotated[bool, Parameter(negative=())] = False,
+) -> int:
+    """Identify the load from a recorded session, in open or closed loop.
+
+    Prints each parameter with its standard deviation beside the last on-line estimate and the
+    configured model, the checks of the fit, and a proposed [load.model]; draws load.png.
+
+    Args:
+        session: Folder of the session, or its name below the sessions of this machine.
+        begin: First second used, from the first tick on.
+        end: Last second used.
+        into: Folder for load.png; that of the session when left out.
+        show: Open the figure.
+        json: Print JSON, for programs.
+    """
+    with _Extra("analysis"):
+        from adaptdrive.analysis import session_load  # noqa: PLC0415 - it is large
+        from adaptdrive.analysis.load_figure import draw_load  # noqa: PLC0415
+    path = _find(session)
+    found = session_load.identify_session(path, begin, end)
+    figure = (path if into is None else into) / "load.png"
+    figure.write_bytes(draw_load(found))
+    if json:
+        print(dumps(session_load.as_json(found)))
+    else:
+        print(f"{session_load.as_text(found)}\n\n{figure}")
+    if show:
+        webbrowser.open(figure.absolute().as_uri())
     return 0
 
 

@@ -53,6 +53,7 @@ class IdentifiedLoad:
             the output does not move there.
         simulated: Simulated output of each block, one array for each excerpt.
         residuals: Measured minus simulated output, likewise.
+        errors: White part of the residuals, likewise; shorter by the order of the noise model.
         block_s: Length of a block.
     """
 
@@ -69,6 +70,7 @@ class IdentifiedLoad:
     cross_fit: float
     simulated: tuple[Array, ...]
     residuals: tuple[Array, ...]
+    errors: tuple[Array, ...]
     block_s: float
 
 
@@ -136,6 +138,7 @@ def result_of(load: Load, choice: Choice, sample_s: float) -> IdentifiedLoad:
         cross_fit=_cross_fit(problem, solution),
         simulated=tuple(split(problem, solution.simulated)),
         residuals=tuple(split(problem, residuals)),
+        errors=tuple(errors),
         block_s=problem.parts[0].period_s,
     )
 

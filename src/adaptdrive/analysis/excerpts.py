@@ -1,0 +1,116 @@
+"""Uninterrupted parts of a recorded session, for identification."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptdrive.analysis.curves import session_clock
+from adaptdrive.control.signals import Stage
+from adaptdrive.errors import IdentificationError
+from adaptdrive.identification.excerpt import Excerpt
+from adaptdrive.recording.reader import Session
+from adaptdrive.recording.session import TICKS
+
+Array = NDArray[np.float64]
+
+_COLUMNS = ("boost_voltage_V", "output", "reference", "load_power_W", "tick_period_s")
+_LONGEST_GAP = 5
+"""Missing readings in a row that are filled in on a straight line; a longer gap divides."""
+
+_BLOCKS_PER_PERIOD = 10
+_MOST_BLOCKS = 20_000
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Uninterrupted part of a session in which the drive ran, at a constant rate.
+
+    Attributes:
+        begin_s: Time of its first sample since the first tick of the session.
+        period_s: Time between two samples.
+        samples_per_period: Samples in a slow period; the first sample begins one.
+        columns: Values of `boost_voltage_V`, `output`, `reference` and `load_power_W`.
+    """
+
+    begin_s: float
+    period_s: float
+    samples_per_period: int
+    columns: dict[str, Array]
+
+    @property
+    def excerpt(self) -> Excerpt:
+        """What identification needs of it."""
+        return Excerpt(self.columns["boost_voltage_V"], self.columns["output"], self.period_s)
+
+
+def read_stretches(
+    session: Session, begin_s: float | None = None, end_s: float | None = None
+) -> list[Stretch]:
+    """Read the parts of a session in which the drive ran.
+
+    Args:
+        session: The session.
+        begin_s: Seconds after its first tick, None for that tick.
+        end_s: Seconds after its first tick, None for its last one.
+
+    Raises:
+        IdentificationError: The drive did not run in there.
+    """
+    rows = _running(session, begin_s or 0.0, math.inf if end_s is None else end_s)
+    if len(rows["tick"]) < 2:
+        raise IdentificationError(f"{session.path}: the drive did not run in that time")
+    stride = int(np.median(np.diff(rows["tick"])))
+    gaps = np.flatnonzero(np.diff(rows["tick"]) > (_LONGEST_GAP + 1) * stride) + 1
+    parts = np.split(np.arange(len(rows["tick"])), gaps)
+    period = session.info.ticks_per_period
+    found = [_stretch({n: v[part] for n, v in rows.items()}, stride, period) for part in parts]
+    return [one for one in found if one is not None]
+
+
+def block_samples(stretches: list[Stretch]) -> int:
+    """Return how many samples to average: whole blocks fill a slow period, or the reverse."""
+    per_period = stretches[0].samples_per_period
+    total = sum(len(one.columns["output"]) for one in stretches)
+    wanted = max(per_period / _BLOCKS_PER_PERIOD, total / _MOST_BLOCKS)
+    if wanted > per_period:
+        return per_period * math.ceil(wanted / per_period)
+    return min(n for n in range(1, per_period + 1) if per_period % n == 0 and n >= wanted)
+
+
+def _running(session: Session, begin_s: float, end_s: float) -> dict[str, Array]:
+    """Return time, tick and columns of the ticks with a fresh reading of a running drive."""
+    clock = session_clock(session)
+    first_s = math.nan
+    kept: dict[str, list[Array]] = {name: [] for name in ("time_s", "tick", *_COLUMNS)}
+    for batch in session.batches(TICKS, ("monotonic_s", "tick", "stage", "fresh", *_COLUMNS)):
+        time_s = clock(batch)
+        first_s = time_s[0] if math.isnan(first_s) and len(time_s) else first_s
+        since_s = time_s - first_s
+        running = np.asarray(batch.column("stage").to_numpy(zero_copy_only=False)) == Stage.RUN
+        fresh = np.asarray(batch.column("fresh").to_numpy(zero_copy_only=False)) != np.False_
+        chosen = running & fresh & (since_s >= begin_s) & (since_s <= end_s)
+        kept["time_s"].append(since_s[chosen])
+        for name in ("tick", *_COLUMNS):
+            values = batch.column(name).to_numpy(zero_copy_only=False)
+            kept[name].append(np.asarray(values, dtype=np.float64)[chosen])
+    return {name: np.concatenate([*values, np.empty(0)]) for name, values in kept.items()}
+
+
+def _stretch(rows: dict[str, Array], stride: int, ticks_per_period: int) -> Stretch | None:
+    """Put rows on a regular grid that begins with a slow period."""
+    ticks = rows["tick"]
+    begin = math.ceil((ticks[0] - stride) / ticks_per_period) * ticks_per_period + stride
+    grid = np.arange(begin, ticks[-1] + 1, stride)
+    if len(grid) < 2:
+        return None
+    columns = {name: np.interp(grid, ticks, rows[name]) for name in _COLUMNS[:-1]}
+    return Stretch(
+        begin_s=float(np.interp(begin, ticks, rows["time_s"])),
+        period_s=stride * float(rows["tick_period_s"].mean()),
+        samples_per_period=max(1, ticks_per_period // stride),
+        columns=columns,
+    )

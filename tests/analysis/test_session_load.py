@@ -1,0 +1,62 @@
+"""Identification of a recorded session against the plant that was simulated."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.analysis.excerpts import block_samples, read_stretches
+from adaptdrive.analysis.session_load import SessionLoad, as_json, as_text, identify_session
+from adaptdrive.cli import main
+from adaptdrive.errors import IdentificationError
+from adaptdrive.recording.reader import read_session
+from adaptdrive_sim.plants.motor import Motor, MotorParameters
+
+
+@pytest.fixture(scope="module")
+def found(session_path: Path) -> SessionLoad:
+    return identify_session(session_path)
+
+
+def test_the_load_behind_a_session_is_found(found: SessionLoad) -> None:
+    true = Motor(MotorParameters(), disks=3).model(0.25, 1.0)
+    gain, total_s, product_s2 = found.load.parameters.values()
+    taus_s = true["tau_motor_s"], true["tau_filter_s"]
+    assert gain.value == pytest.approx(true["gain"], abs=3.0 * gain.std)
+    assert total_s.value == pytest.approx(sum(taus_s), abs=3.0 * total_s.std)
+    assert product_s2.value == pytest.approx(taus_s[0] * taus_s[1], abs=3.0 * product_s2.std)
+    motor = found.model["tau_motor_s"]
+    assert motor.value == pytest.approx(taus_s[0], abs=3.0 * motor.std)
+    assert found.load.fit > 0.9
+
+
+def test_the_on_line_estimate_stands_beside_it(found: SessionLoad, session_path: Path) -> None:
+    last = read_session(session_path).slow["estimates"].to_pylist()[-1][0]
+    assert found.online["gain"].value == last["value"]
+    text = as_text(found)
+    assert f"{last['value']:.5g}" in text
+    assert "[load.model]  # proposed\ngain = 0.01" in text
+    assert as_json(found)["model"]["gain"]["std"] == found.load.parameters["gain"].std
+
+
+def test_blocks_end_with_slow_periods(session_path: Path) -> None:
+    stretches = read_stretches(read_session(session_path))
+    (one,) = stretches
+    assert one.samples_per_period % block_samples(stretches) == 0
+    first = read_session(session_path).ticks["output"].to_pylist()[1]
+    assert one.columns["output"][0] == first  # tick 0 ends a slow period, tick 1 begins one
+
+
+def test_a_part_in_which_nothing_ran_is_refused(session_path: Path) -> None:
+    with pytest.raises(IdentificationError, match="did not run"):
+        identify_session(session_path, 1000.0)
+
+
+def test_the_command_draws_and_prints(
+    session_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["identify", str(session_path), "--into", str(tmp_path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["delay_s"] >= 0.0
+    assert (tmp_path / "load.png").read_bytes().startswith(b"\x89PNG")
