@@ -27,6 +27,8 @@ from adaptdrive.runtime.requests import (
     SetWaveform,
 )
 
+_LONGEST_HOLD_S = 86_400.0
+
 _FLOOR_REACHED = 0.99
 """Share of the floor of v_bst that ends `starting`: ripple and measurement differ by 1 %."""
 
@@ -217,8 +219,10 @@ class Machine:
             raise RefusedError(
                 f"voltage = {value:g} V is outside {limits.floor_V:g}…{limits.ceiling_V:g} V"
             )
-        if hold_s is not None and not 0.0 < hold_s < math.inf:
-            raise RefusedError(f"hold_s = {hold_s:g} s is not a finite time above 0 s")
+        if hold_s is not None and not 0.0 < hold_s <= _LONGEST_HOLD_S:
+            raise RefusedError(
+                f"hold_s = {hold_s:g} s is not above 0 s and at most {_LONGEST_HOLD_S:g} s"
+            )
         self.manual = replace(
             self.manual,
             start_V=self.manual.value(tick),
