@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.motor import motor_load
+from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import ControllerSettings, Jacket, Learning, PowerStage, Rates
 from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Stage
 from adaptdrive_sim.noise import NoiseParameters
@@ -39,7 +40,7 @@ STAGE = PowerStage(
 )
 RATES = Rates(ticks_per_period=TICKS, latency_ticks=2, samples=60, nominal_tick_s=TICK_s)
 PLAIN_LEARNING = Learning(
-    filtered=True,
+    method=METHODS["lm-rls"],
     forgetting=0.97,
     tau_lambda_s=10.0,
     dead_band=0.0,
@@ -51,7 +52,7 @@ PLAIN_LEARNING = Learning(
     start_at_nominal=False,
 )
 SCALED_LEARNING = Learning(
-    filtered=True,
+    method=METHODS["lm-rls"],
     forgetting=0.97,
     tau_lambda_s=10.0,
     dead_band=0.0,

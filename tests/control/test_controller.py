@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adaptdrive.control.controller import Controller
+from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import ControllerSettings, Jacket, Rates
 from adaptdrive.control.signals import (
     SAFE_COMMAND,
@@ -285,7 +286,7 @@ KINDS = [
         PAPER,
         rates=replace(SMALL, samples=1),
         jacket=EAGER,
-        learning=replace(PLAIN_LEARNING, filtered=False),
+        learning=replace(PLAIN_LEARNING, method=METHODS["rls"]),
     ),
 ]
 anything = st.floats(allow_nan=False, allow_infinity=False)

@@ -15,10 +15,12 @@ from adaptdrive.control import fast_half as fast
 from adaptdrive.control import regression as reg
 from adaptdrive.control import rls
 from adaptdrive.control.compensator import control_law
+from adaptdrive.control.direct_method import direct_model, fill_direct_regressor
 from adaptdrive.control.discretise import impulse_invariant_pair
 from adaptdrive.control.load import Load, to_voltage
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.motor import motor_load
+from adaptdrive.control.methods import METHODS
 from adaptdrive.control.pole_placement import desired_polynomial, place_poles
 from adaptdrive.control.settings import Learning
 from tests.control.systems import Array, System, distance, held_polynomials, matrix_of, motor_system
@@ -156,7 +158,7 @@ def test_either_estimator_is_there_for_either_load(
     """The print calls the bath's estimator LM-RLS in one section and plain RLS in the next."""
     system = System(list(load.numerator), list(load.denominator))
     learning = Learning(
-        filtered=filtered,
+        method=METHODS["lm-rls" if filtered else "rls"],
         forgetting=1.0,
         tau_lambda_s=10.0 * period_s,
         dead_band=0.0,
@@ -212,9 +214,9 @@ def _learn_direct(
     state = est.new_estimator(learning, load, order)
     for k in range(order, len(inputs)):
         past = outputs[k - order : k][::-1].tolist(), inputs[k - order : k][::-1].tolist()
-        reg.fill_direct_regressor(state.regressor, learning, load, *past)
+        fill_direct_regressor(state.regressor, learning, load, *past)
         est.learn(state, learning, load, float(outputs[k]), usable=True)
-    a, b = reg.direct_model(state.theta, learning, load)
+    a, b = direct_model(state.theta, learning, load)
     return [*a[1:], *b[1:]], [*bottom[1:].tolist(), *top[1:].tolist()]
 
 

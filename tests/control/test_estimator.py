@@ -13,6 +13,8 @@ from scipy.signal import lfilter, lsim
 from adaptdrive.control import estimator as est
 from adaptdrive.control import fast_half as fast
 from adaptdrive.control import regression as reg
+from adaptdrive.control.direct_method import direct_model, fill_direct_regressor
+from adaptdrive.control.methods import METHODS
 from adaptdrive.control.rls import covariance
 from adaptdrive.control.settings import Learning
 from tests.closed_loop.bench import MOTOR, PLAIN_LEARNING, SCALED_LEARNING, TICKS, TICK_s
@@ -131,17 +133,17 @@ def learn_direct(learning: Learning, inputs: Array, outputs: Array) -> tuple[Arr
     state = est.new_estimator(learning, MOTOR, 2)
     for k in range(2, len(inputs)):
         past_outputs, past_inputs = outputs[k - 2 : k][::-1], inputs[k - 2 : k][::-1]
-        reg.fill_direct_regressor(
+        fill_direct_regressor(
             state.regressor, learning, MOTOR, past_outputs.tolist(), past_inputs.tolist()
         )
         est.learn(state, learning, MOTOR, float(outputs[k]), usable=True)
-    a, b = reg.direct_model(state.theta, learning, MOTOR)
+    a, b = direct_model(state.theta, learning, MOTOR)
     return np.array(a), np.array(b)
 
 
 @pytest.mark.parametrize("learning", [PLAIN_LEARNING, SCALED_LEARNING])
 def test_direct_least_squares_finds_the_held_model(learning: Learning) -> None:
-    learning = replace(learning, filtered=False, gate=0.0)
+    learning = replace(learning, method=METHODS["rls"], gate=0.0)
     inputs, outputs, a, b = held_motor(600, 0.0)
     found_a, found_b = learn_direct(learning, inputs, outputs)
     assert found_a == pytest.approx(a, abs=1e-5)
@@ -150,7 +152,7 @@ def test_direct_least_squares_finds_the_held_model(learning: Learning) -> None:
 
 def test_noise_ruins_direct_least_squares_and_leaves_the_lambda_method_standing() -> None:
     noise = 0.002
-    direct = replace(PLAIN_LEARNING, filtered=False)
+    direct = replace(PLAIN_LEARNING, method=METHODS["rls"])
     inputs, outputs, a, _ = held_motor(600, noise)
     assert abs(learn_direct(direct, inputs, outputs)[0][1] - a[1]) > 0.1
     voltages, clean = simulate(1, 300)
@@ -294,9 +296,12 @@ def test_scales_change_the_units_of_the_parameters_and_nothing_else() -> None:
 
 
 def test_the_structure_decides_how_many_parameters_there_are() -> None:
-    assert reg.parameter_count(PLAIN_LEARNING, MOTOR, 5) == 3
-    assert reg.parameter_count(replace(PLAIN_LEARNING, filtered=False), MOTOR, 5) == 7
-    assert reg.parameter_count(replace(PLAIN_LEARNING, bias=True), MOTOR, 5) == 4
+    def count(learning: Learning) -> int:
+        return learning.method.parameter_count(learning, MOTOR, 5)
+
+    assert count(PLAIN_LEARNING) == 3
+    assert count(replace(PLAIN_LEARNING, method=METHODS["rls"])) == 7
+    assert count(replace(PLAIN_LEARNING, bias=True)) == 4
 
 
 KNOWN = replace(SCALED_LEARNING, known_filter_s=10.0, bias=True, gate=0.0)

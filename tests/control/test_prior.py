@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from adaptdrive.control.controller import Controller
+from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive_sim.noise import NoiseParameters
@@ -63,7 +64,7 @@ def test_the_first_estimate_is_the_prior() -> None:
 
 
 def test_a_prior_changes_nothing_of_direct_least_squares() -> None:
-    direct = replace(EXACT, learning=replace(EXACT.learning, filtered=False))
+    direct = replace(EXACT, learning=replace(EXACT.learning, method=METHODS["rls"]))
     found = [first_adaptive(prior, 3, direct)[1].commands for prior in (None, THREE_DISKS)]
     assert found[0] == found[1]
 

@@ -83,16 +83,17 @@ class Copies:
     def __init__(self) -> None:
         self._modules: dict[str, ModuleType] = {}
         self._methods: set[str] = set()
-        self._properties: set[str] = set()
+        self._properties: set[tuple[str, str]] = set()
 
     def add(self, modules: dict[str, ModuleType]) -> None:
         """Make modules known, and the methods and properties of their classes."""
         self._modules.update(modules)
-        for copy in modules.values():
+        for module, copy in modules.items():
             for name in vars(copy):
                 owner, mark, attribute = name.partition("__")
                 if owner and mark:
-                    self._announce(vars(getattr(copy, owner))[attribute], attribute)
+                    original = vars(getattr(copy, owner))[attribute]
+                    self._announce(original, (module, name), attribute)
 
     def function(self, module: str, name: str) -> Any:
         """The compiled function, None where there is none."""
@@ -104,12 +105,13 @@ class Copies:
 
     def property_of(self, layout: Layout, name: str) -> Any:
         """Type of the compiled property of a class, None where there is none."""
-        function = self.member(layout, name) if name in self._properties else None
-        return None if function is None else types.Dispatcher(function)
+        if (layout.module, f"{layout.name}__{name}") not in self._properties:
+            return None
+        return types.Dispatcher(self.member(layout, name))
 
-    def _announce(self, original: object, name: str) -> None:
+    def _announce(self, original: object, place: tuple[str, str], name: str) -> None:
         if isinstance(original, property):
-            self._properties.add(name)
+            self._properties.add(place)
         elif name not in self._methods:
             self._methods.add(name)
             overload_method(ObjectType, name)(_method(self, name))

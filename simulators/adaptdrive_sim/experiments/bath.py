@@ -7,6 +7,7 @@ from typing import Any
 
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.bath import bath_load
+from adaptdrive.control.methods import METHODS
 from adaptdrive_sim.experiments.examples import example_tables
 from adaptdrive_sim.experiments.experiment import (
     Experiment,
@@ -77,7 +78,11 @@ BATH = Experiment(
     changes=(LoadChange(5400.0, 2.5, over_s=300.0),),
     noise=0.05 / 3.0,
     paper=PaperSettings(
-        filtered=False, forgetting=0.99, tau_lambda_s=100.0, covariance=1.0e4, warm_up_s=600.0
+        method=METHODS["rls"],
+        forgetting=0.99,
+        tau_lambda_s=100.0,
+        covariance=1.0e4,
+        warm_up_s=600.0,
     ),
     sweep=SweepSettings(
         forgetting=(0.90, 0.93, 0.95, 0.97, 0.98, 0.99, 0.995),

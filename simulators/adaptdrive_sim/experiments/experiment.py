@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from adaptdrive.control.load import Load
+from adaptdrive.control.method import Method
 from adaptdrive.control.waveform import Shape, Waveform
 
 
@@ -31,14 +32,14 @@ class PaperSettings:
     """The paper's choices for one load.
 
     Attributes:
-        filtered: True for the λ-method, False for least squares on the samples themselves.
+        method: What is learnt, and from which signals.
         forgetting: ρ.
         tau_lambda_s: τ_λ.
         covariance: p0.
         warm_up_s: Time under the fixed controller before the adaptive one takes over.
     """
 
-    filtered: bool
+    method: Method
     forgetting: float
     tau_lambda_s: float
     covariance: float

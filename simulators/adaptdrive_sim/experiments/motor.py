@@ -7,6 +7,7 @@ from typing import Any
 
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.motor import motor_load
+from adaptdrive.control.methods import METHODS
 from adaptdrive_sim.experiments.examples import example_tables
 from adaptdrive_sim.experiments.experiment import (
     Experiment,
@@ -51,7 +52,11 @@ MOTOR = Experiment(
     changes=(LoadChange(600.0, 2.0), LoadChange(960.0, 3.0)),
     noise=0.002,
     paper=PaperSettings(
-        filtered=True, forgetting=0.97, tau_lambda_s=10.0, covariance=1.0e4, warm_up_s=90.0
+        method=METHODS["lm-rls"],
+        forgetting=0.97,
+        tau_lambda_s=10.0,
+        covariance=1.0e4,
+        warm_up_s=90.0,
     ),
     sweep=SweepSettings(
         forgetting=(0.90, 0.93, 0.95, 0.96, 0.97, 0.98, 0.985, 0.99, 0.995),

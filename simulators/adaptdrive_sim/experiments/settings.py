@@ -7,12 +7,14 @@ import math
 
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
+from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import ControllerSettings, Jacket, Learning, Rates
 from adaptdrive_sim.experiments.case import Design, Variant
 from adaptdrive_sim.experiments.examples import FOLDER
 from adaptdrive_sim.experiments.experiment import Experiment
 
 _NEVER = 10**9
+_METHODS = {"direct_rls": METHODS["rls"], "lm_rls": METHODS["lm-rls"]}
 
 
 def case_settings(experiment: Experiment, variant: Variant, design: Design) -> ControllerSettings:
@@ -20,9 +22,8 @@ def case_settings(experiment: Experiment, variant: Variant, design: Design) -> C
     settings = daemon_settings(experiment)
     if design == "paper":
         settings = _as_printed(settings, experiment)
-    own = settings.learning.filtered
-    filtered = {"direct_rls": False, "lm_rls": True}.get(variant, own)
-    learning = dataclasses.replace(settings.learning, filtered=filtered)
+    method = _METHODS.get(variant, settings.learning.method)
+    learning = dataclasses.replace(settings.learning, method=method)
     return dataclasses.replace(settings, learning=learning)
 
 
@@ -39,7 +40,7 @@ def _as_printed(settings: ControllerSettings, experiment: Experiment) -> Control
     """The paper's controller: one sample, a plain estimator, no supervision to speak of."""
     paper, rates = experiment.paper, settings.rates
     learning = Learning(
-        filtered=paper.filtered,
+        method=paper.method,
         forgetting=paper.forgetting,
         tau_lambda_s=paper.tau_lambda_s,
         dead_band=0.0,

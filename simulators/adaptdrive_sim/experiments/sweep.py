@@ -20,9 +20,11 @@ from numpy.typing import NDArray
 from adaptdrive.control import estimator as est
 from adaptdrive.control import regression as reg
 from adaptdrive.control.continuous import continuous_model
+from adaptdrive.control.direct_method import direct_model, fill_direct_regressor
 from adaptdrive.control.discretise import held_model
 from adaptdrive.control.lambda_filter import chain_decay, ramp_gains, step_gains
 from adaptdrive.control.load import Load, to_input
+from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.vectors import Vector, shift_in
 from adaptdrive_sim.experiments.case import Case
@@ -139,11 +141,11 @@ def _noises(heard: Heard) -> list[Array]:
 def _try_setting(heard: Heard, noises: list[Array], setting: Setting) -> SweepPoint:
     learning = dataclasses.replace(
         heard.case.settings.learning,
-        filtered=setting.method == "lm-rls",
+        method=METHODS[setting.method],
         forgetting=setting.forgetting,
         tau_lambda_s=setting.tau_lambda_s,
     )
-    estimate = _estimate_filtered if learning.filtered else _estimate_directly
+    estimate = _estimate_filtered if learning.method.physical else _estimate_directly
     quiet, *noisy = estimate(heard, learning, noises)
     return SweepPoint(setting, _speed(heard.case.experiment, quiet), _spread(heard, quiet, noisy))
 
@@ -191,9 +193,9 @@ def _follow_directly(heard: Heard, learning: Learning, outputs: list[float]) -> 
     past_inputs = [float(heard.load_input[0])] * load.paper_taps
     found = []
     for target, applied in zip(outputs, heard.held_input, strict=True):
-        reg.fill_direct_regressor(state.regressor, learning, load, past_outputs, past_inputs)
+        fill_direct_regressor(state.regressor, learning, load, past_outputs, past_inputs)
         est.learn(state, learning, load, target, usable=True)
-        a, b = reg.direct_model(state.theta, learning, load)
+        a, b = direct_model(state.theta, learning, load)
         found.append(_physical(load, *continuous_model(a, b, period_s)))
         shift_in(past_outputs, target)
         shift_in(past_inputs, applied)

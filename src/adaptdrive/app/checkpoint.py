@@ -89,7 +89,7 @@ def configuration_key(configuration: Configuration) -> str:
 
 def is_kept(settings: ControllerSettings) -> bool:
     """Return whether this controller's estimates are physical parameters that it can start from."""
-    return settings.exact and settings.learning.filtered
+    return settings.exact and settings.learning.method.physical
 
 
 def write_checkpoint(path: Path, key: str, names: tuple[str, ...], values: Values) -> None:

@@ -10,6 +10,7 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BatterySection, MotorSection, Supervisor
 from adaptdrive.control.load import to_input
+from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import (
     ControllerSettings,
     Jacket,
@@ -120,9 +121,10 @@ def _learning(configuration: Configuration, *, exact: bool) -> Learning:
     middle_V = 0.5 * (limits.boost_reference_min_V + limits.boost_reference_max_V)
     middle = to_input(middle_V, load.input_gain, load.input_exponent)
     dc_gain = load.numerator[-1] / load.denominator[-1]
-    directional = exact and estimator.alert and estimator.method == "lm-rls"
+    method = METHODS[estimator.method]
+    directional = exact and estimator.alert and method.physical
     return Learning(
-        filtered=estimator.method == "lm-rls",
+        method=method,
         forgetting=estimator.forgetting,
         tau_lambda_s=estimator.tau_lambda_s,
         dead_band=estimator.dead_band,
@@ -145,7 +147,7 @@ def _initial_covariance(configuration: Configuration, *, exact: bool) -> float:
     estimator = configuration.estimator
     if estimator.initial_covariance is not None:
         return estimator.initial_covariance
-    return _OPEN if exact and estimator.method == "lm-rls" else _PAPER_COVARIANCE
+    return _OPEN if exact and METHODS[estimator.method].physical else _PAPER_COVARIANCE
 
 
 def _known_filter_s(configuration: Configuration) -> float:

@@ -12,9 +12,8 @@ from dataclasses import replace
 
 from adaptdrive.control import fast_half as fast
 from adaptdrive.control.charging import is_complete
-from adaptdrive.control.estimator import parameter_deviations, start_from
+from adaptdrive.control.estimator import start_from
 from adaptdrive.control.load import Load, to_input, to_voltage
-from adaptdrive.control.regression import input_offset
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import (
     SAFE_COMMAND,
@@ -52,9 +51,9 @@ class Controller:
             load: The load and its nominal model.
             prior: Physical parameters that an earlier run had trusted, in the order of
                 `Load.names`: each run starts from them, or from those that a run before it had
-                trusted. Direct least squares has no use for them.
+                trusted. A method whose θ is not physical ignores them.
         """
-        self._prior = prior if settings.learning.filtered else None
+        self._prior = prior if settings.learning.method.physical else None
         self._settings = settings if self._prior is None else _confirming(settings)
         self._trusted: tuple[float, ...] | None = None
         self._proposed: dict[int, tuple[float, ...]] = {}
@@ -143,9 +142,10 @@ class Controller:
     def _recall(self) -> None:
         """Begin a run with what the one before had trusted; it is confirmed before it is used."""
         self._proposed = {}
-        if self._learnt is not None and self._settings.exact and self._settings.learning.filtered:
+        settings = self._settings
+        if self._learnt is not None and settings.exact and settings.learning.method.physical:
             self._prior = self._learnt
-            self._settings = _confirming(self._settings)
+            self._settings = _confirming(settings)
 
     def _enter(self, stage: Stage, measurement: Measurement) -> None:
         """Start a stage from what is measured now, so that it begins without a bump."""
@@ -242,14 +242,14 @@ class Controller:
     def _estimates(self) -> dict[str, Estimate]:
         state, load, learning = self._slow, self._load, self._settings.learning
         deviations = [math.nan] * len(load.names)
-        if learning.filtered and math.isfinite(state.values[0]):
-            deviations = parameter_deviations(state.estimator, learning, load, state.values)
+        if math.isfinite(state.values[0]):
+            deviations = learning.method.deviations(state.estimator, learning, load, state.values)
         estimates = {
             name: Estimate(value, deviation)
             for name, value, deviation in zip(load.names, state.values, deviations, strict=True)
         }
         if learning.bias:
-            offset = input_offset(state.estimator.theta, learning, load)
+            offset = learning.method.input_offset(state.estimator.theta, learning, load)
             estimates["input_offset"] = Estimate(offset, math.nan)
         return estimates
 

@@ -1,7 +1,7 @@
 """The on-line estimator: recursive least squares with a gate, a bound of P and an alarm.
 
-What is learnt, and from what, is in `regression`; the update itself in `rls`; what counts as an
-abrupt change in `surprise`.
+What is learnt, from which signals and by which update is in the file of the method (`methods`); the
+arithmetic of the update is in `rls`, and what counts as an abrupt change in `surprise`.
 """
 
 from __future__ import annotations
@@ -11,32 +11,15 @@ from dataclasses import dataclass
 
 from adaptdrive.control import rivals as riv
 from adaptdrive.control import rls
-from adaptdrive.control.hypotheses import LOAD, NOTHING
 from adaptdrive.control.load import Load
-from adaptdrive.control.regression import (
-    filtered_model,
-    fitted_order,
-    initial_state_count,
-    nominal_theta,
-    parameter_count,
-    theta_of,
-)
+from adaptdrive.control.regression import filtered_model
 from adaptdrive.control.settings import Learning
-from adaptdrive.control.surprise import Surprise, is_surprising, watch_noise
+from adaptdrive.control.surprise import Surprise, watch_noise
 from adaptdrive.control.vectors import Vector, copy_into
 
 _TINY = 1e-12
 _PRIOR_VARIANCE = 2.0e3
 """Variance of a prior over σ²: a few samples confirm it, some seconds of others correct it."""
-
-SETTLED_SAMPLES = 5
-"""Samples of a comparison before another alarm counts: about as many as there are parameters."""
-
-_LOUDER = 4.0
-"""Largest rise of σ² after an alarm that nothing explains, or that follows upon another."""
-
-_KNOWN = 1.0e-9
-"""Variance of an initial state that need not be estimated, over p0."""
 
 
 @dataclass(slots=True)
@@ -82,7 +65,7 @@ class EstimatorState:
 
 def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:
     """Return an estimator without data, which starts from zero or from the nominal model."""
-    count = parameter_count(learning, load, taps)
+    count = learning.method.parameter_count(learning, load, taps)
     state = EstimatorState(
         [0.0] * count,
         [0.0] * (count * count),
@@ -92,11 +75,18 @@ def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:
         riv.new_rivals(count),
     )
     rls.reset(state.theta, state.upper, state.diagonal, learning.initial_covariance)
-    if learning.filtered and not learning.initial_state:
-        _know_initial_state(state, learning, load)
-    if learning.start_at_nominal and learning.filtered:
+    learning.method.begin(state, learning, load)
+    if learning.start_at_nominal:
         copy_into(state.theta, nominal_theta(learning, load, taps))
     return state
+
+
+def nominal_theta(learning: Learning, load: Load, taps: int) -> Vector:
+    """Return θ of the nominal model, scaled; zeros where the method cannot express it."""
+    theta = [0.0] * learning.method.parameter_count(learning, load, taps)
+    numerator, denominator = list(load.numerator), list(load.denominator)
+    copy_into(theta, learning.method.theta_of(learning, load, numerator, denominator))
+    return theta
 
 
 def begin_anew(state: EstimatorState, learning: Learning, load: Load) -> None:
@@ -105,22 +95,15 @@ def begin_anew(state: EstimatorState, learning: Learning, load: Load) -> None:
     It learnt a disturbance as dynamics before σ² was known, and what surprises it is explained by
     other disturbances ever since.
     """
-    theta = theta_of(learning, load, list(load.numerator), list(load.denominator))
+    theta = learning.method.theta_of(learning, load, list(load.numerator), list(load.denominator))
     rls.reset(state.theta, state.upper, state.diagonal, learning.initial_covariance)
     copy_into(state.theta, theta)
     state.origin_s = state.elapsed_s
     state.lost_periods = 0
     state.surprise.sum = 0.0
     state.rivals.samples = 0
-    _hold(state)
+    hold_estimate(state)
     riv.drop_anchor(state.rivals, state.regressor, state.elapsed_s)
-
-
-def _know_initial_state(state: EstimatorState, learning: Learning, load: Load) -> None:
-    """At rest at the start: γ is 0, until something changes."""
-    first = fitted_order(learning, load) + len(load.input_powers)
-    for i in range(initial_state_count(learning, load)):
-        state.diagonal[first + i] = _KNOWN * learning.initial_covariance
 
 
 def start_from(state: EstimatorState, learning: Learning, load: Load, values: Vector) -> None:
@@ -130,13 +113,13 @@ def start_from(state: EstimatorState, learning: Learning, load: Load, values: Ve
     seconds by data that say otherwise; nothing is known of the bias.
 
     Args:
-        state: A new estimator of the λ-method, overwritten.
+        state: A new estimator of a method with physical parameters, overwritten.
         learning: Scales.
         load: The load.
         values: Its physical parameters.
     """
     numerator, denominator = load.realise(values)
-    theta = theta_of(learning, load, numerator, denominator)
+    theta = learning.method.theta_of(learning, load, numerator, denominator)
     copy_into(state.theta, theta)
     for i in range(len(theta)):
         state.diagonal[i] = _PRIOR_VARIANCE
@@ -151,7 +134,7 @@ def learn(
         state: Overwritten.
         learning: Forgetting and gates.
         load: What an abrupt change leaves as it was.
-        output: y[k], or what `learning_target` makes of it.
+        output: What r predicts, as `Method.target` returns it.
         usable: False for a sample that must not teach: its innovation is still computed.
     """
     target = output / learning.output_scale
@@ -166,116 +149,50 @@ def learn(
     if not usable or state.periods <= learning.settle_periods:
         return
     watch_noise(state.surprise, innovation)
-    if learning.alert and learning.filtered:
-        _learn_and_explain(state, learning, load, target, innovation)
-        return
-    if learning.alert:
-        _open_up(state, learning, innovation)
-    _take_in(state, learning, target, innovation)
+    learning.method.take_in(state, learning, load, target, innovation)
 
 
-def _learn_and_explain(
-    state: EstimatorState, learning: Learning, load: Load, target: float, innovation: float
+def take_in(
+    state: EstimatorState,
+    learning: Learning,
+    target: float,
+    innovation: float,
+    *,
+    directional: bool,
 ) -> None:
-    """Learn a sample; one that completes the evidence for a change starts explanations of it."""
-    if state.rivals.samples > 0:
-        alarm = _explain(state, learning, load, target)
-    else:
-        squared = _normalised(state.excitation, innovation, learning.forgetting)
-        alarm = is_surprising(state.surprise, squared)
-        if not alarm:
-            _take_in(state, learning, target, innovation)
-            _hold(state)
-    if alarm:
-        _split(state, learning, load, target)
-    else:
-        _mark(state, target)
+    """Update θ and P, if the sample can teach anything.
 
-
-def _take_in(state: EstimatorState, learning: Learning, target: float, innovation: float) -> None:
-    """Update θ and P, if the sample can teach anything."""
+    Args:
+        state: Overwritten.
+        learning: Forgetting and gates.
+        target: What r predicts, scaled.
+        innovation: ε, scaled.
+        directional: Whether to forget only along r (`rls.update_along`).
+    """
     if not state.excitation > learning.gate * (1.0 - learning.forgetting):
         return
     state.idle_periods = 0
     theta, upper, diagonal, regressor = state.theta, state.upper, state.diagonal, state.regressor
-    if learning.alert and learning.filtered:
+    if directional:
         rls.update_along(theta, upper, diagonal, regressor, target, learning.forgetting)
     else:
         rls.update(theta, upper, diagonal, regressor, target, learning.forgetting)
     if learning.covariance_max > 0.0:
         information = (1.0 - learning.forgetting) / learning.covariance_max
         rls.bound(state.upper, state.diagonal, information)
-    _remember_residual(state, learning, state.excitation, innovation)
+    remember_residual(state, learning, state.excitation, innovation)
 
 
-def _open_up(state: EstimatorState, learning: Learning, innovation: float) -> None:
-    """After an abrupt change of a load that is learnt directly: forget how sure θ is."""
-    squared = _normalised(state.excitation, innovation, learning.forgetting)
-    if not is_surprising(state.surprise, squared):
-        return
-    rls.open_up(state.upper, state.diagonal, learning.initial_covariance)
-    state.excitation = rls.excitation(state.upper, state.diagonal, state.regressor)
-    state.residual_power = state.surprise.power * state.residual_weight
+def remember_residual(
+    state: EstimatorState, learning: Learning, excitation: float, innovation: float
+) -> None:
+    """Add an innovation to the forgetting sums from which σ follows."""
+    power = normalised(excitation, innovation, learning.forgetting)
+    state.residual_power = learning.forgetting * state.residual_power + power
+    state.residual_weight = learning.forgetting * state.residual_weight + 1.0
 
 
-def _explain(state: EstimatorState, learning: Learning, load: Load, target: float) -> bool:
-    """Compare the explanations of an alarm on one more sample; the likeliest is the estimate.
-
-    The detector goes on: what surprises an explanation that is clearly ahead, or "nothing", is the
-    next change.
-
-    Returns:
-        True when the next one has been noticed.
-    """
-    rivals = state.rivals
-    riv.follow(rivals, learning, load, state.regressor, target, state.elapsed_s)
-    best = riv.branch_of(rivals, rivals.kind)
-    squared = _normalised(best.excitation, best.innovation, learning.forgetting)
-    alarm = is_surprising(state.surprise, squared) and rivals.samples > SETTLED_SAMPLES
-    alarm = alarm and (rivals.kind == NOTHING or riv.is_clear(rivals))
-    settled = not alarm and riv.is_settled(rivals, learning, load)
-    _publish(state, learning)
-    if settled:
-        _settle(state)
-    return alarm
-
-
-def _split(state: EstimatorState, learning: Learning, load: Load, target: float) -> None:
-    """Start the explanations of an alarm.
-
-    One alarm after the other, each before the last can be explained, is noise of its own.
-    """
-    if state.periods - state.alarm_period < riv.WINDOW:
-        state.surprise.power *= _LOUDER
-    state.alarm_period = state.periods
-    riv.settle(state.rivals)
-    riv.keep_sample(state.rivals, state.regressor, target, state.elapsed_s, riv.ROOM)
-    riv.split(state.rivals, learning, load, state.surprise.power)
-    _publish(state, learning)
-
-
-def _mark(state: EstimatorState, target: float) -> None:
-    """Remember from where the next change is to be explained: from the last calm sample."""
-    rivals, time_s = state.rivals, state.elapsed_s
-    suspect = state.surprise.sum > 0.0
-    if suspect and riv.keep_sample(rivals, state.regressor, target, time_s, riv.ROOM - 1):
-        return
-    riv.drop_anchor(state.rivals, state.regressor, state.elapsed_s)
-
-
-def _settle(state: EstimatorState) -> None:
-    """Keep the explanation that has won."""
-    rivals = state.rivals
-    power = riv.posterior_power(rivals)
-    if rivals.kind >= LOAD:
-        state.surprise.power = power
-    elif rivals.kind == NOTHING:
-        state.surprise.power = min(power, _LOUDER * state.surprise.power)
-    state.residual_power = state.surprise.power * state.residual_weight
-    riv.settle(rivals)
-
-
-def _hold(state: EstimatorState) -> None:
+def hold_estimate(state: EstimatorState) -> None:
     """Let the explanations of the next alarm start from the estimate of now."""
     now = state.rivals.now
     copy_into(now.theta, state.theta)
@@ -284,37 +201,15 @@ def _hold(state: EstimatorState) -> None:
     now.origin_s = state.origin_s
 
 
-def _publish(state: EstimatorState, learning: Learning) -> None:
-    """Make the likeliest explanation the estimate."""
-    best = riv.branch_of(state.rivals, state.rivals.kind)
-    copy_into(state.theta, best.theta)
-    copy_into(state.upper, best.upper)
-    copy_into(state.diagonal, best.diagonal)
-    state.origin_s = best.origin_s
-    state.excitation = best.excitation
-    state.innovation = best.innovation * learning.output_scale
-    state.idle_periods = 0
-    riv.copy_estimate(state.rivals.now, best)
-    _remember_residual(state, learning, best.excitation, best.innovation)
-
-
-def _remember_residual(
-    state: EstimatorState, learning: Learning, excitation: float, innovation: float
-) -> None:
-    normalised = _normalised(excitation, innovation, learning.forgetting)
-    state.residual_power = learning.forgetting * state.residual_power + normalised
-    state.residual_weight = learning.forgetting * state.residual_weight + 1.0
-
-
-def _normalised(excitation: float, innovation: float, forgetting: float) -> float:
-    """ε² without the share that the uncertainty of θ has in it."""
+def normalised(excitation: float, innovation: float, forgetting: float) -> float:
+    """Return ε² without the share that the uncertainty of θ has in it."""
     return innovation * innovation * forgetting / (forgetting + excitation)
 
 
 def own_residual(state: EstimatorState, learning: Learning) -> float:
     """Squared innovation of the last sample, the estimate's own uncertainty taken out, scaled."""
     innovation = state.innovation / learning.output_scale
-    return _normalised(state.excitation, innovation, learning.forgetting)
+    return normalised(state.excitation, innovation, learning.forgetting)
 
 
 def residual_noise(state: EstimatorState) -> float:

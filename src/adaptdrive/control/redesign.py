@@ -5,12 +5,8 @@ The checks run in the order of their cost; the first that fails gives the verdic
 
 from __future__ import annotations
 
-import math
-
 from adaptdrive.control import estimator as est
-from adaptdrive.control import regression as reg
 from adaptdrive.control import supervisor as sup
-from adaptdrive.control.continuous import continuous_model
 from adaptdrive.control.design import compensator_gains, discrete_model
 from adaptdrive.control.load import Load
 from adaptdrive.control.pole_placement import closed_loop_polynomial
@@ -46,7 +42,7 @@ def _look_for_a_way_back(
         estimator.lost_periods = 0
         return
     estimator.lost_periods += 1
-    if settings.learning.filtered and estimator.lost_periods > _LOST_PERIODS:
+    if settings.learning.method.physical and estimator.lost_periods > _LOST_PERIODS:
         est.begin_anew(estimator, settings.learning, load)
 
 
@@ -67,7 +63,7 @@ def _redesign(
     sample: SlowSample,
     gains: Vector,
 ) -> int:
-    a, b, verdict = _estimated_model(settings, load, state, sample.period_s)
+    a, b, verdict = settings.learning.method.model(settings, load, state, sample.period_s)
     if verdict != sup.Verdict.TRUSTED:
         return verdict
     verdict = sup.judge_load(a)
@@ -100,16 +96,27 @@ def _judge_robustness(
     return sup.Verdict.TRUSTED if stable else sup.Verdict.AT_ODDS
 
 
-def _estimated_model(
-    settings: ControllerSettings, load: Load, state: SlowState, period_s: float
+def judge_physical(
+    settings: ControllerSettings,
+    load: Load,
+    state: SlowState,
+    numerator: Vector,
+    denominator: Vector,
+    period_s: float,
 ) -> tuple[Vector, Vector, int]:
-    """A, B of the estimate, and what the supervisor says of its parameters."""
-    learning, theta = settings.learning, state.estimator.theta
-    if not learning.filtered:
-        a, b = reg.direct_model(theta, learning, load)
-        _show_direct(load, state, a, b, period_s)
-        return a, b, sup.judge_load(a)
-    numerator, denominator = reg.filtered_model(theta, learning, load)
+    """Check the physical parameters of an estimated model in s.
+
+    Args:
+        settings: Designs, rates and rules.
+        load: The nominal model and the meaning of the parameters.
+        state: The estimate; its physical parameters and their deviations are overwritten.
+        numerator: Of the estimated model, highest power first.
+        denominator: Of the estimated model, highest power first.
+        period_s: T_k in s.
+
+    Returns:
+        A and B of the discrete model, and the verdict; the polynomials count only if trusted.
+    """
     verdict = sup.judge_model(numerator, denominator)
     if verdict != sup.Verdict.TRUSTED:
         return denominator, numerator, verdict
@@ -129,18 +136,9 @@ def _judge_quality(settings: ControllerSettings, load: Load, state: SlowState) -
     """Check the standard deviations of an estimate, and its residuals against the nominal model."""
     learning, jacket, supervisor = settings.learning, settings.jacket, state.supervisor
     if jacket.deviation_max > 0.0:
-        deviations = est.parameter_deviations(state.estimator, learning, load, state.values)
+        deviations = learning.method.deviations(state.estimator, learning, load, state.values)
         copy_into(state.deviations, deviations)
     verdict = sup.judge_certainty(state.values, state.deviations, jacket, supervisor)
     if verdict != sup.Verdict.TRUSTED:
         return verdict
     return sup.judge_residual(supervisor, jacket)
-
-
-def _show_direct(load: Load, state: SlowState, a: Vector, b: Vector, period_s: float) -> None:
-    """Physical parameters of a direct estimate, for people: its gains do without them."""
-    numerator, denominator = continuous_model(a, b, period_s)
-    if sup.judge_model(numerator, denominator) == sup.Verdict.TRUSTED:
-        copy_into(state.values, load.physical(numerator, denominator))
-    else:
-        copy_into(state.values, [math.nan] * len(state.values))

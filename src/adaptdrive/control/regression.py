@@ -1,10 +1,8 @@
-"""Parameters θ and regressors r of the λ-method and of direct least squares.
+"""Parameters θ and regressor r of the λ-method.
 
-λ-method (LM-RLS): the regressor is [-λy ... -λ^m y, λ^i u ...] with the powers i that the load's
-structure leaves; θ holds α and the free β (29). Direct: [-y[k-1] ... -y[k-m], u[k-1] ... u[k-n]];
-θ holds a and b of the discrete model (17). Either takes a constant 1 as its last regressor where
-a bias is wanted: a load torque, the EMF of a battery or the offset of a sensor would otherwise be
-mistaken for dynamics.
+The regressor is [-λy ... -λ^m y, λ^i u ...] with the powers i that the load's structure leaves; θ
+holds α and the free β (29). Where a bias is wanted, the last regressor is a constant 1: a load
+torque, the EMF of a battery or the offset of a sensor would otherwise be mistaken for dynamics.
 
 Where the output passes a filter of known τ_f, that factor of the denominator need not be learnt.
 With D = D' (s + 1/τ_f) the unfiltered output z = (τ_f s + 1) y obeys D' z = τ_f N u, of order m-1.
@@ -38,34 +36,26 @@ import math
 from adaptdrive.control.lambda_transform import from_lambda, to_lambda
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import Learning
-from adaptdrive.control.vectors import Vector, copy_into, multiply
+from adaptdrive.control.vectors import Vector, multiply
 
 _TINY = 1e-12
 """Below this a divisor counts as zero."""
 
 
-def parameter_count(learning: Learning, load: Load, taps: int) -> int:
-    """Length of θ."""
-    inputs = len(load.input_powers) if learning.filtered else taps
-    return fitted_order(learning, load) + inputs + _extra_count(learning, load)
+def filtered_count(learning: Learning, load: Load) -> int:
+    """Return the length of θ of the λ-method."""
+    first = fitted_order(learning, load) + len(load.input_powers)
+    return first + initial_state_count(learning, load) + (1 if learning.bias else 0)
 
 
 def knows_filter(learning: Learning) -> bool:
     """Return whether the output passes a filter whose time constant is known."""
-    return learning.filtered and learning.known_filter_s > 0.0
+    return learning.known_filter_s > 0.0
 
 
 def fitted_order(learning: Learning, load: Load) -> int:
     """Return the number of estimated coefficients of the denominator."""
     return load.order - 1 if knows_filter(learning) else load.order
-
-
-def nominal_theta(learning: Learning, load: Load, taps: int) -> Vector:
-    """θ of the nominal model, scaled; its bias is 0."""
-    theta = [0.0] * parameter_count(learning, load, taps)
-    if learning.filtered:
-        copy_into(theta, theta_of(learning, load, list(load.numerator), list(load.denominator)))
-    return theta
 
 
 def theta_of(learning: Learning, load: Load, numerator: Vector, denominator: Vector) -> Vector:
@@ -195,38 +185,9 @@ def _unfiltered(learning: Learning, value: float, filtered: float) -> float:
     return share * value + (1.0 - share) * filtered
 
 
-def fill_direct_regressor(
-    regressor: Vector, learning: Learning, load: Load, outputs: Vector, inputs: Vector
-) -> None:
-    """r of direct least squares (17).
-
-    Args:
-        regressor: r, overwritten.
-        learning: Scales.
-        load: Order.
-        outputs: y[k-1] ... y[k-m].
-        inputs: u[k-1] ... u[k-n].
-    """
-    for i in range(load.order):
-        regressor[i] = -outputs[i] / learning.output_scale
-    for i in range(_input_count(regressor, learning, load)):
-        regressor[load.order + i] = inputs[i] / learning.input_scale
-    if learning.bias:
-        regressor[len(regressor) - 1] = 1.0
-
-
 def initial_state_count(learning: Learning, load: Load) -> int:
     """Length of γ: of the state at the start, and of that at each change."""
-    known = learning.filtered and (learning.initial_state or learning.alert)
-    return load.order if known else 0
-
-
-def _extra_count(learning: Learning, load: Load) -> int:
-    return initial_state_count(learning, load) + (1 if learning.bias else 0)
-
-
-def _input_count(parameters: Vector, learning: Learning, load: Load) -> int:
-    return len(parameters) - fitted_order(learning, load) - _extra_count(learning, load)
+    return load.order if learning.initial_state or learning.alert else 0
 
 
 def dc_gain(theta: Vector, learning: Learning, load: Load) -> float:
@@ -234,7 +195,7 @@ def dc_gain(theta: Vector, learning: Learning, load: Load) -> float:
     below, above, order = 1.0, 0.0, fitted_order(learning, load)
     for i in range(order):
         below += theta[i]
-    for i in range(_input_count(theta, learning, load)):
+    for i in range(len(load.input_powers)):
         above += theta[order + i]
     return above / below if abs(below) > _TINY else 0.0
 
@@ -258,25 +219,11 @@ def filtered_model(theta: Vector, learning: Learning, load: Load) -> tuple[Vecto
     return numerator, denominator
 
 
-def direct_model(theta: Vector, learning: Learning, load: Load) -> tuple[Vector, Vector]:
-    """A, B in q^-1 of a direct estimate."""
-    order = load.order
-    a = [0.0] * (order + 1)
-    inputs = _input_count(theta, learning, load)
-    b = [0.0] * (inputs + 1)
-    a[0] = 1.0
-    for i in range(order):
-        a[i + 1] = theta[i]
-    for i in range(inputs):
-        b[i + 1] = theta[order + i] * learning.output_scale / learning.input_scale
-    return a, b
-
-
 def input_offset(theta: Vector, learning: Learning, load: Load) -> float:
     """The constant input that would have the effect of the estimated bias; NaN without one."""
     if not learning.bias:
         return math.nan
     gain, order = 0.0, fitted_order(learning, load)
-    for i in range(_input_count(theta, learning, load)):
+    for i in range(len(load.input_powers)):
         gain += theta[order + i]
     return theta[len(theta) - 1] / gain * learning.input_scale if gain else math.nan

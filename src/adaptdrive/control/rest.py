@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 
 from adaptdrive.control.load import Load
-from adaptdrive.control.regression import input_offset
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.slow_state import SlowState
 from adaptdrive.control.vectors import total
@@ -29,8 +28,8 @@ def distance_from_rest(learning: Learning, load: Load, state: SlowState, output:
         output: y[k].
     """
     offset = 0.0
-    if learning.filtered and learning.bias:
-        estimated = input_offset(state.estimator.theta, learning, load)
+    if learning.method.physical and learning.bias:
+        estimated = learning.method.input_offset(state.estimator.theta, learning, load)
         offset = estimated if math.isfinite(estimated) else 0.0
     distance = _distance(load, nominal_gain(load), state.inputs[0], offset, output)
     if state.supervisor.trusted:

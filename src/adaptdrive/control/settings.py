@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from adaptdrive.control.method import Method
 from adaptdrive.control.voltage_loop import LAG_TICKS
 
 
@@ -63,7 +64,7 @@ class Learning:
     """Settings of the estimation.
 
     Attributes:
-        filtered: True for the λ-method, False for least squares on the samples themselves.
+        method: What is learnt, and from which signals (`methods`).
         forgetting: ρ.
         tau_lambda_s: τ_λ.
         dead_band: No update while the output moves less than this between slow samples.
@@ -80,7 +81,7 @@ class Learning:
         initial_state: Whether what is left of the time before the start is estimated too.
     """
 
-    filtered: bool
+    method: Method
     forgetting: float
     tau_lambda_s: float
     dead_band: float

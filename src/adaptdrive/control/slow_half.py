@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 
 from adaptdrive.control import estimator as est
-from adaptdrive.control import regression as reg
 from adaptdrive.control import supervisor as sup
 from adaptdrive.control.charging import taper, terminal_voltage
 from adaptdrive.control.compensator import control_law, lead_reference
@@ -78,27 +77,12 @@ def _take_sample(
 ) -> None:
     learning, estimator = settings.learning, state.estimator
     estimator.elapsed_s += sample.period_s
-    if learning.filtered:
-        reg.fill_filtered_regressor(
-            estimator.regressor, learning, load, sample.output_filtered, sample.input_filtered
-        )
-        elapsed_s = estimator.elapsed_s - estimator.origin_s
-        reg.fill_initial_state(estimator.regressor, learning, load, elapsed_s)
-        reg.fill_lowered_regressor(
-            estimator.rivals.lowered,
-            learning,
-            load,
-            sample.output,
-            sample.output_filtered,
-            sample.input_filtered,
-        )
-    else:
-        reg.fill_direct_regressor(estimator.regressor, learning, load, state.outputs, state.inputs)
+    learning.method.fill_regressor(state, learning, load, sample)
     moved = abs(sample.output - state.outputs[0]) >= learning.dead_band
     usable = moved and sample.held_share <= _HELD_SHARE
-    target = reg.learning_target(learning, sample.output, sample.output_filtered)
+    target = learning.method.target(learning, sample)
     est.learn(estimator, learning, load, target, usable)
-    if learning.filtered:
+    if learning.method.physical:
         fixed = target / learning.output_scale - predict(state.nominal_theta, estimator.regressor)
         own = est.own_residual(estimator, learning)
         sup.compare_residuals(state.supervisor, own, fixed * fixed)

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import estimator as est
-from adaptdrive.control import regression as reg
 from adaptdrive.control import supervisor as sup
 from adaptdrive.control.charging import ChargeState
 from adaptdrive.control.design import past_inputs
@@ -140,7 +139,7 @@ def new_slow_state(
         supervisor=sup.SupervisorState(),
         charge=ChargeState(max(0.0, output)),
         reference=output,
-        nominal_theta=reg.nominal_theta(settings.learning, load, taps),
+        nominal_theta=est.nominal_theta(settings.learning, load, taps),
         deviations=[math.nan] * len(nominal),
         watch=WatchState(fast=resting, slow=resting),
         model_a=[1.0] + [0.0] * load.order,

@@ -1,0 +1,146 @@
+"""Direct least squares: recursive least squares on the samples themselves.
+
+The regressor is [-y[k-1] ... -y[k-m], u[k-1] ... u[k-n]], and 1 where a bias is wanted; θ holds a
+and b of the discrete model (17).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adaptdrive.control import rls
+from adaptdrive.control import supervisor as sup
+from adaptdrive.control.continuous import continuous_model
+from adaptdrive.control.estimator import EstimatorState, normalised, take_in
+from adaptdrive.control.load import Load
+from adaptdrive.control.settings import ControllerSettings, Learning
+from adaptdrive.control.slow_state import SlowSample, SlowState
+from adaptdrive.control.surprise import is_surprising
+from adaptdrive.control.vectors import Vector, copy_into, total
+
+
+@dataclass(frozen=True, slots=True)
+class DirectMethod:
+    """Least squares on sampled signals (17); the functions are described in `Method`."""
+
+    @property
+    def physical(self) -> bool:
+        """False: θ is a discrete model."""
+        return False
+
+    def parameter_count(self, learning: Learning, load: Load, taps: int) -> int:
+        """Return the length of θ."""
+        return load.order + taps + (1 if learning.bias else 0)
+
+    def theta_of(
+        self, learning: Learning, load: Load, numerator: Vector, denominator: Vector
+    ) -> Vector:
+        """Return nothing: the discrete model of a nominal one depends on the period."""
+        return [0.0] * 0
+
+    def begin(self, state: EstimatorState, learning: Learning, load: Load) -> None:
+        """Leave P as it is."""
+
+    def fill_regressor(
+        self, state: SlowState, learning: Learning, load: Load, sample: SlowSample
+    ) -> None:
+        """Overwrite r by the past outputs and inputs."""
+        regressor = state.estimator.regressor
+        fill_direct_regressor(regressor, learning, load, state.outputs, state.inputs)
+
+    def target(self, learning: Learning, sample: SlowSample) -> float:
+        """Return y[k]."""
+        return sample.output
+
+    def take_in(
+        self,
+        state: EstimatorState,
+        learning: Learning,
+        load: Load,
+        target: float,
+        innovation: float,
+    ) -> None:
+        """Update θ and P; an abrupt change opens P where `alert` is set."""
+        if learning.alert:
+            _open_up(state, learning, innovation)
+        take_in(state, learning, target, innovation, directional=False)
+
+    def model(
+        self, settings: ControllerSettings, load: Load, state: SlowState, period_s: float
+    ) -> tuple[Vector, Vector, int]:
+        """Return A and B as estimated, and the verdict on A; the gains need no more."""
+        a, b = direct_model(state.estimator.theta, settings.learning, load)
+        _show(load, state, a, b, period_s)
+        return a, b, sup.judge_load(a)
+
+    def deviations(
+        self, state: EstimatorState, learning: Learning, load: Load, values: Vector
+    ) -> Vector:
+        """Return NaN for each physical parameter."""
+        return [math.nan] * len(values)
+
+    def input_offset(self, theta: Vector, learning: Learning, load: Load) -> float:
+        """Return the constant input with the effect of the estimated bias; NaN without one."""
+        if not learning.bias:
+            return math.nan
+        last = len(theta) - 1
+        gain = total(theta[load.order : last])
+        return theta[last] / gain * learning.input_scale if gain else math.nan
+
+
+def fill_direct_regressor(
+    regressor: Vector, learning: Learning, load: Load, outputs: Vector, inputs: Vector
+) -> None:
+    """r of direct least squares (17).
+
+    Args:
+        regressor: r, overwritten.
+        learning: Scales.
+        load: Order.
+        outputs: y[k-1] ... y[k-m].
+        inputs: u[k-1] ... u[k-n].
+    """
+    for i in range(load.order):
+        regressor[i] = -outputs[i] / learning.output_scale
+    for i in range(_input_count(regressor, learning, load)):
+        regressor[load.order + i] = inputs[i] / learning.input_scale
+    if learning.bias:
+        regressor[len(regressor) - 1] = 1.0
+
+
+def direct_model(theta: Vector, learning: Learning, load: Load) -> tuple[Vector, Vector]:
+    """Return A, B in q^-1 of a direct estimate."""
+    order = load.order
+    a = [0.0] * (order + 1)
+    inputs = _input_count(theta, learning, load)
+    b = [0.0] * (inputs + 1)
+    a[0] = 1.0
+    for i in range(order):
+        a[i + 1] = theta[i]
+    for i in range(inputs):
+        b[i + 1] = theta[order + i] * learning.output_scale / learning.input_scale
+    return a, b
+
+
+def _input_count(parameters: Vector, learning: Learning, load: Load) -> int:
+    return len(parameters) - load.order - (1 if learning.bias else 0)
+
+
+def _open_up(state: EstimatorState, learning: Learning, innovation: float) -> None:
+    """After an abrupt change of a load that is learnt directly: forget how sure θ is."""
+    squared = normalised(state.excitation, innovation, learning.forgetting)
+    if not is_surprising(state.surprise, squared):
+        return
+    rls.open_up(state.upper, state.diagonal, learning.initial_covariance)
+    state.excitation = rls.excitation(state.upper, state.diagonal, state.regressor)
+    state.residual_power = state.surprise.power * state.residual_weight
+
+
+def _show(load: Load, state: SlowState, a: Vector, b: Vector, period_s: float) -> None:
+    """Make the physical parameters that are published; NaN where the model has none."""
+    numerator, denominator = continuous_model(a, b, period_s)
+    if sup.judge_model(numerator, denominator) == sup.Verdict.TRUSTED:
+        copy_into(state.values, load.physical(numerator, denominator))
+    else:
+        copy_into(state.values, [math.nan] * len(state.values))

@@ -1,0 +1,116 @@
+"""Learning with explanations: what the λ-method does when a sample surprises it.
+
+An alarm opens a comparison of rival explanations (`rivals`); the likeliest of them is the estimate
+until one has won.
+"""
+
+from __future__ import annotations
+
+from adaptdrive.control import rivals as riv
+from adaptdrive.control.estimator import (
+    EstimatorState,
+    hold_estimate,
+    normalised,
+    remember_residual,
+    take_in,
+)
+from adaptdrive.control.hypotheses import LOAD, NOTHING
+from adaptdrive.control.load import Load
+from adaptdrive.control.settings import Learning
+from adaptdrive.control.surprise import is_surprising
+from adaptdrive.control.vectors import copy_into
+
+SETTLED_SAMPLES = 5
+"""Samples of a comparison before another alarm counts: about as many as there are parameters."""
+
+_LOUDER = 4.0
+"""Largest rise of σ² after an alarm that nothing explains, or that follows upon another."""
+
+
+def learn_and_explain(
+    state: EstimatorState, learning: Learning, load: Load, target: float, innovation: float
+) -> None:
+    """Learn a sample; one that completes the evidence for a change starts explanations of it."""
+    if state.rivals.samples > 0:
+        alarm = _explain(state, learning, load, target)
+    else:
+        squared = normalised(state.excitation, innovation, learning.forgetting)
+        alarm = is_surprising(state.surprise, squared)
+        if not alarm:
+            take_in(state, learning, target, innovation, directional=True)
+            hold_estimate(state)
+    if alarm:
+        _split(state, learning, load, target)
+    else:
+        _mark(state, target)
+
+
+def _explain(state: EstimatorState, learning: Learning, load: Load, target: float) -> bool:
+    """Compare the explanations of an alarm on one more sample; the likeliest is the estimate.
+
+    The detector goes on: what surprises an explanation that is clearly ahead, or "nothing", is the
+    next change.
+
+    Returns:
+        True when the next one has been noticed.
+    """
+    rivals = state.rivals
+    riv.follow(rivals, learning, load, state.regressor, target, state.elapsed_s)
+    best = riv.branch_of(rivals, rivals.kind)
+    squared = normalised(best.excitation, best.innovation, learning.forgetting)
+    alarm = is_surprising(state.surprise, squared) and rivals.samples > SETTLED_SAMPLES
+    alarm = alarm and (rivals.kind == NOTHING or riv.is_clear(rivals))
+    settled = not alarm and riv.is_settled(rivals, learning, load)
+    _publish(state, learning)
+    if settled:
+        _settle(state)
+    return alarm
+
+
+def _split(state: EstimatorState, learning: Learning, load: Load, target: float) -> None:
+    """Start the explanations of an alarm.
+
+    One alarm after the other, each before the last can be explained, is noise of its own.
+    """
+    if state.periods - state.alarm_period < riv.WINDOW:
+        state.surprise.power *= _LOUDER
+    state.alarm_period = state.periods
+    riv.settle(state.rivals)
+    riv.keep_sample(state.rivals, state.regressor, target, state.elapsed_s, riv.ROOM)
+    riv.split(state.rivals, learning, load, state.surprise.power)
+    _publish(state, learning)
+
+
+def _mark(state: EstimatorState, target: float) -> None:
+    """Remember from where the next change is to be explained: from the last calm sample."""
+    rivals, time_s = state.rivals, state.elapsed_s
+    suspect = state.surprise.sum > 0.0
+    if suspect and riv.keep_sample(rivals, state.regressor, target, time_s, riv.ROOM - 1):
+        return
+    riv.drop_anchor(state.rivals, state.regressor, state.elapsed_s)
+
+
+def _settle(state: EstimatorState) -> None:
+    """Keep the explanation that has won."""
+    rivals = state.rivals
+    power = riv.posterior_power(rivals)
+    if rivals.kind >= LOAD:
+        state.surprise.power = power
+    elif rivals.kind == NOTHING:
+        state.surprise.power = min(power, _LOUDER * state.surprise.power)
+    state.residual_power = state.surprise.power * state.residual_weight
+    riv.settle(rivals)
+
+
+def _publish(state: EstimatorState, learning: Learning) -> None:
+    """Make the likeliest explanation the estimate."""
+    best = riv.branch_of(state.rivals, state.rivals.kind)
+    copy_into(state.theta, best.theta)
+    copy_into(state.upper, best.upper)
+    copy_into(state.diagonal, best.diagonal)
+    state.origin_s = best.origin_s
+    state.excitation = best.excitation
+    state.innovation = best.innovation * learning.output_scale
+    state.idle_periods = 0
+    riv.copy_estimate(state.rivals.now, best)
+    remember_residual(state, learning, best.excitation, best.innovation)

@@ -1,0 +1,94 @@
+"""The λ-method (LM-RLS): recursive least squares on signals behind λ filters.
+
+θ and r are in `regression`. θ is a model in s, so that the physical parameters of the load follow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from adaptdrive.control import regression as reg
+from adaptdrive.control.estimator import EstimatorState, parameter_deviations, take_in
+from adaptdrive.control.explanation import learn_and_explain
+from adaptdrive.control.load import Load
+from adaptdrive.control.redesign import judge_physical
+from adaptdrive.control.settings import ControllerSettings, Learning
+from adaptdrive.control.slow_state import SlowSample, SlowState
+from adaptdrive.control.vectors import Vector
+
+_KNOWN = 1.0e-9
+"""Variance of an initial state that need not be estimated, over p0."""
+
+
+@dataclass(frozen=True, slots=True)
+class LambdaMethod:
+    """Least squares on λ-filtered signals (29); the functions are described in `Method`."""
+
+    @property
+    def physical(self) -> bool:
+        """True: θ is a model in s."""
+        return True
+
+    def parameter_count(self, learning: Learning, load: Load, taps: int) -> int:
+        """Return the length of θ, which does not depend on the past inputs."""
+        return reg.filtered_count(learning, load)
+
+    def theta_of(
+        self, learning: Learning, load: Load, numerator: Vector, denominator: Vector
+    ) -> Vector:
+        """Return α and β of a model in s, scaled."""
+        return reg.theta_of(learning, load, numerator, denominator)
+
+    def begin(self, state: EstimatorState, learning: Learning, load: Load) -> None:
+        """Take γ = 0 as known where the initial state is not learnt: the load is at rest."""
+        if learning.initial_state:
+            return
+        first = reg.fitted_order(learning, load) + len(load.input_powers)
+        for i in range(reg.initial_state_count(learning, load)):
+            state.diagonal[first + i] = _KNOWN * learning.initial_covariance
+
+    def fill_regressor(
+        self, state: SlowState, learning: Learning, load: Load, sample: SlowSample
+    ) -> None:
+        """Overwrite r, and r with every power of λ lowered by one for the explanations."""
+        estimator, y, u = state.estimator, sample.output_filtered, sample.input_filtered
+        elapsed_s = estimator.elapsed_s - estimator.origin_s
+        reg.fill_filtered_regressor(estimator.regressor, learning, load, y, u)
+        reg.fill_initial_state(estimator.regressor, learning, load, elapsed_s)
+        reg.fill_lowered_regressor(estimator.rivals.lowered, learning, load, sample.output, y, u)
+
+    def target(self, learning: Learning, sample: SlowSample) -> float:
+        """Return y[k], or w[k] with a known filter of the output."""
+        return reg.learning_target(learning, sample.output, sample.output_filtered)
+
+    def take_in(
+        self,
+        state: EstimatorState,
+        learning: Learning,
+        load: Load,
+        target: float,
+        innovation: float,
+    ) -> None:
+        """Update θ and P; an abrupt change is explained where `alert` is set."""
+        if learning.alert:
+            learn_and_explain(state, learning, load, target, innovation)
+        else:
+            take_in(state, learning, target, innovation, directional=False)
+
+    def model(
+        self, settings: ControllerSettings, load: Load, state: SlowState, period_s: float
+    ) -> tuple[Vector, Vector, int]:
+        """Return A and B of the estimated model in s, and the verdict on its parameters."""
+        learning, theta = settings.learning, state.estimator.theta
+        numerator, denominator = reg.filtered_model(theta, learning, load)
+        return judge_physical(settings, load, state, numerator, denominator, period_s)
+
+    def deviations(
+        self, state: EstimatorState, learning: Learning, load: Load, values: Vector
+    ) -> Vector:
+        """Return the standard deviations of the physical parameters, to first order."""
+        return parameter_deviations(state, learning, load, values)
+
+    def input_offset(self, theta: Vector, learning: Learning, load: Load) -> float:
+        """Return the constant input with the effect of the estimated bias; NaN without one."""
+        return reg.input_offset(theta, learning, load)
