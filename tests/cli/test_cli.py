@@ -16,10 +16,12 @@ from pathlib import Path
 import pytest
 
 from adaptdrive import __version__
+from adaptdrive.cli import operate
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.runtime.requests import (
+    REQUESTS,
     Disable,
     Enable,
     Request,
@@ -108,6 +110,10 @@ async def test_an_accepted_command_ends_with_0(bench: Bench, words: str, request
 async def test_manual_is_a_mode(bench: Bench) -> None:
     assert (await adaptdrive("manual", "bench", *at(bench.broker))).status == 0
     assert bench.host.asked == [SetMode(Mode.MANUAL)]
+
+
+def test_each_command_has_its_words() -> None:
+    assert all(callable(getattr(operate, verb)) for verb in REQUESTS)
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.errors import RefusedError
-from adaptdrive.operation.commands import VERBS, Payload
+from adaptdrive.operation.commands import Payload
 from adaptdrive.operation.messages import Reply, encode
-from adaptdrive.runtime.requests import Request, SetSetpoint
+from adaptdrive.runtime.requests import REQUESTS, Request, SetSetpoint
 
 scalars = st.none() | st.booleans() | st.integers() | st.floats() | st.text()
 keys = st.sampled_from(["id", "value", "expires", "shape", "low", "high", "period_s"])
@@ -24,7 +24,7 @@ documents = st.recursive(
 anything = st.binary() | documents.map(lambda document: json.dumps(document).encode())
 
 
-@given(st.sampled_from(VERBS) | st.text(), anything)
+@given(st.sampled_from(tuple(REQUESTS)) | st.text(), anything)
 def test_junk_yields_a_request_or_a_reason(verb: str, raw: bytes) -> None:
     payload = Payload(raw)
     try:
@@ -35,7 +35,7 @@ def test_junk_yields_a_request_or_a_reason(verb: str, raw: bytes) -> None:
     assert isinstance(payload.id, str)
 
 
-@given(st.sampled_from(VERBS), anything)
+@given(st.sampled_from(tuple(REQUESTS)), anything)
 def test_an_id_that_is_read_can_be_sent_back(verb: str, raw: bytes) -> None:
     payload = Payload(raw)
     if payload.id is not None:

@@ -10,6 +10,7 @@ from cyclopts import App, CycloptsError, UnknownCommandError
 
 from adaptdrive import __version__
 from adaptdrive.errors import AdaptdriveError, ConfigurationError
+from adaptdrive.runtime.requests import REQUESTS, Request
 
 FAILED = 1
 UNUSABLE = 2
@@ -27,15 +28,7 @@ _COMMANDS = {
     "identify": ("analysis", "Identify the load from a recorded session, with error bars."),
     "export": ("analysis", "Write a session as CSV, Parquet, MATLAB, MDF 4 or MCAP."),
     "status": ("operate", "Show the state and the telemetry of a drive."),
-    "setpoint": ("operate", "Hold a constant set-point."),
-    "waveform": ("operate", "Follow a periodic set-point, or stop following it."),
-    "pole": ("operate", "Choose the closed-loop pole of the load loop."),
-    "mode": ("operate", "Choose the fixed or the adaptive controller, or manual."),
     "manual": ("operate", "Hold the present V_c, to be set by hand."),
-    "voltage": ("operate", "Set V_c in mode manual."),
-    "enable": ("operate", "Energise a drive and hold the present output."),
-    "disable": ("operate", "Bring a drive into its safe state."),
-    "reset": ("operate", "Leave a trip whose cause is gone."),
 }
 
 _SESSIONS = "List, show, verify and prune recorded sessions."
@@ -88,8 +81,14 @@ def _app() -> App:
     for name, (module, purpose) in _COMMANDS.items():
         # By name, so that a command imports what it needs and no other command does.
         app.command(f"adaptdrive.cli.{module}:{name}", name=name, help=purpose)
+    for verb, request in REQUESTS.items():
+        app.command(f"adaptdrive.cli.operate:{verb}", name=verb, help=_first_line(request))
     app.command("adaptdrive.cli.sessions:app", name="sessions", help=_SESSIONS)
     return app
+
+
+def _first_line(request: type[Request]) -> str:
+    return (request.__doc__ or "").partition("\n")[0]
 
 
 def _complain(text: str, status: int) -> int:

@@ -10,26 +10,15 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable
+from dataclasses import MISSING, fields
 from datetime import datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_type_hints
 
 import msgspec
 
-from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.errors import RefusedError
-from adaptdrive.runtime.requests import (
-    Disable,
-    Enable,
-    Request,
-    Reset,
-    SetMode,
-    SetPole,
-    SetSetpoint,
-    SetVoltage,
-    SetWaveform,
-)
+from adaptdrive.runtime.requests import REQUESTS, Disable, Request
 
 LONGEST_PAYLOAD = 8192
 LONGEST_ID = 128
@@ -45,12 +34,8 @@ class _Envelope(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     user: Annotated[str, msgspec.Meta(max_length=LONGEST_USER)] | None = None
 
 
-class _Number(_Envelope, frozen=True):
-    value: float
-
-
-class _ModeName(_Envelope, frozen=True):
-    value: Mode
+class _Plain(_Envelope, frozen=True):
+    value: None = None
 
 
 class _Waveform(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -60,35 +45,8 @@ class _Waveform(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     period_s: float
 
 
-class _WaveformOrOff(_Envelope, frozen=True):
-    value: _Waveform | Literal["off"] | None
-
-
-class _Voltage(_Envelope, frozen=True):
-    value: float
-    hold_s: float | None = None
-
-
-class _Plain(_Envelope, frozen=True):
-    value: None = None
-
-
-_Form = _Number | _ModeName | _WaveformOrOff | _Voltage | _Plain
-
-_VERBS: dict[str, tuple[type[_Form], Callable[[Any], Request]]] = {
-    "setpoint": (_Number, lambda form: SetSetpoint(_finite("value", form.value))),
-    "waveform": (_WaveformOrOff, lambda form: SetWaveform(_waveform(form.value))),
-    "mode": (_ModeName, lambda form: SetMode(form.value)),
-    "voltage": (_Voltage, lambda form: _voltage(form)),  # noqa: PLW0108 - defined below
-    "enable": (_Plain, lambda _: Enable()),
-    "disable": (_Plain, lambda _: Disable()),
-    "reset": (_Plain, lambda _: Reset()),
-    "pole": (_Number, lambda form: SetPole(_finite("value", form.value))),
-}
-"""Shape of the payload of each verb, and the request that a filled one makes."""
-
-VERBS = tuple(_VERBS)
-STOP = "disable"
+VERBS = tuple(REQUESTS)
+STOP = Disable.verb
 """The verb that is carried out at its arrival, whatever its payload says."""
 
 
@@ -132,18 +90,18 @@ class Payload:
         Raises:
             RefusedError: The payload is malformed, or the verb is not known.
         """
-        if verb not in _VERBS:
-            raise RefusedError(f"unknown verb {verb!r}; known are {', '.join(VERBS)}")
+        if verb not in REQUESTS:
+            raise RefusedError(f"unknown verb {verb!r}; known are {', '.join(REQUESTS)}")
         if self._flaw:
             raise RefusedError(self._flaw)
-        form, make = _VERBS[verb]
+        kind = REQUESTS[verb]
         try:
-            filled = msgspec.convert(self._document, form)
+            filled: Any = msgspec.convert(self._document, _FORMS[verb])
         except msgspec.ValidationError as problem:
             raise RefusedError(str(problem).replace("`$.", "`")) from problem
         except UnicodeError as problem:
             raise RefusedError("text with a lone surrogate") from problem
-        return make(filled), filled.expires
+        return _filled(kind, filled), filled.expires
 
 
 def _read(raw: bytes) -> object:
@@ -180,20 +138,31 @@ def _can_be_sent(found: str | int) -> bool:
     return not _SURROGATE.search(found)
 
 
-def _waveform(form: _Waveform | Literal["off"] | None) -> Waveform | None:
-    if not isinstance(form, _Waveform):
-        return None
-    return Waveform(
-        shape=form.shape,
-        low=_finite("value.low", form.low),
-        high=_finite("value.high", form.high),
-        period_s=_finite("value.period_s", form.period_s),
-    )
+def _form(kind: type[Request]) -> type[msgspec.Struct]:
+    """Return the shape of the payload of a request: the envelope and its fields."""
+    hints = get_type_hints(kind)
+    members = [
+        (
+            one.name,
+            _AS_SENT.get(hints[one.name], hints[one.name]),
+            msgspec.NODEFAULT if one.default is MISSING else one.default,
+        )
+        for one in fields(kind)
+    ]
+    return msgspec.defstruct(kind.verb, members, bases=(_Plain,), frozen=True, kw_only=True)
 
 
-def _voltage(form: _Voltage) -> SetVoltage:
-    hold_s = None if form.hold_s is None else _finite("hold_s", form.hold_s)
-    return SetVoltage(_finite("value", form.value), hold_s)
+def _filled(kind: type[Request], form: msgspec.Struct) -> Request:
+    return kind(**{one.name: _value(one.name, getattr(form, one.name)) for one in fields(kind)})
+
+
+def _value(place: str, sent: Any) -> Any:  # noqa: ANN401 - as the request declares it
+    if isinstance(sent, float):
+        return _finite(place, sent)
+    if isinstance(sent, _Waveform):
+        levels = {name: _finite(f"{place}.{name}", getattr(sent, name)) for name in _LEVELS}
+        return Waveform(shape=sent.shape, **levels)
+    return None if sent == _OFF else sent
 
 
 def _finite(place: str, value: float) -> float:
@@ -202,6 +171,14 @@ def _finite(place: str, value: float) -> float:
     return value
 
 
-def payload_type(verb: str) -> type[_Form]:
+def payload_type(verb: str) -> type[msgspec.Struct]:
     """Return the shape of the payload of a verb."""
-    return _VERBS[verb][0]
+    return _FORMS[verb]
+
+
+_OFF = "off"
+_LEVELS = ("low", "high", "period_s")
+_AS_SENT: dict[object, object] = {Waveform | None: _Waveform | Literal["off"] | None}
+"""Shapes of fields in the payload, where they differ from those of the request."""
+
+_FORMS: dict[str, type[msgspec.Struct]] = {verb: _form(kind) for verb, kind in REQUESTS.items()}

@@ -15,17 +15,7 @@ from adaptdrive.control.waveform import Waveform
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.manual import ManualVoltage
 from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import (
-    Disable,
-    Enable,
-    Request,
-    Reset,
-    SetMode,
-    SetPole,
-    SetSetpoint,
-    SetVoltage,
-    SetWaveform,
-)
+from adaptdrive.runtime.requests import Moment, Request
 
 _LONGEST_HOLD_S = 86_400.0
 
@@ -136,23 +126,150 @@ class Machine:
         Raises:
             RefusedError: It cannot be done; nothing was changed.
         """
-        match request:
-            case SetSetpoint(value):
-                self._set_setpoint(value)
-            case SetWaveform(value):
-                self._set_waveform(value, tick)
-            case SetMode(value):
-                self._set_mode(value, tick, output, voltage_V)
-            case SetVoltage(value, hold_s):
-                self._set_voltage(value, hold_s, tick)
-            case SetPole(value):
-                self._set_pole(value)
-            case Enable():
-                self._enable(output, cause, tick)
-            case Disable():
-                self._disable()
-            case Reset():
-                self._reset(cause)
+        request.apply(self, Moment(tick, output, cause, voltage_V))
+
+    def set_mode(self, mode: Mode, tick: int, output: float, voltage_V: float) -> None:
+        """Change the mode without a bump: V_c stays into manual, the output stays out of it.
+
+        Args:
+            mode: Controller asked for, or manual.
+            tick: Present tick.
+            output: Present output, NaN while unknown.
+            voltage_V: V_c in force, NaN while unknown.
+        """
+        if mode is self.mode:
+            return
+        if Mode.MANUAL in (mode, self.mode):
+            self.waveform = None
+        if mode is Mode.MANUAL:
+            self.manual = self._held(voltage_V, tick)
+        elif self.mode is Mode.MANUAL and self.energised:
+            self.setpoint = self._nearest_reference(output)
+        self.mode = mode
+
+    def set_voltage(self, value: float, hold_s: float | None, tick: int) -> None:
+        """Set V_c in mode manual.
+
+        Args:
+            value: V_c in V.
+            hold_s: Longest time until the next one in s, None without a limit.
+            tick: Present tick.
+
+        Raises:
+            RefusedError: The drive does not run in mode manual, or a value is out of range.
+        """
+        limits = self._limits
+        if self.mode is not Mode.MANUAL:
+            raise RefusedError(f"voltage needs mode manual; mode is {self.mode}")
+        if self.state is not State.RUNNING:
+            raise RefusedError(f"voltage needs a running drive; state is {self.state}")
+        if not limits.floor_V <= value <= limits.ceiling_V:
+            raise RefusedError(
+                f"voltage = {value:g} V is outside {limits.floor_V:g}…{limits.ceiling_V:g} V"
+            )
+        if hold_s is not None and not 0.0 < hold_s <= _LONGEST_HOLD_S:
+            raise RefusedError(
+                f"hold_s = {hold_s:g} s is not above 0 s and at most {_LONGEST_HOLD_S:g} s"
+            )
+        self.manual = replace(
+            self.manual,
+            start_V=self.manual.value(tick),
+            target_V=value,
+            since_tick=tick,
+            hold_s=hold_s,
+            hold_ticks=0 if hold_s is None else math.ceil(hold_s / limits.tick_s),
+        )
+
+    def set_setpoint(self, value: float) -> None:
+        """Hold a constant set-point; stop a waveform.
+
+        Raises:
+            RefusedError: No controller runs, or the value is out of range.
+        """
+        self._require_loop("setpoint")
+        self._require_reference("setpoint", value)
+        self.setpoint = value
+        self.waveform = None
+
+    def set_waveform(self, waveform: Waveform | None, tick: int) -> None:
+        """Follow a waveform from a tick on; None holds the present set-point.
+
+        Raises:
+            RefusedError: No controller runs, or a level or the period is out of range.
+        """
+        self._require_loop("waveform")
+        if waveform is None:
+            self.setpoint = self.reference(tick)
+        else:
+            self._require_reference("waveform low", waveform.low)
+            self._require_reference("waveform high", waveform.high)
+            if not waveform.period_s >= self._limits.period_min_s:
+                raise RefusedError(
+                    f"waveform period_s = {waveform.period_s:g} is below "
+                    f"{self._limits.period_min_s:g}"
+                )
+            self._waveform_tick = tick
+        self.waveform = waveform
+
+    def set_pole(self, value: float) -> None:
+        """Choose the closed-loop pole.
+
+        Raises:
+            RefusedError: The value is out of range.
+        """
+        limits = self._limits
+        if not limits.pole_min <= value <= limits.pole_max:
+            raise RefusedError(
+                f"pole = {value:g} is outside {limits.pole_min:g}…{limits.pole_max:g}"
+            )
+        self.pole = value
+
+    def enable(self, output: float, cause: str | None, tick: int) -> None:
+        """Start the drive, with the present output as set-point; no effect while it is energised.
+
+        Args:
+            output: Present output, NaN while unknown.
+            cause: Interlock that is active now, None for none.
+            tick: Present tick.
+
+        Raises:
+            RefusedError: The drive is tripped or has not stopped, or an interlock is active.
+        """
+        if self.state is State.TRIPPED:
+            raise RefusedError(f"tripped ({self.trip}); reset first")
+        if self.energised:
+            return
+        if self.state is State.STOPPING:
+            raise RefusedError("the drive has not confirmed its stop; enable it in standby")
+        if cause is not None:
+            raise RefusedError(cause)
+        self.setpoint = self._nearest_reference(output)
+        self.waveform = None
+        self.manual = self._held(self._limits.floor_V, tick)
+        self.state, self.stopped = State.STARTING, False
+        self._precharging = False
+
+    def disable(self) -> None:
+        """Stop the drive, in every state."""
+        self.waveform = None
+        if self.energised:
+            self.state = State.STOPPING
+
+    def reset(self, cause: str | None) -> None:
+        """Leave a trip; no effect in other states.
+
+        Args:
+            cause: Interlock that is active now, None for none.
+
+        Raises:
+            RefusedError: The cause is still there.
+        """
+        if self.state is not State.TRIPPED:
+            return
+        if cause is not None:
+            raise RefusedError(f"cause is still there: {cause}")
+        self.trip = None
+        self.state = State.STANDBY if self.stopped else State.STOPPING
 
     def advance(self, tick: int, boost_voltage_V: float) -> None:
         """Move from `starting` to `running` at the floor of the boost voltage, and watch the hand.
@@ -196,98 +313,6 @@ class Machine:
         limits = self._limits
         held_V = min(max(limits.floor_V, voltage_V), limits.ceiling_V)
         return ManualVoltage(held_V, held_V, tick, limits.slew_V_per_s * limits.tick_s)
-
-    def _set_mode(self, mode: Mode, tick: int, output: float, voltage_V: float) -> None:
-        """Change the mode without a bump: V_c stays into manual, the output stays out of it."""
-        if mode is self.mode:
-            return
-        if Mode.MANUAL in (mode, self.mode):
-            self.waveform = None
-        if mode is Mode.MANUAL:
-            self.manual = self._held(voltage_V, tick)
-        elif self.mode is Mode.MANUAL and self.energised:
-            self.setpoint = self._nearest_reference(output)
-        self.mode = mode
-
-    def _set_voltage(self, value: float, hold_s: float | None, tick: int) -> None:
-        limits = self._limits
-        if self.mode is not Mode.MANUAL:
-            raise RefusedError(f"voltage needs mode manual; mode is {self.mode}")
-        if self.state is not State.RUNNING:
-            raise RefusedError(f"voltage needs a running drive; state is {self.state}")
-        if not limits.floor_V <= value <= limits.ceiling_V:
-            raise RefusedError(
-                f"voltage = {value:g} V is outside {limits.floor_V:g}…{limits.ceiling_V:g} V"
-            )
-        if hold_s is not None and not 0.0 < hold_s <= _LONGEST_HOLD_S:
-            raise RefusedError(
-                f"hold_s = {hold_s:g} s is not above 0 s and at most {_LONGEST_HOLD_S:g} s"
-            )
-        self.manual = replace(
-            self.manual,
-            start_V=self.manual.value(tick),
-            target_V=value,
-            since_tick=tick,
-            hold_s=hold_s,
-            hold_ticks=0 if hold_s is None else math.ceil(hold_s / limits.tick_s),
-        )
-
-    def _set_setpoint(self, value: float) -> None:
-        self._require_loop("setpoint")
-        self._require_reference("setpoint", value)
-        self.setpoint = value
-        self.waveform = None
-
-    def _set_waveform(self, waveform: Waveform | None, tick: int) -> None:
-        self._require_loop("waveform")
-        if waveform is None:
-            self.setpoint = self.reference(tick)
-        else:
-            self._require_reference("waveform low", waveform.low)
-            self._require_reference("waveform high", waveform.high)
-            if not waveform.period_s >= self._limits.period_min_s:
-                raise RefusedError(
-                    f"waveform period_s = {waveform.period_s:g} is below "
-                    f"{self._limits.period_min_s:g}"
-                )
-            self._waveform_tick = tick
-        self.waveform = waveform
-
-    def _set_pole(self, value: float) -> None:
-        limits = self._limits
-        if not limits.pole_min <= value <= limits.pole_max:
-            raise RefusedError(
-                f"pole = {value:g} is outside {limits.pole_min:g}…{limits.pole_max:g}"
-            )
-        self.pole = value
-
-    def _enable(self, output: float, cause: str | None, tick: int) -> None:
-        if self.state is State.TRIPPED:
-            raise RefusedError(f"tripped ({self.trip}); reset first")
-        if self.energised:
-            return
-        if self.state is State.STOPPING:
-            raise RefusedError("the drive has not confirmed its stop; enable it in standby")
-        if cause is not None:
-            raise RefusedError(cause)
-        self.setpoint = self._nearest_reference(output)
-        self.waveform = None
-        self.manual = self._held(self._limits.floor_V, tick)
-        self.state, self.stopped = State.STARTING, False
-        self._precharging = False
-
-    def _disable(self) -> None:
-        self.waveform = None
-        if self.energised:
-            self.state = State.STOPPING
-
-    def _reset(self, cause: str | None) -> None:
-        if self.state is not State.TRIPPED:
-            return
-        if cause is not None:
-            raise RefusedError(f"cause is still there: {cause}")
-        self.trip = None
-        self.state = State.STANDBY if self.stopped else State.STOPPING
 
     def _nearest_reference(self, output: float) -> float:
         return min(max(output, self._limits.reference_min), self._limits.reference_max)

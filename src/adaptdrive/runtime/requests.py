@@ -1,72 +1,175 @@
-"""Requests of an operator to a running drive, and their execution."""
+"""Requests of an operator to a running drive: the registry of all commands.
+
+A request is one class: its verb in the topic, its fields as they stand in the payload, and what it
+does to the state machine. `REQUESTS` lists them; messages and command line are made from that list.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, ClassVar, Protocol
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Waveform
 from adaptdrive.runtime.reports import State
 
-
-@dataclass(frozen=True, slots=True)
-class SetSetpoint:
-    """Hold a constant set-point, in the unit of the output; stops a waveform."""
-
-    value: float
+if TYPE_CHECKING:
+    from adaptdrive.runtime.machine import Machine
 
 
 @dataclass(frozen=True, slots=True)
-class SetWaveform:
-    """Follow a waveform from now on; None holds the present set-point."""
-
-    value: Waveform | None
-
-
-@dataclass(frozen=True, slots=True)
-class SetMode:
-    """Choose the fixed or the adaptive controller, or set V_c by hand."""
-
-    value: Mode
-
-
-@dataclass(frozen=True, slots=True)
-class SetVoltage:
-    """Set V_c, in mode manual.
+class Moment:
+    """Present values that a request may depend on.
 
     Attributes:
-        value: V_c in volts.
-        hold_s: Longest time until the next one; then the drive trips. None without a limit.
+        tick: Number of the present tick.
+        output: Present output, NaN while unknown.
+        cause: Interlock that is active now, None for none.
+        voltage_V: V_c in force, NaN while unknown.
     """
 
+    tick: int
+    output: float
+    cause: str | None
+    voltage_V: float
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """An operator's request; the first line of its description is that of the command.
+
+    Attributes:
+        verb: Last part of the topic, and name on the command line.
+    """
+
+    verb: ClassVar[str]
+
+    def apply(self, machine: Machine, now: Moment) -> None:
+        """Carry the request out.
+
+        Args:
+            machine: Overwritten.
+            now: Present values.
+
+        Raises:
+            RefusedError: It cannot be carried out; nothing was changed.
+        """
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True)
+class SetSetpoint(Request):
+    """Hold a constant set-point, in the unit of the output; stops a waveform."""
+
+    verb = "setpoint"
+    value: float
+
+    def apply(self, machine: Machine, _: Moment) -> None:
+        """Set the set-point."""
+        machine.set_setpoint(self.value)
+
+
+@dataclass(frozen=True, slots=True)
+class SetWaveform(Request):
+    """Follow a periodic set-point, or hold the present one (None)."""
+
+    verb = "waveform"
+    value: Waveform | None
+
+    def apply(self, machine: Machine, now: Moment) -> None:
+        """Start or stop the waveform."""
+        machine.set_waveform(self.value, now.tick)
+
+
+@dataclass(frozen=True, slots=True)
+class SetMode(Request):
+    """Choose the fixed or the adaptive controller, or manual."""
+
+    verb = "mode"
+    value: Mode
+
+    def apply(self, machine: Machine, now: Moment) -> None:
+        """Set the mode."""
+        machine.set_mode(self.value, now.tick, now.output, now.voltage_V)
+
+
+@dataclass(frozen=True, slots=True)
+class SetVoltage(Request):
+    """Set V_c in mode manual.
+
+    Attributes:
+        value: V_c in V.
+        hold_s: Longest time until the next one in s; then the drive trips. None without a limit.
+    """
+
+    verb = "voltage"
     value: float
     hold_s: float | None = None
 
+    def apply(self, machine: Machine, now: Moment) -> None:
+        """Set V_c."""
+        machine.set_voltage(self.value, self.hold_s, now.tick)
+
 
 @dataclass(frozen=True, slots=True)
-class SetPole:
+class SetPole(Request):
     """Choose the closed-loop pole of the load loop."""
 
+    verb = "pole"
     value: float
 
-
-@dataclass(frozen=True, slots=True)
-class Enable:
-    """Energise the drive and hold the present output."""
-
-
-@dataclass(frozen=True, slots=True)
-class Disable:
-    """Bring the drive into its safe state."""
+    def apply(self, machine: Machine, _: Moment) -> None:
+        """Set the pole."""
+        machine.set_pole(self.value)
 
 
 @dataclass(frozen=True, slots=True)
-class Reset:
+class Enable(Request):
+    """Energise a drive and hold the present output."""
+
+    verb = "enable"
+
+    def apply(self, machine: Machine, now: Moment) -> None:
+        """Start the drive."""
+        machine.enable(now.output, now.cause, now.tick)
+
+
+@dataclass(frozen=True, slots=True)
+class Disable(Request):
+    """Bring a drive into its safe state."""
+
+    verb = "disable"
+
+    def apply(self, machine: Machine, _: Moment) -> None:
+        """Stop the drive."""
+        machine.disable()
+
+
+@dataclass(frozen=True, slots=True)
+class Reset(Request):
     """Leave a trip whose cause is gone."""
 
+    verb = "reset"
 
-Request = SetSetpoint | SetWaveform | SetMode | SetVoltage | SetPole | Enable | Disable | Reset
+    def apply(self, machine: Machine, now: Moment) -> None:
+        """Reset the trip."""
+        machine.reset(now.cause)
+
+
+REQUESTS: dict[str, type[Request]] = {
+    request.verb: request
+    for request in (
+        SetSetpoint,
+        SetWaveform,
+        SetPole,
+        SetMode,
+        SetVoltage,
+        Enable,
+        Disable,
+        Reset,
+    )
+}
+"""All requests by verb, in the order of the command line's help."""
 
 
 class Host(Protocol):
