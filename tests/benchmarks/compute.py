@@ -292,7 +292,7 @@ def _frames() -> Iterator[Row]:
         wall_clock=time.time,
         source=source,
     )
-    port._listener, port._bus = listener, bus
+    port._connection.listener, port._connection.bus = listener, bus
     pairs = status_frames(8000)
     decode = _times_of_pairs(port.take, listener, pairs[:3000])
     command = Command(0.0512, 301.25, True)

@@ -69,7 +69,8 @@ def test_the_charger_of_the_page_is_valid_and_mapped(tmp_path: Path) -> None:
     document["interlocks"]["stale_s"] = 0.25
     port = build_port(Configuration.model_validate(document), time.monotonic, "page")
     assert isinstance(port, CanPort)
-    slack_s = {source.quantity: source.slack_s for source in port._sources}
+    sources = [source for status in port._mapping.statuses for source in status.sources]
+    slack_s = {source.quantity: source.slack_s for source in sources}
     assert slack_s["output"] == pytest.approx(0.0)  # 2.5 cycles of 100 ms
     assert slack_s["fault"] == 0.0  # no cycle time is known
     frames = [order.encode(RUN) for order in port._mapping.orders]

@@ -429,8 +429,8 @@ async def test_a_bus_closed_under_the_reader_is_reported_and_opened_again(
     async with running(port, ear):
         drive.send_both()
         await ear.hears(1)
-        assert port._bus is not None
-        port._bus.shutdown()
+        assert port._connection.bus is not None
+        port._connection.bus.shutdown()
         assert not port.send(COMMAND)
         await until(lambda: len(ear.bus) == 2)
         assert [up for up, _ in ear.bus] == [False, True]
@@ -469,9 +469,9 @@ async def test_a_bus_that_stays_away_is_reported_once(
         raise BusError("bench", "unplugged")
 
     async with running(port, ear):
-        monkeypatch.setattr("adaptdrive.hardware.dbc.port.open_bus", refuse)
-        assert port._bus is not None
-        port._bus.shutdown()
+        monkeypatch.setattr("adaptdrive.hardware.link.connection.open_bus", refuse)
+        assert port._connection.bus is not None
+        port._connection.bus.shutdown()
         await until(lambda: attempts >= 3)
         assert [up for up, _ in ear.bus] == [False]
         monkeypatch.undo()

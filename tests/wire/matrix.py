@@ -160,7 +160,7 @@ def bus_off(wire: Wire, _: Rig) -> None:
 
 def closed(wire: Wire, rig: Rig) -> None:
     """The interface goes away under the daemon."""
-    bus = cast("CanPort", rig.port)._bus
+    bus = cast("CanPort", rig.port)._connection.bus
     assert bus is not None
     pulled(wire, rig)
     bus.shutdown()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 _FIRST_S = 0.1
 """An interface or a server that is restarted is soon back."""
 
@@ -10,16 +12,22 @@ _LONGEST_S = 2.0
 
 
 class BusBackoff:
-    """Waits that double, until the bus has been of use."""
+    """Delays that double until the bus has carried something."""
 
-    def __init__(self) -> None:
-        self._wait_s = _FIRST_S
+    def __init__(self, heard: Callable[[], int]) -> None:
+        """Start with the shortest delay.
+
+        Args:
+            heard: Returns the number of frames or replies since the port was built.
+        """
+        self._heard = heard
+        self._before = heard()
+        self._delay_s = _FIRST_S
 
     def next_s(self) -> float:
-        """The wait before the next attempt."""
-        wait_s, self._wait_s = self._wait_s, min(2.0 * self._wait_s, _LONGEST_S)
-        return wait_s
-
-    def reset(self) -> None:
-        """The bus has carried something."""
-        self._wait_s = _FIRST_S
+        """Return the delay before the next attempt, in s; the shortest if anything was heard."""
+        heard = self._heard()
+        if heard > self._before:
+            self._before, self._delay_s = heard, _FIRST_S
+        delay_s, self._delay_s = self._delay_s, min(2.0 * self._delay_s, _LONGEST_S)
+        return delay_s

@@ -30,7 +30,7 @@ def ready_port() -> tuple[CanOpenPort, Ear]:
     configuration = parse({"bus/interface": "virtual"})
     port = build_canopen_port(bus_of(configuration), configuration.signals, HALF_CYCLE_S, Clock())
     ear = Ear()
-    port._listener = ear
+    port._connection.listener = ear
     port._master.ready = True
     return port, ear
 
@@ -41,7 +41,7 @@ def test_no_frame_ends_the_port_or_becomes_a_value_out_of_range(story: list[can.
     for frame in story:
         port.take(frame)
         port.catch_up()
-        port._hand_out()
+        port.hand_out()
         port.send(RUN)
     for reading in ear.readings:
         assert math.isfinite(reading.output)
@@ -66,6 +66,6 @@ def test_a_reading_never_mixes_two_syncs(story: list[int]) -> None:
             0x285: number.to_bytes(4, "little") + bytes(4),
         }[can_id]
         port.take(can.Message(arbitration_id=can_id, is_extended_id=False, data=data))
-        port._hand_out()
+        port.hand_out()
     for reading in ear.readings:
         assert reading.boost_voltage_V == reading.load_power_W

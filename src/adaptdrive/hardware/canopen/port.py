@@ -24,31 +24,28 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.canopen.assembly import Assembly
 from adaptdrive.hardware.canopen.dictionary import label
 from adaptdrive.hardware.canopen.health import Health
-from adaptdrive.hardware.canopen.mapping import CanOpenMapping, CommandPdo, StatusPdo, map_drive
+from adaptdrive.hardware.canopen.mapping import CanOpenMapping, StatusPdo, map_drive
 from adaptdrive.hardware.canopen.master import Master, NodeState
-from adaptdrive.hardware.canopen.profile import CONTROLWORD, STATUSWORD, DriveControl, DriveState
+from adaptdrive.hardware.canopen.orders import ForeignCommands, command_frames
+from adaptdrive.hardware.canopen.profile import STATUSWORD, DriveControl, DriveState
 from adaptdrive.hardware.canopen.sdo import describe_node
 from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
 from adaptdrive.hardware.canopen.sync import SyncProducer
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
-from adaptdrive.hardware.link.bus import describe_bus, open_bus
+from adaptdrive.hardware.link.bus import describe_bus
+from adaptdrive.hardware.link.connection import CanConnection
 from adaptdrive.hardware.link.integrity import FrameVerdict
-from adaptdrive.hardware.link.reader import FrameReader
-from adaptdrive.hardware.link.reconnect import serve_for_ever
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 from adaptdrive.hardware.rival import Rival
 
-_STATUSWORD, _CONTROLWORD = label(STATUSWORD), label(CONTROLWORD)
+_STATUSWORD = label(STATUSWORD)
 
 _FAULT_RESET_S = 1.0
 """Longest wait for a drive to leave its fault."""
 
 _LOOK_S = 0.005
-
-_SDO_WRITES = frozenset({0, 1, 6})
-"""Client command specifiers: download of a segment, start of a download, block download."""
 
 
 def build_canopen_port(  # noqa: PLR0913 - what the configuration says, and the clock
@@ -101,6 +98,7 @@ class CanOpenPort:
         self._clock = clock
         self._arrivals = ArrivalClock(clock, wall_clock)
         self._counts: Counter[str] = Counter()
+        self._connection = CanConnection(config, self, self._arrivals, self._counts)
         self._control = DriveControl()
         self._assembly = Assembly(mapping.statuses)
         self._master = Master(config, mapping, half_cycle_s, self._put, clock)
@@ -110,13 +108,10 @@ class CanOpenPort:
         self._faults = FaultLatch()
         self._safe_s = math.inf
         self._been_up = False
-        self._bus: can.BusABC | None = None
-        self._reader: FrameReader | None = None
         self._newest: Reading | None = None
-        self._listener: Listener | None = None
         self._takers = self._make_takers()
-        self._commands = self._command_ids()
         self._rival = Rival(clock)
+        self._foreign = ForeignCommands(mapping, config.node_id, self._rival)
 
     @property
     def description(self) -> str:
@@ -138,7 +133,7 @@ class CanOpenPort:
         """Reason not to energise the drive, None for no reason."""
         if (seen := self._rival.complaint or self._faults.complaint) is not None:
             return seen
-        if self._bus is None and self._control.fallen is None:
+        if self._connection.bus is None and self._control.fallen is None:
             return None  # without a bus there are no readings, and that says enough
         problem = self._health.problem
         return None if problem is None else f"{describe_node(self._config)}: {problem}"
@@ -165,15 +160,8 @@ class CanOpenPort:
         Raises:
             BusError: The bus cannot be opened at the first attempt.
         """
-        self._listener = listener
-        await serve_for_ever(
-            self._open,
-            self._serve,
-            opened,
-            lost=self._announce_loss,
-            returned=self._announce_return,
-            heard=lambda: self._counts["received"],
-        )
+        ids = [*self._takers, *self._foreign.names]
+        await self._connection.run(ids, self._serve, listener, opened)
 
     def send(self, command: Command) -> bool:
         """Send one command now, and the daemon's heartbeat when it is due.
@@ -188,10 +176,7 @@ class CanOpenPort:
             ValueError: A value is not finite, or its object cannot hold it; nothing is sent.
         """
         word = self._control.controlword(command)
-        frames = [
-            (order.codec.frame_id, order.codec.encode(_values(order, command, word)))
-            for order in self._mapping.orders
-        ]
+        frames = list(command_frames(self._mapping, command, word))
         self._beat()
         if command != SAFE_COMMAND:
             self._safe_s = math.inf
@@ -207,8 +192,7 @@ class CanOpenPort:
 
     def catch_up(self) -> None:
         """Process the frames that have arrived, but were not read yet."""
-        if self._reader is not None:
-            self._reader.drain()
+        self._connection.catch_up()
 
     def rehearse(self) -> None:
         """Not worth it: what a PDO costs is little beside what a tick does."""
@@ -249,9 +233,8 @@ class CanOpenPort:
             taker(frame)
             return
         self._counts["foreign"] += 1
-        if not odd and self._is_command(frame):
+        if not odd and self._foreign.hear(frame):
             self._counts["foreign_commands"] += 1
-            self._rival.hear(self._commands[frame.arbitration_id])
 
     def take_garbage(self) -> None:
         """Count something on the bus that is no frame."""
@@ -271,23 +254,6 @@ class CanOpenPort:
         for status in self._mapping.statuses:
             takers[status.codec.frame_id] = functools.partial(self._take_pdo, status)
         return takers
-
-    def _command_ids(self) -> dict[int, str]:
-        """Frames that command the drive, and their names; no bus returns what this port sends."""
-        node = self._config.node_id
-        names = {order.codec.frame_id: order.codec.name for order in self._mapping.orders}
-        names[0x600 + node] = "SDO write"
-        return {can_id: f"0x{can_id:03X} ({name})" for can_id, name in names.items()}
-
-    def _is_command(self, frame: can.Message) -> bool:
-        """Return whether a foreign frame commands this drive: to read its objects does not.
-
-        Nor does NMT: a node that it stops or restarts says so itself.
-        """
-        can_id, data = frame.arbitration_id, frame.data
-        if can_id == 0x600 + self._config.node_id:
-            return bool(data) and data[0] >> 5 in _SDO_WRITES
-        return can_id in self._commands
 
     def _take_sync(self, frame: can.Message) -> None:
         self._assembly.begin(self._clock() - self._arrivals.waited_s(frame))
@@ -328,14 +294,14 @@ class CanOpenPort:
             faults = self._faults.word
             self._newest = self._assembly.reading(arrival_s, bridge=bridge, fault=faults)
             if frame.timestamp and waited_s < PROMPT_S:
-                self._hand_out()
+                self.hand_out()
 
-    def _hand_out(self) -> None:
-        """No more frames wait."""
+    def hand_out(self) -> None:
+        """Pass the newest reading on: no more frames wait."""
         reading, self._newest = self._newest, None
-        if reading is not None and self._listener is not None:
+        if reading is not None and (listener := self._connection.listener) is not None:
             self._faults.clear(reading.fault)
-            self._listener.on_reading(reading)
+            listener.on_reading(reading)
 
     def _send_sync(self) -> None:
         self.catch_up()  # what waits belongs to the SYNC before
@@ -352,29 +318,15 @@ class CanOpenPort:
 
     def _put(self, can_id: int, data: bytes) -> bool:
         frame = can.Message(arbitration_id=can_id, is_extended_id=False, data=data)
-        try:
-            if self._bus is None:
-                raise can.CanOperationError("not connected")
-            self._bus.send(frame, timeout=0.0)
-        except (can.CanError, OSError, ValueError):
-            self._counts["send_drops"] += 1
-            return False
-        self._counts["sent"] += 1
-        return True
+        return self._connection.send(frame)
 
-    def _open(self) -> can.BusABC:
-        self._arrivals.begin_drain()
-        self._arrivals.end_drain()
-        return open_bus(self._config, [*self._takers, *self._commands])
-
-    async def _serve(self, bus: can.BusABC, announce: Callable[[], None]) -> str:
-        """Use an open bus until it is lost, and close it; why it was lost."""
-        self._bus = bus
+    async def _serve(self, announce: Callable[[], None]) -> str:
+        """Use the open bus until it is lost; return the reason."""
         if self._config.sync == "daemon":
             self._sync.start()
         try:
             announce()
-            return await self._read_and_watch(bus)
+            return await self._read_and_watch()
         except Exception:
             self.send(SAFE_COMMAND)  # the last frame, whatever has gone wrong
             raise
@@ -382,26 +334,22 @@ class CanOpenPort:
             self._sync.stop()
             self._master.leave("bus lost")
             self._on_node(up=False, detail="bus lost")
-            self._bus = self._reader = None
-            bus.shutdown()
 
-    async def _read_and_watch(self, bus: can.BusABC) -> str:
+    async def _read_and_watch(self) -> str:
         """Read the bus and keep the node set up; return the reason of a lost bus."""
         async with asyncio.TaskGroup() as tasks:
-            watch = tasks.create_task(self._master.run(self._tell), name="node")
-            self._reader = FrameReader(bus, self, self._arrivals, self._hand_out)
-            problem = await self._reader.run()
+            watch = tasks.create_task(self._master.run(self._report_node), name="node")
+            problem = await self._connection.read()
             watch.cancel()
         return problem
 
-    def _tell(self, *, up: bool, detail: str) -> None:
-        """The node is ready, or is lost."""
+    def _report_node(self, *, up: bool, detail: str) -> None:
+        """Report that the node is ready, or is lost."""
         if up:
             self._counts["reconnects"] += self._been_up
             self._been_up = True
         self._on_node(up=up, detail=detail)
-        if self._listener is not None:
-            self._listener.on_bus(up=up, detail=f"{self.description}: {detail}")
+        self._connection.report(up=up, detail=detail)
 
     def _on_node(self, *, up: bool, detail: str) -> None:
         """Nothing that was heard before is used after it."""
@@ -411,23 +359,3 @@ class CanOpenPort:
         self._control.forget()
         self._assembly.forget()
         self._newest = None
-
-    def _announce_loss(self, problem: str) -> None:
-        if self._listener is not None:
-            self._listener.on_bus(up=False, detail=f"{self.description}: {problem}")
-
-    def _announce_return(self) -> None:
-        self._counts["reconnects"] += 1
-        if self._listener is not None:
-            self._listener.on_bus(up=True, detail=self.description)
-
-
-def _values(order: CommandPdo, command: Command, word: int) -> dict[str, float | None]:
-    """Return the values of a PDO: its part of the command, and the controlword if mapped."""
-    values: dict[str, float | None] = {
-        sink.entry.label: (getattr(command, sink.name) - sink.offset) / sink.scale
-        for sink in order.sinks
-    }
-    if order.controlword:
-        values[_CONTROLWORD] = word
-    return values

@@ -12,24 +12,23 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import can
 
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.dbc.mapping import OTHER, CanMapping, StatusFrame, Timing, map_drive
+from adaptdrive.hardware.dbc.assembly import StatusAssembly
+from adaptdrive.hardware.dbc.mapping import CanMapping, StatusFrame, Timing, map_drive
 from adaptdrive.hardware.dbc.orders import CommandFrame
 from adaptdrive.hardware.dbc.refusals import Refusals
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
-from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
-from adaptdrive.hardware.link.bus import as_received, describe_bus, frame_key, open_bus
+from adaptdrive.hardware.link.bus import as_received, describe_bus, frame_key
 from adaptdrive.hardware.link.codec import MessageCodec
+from adaptdrive.hardware.link.connection import CanConnection
 from adaptdrive.hardware.link.integrity import FrameVerdict
-from adaptdrive.hardware.link.reader import FrameReader
-from adaptdrive.hardware.link.reconnect import serve_for_ever
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 from adaptdrive.hardware.rival import Rival
 
@@ -80,28 +79,18 @@ class CanPort:
         self._mapping = mapping
         self._clock = clock
         self._arrivals = ArrivalClock(clock, wall_clock)
+        self._counts: Counter[str] = Counter()
+        self._connection = CanConnection(config, self, self._arrivals, self._counts)
+        self._assembly = StatusAssembly(mapping)
         self._statuses = {_key(status.codec): status for status in mapping.statuses}
         self._commands = {_key(order.codec): _label(order.codec) for order in mapping.orders}
         self._rival = Rival(clock)
         self._refusals = Refusals()
         self._hears_all = hears_all
-        self._sources = [source for status in mapping.statuses for source in status.sources]
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
-        self._others = {
-            source.quantity: source.quantity.removeprefix(OTHER)
-            for source in self._sources
-            if source.quantity.startswith(OTHER)
-        }
-        self._counts: Counter[str] = Counter()
-        self._values: dict[str, float] = {}
-        self._dues: dict[str, tuple[float, float]] = {}
         self._bridge_sent = False
-        self._faults = FaultLatch(mapping.fault_names)
         self._safe_s = math.inf
-        self._bus: can.BusABC | None = None
-        self._reader: FrameReader | None = None
         self._newest: Reading | None = None
-        self._listener: Listener | None = None
         self._made_up = list(_made_up(config, mapping))
 
     @property
@@ -122,7 +111,7 @@ class CanPort:
     @property
     def complaint(self) -> str | None:
         """That another sender commands the drive, or a fault that no reading has carried yet."""
-        return self._rival.complaint or self._faults.complaint
+        return self._rival.complaint or self._assembly.faults.complaint
 
     @property
     def safe_s(self) -> float:
@@ -132,8 +121,7 @@ class CanPort:
     @property
     def stop_slack_s(self) -> float | None:
         """Additional time for the report of the bridge, None for a drive that never reports it."""
-        words = (source.slack_s for source in self._sources if source.quantity == "bridge")
-        return next(words, None)
+        return self._assembly.bridge_slack_s
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
@@ -145,15 +133,8 @@ class CanPort:
         Raises:
             BusError: The bus cannot be opened at the first attempt.
         """
-        self._listener = listener
-        await serve_for_ever(
-            self._open,
-            self._serve,
-            opened,
-            lost=self._announce_loss,
-            returned=self._announce_return,
-            heard=lambda: self._counts["received"],
-        )
+        ids = [] if self._hears_all else [*self._statuses, *self._commands]
+        await self._connection.run(ids, self._serve, listener, opened)
 
     def send(self, command: Command) -> bool:
         """Send one command now.
@@ -172,7 +153,7 @@ class CanPort:
             self._safe_s = math.inf
         taken = 0
         for frame in frames:
-            taken += self._put(frame)
+            taken += self._connection.send(frame)
         if taken < len(frames):
             return False
         self._bridge_sent = command.bridge
@@ -182,8 +163,7 @@ class CanPort:
 
     def catch_up(self) -> None:
         """Process the frames that have arrived, but were not read yet."""
-        if self._reader is not None:
-            self._reader.drain()
+        self._connection.catch_up()
 
     def rehearse(self) -> None:
         """Decode synthetic frames, without a report to the listener."""
@@ -195,22 +175,14 @@ class CanPort:
     def explain_age(self) -> str:
         """Return the oldest value, its source, and the likeliest cause of its age."""
         now_s = self._clock()
-        arrivals = [
-            (due_s - slack_s, status, source)
-            for status in self._mapping.statuses
-            for source in status.sources
-            for due_s, slack_s in [self._dues.get(source.quantity, (-math.inf, 0.0))]
-        ]
-        # as in a reading: the value that is out of date first
-        oldest_s, status, source = min(arrivals, key=lambda one: one[0] + one[2].slack_s)
-        newest_s = max(arrival_s for arrival_s, _, _ in arrivals)
+        status, source, oldest_s, newest_s = self._assembly.oldest()
         value = f"{source.quantity} ({_label(status.codec)}, {source.signal.name})"
         found = "has never come" if oldest_s == -math.inf else "is the oldest value"
         others_come = newest_s > oldest_s and now_s - newest_s < 0.5 * (now_s - oldest_s)
         return f"{value} {found}: {self._explain_silence(status, others_come=others_come)}"
 
     def _explain_silence(self, status: StatusFrame, *, others_come: bool) -> str:
-        if self._bus is None:
+        if self._connection.bus is None:
             return "the bus is lost"
         refused = self._refusals.explain(_label(status.codec))
         if refused is not None:
@@ -262,70 +234,21 @@ class CanPort:
                 self._counts[decoded.verdict] += 1
             self._refusals.note(_label(status.codec), decoded.verdict, bytes(frame.data))
             return
-        self._keep(status, decoded.values, arrival_s)
-        if status is self._clocking:
-            self._compose(arrival_s)
-            if frame.timestamp and waited_s < PROMPT_S:
-                self._hand_out()
-
-    def _keep(self, status: StatusFrame, found: Mapping[str, float], arrival_s: float) -> None:
-        values, dues = self._values, self._dues
         if self._refusals.any:
             self._refusals.accept(_label(status.codec))
-        for source in status.sources:
-            value = found.get(source.signal.name)
-            if value is not None:
-                quantity, slack_s = source.quantity, source.slack_s
-                values[quantity] = value * source.scale + source.offset
-                dues[quantity] = arrival_s + slack_s, slack_s
-        self._faults.see(values.get("fault"))
+        self._assembly.keep(status, decoded.values, arrival_s)
+        if status is self._clocking:
+            reading = self._assembly.reading(arrival_s, bridge_sent=self._bridge_sent)
+            self._newest = reading or self._newest
+            if frame.timestamp and waited_s < PROMPT_S:
+                self.hand_out()
 
-    def _compose(self, arrival_s: float) -> None:
-        """Make a reading of the newest values, and of each fault seen since the last one."""
-        due_s, slack_s = min(self._dues.values())
-        if due_s == -math.inf:
-            return
-        values, faults = self._values, self._faults
-        counter, bridge = values.get("counter"), values.get("bridge")
-        self._newest = Reading(
-            arrival_s=arrival_s,
-            oldest_s=due_s - slack_s,
-            slack_s=slack_s,
-            counter=None if counter is None else int(counter),
-            boost_voltage_V=values.get("boost_voltage_V", math.nan),
-            line_voltage_V=values.get("line_voltage_V", math.nan),
-            load_power_W=values.get("load_power_W", math.nan),
-            output=values.get("output", math.nan),
-            fault=faults.word,
-            fault_name=faults.name if faults.word else "",
-            # a drive without a bridge signal is assumed to follow the last command
-            bridge=self._bridge_sent if bridge is None else bridge == self._mapping.bridge_on,
-            bridge_s=self._heard_s("bridge"),
-            other={name: values[key] for key, name in self._others.items()},
-        )
-
-    def _heard_s(self, quantity: str) -> float | None:
-        """Arrival of a quantity's newest value, None where the drive does not give it."""
-        due = self._dues.get(quantity)
-        return None if due is None else due[0] - due[1]
-
-    def _hand_out(self) -> None:
-        """No more frames wait."""
+    def hand_out(self) -> None:
+        """Pass the newest reading on: no more frames wait."""
         reading, self._newest = self._newest, None
-        if reading is not None and self._listener is not None:
-            self._faults.clear(reading.fault)
-            self._listener.on_reading(reading)
-
-    def _put(self, frame: can.Message) -> bool:
-        try:
-            if self._bus is None:
-                raise can.CanOperationError("not connected")
-            self._bus.send(frame, timeout=0.0)
-        except (can.CanError, OSError, ValueError):
-            self._counts["send_drops"] += 1
-            return False
-        self._counts["sent"] += 1
-        return True
+        if reading is not None and (listener := self._connection.listener) is not None:
+            self._assembly.faults.clear(reading.fault)
+            listener.on_reading(reading)
 
     def _frame(self, order: CommandFrame, command: Command) -> can.Message:
         codec = order.codec
@@ -337,43 +260,16 @@ class CanPort:
             data=order.encode(command),
         )
 
-    def _open(self) -> can.BusABC:
-        self._arrivals.begin_drain()
-        self._arrivals.end_drain()
-        listen = [] if self._hears_all else [*self._statuses, *self._commands]
-        return open_bus(self._config, listen)
-
-    async def _serve(self, bus: can.BusABC, announce: Callable[[], None]) -> str:
-        """Use an open bus until it is lost, and close it; why it was lost."""
-        self._bus = bus
-        self._forget()
+    async def _serve(self, announce: Callable[[], None]) -> str:
+        """Use the open bus until it is lost; return the reason."""
+        self._newest, self._safe_s = None, math.inf
+        self._assembly.forget()
         try:
             announce()
-            self._reader = FrameReader(bus, self, self._arrivals, self._hand_out)
-            return await self._reader.run()
+            return await self._connection.read()
         except Exception:
             self.send(SAFE_COMMAND)  # the last frame, whatever has gone wrong
             raise
-        finally:
-            self._bus = self._reader = None
-            bus.shutdown()
-
-    def _announce_loss(self, problem: str) -> None:
-        if self._listener is not None:
-            self._listener.on_bus(up=False, detail=f"{self.description}: {problem}")
-
-    def _announce_return(self) -> None:
-        self._counts["reconnects"] += 1
-        if self._listener:
-            self._listener.on_bus(up=True, detail=self.description)
-
-    def _forget(self) -> None:
-        """Nothing that was heard or said before a bus was opened is used after it."""
-        self._newest, self._safe_s = None, math.inf
-        for status in self._mapping.statuses:
-            status.codec.reset()
-        for source in self._sources:
-            self._dues[source.quantity] = -math.inf, 0.0
 
 
 def _made_up(config: CanBus, mapping: CanMapping) -> Iterator[Callable[[], can.Message]]:

@@ -153,13 +153,9 @@ class CanSensorPort:
 
     async def _hear(self) -> None:
         """One bus after the other, less and less often while there is none."""
-        backoff = BusBackoff()
+        backoff = BusBackoff(lambda: self._counts["received"])
         while True:
-            heard = self._counts["received"]
-            problem = await self._try()
-            self._tell(up=False, problem=problem)
-            if self._counts["received"] > heard:
-                backoff.reset()
+            self._tell(up=False, problem=await self._try())
             await asyncio.sleep(backoff.next_s())
 
     async def _try(self) -> str:

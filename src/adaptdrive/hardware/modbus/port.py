@@ -227,7 +227,7 @@ class ModbusPort:
 
     async def _work(self, link: ModbusConnection | None, problem: str) -> None:
         """Serve one link after the other until the port is closed."""
-        backoff = BusBackoff()
+        backoff = BusBackoff(lambda: self._counts["received"])
         while link is not None or not self._closing:
             if link is None:
                 self._tell_down(problem)
@@ -235,11 +235,8 @@ class ModbusPort:
                 await self._sleep(backoff.next_s())
                 link = None if self._closing else await self._reopen()
                 continue
-            heard = self._counts["received"]
             problem = await self._serve(link)
             link = None
-            if self._counts["received"] > heard:
-                backoff.reset()
 
     async def _reopen(self) -> ModbusConnection | None:
         with contextlib.suppress(BusError):

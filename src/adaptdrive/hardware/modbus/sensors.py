@@ -104,13 +104,9 @@ class ModbusSensorPort:
 
     async def _work(self, listener: SensorListener) -> None:
         """Serve one link after the other until the port is closed."""
-        backoff = BusBackoff()
+        backoff = BusBackoff(lambda: self._counts["received"])
         while not self._closing.is_set():
-            heard = self._counts["received"]
-            problem = await self._try(listener)
-            self._tell(listener, up=False, problem=problem)
-            if self._counts["received"] > heard:
-                backoff.reset()
+            self._tell(listener, up=False, problem=await self._try(listener))
             await self._sleep(backoff.next_s())
 
     async def _try(self, listener: SensorListener) -> str:

@@ -1,0 +1,74 @@
+"""Frames that command the drive: those of this port, and those of another sender."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import can
+
+from adaptdrive.control.signals import Command
+from adaptdrive.hardware.canopen.dictionary import label
+from adaptdrive.hardware.canopen.mapping import CanOpenMapping, CommandPdo
+from adaptdrive.hardware.canopen.profile import CONTROLWORD
+from adaptdrive.hardware.rival import Rival
+
+_CONTROLWORD = label(CONTROLWORD)
+
+_SDO_WRITES = frozenset({0, 1, 6})
+"""Client command specifiers of SDO frames that write: segment, initiate and block download."""
+
+
+def command_frames(
+    mapping: CanOpenMapping, command: Command, word: int
+) -> Iterator[tuple[int, bytes]]:
+    """Encode a command as PDOs.
+
+    Args:
+        mapping: Objects of the drive.
+        command: The command.
+        word: Controlword.
+
+    Raises:
+        ValueError: A value is not finite, or its object cannot hold it.
+    """
+    for order in mapping.orders:
+        yield order.codec.frame_id, order.codec.encode(_values(order, command, word))
+
+
+class ForeignCommands:
+    """Detects commands of another sender; no bus returns the frames that this port sends.
+
+    Attributes:
+        names: Name of each frame that commands the drive, by id.
+    """
+
+    def __init__(self, mapping: CanOpenMapping, node_id: int, rival: Rival) -> None:
+        self._sdo = 0x600 + node_id
+        self._rival = rival
+        names = {order.codec.frame_id: order.codec.name for order in mapping.orders}
+        names[self._sdo] = "SDO write"
+        self.names = {can_id: f"0x{can_id:03X} ({name})" for can_id, name in names.items()}
+
+    def hear(self, frame: can.Message) -> bool:
+        """Report a foreign frame that commands this drive; return whether it does.
+
+        A frame that reads objects is no command. Nor is NMT: a node that it stops or restarts
+        reports that itself.
+        """
+        can_id, data = frame.arbitration_id, frame.data
+        reads = can_id == self._sdo and not (data and data[0] >> 5 in _SDO_WRITES)
+        if can_id not in self.names or reads:
+            return False
+        self._rival.hear(self.names[can_id])
+        return True
+
+
+def _values(order: CommandPdo, command: Command, word: int) -> dict[str, float | None]:
+    """Return the values of a PDO: its part of the command, and the controlword if mapped."""
+    values: dict[str, float | None] = {
+        sink.entry.label: (getattr(command, sink.name) - sink.offset) / sink.scale
+        for sink in order.sinks
+    }
+    if order.controlword:
+        values[_CONTROLWORD] = word
+    return values

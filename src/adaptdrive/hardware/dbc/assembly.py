@@ -1,0 +1,106 @@
+"""Putting the status messages of a drive together: the newest good value of each quantity."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from adaptdrive.hardware.dbc.mapping import OTHER, CanMapping, CanSource, StatusFrame
+from adaptdrive.hardware.fault_latch import FaultLatch
+from adaptdrive.hardware.port import Reading
+
+
+class StatusAssembly:
+    """The newest values of one drive, and the readings that are made of them.
+
+    Attributes:
+        faults: Faults since the last reading that was handed out.
+    """
+
+    def __init__(self, mapping: CanMapping) -> None:
+        self._statuses = mapping.statuses
+        self._bridge_on = mapping.bridge_on
+        self._sources = [source for status in mapping.statuses for source in status.sources]
+        names = [source.quantity for source in self._sources]
+        self._others = {name: name.removeprefix(OTHER) for name in names if name.startswith(OTHER)}
+        self._values: dict[str, float] = {}
+        self._dues: dict[str, tuple[float, float]] = {}
+        self.faults = FaultLatch(mapping.fault_names)
+
+    @property
+    def bridge_slack_s(self) -> float | None:
+        """Additional age of the report of the bridge, None for a drive that never reports it."""
+        words = (source.slack_s for source in self._sources if source.quantity == "bridge")
+        return next(words, None)
+
+    def forget(self) -> None:
+        """Discard every arrival and counter: the bus was opened again."""
+        for status in self._statuses:
+            status.codec.reset()
+        for source in self._sources:
+            self._dues[source.quantity] = -math.inf, 0.0
+
+    def keep(self, status: StatusFrame, found: Mapping[str, float], arrival_s: float) -> None:
+        """Keep the values of a good message.
+
+        Args:
+            status: The message.
+            found: Values by signal.
+            arrival_s: Arrival by the monotonic clock.
+        """
+        values, dues = self._values, self._dues
+        for source in status.sources:
+            value = found.get(source.signal.name)
+            if value is not None:
+                quantity, slack_s = source.quantity, source.slack_s
+                values[quantity] = value * source.scale + source.offset
+                dues[quantity] = arrival_s + slack_s, slack_s
+        self.faults.see(values.get("fault"))
+
+    def reading(self, arrival_s: float, *, bridge_sent: bool) -> Reading | None:
+        """Return the newest values and each fault since the last reading; None before all came.
+
+        Args:
+            arrival_s: Arrival of the clocking message.
+            bridge_sent: Bridge of the last command: a drive that does not report its bridge is
+                assumed to follow.
+        """
+        due_s, slack_s = min(self._dues.values())
+        if due_s == -math.inf:
+            return None
+        values, faults = self._values, self.faults
+        counter, bridge = values.get("counter"), values.get("bridge")
+        return Reading(
+            arrival_s=arrival_s,
+            oldest_s=due_s - slack_s,
+            slack_s=slack_s,
+            counter=None if counter is None else int(counter),
+            boost_voltage_V=values.get("boost_voltage_V", math.nan),
+            line_voltage_V=values.get("line_voltage_V", math.nan),
+            load_power_W=values.get("load_power_W", math.nan),
+            output=values.get("output", math.nan),
+            fault=faults.word,
+            fault_name=faults.name if faults.word else "",
+            bridge=bridge_sent if bridge is None else bridge == self._bridge_on,
+            bridge_s=self._heard_s("bridge"),
+            other={name: values[key] for key, name in self._others.items()},
+        )
+
+    def oldest(self) -> tuple[StatusFrame, CanSource, float, float]:
+        """Return the value that is out of date first: its message, its source, and its arrival.
+
+        The last item is the arrival of the newest value; an arrival is -inf before the first.
+        """
+        arrivals = [
+            (due_s - slack_s, status, source)
+            for status in self._statuses
+            for source in status.sources
+            for due_s, slack_s in [self._dues.get(source.quantity, (-math.inf, 0.0))]
+        ]
+        oldest_s, status, source = min(arrivals, key=lambda one: one[0] + one[2].slack_s)
+        return status, source, oldest_s, max(arrival_s for arrival_s, _, _ in arrivals)
+
+    def _heard_s(self, quantity: str) -> float | None:
+        """Arrival of a quantity's newest value, None where the drive does not give it."""
+        due = self._dues.get(quantity)
+        return None if due is None else due[0] - due[1]

@@ -1,0 +1,136 @@
+"""The connection of a port to its CAN bus: opened, read, sent on, and opened again when lost."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections import Counter
+from collections.abc import Awaitable, Callable, Iterable
+from typing import NoReturn, Protocol
+
+import can
+
+from adaptdrive.config.bus import CanLink
+from adaptdrive.errors import BusError
+from adaptdrive.hardware.backoff import BusBackoff
+from adaptdrive.hardware.link.arrival import ArrivalClock
+from adaptdrive.hardware.link.bus import open_bus
+from adaptdrive.hardware.link.reader import FrameReader, FrameTaker
+from adaptdrive.hardware.port import Listener
+
+Serve = Callable[[Callable[[], None]], Awaitable[str]]
+"""Use of an open bus until it is lost; calls its argument when it has begun, returns the reason."""
+
+
+class FrameUser(FrameTaker, Protocol):
+    """A port on a CAN bus."""
+
+    @property
+    def description(self) -> str:
+        """The bus in one phrase for people."""
+
+    def hand_out(self) -> None:
+        """Pass the newest reading on: no more frames wait."""
+
+
+class CanConnection:
+    """One bus of one port.
+
+    Attributes:
+        bus: The open bus, None while it is lost.
+        listener: Receiver of readings and of the state of the bus, None before `run`.
+    """
+
+    def __init__(
+        self, config: CanLink, user: FrameUser, arrivals: ArrivalClock, counts: Counter[str]
+    ) -> None:
+        """Open nothing yet.
+
+        Args:
+            config: Which bus.
+            user: Receiver of the frames.
+            arrivals: Dates the frames.
+            counts: `received`, `sent`, `send_drops` and `reconnects` are counted here.
+        """
+        self._config = config
+        self._user = user
+        self._arrivals = arrivals
+        self._counts = counts
+        self._reader: FrameReader | None = None
+        self.bus: can.BusABC | None = None
+        self.listener: Listener | None = None
+
+    async def run(
+        self, ids: Iterable[int], serve: Serve, listener: Listener, opened: Callable[[], None]
+    ) -> NoReturn:
+        """Serve one bus after the other until cancelled.
+
+        Args:
+            ids: Frame ids to receive, all when empty.
+            serve: Uses the open bus.
+            listener: Receiver of the state of the bus.
+            opened: Called once, when the bus is in use for the first time.
+
+        Raises:
+            BusError: The bus cannot be opened at the first attempt.
+        """
+        self.listener, ids = listener, tuple(ids)
+        backoff = BusBackoff(lambda: self._counts["received"])
+        problem = await self._use(self._open(ids), serve, opened)
+        while True:
+            self.report(up=False, detail=problem)
+            bus = await self._reopen(ids, backoff)
+            problem = await self._use(bus, serve, self._return)
+
+    async def read(self) -> str:
+        """Hand every frame to the user until the bus is lost; return the reason."""
+        if self.bus is None:
+            return "closed"
+        self._reader = FrameReader(self.bus, self._user, self._arrivals, self._user.hand_out)
+        return await self._reader.run()
+
+    def catch_up(self) -> None:
+        """Process the frames that have arrived, but were not read yet."""
+        if self._reader is not None:
+            self._reader.drain()
+
+    def send(self, frame: can.Message) -> bool:
+        """Send a frame at once; return whether the bus took it."""
+        try:
+            if self.bus is None:
+                raise can.CanOperationError("not connected")
+            self.bus.send(frame, timeout=0.0)
+        except (can.CanError, OSError, ValueError):
+            self._counts["send_drops"] += 1
+            return False
+        self._counts["sent"] += 1
+        return True
+
+    def report(self, *, up: bool, detail: str = "") -> None:
+        """Report the state of the bus to the listener."""
+        if self.listener is not None:
+            parts = [self._user.description, detail]
+            self.listener.on_bus(up=up, detail=": ".join(filter(None, parts)))
+
+    async def _use(self, bus: can.BusABC, serve: Serve, announce: Callable[[], None]) -> str:
+        self.bus = bus
+        try:
+            return await serve(announce)
+        finally:
+            self.bus = self._reader = None
+            bus.shutdown()
+
+    def _return(self) -> None:
+        self._counts["reconnects"] += 1
+        self.report(up=True)
+
+    def _open(self, ids: Iterable[int]) -> can.BusABC:
+        self._arrivals.begin_drain()
+        self._arrivals.end_drain()
+        return open_bus(self._config, ids)
+
+    async def _reopen(self, ids: Iterable[int], backoff: BusBackoff) -> can.BusABC:
+        while True:
+            await asyncio.sleep(backoff.next_s())
+            with contextlib.suppress(BusError):
+                return self._open(ids)
