@@ -16,7 +16,7 @@ from pathlib import Path
 
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
-from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.control.signals import Command
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.backoff import BusBackoff
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
@@ -24,18 +24,10 @@ from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.modbus.blocks import Block
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange
-from adaptdrive.hardware.modbus.link import EXCEPTIONS, ExchangeError, ModbusConnection
+from adaptdrive.hardware.modbus.commander import Commander
+from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, map_drive
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
-
-_LATE_POLLS = 2.0
-"""Lateness of a poll, in polls, from which on only the safe command is written with it."""
-
-_REFUSED_WRITES = 2
-"""Commands refused in a row after which the drive is said to refuse them: one may find it busy."""
-
-_UNANSWERED_WRITES = 3
-"""Commands without a reply in a row, from a drive that answers what it is asked."""
 
 _SILENT_POLLS = 3
 """Polls without a reading after which the drive is said to be gone."""
@@ -85,27 +77,18 @@ class ModbusPort:
         self._poll_s = poll_s
         self._clock = clock
         self._counts: Counter[str] = Counter()
+        self._commander = Commander(poll, poll_s, self._counts, clock)
         self._listener: Listener | None = None
         self._link: ModbusConnection | None = None
         self._wake = asyncio.Event()
         self._closing = False
-        self._command: Command | None = None
-        self._due_s = -math.inf
-        self._written: Command | None = None
-        self._safe = True
         self._faults = FaultLatch()
-        self._safe_s = math.inf
-        self._refused = self._unanswered = 0
-        self._refusal = ""
-        self._bridge = False
-        self._alive = 0
         self._heartbeat: float | None = None
         self._heartbeat_s = 0.0
         self._silent = 0
         self._up = True
         self._raw: dict[Block, list[int]] = {}
         self._failure = ""
-        self._refused_write = ""
 
     @property
     def description(self) -> str:
@@ -119,17 +102,13 @@ class ModbusPort:
 
     @property
     def complaint(self) -> str | None:
-        """Reason not to energise the drive: it does not accept its commands."""
-        if self._refused >= _REFUSED_WRITES:
-            return f"the drive refuses commands: {self._refusal}"
-        if self._unanswered >= _UNANSWERED_WRITES:
-            return f"the drive does not answer commands: {self._refusal}"
-        return self._faults.complaint
+        """Reason not to energise the drive: it does not accept its commands, or had a fault."""
+        return self._commander.complaint or self._faults.complaint
 
     @property
     def safe_s(self) -> float:
         """Time at which the drive acknowledged the safe command, infinite without one in force."""
-        return self._safe_s
+        return self._commander.safe_s
 
     @property
     def stop_slack_s(self) -> float | None:
@@ -174,14 +153,11 @@ class ModbusPort:
         Raises:
             ValueError: A value is not finite, or its register cannot hold it.
         """
-        for _, sinks in self._poll.writes:
-            for sink in sinks:
-                sink.words(command, 0)
-        self._command = command
+        self._commander.set(command)
         if self._link is None:
             self._counts["send_drops"] += 1
             return False
-        if self._urgent:
+        if self._commander.urgent:
             self._wake.set()
         return True
 
@@ -201,16 +177,11 @@ class ModbusPort:
             f"registers {block} = [{' '.join(f'{word:04x}' for word in words)}]"
             for block, words in self._raw.items()
         ]
-        problems = (self._failure, self._refused_write)
+        problems = (self._failure, self._commander.refused_write)
         return [*read, *(f"refused: {one}" for one in problems if one)]
 
     async def reset_fault(self) -> None:
         """No-op: a register map has no fault reset; the drive clears its fault word by itself."""
-
-    @property
-    def _urgent(self) -> bool:
-        """True if the safe command must be sent before anything else."""
-        return self._command == SAFE_COMMAND and not self._safe
 
     async def _try_first(self) -> tuple[ModbusConnection | None, str]:
         try:
@@ -248,15 +219,15 @@ class ModbusPort:
     async def _serve(self, link: ModbusConnection) -> str:
         """Poll over an open link until it is lost or the port is closed; why it was lost."""
         self._link, self._heartbeat = link, None
-        self._safe_s, self._refused, self._unanswered = math.inf, 0, 0
+        self._commander.begin()
         next_s = self._clock()
         try:
             while link.lost is None and not self._closing:
-                self._due_s = next_s
+                self._commander.due_s = next_s
                 await self._poll_once(link)
                 next_s = self._next(next_s)
                 await self._idle(link, next_s)
-            await self._leave_safe(link)
+            await self._commander.leave_safe(link)
         finally:
             self._link = None
             link.close()
@@ -271,8 +242,8 @@ class ModbusPort:
         """Wait for the next poll; a safe command goes out at once."""
         while link.lost is None and not self._closing and self._clock() < until_s:
             self._wake.clear()
-            if self._urgent:
-                await self._write(link)
+            if self._commander.urgent:
+                await self._commander.write(link)
             await self._sleep(until_s - self._clock())
 
     async def _sleep(self, seconds: float) -> None:
@@ -281,11 +252,6 @@ class ModbusPort:
             async with asyncio.timeout(max(0.0, seconds)):
                 await self._wake.wait()
 
-    async def _leave_safe(self, link: ModbusConnection) -> None:
-        if link.lost is None and not self._safe:
-            self._command = SAFE_COMMAND
-            await self._write(link)
-
     async def _poll_once(self, link: ModbusConnection) -> None:
         """Read all registers, pass the reading on, and write the resulting command."""
         start_s = self._clock()
@@ -293,15 +259,14 @@ class ModbusPort:
             values = await self._read(link)
         except ExchangeError as failure:
             self._failure = failure.problem
-            self._unanswered = 0  # a drive that says nothing at all is silent, not deaf
+            self._commander.excuse_silence()
             self._note_silence(failure.problem)
         else:
             if values is not None:
                 self._failure = ""
                 self._take(values, start_s)
-        fresh = not self._poll.combined or self._command != self._written
-        if link.lost is None and fresh:
-            await self._write(link)
+        if link.lost is None and self._commander.pending:
+            await self._commander.write(link)
 
     async def _read(self, link: ModbusConnection) -> dict[str, float] | None:
         """Every quantity; None when one of them must not be used.
@@ -311,10 +276,10 @@ class ModbusPort:
         """
         values: dict[str, float | None] = {}
         for number, (block, sources) in enumerate(self._poll.reads):
-            if self._urgent:
-                await self._write(link)
-            command = self._current() if number == 0 and self._poll.combined else None
-            words = self._raw[block] = await self._ask(link, Exchange(read=block), command)
+            if self._commander.urgent:
+                await self._commander.write(link)
+            words = await self._commander.read(link, Exchange(read=block), first=number == 0)
+            self._raw[block] = words
             found = {source.quantity: source.value(block, words) for source in sources}
             self._faults.see(found.get("fault"))
             values |= found
@@ -325,101 +290,6 @@ class ModbusPort:
             self._failure = f"{bad} out of range, or the register's word for no value"
             return None
         return good
-
-    async def _ask(
-        self, link: ModbusConnection, exchange: Exchange, command: Command | None
-    ) -> list[int]:
-        """Read a block, and write the command with it where there is one."""
-        if command is None:
-            return await link.exchange(exchange, [])
-        block, _ = self._poll.writes[0]
-        words = self._words(command)[0]
-        at_once = command == SAFE_COMMAND and not self._safe
-        self._doubt(command)
-        both = Exchange(exchange.read, block)
-        try:
-            registers = await link.exchange(both, words, at_once=at_once)
-        except ExchangeError as failure:
-            self._note_refusal(both, failure)
-            if failure.code is None:
-                raise
-            return await link.exchange(exchange, [])
-        self._confirm(command)
-        return registers
-
-    def _current(self) -> Command | None:
-        """Return the command in force, None for none.
-
-        A process that did not run for long finds here what it decided before: that is void.
-        """
-        late = self._clock() - self._due_s > _LATE_POLLS * self._poll_s
-        return None if late and self._command != SAFE_COMMAND else self._command
-
-    def _words(self, command: Command) -> list[list[int]]:
-        """The registers of every block that is written, with the next heartbeat."""
-        self._alive += 1
-        return [
-            [word for sink in sinks for word in sink.words(command, self._alive)]
-            for _, sinks in self._poll.writes
-        ]
-
-    async def _write(self, link: ModbusConnection) -> None:
-        """Write the newest command."""
-        command = self._current()
-        if command is None:
-            return
-        at_once = self._urgent
-        words = self._words(command)
-        self._doubt(command)
-        taken = True
-        for (block, _), registers in zip(self._poll.writes, words, strict=True):
-            if taken or (command == SAFE_COMMAND and link.lost is None):
-                exchange = Exchange(write=block)
-                taken &= await self._wrote(link, exchange, registers, at_once=at_once)
-        if taken:
-            self._refused_write = ""
-            self._confirm(command)
-
-    async def _wrote(
-        self, link: ModbusConnection, exchange: Exchange, registers: list[int], *, at_once: bool
-    ) -> bool:
-        """Write one block; whether the drive has taken it."""
-        try:
-            await link.exchange(exchange, registers, at_once=at_once)
-        except ExchangeError as failure:
-            self._counts["send_drops"] += 1
-            self._refused_write = f"command: {failure.problem}"
-            self._note_refusal(exchange, failure)
-            return False
-        return True
-
-    def _note_refusal(self, exchange: Exchange, failure: ExchangeError) -> None:
-        """Note that the drive has not taken a command."""
-        code, block = failure.code, exchange.write
-        reason = failure.problem
-        if code is not None:
-            reason = f"exception code {code} ({EXCEPTIONS.get(code, 'of its maker')})"
-        self._refused = 0 if code is None else self._refused + 1
-        self._unanswered = self._unanswered + 1 if code is None else 0
-        register = "" if block is None else f" at register {block.address}"
-        self._refusal = (
-            f"{reason}{register}; check [bus.registers], its remote mode and write access"
-        )
-
-    def _doubt(self, command: Command) -> None:
-        """Mark the drive's command as unknown, from the first byte sent until the reply."""
-        self._written = None
-        self._safe = self._safe and command == SAFE_COMMAND
-        if command != SAFE_COMMAND:
-            self._safe_s = math.inf
-
-    def _confirm(self, command: Command) -> None:
-        self._counts["sent"] += 1
-        self._written, self._bridge = command, command.bridge
-        self._safe = command == SAFE_COMMAND
-        self._refused = self._unanswered = 0
-        if self._safe and self._safe_s == math.inf:
-            self._safe_s = self._clock()
 
     def _take(self, values: dict[str, float], start_s: float) -> None:
         """Hand out a reading, unless the drive stands still."""
@@ -441,7 +311,7 @@ class ModbusPort:
                     output=values.get("output", math.nan),
                     fault=fault,
                     # a drive without a bridge signal is assumed to follow the last command
-                    bridge=self._bridge if bridge is None else bridge != 0,
+                    bridge=self._commander.bridge if bridge is None else bridge != 0,
                     other={name: values[name] for name in self._poll.other},
                 )
             )

@@ -1,0 +1,200 @@
+"""Writing of commands to a drive on Modbus, and what the drive has acknowledged of them."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.hardware.modbus.capacity import Exchange
+from adaptdrive.hardware.modbus.link import EXCEPTIONS, ExchangeError, ModbusConnection
+from adaptdrive.hardware.modbus.mapping import Poll
+
+_LATE_POLLS = 2.0
+"""Lateness of a poll, in polls, from which on only the safe command is written with it."""
+
+_REFUSED_WRITES = 2
+"""Commands refused in a row after which the drive is said to refuse them: one may find it busy."""
+
+_UNANSWERED_WRITES = 3
+"""Commands without a reply in a row, from a drive that answers what it is asked."""
+
+
+class Commander:
+    """The newest command of one drive; nothing is queued behind it.
+
+    Attributes:
+        due_s: Time at which the poll under way was due.
+        bridge: Bridge of the last command that the drive acknowledged.
+        safe_s: Time at which it acknowledged the safe command, infinite without one in force.
+        refused_write: Why the last command was not taken, empty if it was.
+    """
+
+    def __init__(
+        self, poll: Poll, poll_s: float, counts: Counter[str], clock: Callable[[], float]
+    ) -> None:
+        """Hold no command yet.
+
+        Args:
+            poll: Registers of the drive.
+            poll_s: Time between two polls, in s.
+            counts: `sent` and `send_drops` are counted here.
+            clock: Monotonic clock, in s.
+        """
+        self._poll = poll
+        self._poll_s = poll_s
+        self._counts = counts
+        self._clock = clock
+        self._command: Command | None = None
+        self._written: Command | None = None
+        self._safe = True
+        self._refused = self._unanswered = 0
+        self._refusal = ""
+        self._alive = 0
+        self.due_s = -math.inf
+        self.bridge = False
+        self.safe_s = math.inf
+        self.refused_write = ""
+
+    @property
+    def complaint(self) -> str | None:
+        """Reason not to energise the drive: it does not accept its commands."""
+        if self._refused >= _REFUSED_WRITES:
+            return f"the drive refuses commands: {self._refusal}"
+        if self._unanswered >= _UNANSWERED_WRITES:
+            return f"the drive does not answer commands: {self._refusal}"
+        return None
+
+    @property
+    def urgent(self) -> bool:
+        """True if the safe command must be sent before anything else."""
+        return self._command == SAFE_COMMAND and not self._safe
+
+    @property
+    def pending(self) -> bool:
+        """True if a command must be written after the read of a poll."""
+        return not self._poll.combined or self._command != self._written
+
+    def set(self, command: Command) -> None:
+        """Make a command the newest.
+
+        Raises:
+            ValueError: A value is not finite, or its register cannot hold it.
+        """
+        for _, sinks in self._poll.writes:
+            for sink in sinks:
+                sink.words(command, 0)
+        self._command = command
+
+    def begin(self) -> None:
+        """Forget what was acknowledged on the link before."""
+        self.safe_s, self._refused, self._unanswered = math.inf, 0, 0
+
+    def excuse_silence(self) -> None:
+        """Note that the drive answers nothing at all: it does not ignore commands alone."""
+        self._unanswered = 0
+
+    async def read(self, link: ModbusConnection, exchange: Exchange, *, first: bool) -> list[int]:
+        """Read a block; write the command with the first one where the drive can do both at once.
+
+        Raises:
+            ExchangeError: The drive did not give the block.
+        """
+        command = self._current() if first and self._poll.combined else None
+        if command is None:
+            return await link.exchange(exchange, [])
+        block, _ = self._poll.writes[0]
+        words = self._words(command)[0]
+        at_once = command == SAFE_COMMAND and not self._safe
+        self._doubt(command)
+        both = Exchange(exchange.read, block)
+        try:
+            registers = await link.exchange(both, words, at_once=at_once)
+        except ExchangeError as failure:
+            self._note_refusal(both, failure)
+            if failure.code is None:
+                raise
+            return await link.exchange(exchange, [])
+        self._confirm(command)
+        return registers
+
+    async def write(self, link: ModbusConnection) -> None:
+        """Write the newest command, unless it is void."""
+        command = self._current()
+        if command is None:
+            return
+        at_once = self.urgent
+        words = self._words(command)
+        self._doubt(command)
+        taken = True
+        for (block, _), registers in zip(self._poll.writes, words, strict=True):
+            if taken or (command == SAFE_COMMAND and link.lost is None):
+                exchange = Exchange(write=block)
+                taken &= await self._wrote(link, exchange, registers, at_once=at_once)
+        if taken:
+            self.refused_write = ""
+            self._confirm(command)
+
+    async def leave_safe(self, link: ModbusConnection) -> None:
+        """Write the safe command as the last one, unless it is in force or the link is lost."""
+        if link.lost is None and not self._safe:
+            self._command = SAFE_COMMAND
+            await self.write(link)
+
+    async def _wrote(
+        self, link: ModbusConnection, exchange: Exchange, registers: list[int], *, at_once: bool
+    ) -> bool:
+        """Write one block; whether the drive has taken it."""
+        try:
+            await link.exchange(exchange, registers, at_once=at_once)
+        except ExchangeError as failure:
+            self._counts["send_drops"] += 1
+            self.refused_write = f"command: {failure.problem}"
+            self._note_refusal(exchange, failure)
+            return False
+        return True
+
+    def _current(self) -> Command | None:
+        """Return the command in force, None for none.
+
+        A process that did not run for long finds here what it decided before: that is void.
+        """
+        late = self._clock() - self.due_s > _LATE_POLLS * self._poll_s
+        return None if late and self._command != SAFE_COMMAND else self._command
+
+    def _words(self, command: Command) -> list[list[int]]:
+        """The registers of every block that is written, with the next heartbeat."""
+        self._alive += 1
+        return [
+            [word for sink in sinks for word in sink.words(command, self._alive)]
+            for _, sinks in self._poll.writes
+        ]
+
+    def _note_refusal(self, exchange: Exchange, failure: ExchangeError) -> None:
+        """Note that the drive has not taken a command."""
+        code, block = failure.code, exchange.write
+        reason = failure.problem
+        if code is not None:
+            reason = f"exception code {code} ({EXCEPTIONS.get(code, 'of its maker')})"
+        self._refused = 0 if code is None else self._refused + 1
+        self._unanswered = self._unanswered + 1 if code is None else 0
+        register = "" if block is None else f" at register {block.address}"
+        self._refusal = (
+            f"{reason}{register}; check [bus.registers], its remote mode and write access"
+        )
+
+    def _doubt(self, command: Command) -> None:
+        """Mark the drive's command as unknown, from the first byte sent until the reply."""
+        self._written = None
+        self._safe = self._safe and command == SAFE_COMMAND
+        if command != SAFE_COMMAND:
+            self.safe_s = math.inf
+
+    def _confirm(self, command: Command) -> None:
+        self._counts["sent"] += 1
+        self._written, self.bridge = command, command.bridge
+        self._safe = command == SAFE_COMMAND
+        self._refused = self._unanswered = 0
+        if self._safe and self.safe_s == math.inf:
+            self.safe_s = self._clock()
