@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import functools
 import os
 import signal
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from adaptdrive import __version__
 from adaptdrive.app.checkpoint import (
@@ -32,10 +35,13 @@ from adaptdrive.app.recording import build_recorder
 from adaptdrive.app.sensors import build_whole_port, sensor_reports
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.app.state_file import directory_flaw
+from adaptdrive.app.warm_up import Rehearsal
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.errors import AdaptdriveError, first_error
+from adaptdrive.hardware.port import Port
 from adaptdrive.operation.service import MqttService, ServiceSurroundings
+from adaptdrive.recording.recorder import Recorder
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.latency import WatchedLoop
@@ -108,9 +114,43 @@ async def _serve(
     checkpoint = checkpoint_path(state, configuration.drive.name)
     prior, recalled = recall(checkpoint, configuration, settings, load)
     controller = Controller(settings, load, prior)
+    keeper = _keeper(configuration, checkpoint, controller, hub) if is_kept(settings) else None
     rehearsal = build_rehearsal(configuration, path)
     recorder = build_recorder(configuration, text, hub, prior)
-    daemon = Daemon(
+    daemon = _daemon(configuration, port, controller, hub, rehearsal, recorder)
+    start_thread = _use_helper_threads(configuration)
+    _stop_on_signals(stop)
+    logger.info(
+        "starting", drive=configuration.drive.name, version=__version__, bus=port.description
+    )
+    async with asyncio.TaskGroup() as tasks, contextlib.AsyncExitStack() as ending:
+        # ended in reverse: broker and log receive the last reports of those that end before them
+        start = functools.partial(_start, tasks, ending)
+        start("lock", send_visitors_away(locks))
+        start("log", log_events(events, logger))
+        start("mqtt", _mqtt(configuration, daemon, hub, start_thread).run())
+        if recorder is not None:
+            start("recorder", recorder.run(daemon.opened))
+        if keeper is not None:
+            ending.push_async_callback(keeper.save)
+            start("checkpoint", keeper.run())
+        for event in filter(None, (recalled, state_event(state))):
+            hub.publish(event)
+        with uncaught_errors_end(daemon.fail), prepared(configuration, rehearsal, hub):
+            await daemon.run(stop)
+    logger.info("stopped", drive=configuration.drive.name)
+    return recorder is None or recorder.complete
+
+
+def _daemon(  # noqa: PLR0913, PLR0917 - the parts of a daemon
+    configuration: Configuration,
+    port: Port,
+    controller: Controller,
+    hub: Hub,
+    rehearsal: Rehearsal,
+    recorder: Recorder | None,
+) -> Daemon:
+    return Daemon(
         port=port,
         controller=controller,
         settings=daemon_settings(configuration),
@@ -121,50 +161,30 @@ async def _serve(
         rehearse=rehearsal.tick,
         recorded=lambda: recorder is None or not recorder.failing,
     )
+
+
+def _use_helper_threads(configuration: Configuration) -> Callable[[], None]:
+    """Keep blocking calls off the control thread's priority; return the start of such a thread."""
     start_thread = helper_thread(configuration.realtime.priority)
     asyncio.get_running_loop().set_default_executor(
         ThreadPoolExecutor(thread_name_prefix="helper", initializer=start_thread)
     )
-    _stop_on_signals(stop)
-    logger.info(
-        "starting", drive=configuration.drive.name, version=__version__, bus=port.description
-    )
-    async with asyncio.TaskGroup() as tasks:
-        log = tasks.create_task(log_events(events, logger), name="log")
-        mqtt = _mqtt(configuration, daemon, hub, start_thread)
-        broker = tasks.create_task(mqtt.run(), name="mqtt")
-        lock = tasks.create_task(send_visitors_away(locks), name="lock")
-        recording = tasks.create_task(
-            recorder.run(daemon.opened) if recorder else _idle(), name="recorder"
-        )
-        keeper = _keeper(configuration, checkpoint, controller, hub)
-        kept = is_kept(settings)
-        keeping = tasks.create_task(keeper.run() if kept else _idle(), name="checkpoint")
-        for event in (recalled, state_event(state)):
-            if event is not None:
-                hub.publish(event)
-        try:
-            with uncaught_errors_end(daemon.fail), prepared(configuration, rehearsal, hub):
-                await daemon.run(stop)
-        finally:
-            await _end(keeping)
-            if kept:
-                await keeper.save()
-            # each may report until it ends: broker and log receive the recorder's last reports
-            await _end(recording, broker, log, lock)
-    logger.info("stopped", drive=configuration.drive.name)
-    return recorder is None or recorder.complete
+    return start_thread
 
 
-async def _idle() -> None:
-    """Stand in for a service that is not wanted."""
+def _start(
+    tasks: asyncio.TaskGroup,
+    ending: contextlib.AsyncExitStack,
+    name: str,
+    service: Coroutine[Any, Any, None],
+) -> None:
+    """Start a service that `ending` ends; each bounds the time that this takes."""
+    ending.push_async_callback(_end, tasks.create_task(service, name=name))
 
 
-async def _end(*services: asyncio.Task[None]) -> None:
-    """End services one after the other; each bounds the time that this takes it."""
-    for service in services:
-        service.cancel()
-        await asyncio.wait([service])
+async def _end(service: asyncio.Task[None]) -> None:
+    service.cancel()
+    await asyncio.wait([service])
 
 
 def _stop_on_signals(stop: asyncio.Event) -> None:
