@@ -28,6 +28,7 @@ from adaptdrive.runtime.realtime import RealtimeSettings
 _LOWEST_LINE = 0.5
 _SWING_SHARE = 0.01
 _ERROR_SHARE = 0.1
+_NOISE_SHARE = 0.035
 _PAPER_PATIENCE = 30
 _PAPER_COVARIANCE = 1.0e4
 _OPEN = 1.0e8  # deviation 1 of each scaled parameter, at the smallest σ of 1e-4
@@ -184,7 +185,20 @@ def _jacket(configuration: Configuration) -> Jacket:
         swing_min=_SWING_SHARE * reference_range,
         response_periods=_periods(configuration, supervisor.response_s),
         response_distance=supervisor.response_distance * reference_range,
+        noise_max=_noise_max(configuration),
     )
+
+
+def _noise_max(configuration: Configuration) -> float:
+    """Largest noise of the input, converted from volts in the middle of the range of V_c."""
+    limits, load = configuration.drive.limits, build_load(configuration)
+    low_V, high_V = limits.boost_reference_min_V, limits.boost_reference_max_V
+    noise_V = configuration.load.noise_V
+    if noise_V is None:
+        noise_V = _NOISE_SHARE * (high_V - low_V)
+    middle_V, gain, exponent = 0.5 * (low_V + high_V), load.input_gain, load.input_exponent
+    upper, lower = middle_V + 0.5 * noise_V, middle_V - 0.5 * noise_V
+    return to_input(upper, gain, exponent) - to_input(lower, gain, exponent)
 
 
 def _error_limit(supervisor: Supervisor, reference_range: float) -> float:

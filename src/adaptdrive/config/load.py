@@ -44,6 +44,12 @@ class LoadSection(Section):
         description="fast samples are clipped to this many mean deviations about their "
         "prediction; 0 takes them as they are (`exact` only)",
     )
+    noise_V: NonNegativeFloat | None = Field(
+        default=None,
+        description="largest standard deviation of V_c in volts that noise of the output may cause "
+        "through the adaptive gains, whose poles become slower where they would cause more; 3.5 % "
+        "of the range of V_c when left out; 0: any (`exact` and `lm-rls` only)",
+    )
     latency_ticks: int = Field(
         default=2, ge=1, description="fast ticks from the slow sample to its effect"
     )

@@ -68,10 +68,6 @@ def discrete_model(
 def compensator_gains(a: Vector, b: Vector, order: int, pole: float) -> Vector:
     """The gains of the compensator for 2m equal poles.
 
-    A zero of the load that is slower than the pole takes the place of one of them, so that it is
-    cancelled. A battery has one close to its pole, and moving that pole away would take enormous
-    gains.
-
     Args:
         a: A of the model.
         b: B of the model.
@@ -81,9 +77,11 @@ def compensator_gains(a: Vector, b: Vector, order: int, pole: float) -> Vector:
     Returns:
         r_1 ... r_n, s_0 ... s_m; NaNs where the model cannot be controlled.
     """
-    desired = desired_polynomial(pole, 2 * order)
-    if _value(b, pole) * _value(b, 1.0) < 0.0:
-        desired = multiply(desired_polynomial(pole, 2 * order - 1), [1.0, -_zero(b, pole)])
+    return loop_gains(a, b, asked_loop(b, order, pole))
+
+
+def loop_gains(a: Vector, b: Vector, desired: Vector) -> Vector:
+    """The gains that give a model the closed loop `desired`, in the order of the compensator."""
     r, s = place_poles(a, b, desired)
     gains = [0.0] * (len(r) - 1 + len(s))
     for i in range(len(r) - 1):
@@ -91,6 +89,23 @@ def compensator_gains(a: Vector, b: Vector, order: int, pole: float) -> Vector:
     for i in range(len(s)):
         gains[len(r) - 1 + i] = s[i]
     return gains
+
+
+def asked_loop(b: Vector, order: int, pole: float) -> Vector:
+    """A_m: 2m equal poles, one of which gives way to a zero of the load that is cancelled."""
+    kept = kept_factor(b, pole)
+    return multiply(kept, desired_polynomial(pole, 2 * order + 1 - len(kept)))
+
+
+def kept_factor(b: Vector, pole: float) -> Vector:
+    """The factor of A_m that cancels a zero of the load, [1.0] where none is cancelled.
+
+    A zero that is slower than the pole takes the place of one pole. A battery has one close to its
+    own pole, and moving that pole away would take enormous gains.
+    """
+    if _value(b, pole) * _value(b, 1.0) < 0.0:
+        return [1.0, -_zero(b, pole)]
+    return [1.0]
 
 
 def _value(b: Vector, z: float) -> float:

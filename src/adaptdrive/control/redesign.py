@@ -5,15 +5,18 @@ The checks run in the order of their cost; the first that fails gives the verdic
 
 from __future__ import annotations
 
+import math
+
 from adaptdrive.control import estimator as est
 from adaptdrive.control import supervisor as sup
-from adaptdrive.control.design import compensator_gains, discrete_model
+from adaptdrive.control.design import asked_loop, discrete_model, loop_gains
 from adaptdrive.control.load import Load
+from adaptdrive.control.noise_limit import quiet_loop
 from adaptdrive.control.pole_placement import closed_loop_polynomial
 from adaptdrive.control.robustness import STABLE_RADIUS, closes_stably, stands_uncertainty
 from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.control.slow_state import SlowSample, SlowState
-from adaptdrive.control.vectors import Vector, copy_into
+from adaptdrive.control.vectors import Vector, copy_into, total
 
 _LOST_PERIODS = 60  # three windows of evidence: an explanation that is being learnt needs one
 
@@ -29,6 +32,7 @@ def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: Sl
     )
     if state.accepted:
         _take_gains(settings.jacket, state, gains)
+        _take_loop(load, state, settings.jacket.gain_slew, sample.pole)
         state.trusted_a, state.trusted_b = state.model_a, state.model_b
         state.trusted_alarms = state.estimator.surprise.alarms
 
@@ -56,6 +60,25 @@ def _take_gains(jacket: Jacket, state: SlowState, gains: Vector) -> None:
         state.adaptive_gains[i] += share * (gains[i] - state.adaptive_gains[i])
 
 
+def _take_loop(load: Load, state: SlowState, share: float, pole: float) -> None:
+    """Make the reference filter fit the gains; these are affine in A_c, so both move alike."""
+    target = state.reference_filter
+    if not state.adaptive or total(target.loop) == 0.0:
+        share = 1.0
+    asked = asked_loop(state.model_b, load.order, pole)
+    for i in range(len(asked)):
+        target.asked[i] = asked[i]
+    for i in range(len(state.new_loop)):
+        target.loop[i] += share * (state.new_loop[i] - target.loop[i])
+
+
+def _output_noise(settings: ControllerSettings, state: SlowState) -> float:
+    """σ_y of a slow sample: what a disturbance or an error of the estimate adds is not in it."""
+    if not settings.learning.method.physical:
+        return 0.0
+    return math.sqrt(state.estimator.surprise.noise) * settings.learning.output_scale
+
+
 def _redesign(
     settings: ControllerSettings,
     load: Load,
@@ -69,7 +92,10 @@ def _redesign(
     verdict = sup.judge_load(a)
     if verdict != sup.Verdict.TRUSTED:
         return verdict
-    copy_into(gains, compensator_gains(a, b, load.order, sample.pole))
+    limit = settings.jacket.noise_max
+    noise = _output_noise(settings, state)
+    copy_into(state.new_loop, quiet_loop(a, b, load.order, sample.pole, noise, limit))
+    copy_into(gains, loop_gains(a, b, state.new_loop))
     taps = len(state.inputs)
     r = [1.0, *gains[:taps]]
     verdict = sup.judge_loop(closed_loop_polynomial(a, b, r, gains[taps:]))

@@ -118,6 +118,8 @@ class Jacket:
         response_periods: Longest wait at a limit for the output to move where a model does.
         response_distance: Movement that counts, in the unit of the output.
         gain_slew: Largest share of the way to new gains that is gone in one period.
+        noise_max: Largest standard deviation of the input that noise of the output may cause, in
+            the unit of the input.
         confirm_periods: The same after a start from estimates that an earlier run had trusted.
         confidence: Standard deviations by which the estimate may be wrong without new gains
             becoming unstable; with 0 the last trusted model is not tried either.
@@ -140,6 +142,7 @@ class Jacket:
     confirm_periods: int = 0
     confidence: float = 0.0
     gain_slew: float = 1.0
+    noise_max: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from adaptdrive.control.compensator import control_law, lead_reference
 from adaptdrive.control.design import compensator_gains, discrete_model, reference_lead
 from adaptdrive.control.load import Load
 from adaptdrive.control.redesign import adapt
+from adaptdrive.control.reference_filter import condition_reference, filter_reference
 from adaptdrive.control.rest import distance_from_rest, nominal_gain
 from adaptdrive.control.rls import predict
 from adaptdrive.control.settings import ControllerSettings, Jacket
@@ -140,7 +141,8 @@ def _act(jacket: Jacket, state: SlowState, sample: SlowSample, reference: float)
     sound = state.supervisor.trusted and state.watch.fallback == Fallback.NONE
     state.adaptive = sample.adaptive and sound
     fixed = control_law(state.fixed_gains, state.inputs, state.outputs, reference)
-    other = control_law(state.adaptive_gains, state.inputs, state.outputs, reference)
+    filtered = filter_reference(state.reference_filter, reference)
+    other = control_law(state.adaptive_gains, state.inputs, state.outputs, filtered)
     ready = total(state.adaptive_gains) != 0.0
     step = fixed - other if state.adaptive else other - fixed
     state.handover_step = step if ready else math.nan
@@ -149,6 +151,9 @@ def _act(jacket: Jacket, state: SlowState, sample: SlowSample, reference: float)
         wanted = state.inputs[0]
     limited = min(max(wanted, sample.low), sample.high)
     state.saturated = limited != wanted
+    if state.blend >= 1.0:
+        gain = total(state.adaptive_gains[len(state.inputs) :])
+        condition_reference(state.reference_filter, limited - wanted, gain)
     shift_in(state.inputs, limited)
     return limited
 

@@ -10,6 +10,7 @@ from adaptdrive.control import supervisor as sup
 from adaptdrive.control.charging import ChargeState
 from adaptdrive.control.design import past_inputs
 from adaptdrive.control.load import Load, to_input
+from adaptdrive.control.reference_filter import ReferenceFilter, new_reference_filter
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.vectors import Vector
 from adaptdrive.control.watch import WatchState
@@ -41,6 +42,8 @@ class SlowState:
         model_b: B of it.
         trusted_a: A of the last trusted estimate.
         trusted_b: B of it.
+        reference_filter: Reference filter of the adaptive law.
+        new_loop: A_c of the design of this period.
         trusted_alarms: Abrupt changes noticed when it was accepted.
         saturated: Whether the last input was at a limit or could not be followed.
         blend: Share of the adaptive law in what is sent, 0 to 1.
@@ -70,6 +73,8 @@ class SlowState:
     model_b: Vector
     trusted_a: Vector
     trusted_b: Vector
+    reference_filter: ReferenceFilter
+    new_loop: Vector
     trusted_alarms: int = 0
     saturated: bool = False
     blend: float = 0.0
@@ -146,4 +151,6 @@ def new_slow_state(
         model_b=[0.0] * (taps + 1),
         trusted_a=[1.0] + [0.0] * load.order,
         trusted_b=[0.0] * (taps + 1),
+        reference_filter=new_reference_filter(load.order, taps),
+        new_loop=[0.0] * (load.order + taps + 1),
     )

@@ -1,0 +1,121 @@
+"""Closed-loop poles that keep the noise of the output out of the input.
+
+White noise e of the slow samples, with standard deviation σ_y, reaches the input through the loop:
+
+    A y = B u,  R u = t0 r - S (y + e)      u = -(S A / A_c) e      A_c = A R + B S
+    σ_u = σ_y ‖S A / A_c‖₂
+
+The asked poles A_m may cost more of σ_u than the input can give: the gains grow with the inertia.
+Where σ_u would be above its limit, the poles that are free, at 0 otherwise, become observer poles
+first, up to 0.8; where that does not suffice, the asked poles p become slower, 1 - p down to a
+quarter. A zero that is cancelled stays where it is.
+
+The norm is the sum of the squared impulse response (K. J. Åström, Introduction to Stochastic
+Control Theory, 1970, section 5.2): with a, b of degree n, the recursion
+
+    α = a_k/a_0    β = b_k/a_0    a_i <- a_i - α a_(k-i)    b_i <- b_i - β a_(k-i)    k = n ... 1
+
+adds b_k β to it in each step, and b_0²/a_0 at the end, for a_0 = 1 at the start.
+"""
+
+from __future__ import annotations
+
+import math
+
+from adaptdrive.control.design import kept_factor
+from adaptdrive.control.pole_placement import desired_polynomial, place_poles
+from adaptdrive.control.vectors import Vector, multiply
+
+OBSERVER_POLE = 0.8
+"""Slowest observer pole: a disturbance is seen within about 5 slow periods."""
+
+SLOWEST_SHARE = 0.25
+"""Least 1 - p over that of the pole asked for: four times its time constant."""
+
+_BOTH = 2.0
+"""Slowness at which the observer poles and the asked poles are at their limits."""
+
+_FINE = 0.04
+"""Slowness that is close enough: the observer pole within 0.03."""
+
+
+def quiet_loop(a: Vector, b: Vector, order: int, pole: float, noise: float, limit: float) -> Vector:
+    """Return A_c with the fastest poles that keep the noise of the input within its limit.
+
+    Args:
+        a: A of the model.
+        b: B of the model.
+        order: m.
+        pole: Closed-loop pole asked for.
+        noise: σ_y of a slow sample, in the unit of the output.
+        limit: Largest σ_u, in the unit of the input; 0 for none.
+    """
+    kept = kept_factor(b, pole)
+    free = len(a) + len(b) - 2 - 2 * order
+    slowness, low, high = 0.0, 0.0, _BOTH if limit > 0.0 else 0.0
+    while high - low > _FINE:
+        loop = slowed_loop(kept, order, free, pole, slowness)
+        if noise * noise_gain(a, b, loop) <= limit:
+            high = slowness
+        else:
+            low = slowness
+        slowness = 0.5 * (low + high)
+    return slowed_loop(kept, order, free, pole, high)
+
+
+def slowed_loop(kept: Vector, order: int, free: int, pole: float, slowness: float) -> Vector:
+    """Return A_c for a slowness of 0 (as asked) to 1 (observer poles) to 2 (all poles slow).
+
+    Args:
+        kept: Factor of A_m that is not moved, [1.0] for none.
+        order: m.
+        free: Number of poles that nobody asks for.
+        pole: Closed-loop pole asked for.
+        slowness: 0 to 2.
+    """
+    observer = OBSERVER_POLE * min(slowness, 1.0)
+    share = 1.0 - (1.0 - SLOWEST_SHARE) * max(slowness - 1.0, 0.0)
+    slowed = desired_polynomial(1.0 - share * (1.0 - pole), 2 * order + 1 - len(kept))
+    return multiply(multiply(kept, slowed), desired_polynomial(observer, free))
+
+
+def noise_gain(a: Vector, b: Vector, loop: Vector) -> float:
+    """Return ‖S A / A_c‖₂ of the controller that gives a model this loop.
+
+    Args:
+        a: A of the model.
+        b: B of the model.
+        loop: A_c, stable.
+    """
+    _, s = place_poles(a, b, loop)
+    return impulse_norm(multiply(s, a), loop)
+
+
+def impulse_norm(numerator: Vector, denominator: Vector) -> float:
+    """Return the root of the sum of the squared impulse response of a stable filter in q^-1.
+
+    Args:
+        numerator: b, no longer than a.
+        denominator: a, its first entry 1.
+    """
+    degree = len(denominator) - 1
+    a, b = list(denominator), [0.0] * (degree + 1)
+    for i in range(len(numerator)):
+        b[i] = numerator[i]
+    power = 0.0
+    for k in range(degree, 0, -1):
+        beta = b[k] / a[0]
+        power += beta * b[k]
+        _reduce(a, b, k)
+    return math.sqrt(power + b[0] * b[0] / a[0])
+
+
+def _reduce(a: Vector, b: Vector, k: int) -> None:
+    """Lower the degree of both polynomials from k to k - 1."""
+    alpha, beta = a[k] / a[0], b[k] / a[0]
+    last = [0.0] * (k + 1)
+    for i in range(k + 1):
+        last[i] = a[k - i]
+    for i in range(k):
+        a[i] -= alpha * last[i]
+        b[i] -= beta * last[i]
