@@ -1,20 +1,27 @@
-"""The Python interface: recorded sessions as tables, and running drives over MQTT.
+"""The Python interface: recorded sessions, their loads, simulations, and running drives over MQTT.
 
-`docs/python.md` shows it at work. `load_session` needs the extra `adaptdrive[analysis]`.
+`docs/python.md` shows it at work. All but `Drive` needs the extra `adaptdrive[analysis]`.
 """
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
+from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.config.services import Mqtt
+from adaptdrive.control.signals import Mode
 from adaptdrive.errors import RefusedError
 from adaptdrive.operation.client import read_status, send_command, telemetry
 from adaptdrive.operation.messages import Reply
 from adaptdrive.recording.session import SessionInfo
+
+if TYPE_CHECKING:  # they need libraries that `Drive` does without
+    from adaptdrive.analysis.closed_loop import Plant
+    from adaptdrive.analysis.session_load import SessionLoad
+    from adaptdrive.analysis.simulation import Simulation
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +61,54 @@ def load_session(path: str | Path, frames: Literal["polars", "pandas"] = "polars
     from adaptdrive.analysis.frames import session_frames  # noqa: PLC0415 - `Drive` needs none
 
     return Tables(**session_frames(Path(path), frames))
+
+
+def identify(
+    path: str | Path, begin_s: float | None = None, end_s: float | None = None
+) -> SessionLoad:
+    """Identify the load from a recorded session, in open or closed loop.
+
+    Args:
+        path: Its folder.
+        begin_s: First second used, from the first tick on; None for the first.
+        end_s: Last second used, None for the last.
+
+    Raises:
+        AdaptdriveError: The session cannot be read, or does not show its load.
+        ModuleNotFoundError: A library is not installed.
+    """
+    from adaptdrive.analysis.session_load import identify_session  # noqa: PLC0415 - see above
+
+    return identify_session(Path(path), begin_s, end_s)
+
+
+def simulate(
+    config: str | Path | Configuration,
+    plant: Plant,
+    setpoint: float | Callable[[float], float],
+    duration_s: float,
+    mode: Literal["fixed", "adaptive"] = "adaptive",
+) -> Simulation:
+    """Run the daemon's controller on a plant of your own, in virtual time.
+
+    Args:
+        config: The configuration, or its file.
+        plant: An object with `step(boost_voltage_V, duration_s)`, which returns the output and the
+            power drawn from the boost capacitor in W.
+        setpoint: A constant, or the set-point at each time in s.
+        duration_s: Simulated time, in s.
+        mode: Controller asked for.
+
+    Raises:
+        ConfigurationError: The configuration is not valid.
+        IdentificationError: The plant returns a value that is not finite.
+        ModuleNotFoundError: A library is not installed.
+    """
+    from adaptdrive.analysis.simulation import simulated  # noqa: PLC0415 - see above
+
+    whole = config if isinstance(config, Configuration) else load_configuration(Path(config))
+    wanted = setpoint if callable(setpoint) else lambda _: setpoint
+    return simulated(whole, plant, wanted, duration_s, Mode(mode))
 
 
 class Drive:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import polars as pl
 import pytest
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import RefusedError
 from adaptdrive.lab import Drive, load_session
 from adaptdrive.recording.reader import read_session
+from tests.app.test_replay import EXAMPLE
 from tests.operation.peers import load_report, serving
 from tests.support import Broker
 
@@ -33,16 +36,30 @@ def test_the_examples_on_sessions_run(
     (tmp_path / "session").symlink_to(session_path)
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
-    for code in examples()[:2]:
+    for code in examples()[:3]:
         exec(code, names)
     said = capsys.readouterr().out
     assert "motor orderly" in said
     assert re.search(r"gain 0\.01\d+ ± .*adaptive", said)
+    assert re.search(r"gain = 0\.01\d+ ± .*on-line 0\.01", said)
+
+
+def test_the_example_with_a_plant_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("motor.toml", "adaptdrive.dbc"):
+        shutil.copy(EXAMPLE.with_name(name), tmp_path)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(examples()[3], names)
+    assert "adaptive" in capsys.readouterr().out
+    held = names["run"].ticks.filter(pl.col("time_s").is_between(410.0, 419.0))
+    assert held["output"].to_list() == pytest.approx([2.4] * held.height, abs=0.01)
 
 
 async def test_the_example_on_a_running_drive_runs(mosquitto: Broker, tmp_path: Path) -> None:
     names: dict[str, Any] = {}
-    exec(examples()[2], names)
+    exec(examples()[4], names)
     broker = Mqtt(host=mosquitto.host, port=mosquitto.port)
     async with serving(mosquitto, "motor", tmp_path) as bench, asyncio.TaskGroup() as group:
         stepping = group.create_task(names["step"](broker))

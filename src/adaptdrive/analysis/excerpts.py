@@ -6,10 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from adaptdrive.analysis.curves import session_clock
-from adaptdrive.control.signals import Stage
+from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.errors import IdentificationError
 from adaptdrive.identification.excerpt import Excerpt
 from adaptdrive.recording.reader import Session
@@ -17,7 +19,7 @@ from adaptdrive.recording.session import TICKS
 
 Array = NDArray[np.float64]
 
-_COLUMNS = ("boost_voltage_V", "output", "reference", "load_power_W", "tick_period_s")
+_COLUMNS = ("boost_voltage_V", "output", "reference", "load_power_W", "pole", "tick_period_s")
 _LONGEST_GAP = 5
 """Missing readings in a row that are filled in on a straight line; a longer gap divides."""
 
@@ -33,13 +35,15 @@ class Stretch:
         begin_s: Time of its first sample since the first tick of the session.
         period_s: Time between two samples.
         samples_per_period: Samples in a slow period; the first sample begins one.
-        columns: Values of `boost_voltage_V`, `output`, `reference` and `load_power_W`.
+        columns: Values of `boost_voltage_V`, `output`, `reference`, `load_power_W` and `pole`.
+        adaptive: Whether mode adaptive was asked for, at each sample.
     """
 
     begin_s: float
     period_s: float
     samples_per_period: int
     columns: dict[str, Array]
+    adaptive: NDArray[np.bool_]
 
     @property
     def excerpt(self) -> Excerpt:
@@ -85,19 +89,30 @@ def _running(session: Session, begin_s: float, end_s: float) -> dict[str, Array]
     """Return time, tick and columns of the ticks with a fresh reading of a running drive."""
     clock = session_clock(session)
     first_s = math.nan
-    kept: dict[str, list[Array]] = {name: [] for name in ("time_s", "tick", *_COLUMNS)}
-    for batch in session.batches(TICKS, ("monotonic_s", "tick", "stage", "fresh", *_COLUMNS)):
+    kept: dict[str, list[Array]] = {n: [] for n in ("time_s", "adaptive", "tick", *_COLUMNS)}
+    read = ("monotonic_s", "tick", "stage", "fresh", "mode", *_COLUMNS)
+    for batch in session.batches(TICKS, read):
         time_s = clock(batch)
         first_s = time_s[0] if math.isnan(first_s) and len(time_s) else first_s
         since_s = time_s - first_s
-        running = np.asarray(batch.column("stage").to_numpy(zero_copy_only=False)) == Stage.RUN
-        fresh = np.asarray(batch.column("fresh").to_numpy(zero_copy_only=False)) != np.False_
-        chosen = running & fresh & (since_s >= begin_s) & (since_s <= end_s)
+        running, adaptive = (
+            _equal(batch, "stage", Stage.RUN.value),
+            _equal(batch, "mode", Mode.ADAPTIVE.value),
+        )
+        chosen = running & ~_equal(batch, "fresh", wanted=False)
+        chosen &= (since_s >= begin_s) & (since_s <= end_s)
         kept["time_s"].append(since_s[chosen])
+        kept["adaptive"].append(adaptive[chosen].astype(np.float64))
         for name in ("tick", *_COLUMNS):
             values = batch.column(name).to_numpy(zero_copy_only=False)
             kept[name].append(np.asarray(values, dtype=np.float64)[chosen])
     return {name: np.concatenate([*values, np.empty(0)]) for name, values in kept.items()}
+
+
+def _equal(batch: pa.RecordBatch, name: str, wanted: str | bool) -> NDArray[np.bool_]:
+    """Return where a column has a value; null is none."""
+    found = pc.fill_null(pc.equal(batch.column(name), wanted), fill_value=False)
+    return np.asarray(found.to_numpy(zero_copy_only=False), dtype=np.bool_)
 
 
 def _stretch(rows: dict[str, Array], stride: int, ticks_per_period: int) -> Stretch | None:
@@ -113,4 +128,5 @@ def _stretch(rows: dict[str, Array], stride: int, ticks_per_period: int) -> Stre
         period_s=stride * float(rows["tick_period_s"].mean()),
         samples_per_period=max(1, ticks_per_period // stride),
         columns=columns,
+        adaptive=np.interp(grid, ticks, rows["adaptive"]) > 0.5,
     )

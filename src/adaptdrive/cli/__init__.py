@@ -26,6 +26,7 @@ _COMMANDS = {
     "events": ("sessions", "Show the events of a recorded session."),
     "plot": ("analysis", "Draw a recorded session: a figure, and a report as one HTML file."),
     "identify": ("analysis", "Identify the load from a recorded session, with error bars."),
+    "whatif": ("analysis", "Run a session again in closed loop with other settings."),
     "export": ("analysis", "Write a session as CSV, Parquet, MATLAB, MDF 4 or MCAP."),
     "status": ("operate", "Show the state and the telemetry of a drive."),
     "manual": ("operate", "Hold the present V_c, to be set by hand."),

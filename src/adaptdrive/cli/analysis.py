@@ -79,6 +79,50 @@ def identify(  # noqa: PLR0913 - one parameter for each option
     return 0
 
 
+def whatif(  # noqa: PLR0913 - one parameter for each option
+    session: str,
+    /,
+    *,
+    settings: Annotated[tuple[str, ...], Parameter(name="--set", negative=())] = (),
+    begin: Annotated[float | None, Parameter(name="--from")] = None,
+    end: Annotated[float | None, Parameter(name="--to")] = None,
+    into: Path | None = None,
+    show: Annotated[bool, Parameter(name="--open", negative=())] = False,
+    json: Annotated[bool, Parameter(negative=())] = False,
+) -> int:
+    """Run a session again in closed loop, against the load identified from it.
+
+    Set-points, mode and disturbances are those of the record. Prints overshoot, settling and effort
+    as recorded, as simulated with the recorded settings, and with the changed ones; draws
+    whatif.png.
+
+    Args:
+        session: Folder of the session, or its name below the sessions of this machine.
+        settings: KEY=VALUE, such as load.pole=0.8; may be repeated.
+        begin: First second used, from the first tick on.
+        end: Last second used.
+        into: Folder for whatif.png; that of the session when left out.
+        show: Open the figure.
+        json: Print JSON, for programs.
+    """
+    with _Extra("analysis"):
+        from adaptdrive.analysis import whatif as analysis  # noqa: PLC0415 - it is large
+        from adaptdrive.analysis.whatif_figure import draw_comparison  # noqa: PLC0415
+    path = _find(session)
+    found = analysis.what_if(path, settings, begin, end)
+    for one in found.idle:
+        print(f"adaptdrive: {one}: has no effect on the loop", file=sys.stderr)
+    figure = (path if into is None else into) / "whatif.png"
+    figure.write_bytes(draw_comparison(found, settings))
+    if json:
+        print(dumps(analysis.as_json(found)))
+    else:
+        print(f"{analysis.as_text(found)}\n\n{figure}")
+    if show:
+        webbrowser.open(figure.absolute().as_uri())
+    return 0
+
+
 def export(
     session: str,
     /,

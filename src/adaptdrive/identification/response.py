@@ -78,6 +78,21 @@ def responses(denominator: Array, period_s: float) -> Responses:
     return Responses(np.vstack((highest, states[::-1])), below)
 
 
+def held_step(denominator: Array, period_s: float) -> tuple[Array, Array]:
+    """Return transition and entry of the state x in companion form, for a held input.
+
+    Args:
+        denominator: 1, a_1 ... a_m.
+        period_s: Time for which the input is held.
+    """
+    order = len(denominator) - 1
+    matrix = np.zeros((order + 1, order + 1))
+    matrix[:order, :order] = companion(denominator)[::-1, ::-1]
+    matrix[order - 1, order] = 1.0
+    carried = _exponential(matrix * period_s)
+    return carried[:order, :order], carried[:order, order]
+
+
 def _exponential(matrix: Array) -> Array:
     """Return exp(M) by a Taylor series and repeated squaring.
 

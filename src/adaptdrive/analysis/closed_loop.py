@@ -1,0 +1,183 @@
+"""The daemon's controller in closed loop with a plant, in virtual time.
+
+The order of calls is that of `control.schedule`. A command that is computed from the measurement
+at tick n is latched by the drive at the end of the half cycle after it, and acts from tick n+1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings, tick_s
+from adaptdrive.config import Configuration
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.schedule import Schedule
+from adaptdrive.control.signals import Command, Decision, Measurement, Order, Snapshot
+from adaptdrive.errors import IdentificationError
+
+
+class Plant(Protocol):
+    """A load behind the boost capacitor."""
+
+    def step(self, boost_voltage_V: float, duration_s: float) -> tuple[float, float]:
+        """Advance under a boost voltage.
+
+        Args:
+            boost_voltage_V: Mean boost voltage over the step.
+            duration_s: Length of the step.
+
+        Returns:
+            The output at the end of the step, and the mean power drawn, in W.
+        """
+
+
+@dataclass(slots=True)
+class LoopRecord:
+    """Record of a closed loop: one entry for each reading, and for each slow step.
+
+    Attributes:
+        time_s: Time since the start.
+        reference: Set-point.
+        output: The regulated quantity.
+        boost_voltage_V: v_bst.
+        load_power_W: Power drawn from the boost capacitor.
+        snapshots: Input of each slow step.
+        decisions: Result of each slow step.
+        fault: Cause that ended the run early, empty for none.
+    """
+
+    time_s: list[float] = field(default_factory=list)
+    reference: list[float] = field(default_factory=list)
+    output: list[float] = field(default_factory=list)
+    boost_voltage_V: list[float] = field(default_factory=list)
+    load_power_W: list[float] = field(default_factory=list)
+    snapshots: list[Snapshot] = field(default_factory=list)
+    decisions: list[Decision] = field(default_factory=list)
+    fault: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LoopStart:
+    """State in which a closed loop starts.
+
+    Attributes:
+        boost_voltage_V: v_bst; the lowest V_c when None.
+        prior: Parameters that an earlier run trusted, in the order of `Load.names`; None for none.
+    """
+
+    boost_voltage_V: float | None = None
+    prior: tuple[float, ...] | None = None
+
+
+class BoostStage:
+    """The boost capacitor on an ideal line, charged to the lowest V_c at least.
+
+    Attributes:
+        voltage_V: v_bst at the end of the last step.
+    """
+
+    def __init__(self, configuration: Configuration, voltage_V: float | None) -> None:
+        """Build the boost stage of a configuration.
+
+        Args:
+            configuration: The drive.
+            voltage_V: v_bst at the start; the lowest V_c when None.
+        """
+        drive, loop = configuration.drive, configuration.voltage_loop
+        rates = controller_settings(configuration).rates
+        self._peak_V = math.sqrt(2.0) * drive.line_voltage_V
+        self._line_V = drive.line_voltage_V
+        self._capacitance_F = drive.boost_capacitance_F
+        self._lag_s = rates.lag_ticks * rates.nominal_tick_s if loop.where == "drive" else None
+        lowest_V = max(self._peak_V, drive.limits.boost_reference_min_V)
+        self.voltage_V = lowest_V if voltage_V is None else max(self._peak_V, voltage_V)
+
+    def step(self, command: Command, power_W: float, duration_s: float) -> float:
+        """Advance under a command and a load.
+
+        Args:
+            command: The command that the drive has latched.
+            power_W: Power drawn, as of the step before.
+            duration_s: Length of the step.
+
+        Returns:
+            The mean voltage over the step, in V.
+        """
+        before_V = self.voltage_V
+        if self._lag_s is not None:
+            share = -math.expm1(-duration_s / self._lag_s)
+            self.voltage_V += share * (command.boost_reference_V - before_V)
+        else:
+            fed_W = command.current_scale_S * self._line_V**2
+            square = before_V**2 + 2.0 * duration_s / self._capacitance_F * (fed_W - power_W)
+            self.voltage_V = math.sqrt(max(0.0, square))
+        self.voltage_V = max(self._peak_V, self.voltage_V)
+        return 0.5 * (before_V + self.voltage_V)
+
+
+def run_loop(
+    configuration: Configuration,
+    plant: Plant,
+    order: Callable[[int], Order],
+    readings: int,
+    start: LoopStart | None = None,
+) -> LoopRecord:
+    """Run the controller of a configuration on a plant.
+
+    Args:
+        configuration: The configuration.
+        plant: The plant.
+        order: The order at each reading, by its number.
+        readings: Number of readings of the drive.
+        start: Where it starts; at the lowest V_c when left out.
+
+    Raises:
+        IdentificationError: The plant returns a value that is not finite.
+    """
+    begin, record = start or LoopStart(), LoopRecord()
+    settings, load = controller_settings(configuration), build_load(configuration)
+    controller = Controller(settings, load, begin.prior)
+    schedule = Schedule(controller, configuration.load.latency_ticks)
+    boost = BoostStage(configuration, begin.boost_voltage_V)
+    half_cycle_s, stride = tick_s(configuration), configuration.bus.ticks_per_reading
+    line_V, period_s = configuration.drive.line_voltage_V, half_cycle_s * stride
+    output, power_W = _advanced(plant, boost.voltage_V, period_s, 0)
+    latched: Command | None = None
+    for number in range(readings):
+        wanted, volts = order(number), boost.voltage_V
+        measured = Measurement(number * stride, half_cycle_s, volts, line_V, power_W, output)
+        command = schedule.tick(measured, wanted)
+        _note(record, number * period_s, wanted, measured)
+        if (snapshot := schedule.take_snapshot()) is not None:
+            record.snapshots.append(snapshot)
+            record.decisions.append(schedule.decide(snapshot))
+            record.fault = record.decisions[-1].fault
+        if record.fault:
+            return record
+        mean_V = boost.step(latched or command, power_W, period_s)
+        latched = command
+        output, power_W = _advanced(plant, mean_V, period_s, number + 1)
+    return record
+
+
+def _note(record: LoopRecord, time_s: float, wanted: Order, measured: Measurement) -> None:
+    record.time_s.append(time_s)
+    record.reference.append(wanted.reference)
+    record.output.append(measured.output)
+    record.boost_voltage_V.append(measured.boost_voltage_V)
+    record.load_power_W.append(measured.load_power_W)
+
+
+def _advanced(
+    plant: Plant, voltage_V: float, duration_s: float, number: int
+) -> tuple[float, float]:
+    output, power_W = plant.step(voltage_V, duration_s)
+    if not (math.isfinite(output) and math.isfinite(power_W)):
+        raise IdentificationError(
+            f"step {number} of the plant returned output {output} and power {power_W} W"
+        )
+    return output, power_W

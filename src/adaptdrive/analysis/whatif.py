@@ -1,0 +1,213 @@
+"""What if: a recorded session again in closed loop, with other settings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptdrive.analysis.closed_loop import LoopStart, run_loop
+from adaptdrive.analysis.excerpts import Stretch
+from adaptdrive.analysis.identified_plant import disturbed_plant
+from adaptdrive.analysis.session_load import SessionLoad, identify_session
+from adaptdrive.analysis.steps import Quality, period_means, quality_of
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings
+from adaptdrive.config import Configuration
+from adaptdrive.control.signals import Mode, Order, Stage
+from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.recording.what_if import reconfigured
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """Course of a loop, as means over slow periods.
+
+    Attributes:
+        time_s: End of each slow period since the start.
+        reference: Set-point.
+        output: The regulated quantity.
+        boost_voltage_V: v_bst.
+        quality: Judgement of it.
+        fault: Cause that ended it early, empty for none.
+    """
+
+    time_s: Array
+    reference: Array
+    output: Array
+    boost_voltage_V: Array
+    quality: Quality
+    fault: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A recorded session and the same with other settings.
+
+    Attributes:
+        found: The session and its load.
+        recorded: What was recorded.
+        repeated: Simulated with the recorded settings: as good as the model is.
+        changed: Simulated with the other settings.
+        idle: Settings without an effect on the loop.
+    """
+
+    found: SessionLoad
+    recorded: Response
+    repeated: Response
+    changed: Response
+    idle: tuple[str, ...]
+
+
+def what_if(
+    path: Path, settings: Sequence[str], begin_s: float | None = None, end_s: float | None = None
+) -> Comparison:
+    """Run a session again in closed loop against the load that it shows.
+
+    The set-points, the mode and the disturbances are those of the record: whatever its output has
+    beside the response of the identified load to the recorded voltage.
+
+    Args:
+        path: Directory of the session.
+        settings: `KEY=VALUE` pairs that replace keys of the recorded configuration.
+        begin_s: First second used, from the first tick on; None for the first.
+        end_s: Last second used, None for the last.
+
+    Raises:
+        AdaptdriveError: The session does not show its load, or a setting is not valid.
+    """
+    source = path / "config.toml"
+    found = identify_session(path, begin_s, end_s)
+    changed = reconfigured(found.session.config_text, source, settings)
+    if changed.load.type != found.configuration.load.type:
+        flaw = Flaw("load.type", f"the session shows a {found.configuration.load.type}")
+        raise ConfigurationError(source, [flaw])
+    stretch = max(found.stretches, key=lambda one: len(one.columns["output"]))
+    span = found.configuration.load.reference_max - found.configuration.load.reference_min
+    columns = stretch.columns
+    recorded = _response(
+        stretch, (columns["reference"], columns["output"], columns["boost_voltage_V"]), span
+    )
+    idle = [
+        one
+        for one in settings
+        if _acting(found.configuration) == _acting_with(found, source, settings, one)
+    ]
+    return Comparison(
+        found=found,
+        recorded=recorded,
+        repeated=_simulated(found, stretch, found.configuration, span),
+        changed=_simulated(found, stretch, changed, span),
+        idle=tuple(idle),
+    )
+
+
+def _acting(configuration: Configuration) -> tuple[object, ...]:
+    """Return what of a configuration acts on the loop."""
+    drives = configuration.drive.line_voltage_V, configuration.bus.ticks_per_reading
+    settings = controller_settings(configuration)
+    return settings, build_load(configuration), configuration.load.pole, *drives
+
+
+def _acting_with(
+    found: SessionLoad, source: Path, settings: Sequence[str], one: str
+) -> tuple[object, ...] | None:
+    """Return the same with one setting; None where it is valid only beside the others."""
+    try:
+        return _acting(reconfigured(found.session.config_text, source, (one,)))
+    except ConfigurationError:
+        if len(settings) == 1:
+            raise
+        return None
+
+
+def _simulated(
+    found: SessionLoad, stretch: Stretch, configuration: Configuration, span: float
+) -> Response:
+    poles = stretch.columns["pole"]
+    if configuration.load.pole != found.configuration.load.pole:
+        poles = np.full(len(poles), configuration.load.pole)
+    reference = stretch.columns["reference"]
+
+    def order(number: int) -> Order:
+        mode = Mode.ADAPTIVE if stretch.adaptive[number] else Mode.FIXED
+        return Order(Stage.RUN, float(reference[number]), mode, float(poles[number]))
+
+    record = run_loop(
+        configuration,
+        disturbed_plant(found.load, build_load(found.configuration), stretch),
+        order,
+        len(reference),
+        LoopStart(float(stretch.columns["boost_voltage_V"][0]), found.session.info.prior),
+    )
+    series = [np.array(one) for one in (record.reference, record.output, record.boost_voltage_V)]
+    return _response(stretch, (series[0], series[1], series[2]), span, record.fault)
+
+
+def _response(
+    stretch: Stretch, series: tuple[Array, Array, Array], span: float, fault: str = ""
+) -> Response:
+    samples = stretch.samples_per_period
+    period_s = samples * stretch.period_s
+    reference = series[0][samples - 1 :: samples]
+    output, volts = (period_means(one, samples) for one in series[1:])
+    reference = reference[: len(output)]
+    return Response(
+        time_s=stretch.begin_s + period_s * np.arange(1.0, len(output) + 1.0),
+        reference=reference,
+        output=output,
+        boost_voltage_V=volts,
+        quality=quality_of(reference, output, volts, period_s, span),
+        fault=fault,
+    )
+
+
+_ROWS = (
+    ("overshoot, median", "overshoot", 100.0, "%"),
+    ("settling to 5 %, median", "settling_s", 1.0, "s"),
+    ("steps not settled", "unsettled", 1.0, ""),
+    ("rms error", "error", 1.0, "y"),
+    ("rms change of v_bst", "effort_V", 1.0, "V"),
+    ("highest v_bst", "highest_V", 1.0, "V"),
+)
+
+
+def as_text(comparison: Comparison) -> str:
+    """Return the comparison as a table."""
+    unit = comparison.found.session.info.output_unit
+    courses = (comparison.recorded, comparison.repeated, comparison.changed)
+    rows = [f"{'':<28}{'recorded':>12}{'simulated':>12}{'changed':>12}"]
+    for name, key, factor, quantity in _ROWS:
+        values = (factor * getattr(one.quality, key) for one in courses)
+        texts = ("-" if math.isnan(value) else f"{value:.4g}" for value in values)
+        label = f"{name} {quantity.replace('y', unit)}".rstrip()
+        rows.append(f"{label:<28}" + "".join(f"{text:>12}" for text in texts))
+    rows.append(f"{comparison.recorded.quality.steps} steps of the set-point")
+    rows += (
+        [f"the changed loop trips: {comparison.changed.fault}"] if comparison.changed.fault else []
+    )
+    return "\n".join(rows)
+
+
+def as_json(comparison: Comparison) -> dict[str, Any]:
+    """Return the comparison as values for JSON; unknown numbers are null."""
+    courses = {
+        "recorded": comparison.recorded,
+        "simulated": comparison.repeated,
+        "changed": comparison.changed,
+    }
+    return {
+        name: {
+            key: value if math.isfinite(value) else None
+            for key, value in asdict(one.quality).items()
+        }
+        | {"fault": one.fault}
+        for name, one in courses.items()
+    }

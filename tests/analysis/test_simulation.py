@@ -1,0 +1,56 @@
+"""A plant of the user in closed loop, against the simulators' own virtual drive."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from adaptdrive.errors import IdentificationError
+from adaptdrive.lab import simulate
+from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from tests.hardware.bench import EXAMPLES
+
+
+class ReferenceMotor:
+    """The simulators' motor behind an ideal dc/dc stage."""
+
+    def __init__(self, disks: int) -> None:
+        self.motor = Motor(MotorParameters(), disks)
+
+    def step(self, boost_voltage_V: float, duration_s: float) -> tuple[float, float]:
+        current_A = self.motor.drive(0.25 * boost_voltage_V, 1.0, duration_s)
+        return self.motor.output, max(0.0, 0.25 * current_A * boost_voltage_V)
+
+
+class Broken:
+    def step(self, boost_voltage_V: float, duration_s: float) -> tuple[float, float]:
+        return math.nan, 0.0 * boost_voltage_V * duration_s
+
+
+def square(time_s: float) -> float:
+    return 3.2 if time_s % 120.0 < 60.0 else 3.0
+
+
+def test_the_controller_learns_the_plant_it_is_given() -> None:
+    plant = ReferenceMotor(3)
+    true = plant.motor.model(0.25, 1.0)
+    run = simulate(EXAMPLES / "motor.toml", plant, square, 300.0)
+    last = run.slow.tail(1).to_dicts()[0]
+    assert last["controller"] == "adaptive"
+    assert last["estimate_gain"] == pytest.approx(true["gain"], rel=0.02)
+    total_s = true["tau_motor_s"] + true["tau_filter_s"]
+    assert last["estimate_tau_sum_s"] == pytest.approx(total_s, rel=0.02)
+    assert run.fault == ""
+
+
+def test_the_voltage_is_held_by_the_drives_own_loop_too() -> None:
+    run = simulate(EXAMPLES / "motor-modbus-tcp.toml", ReferenceMotor(1), 3.0, 200.0, "fixed")
+    assert run.ticks["output"][-1] == pytest.approx(3.0, abs=1e-3)
+    steps_s = run.ticks["time_s"].diff().drop_nulls()
+    assert steps_s.max() == pytest.approx(steps_s.min())
+
+
+def test_a_plant_that_returns_no_number_is_named() -> None:
+    with pytest.raises(IdentificationError, match=r"step 0 of the plant returned output nan"):
+        simulate(EXAMPLES / "motor.toml", Broken(), 3.0, 1.0)

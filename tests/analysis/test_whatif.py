@@ -1,0 +1,84 @@
+"""What if: a recorded session again with other settings, against the simulated plant itself."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from adaptdrive.analysis.steps import quality_of
+from adaptdrive.analysis.whatif import Comparison, as_text, what_if
+from adaptdrive.cli import main
+from adaptdrive.errors import ConfigurationError
+from adaptdrive.recording.batches import Header
+from adaptdrive.recording.session import NewSession, create_session
+from tests.app.test_replay import EXAMPLE, PRIOR, lived
+from tests.recording.material import INFO, make_batch, record_messages
+
+
+@pytest.fixture(scope="module")
+def stepped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three cycles of the square wave with three disks, of which the nominal model is ignorant."""
+    text = EXAMPLE.read_text(encoding="utf-8")
+    info = msgspec.structs.replace(INFO, output_unit="V", prior=PRIOR)
+    directory = create_session(NewSession(tmp_path_factory.mktemp("sessions"), info, text))
+    batch = make_batch(*lived(PRIOR, 360), last=True)
+    record_messages(directory, Header(info, text), batch)
+    return directory
+
+
+@pytest.fixture(scope="module")
+def slower(stepped: Path) -> Comparison:
+    return what_if(stepped, ["load.pole=0.8"])
+
+
+def test_the_loop_with_the_recorded_settings_repeats_the_record(slower: Comparison) -> None:
+    recorded, repeated = slower.recorded, slower.repeated
+    np.testing.assert_allclose(repeated.output, recorded.output, atol=0.004)
+    assert repeated.quality.error == pytest.approx(recorded.quality.error, rel=0.05)
+    assert recorded.quality.steps == 5
+
+
+def test_a_slower_pole_settles_later_with_less_effort(slower: Comparison) -> None:
+    assert slower.changed.quality.settling_s > 1.2 * slower.repeated.quality.settling_s
+    assert slower.changed.quality.effort_V < 0.8 * slower.repeated.quality.effort_V
+    assert slower.idle == ()
+    assert "settling to 5 %, median s" in as_text(slower)
+
+
+def test_a_setting_that_acts_on_no_loop_is_named(stepped: Path) -> None:
+    found = what_if(stepped, ["mqtt.port=1884", "load.pole=0.8"], None, 60.0)
+    assert found.idle == ("mqtt.port=1884",)
+
+
+def test_a_setting_that_is_not_valid_is_refused(stepped: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"load\.pole"):
+        what_if(stepped, ["load.pole=2"])
+
+
+def test_the_command_draws_and_prints(
+    stepped: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--set", "load.pole=0.9", "--into", str(tmp_path), "--json", "--to", "130"]
+    assert main(["whatif", str(stepped), *words]) == 0
+    assert json.loads(capsys.readouterr().out)["changed"]["fault"] == ""
+    assert (tmp_path / "whatif.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_quality_is_that_of_a_known_response() -> None:
+    """A second-order step: overshoot e^(-π ζ/√(1-ζ²)), settling by its own definition."""
+    damping, time_s = 0.5, np.arange(0.0, 60.0, 0.1)
+    ring = np.sqrt(1.0 - damping**2)
+    wave = np.cos(ring * time_s) + damping / ring * np.sin(ring * time_s)
+    response = 1.0 - np.exp(-damping * time_s) * wave
+    lead = np.zeros(50)
+    reference = np.concatenate((lead, np.ones(len(time_s))))
+    output = np.concatenate((lead, response))
+    found = quality_of(reference, output, 300.0 + output, 0.1, 1.0)
+    assert found.overshoot == pytest.approx(np.exp(-np.pi * damping / ring), abs=1e-3)
+    settled_s = time_s[np.flatnonzero(np.abs(response - 1.0) > 0.05)[-1] + 1]
+    assert found.settling_s == pytest.approx(settled_s)
+    assert (found.steps, found.unsettled) == (1, 0)
