@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Response:
+class LoopCourse:
     """Course of a loop, as means over slow periods.
 
     Attributes:
@@ -60,9 +60,9 @@ class Comparison:
     """
 
     found: SessionLoad
-    recorded: Response
-    repeated: Response
-    changed: Response
+    recorded: LoopCourse
+    repeated: LoopCourse
+    changed: LoopCourse
     idle: tuple[str, ...]
 
 
@@ -130,7 +130,7 @@ def _acting_with(
 
 def _simulated(
     found: SessionLoad, stretch: Stretch, configuration: Configuration, span: float
-) -> Response:
+) -> LoopCourse:
     poles = stretch.columns["pole"]
     if configuration.load.pole != found.configuration.load.pole:
         poles = np.full(len(poles), configuration.load.pole)
@@ -153,13 +153,13 @@ def _simulated(
 
 def _response(
     stretch: Stretch, series: tuple[Array, Array, Array], span: float, fault: str = ""
-) -> Response:
+) -> LoopCourse:
     samples = stretch.samples_per_period
     period_s = samples * stretch.period_s
     reference = series[0][samples - 1 :: samples]
     output, volts = (period_means(one, samples) for one in series[1:])
     reference = reference[: len(output)]
-    return Response(
+    return LoopCourse(
         time_s=stretch.begin_s + period_s * np.arange(1.0, len(output) + 1.0),
         reference=reference,
         output=output,
