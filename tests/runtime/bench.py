@@ -16,7 +16,8 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Command, Decision, Mode, Order, Snapshot, Stage
 from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.daemon import DaemonSettings
-from adaptdrive.runtime.fast_loop import FastLoop, FastLoopSettings
+from adaptdrive.runtime.fast_loop import FastLoop
+from adaptdrive.runtime.loop_interface import FastLoopSettings
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State, TickReport
 from adaptdrive.runtime.requests import Enable, Request

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from adaptdrive.control.signals import Command
-from adaptdrive.runtime.fast_loop import FastLoopSettings
+from adaptdrive.runtime.loop_interface import FastLoopSettings
 from tests.runtime.bench import FAST, TICK_S, FastBench, fast_bench
 
 TIMERLESS = replace(FAST, timer_standin=False)

@@ -20,8 +20,8 @@ from adaptdrive.control.settings import (
 )
 from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive.runtime.daemon import DaemonSettings
-from adaptdrive.runtime.fast_loop import FastLoopSettings
 from adaptdrive.runtime.guard import CommandLimits
+from adaptdrive.runtime.loop_interface import FastLoopSettings
 from adaptdrive.runtime.machine import MachineLimits
 from adaptdrive.runtime.realtime import RealtimeSettings
 

@@ -16,10 +16,11 @@ from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.accounts import drive_report, state_report
 from adaptdrive.runtime.collector import IdleCollector
-from adaptdrive.runtime.fast_loop import FastLoop, FastLoopSettings
+from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.frame_watch import DressRehearsal, FrameWatch
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.latency import LatencyDetector, WatchedLoop
+from adaptdrive.runtime.loop_interface import FastLoopSettings
 from adaptdrive.runtime.machine import Machine, MachineLimits
 from adaptdrive.runtime.refused_share import RefusedShares
 from adaptdrive.runtime.reports import (

@@ -11,9 +11,6 @@ loop, the watchdog, the books and the report) comes after it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
 
 from adaptdrive.control.schedule import Schedule, TwoRate
 from adaptdrive.control.signals import (
@@ -26,98 +23,15 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.hardware.port import Port, Reading
-from adaptdrive.runtime.bridge_watch import BridgeWatch
-from adaptdrive.runtime.guard import CommandLimits, Guard
+from adaptdrive.runtime.guard import Guard
 from adaptdrive.runtime.half_cycles import HalfCycles
-from adaptdrive.runtime.interlocks import Limits, Watch, find_cause
+from adaptdrive.runtime.interlock_board import InterlockBoard
+from adaptdrive.runtime.loop_interface import FastLoopSettings, LoopSurroundings, TickCounts
 from adaptdrive.runtime.machine import Machine
-from adaptdrive.runtime.reports import State, StopWord, TickReport
+from adaptdrive.runtime.reports import StopWord, TickReport
 from adaptdrive.runtime.statistics import TimeWindow
-from adaptdrive.runtime.stop_watch import Stop, StopWatch
-
-_GAP_READINGS = 2
-"""Readings without a tick that a drive which is read seldom may cost: one may be lost."""
-
-
-_SWITCHED_ON = (
-    "the drive's bridge is on although this daemon did not command it: look for another sender, a "
-    "key on its panel, or a drive that restarts by itself"
-)
-
-
-@dataclass(slots=True)
-class TickCounts:
-    """Counts since the start.
-
-    Attributes:
-        ticks: Ticks run.
-        missed: Half cycles that passed without a tick.
-        held: Stand-in ticks.
-        late_decisions: Decisions that were not ready at their tick.
-    """
-
-    ticks: int = 0
-    missed: int = 0
-    held: int = 0
-    late_decisions: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class FastLoopSettings:
-    """Settings of the fast loop.
-
-    Attributes:
-        limits: Trip levels.
-        command: Limits of what may be sent.
-        tick_s: Half a line cycle at nominal frequency.
-        latency_ticks: L, ticks from a snapshot to the effect of its decision.
-        late_fraction: Lateness of a frame, in ticks, at which a stand-in tick runs.
-        timer_standin: Whether the timer stands in at all.
-        ticks_per_reading: Half cycles from one reading to the next, 1 for a drive that sends
-            each. A drive that is polled has one tick for each poll.
-        watches: Factories of the watches over the output, in the order of their causes.
-        drive_clocks: Whether the drive decides when a reading comes.
-        stop_s: Longest time from a stop to the drive's word that its bridge is off.
-    """
-
-    limits: Limits
-    command: CommandLimits
-    tick_s: float
-    latency_ticks: int
-    late_fraction: float
-    timer_standin: bool
-    ticks_per_reading: int = 1
-    watches: tuple[Callable[[], Watch], ...] = ()
-    drive_clocks: bool = True
-    stop_s: float = 0.5
-
-
-class LoopSurroundings(Protocol):
-    """Interfaces of the fast loop to the rest of the runtime; every call returns at once."""
-
-    def now_s(self) -> float:
-        """Monotonic time."""
-
-    def arm(self, deadline_s: float) -> None:
-        """Call `on_deadline` at a monotonic time."""
-
-    def met_deadline(self, now_s: float) -> None:
-        """A tick was in time."""
-
-    def ticked(self, report: TickReport) -> None:
-        """A tick is complete."""
-
-    def snapshot_taken(self, snapshot: Snapshot) -> bool:
-        """Queue a snapshot for the slow loop; False when it has fallen hopelessly behind."""
-
-    def decided(self, snapshot: Snapshot, decision: Decision) -> None:
-        """A decision was taken over."""
-
-    def not_stopped(self, detail: str) -> None:
-        """The drive has not confirmed its stop in time."""
-
-    def run_ended(self) -> None:
-        """The drive is no longer running: what was decided for it is void."""
+from adaptdrive.runtime.stop_watch import StopWatch
+from adaptdrive.runtime.stopping import Stopping
 
 
 class FastLoop:
@@ -147,20 +61,18 @@ class FastLoop:
             port.counter_modulus, settings.tick_s, settings.ticks_per_reading
         )
         self._guard = Guard(settings.command)
-        self._watches = [build() for build in settings.watches]
         self._settings = settings
         self._surroundings = surroundings
-        self._bridge = BridgeWatch(settings.tick_s, settings.ticks_per_reading)
-        self._stop = StopWatch(
-            settings.stop_s, settings.ticks_per_reading * settings.tick_s, port.stop_slack_s
+        self._interlocks = InterlockBoard(
+            settings.limits,
+            settings.watches,
+            self._half_cycles.rate if settings.drive_clocks else None,
+            settings.tick_s,
+            settings.ticks_per_reading,
         )
-        self.stop = StopWord.AWAITED
-        self._watched_s = math.inf
-        # a drive that sends seldom leaves the loop nothing to watch between two readings
-        self._gap_limit_s = max(
-            settings.limits.stale_s,
-            _GAP_READINGS * settings.ticks_per_reading * settings.tick_s,
-        )
+        reading_s = settings.ticks_per_reading * settings.tick_s
+        self._stop_watch = StopWatch(settings.stop_s, reading_s, port.stop_slack_s)
+        self._stopping = Stopping(self._stop_watch, machine, surroundings.not_stopped)
         self._order: Order | None = None
         self._wanted = SAFE_COMMAND
         self._sequence = 0
@@ -177,18 +89,16 @@ class FastLoop:
     @property
     def cause(self) -> str | None:
         """The interlock that is active now; what the drive's protocol says comes first."""
-        return self._cause(self._surroundings.now_s()) or self._bridge_cause()
+        now_s = self._surroundings.now_s()
+        return self._interlocks.standing_cause(self._port, self.reading, now_s) or (
+            self._bridge_cause()
+        )
 
     def _bridge_cause(self) -> str | None:
         """Return why a drive that is commanded off must not be enabled or reset."""
         if self._machine.energised or self.reading is None or not self.reading.bridge:
             return None
         return "the drive's bridge is on although it is commanded off"
-
-    def _cause(self, now_s: float) -> str | None:
-        settings, port = self._settings, self._port
-        cause = port.complaint or find_cause(self.reading, now_s, settings.limits, port.explain_age)
-        return cause or (self._half_cycles.rate.cause if settings.drive_clocks else None)
 
     @property
     def limited(self) -> int:
@@ -261,45 +171,17 @@ class FastLoop:
         self.command = self._guard.check(SAFE_COMMAND)
         self._port.send(self.command)
         if not self._machine.energised:
-            self.watch_stop(self._surroundings.now_s())
+            self._stopping.judge(self._port, self.reading, self._surroundings.now_s())
+
+    @property
+    def stop(self) -> StopWord:
+        """Confirmation of the stop by the drive."""
+        return self._stopping.word
 
     @property
     def stop_limit_s(self) -> float:
         """Longest time from a stop to its confirmation."""
-        return self._stop.limit_s
-
-    def watch_stop(self, now_s: float) -> None:
-        """Compare what the drive says of its bridge with the stop that it was commanded."""
-        stop, machine, reading = self._stop, self._machine, self.reading
-        stop.command(now_s)
-        verdict = stop.judge(reading, self._port.safe_s, now_s)
-        if verdict is Stop.CONFIRMED:
-            machine.confirm_stop()
-            confirmable = self._port.stop_slack_s is not None
-            self.stop = StopWord.CONFIRMED if confirmable else StopWord.IMPOSSIBLE
-        elif verdict is Stop.DENIED:
-            machine.doubt_stop()
-            self._miss_stop(_SWITCHED_ON)
-        elif machine.state is State.STANDBY:
-            self._await_first_word(reading, now_s)
-        elif verdict is Stop.OVERDUE and self.stop is not StopWord.MISSING:
-            why = stop.why_not(reading, self._port.safe_s, now_s)
-            self._miss_stop(f"the drive does not stop: {why}")
-        elif verdict is Stop.AWAITED:
-            self.stop = StopWord.AWAITED
-
-    def _await_first_word(self, reading: Reading | None, now_s: float) -> None:
-        """A drive that has not spoken since the start: one that is found on has to stop."""
-        if reading is not None and reading.bridge:
-            self._stop.doubt(now_s)
-            self._machine.doubt_stop()
-
-    def _miss_stop(self, problem: str) -> None:
-        """Trip; a drive that had tripped before keeps that cause, and this one is reported too."""
-        self.stop = StopWord.MISSING
-        if self._machine.state is State.TRIPPED:
-            self._surroundings.not_stopped(problem)
-        self._machine.latch(problem)
+        return self._stop_watch.limit_s
 
     def _send(self, command: Command) -> None:
         """Guard, then wire; what neither can pass trips the drive instead of the daemon."""
@@ -351,50 +233,19 @@ class FastLoop:
         self._report(lateness_us, turnaround_us, tick_us, ended_s)
 
     def _watch_interlocks(self, now_s: float) -> None:
-        machine, reading = self._machine, self.reading
-        unwatched_s, self._watched_s = now_s - self._watched_s, now_s
+        machine, reading, interlocks = self._machine, self.reading, self._interlocks
         if not machine.energised:
-            self.watch_stop(now_s)
+            interlocks.look(now_s)
+            self._stopping.judge(self._port, reading, now_s)
             return
-        self._stop.release()
-        # in `starting` a drive may report its bridge late: there the boost voltage is watched
-        commanded = self.command.bridge and machine.stage is Stage.RUN
-        cause = (
-            self._gap_cause(unwatched_s)
-            or self._cause(now_s)
-            or self._bridge.find_cause(reading, commanded=commanded, unwatched_s=unwatched_s)
-            or self._implausible(reading)
-        )
+        self._stop_watch.release()
+        running, bridge = machine.stage is Stage.RUN, self.command.bridge
+        cause = interlocks.running_cause(self._port, reading, now_s, running=running, bridge=bridge)
         if cause is not None:
             machine.latch(cause)
-            self._stop.command(now_s)
-        elif reading is not None and self._rate_known:
+            self._stop_watch.command(now_s)
+        elif reading is not None and interlocks.rate_known:
             machine.advance(self.tick, reading.boost_voltage_V)
-
-    @property
-    def _rate_known(self) -> bool:
-        """True once the rate of the drive was judged; at an unknown one it is not energised."""
-        return not self._settings.drive_clocks or self._half_cycles.rate.judged
-
-    def _gap_cause(self, unwatched_s: float) -> str | None:
-        """The cause of a trip when nothing of this process ran for long."""
-        if unwatched_s <= self._gap_limit_s:
-            return None
-        return (
-            f"overslept: the daemon did not run for {unwatched_s * 1e3:.0f} ms, limit "
-            f"{self._gap_limit_s * 1e3:g} ms: the machine is overloaded or was suspended; see "
-            "[realtime]"
-        )
-
-    def _implausible(self, reading: Reading | None) -> str | None:
-        """Return why the output cannot be that of the load: its sensor goes on, but lies."""
-        cause: str | None = None
-        for watch in self._watches:
-            if self._machine.stage is not Stage.RUN:
-                watch.forget()
-            elif reading is not None:
-                cause = cause or watch.find_cause(reading)
-        return cause
 
     def _control(self, tick: int, reading: Reading, *, fresh: bool) -> None:
         order = self._current_order(tick)
@@ -421,7 +272,7 @@ class FastLoop:
         """Return whether this tick was kept from running for so long that its command is void."""
         if not self._machine.energised:
             return False
-        cause = self._gap_cause(self._surroundings.now_s() - self._watched_s)
+        cause = self._interlocks.gap_cause(self._surroundings.now_s())
         if cause is not None:
             self._machine.latch(cause)
         return cause is not None

@@ -1,0 +1,103 @@
+"""All interlocks of one drive at a tick: the first cause counts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from adaptdrive.hardware.port import Port, Reading
+from adaptdrive.runtime.bridge_watch import BridgeWatch
+from adaptdrive.runtime.frame_rate import FrameRate
+from adaptdrive.runtime.interlocks import Limits, Watch, find_cause
+
+_GAP_READINGS = 2
+"""Readings without a tick that a drive which is read seldom may cost: one may be lost."""
+
+
+class InterlockBoard:
+    """The interlocks of a drive, and the time since they were last evaluated."""
+
+    def __init__(
+        self,
+        limits: Limits,
+        watches: tuple[Callable[[], Watch], ...],
+        rate: FrameRate | None,
+        tick_s: float,
+        ticks_per_reading: int,
+    ) -> None:
+        """Evaluate nothing yet.
+
+        Args:
+            limits: Trip levels.
+            watches: Factories of the watches over the output, in the order of their causes.
+            rate: Rate of the drive's frames, None where this process decides it.
+            tick_s: Half a line cycle at nominal frequency, in s.
+            ticks_per_reading: Half cycles from one reading to the next.
+        """
+        self._limits = limits
+        self._watches = [build() for build in watches]
+        self._rate = rate
+        self._bridge = BridgeWatch(tick_s, ticks_per_reading)
+        self._watched_s = math.inf
+        # a drive that sends seldom leaves nothing to evaluate between two readings
+        self._gap_limit_s = max(limits.stale_s, _GAP_READINGS * ticks_per_reading * tick_s)
+
+    @property
+    def rate_known(self) -> bool:
+        """True once the rate of the drive was judged; at an unknown one it is not energised."""
+        return self._rate is None or self._rate.judged
+
+    def look(self, now_s: float) -> float:
+        """Note an evaluation; return the time since the one before, in s."""
+        unwatched_s, self._watched_s = now_s - self._watched_s, now_s
+        return unwatched_s
+
+    def standing_cause(self, port: Port, reading: Reading | None, now_s: float) -> str | None:
+        """Return the interlock that is active in any state; the drive's protocol comes first."""
+        cause = port.complaint or find_cause(reading, now_s, self._limits, port.explain_age)
+        return cause or (None if self._rate is None else self._rate.cause)
+
+    def running_cause(
+        self, port: Port, reading: Reading | None, now_s: float, *, running: bool, bridge: bool
+    ) -> str | None:
+        """Evaluate every interlock of an energised drive.
+
+        Args:
+            port: The drive.
+            reading: The newest reading, None before the first.
+            now_s: Monotonic time.
+            running: Whether the drive runs; while it starts, its bridge may be reported late.
+            bridge: Whether the last command had the bridge on.
+        """
+        unwatched_s = self.look(now_s)
+        return (
+            self._gap_cause(unwatched_s)
+            or self.standing_cause(port, reading, now_s)
+            or self._bridge.find_cause(
+                reading, commanded=bridge and running, unwatched_s=unwatched_s
+            )
+            or self._implausible(reading, running=running)
+        )
+
+    def gap_cause(self, now_s: float) -> str | None:
+        """Return the cause of a trip when this process did not run for long until now."""
+        return self._gap_cause(now_s - self._watched_s)
+
+    def _gap_cause(self, unwatched_s: float) -> str | None:
+        if unwatched_s <= self._gap_limit_s:
+            return None
+        return (
+            f"overslept: the daemon did not run for {unwatched_s * 1e3:.0f} ms, limit "
+            f"{self._gap_limit_s * 1e3:g} ms: the machine is overloaded or was suspended; see "
+            "[realtime]"
+        )
+
+    def _implausible(self, reading: Reading | None, *, running: bool) -> str | None:
+        """Return why the output cannot be that of the load, although its sensor goes on."""
+        cause: str | None = None
+        for watch in self._watches:
+            if not running:
+                watch.forget()
+            elif reading is not None:
+                cause = cause or watch.find_cause(reading)
+        return cause

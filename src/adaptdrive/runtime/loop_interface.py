@@ -1,0 +1,87 @@
+"""Settings of the fast loop, and its interface to the rest of the runtime."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from adaptdrive.control.signals import Decision, Snapshot
+from adaptdrive.runtime.guard import CommandLimits
+from adaptdrive.runtime.interlocks import Limits, Watch
+from adaptdrive.runtime.reports import TickReport
+
+
+@dataclass(slots=True)
+class TickCounts:
+    """Counts since the start.
+
+    Attributes:
+        ticks: Ticks run.
+        missed: Half cycles that passed without a tick.
+        held: Stand-in ticks.
+        late_decisions: Decisions that were not ready at their tick.
+    """
+
+    ticks: int = 0
+    missed: int = 0
+    held: int = 0
+    late_decisions: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class FastLoopSettings:
+    """Settings of the fast loop.
+
+    Attributes:
+        limits: Trip levels.
+        command: Limits of what may be sent.
+        tick_s: Half a line cycle at nominal frequency.
+        latency_ticks: L, ticks from a snapshot to the effect of its decision.
+        late_fraction: Lateness of a frame, in ticks, at which a stand-in tick runs.
+        timer_standin: Whether the timer stands in at all.
+        ticks_per_reading: Half cycles from one reading to the next, 1 for a drive that sends
+            each. A drive that is polled has one tick for each poll.
+        watches: Factories of the watches over the output, in the order of their causes.
+        drive_clocks: Whether the drive decides when a reading comes.
+        stop_s: Longest time from a stop to the drive's word that its bridge is off.
+    """
+
+    limits: Limits
+    command: CommandLimits
+    tick_s: float
+    latency_ticks: int
+    late_fraction: float
+    timer_standin: bool
+    ticks_per_reading: int = 1
+    watches: tuple[Callable[[], Watch], ...] = ()
+    drive_clocks: bool = True
+    stop_s: float = 0.5
+
+
+class LoopSurroundings(Protocol):
+    """Interfaces of the fast loop to the rest of the runtime; every call returns at once."""
+
+    def now_s(self) -> float:
+        """Monotonic time."""
+
+    def arm(self, deadline_s: float) -> None:
+        """Call `on_deadline` at a monotonic time."""
+
+    def met_deadline(self, now_s: float) -> None:
+        """A tick was in time."""
+
+    def ticked(self, report: TickReport) -> None:
+        """A tick is complete."""
+
+    def snapshot_taken(self, snapshot: Snapshot) -> bool:
+        """Queue a snapshot for the slow loop; False when it has fallen hopelessly behind."""
+
+    def decided(self, snapshot: Snapshot, decision: Decision) -> None:
+        """A decision was taken over."""
+
+    def not_stopped(self, detail: str) -> None:
+        """The drive has not confirmed its stop in time."""
+
+    def run_ended(self) -> None:
+        """The drive is no longer running: what was decided for it is void."""

@@ -1,0 +1,68 @@
+"""Stop of a drive: what its reports mean for the state machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from adaptdrive.hardware.port import Port, Reading
+from adaptdrive.runtime.machine import Machine
+from adaptdrive.runtime.reports import State, StopWord
+from adaptdrive.runtime.stop_watch import Stop, StopWatch
+
+_SWITCHED_ON = (
+    "the drive's bridge is on although this daemon did not command it: look for another sender, a "
+    "key on its panel, or a drive that restarts by itself"
+)
+
+
+class Stopping:
+    """Holds the state machine to what the drive reports of its stop.
+
+    Attributes:
+        word: Confirmation of the stop by the drive.
+    """
+
+    def __init__(self, watch: StopWatch, machine: Machine, report: Callable[[str], None]) -> None:
+        """Await a confirmation from the start on.
+
+        Args:
+            watch: Compares the reports of the drive with the stop.
+            machine: The state machine.
+            report: Takes the problem when a tripped drive does not confirm its stop.
+        """
+        self._watch = watch
+        self._machine = machine
+        self._report = report
+        self.word = StopWord.AWAITED
+
+    def judge(self, port: Port, reading: Reading | None, now_s: float) -> None:
+        """Compare what the drive reports of its bridge with the stop that it was commanded."""
+        watch, machine = self._watch, self._machine
+        watch.command(now_s)
+        verdict = watch.judge(reading, port.safe_s, now_s)
+        if verdict is Stop.CONFIRMED:
+            machine.confirm_stop()
+            confirmable = port.stop_slack_s is not None
+            self.word = StopWord.CONFIRMED if confirmable else StopWord.IMPOSSIBLE
+        elif verdict is Stop.DENIED:
+            machine.doubt_stop()
+            self._miss(_SWITCHED_ON)
+        elif machine.state is State.STANDBY:
+            self._await_first_word(reading, now_s)
+        elif verdict is Stop.OVERDUE and self.word is not StopWord.MISSING:
+            self._miss(f"the drive does not stop: {watch.why_not(reading, port.safe_s, now_s)}")
+        elif verdict is Stop.AWAITED:
+            self.word = StopWord.AWAITED
+
+    def _await_first_word(self, reading: Reading | None, now_s: float) -> None:
+        """Expect a drive to stop that is found on at the start."""
+        if reading is not None and reading.bridge:
+            self._watch.doubt(now_s)
+            self._machine.doubt_stop()
+
+    def _miss(self, problem: str) -> None:
+        """Trip; a drive that had tripped before keeps that cause, and this one is reported too."""
+        self.word = StopWord.MISSING
+        if self._machine.state is State.TRIPPED:
+            self._report(problem)
+        self._machine.latch(problem)
