@@ -7,14 +7,15 @@ import contextlib
 import itertools
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from adaptdrive.clock.tick_timer import TickTimer
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.signals import Decision, Mode, Snapshot
+from adaptdrive.control.signals import Decision, Snapshot
 from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import Port, Reading
-from adaptdrive.runtime.accounts import drive_report, state_report
+from adaptdrive.runtime.accounts import drive_report
+from adaptdrive.runtime.announcer import Announcer
 from adaptdrive.runtime.collector import IdleCollector
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.frame_watch import DressRehearsal, FrameWatch
@@ -25,17 +26,14 @@ from adaptdrive.runtime.machine import Machine, MachineLimits
 from adaptdrive.runtime.refused_share import RefusedShares
 from adaptdrive.runtime.reports import (
     DriveReport,
-    Event,
     LoadReport,
     SensorReport,
     Severity,
     State,
-    StateReport,
     TickReport,
 )
 from adaptdrive.runtime.requests import Disable, Request, Reset
 from adaptdrive.runtime.slow_loop import SlowLoop
-from adaptdrive.runtime.status import status_line
 from adaptdrive.runtime.watchdog import ServiceManager
 
 _FAREWELLS = 3
@@ -110,7 +108,6 @@ class Daemon:
         """
         self.opened = asyncio.Event()
         self._rehearse = rehearse
-        self._recorded = recorded
         self._sensors = sensors
         self._port = port
         self._settings = settings
@@ -125,12 +122,9 @@ class Daemon:
         self._collector = IdleCollector(settings.collect_ticks)
         self._detector: LatencyDetector | None = None
         self._failure: asyncio.Future[None] | None = None
-        self._decision: Decision | None = None
-        self._shutting_down = False
         self._stopped_s = -math.inf
-        self._bus_problem: str | None = None
         self._refused = RefusedShares(settings.refused_share)
-        self._told = state_report(self._machine, None, self._fast.stop)
+        self._announcer = Announcer(self._machine, self._fast, hub, manager, recorded)
 
     async def run(self, stop: asyncio.Event) -> None:
         """Serve the drive until `stop` is set; leave it in its safe state, whatever happens.
@@ -146,14 +140,14 @@ class Daemon:
         self._timer = TickTimer(loop, self._on_deadline, self._settings.spin_s)
         self._detector = self._watch_latency(loop)
         self._expectant = list(self._get_ready(loop))
-        self._hub.publish(self._told)
+        self._hub.publish(self._announcer.published)
         try:
             async with asyncio.TaskGroup() as tasks:
                 serving = tasks.create_task(self._port.run(self, self._opened), name="port")
                 try:
                     await self._work(stop)
                 finally:
-                    self._shutting_down = True
+                    self._announcer.shutting_down = True
                     await self._say_farewell()
                 serving.cancel()
         finally:
@@ -182,7 +176,7 @@ class Daemon:
     def _watch_latency(self, loop: asyncio.AbstractEventLoop) -> LatencyDetector:
         detector = LatencyDetector(
             self._settings.late_us,
-            lambda detail: self._tell("latency", Severity.WARNING, detail),
+            lambda detail: self._announcer.publish_event("latency", Severity.WARNING, detail),
             self._clock,
             loop.ring if isinstance(loop, WatchedLoop) else None,
         )
@@ -245,7 +239,7 @@ class Daemon:
         """
         self._machine.latch(cause)
         self._fast.send_safe()
-        self._publish_state()
+        self._announcer.publish_state()
 
     def stop(self) -> State:
         """Bring the drive into its safe state at once, whatever it is doing.
@@ -257,7 +251,7 @@ class Daemon:
         if self._machine.energised or now_s - self._stopped_s >= _STOP_GAP_S:
             self._stop_driving()
             self._stopped_s = now_s
-        self._publish_state()
+        self._announcer.publish_state()
         return self._machine.state
 
     async def execute(self, request: Request) -> State:
@@ -266,7 +260,7 @@ class Daemon:
         Raises:
             RefusedError: It cannot be carried out; nothing was changed.
         """
-        if self._shutting_down:
+        if self._announcer.shutting_down:
             raise RefusedError("the daemon is shutting down")
         if isinstance(request, Reset) and not self._machine.energised:
             await self._port.reset_fault()
@@ -278,8 +272,10 @@ class Daemon:
         if not self._machine.energised:
             self._fast.send_safe()
         if self._machine.mode is not mode:
-            self._tell("mode", Severity.INFO, f"mode {mode} to {self._machine.mode}")
-        self._publish_state()
+            self._announcer.publish_event(
+                "mode", Severity.INFO, f"mode {mode} to {self._machine.mode}"
+            )
+        self._announcer.publish_state()
         return self._machine.state
 
     def on_reading(self, reading: Reading) -> None:
@@ -294,10 +290,7 @@ class Daemon:
 
     def on_bus(self, up: bool, detail: str) -> None:
         """The bus was lost or came back."""
-        severity = Severity.INFO if up else Severity.WARNING
-        self._tell("bus", severity, detail)
-        self._bus_problem = None if up else detail
-        self._tell_manager()
+        self._announcer.report_bus(up=up, detail=detail)
 
     def now_s(self) -> float:
         """Monotonic time."""
@@ -315,8 +308,8 @@ class Daemon:
     def ticked(self, report: TickReport) -> None:
         """A tick is complete."""
         self._hub.publish(report)
-        if self._machine.state is not self._told.state:
-            self._publish_state()
+        if self._machine.state is not self._announcer.published.state:
+            self._announcer.publish_state()
         if self._detector is not None:
             self._detector.ticked(report.lateness_us, report.tick_us)
         if self._collector.is_due():
@@ -332,27 +325,27 @@ class Daemon:
 
     def decided(self, snapshot: Snapshot, decision: Decision) -> None:
         """Report a decision that took effect, and a change of controller."""
-        self._decision = decision
+        self._announcer.decision = decision
         self._hub.publish(LoadReport(snapshot, decision, self._clock()))
         if decision.fault:
             self._machine.latch(decision.fault)
             self._fast.send_safe()
         elif decision.complete:
             self._complete()
-        self._publish_state()
+        self._announcer.publish_state()
 
     def _complete(self) -> None:
         """The load has what it needs: end in the safe state, without a trip."""
-        self._tell("complete", Severity.INFO, "charging is complete")
+        self._announcer.publish_event("complete", Severity.INFO, "charging is complete")
         self._stop_driving()
 
     def not_stopped(self, detail: str) -> None:
         """Report that the drive has not confirmed its stop in time, for any first cause."""
-        self._tell("stop", Severity.ALARM, detail)
+        self._announcer.publish_event("stop", Severity.ALARM, detail)
 
     def run_ended(self) -> None:
         """Nothing that was decided is valid any more."""
-        self._decision = None
+        self._announcer.decision = None
         self._slow.forget()
 
     def _opened(self) -> None:
@@ -367,19 +360,19 @@ class Daemon:
             books = drive_report(self._fast, self._port.statistics, self._sensors(), self._clock())
             self._hub.publish(books)
             self._watch_refusals(books)
-            self._publish_state()
-            self._tell_manager()
+            self._announcer.publish_state()
+            self._announcer.update_manager()
 
     def _watch_refusals(self, books: DriveReport) -> None:
         """Report a large share of refused frames, and trip where that is configured."""
         for detail in self._refused.add(books):
-            self._tell("refused", Severity.WARNING, detail)
+            self._announcer.publish_event("refused", Severity.WARNING, detail)
         if self._refused.cause is not None and self._machine.energised:
             self.trip(self._refused.cause)
 
     async def _shut_down(self) -> None:
         """Bring the drive to zero, until it confirms; a frame can be lost, so more than once."""
-        self._shutting_down = True
+        self._announcer.shutting_down = True
         self._manager.stopping()
         self.stop()
         end_s = self._clock() + self._fast.stop_limit_s + _FAREWELL_GAP_S
@@ -389,39 +382,4 @@ class Daemon:
             ended = self._machine.state is not State.STOPPING or self._clock() > end_s
             if ended and number >= _FAREWELLS:
                 break
-        self._publish_state()
-
-    def _publish_state(self) -> None:
-        told = self._told
-        report = state_report(self._machine, self._decision, self._fast.stop)
-        report = replace(report, shutting_down=self._shutting_down)
-        if report == told:
-            return
-        self._told = report
-        self._hub.publish(report)
-        if report.state is not told.state:
-            self._tell_state(report, told)
-        elif report.controller is not told.controller:
-            self._tell_controller(report, told)
-
-    def _tell_state(self, report: StateReport, told: StateReport) -> None:
-        if report.trip is not None and told.trip is None:
-            self._tell("trip", Severity.ALARM, report.trip)
-        self._tell("state", Severity.INFO, f"{told.state} to {report.state}")
-        self._tell_manager()
-
-    def _tell_manager(self) -> None:
-        line = status_line(
-            self._told, self._bus_problem, self._fast.cause, recorded=self._recorded()
-        )
-        self._manager.status(line)
-
-    def _tell_controller(self, report: StateReport, told: StateReport) -> None:
-        fell_back = (told.controller, report.controller) == (Mode.ADAPTIVE, Mode.FIXED)
-        if fell_back and report.mode is Mode.ADAPTIVE:
-            self._tell("fallback", Severity.WARNING, report.reason)
-        else:
-            self._tell("controller", Severity.INFO, f"{report.controller} controller in force")
-
-    def _tell(self, kind: str, severity: Severity, detail: str) -> None:
-        self._hub.publish(Event(kind, severity, detail, self._fast.tick))
+        self._announcer.publish_state()
