@@ -28,10 +28,12 @@ _COMMANDS = {
     "identify": ("analysis", "Identify the load from a recorded session, with error bars."),
     "whatif": ("analysis", "Run a session again in closed loop with other settings."),
     "export": ("analysis", "Write a session as CSV, Parquet, MATLAB, MDF 4 or MCAP."),
+    "panel": ("panel", "Serve the panel, a web page for a broker's drives, on this machine."),
     "status": ("operate", "Show the state and the telemetry of a drive."),
     "manual": ("operate", "Hold the present V_c, to be set by hand."),
 }
 
+_LIST = "List the drives of a broker."
 _SESSIONS = "List, show, verify and prune recorded sessions."
 
 
@@ -84,7 +86,11 @@ def _app() -> App:
         app.command(f"adaptdrive.cli.{module}:{name}", name=name, help=purpose)
     for verb, request in REQUESTS.items():
         app.command(f"adaptdrive.cli.operate:{verb}", name=verb, help=_first_line(request))
+    app.command("adaptdrive.cli.site:list_drives", name="list", help=_LIST)
     app.command("adaptdrive.cli.sessions:app", name="sessions", help=_SESSIONS)
+    app.register_install_completion_command(
+        add_to_startup=False, help="Install completion for the present shell."
+    )
     return app
 
 

@@ -1,4 +1,4 @@
-"""Options of all operator commands: the address of the broker and the login."""
+"""Options of all operator commands: address of the broker, login, form of the output."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ _DRIVE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,63}")
 _PORT, _TLS_PORT, _HIGHEST_PORT = 1883, 8883, 65535
 
 
-def _check_address(_: object, text: str) -> None:
+def _check_address(_: object, text: str | None) -> None:
+    if text is None:
+        return
     match = _ADDRESS.fullmatch(text)
     if match is None or not 1 <= int(match["port"] or _PORT) <= _HIGHEST_PORT:
         raise ValueError("A broker is given as HOST or HOST:PORT.")
@@ -43,42 +45,65 @@ def _check_authority(_: object, contact: Contact | None) -> None:
         )
 
 
+def _configured(path: Path) -> Mqtt:
+    from adaptdrive.config.file import load_configuration  # noqa: PLC0415 - few commands need it
+
+    return load_configuration(path).mqtt
+
+
 DriveName = Annotated[str, Parameter(validator=_check_drive)]
 
 
 @Parameter(name="*", validator=_check_authority)
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Address of the broker and time-out; each but the time-out also from the environment.
+    """Address of the broker, time-out and form of the output.
+
+    Each option of the broker and the login also comes from the environment.
 
     Attributes:
-        broker: Broker as HOST or HOST:PORT.
+        broker: Broker as HOST or HOST:PORT; 127.0.0.1:1883 when left out.
+        config: Configuration of a daemon, whose broker, `tls` and `ca_file` are used where these
+            options leave them out; its user, the drive, is not used.
         timeout: Seconds to wait for the answer.
+        as_json: Print JSON.
         username: User name at the broker.
         password_file: File that holds the password.
         tls: Speak TLS.
         ca_file: Certificate authority for TLS.
     """
 
-    broker: Annotated[str, Parameter(validator=_check_address, env_var="ADAPTDRIVE_BROKER")] = (
-        "127.0.0.1:1883"
-    )
+    broker: Annotated[
+        str | None, Parameter(validator=_check_address, env_var="ADAPTDRIVE_BROKER")
+    ] = None
+    config: Path | None = None
     timeout: Annotated[float, Parameter(validator=_check_timeout)] = 5.0
     username: Annotated[str | None, Parameter(env_var="ADAPTDRIVE_USERNAME")] = None
     password_file: Annotated[Path | None, Parameter(env_var="ADAPTDRIVE_PASSWORD_FILE")] = None
     tls: Annotated[bool, Parameter(env_var="ADAPTDRIVE_TLS")] = False
     ca_file: Annotated[Path | None, Parameter(env_var="ADAPTDRIVE_CA_FILE")] = None
+    as_json: Annotated[bool, Parameter(name="--json", negative=())] = False
 
     @property
     def settings(self) -> Mqtt:
-        """The broker, in the words of the configuration."""
-        match = _ADDRESS.fullmatch(self.broker)
-        host, port = (match["host"], match["port"]) if match else (self.broker, None)
+        """The broker, in the words of the configuration.
+
+        Raises:
+            ConfigurationError: The configuration cannot be used.
+        """
+        known = Mqtt() if self.config is None else _configured(self.config)
+        tls = self.tls or (known.tls and self.broker is None)
+        host, port = known.host, known.port
+        if self.broker is not None and (match := _ADDRESS.fullmatch(self.broker)) is not None:
+            host = match["host"].strip("[]")
+            port = int(match["port"] or (_TLS_PORT if tls else _PORT))
+        elif self.config is None and tls:
+            port = _TLS_PORT
         return Mqtt(
-            host=host.strip("[]"),
-            port=int(port or (_TLS_PORT if self.tls else _PORT)),
-            tls=self.tls,
-            ca_file=self.ca_file,
+            host=host,
+            port=port,
+            tls=tls,
+            ca_file=self.ca_file or (known.ca_file if tls else None),
             username=self.username,
             password_file=self.password_file,
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from adaptdrive.operation.client import DriveStatus
@@ -23,6 +24,37 @@ def describe(drive: str, status: DriveStatus) -> str:
     if "drive" in status.telemetry:
         lines += _drive(status.telemetry["drive"], unit)
     return "\n".join(lines)
+
+
+def site_table(site: Mapping[str, DriveStatus]) -> str:
+    """Return a table with a row for each drive; a tripped drive comes first.
+
+    Args:
+        site: What is known of each drive, by its name.
+    """
+    heads = ("drive", "state", "output", "set-point", "controller", "since", "trip")
+    ordered = sorted(site, key=lambda name: (not (site[name].state or {}).get("trip"), name))
+    rows = [heads, *(_site_row(name, site[name]) for name in ordered)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(heads))]
+    return "\n".join(
+        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )
+
+
+def _site_row(name: str, status: DriveStatus) -> tuple[str, ...]:
+    state, online = status.state or {}, status.availability == "online"
+    unit = str((state.get("output") or {}).get("unit") or "")
+    output = status.telemetry.get("drive", {}).get("output")
+    return (
+        name,
+        str(state.get("state")) if online else str(status.availability),
+        _number(output, unit) if online and output is not None else "-",
+        _setpoint(state, unit) if state else "-",
+        str(state.get("controller") or "-"),
+        str(state.get("since") or "-"),
+        str(state.get("trip") or ""),
+    )
 
 
 def _state(state: dict[str, Any], unit: str, *, live: bool) -> list[str]:

@@ -9,9 +9,9 @@ import asyncio
 import json
 import sys
 from dataclasses import asdict
-from typing import Annotated, Literal
+from typing import Literal
 
-from cyclopts import Parameter
+from msgspec.structs import asdict as asdict_of
 
 from adaptdrive.cli.contact import Contact, DriveName
 from adaptdrive.cli.display import describe
@@ -145,25 +145,18 @@ def reset(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
     return _ask(drive, "reset", None, contact)
 
 
-def status(
-    drive: DriveName,
-    /,
-    *,
-    as_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
-    contact: Contact = _HERE,
-) -> int:
+def status(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
     """Show what a drive says about itself.
 
     Args:
         drive: Name of the drive.
-        as_json: Print the payloads as they came.
         contact: Broker.
     """
     try:
         found = asyncio.run(read_status(contact.settings, drive, contact.timeout))
     except NoAnswerError as problem:
-        return _no_answer(problem)
-    print(json.dumps(asdict(found), indent=2) if as_json else describe(drive, found))
+        return no_answer(problem)
+    print(json.dumps(asdict(found), indent=2) if contact.as_json else describe(drive, found))
     return ACCEPTED if found.availability == ONLINE.decode() else NO_ANSWER
 
 
@@ -172,7 +165,10 @@ def _ask(drive: str, verb: str, value: object, contact: Contact, **fields: objec
         sending = send_command(contact.settings, drive, verb, value, contact.timeout, **fields)
         reply = asyncio.run(sending)
     except NoAnswerError as problem:
-        return _no_answer(problem)
+        return no_answer(problem)
+    if contact.as_json:
+        print(json.dumps(asdict_of(reply)))
+        return ACCEPTED if reply.accepted else REFUSED
     if reply.accepted:
         print(f"{drive}: {verb} accepted, {reply.state}")
         return ACCEPTED
@@ -180,6 +176,7 @@ def _ask(drive: str, verb: str, value: object, contact: Contact, **fields: objec
     return REFUSED
 
 
-def _no_answer(problem: NoAnswerError) -> int:
+def no_answer(problem: NoAnswerError) -> int:
+    """Print why there is no answer, and return the exit status for it."""
     print(f"adaptdrive: {problem}", file=sys.stderr)
     return NO_ANSWER

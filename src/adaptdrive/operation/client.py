@@ -6,6 +6,7 @@ import asyncio
 import getpass
 import json
 import os
+import re
 import socket
 import uuid
 from collections.abc import AsyncIterator, Callable
@@ -24,6 +25,9 @@ from adaptdrive.operation.messages import ONLINE, Reply
 from adaptdrive.operation.topics import Topics
 
 TELEMETRY_WAIT_S = 1.0
+_DRIVE = re.compile("[A-Za-z0-9_-]{1,64}")
+SITE_WAIT_S = 0.5
+"""From the last message of a new drive: retained messages come at once, telemetry in 0.1 s."""
 
 
 class NoAnswerError(AdaptdriveError):
@@ -128,6 +132,41 @@ async def telemetry(broker: Mqtt, drive: str) -> AsyncIterator[tuple[str, dict[s
             _note(message.topic.value, bytes(message.payload), topics, status)
             for name, content in status.telemetry.items():
                 yield name, content
+
+
+async def read_site(broker: Mqtt, timeout_s: float) -> dict[str, DriveStatus]:
+    """Return what the broker holds of all drives, and their telemetry if some arrives in time.
+
+    Args:
+        broker: Where the broker is.
+        timeout_s: Longest time in all.
+
+    Raises:
+        NoAnswerError: No broker.
+    """
+    site: dict[str, DriveStatus] = {}
+    async with _conversation(broker, "all drives") as client:
+        every = Topics("+")
+        retained = (every.availability, every.state, every.load_telemetry)
+        await client.subscribe([(topic, 1) for topic in (*retained, every.drive_telemetry)])
+        with suppress(TimeoutError):
+            async with asyncio.timeout(timeout_s), asyncio.timeout(SITE_WAIT_S) as quiet:
+                await _listen_to_all(client, site, quiet)
+    return {name: status for name, status in site.items() if status.availability or status.state}
+
+
+async def _listen_to_all(
+    client: Client, site: dict[str, DriveStatus], quiet: asyncio.Timeout
+) -> None:
+    """Note all messages; each drive that is new prolongs the wait."""
+    async for message in client.messages:
+        _, drive, *_ = message.topic.value.split("/")
+        if _DRIVE.fullmatch(drive) is None:
+            continue
+        if drive not in site:
+            quiet.reschedule(asyncio.get_running_loop().time() + SITE_WAIT_S)
+        status = site.setdefault(drive, DriveStatus())
+        _note(message.topic.value, bytes(message.payload), Topics(drive), status)
 
 
 def _complete(status: DriveStatus) -> bool:

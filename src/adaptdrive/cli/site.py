@@ -1,0 +1,34 @@
+"""`adaptdrive list`: all drives of a broker."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from dataclasses import asdict
+
+from adaptdrive.cli.contact import Contact
+from adaptdrive.cli.display import site_table
+from adaptdrive.cli.operate import ACCEPTED, NO_ANSWER, no_answer
+from adaptdrive.operation.client import NoAnswerError, read_site
+
+_HERE = Contact()
+
+
+def list_drives(*, contact: Contact = _HERE) -> int:
+    """List the drives that the broker knows, with state, output and trip.
+
+    Args:
+        contact: Broker.
+
+    Returns:
+        0 when the broker knows a drive, 3 when it cannot be reached or knows none.
+    """
+    try:
+        found = asyncio.run(read_site(contact.settings, contact.timeout))
+    except NoAnswerError as problem:
+        return no_answer(problem)
+    if contact.as_json:
+        print(json.dumps({name: asdict(status) for name, status in found.items()}, indent=2))
+    else:
+        print(site_table(found))
+    return ACCEPTED if found else NO_ANSWER

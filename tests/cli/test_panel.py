@@ -1,0 +1,66 @@
+"""`adaptdrive panel`: the page on loopback, with the headers that keep foreign scripts away."""
+
+from __future__ import annotations
+
+import threading
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.cli.panel import FOLDER, PanelError, panel_address, panel_server
+from tests.cli.test_cli import start
+
+
+@pytest.fixture
+def port() -> Iterator[int]:
+    with panel_server(0) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield server.server_port
+        server.shutdown()
+        thread.join()
+
+
+@pytest.mark.parametrize(
+    ("path", "kind"),
+    [("", "text/html"), ("panel.js", "text/javascript"), ("panel.css", "text/css")],
+)
+def test_files_come_with_type_and_policy(port: int, path: str, kind: str) -> None:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/{path}?broker=ws://x") as answer:
+        assert answer.headers.get_content_type() == kind
+        policy = answer.headers["Content-Security-Policy"]
+        assert answer.headers["X-Content-Type-Options"] == "nosniff"
+        assert answer.read() == (FOLDER / (path or "index.html")).read_bytes()
+    assert "script-src 'self';" in policy
+    assert "frame-ancestors 'none'" in policy
+
+
+@pytest.mark.parametrize("path", ["vendor/", "../cli/panel.py", "%2e%2e/cli/panel.py", "none"])
+def test_nothing_else_is_served(port: int, path: str) -> None:
+    with pytest.raises(urllib.error.HTTPError) as refusal:
+        urllib.request.urlopen(f"http://127.0.0.1:{port}/{path}")
+    assert refusal.value.code == 404
+    refusal.value.close()
+
+
+def test_a_port_in_use_is_named(port: int) -> None:
+    with pytest.raises(PanelError, match=f"port {port}"):
+        panel_server(port)
+
+
+def test_the_address_carries_the_broker() -> None:
+    address = panel_address(8088, "ws://host:8083/mqtt?x")
+    assert address == "http://127.0.0.1:8088/?broker=ws://host:8083/mqtt%3Fx"
+
+
+async def test_the_command_prints_the_address_and_ends_on_a_signal(tmp_path: Path) -> None:
+    process = await start("panel", "--port", "0", "--no-open")
+    assert process.stdout is not None
+    line = (await process.stdout.readline()).decode()
+    assert line.startswith("panel: http://127.0.0.1:")
+    process.send_signal(2)
+    await process.communicate()
+    assert process.returncode == 130
