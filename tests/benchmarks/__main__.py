@@ -18,7 +18,10 @@ from pathlib import Path
 
 from tests.benchmarks.rows import Extent, Row, table, write_json
 
-PARTS = ("compute", "experiment", "campaign", "lateness", "turnaround", "load", "daemons", "stop")
+PARTS = (
+    *("compute", "experiment", "campaign", "lateness", "turnaround", "load", "daemons", "stop"),
+    "kills",
+)
 RESULT = Path("build/bench.json")
 
 

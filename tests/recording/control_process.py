@@ -1,4 +1,4 @@
-"""A stand-in for the control process: records ticks at 1 kHz until it is killed.
+"""A stand-in for the control process: records ticks at 1 kHz and events until it is killed.
 
 Run as `python control_process.py SESSIONS`.
 """
@@ -13,12 +13,15 @@ from pathlib import Path
 from adaptdrive.recording.batches import Header
 from adaptdrive.recording.recorder import Clocks, Feed, Recorder, WritePace
 from adaptdrive.runtime.hub import Hub
+from adaptdrive.runtime.reports import Event, Severity
 from tests.recording.material import INFO, make_tick
 
 
 async def publish(hub: Hub) -> None:
     for sequence in count():
         hub.publish(make_tick(sequence))
+        if sequence % 20 == 0:
+            hub.publish(Event("mode", Severity.INFO, f"number {sequence}", sequence))
         await asyncio.sleep(0.001)
 
 

@@ -279,7 +279,7 @@ async def test_an_end_with_a_full_disk_is_told_and_counted(sessions: Path) -> No
 
 
 async def test_an_end_with_a_stopped_writer_is_recorded_by_another(sessions: Path) -> None:
-    async with recording(sessions, close_s=3.0) as bench:
+    async with recording(sessions, close_s=24.0) as bench:
         await bench.publish_until(lambda: bench.rows() > 100)
         os.kill(bench.writer(), signal.SIGSTOP)
         await bench.publish(500)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable
 from datetime import UTC, datetime
 
 from adaptdrive import __version__
@@ -16,7 +17,11 @@ from adaptdrive.runtime.hub import Hub
 
 
 def build_recorder(
-    configuration: Configuration, text: str, hub: Hub, prior: Values | None
+    configuration: Configuration,
+    text: str,
+    hub: Hub,
+    prior: Values | None,
+    start_thread: Callable[[], None],
 ) -> Recorder | None:
     """Build the recorder; nothing touches the disk before it runs.
 
@@ -25,6 +30,7 @@ def build_recorder(
         text: Its configuration, as TOML.
         hub: Where reports come from.
         prior: Estimates of an earlier run that its controller starts from.
+        start_thread: What a thread does first.
 
     Returns:
         The recorder, None where nothing is to be recorded.
@@ -42,7 +48,8 @@ def build_recorder(
         keep=Keep(recording.keep_days, None if size is None else round(size * 1e6)),
     )
     clocks = Clocks(lambda: datetime.now(UTC), time.monotonic)
-    feed, pace = Feed.of(hub, recording.flush_s), WritePace(flush_s=recording.flush_s)
+    feed = Feed.of(hub, recording.flush_s)
+    pace = WritePace(flush_s=recording.flush_s, start_thread=start_thread)
     return Recorder(header, feed, hub.publish, clocks, pace)
 
 

@@ -116,9 +116,9 @@ async def _serve(
     controller = Controller(settings, load, prior)
     keeper = _keeper(configuration, checkpoint, controller, hub) if is_kept(settings) else None
     rehearsal = build_rehearsal(configuration, path)
-    recorder = build_recorder(configuration, text, hub, prior)
-    daemon = _daemon(configuration, port, controller, hub, rehearsal, recorder)
     start_thread = _use_helper_threads(configuration)
+    recorder = build_recorder(configuration, text, hub, prior, start_thread)
+    daemon = _daemon(configuration, port, controller, hub, rehearsal, recorder)
     _stop_on_signals(stop)
     logger.info(
         "starting", drive=configuration.drive.name, version=__version__, bus=port.description

@@ -1,4 +1,7 @@
-"""Batches on their way to the recorder process: each is kept until that has written it."""
+"""Batches on their way to the recorder process: each is kept until that has written it.
+
+They are kept in memory for a recorder process that dies, and in a file for the end of this process.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,12 @@ import msgspec
 
 from adaptdrive.recording.batches import STOPPED, UNBEGUN, Batch, Header, News, framed
 from adaptdrive.recording.session import Dropped
+from adaptdrive.recording.spool import Spool, spool_path
 from adaptdrive.recording.writer_process import WriterProcess
 from adaptdrive.runtime.reports import Severity
 
 _SHORTEST_PAUSE_S, _LONGEST_PAUSE_S = 0.1, 30.0
+_LARGEST_SPOOL_BYTES = 4 << 20
 _FAILING_CLOSE_S = 2.0
 """Patience at the end with a recorder that has been failing already."""
 
@@ -36,7 +41,11 @@ class Delivery:
     """
 
     def __init__(
-        self, header: Header, backlog_bytes: int, report: Callable[[Severity, str], None]
+        self,
+        header: Header,
+        backlog_bytes: int,
+        report: Callable[[Severity, str], None],
+        start_thread: Callable[[], None] = lambda: None,
     ) -> None:
         """Prepare to deliver.
 
@@ -44,7 +53,9 @@ class Delivery:
             header: The session.
             backlog_bytes: Bytes that may wait to be written before batches are refused.
             report: Reports an event.
+            start_thread: What a thread does first.
         """
+        self._spool = Spool(spool_path(Path(header.sessions), header.info), start_thread)
         self.directory = ""
         self._header = header
         self._backlog_bytes = backlog_bytes
@@ -70,9 +81,21 @@ class Delivery:
         rows = Dropped(batch.tick_rows, len(batch.slow), len(batch.events))
         self._unwritten.append(_Sent(self._number, message, rows))
         self._waiting_bytes += len(message)
+        self._keep(message)
         if self._writer is not None:
             self._writer.send(message)
         return True
+
+    def _keep(self, message: bytes) -> None:
+        """Append a message to the file; one that has grown begins anew with what is unwritten."""
+        if self._spool.size > 2 * self._backlog_bytes + _LARGEST_SPOOL_BYTES:
+            self._spool.clear()
+        if self._spool.size:
+            self._spool.append(message)
+            return
+        self._spool.append(framed(self._header))
+        for sent in self._unwritten:
+            self._spool.append(sent.message)
 
     async def run(self) -> None:
         """Keep a recorder process running until cancelled."""
@@ -91,25 +114,31 @@ class Delivery:
 
         Args:
             dropped: What was lost before.
-            timeout_s: Longest wait for the recorder process, and for another one in its place.
+            timeout_s: Longest wait for each of three: the recorder process, another one in its
+                place, and the file that keeps the rest for the next start.
 
         Returns:
             What was lost now: it is reported.
         """
-        cause = await self._drain(_FAILING_CLOSE_S if self.failing else timeout_s)
+        cause = await self._drain(min(timeout_s, _FAILING_CLOSE_S) if self.failing else timeout_s)
         if self._unwritten and not self.failing:
             cause = await self._drain(timeout_s)  # a new process, for one that died or stood still
         if self._unwritten:
             return await self._give_up(dropped, cause or "the recorder process ended", timeout_s)
+        self._spool.remove()
         if cause is not None:
             self._report(Severity.WARNING, f"the session is closed at the next start: {cause}")
         return Dropped()
 
     async def _give_up(self, dropped: Dropped, cause: str, timeout_s: float) -> Dropped:
-        lost = sum((sent.rows for sent in self._unwritten), start=Dropped())
-        self._report(Severity.ALARM, f"the end of the session is not recorded, {lost}: {cause}")
-        await self._close_short(dropped + lost, timeout_s)
-        return lost
+        left = sum((sent.rows for sent in self._unwritten), start=Dropped())
+        if await asyncio.to_thread(self._spool.flushed, timeout_s):
+            detail = f"the next start records the end of the session, {left}: {cause}"
+            self._report(Severity.WARNING, detail)
+            return Dropped()
+        self._report(Severity.ALARM, f"the end of the session is not recorded, {left}: {cause}")
+        await self._close_short(dropped + left, timeout_s)
+        return left
 
     @property
     def _number_written(self) -> int:
@@ -167,6 +196,8 @@ class Delivery:
         while self._unwritten and self._unwritten[0].number <= news.written:
             self._waiting_bytes -= len(self._unwritten.popleft().message)
             self.failing, self._cause = False, None
+            if not self._unwritten:
+                self._spool.clear()
         if news.detail:
             self.failing = self.failing or news.failing
             self._report(Severity(news.severity), news.detail)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import sqlite3
 from collections.abc import Iterable
 from contextlib import closing
@@ -50,13 +51,17 @@ VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)
 class EventLog:
     """Appends events and commands; each call is one transaction.
 
-    A row that is there already is left as it is, so that a batch may be written again.
+    A row that is there already is left as it is, so that a batch may be written again. What was
+    appended outlives this process at once, and a power cut after the next `sync`: a slow disk must
+    not keep the rows behind it in memory.
     """
 
     def __init__(self, path: Path) -> None:
+        self._path = path
         self._database = sqlite3.connect(path)
         try:
             self._database.execute("PRAGMA journal_mode=WAL")
+            self._database.execute("PRAGMA synchronous=NORMAL")
             self._database.executescript(_TABLES)
         except sqlite3.Error:
             self._database.close()
@@ -68,6 +73,19 @@ class EventLog:
             self._database.executemany(_INSERT_EVENT, map(_event_values, events))
             self._database.executemany(_INSERT_COMMAND, map(_command_values, commands))
 
+    def sync(self) -> None:
+        """Wait until what was appended is on the disk; safe in another thread.
+
+        Raises:
+            OSError: The disk has failed.
+        """
+        with contextlib.suppress(FileNotFoundError):  # closed meanwhile, which wrote all of it
+            descriptor = os.open(f"{self._path}-wal", os.O_RDONLY)
+            try:
+                os.fdatasync(descriptor)
+            finally:
+                os.close(descriptor)
+
     def close(self) -> None:
         """Leave one plain file behind, which a read-only disk can serve too."""
         self._database.execute("PRAGMA journal_mode=DELETE")
@@ -77,6 +95,16 @@ class EventLog:
         """Close a log that cannot be written any more."""
         with contextlib.suppress(sqlite3.Error):
             self._database.close()
+
+
+def tidy(path: Path) -> None:
+    """Merge what a killed writer has left beside a log, so that one plain file remains.
+
+    Raises:
+        sqlite3.Error: It cannot be read or written.
+    """
+    if path.with_name(f"{path.name}-wal").exists():
+        EventLog(path).close()
 
 
 def read_events(path: Path) -> tuple[EventRow, ...]:

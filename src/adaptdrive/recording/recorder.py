@@ -52,14 +52,17 @@ class WritePace:
     Attributes:
         flush_s: Longest time that ticks stay in the control process.
         backlog_bytes: Bytes that may wait to be written: about 40 s; then batches are dropped.
-        close_s: Longest wait for the recorder process at the end.
+        close_s: Longest time that the end of the recording takes, in four parts: the record of a
+            trip, the recorder process, another one in its place, and what then is left.
         trip_s: How long the record of a trip goes on after it.
+        start_thread: What a thread that writes does first.
     """
 
     flush_s: float = 0.5
     backlog_bytes: int = 1 << 20
-    close_s: float = 10.0
+    close_s: float = 8.0
     trip_s: float = 10.0
+    start_thread: Callable[[], None] = lambda: None
 
 
 DEFAULT_PACE = WritePace()
@@ -131,7 +134,7 @@ class Recorder:
         self._tell = report
         self._clocks = clocks
         self._pace = pace
-        self._delivery = Delivery(header, pace.backlog_bytes, self._report)
+        self._delivery = Delivery(header, pace.backlog_bytes, self._report, pace.start_thread)
         self._black_box = BlackBox(header, self._report, clocks.monotonic, after_s=pace.trip_s)
         self._waiting: deque[TickReport] = deque()
         self._ticks = TickTable()
@@ -176,11 +179,12 @@ class Recorder:
             self._send()
 
     async def _finish(self) -> None:
+        part_s = self._pace.close_s / 4.0
+        await self._black_box.write_pending(part_s)  # its report belongs to the end
         self._note(self._feed.events.drain())
         await self._gather()
         self._send(last=True)
-        await self._black_box.write_pending(self._pace.close_s)
-        lost = await self._delivery.finish(self._dropped(), self._pace.close_s)
+        lost = await self._delivery.finish(self._dropped(), part_s)
         self.complete = lost == Dropped()
 
     async def _events_until(self, deadline: float) -> Iterable[Report]:

@@ -8,9 +8,11 @@ from pathlib import Path
 
 import msgspec
 
+from adaptdrive.recording.event_log import tidy
 from adaptdrive.recording.resume import find_written
 from adaptdrive.recording.segments import segments
 from adaptdrive.recording.session import (
+    EVENTS_FILE,
     TICKS,
     Ending,
     SessionInfo,
@@ -69,13 +71,14 @@ def close_lost(directory: Path) -> SessionInfo | None:
 
 
 def close_segments(directory: Path) -> None:
-    """Turn the streams that a session has left into Parquet."""
+    """Turn the streams that a session has left into Parquet, and merge its log of events."""
     claim = SessionLock.on(directory)
     if claim is None:
         return
     try:
         for segment in segments(directory):
             segment.close()
+        tidy(directory / EVENTS_FILE)
     finally:
         claim.release()
 

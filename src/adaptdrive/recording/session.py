@@ -11,6 +11,7 @@ import errno
 import fcntl
 import os
 import shutil
+import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -134,7 +135,7 @@ def create_session(new: NewSession) -> Path:
         OSError: The directory cannot be made.
     """
     new.sessions.mkdir(parents=True, exist_ok=True)
-    unfinished = new.sessions / f".new-{os.getpid()}"
+    unfinished = new.sessions / f".new-{threading.get_native_id()}"
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.mkdir()
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -78,6 +79,8 @@ class SessionWriter:
         }
         self._streams: dict[str, StreamWriter] = {}
         self._events: EventLog | None = None
+        self._syncing = threading.Event()
+        self._sync_failed = False
         self._began_s = time.monotonic()
         goes_on = bool(header.directory) and Path(header.directory).is_dir()
         self.directory = Path(header.directory) if goes_on else self._made()
@@ -101,6 +104,7 @@ class SessionWriter:
             self._begin_segment()
         if batch.events or batch.commands:
             self._event_log().append(batch.events, batch.commands)
+            self._sync_events()
         offset_s = batch.utc_offset_s
         if batch.tick_rows:
             schema = self._schemas[TICKS]
@@ -158,6 +162,24 @@ class SessionWriter:
         if self._events is None:
             self._events = EventLog(self.directory / EVENTS_FILE)
         return self._events
+
+    def _sync_events(self) -> None:
+        """Have the disk keep the events, without waiting for it."""
+        if not self._syncing.is_set():
+            self._syncing.set()
+            self._housekeeper.submit(self._sync_event_log)
+
+    def _sync_event_log(self) -> None:
+        self._syncing.clear()
+        if (events := self._events) is None:
+            return
+        try:
+            events.sync()
+        except OSError:
+            # the report of a failure is an event too, which must not cause the next report
+            if not self._sync_failed:
+                self._sync_failed = True
+                raise
 
     def _begin_segment(self) -> None:
         """Close the segment in progress; the session's facts then include it."""

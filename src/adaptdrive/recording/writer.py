@@ -13,6 +13,7 @@ import sqlite3
 import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import BinaryIO
 
 import msgspec
@@ -20,8 +21,10 @@ import pyarrow as pa
 
 from adaptdrive.recording.batches import STOPPED, UNBEGUN, Batch, Header, News, read_frames
 from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
+from adaptdrive.recording.recovery import recover
 from adaptdrive.recording.session import Dropped, Ending
 from adaptdrive.recording.session_writer import SessionWriter
+from adaptdrive.recording.spool import spool_path
 from adaptdrive.runtime.reports import Severity
 
 Tell = Callable[[News], None]
@@ -48,6 +51,7 @@ class PatientWriter:
         self._writer: SessionWriter | None = None
         self._housekeeper = Housekeeper(lambda detail: self._report(Severity.WARNING, detail))
         self._parent = os.getppid()
+        self._housekeeper.submit(self._recover)
 
     def write(self, batch: Batch) -> None:
         """Put one batch on disk, however long that takes; the last one closes the session.
@@ -56,9 +60,9 @@ class PatientWriter:
             OSError: The control process is gone, and the disk has failed for long.
         """
         self._insist(lambda writer: writer.write(batch))
+        self._tell(News(written=batch.number))
         if batch.last:
             self.close(Ending.ORDERLY, batch.dropped)
-        self._tell(News(written=batch.number))
 
     def close(self, ending: Ending, dropped: Dropped) -> None:
         """Close the session.
@@ -71,6 +75,9 @@ class PatientWriter:
     def finish(self) -> None:
         """Wait until the closed session is in order."""
         self._housekeeper.finish()
+
+    def _recover(self) -> None:
+        recover(Path(self._header.sessions), self._report, self._housekeeper)
 
     def _insist(self, act: Callable[[SessionWriter], None]) -> None:
         pause_s, waited_s = self._pause_s, 0.0
@@ -123,13 +130,15 @@ def record(source: BinaryIO, tell: Tell) -> None:
     first = next(frames, None)
     if first is None:
         return
-    writer = PatientWriter(msgspec.msgpack.decode(first, type=Header), tell)
+    header = msgspec.msgpack.decode(first, type=Header)
+    writer = PatientWriter(header, tell)
     dropped, ended = Dropped(), False
     for batch in _batches(frames):
         writer.write(batch)
         dropped, ended = batch.dropped, batch.last
     if not ended:
         writer.close(Ending.CUT, dropped)
+        spool_path(Path(header.sessions), header.info).unlink(missing_ok=True)
     writer.finish()
 
 

@@ -17,6 +17,8 @@ from adaptdrive.recording.batches import News
 _PIPE_BYTES = 1 << 20
 """Size of the pipe, the largest that needs no privilege: what is in it outlives this process."""
 
+_KILL_PATIENCE_S = 1.0
+
 
 class WriterProcess:
     """A running recorder process."""
@@ -80,11 +82,12 @@ class WriterProcess:
         return lines[-1] if lines else f"the recorder process ended with status {status}"
 
     async def kill(self) -> None:
-        """End the process at once, also when it is stopped."""
+        """End the process at once, also when it is stopped; a disk that hangs may keep it."""
         if self._process.returncode is None:
             with contextlib.suppress(ProcessLookupError):
                 self._process.kill()
-        await self._process.wait()
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._process.wait(), _KILL_PATIENCE_S)
 
 
 def _enlarge(pipe: asyncio.StreamWriter | None) -> None:

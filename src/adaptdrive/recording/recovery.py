@@ -1,0 +1,97 @@
+"""Rows that killed daemons have left in a spool, written into their session at the next start."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO
+
+import msgspec
+
+from adaptdrive.errors import RecordingError
+from adaptdrive.recording.batches import Batch, Header, read_frames
+from adaptdrive.recording.housekeeping import Housekeeper
+from adaptdrive.recording.session import Ending, SessionLock, read_info, session_directories
+from adaptdrive.recording.session_writer import Report, SessionWriter
+from adaptdrive.recording.spool import left_spools
+
+
+def recover(sessions: Path, report: Report, housekeeper: Housekeeper) -> None:
+    """Write each spool whose control process is gone into its session, and remove it.
+
+    Args:
+        sessions: Folder of all sessions.
+        report: Reports an event.
+        housekeeper: Of this process.
+
+    Raises:
+        OSError, RecordingError, sqlite3.Error, pa.ArrowException: One cannot be written; it stays.
+    """
+    for path in left_spools(sessions):
+        with path.open("rb") as source:
+            if _is_free(source) and _write(
+                source, lambda header: SessionWriter(header, report, housekeeper)
+            ):
+                path.unlink(missing_ok=True)
+
+
+def _is_free(source: BinaryIO) -> bool:
+    try:
+        fcntl.flock(source, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _write(source: BinaryIO, open_session: Callable[[Header], SessionWriter]) -> bool:
+    """Write what a spool holds; False where another recorder still writes the session."""
+    header, batches = _read(source)
+    if header is None or not batches:
+        return True
+    directory = _session_of(header)
+    if directory is not None and read_info(directory).ended is not Ending.OPEN:
+        return True
+    if directory is not None and not _is_left(directory):
+        return False
+    name = "" if directory is None else str(directory)
+    writer = open_session(msgspec.structs.replace(header, directory=name))
+    try:
+        for batch in batches:
+            writer.write(batch)
+    finally:
+        writer.abandon()  # it is closed with the other sessions whose recorder has died
+    return True
+
+
+def _is_left(directory: Path) -> bool:
+    claim = SessionLock.on(directory)
+    if claim is None:
+        return False
+    claim.release()
+    return True
+
+
+def _read(source: BinaryIO) -> tuple[Header | None, list[Batch]]:
+    """Return the messages up to the first one that is damaged, as a power cut leaves them."""
+    frames = read_frames(source)
+    batches: list[Batch] = []
+    header: Header | None = None
+    with contextlib.suppress(msgspec.MsgspecError):
+        header = msgspec.msgpack.decode(next(frames, b""), type=Header)
+        for frame in frames:
+            batches.append(msgspec.msgpack.decode(frame, type=Batch))  # noqa: PERF401 - keeps those before
+    return header, batches
+
+
+def _session_of(header: Header) -> Path | None:
+    """Return the folder of the session that a header describes, None where there is none yet."""
+    for directory in reversed(list(session_directories(Path(header.sessions)))):
+        try:
+            info = read_info(directory)
+        except RecordingError:
+            continue
+        if (info.started, info.drive) == (header.info.started, header.info.drive):
+            return directory
+    return None

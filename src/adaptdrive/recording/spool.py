@@ -1,0 +1,127 @@
+"""A copy, in a file, of what the recorder process has not written yet.
+
+It outlives both processes: the next start writes it into the session (`recovery.py`). A thread
+appends to the file, so that a disk that hangs delays nothing. The file is locked while the control
+process lives.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import queue
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from adaptdrive.recording.session import SessionInfo
+
+_PREFIX = ".unwritten-"
+_LARGEST_QUEUE_BYTES = 4 << 20
+"""Bytes that wait for a disk that hangs; beyond them the file is given up."""
+
+
+def spool_path(sessions: Path, info: SessionInfo) -> Path:
+    """Return the path of the spool of one session.
+
+    Args:
+        sessions: Folder of all sessions.
+        info: The session.
+    """
+    return sessions / f"{_PREFIX}{info.started:%Y%m%dT%H%M%S%fZ}_{info.drive}"
+
+
+def left_spools(sessions: Path) -> list[Path]:
+    """Return the spools in a folder, those in use included."""
+    return sorted(sessions.glob(f"{_PREFIX}*"))
+
+
+class Spool:
+    """Appends messages to a file, and empties it when they are written elsewhere.
+
+    Attributes:
+        size: Bytes appended since the file was empty.
+        sound: Whether the file has all that was appended so far.
+    """
+
+    def __init__(self, path: Path, start_thread: Callable[[], None] = lambda: None) -> None:
+        """Touch nothing yet.
+
+        Args:
+            path: The file.
+            start_thread: What the thread does first.
+        """
+        self.size = 0
+        self.sound = True
+        self.path = path
+        self._start_thread = start_thread
+        self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._queued_bytes = 0
+        self._descriptor = -1
+        self._thread: threading.Thread | None = None
+
+    def append(self, message: bytes) -> None:
+        """Append a message soon; returns at once."""
+        if self._queued_bytes > _LARGEST_QUEUE_BYTES:
+            self.sound = False
+            return
+        self._queued_bytes += len(message)
+        self.size += len(message)
+        self._submit(lambda: self._write(message))
+
+    def clear(self) -> None:
+        """Empty the file soon; returns at once."""
+        self.size, self.sound = 0, True
+        self._submit(self._truncate)
+
+    def flushed(self, patience_s: float) -> bool:
+        """Wait until the file has all that was appended; False when the disk hangs.
+
+        Args:
+            patience_s: Longest wait.
+        """
+        done = threading.Event()
+        self._submit(done.set)
+        return done.wait(patience_s) and self.sound
+
+    def remove(self) -> None:
+        """Remove the file soon, if there is one, and end the thread."""
+        if self._thread is not None:
+            self._submit(self._unlink)
+            self._jobs.put(None)
+
+    def _submit(self, job: Callable[[], None]) -> None:
+        if self._thread is None:
+            # a disk that hangs must not keep the process from ending
+            self._thread = threading.Thread(target=self._work, name="spool", daemon=True)
+            self._thread.start()
+        self._jobs.put(job)
+
+    def _work(self) -> None:
+        self._start_thread()
+        while (job := self._jobs.get()) is not None:
+            try:
+                job()
+            except OSError:
+                self.sound = False
+
+    def _write(self, message: bytes) -> None:
+        self._queued_bytes -= len(message)
+        if self._descriptor < 0:
+            self._open()
+        while message:
+            message = message[os.write(self._descriptor, message) :]
+
+    def _open(self) -> None:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self._descriptor = os.open(self.path, os.O_CREAT | os.O_WRONLY | os.O_APPEND, 0o640)
+        fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+    def _truncate(self) -> None:
+        if self._descriptor >= 0:
+            os.ftruncate(self._descriptor, 0)
+
+    def _unlink(self) -> None:
+        with contextlib.suppress(FileNotFoundError):
+            self.path.unlink()

@@ -1,0 +1,291 @@
+"""Daemons at 120 Hz whose processes are killed at random moments; what their sessions then lack.
+
+Each life of a daemon ends with `kill -9` of the daemon, or of daemon and recorder in either order;
+before that its recorder alone may be killed. Commands change the mode ten times a second. Witnesses
+of a loss are the clock of the killer, a client of the broker and the log of the daemon: an event
+that one of them has is recorded, or lost.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import paho.mqtt.client as paho
+from paho.mqtt.enums import CallbackAPIVersion
+
+from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.session import Ending, session_directories
+from tests.benchmarks.rows import Extent, Row, quantile
+from tests.benchmarks.site import broker
+from tests.benchmarks.tools import BUSY, bus_ports, process
+from tests.support import Process, children, stop_process
+from tests.system.site import motor_configuration, until
+
+DRIVES = 3
+LONGEST_LIFE_s = 4.0
+PATIENCE_s = 60.0
+SETTLED_s = 15.0
+"""From a start to its last report about earlier sessions, and past the record of a trip."""
+COMMANDS_per_s = 10.0
+UNREPORTED_s = 0.5
+"""Shortest loss that the next start could report: one flush."""
+
+Witnessed = Counter[tuple[int, str, str]]
+"""Tick, kind and text of events."""
+
+
+@dataclass(frozen=True)
+class Death:
+    """One `kill -9`.
+
+    Attributes:
+        victim: daemon, recorder, or both.
+        time_s: When, monotonic.
+        session: The newest session then, None before the first.
+        lost_s: Time from its last tick to the kill; 0 for a recorder alone.
+        reported: Whether the next start names the session.
+    """
+
+    victim: str
+    time_s: float
+    session: Path | None
+    lost_s: float = 0.0
+    reported: bool = True
+
+
+@dataclass
+class Drive:
+    """One drive whose daemon lives several times."""
+
+    name: str
+    folder: Path
+    bus_port: int
+    broker_port: int
+    chance: random.Random
+    deaths: list[Death] = field(default_factory=list)
+    heard: Witnessed = field(default_factory=Counter)
+    lives: int = 0
+
+    def live(self) -> None:
+        """Start the daemon, command it, and kill it and perhaps its recorder before."""
+        daemon, log = self._started()
+        if self.deaths:
+            self.deaths[-1] = self._judged(self.deaths[-1], log)
+        with self._operator():
+            if self.chance.random() < 0.5:
+                self._pause()
+                self._kill("recorder", daemon)
+            self._pause()
+            self._kill(self.chance.choice(("daemon", "both")), daemon)
+
+    def rest(self) -> None:
+        """Start a last time, and end in order."""
+        daemon, log = self._started()
+        self.deaths[-1] = self._judged(self.deaths[-1], log)
+        time.sleep(SETTLED_s)
+        stop_process(daemon)
+
+    def events_lost(self) -> Witnessed:
+        """Return the events that a witness has and no session."""
+        recorded: Witnessed = Counter()
+        for directory in session_directories(self.folder / "sessions"):
+            events = read_session(directory).events
+            recorded.update((one.tick, one.kind, one.detail) for one in events)
+        return (self._logged() | self.heard) - recorded
+
+    def ticks_missing(self) -> int:
+        """Return the ticks that sessions lack between their first and their last."""
+        missing = 0
+        for directory in session_directories(self.folder / "sessions"):
+            numbers = read_session(directory).ticks["sequence"].to_pylist()
+            missing += numbers[-1] + 1 - len(numbers) if numbers else 0
+        return missing
+
+    def _started(self) -> tuple[Process, Path]:
+        self.lives += 1
+        config, log = self.folder / "motor.toml", self.folder / f"daemon-{self.lives:04}.log"
+        changes = {"drive.name": f'"{self.name}"', "interlocks.stale_s": "0.5"}
+        config.write_text(motor_configuration(self.broker_port, self.bus_port, changes))
+        command = [sys.executable, "-m", "adaptdrive.cli", "run", str(config)]
+        with log.open("wb") as output:
+            daemon = subprocess.Popen(
+                command, stdout=output, stderr=output, cwd=self.folder, env=BUSY
+            )
+        before = len(self._sessions())
+        until(lambda: len(self._sessions()) > before, "a session begins", PATIENCE_s)
+        return daemon, log
+
+    def _sessions(self) -> list[Path]:
+        return list(session_directories(self.folder / "sessions"))
+
+    def _pause(self) -> None:
+        time.sleep(self.chance.uniform(0.0, LONGEST_LIFE_s))
+
+    def _kill(self, victim: str, daemon: Process) -> None:
+        recorders = [one for one in children(daemon.pid) if _records(one)]
+        victims = {"daemon": [daemon.pid], "recorder": recorders}
+        pids = victims.get(victim, [daemon.pid, *recorders])
+        self.chance.shuffle(pids)
+        now_s = time.monotonic()
+        for pid in pids:
+            os.kill(pid, signal.SIGKILL)
+        if victim != "recorder":
+            daemon.wait()
+        self.deaths.append(Death(victim, now_s, self._sessions()[-1]))
+
+    def _judged(self, death: Death, log: Path) -> Death:
+        """Add what was lost, once the next daemon has repaired the session."""
+        if death.victim == "recorder" or death.session is None:
+            return death
+        session = death.session
+        until(lambda: read_session(session).info.ended is not Ending.OPEN, "a close", PATIENCE_s)
+        lost_s = _lost_s(session, death.time_s)
+        name = session.name
+        reported = lost_s < UNREPORTED_s or _appears(name, log)
+        return Death(death.victim, death.time_s, session, lost_s, reported)
+
+    def _operator(self) -> Operator:
+        return Operator(self.name, self.broker_port, self.heard)
+
+    def _logged(self) -> Witnessed:
+        found: Witnessed = Counter()
+        for log in sorted(self.folder.glob("daemon-*.log")):
+            whole, _, _ = log.read_text(encoding="utf-8").rpartition("\n")
+            entries = [json.loads(line) for line in whole.splitlines() if line.startswith("{")]
+            found.update((e["tick"], e["kind"], e["event"]) for e in entries if "kind" in e)
+        return found
+
+
+class Operator:
+    """A client that changes the mode again and again, and notes each event."""
+
+    def __init__(self, drive: str, port: int, heard: Witnessed) -> None:
+        self._topic = f"adaptdrive/{drive}"
+        self._heard = heard
+        self._ended = threading.Event()
+        self._client = paho.Client(CallbackAPIVersion.VERSION2)
+        self._client.on_message = self._note
+        self._client.connect("127.0.0.1", port)
+        self._client.subscribe(f"{self._topic}/event", qos=1)
+        self._thread = threading.Thread(target=self._command)
+
+    def __enter__(self) -> None:
+        self._client.loop_start()
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def _note(self, _client: object, _data: object, message: paho.MQTTMessage) -> None:
+        event = json.loads(message.payload)
+        self._heard[event["tick"], event["kind"], event["detail"]] = 1  # may come again
+
+    def _command(self) -> None:
+        for mode in itertools.cycle(("adaptive", "fixed")):
+            payload = {"id": f"{mode}-{time.monotonic_ns()}", "value": mode}
+            self._client.publish(f"{self._topic}/command/mode", json.dumps(payload), qos=1)
+            if self._ended.wait(1.0 / COMMANDS_per_s):
+                return
+
+
+def rows(extent: Extent) -> Iterator[Row]:
+    """All rows of this file."""
+    kills = 12 if extent.quick else 200
+    with TemporaryDirectory() as name:
+        drives = run(Path(name), kills, seed=int(time.time()))
+        yield from _judged(drives)
+
+
+def run(folder: Path, kills: int, seed: int) -> list[Drive]:
+    """Kill so often; the drives with what is left on disk.
+
+    Args:
+        folder: Takes everything.
+        kills: How often, over all drives.
+        seed: Of the random moments.
+    """
+    with ExitStack() as stack:
+        _, broker_port = stack.enter_context(broker(folder))
+        ports = bus_ports(DRIVES)
+        drives = [
+            Drive(f"d{i}", folder / f"d{i}", port, broker_port, random.Random(seed + i))
+            for i, port in enumerate(ports)
+        ]
+        for drive in drives:
+            drive.folder.mkdir()
+        words = [",".join(map(str, ports)), "1", str(folder / "late")]
+        stack.enter_context(process([sys.executable, "-m", "tests.benchmarks.player", *words]))
+        until((folder / "late").exists, "the drives send", PATIENCE_s)
+        with ThreadPoolExecutor(DRIVES) as threads:
+            list(threads.map(lambda drive: _live_often(drive, kills // DRIVES), drives))
+        return drives
+
+
+def _live_often(drive: Drive, kills: int) -> None:
+    while len(drive.deaths) < kills:
+        drive.live()
+    drive.rest()
+
+
+def _judged(drives: list[Drive]) -> Iterator[Row]:
+    deaths = [death for drive in drives for death in drive.deaths]
+    lost_s = [death.lost_s for death in deaths if death.victim != "recorder"]
+    counts = ", ".join(f"{n} {victim}" for victim, n in Counter(d.victim for d in deaths).items())
+    yield Row(
+        f"longest loss of ticks in {len(deaths)} kills",
+        max(lost_s),
+        "s",
+        target="at most 1 s",
+        met=max(lost_s) <= 1.0,
+        note=f"{counts}; median {quantile(lost_s, 0.5):.2f} s",
+    )
+    missing = sum(drive.ticks_missing() for drive in drives)
+    yield Row("ticks missing within sessions", missing, "", target="none", met=not missing)
+    witnessed = sum((drive.heard | drive._logged()).total() for drive in drives)
+    lost = [one for drive in drives for one in drive.events_lost().elements()]
+    note = f"of {witnessed} witnessed; " + "; ".join(map(str, lost[:5]))
+    yield Row("events lost", len(lost), "", target="none", met=not lost, note=note)
+    silent = [death for death in deaths if not death.reported]
+    note = "; ".join(f"{one.victim} {one.lost_s:.2f} s of {one.session}" for one in silent[:5])
+    name = "losses that the next start did not report"
+    yield Row(name, len(silent), "", target="none", met=not silent, note=note)
+
+
+def _lost_s(session: Path, death_s: float) -> float:
+    """Return the time from the last tick of a session, or else from its first event, to a kill."""
+    read = read_session(session)
+    if read.ticks.num_rows:
+        return death_s - float(read.ticks["monotonic_s"][-1].as_py())
+    return max((death_s - one.monotonic_s for one in read.events if one.tick > 0), default=0.0)
+
+
+def _records(pid: int) -> bool:
+    try:
+        return b"recording.writer" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return False
+
+
+def _appears(text: str, log: Path) -> bool:
+    try:
+        return bool(until(lambda: text in log.read_text(encoding="utf-8"), text, 10.0))
+    except AssertionError:
+        return False

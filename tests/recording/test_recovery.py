@@ -1,0 +1,170 @@
+"""What daemon and recorder had not written when both were killed is written at the next start."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import subprocess
+import sys
+import time
+from array import array
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from adaptdrive.recording.batches import Batch, Header, News, framed, read_frames
+from adaptdrive.recording.reader import Session, read_session
+from adaptdrive.recording.repair import repair
+from adaptdrive.recording.session import Ending, SessionLock, read_info, session_directories
+from adaptdrive.recording.spool import Spool, left_spools, spool_path
+from adaptdrive.recording.writer import record
+from tests.recording.material import INFO, make_batch, make_tick
+from tests.support import Process, children
+
+PATIENCE_S = 60.0
+TORN = (b"\x00" * 4096, b"\x05", b"\x08\x00\x00\x00\xc1\xc1", b"\xff\xff\xff\x7f{}")
+"""What a power cut can leave at the end of a file."""
+
+
+@pytest.fixture
+def control(tmp_path: Path) -> Iterator[Process]:
+    program = Path(__file__).with_name("control_process.py")
+    process = subprocess.Popen(
+        [sys.executable, program, tmp_path],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    )
+    yield process
+    process.kill()
+    process.wait()
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def kill(control: Process, recorder: int, sessions: Path) -> None:
+    """Kill both, and wait until the session is nobody's."""
+    control.kill()
+    os.kill(recorder, signal.SIGKILL)
+    control.wait()
+    directory = next(session_directories(sessions))
+
+    def is_left() -> bool:
+        claim = SessionLock.on(directory)
+        if claim is not None:
+            claim.release()
+        return claim is not None
+
+    wait_until(is_left)
+
+
+def spooled(path: Path) -> list[Batch]:
+    """Whole batches in a spool."""
+    with path.open("rb") as source:
+        return [msgspec.msgpack.decode(one, type=Batch) for one in list(read_frames(source))[1:]]
+
+
+def last_sequence(batches: list[Batch]) -> int:
+    numbers = next(batch.ticks["sequence"] for batch in reversed(batches) if batch.tick_rows)
+    assert isinstance(numbers, bytes)
+    return array("q", numbers)[-1]
+
+
+def stream(*messages: Header | Batch) -> bytes:
+    return b"".join(framed(message) for message in messages)
+
+
+def next_start(sessions: Path) -> list[str]:
+    """Another daemon starts and ends; what it reports."""
+    info = msgspec.structs.replace(INFO, started=INFO.started.replace(year=2027))
+    source = stream(Header(info, "", str(sessions)), make_batch([], last=True))
+    told: list[News] = []
+    record(io.BytesIO(source), told.append)
+    problems = [news.detail for news in told if news.severity]
+    return problems + list(repair(sessions, sessions / "none", lambda: False))
+
+
+def recorded(sessions: Path) -> Session:
+    return read_session(next(session_directories(sessions)))
+
+
+def sequences(session: Session) -> list[int]:
+    return [int(number) for number in session.ticks["sequence"].to_pylist()]
+
+
+def test_a_stalled_recorder_and_a_killed_daemon_lose_nothing_that_was_spooled(
+    tmp_path: Path, control: Process
+) -> None:
+    def rows() -> int:
+        return sum(read_session(one.parent).ticks.num_rows for one in tmp_path.glob("*/ticks-*"))
+
+    wait_until(lambda: bool(list(tmp_path.glob("*/ticks-*"))) and rows() > 300)
+    (recorder,) = children(control.pid)
+    os.kill(recorder, signal.SIGSTOP)
+    (spool,) = left_spools(tmp_path)
+    wait_until(lambda: len(spooled(spool)) > 5)
+    kill(control, recorder, sessions=tmp_path)
+    held = spooled(spool)
+    next_start(tmp_path)
+    session = recorded(tmp_path)
+    assert session.info.ended is Ending.LOST
+    assert sequences(session) == list(range(session.ticks.num_rows))
+    assert sequences(session)[-1] == last_sequence(held)
+    numbers = [event.number for event in session.events]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert numbers[-1] == max(event.number for batch in held for event in batch.events)
+    assert not left_spools(tmp_path)
+
+
+@pytest.mark.parametrize("tail", TORN)
+def test_a_spool_that_breaks_off_gives_its_whole_messages(tmp_path: Path, tail: bytes) -> None:
+    header = Header(INFO, "# as configured\n", str(tmp_path))
+    batches = [make_batch([make_tick(number)]) for number in range(3)]
+    path = spool_path(tmp_path, INFO)
+    path.write_bytes(stream(header, *batches) + tail)
+    told = next_start(tmp_path)
+    session = recorded(tmp_path)
+    assert sequences(session) == [0, 1, 2]
+    assert session.info.ended is Ending.LOST
+    assert session.config_text == "# as configured\n"
+    assert any(session.path.name in sentence for sentence in told)
+    assert not left_spools(tmp_path)
+
+
+def test_the_spool_of_a_living_daemon_is_left_alone(tmp_path: Path) -> None:
+    spool = Spool(spool_path(tmp_path, INFO))
+    spool.append(framed(Header(INFO, "", str(tmp_path))))
+    spool.append(framed(make_batch([make_tick(0)])))
+    assert spool.flushed(PATIENCE_S)
+    next_start(tmp_path)
+    assert left_spools(tmp_path) == [spool.path]
+    spool.remove()
+    wait_until(lambda: not left_spools(tmp_path))
+
+
+def test_a_disk_that_refuses_the_spool_is_known(tmp_path: Path) -> None:
+    (tmp_path / "sessions").write_text("in the way")
+    spool = Spool(spool_path(tmp_path / "sessions", INFO))
+    spool.append(b"message")
+    assert not spool.flushed(PATIENCE_S)
+
+
+def test_the_log_of_events_of_a_lost_session_is_one_file(tmp_path: Path, control: Process) -> None:
+    def events() -> int:
+        return sum(len(read_session(one.parent).events) for one in tmp_path.glob("*/events.sqlite"))
+
+    wait_until(lambda: events() > 3)
+    (recorder,) = children(control.pid)
+    kill(control, recorder, sessions=tmp_path)
+    directory = next(session_directories(tmp_path))
+    assert (directory / "events.sqlite-wal").exists()
+    next_start(tmp_path)
+    assert read_info(directory).ended is Ending.LOST
+    assert [path.name for path in directory.glob("events*")] == ["events.sqlite"]
+    assert events() > 3
