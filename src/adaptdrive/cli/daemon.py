@@ -5,10 +5,15 @@ Each imports what it needs only: the daemon starts fast and stays small.
 
 from __future__ import annotations
 
+import os
+import threading
+import time
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
+
+_THREAD_PATIENCE_S = 0.5
 
 
 def run(config: Path, /) -> int:
@@ -22,7 +27,20 @@ def run(config: Path, /) -> int:
     """
     from adaptdrive.app.run import run as run_drive  # noqa: PLC0415 - see above
 
-    return run_drive(config)
+    status = run_drive(config)
+    _leave_stuck_threads(status)
+    return status
+
+
+def _leave_stuck_threads(status: int) -> None:
+    """End the process at once while a thread waits for the disk, which would hold up its end."""
+    deadline_s = time.monotonic() + _THREAD_PATIENCE_S
+    others = [one for one in threading.enumerate() if one is not threading.current_thread()]
+    for thread in others:
+        if not thread.daemon:
+            thread.join(max(0.0, deadline_s - time.monotonic()))
+            if thread.is_alive():
+                os._exit(status)
 
 
 def probe(config: Path, /, *, safe_command: bool = False) -> int:

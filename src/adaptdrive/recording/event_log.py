@@ -103,7 +103,7 @@ def tidy(path: Path) -> None:
     Raises:
         sqlite3.Error: It cannot be read or written.
     """
-    if path.with_name(f"{path.name}-wal").exists():
+    if any(path.with_name(path.name + suffix).exists() for suffix in ("-wal", "-journal")):
         EventLog(path).close()
 
 

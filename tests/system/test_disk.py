@@ -1,0 +1,137 @@
+"""A disk that is full, read-only or stalled: the drive runs on, and recording resumes by itself."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.session import Dropped, Ending, session_directories
+from tests.support import slow_disk
+from tests.system.bus_ear import BusEar
+from tests.system.conftest import MakeSite
+from tests.system.site import PATIENT_DRIVE, until
+
+pytestmark = pytest.mark.slow
+
+FAULT_S = 5.0
+SLOW_FSYNC_S = 5.0
+RESUMED_S = 60.0
+
+Fault = Callable[[Path], contextlib.AbstractContextManager[None]]
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of its own, where one may be mounted."""
+    image, folder = tmp_path / "disk.img", tmp_path / "disk"
+    folder.mkdir()
+    with image.open("wb") as file:
+        file.truncate(24 << 20)
+    programs = ("mkfs.ext4", "mount", "fsfreeze", "chattr")
+    if any(shutil.which(one, path=f"{os.environ['PATH']}:/usr/sbin") is None for one in programs):
+        pytest.skip("e2fsprogs or util-linux is not installed")
+    if not (run("mkfs.ext4", "-q", "-F", image) and run("mount", "-o", "loop", image, folder)):
+        pytest.skip("no disk can be mounted here")
+    yield folder
+    run("umount", "--lazy", folder)
+
+
+def run(*command: str | Path) -> bool:
+    path = {"PATH": f"{os.environ['PATH']}:/usr/sbin"}
+    return subprocess.run(command, capture_output=True, check=False, env=path).returncode == 0
+
+
+@contextlib.contextmanager
+def full(disk: Path) -> Iterator[None]:
+    filling = disk / "filling"
+    with contextlib.suppress(OSError), filling.open("wb", buffering=0) as file:
+        while True:
+            file.write(bytes(4096))
+    try:
+        yield
+    finally:
+        filling.unlink()
+
+
+@contextlib.contextmanager
+def read_only(disk: Path) -> Iterator[None]:
+    """No file can be changed or made, those that are open included."""
+    assert run("chattr", "-R", "+i", disk / "sessions")
+    try:
+        yield
+    finally:
+        assert run("chattr", "-R", "-i", disk / "sessions")
+
+
+@contextlib.contextmanager
+def stalled(disk: Path) -> Iterator[None]:
+    """Each write waits."""
+    assert run("fsfreeze", "--freeze", disk)
+    try:
+        yield
+    finally:
+        assert run("fsfreeze", "--unfreeze", disk)
+
+
+@pytest.mark.parametrize("fault", [full, read_only, stalled])
+def test_the_drive_runs_on_and_recording_resumes(
+    make_site: MakeSite, disk: Path, fault: Fault
+) -> None:
+    site = make_site({"recording.directory": f'"{disk / "sessions"}"'})
+    site.start("--initial-voltage", "280", *PATIENT_DRIVE)
+    site.run_drive()
+    folder = newest(disk / "sessions")
+    until(lambda: read_session(folder).ticks.num_rows > 120, "ticks are recorded")
+    with BusEar(site.config) as bus, fault(disk):
+        time.sleep(FAULT_S)
+        commands = bus.commands()
+    assert len(commands) > 60
+    assert all(command.bridge for command in commands)
+    ticks = site.ear.on("telemetry/drive")[-1].content["ticks"]
+    until(lambda: read_session(folder).ticks.num_rows > ticks, "recording resumes", RESUMED_S)
+    assert site.state["state"] == "running"
+    assert site.stop_daemon() == 0
+    session = read_session(folder)
+    assert session.ticks["sequence"].to_pylist() == list(range(session.ticks.num_rows))
+    assert session.info.ended is Ending.ORDERLY
+    assert session.info.dropped == Dropped()
+    said = [event.detail for event in session.events if event.kind == "recording"]
+    if fault is not stalled:
+        assert any("recording has stopped" in detail for detail in said)
+        assert any("goes on in segment" in detail for detail in said), said
+        assert len(list(folder.glob("ticks-*.parquet"))) == 2
+
+
+def test_a_slow_disk_holds_up_no_end_and_loses_no_event(make_site: MakeSite) -> None:
+    site = make_site()
+    site.start_broker()
+    site.start_device("--initial-voltage", "280", *PATIENT_DRIVE)
+    environment = slow_disk(site.folder, SLOW_FSYNC_S)
+    if environment is None:
+        pytest.skip("no C compiler")
+    site.environment.update(environment)
+    site.start_daemon()
+    for mode in ("adaptive", "fixed", "adaptive", "fixed"):
+        site.demand("mode", mode)
+    assert site.stop_daemon() == 0  # within the patience of the site, four such writes
+    events = [one.content for one in site.ear.on("event")]
+    published = [one["detail"] for one in events if one["kind"] != "recording"]
+    site.environment.clear()
+    folder = newest(site.folder / "sessions")
+    site.start_daemon()
+    until(lambda: read_session(folder).info.ended is not Ending.OPEN, "the session is closed")
+    recorded = [event.detail for event in read_session(folder).events]
+    assert published.count("mode fixed to adaptive") == 2
+    assert set(published) <= set(recorded)
+
+
+def newest(sessions: Path) -> Path:
+    return until(lambda: list(session_directories(sessions)), "a session begins", RESUMED_S)[-1]
