@@ -10,6 +10,8 @@ from datetime import UTC, datetime
 from adaptdrive import __version__
 from adaptdrive.app.checkpoint import Values
 from adaptdrive.config import Configuration
+from adaptdrive.config.bus import SignalSource
+from adaptdrive.config.units import si_unit
 from adaptdrive.recording.batches import Header, Keep, SensorColumn
 from adaptdrive.recording.recorder import Clocks, Feed, Recorder, WritePace
 from adaptdrive.recording.session import SessionInfo, sessions_directory
@@ -60,9 +62,14 @@ def sensor_columns(configuration: Configuration) -> tuple[SensorColumn, ...]:
         for name, quantity in bus.signals.items():
             column, source = f"{bus.name}.{name}", f"sensor bus {bus.name}"
             about = f"last value of {name}, {quantity.signal}"
-            columns.append(SensorColumn(column, unit_of(name), about, source))
+            columns.append(SensorColumn(column, _unit(name, quantity), about, source))
             columns.append(SensorColumn(f"{column}.age_s", "s", f"age of {name}", source))
     return tuple(columns)
+
+
+def _unit(name: str, quantity: SignalSource) -> str:
+    """Return the SI unit of a value, from its conversion or from the end of its name."""
+    return (si_unit(quantity.unit) if quantity.unit else None) or unit_of(name)
 
 
 def unit_of(name: str) -> str:

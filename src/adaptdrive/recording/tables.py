@@ -19,6 +19,8 @@ from adaptdrive.runtime.reports import MONOTONIC, SLOW_COLUMNS, TICK_COLUMNS
 
 UTC = pa.timestamp("us", "UTC")
 
+INPUT_UNIT = "unit of the load's input"
+
 _ESTIMATE = pa.struct([("name", pa.string()), ("value", pa.float64()), ("std", pa.float64())])
 _TYPES: dict[type, pa.DataType] = {
     float: pa.float64(),
@@ -64,11 +66,12 @@ def sensors_schema(sensors: Sequence[SensorColumn]) -> pa.Schema:
 
 
 def _schema(columns: Sequence[Column], output_unit: str) -> pa.Schema:
+    special = {"y": output_unit, "u": INPUT_UNIT}
     fields = [
         _field(
             column.name,
             _TYPES[column.kind],
-            output_unit if column.unit == "y" else column.unit,
+            special.get(column.unit, column.unit),
             column.meaning,
             column.source,
         )
