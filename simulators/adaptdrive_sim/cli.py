@@ -20,7 +20,19 @@ app = App(
     version=adaptdrive.__version__,
 )
 
-Action = Literal["add-disk", "remove-disk", "torque", "sag", "noise", "fault", "sensor-fault"]
+Action = Literal[
+    "add-disk",
+    "remove-disk",
+    "torque",
+    "volume",
+    "inflow",
+    "series-resistance",
+    "charge",
+    "sag",
+    "noise",
+    "fault",
+    "sensor-fault",
+]
 
 NO_ANSWER = 3
 INTERRUPTED = 130
@@ -30,6 +42,10 @@ def main() -> None:
     """Run the command line; an error is one clear line and a non-zero status."""
     try:
         app()
+    except ModuleNotFoundError as problem:
+        if (problem.name or "").split(".")[0] in {"adaptdrive", "adaptdrive_sim"}:
+            raise
+        sys.exit(f"adaptdrive-sim: {problem.name} is missing: pip install 'adaptdrive[sim]'")
     except AdaptdriveError as problem:
         sys.exit(f"adaptdrive-sim: {problem}")
     except KeyboardInterrupt:
@@ -64,8 +80,10 @@ def disturb(
 
     Args:
         drive: Name of the drive.
-        action: add-disk, remove-disk, torque N_m, sag FRACTION SECONDS, noise V, fault WORD, or
-            sensor-fault KIND (1 broken wire, 2 frozen, 3 unplugged, 0 none).
+        action: Of a motor add-disk, remove-disk or torque N_m; of a bath volume US_GALLONS SECONDS
+            or inflow L_PER_MIN; of a battery series-resistance OHM or charge SHARE; of any load
+            sag FRACTION SECONDS, noise SIGMA, fault WORD, or sensor-fault KIND (1 broken wire,
+            2 frozen, 3 unplugged, 0 none).
         values: What the action needs.
         broker: HOST:PORT of the MQTT broker.
     """

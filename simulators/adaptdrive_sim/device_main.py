@@ -21,7 +21,7 @@ from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.errors import AdaptdriveError, RefusedError
 from adaptdrive_sim.broker import parse_address
 from adaptdrive_sim.device_settings import DeviceSettings
-from adaptdrive_sim.devices.drive import Frame, Report, SimulatedDrive
+from adaptdrive_sim.devices.drive import COMMAND_TIMEOUT_s, Frame, Report, SimulatedDrive
 from adaptdrive_sim.devices.kinds import KINDS, DriveNode, SensorNode
 from adaptdrive_sim.devices.remote import Remote
 from adaptdrive_sim.devices.sensor_values import check_names, values_of
@@ -30,7 +30,7 @@ from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.parameters import check_range
 from adaptdrive_sim.plants.boost import BoostParameters
-from adaptdrive_sim.plants.kinds import new_load
+from adaptdrive_sim.plants.kinds import coupling_of, load_of
 from adaptdrive_sim.world import World, WorldParameters
 
 PATIENCE_READINGS = 4
@@ -73,8 +73,7 @@ def build_drive(
         ParameterError: A parameter lies outside its range.
         RefusedError: A setting cannot be read.
     """
-    timeout_s = settings.command_timeout_s
-    check_range("command time-out", timeout_s, 0.01, 60.0, "s")
+    timeout_s = _command_timeout_s(configuration, settings)
     world, power = build_world(configuration, settings), configuration.drive
     holder = None
     if configuration.voltage_loop.where == "drive":
@@ -82,10 +81,26 @@ def build_drive(
         holder = VoltageHolder(power.boost_capacitance_F, bidirectional=bidirectional)
         reading_s = 0.5 * configuration.bus.ticks_per_reading / power.line_frequency_Hz
         timeout_s = max(timeout_s, PATIENCE_READINGS * reading_s)
-    if not KINDS[configuration.bus.type].times_commands:
-        timeout_s = math.inf
     needs_bridge = settings.boost_needs_bridge
     return SimulatedDrive(world, report, holder, timeout_s, boost_needs_bridge=needs_bridge)
+
+
+def _command_timeout_s(configuration: Configuration, settings: DeviceSettings) -> float:
+    """Return the age of the last command at which the drive shuts down.
+
+    Raises:
+        ParameterError: It lies outside its range.
+        RefusedError: The drive watches a heartbeat instead.
+    """
+    wanted_s = settings.command_timeout_s
+    if not KINDS[configuration.bus.type].times_commands:
+        if wanted_s is not None:
+            kind = configuration.bus.type
+            raise RefusedError(f"--command-timeout {wanted_s:g}: {kind} watches a heartbeat")
+        return math.inf
+    timeout_s = COMMAND_TIMEOUT_s if wanted_s is None else wanted_s
+    check_range("command time-out", timeout_s, 0.01, 60.0, "s")
+    return timeout_s
 
 
 def build_node(
@@ -143,8 +158,9 @@ def build_world(configuration: Configuration, settings: DeviceSettings) -> World
     )
     share, sigma = _spikes(settings.spikes)
     noise = NoiseParameters(sigma=settings.noise_V, spike_share=share, spike_sigma=sigma)
-    parameters = WorldParameters(line=line, boost=boost, noise=noise, seed=settings.seed)
-    world = World(new_load(configuration.load.type, settings.disks), parameters)
+    stage = coupling_of(configuration)
+    parameters = WorldParameters(line, boost, stage, noise, seed=settings.seed)
+    world = World(load_of(configuration, settings.disks), parameters)
     if settings.initial_voltage_V is not None:
         world.settle(settings.initial_voltage_V)
     return world

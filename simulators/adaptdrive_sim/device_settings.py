@@ -20,9 +20,10 @@ class DeviceSettings:
         noise_V: Standard deviation of each sample of the output, in the unit of the output.
         spikes: SHARE,SIGMA: share of samples that carry a spike, and its deviation, likewise.
         seed: Seed of the noise.
-        disks: Disks on the shaft of a motor.
+        disks: Disks on the shaft of a motor; one when left out.
         initial_voltage_V: Start at rest at this boost voltage instead of at standstill.
-        command_timeout_s: Age of the last command, in seconds, at which it shuts down.
+        command_timeout_s: Age of the last command, in seconds, at which it shuts down; 0.1 when
+            left out.
         boost_needs_bridge: The boost stage works only while the bridge's enable bit is on.
         line_drift_Hz: Amplitude of the line's frequency drift, in hertz.
         line_wander: Amplitude of the line's slow voltage wander, as a fraction.
@@ -35,9 +36,9 @@ class DeviceSettings:
     noise_V: Annotated[float, Parameter(name="--noise")] = 0.0
     spikes: str = "0,0"
     seed: int = 0
-    disks: int = 1
+    disks: int | None = None
     initial_voltage_V: Annotated[float | None, Parameter(name="--initial-voltage")] = None
-    command_timeout_s: Annotated[float, Parameter(name="--command-timeout")] = 0.1
+    command_timeout_s: Annotated[float | None, Parameter(name="--command-timeout")] = None
     boost_needs_bridge: bool = False
     line_drift_Hz: Annotated[float, Parameter(name="--line-drift")] = 0.1
     line_wander: float = 0.0

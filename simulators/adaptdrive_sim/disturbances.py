@@ -9,6 +9,11 @@ A request is a JSON object with an `id` and exactly one disturbance:
     {"id": "5", "fault": 1}                     fault word of the drive (0: clear)
     {"id": "6", "sensor_fault": 1}              sensors beside the drive: 1 broken wire, 2 values
                                                 that stand still, 3 unplugged (0: none)
+    {"id": "7", "volume_gal": 1.5, "duration_s": 60.0}
+                                                fill or drain the bath within a minute
+    {"id": "8", "inflow_L_per_min": 0.9}        cold water flowing into the bath
+    {"id": "9", "series_Ohm": 0.4}              series resistance of the battery
+    {"id": "10", "charge": 0.8}                 state of charge of the battery, 0 to 1
 """
 
 from __future__ import annotations
@@ -22,6 +27,8 @@ from adaptdrive.errors import RefusedError
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.sensor_values import SensorFault
 from adaptdrive_sim.parameters import ParameterError, check_range
+from adaptdrive_sim.plants.bath import Bath
+from adaptdrive_sim.plants.battery import Battery
 from adaptdrive_sim.plants.motor import Motor
 
 
@@ -38,6 +45,10 @@ class DisturbanceRequest(
     noise_V: float | None = None
     fault: int | None = None
     sensor_fault: int | None = None
+    volume_gal: float | None = None
+    inflow_L_per_min: float | None = None
+    series_Ohm: float | None = None
+    charge: float | None = None
 
 
 def parse_request(payload: bytes) -> DisturbanceRequest:
@@ -54,8 +65,8 @@ def parse_request(payload: bytes) -> DisturbanceRequest:
     if len(asked) != 1:
         wanted = ", ".join(_ACTIONS)
         raise RefusedError(f"exactly one of {wanted} is needed, not {len(asked)}")
-    if (request.duration_s is not None) != (asked == ["sag"]):
-        raise RefusedError("duration_s belongs to sag, and sag needs it")
+    if (request.duration_s is not None) != (asked[0] in _LASTING):
+        raise RefusedError(f"duration_s belongs to {' and '.join(_LASTING)}, which need it")
     return request
 
 
@@ -114,6 +125,37 @@ def _spoil_sensors(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
     drive.world.sensor_fault = request.sensor_fault or 0
 
 
+def _bath(drive: SimulatedDrive) -> Bath:
+    if not isinstance(drive.world.load, Bath):
+        raise RefusedError("this load holds no water")
+    return drive.world.load
+
+
+def _fill_bath(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
+    _bath(drive).fill(request.volume_gal or 0.0, request.duration_s or 0.0)
+
+
+def _set_inflow(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
+    _bath(drive).inflow_L_per_min = request.inflow_L_per_min or 0.0
+
+
+def _battery(drive: SimulatedDrive) -> Battery:
+    if not isinstance(drive.world.load, Battery):
+        raise RefusedError("this load is no battery")
+    return drive.world.load
+
+
+def _set_series(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
+    _battery(drive).series_Ohm = request.series_Ohm or 0.0
+
+
+def _set_charge(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
+    check_range("charge", request.charge or 0.0, 0.0, 1.0, "")
+    _battery(drive).charge = request.charge or 0.0
+
+
+_LASTING = ("sag", "volume_gal")
+
 _ACTIONS = {
     "disks": _change_disks,
     "torque_Nm": _load_shaft,
@@ -121,6 +163,10 @@ _ACTIONS = {
     "noise_V": _set_noise,
     "fault": _inject_fault,
     "sensor_fault": _spoil_sensors,
+    "volume_gal": _fill_bath,
+    "inflow_L_per_min": _set_inflow,
+    "series_Ohm": _set_series,
+    "charge": _set_charge,
 }
 
 
@@ -151,4 +197,8 @@ _WORDS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
     "noise": (("noise_V",), {}),
     "fault": (("fault",), {}),
     "sensor-fault": (("sensor_fault",), {}),
+    "volume": (("volume_gal", "duration_s"), {}),
+    "inflow": (("inflow_L_per_min",), {}),
+    "series-resistance": (("series_Ohm",), {}),
+    "charge": (("charge",), {}),
 }

@@ -11,6 +11,9 @@ from adaptdrive_sim.broker import BrokerAddress, parse_address
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.remote import Remote
 from adaptdrive_sim.disturbances import from_words, parse_request
+from adaptdrive_sim.plants.bath import Bath, BathParameters
+from adaptdrive_sim.plants.battery import Battery, BatteryParameters
+from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import World
 
@@ -59,6 +62,36 @@ def test_a_sag_reaches_the_line(remote: Remote) -> None:
     assert remote.truth()["line_voltage_V"] == 90.0
 
 
+def of(load: SimulatedLoad) -> Remote:
+    return Remote(
+        BrokerAddress("localhost", 1), "bench", SimulatedDrive(World(load), ignore), ignore
+    )
+
+
+def test_a_bath_is_filled_and_its_inflow_changed() -> None:
+    remote = of(Bath(BathParameters()))
+    assert ask(remote, volume_gal=1.5, duration_s=0.0) == (True, "")
+    assert remote.truth()["volume_gal"] == pytest.approx(1.5)
+    before_s = float(remote.truth()["tau_s"])
+    assert ask(remote, inflow_L_per_min=2 * 0.681) == (True, "")
+    assert remote.truth()["tau_s"] == pytest.approx(before_s / 2)
+    assert ask(remote, inflow_L_per_min=0.0) == (
+        False,
+        "inflow_L_per_min = 0.0 must lie in 0.01…100 L/min",
+    )
+    assert ask(remote, charge=0.5) == (False, "this load is no battery")
+
+
+def test_a_battery_ages_and_is_charged() -> None:
+    remote = of(Battery(BatteryParameters()))
+    assert ask(remote, series_Ohm=0.8) == (True, "")
+    assert remote.truth()["direct_S"] == pytest.approx(0.25 / 1.8)
+    assert ask(remote, charge=0.9) == (True, "")
+    assert remote.truth()["charge"] == 0.9
+    assert ask(remote, charge=1.1) == (False, "charge = 1.1 must lie in 0…1")
+    assert ask(remote, inflow_L_per_min=1.0) == (False, "this load holds no water")
+
+
 def test_a_fault_reaches_the_drive(remote: Remote) -> None:
     assert ask(remote, fault=16) == (True, "")
     remote._drive.tick(0.0)
@@ -70,7 +103,7 @@ def test_a_fault_reaches_the_drive(remote: Remote) -> None:
     [
         ({}, "exactly one of"),
         ({"disks": 1, "fault": 1}, "exactly one of .* not 2"),
-        ({"sag": 0.2}, "sag needs it"),
+        ({"sag": 0.2}, "which need it"),
         ({"disks": 1, "duration_s": 1.0}, "duration_s belongs to sag"),
         ({"disks": 1.5}, "Expected `int"),
         ({"disks": "1"}, "Expected `int"),

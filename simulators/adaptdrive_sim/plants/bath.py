@@ -67,6 +67,17 @@ class Bath:
         return self._mass_kg / GALLON_kg
 
     @property
+    def inflow_L_per_min(self) -> float:
+        """Cold water flowing in."""
+        return 60.0 * self._inflow_W_per_K / HEAT_J_per_kgK
+
+    @inflow_L_per_min.setter
+    def inflow_L_per_min(self, inflow_L_per_min: float) -> None:
+        check_range("inflow_L_per_min", inflow_L_per_min, 0.01, 100.0, "L/min")
+        self._inflow_W_per_K = inflow_L_per_min / 60.0 * HEAT_J_per_kgK
+        self._decay_s = math.nan
+
+    @property
     def resistance_K_per_W(self) -> float:
         """Thermal resistance to the inflow, R."""
         return 1.0 / self._inflow_W_per_K

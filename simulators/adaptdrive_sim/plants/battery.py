@@ -63,6 +63,16 @@ class Battery:
         self._decays = (1.0, 1.0)
 
     @property
+    def series_Ohm(self) -> float:
+        """Series resistance, R_0."""
+        return self.resistance_Ohm
+
+    @series_Ohm.setter
+    def series_Ohm(self, series_Ohm: float) -> None:
+        check_range("series_Ohm", series_Ohm, 1e-4, 1e2, "Ω")
+        self.resistance_Ohm = series_Ohm
+
+    @property
     def open_circuit_V(self) -> float:
         """Terminal voltage after a long rest."""
         segment = min(max(bisect_right(_TENTHS, self.charge) - 1, 0), len(CELL_V) - 2)

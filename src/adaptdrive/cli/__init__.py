@@ -51,8 +51,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         outcome = _app()(arguments)
         sys.stdout.flush()
     except UnknownCommandError as problem:
+        from adaptdrive.config.proposals import nearest  # noqa: PLC0415 - no command needs it
+
         words = " ".join(problem.unused_tokens or ())
-        return _complain(f"unknown command {words!r}; see adaptdrive --help", UNUSABLE)
+        hint = nearest(words.split(" ")[0], [*_COMMANDS, "sessions"])
+        return _complain(f"unknown command {words!r}{hint}; see adaptdrive --help", UNUSABLE)
     except CycloptsError as problem:
         return _complain(" ".join(str(problem).split()), UNUSABLE)
     except AdaptdriveError as problem:

@@ -146,6 +146,16 @@ class BatterySection(LoadSection):
 AnyLoad = MotorSection | BathSection | BatterySection
 
 
+class SimulatorSection(Section):
+    """`[simulation]`: the load of `adaptdrive-sim device`; the daemon does not use it."""
+
+    parameters: dict[str, FiniteFloat] = Field(
+        default={},
+        description="physical parameters that `[load.model]` leaves open, such as `friction_Nms`; "
+        "the reference load's when left out",
+    )
+
+
 class Estimator(Section):
     """`[estimator]`: the recursive least squares that learn the load."""
 

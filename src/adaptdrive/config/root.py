@@ -12,7 +12,7 @@ from adaptdrive.config.bus import Signals
 from adaptdrive.config.buses import AnyBus, bus_checks
 from adaptdrive.config.derived import Derived
 from adaptdrive.config.drive import DriveSection, VoltageLoop
-from adaptdrive.config.load import AnyLoad, Estimator, MotorSection, Supervisor
+from adaptdrive.config.load import AnyLoad, Estimator, MotorSection, SimulatorSection, Supervisor
 from adaptdrive.config.section import Section, inconsistent
 from adaptdrive.config.sensors import (
     CanSensorSection,
@@ -45,6 +45,7 @@ class Configuration(Section):
     mqtt: Mqtt = Field(default_factory=Mqtt)
     recording: Recording = Field(default_factory=Recording)
     realtime: Realtime = Field(default_factory=Realtime)
+    simulation: SimulatorSection = Field(default_factory=SimulatorSection)
 
     @property
     def ticks_per_period(self) -> int:
