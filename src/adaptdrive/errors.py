@@ -58,6 +58,10 @@ class RecordingError(AdaptdriveError):
         super().__init__(f"{session}: {problem}")
 
 
+class CommissionError(AdaptdriveError):
+    """An experiment on a load cannot go on; the reason is the message."""
+
+
 class IdentificationError(AdaptdriveError):
     """Data do not determine a load; the reason is the message."""
 

@@ -1,0 +1,1 @@
+"""Commissioning: a bounded experiment on an unknown load, and the settings that follow from it."""

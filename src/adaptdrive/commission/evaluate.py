@@ -1,0 +1,63 @@
+"""The load that an experiment shows."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from adaptdrive.commission.experiment import LoadExperiment, Outcome
+from adaptdrive.commission.samples import Samples
+from adaptdrive.control.load import Load
+from adaptdrive.errors import CommissionError
+from adaptdrive.identification.excerpt import Excerpt
+from adaptdrive.identification.identify import identify
+from adaptdrive.identification.result import IdentifiedLoad
+
+_BLOCKS_TO_REST = 60
+"""Blocks in the time to rest: a time constant has about fifteen."""
+
+_MOST_BLOCKS = 4000
+_DELAYS = (0, 1)
+"""Dead times in samples: a tenth of a second is longer than any bus takes."""
+
+
+def evaluate(experiment: LoadExperiment, load: Load) -> IdentifiedLoad:
+    """Identify the load from the samples of an experiment.
+
+    Args:
+        experiment: One that is complete.
+        load: Structure and input map of the load.
+
+    Raises:
+        CommissionError: It is not complete.
+        IdentificationError: The samples do not determine the load.
+    """
+    outcome = experiment.outcome
+    if outcome is None:
+        raise CommissionError("the experiment is not complete")
+    excerpt = resampled(experiment.record, outcome.began_s)
+    return identify([excerpt], load, block=_block(outcome, excerpt), delays=_DELAYS)
+
+
+def resampled(record: Samples, from_s: float) -> Excerpt:
+    """Return the samples of a record from a time on, at a constant rate.
+
+    Args:
+        record: Samples at increasing times.
+        from_s: First time.
+    """
+    times_s = np.array(record.times_s)
+    first = int(np.searchsorted(times_s, from_s))
+    times_s = times_s[first:]
+    period_s = float(np.median(np.diff(times_s)))
+    even_s = np.arange(times_s[0], times_s[-1], period_s)
+    voltages_V = np.interp(even_s, times_s, np.array(record.voltages_V[first:]))
+    outputs = np.interp(even_s, times_s, np.array(record.outputs[first:]))
+    return Excerpt(voltages_V, outputs, period_s)
+
+
+def _block(outcome: Outcome, excerpt: Excerpt) -> int:
+    wanted = outcome.settling_s / _BLOCKS_TO_REST / excerpt.period_s
+    fewest = math.ceil(len(excerpt.output) / _MOST_BLOCKS)
+    return max(1, fewest, math.floor(wanted))

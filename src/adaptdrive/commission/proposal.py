@@ -1,0 +1,129 @@
+"""Settings that follow from an identified load, and the configuration with them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from adaptdrive.app.loads import build_load
+from adaptdrive.commission.margins import Margins, margins_of
+from adaptdrive.config.root import Configuration
+from adaptdrive.control.load import to_input
+from adaptdrive.control.signals import Estimate
+from adaptdrive.errors import CommissionError
+from adaptdrive.identification.proposal import proposed_model
+from adaptdrive.identification.result import IdentifiedLoad
+from adaptdrive.recording.what_if import reconfigured
+
+_PERIODS = {"motor": 20.0, "bath": 10.0, "battery": 20.0}
+"""Slow periods in the sum of the time constants."""
+
+_FILTER_SHARE = 0.5
+"""λ time constant over the sum of the time constants."""
+
+_ROUND = (1.0, 2.0, 5.0, 10.0)
+_SHORTEST_PERIOD_S = 0.1
+_LONGEST_PERIOD_S = 3600.0
+_SAMPLED_SHARE = 0.75
+"""Longest part of a slow period over which the output is averaged."""
+
+_POLES = (0.70, 0.75, 0.80, 0.85, 0.90, 0.93, 0.95, 0.97)
+_LEAST_GAIN = 2.0
+_LEAST_DELAY = 0.5
+"""Least delay margin in slow periods."""
+
+_STEP_SHARE = 0.1
+_EFFORT_SHARE = 0.5
+"""Share of the range of V_c that a set-point step of a tenth of its range may take."""
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """Proposed settings.
+
+    Attributes:
+        values: New values by key.
+        model: Those of `[load.model]` with their deviations, by name.
+        configuration: The configuration with them.
+        margins: Margins of the fixed controller with them.
+    """
+
+    values: dict[str, float | int]
+    model: dict[str, Estimate]
+    configuration: Configuration
+    margins: Margins
+
+
+def propose(identified: IdentifiedLoad, text: str, source: Path) -> Proposal:
+    """Return settings for an identified load.
+
+    Args:
+        identified: The load.
+        text: The present configuration.
+        source: Its file, for messages.
+
+    Raises:
+        ConfigurationError: The proposed settings are not valid together with the others.
+        CommissionError: No pole gives a loop with sufficient margins.
+    """
+    present = reconfigured(text, source, ())
+    model = proposed_model(identified, present.load)
+    values = _pace(identified, present)
+    values |= {f"load.model.{name}": _rounded(one.value) for name, one in model.items()}
+    for pole in _POLES:
+        if not present.load.pole_min <= pole <= present.load.pole_max:
+            continue
+        tried = {**values, "load.pole": pole}
+        configuration = reconfigured(text, source, [f"{key}={tried[key]!r}" for key in tried])
+        margins = margins_of(configuration)
+        if _suffices(margins, configuration):
+            return Proposal(tried, model, configuration, margins)
+    raise CommissionError(
+        f"no pole up to load.pole_max = {present.load.pole_max:g} gives a gain margin of "
+        f"{_LEAST_GAIN:g}, a delay margin of half a slow period, and steps within the range of V_c"
+    )
+
+
+def _pace(identified: IdentifiedLoad, present: Configuration) -> dict[str, float | int]:
+    """Return slow period, samples and λ time constant for the pace of the load."""
+    total_s = identified.denominator[-2] / identified.denominator[-1]
+    wanted_s = max(total_s / _PERIODS[present.load.type], _SHORTEST_PERIOD_S)
+    period_s = min(_nice(wanted_s), _LONGEST_PERIOD_S)
+    ticks = round(2.0 * present.drive.line_frequency_Hz * period_s)
+    samples = min(present.load.samples, math.floor(_SAMPLED_SHARE * ticks))
+    return {
+        "load.period_s": period_s,
+        "load.samples": max(1, samples),
+        "estimator.tau_lambda_s": _rounded(_FILTER_SHARE * total_s, 2),
+    }
+
+
+def _nice(value: float) -> float:
+    """Return the nearest of 1, 2 and 5 times a power of ten, on a logarithmic scale."""
+    scale = 10.0 ** math.floor(math.log10(value))
+    nearest = min(_ROUND, key=lambda one: abs(math.log(one * scale / value)))
+    return _rounded(nearest * scale, 1)
+
+
+def _rounded(value: float, digits: int = 4) -> float:
+    return float(f"{value:.{digits}g}")
+
+
+def _suffices(margins: Margins, configuration: Configuration) -> bool:
+    section, limits = configuration.load, configuration.drive.limits
+    step = _STEP_SHARE * (section.reference_max - section.reference_min)
+    if not (math.isfinite(margins.effort) and margins.gain >= _LEAST_GAIN):
+        return False
+    if margins.delay_s < _LEAST_DELAY * section.period_s:
+        return False
+    return margins.effort * step <= _EFFORT_SHARE * _input_range(
+        configuration, limits.boost_reference_min_V, limits.boost_reference_max_V
+    )
+
+
+def _input_range(configuration: Configuration, low_V: float, high_V: float) -> float:
+    """Return the range of the load's input."""
+    load = build_load(configuration)
+    ends = [to_input(one, load.input_gain, load.input_exponent) for one in (low_V, high_V)]
+    return ends[1] - ends[0]

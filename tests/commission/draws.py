@@ -1,0 +1,203 @@
+"""Random loads that no configuration describes, behind a drive in virtual time."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptdrive.commission.experiment import LoadExperiment
+from adaptdrive.commission.target import Target, build_target
+from adaptdrive.config.root import Configuration
+from adaptdrive.recording.what_if import reconfigured
+from adaptdrive_sim.demo.toml_text import toml_text
+from adaptdrive_sim.experiments.examples import FOLDER, example_tables
+from adaptdrive_sim.plants.bath import Bath, BathParameters
+from adaptdrive_sim.plants.battery import Battery, BatteryParameters
+from adaptdrive_sim.plants.load import SimulatedLoad
+from adaptdrive_sim.plants.motor import Motor, MotorParameters
+
+Random = np.random.Generator
+
+SAMPLE_S = 0.1
+"""Time between two messages of the daemon."""
+
+SLEW_V_PER_S = 100.0
+LAG_S = 9.0 / 120.0
+"""Lag of the daemon's voltage loop."""
+
+BITS = 12
+NOISE_SHARE = 0.01
+
+
+@dataclass(frozen=True)
+class Draw:
+    """A load and the configuration of its drive, whose model is that of the example.
+
+    Attributes:
+        load: The load.
+        ratio: N2 of the dc/dc stage.
+        droop_Ohm: R_d of it.
+        text: Configuration with the limits of drive and output, and a wrong `[load.model]`.
+        step_s: Step of the simulation.
+        delay_steps: Dead time of the sensor, in steps.
+    """
+
+    load: SimulatedLoad
+    ratio: float
+    droop_Ohm: float
+    text: str
+    step_s: float
+    delay_steps: int = 0
+
+    @cached_property
+    def configuration(self) -> Configuration:
+        return reconfigured(self.text, FOLDER / "drawn.toml", ())
+
+    @property
+    def target(self) -> Target:
+        return build_target(self.configuration, 0.05)
+
+    @property
+    def truth(self) -> dict[str, float]:
+        """Parameters by the names of `Load.names`."""
+        model = self.load.model(self.ratio, self.droop_Ohm)
+        if isinstance(self.load, Motor):
+            one, two = model["tau_motor_s"], model["tau_filter_s"]
+            return {"gain": model["gain"], "tau_sum_s": one + two, "tau_product_s2": one * two}
+        model.pop("heater_W_per_V2", None)
+        return model
+
+
+def span(random: Random, low: float, high: float) -> float:
+    """A factor, even on a logarithmic scale."""
+    return float(np.exp(random.uniform(np.log(low), np.log(high))))
+
+
+def motor(random: Random) -> Draw:
+    size = span(random, 0.3, 3.0)
+    nominal = MotorParameters()
+    parameters = dataclasses.replace(
+        nominal,
+        tachometer_Vs=nominal.tachometer_Vs * size,
+        disk_kgm2=nominal.disk_kgm2 * span(random, 0.1, 10.0),
+        filter_s=nominal.filter_s * span(random, 0.1, 10.0),
+        friction_Nms=nominal.friction_Nms * span(random, 0.3, 3.0),
+    )
+    load = Motor(parameters)
+    load.torque_Nm = float(random.uniform(0.0, 0.5))
+    highest = load.model(0.25, 1.0)["gain"] * 400.0
+    top = highest * span(random, 0.7, 2.0)
+    return Draw(
+        load, 0.25, 1.0, configuration_text("motor", top), 1 / 120, int(random.integers(0, 4))
+    )
+
+
+def bath(random: Random) -> Draw:
+    nominal = BathParameters()
+    size = span(random, 0.2, 5.0)
+    load = Bath(dataclasses.replace(nominal, inflow_L_per_min=nominal.inflow_L_per_min / size))
+    top = 21.0 * size * span(random, 0.7, 2.0)
+    return Draw(load, 0.25, 1.0, configuration_text("bath", top), SAMPLE_S)
+
+
+def battery(random: Random) -> Draw:
+    cells = max(3, round(span(random, 12.0, 400.0) / 3.8))
+    full_V = 4.15 * cells
+    scale = (full_V / 82.0) ** 2
+    nominal = BatteryParameters()
+    load = Battery(
+        dataclasses.replace(
+            nominal,
+            cells=cells,
+            capacity_Ah=nominal.capacity_Ah * 82.0 / full_V * span(random, 0.5, 5.0),
+            charge=float(random.uniform(0.1, 0.7)),
+            series_Ohm=nominal.series_Ohm * scale * span(random, 0.5, 2.0),
+            relaxation_Ohm=nominal.relaxation_Ohm * scale * span(random, 0.5, 2.0),
+            relaxation_s=nominal.relaxation_s * span(random, 0.3, 3.0),
+        )
+    )
+    ratio, droop_Ohm = full_V * random.uniform(1.05, 1.3) / 400.0, 1.0 * scale
+    top = 14.0 * 82.0 / full_V
+    text = configuration_text(
+        "battery",
+        top,
+        model={"turns_ratio": ratio, "droop_Ohm": droop_Ohm},
+        charge={"voltage_max_V": full_V},
+    )
+    return Draw(load, ratio, droop_Ohm, text, 1 / 120, int(random.integers(0, 4)))
+
+
+KINDS: dict[str, Callable[[Random], Draw]] = {"motor": motor, "bath": bath, "battery": battery}
+
+
+def configuration_text(name: str, reference_max: float, **changes: dict[str, float]) -> str:
+    """The configuration of an example with its own range and dc/dc stage, as TOML."""
+    tables = example_tables(f"{name}.toml")
+    tables["load"]["reference_max"] = reference_max
+    tables["load"]["reference_min"] = 0.0
+    tables["interlocks"]["output_max"] = 1.2 * reference_max
+    for section, values in changes.items():
+        tables["load"][section].update(values)
+    return toml_text(tables)
+
+
+class Rig:
+    """A load behind a drive that follows V_c with the slew and the lag of the daemon's loop."""
+
+    def __init__(self, draw: Draw, random: Random) -> None:
+        self.draw = draw
+        self.time_s = 0.0
+        self.voltage_V = self.slewed_V = 170.0
+        self.highest = 0.0
+        top = draw.configuration.load.reference_max
+        self._noise = NOISE_SHARE * top
+        self._quantum = 1.25 * top / 2**BITS
+        self._random = random
+        self._late = [draw.load.output] * (draw.delay_steps + 1)
+
+    def sample(self, voltage_V: float) -> tuple[float, float, float]:
+        """Run until the next message: its time, boost voltage and output."""
+        draw = self.draw
+        for _ in range(round(SAMPLE_S / draw.step_s)):
+            self._step(voltage_V, draw.step_s)
+        noisy = self._late[0] + self._noise * self._random.standard_normal()
+        output = round(noisy / self._quantum) * self._quantum
+        return self.time_s, self.voltage_V, output
+
+    def _step(self, wanted_V: float, step_s: float) -> None:
+        draw, way_V = self.draw, SLEW_V_PER_S * step_s
+        self.slewed_V += min(max(wanted_V - self.slewed_V, -way_V), way_V)
+        self.voltage_V += (self.slewed_V - self.voltage_V) * -math.expm1(-step_s / LAG_S)
+        source_V = draw.ratio * self.voltage_V
+        if source_V > draw.load.emf_V:
+            draw.load.drive(source_V, draw.droop_Ohm, step_s)
+        else:
+            draw.load.coast(step_s)
+        self.time_s += step_s
+        self.highest = max(self.highest, draw.load.output)
+        self._late = [*self._late[1:], draw.load.output]
+
+
+def experiment(draw: Draw, random: Random) -> tuple[LoadExperiment, Rig]:
+    """Run an experiment to its end, or to its error."""
+    rig, found = Rig(draw, random), LoadExperiment(draw.target)
+    finish(found, rig)
+    return found, rig
+
+
+def finish(found: LoadExperiment, rig: Rig) -> None:
+    """Feed an experiment until it is complete."""
+    voltage_V = rig.draw.configuration.drive.limits.boost_reference_min_V
+    while not found.done:
+        voltage_V = found.take(*rig.sample(voltage_V))
+
+
+def arrays(found: LoadExperiment) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Boost voltages and outputs."""
+    return np.array(found.record.voltages_V), np.array(found.record.outputs)

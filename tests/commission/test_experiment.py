@@ -1,0 +1,144 @@
+"""The experiment on loads that it knows nothing about, in virtual time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adaptdrive.commission.experiment import LoadExperiment, Phase
+from adaptdrive.commission.target import Target
+from adaptdrive.errors import CommissionError
+from tests.commission.draws import KINDS, Rig, finish
+from tests.commission.trials import BAND, trial
+
+SAMPLE_S = 0.1
+TARGET = Target(
+    low_V=200.0,
+    high_V=400.0,
+    output_max=4.5,
+    move=0.2,
+    first_gain=0.02,
+    input_gain=1.0,
+    input_exponent=1,
+    patience_s=10.0,
+    name="speed",
+    unit="V",
+)
+
+
+def lag(gain: float, tau_s: float, noise: float = 0.0) -> Callable[[float], float]:
+    """A load of first order that rests at 200 V: from V_c to the output of the next sample."""
+    random, state = np.random.default_rng(0), [gain * 200.0]
+
+    def follow(voltage_V: float) -> float:
+        state[0] += (gain * voltage_V - state[0]) * -math.expm1(-SAMPLE_S / tau_s)
+        return state[0] + noise * float(random.standard_normal())
+
+    return follow
+
+
+def run(
+    load: Callable[[float], float], target: Target = TARGET
+) -> tuple[LoadExperiment, list[float]]:
+    """Run an experiment on a drive that follows V_c at once."""
+    experiment, voltages, time_s = LoadExperiment(target), [target.low_V], 0.0
+    while not experiment.done:
+        time_s += SAMPLE_S
+        voltages.append(experiment.take(time_s, voltages[-1], load(voltages[-1])))
+    return experiment, voltages
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_unknown_loads_are_identified_within_the_stated_band(kind: str) -> None:
+    trials = [trial(kind, seed) for seed in range(20)]
+    assert [one.refusal for one in trials if one.refusal] == []
+    assert sum(one.right for one in trials) >= 19
+    assert max(one.peak for one in trials) <= BAND[1]
+
+
+@pytest.mark.parametrize("gain", [0.002, 0.01, 0.05])
+@pytest.mark.parametrize("tau_s", [0.5, 5.0, 50.0])
+def test_the_output_moves_as_far_as_was_asked_for(gain: float, tau_s: float) -> None:
+    target = replace(TARGET, output_max=100.0)
+    experiment, voltages = run(lag(gain, tau_s, noise=0.005), target)
+    outcome = experiment.outcome
+    assert outcome is not None
+    assert outcome.gain == pytest.approx(gain, rel=0.1)
+    assert outcome.high_V - outcome.low_V == pytest.approx(min(0.2 / outcome.gain, 200.0), rel=1e-9)
+    outputs = np.array(experiment.record.outputs) - gain * 200.0
+    assert outputs.min() > BAND[0] * target.move
+    assert outputs.max() < BAND[1] * target.move
+    assert min(voltages) >= target.low_V
+    assert max(voltages) <= target.high_V
+
+
+def test_the_levels_are_those_of_a_maximum_length_sequence() -> None:
+    experiment, voltages = run(lag(0.01, 2.0))
+    outcome = experiment.outcome
+    assert outcome is not None
+    levels = [voltage_V == outcome.high_V for voltage_V in voltages[-400:]]
+    assert 0.3 < np.mean(levels) < 0.7
+    assert experiment.phase is Phase.DONE
+
+
+def refused(load: Callable[[float], float], target: Target = TARGET) -> str:
+    with pytest.raises(CommissionError) as refusal:
+        run(load, target)
+    return str(refusal.value)
+
+
+def test_a_reversed_sensor_is_named() -> None:
+    forward = lag(0.01, 5.0, noise=0.002)
+    assert "is its sensor reversed?" in refused(lambda voltage_V: 4.0 - forward(voltage_V))
+
+
+def test_a_load_that_does_not_respond_is_named() -> None:
+    reason = refused(lag(1e-5, 5.0, noise=0.002))
+    assert reason.startswith("no response: speed moved by ")
+    assert "to 400 V" in reason
+
+
+def test_an_output_beyond_its_range_is_refused() -> None:
+    assert "is above load.reference_max = 4.5 V" in refused(lag(0.03, 5.0))
+
+
+def test_a_load_that_never_rests_is_refused() -> None:
+    time_s = iter(range(10**6))
+    drifting = lag(0.01, 5.0)
+
+    def load(voltage_V: float) -> float:
+        return drifting(voltage_V) - 2.0 + 0.01 * SAMPLE_S * next(time_s)
+
+    reason = refused(load, replace(TARGET, output_max=100.0))
+    assert reason.startswith("speed does not come to rest within ")
+
+
+def test_a_load_that_changes_during_the_test_is_refused() -> None:
+    first, samples = lag(0.01, 2.0), iter(range(10**6))
+
+    def load(voltage_V: float) -> float:
+        return first(voltage_V) + (0.5 if next(samples) > 900 else 0.0)
+
+    assert "left the band" in refused(load)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_value_that_is_not_finite_is_refused(value: float) -> None:
+    with pytest.raises(CommissionError, match="is not finite"):
+        LoadExperiment(TARGET).take(0.1, 200.0, value)
+
+
+def test_a_full_battery_is_refused() -> None:
+    random = np.random.default_rng(0)
+    draw = KINDS["battery"](random)
+    onset = draw.target.onset
+    assert onset is not None
+    full = replace(onset, terminal_max_V=0.8 * onset.terminal_max_V)
+    rig, experiment = Rig(draw, random), LoadExperiment(replace(draw.target, onset=full))
+    with pytest.raises(CommissionError, match=r"is too full for the experiment"):
+        finish(experiment, rig)

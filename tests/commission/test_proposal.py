@@ -1,0 +1,106 @@
+"""Proposed settings against the true load, which neither experiment nor proposal knows."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings
+from adaptdrive.commission.evaluate import evaluate
+from adaptdrive.commission.prediction import Prediction, predict, rest_voltage
+from adaptdrive.commission.proposal import Proposal, propose
+from adaptdrive.control.design import compensator_gains, discrete_model
+from adaptdrive.control.pole_placement import closed_loop_polynomial
+from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.requests import Enable, SetSetpoint
+from adaptdrive_sim.experiments.examples import FOLDER
+from adaptdrive_sim.plants.coupling import CouplingParameters
+from adaptdrive_sim.virtual import OperatedDrive
+from adaptdrive_sim.world import World, WorldParameters
+from tests.commission.draws import KINDS, Draw, experiment
+
+
+@cache
+def proposed(kind: str, seed: int) -> tuple[Draw, Proposal, Prediction, float]:
+    """A draw, what commissioning proposes for it, what it predicts, and the voltage before."""
+    random = np.random.default_rng([seed, 15])
+    draw = KINDS[kind](random)
+    found, _ = experiment(draw, random)
+    assert found.outcome is not None
+    load = build_load(draw.configuration)
+    identified = evaluate(found, load)
+    proposal = propose(identified, draw.text, FOLDER / "drawn.toml")
+    rest_V = rest_voltage(found.outcome.low_V, found.outcome.high_V, load)
+    prediction = predict(identified, proposal.configuration, rest_V, draw.target.move)
+    return draw, proposal, prediction, rest_V
+
+
+def roots(proposal: Proposal, factor: float) -> float:
+    """Largest pole of the proposed loop around a load with so many times the gain."""
+    configuration = proposal.configuration
+    load, settings = build_load(configuration), controller_settings(configuration)
+    section = configuration.load
+    model = (list(load.numerator), list(load.denominator))
+    a, b = discrete_model(settings, load, *model, section.period_s)
+    gains = compensator_gains(a, b, load.order, section.pole)
+    taps = len(gains) - load.order - 1
+    scaled = [factor * one for one in b]
+    closed = closed_loop_polynomial(a, scaled, [1.0, *gains[:taps]], gains[taps:])
+    return float(np.abs(np.roots(closed)).max())
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_gain_margin_is_where_the_loop_becomes_unstable(seed: int) -> None:
+    _, proposal, _, _ = proposed("motor", seed)
+    assert roots(proposal, 1.0) < 1.0
+    assert roots(proposal, 0.98 * proposal.margins.gain) < 1.0
+    assert roots(proposal, 1.02 * proposal.margins.gain) > 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_motor_responds_as_predicted(seed: int) -> None:
+    draw, proposal, prediction, rest_V = proposed("motor", seed)
+    drive = settled(draw, proposal, rest_V)
+    rest, samples = drive.world.true_output, proposal.configuration.ticks_per_period
+    drive.carry_out(SetSetpoint(rest + draw.target.move))
+    outputs = []
+    for _ in range(40 * samples):
+        drive.tick()
+        outputs.append(drive.world.true_output - rest)
+    means = np.array(outputs).reshape(-1, samples).mean(axis=1)
+    after = prediction.output[prediction.time_s > 0.0][: len(means)]
+    before = prediction.output[prediction.time_s < 0.0][-1]
+    error = np.sqrt(np.mean((means - (after - before)) ** 2))
+    assert drive.machine.trip is None
+    assert error < 0.1 * draw.target.move
+
+
+def settled(draw: Draw, proposal: Proposal, rest_V: float) -> OperatedDrive:
+    """The proposed drive with the true load, at rest."""
+    coupling = CouplingParameters(ratio=draw.ratio, droop_Ohm=draw.droop_Ohm)
+    world = World(draw.load, WorldParameters(coupling=coupling))
+    world.settle(rest_V)
+    drive = OperatedDrive(proposal.configuration, world)
+    drive.tick()
+    drive.carry_out(Enable())
+    while drive.machine.state is not State.RUNNING:
+        drive.tick()
+    for _ in range(60 * proposal.configuration.ticks_per_period):
+        drive.tick()
+    return drive
+
+
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_the_proposed_configuration_has_the_identified_load(kind: str) -> None:
+    draw, proposal, prediction, _ = proposed(kind, 2)
+    load = build_load(proposal.configuration)
+    values = load.physical(list(load.numerator), list(load.denominator))
+    for name, value in zip(load.names, values, strict=True):
+        assert value == pytest.approx(draw.truth[name], rel=0.3)
+    assert proposal.margins.gain >= 2.0
+    assert prediction.quality.overshoot < 0.1
+    assert prediction.quality.unsettled == 0
