@@ -2,7 +2,7 @@
 
     adaptdrive-sim/DRIVE/disturb   requests, see `adaptdrive_sim.disturbances`; never retained
     adaptdrive-sim/DRIVE/reply     the answer to each: id, accepted, reason
-    adaptdrive-sim/DRIVE/truth     retained, once a second: what an estimator would like to know
+    adaptdrive-sim/DRIVE/truth     retained, once a second: what an estimator is to find
 
 The truth is removed when the simulated drive goes away, by its last will if need be.
 """

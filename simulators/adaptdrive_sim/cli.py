@@ -76,7 +76,7 @@ def disturb(
 ) -> None:
     """Disturb a running simulated drive.
 
-    The status is 0 when it was done, 1 when it was refused and 3 when nobody answered.
+    The status is 0 when it was done, 1 when it was refused and 3 without an answer.
 
     Args:
         drive: Name of the drive.

@@ -45,7 +45,7 @@ def quantity(default: float, unit: str, description: str, low: float, high: floa
 
     Args:
         default: Value when none is given, in `unit`.
-        unit: Unit as people write it; empty for a pure number.
+        unit: Its usual notation; empty for a pure number.
         description: What the parameter means.
         low: Smallest legal value.
         high: Largest legal value.

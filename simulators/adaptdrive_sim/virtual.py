@@ -71,7 +71,7 @@ class VirtualDrive:
         return Measurement(tick, tick_period_s, boost_V, line_V, load_W, output)
 
     def control(self, measurement: Measurement, order: Order) -> tuple[Command, bool]:
-        """Run the controller for one tick; says whether it has decided."""
+        """Run the controller for one tick; return whether it has decided."""
         command = self._schedule.tick(measurement, order)
         snapshot = self._schedule.take_snapshot()
         if snapshot is not None:
@@ -93,7 +93,7 @@ class OperatedDrive(VirtualDrive):
     """A drive that takes an operator's requests, with the daemon's state machine.
 
     Attributes:
-        machine: State and wishes, as in the daemon.
+        machine: State machine, as in the daemon.
         ticks: Half line cycles so far.
         time_s: Time so far.
         completed: Whether the load has what it needs.
@@ -127,7 +127,7 @@ class OperatedDrive(VirtualDrive):
         self.machine.carry_out(request, self.ticks, self.sample.output, None, voltage_V)
 
     def tick(self) -> bool:
-        """Run one half line cycle; says whether a slow period has ended with it."""
+        """Run one half line cycle; return whether a slow period has ended with it."""
         self.ticks += 1
         self.time_s += self.sample.tick_period_s
         self.machine.advance(self.ticks, self.sample.boost_voltage_V)
@@ -154,7 +154,7 @@ class OperatedDrive(VirtualDrive):
         return Order(machine.stage, self.reference, machine.mode, machine.pole, manual_V)
 
     def _obey(self, decision: Decision) -> None:
-        """Trip or stop where a decision says so."""
+        """Trip or stop where a decision demands it."""
         if decision.fault:
             self.machine.latch(decision.fault)
         elif decision.complete:

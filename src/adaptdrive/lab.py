@@ -29,7 +29,7 @@ class Tables:
     """A recorded session as tables.
 
     Attributes:
-        info: What `session.json` says.
+        info: Contents of `session.json`.
         ticks: Fast ticks.
         slow: Slow steps; a column for each estimate, its deviation (`…_std`) and each gain.
         sensors: Values of the sensor buses.

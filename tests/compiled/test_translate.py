@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from adaptdrive.control.supervisor import Verdict
 from adaptdrive_sim.compiled.layout import layout_of
 from adaptdrive_sim.compiled.objects import Memory
 from adaptdrive_sim.compiled.sources import compiled_modules
+from adaptdrive_sim.compiled.translate import _translated
 from adaptdrive_sim.compiled.vectors import compiled
 
 
@@ -86,6 +89,17 @@ def test_compiled_code_reads_and_writes_an_object_of_objects() -> None:
     assert floats[places["values"].offset + 1] == 7.0
     assert memory.words[places["count"].offset] == 4
     assert memory.words[places["good"].offset] == 0
+
+
+def test_another_description_is_the_same_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    text = '"""{0}"""\n\ndef half(value: float) -> float:\n    """{0}"""\n    return value / 2.0\n'
+    for name in ("first", "second"):
+        (tmp_path / f"{name}_described.py").write_text(text.format(name))
+    first, second = (import_module(f"{name}_described") for name in ("first", "second"))
+    assert _translated(first, {}) == _translated(second, {})
 
 
 def test_a_layout_tells_lengths_apart() -> None:

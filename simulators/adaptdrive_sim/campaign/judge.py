@@ -1,7 +1,7 @@
 """Criteria of a run.
 
 The cost of a controller is the squared error against the loop as it was designed, summed over the
-slow instants, plus (0.005 · step)² for each: errors that nobody could see cost nothing relative to
+slow instants, plus (0.005 · step)² for each: errors below any display cost nothing relative to
 that.
 """
 

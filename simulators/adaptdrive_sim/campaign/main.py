@@ -59,7 +59,7 @@ def _warm_up(campaign: Campaign) -> None:
 
 
 def _with_progress(campaign: Campaign, batches: Iterator[list[Row]], console: Console) -> list[Row]:
-    """Collect batches; the bar is for people at a terminal only."""
+    """Collect batches; the bar is shown on a terminal only."""
     columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     rows: list[Row] = []
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:

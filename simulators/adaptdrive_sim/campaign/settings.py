@@ -49,7 +49,7 @@ ShapeName = Literal["square", "triangle", "sine"]
 
 
 class LoadRanges(_Section):
-    """The motor: inertia in disks, the rest relative to what the controller is told."""
+    """The motor: inertia in disks, the rest relative to the settings of the controller."""
 
     inertia: Annotated[Range, _within(0.2, 10.0)]
     gain: Annotated[Range, _within(0.5, 2.0)]

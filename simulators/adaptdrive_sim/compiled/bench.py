@@ -60,7 +60,7 @@ def run(
     """Run an experiment on a controller that has just been started at rest.
 
     Args:
-        settings: What the controller is told.
+        settings: Settings of the controller.
         load: Its nominal load.
         state: Its fast half, overwritten.
         bank: Its filters, overwritten.

@@ -1,7 +1,7 @@
 """Room for vectors that live no longer than a slow period.
 
 A slow step makes about a hundred vectors of a few numbers each. To ask the system for the memory
-of each, to count who uses it and to give it back would take longer than what is done with them. So
+of each, to count its users and to give it back would take longer than what is done with them. So
 they stand one behind the other in memory that is part of the compiled code, and are forgotten all
 at once when the next slow period begins. When that memory is full, a vector gets memory of its own.
 

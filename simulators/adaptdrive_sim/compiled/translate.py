@@ -96,8 +96,8 @@ def _top_level(node: ast.stmt, module: ModuleType, copies: dict[str, str]) -> It
             for part in node.body:
                 if isinstance(part, ast.FunctionDef) and _is_compilable(part):
                     yield _function(part, f"{node.name}__{part.name}", module)
-        case ast.If():
-            pass  # imports for type checkers
+        case ast.If() | ast.Expr():
+            pass  # imports for type checkers, and descriptions
         case _:
             yield node
 
@@ -128,6 +128,9 @@ def _function(node: ast.FunctionDef, name: str, module: ModuleType) -> ast.Funct
     arguments.args, arguments.kwonlyargs = [*arguments.args, *arguments.kwonlyargs], []
     arguments.defaults = [*arguments.defaults, *(d for d in arguments.kw_defaults if d)]
     arguments.kw_defaults = []
+    if ast.get_docstring(node) is not None:
+        del node.body[0]  # another description is no reason to compile again
+        node.body = node.body or [ast.Pass()]
     copy: ast.FunctionDef = _Body(module).visit(node)
     copy.name, copy.returns = name, None
     copy.decorator_list = [ast.Name("_compiled", ast.Load())]

@@ -72,7 +72,7 @@ class BatteryStory(Story):
         self.play.record.mark("charge")
 
     def watch(self) -> None:
-        """Keep the highest terminal voltage, and say when the battery is full."""
+        """Keep the highest terminal voltage, and report when the battery is full."""
         self.voltage_max_V = max(self.voltage_max_V, self.battery.terminal_voltage_V)
         if self.play.drive.completed:
             self.play.record.caption = "The battery is full: the drive went to standby by itself."

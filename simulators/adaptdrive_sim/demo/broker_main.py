@@ -1,6 +1,6 @@
 """The embedded broker as a process: `python -m adaptdrive_sim.demo.broker_main HOST:PORT`.
 
-It speaks MQTT 3.1.1, keeps nothing on disk and asks nobody for a password: for demonstrations.
+It implements MQTT 3.1.1, keeps nothing on disk and needs no password: for demonstrations.
 """
 
 from __future__ import annotations

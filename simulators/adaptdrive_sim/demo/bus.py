@@ -35,7 +35,7 @@ class BusChoice:
 
     @property
     def section(self) -> dict[str, str | int]:
-        """The keys of `[bus]` that say this."""
+        """The keys of `[bus]` for this bus."""
         return {"interface": self.interface, "channel": self.channel, "udp_port": self.udp_port}
 
 

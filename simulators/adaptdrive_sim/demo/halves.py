@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import dataclass
 
 _SETTLED_PERIODS = 12
-"""Slow periods that a half wave must last before its overshoot says anything."""
+"""Slow periods that a half wave must last before its overshoot counts."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """Messages that the demonstration receives over MQTT, with the keys that it uses.
 
-A number is None where the payload has null, which is how JSON says "not known".
+A number is None where the payload has null, which stands for an unknown value in JSON.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class EventMessage(reports.Event):
 
 
 class Truth(msgspec.Struct, frozen=True):
-    """From the simulated drive: what an estimator would like to know."""
+    """From the simulated drive: what an estimator is to find."""
 
     disks: int
     speed_rad_s: float

@@ -25,7 +25,7 @@ Payload = TypeVar("Payload")
 
 
 class DemoListener:
-    """Fills a record with what a drive says."""
+    """Fills a record with the messages of a drive."""
 
     def __init__(self, broker: Mqtt, drive: str, record: DemoRecord) -> None:
         """Prepare to listen.
@@ -51,7 +51,7 @@ class DemoListener:
         """Listen until cancelled; a broker that is lost is asked again.
 
         Raises:
-            DemoError: A message is not what the contract says.
+            DemoError: A message does not obey the contract.
         """
         while True:
             try:

@@ -1,4 +1,4 @@
-"""`adaptdrive-sim demo`: runs one demonstration and says how it ended."""
+"""`adaptdrive-sim demo`: runs one demonstration and prints its outcome."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """A drive in virtual time, and the record that the live view shows of it.
 
-What the daemon would say over MQTT goes straight into the record, and its clock is the drive's.
+The messages that the daemon would publish go straight into the record; the drive is its clock.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _REPORT_TICKS = 240
 
 
 class Play:
-    """One drive and what is said about it.
+    """One drive and its record.
 
     Attributes:
         drive: The drive.
@@ -35,7 +35,7 @@ class Play:
         self.record = DemoRecord(datetime.now(UTC), lambda: self.drive.time_s, connected=True)
         self._report_ticks = max(_REPORT_TICKS, configuration.ticks_per_period // 2)
         self._told = ""
-        self._tell_state()
+        self._publish_state()
 
     def ask(self, request: Request) -> None:
         """Carry out an operator's request.
@@ -44,7 +44,7 @@ class Play:
             RefusedError: The drive refuses it.
         """
         self.drive.carry_out(request)
-        self._tell_state()
+        self._publish_state()
 
     def event(self, kind: str, detail: str, severity: Severity = Severity.INFO) -> None:
         """Add an event."""
@@ -53,19 +53,19 @@ class Play:
         )
 
     def tick(self) -> bool:
-        """Run one half line cycle; says whether a slow period has ended with it."""
+        """Run one half line cycle; return whether a slow period has ended with it."""
         drive = self.drive
         decided = drive.tick()
         if drive.ticks % self._report_ticks == 0:
             self.report()
         if decided and drive.snapshot is not None and drive.decision is not None:
-            self._tell_decision(drive.snapshot, drive.decision)
+            self._publish_decision(drive.snapshot, drive.decision)
         if drive.machine.state != self._told:
-            self._tell_state()
+            self._publish_state()
         return decided
 
     def report(self) -> None:
-        """Tell what the fast loop does."""
+        """Publish what the fast loop does."""
         drive = self.drive
         values = drive.sample.boost_voltage_V, drive.sample.load_power_W, drive.sample.output
         self.record.hear_drive(heard.DriveMessage(*values, drive.ticks, 0, 0, _NO_LATENESS))
@@ -73,7 +73,7 @@ class Play:
     def _now(self) -> datetime:
         return self.record.began + timedelta(seconds=self.drive.time_s)
 
-    def _tell_decision(self, snapshot: Snapshot, decision: Decision) -> None:
+    def _publish_decision(self, snapshot: Snapshot, decision: Decision) -> None:
         estimates = {
             name: heard.EstimateMessage(estimate.value, estimate.std)
             for name, estimate in decision.estimates.items()
@@ -89,10 +89,10 @@ class Play:
                 handover_step_V=decision.handover_step_V,
             )
         )
-        self._tell_state()
+        self._publish_state()
 
-    def _tell_state(self) -> None:
-        """Tell the state, and its change as an event."""
+    def _publish_state(self) -> None:
+        """Publish the state, and its change as an event."""
         drive, machine = self.drive, self.drive.machine
         report = state_report(machine, drive.decision, StopWord.AWAITED)
         values = {one.name: getattr(report, one.name) for one in fields(report)}

@@ -71,7 +71,7 @@ class Household:
         """Start `python -m MODULE ARGUMENTS`.
 
         Args:
-            name: What people call it.
+            name: Its name in messages.
             module: Module to run.
             arguments: Its arguments.
             log: Takes its output.

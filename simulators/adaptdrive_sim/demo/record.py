@@ -55,10 +55,10 @@ class DemoRecord:
     """Received messages; times are seconds of `clock`.
 
     Attributes:
-        began: When the demonstration began, UTC: what was said before is not about it.
+        began: When the demonstration began, UTC: earlier messages do not belong to it.
         clock: Monotonic clock.
         connected: Whether the broker can be heard.
-        online: Whether the daemon says that it is there.
+        online: Whether the daemon is online.
         state: Last state.
         drive: Last report of the fast loop.
         load: Last slow period.
@@ -74,7 +74,7 @@ class DemoRecord:
         handovers_V: Hand-over step of each change of controller.
         halves: Overshoot of the half waves.
         lateness: The last reports of lateness.
-        caption: What is happening, for people.
+        caption: What is happening, in words.
         size: What a half wave has to move, where it is no number of disks.
     """
 

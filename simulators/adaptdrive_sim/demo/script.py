@@ -23,7 +23,7 @@ class Act:
         half: Half wave near whose end it comes, counted from 0.
         disks: Disks that are then on the shaft.
         mode: The controller to ask for; None to leave it.
-        caption: What to look at, for people.
+        caption: What to look at, in words.
     """
 
     half: int

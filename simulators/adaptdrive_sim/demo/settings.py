@@ -29,7 +29,7 @@ SPEED_MAX = 1e6
 
 
 class DemoError(AdaptdriveError):
-    """The demonstration cannot go on; the message says why."""
+    """The demonstration cannot go on; the message gives the reason."""
 
 
 @Parameter(name="*")

@@ -59,7 +59,7 @@ class Venue:
 
 
 Show = Callable[[DemoRecord, Venue], Awaitable[None]]
-"""Shows a record to people until cancelled."""
+"""Shows a record until cancelled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ async def perform(settings: DemoSettings, show: Show) -> DemoOutcome:
 
     Args:
         settings: What is wanted.
-        show: Shows it to people.
+        show: Shows it.
 
     Raises:
         AdaptdriveError: It cannot even begin.

@@ -23,7 +23,7 @@ class Scene:
 
     Attributes:
         time_s: When it comes, since the drive was enabled.
-        caption: What to look at, for people.
+        caption: What to look at, in words.
         do: What is done to drive or load.
     """
 
@@ -33,7 +33,7 @@ class Scene:
 
 
 class Story:
-    """A load, what happens to it, and how to tell of it.
+    """A load, what happens to it, and how to describe it.
 
     Attributes:
         name: Name of the demonstration.

@@ -8,7 +8,7 @@ from rich.table import Table
 
 
 def rows(*columns: str) -> Table:
-    """A table without lines; `l` and `r` say how its columns are aligned."""
+    """A table without lines; `l` and `r` align its columns."""
     table = Table.grid(expand=True, padding=(0, 1))
     for column in columns:
         table.add_column(justify="right" if column == "r" else "left", no_wrap=True)

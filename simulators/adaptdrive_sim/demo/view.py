@@ -1,4 +1,4 @@
-"""The live view: one screen that says how control is doing, made from a record."""
+"""The live view: one screen on the state of the control, made from a record."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ class CanDrive:
         self._bus: can.BusABC | None = None
 
     async def run(self, opened: Callable[[str], None]) -> None:
-        """Open the bus, tell `opened` which one it is, and serve it until cancelled.
+        """Open the bus, pass its description to `opened`, and serve it until cancelled.
 
         The drive outlives a bus that is lost, as a real one does, and opens it again.
 

@@ -32,7 +32,7 @@ class CanSensors:
         self._frozen: dict[str, float] = {}
 
     async def run(self, opened: Callable[[str], None]) -> None:
-        """Open the bus, tell `opened` which one it is, and send until cancelled.
+        """Open the bus, pass its description to `opened`, and send until cancelled.
 
         Raises:
             BusError: The bus cannot be opened.

@@ -1,9 +1,9 @@
 """The simulated drive as a CiA 402 node on CANopen.
 
 It serves its object dictionary over SDO, obeys NMT, sends heartbeats, emergencies and the PDOs that
-it has been given, and sends SYNC at the line's zero crossings where it is told to. It draws line
-current in *switched on* and feeds the load in *operation enabled* only, and it watches the host's
-heartbeat: when that stays away it switches off by itself.
+it has been given. Where object 0x1005 is set so, it sends SYNC at the line's zero crossings. It
+draws line current in *switched on* and feeds the load in *operation enabled* only, and it watches
+the host's heartbeat: when that stays away it switches off by itself.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _CODES = {1: 0x2310, 2: 0x4310, 4: 0x3210, 8: 0x3130, 16: 0x5440, 32: 0x5110, 64
 
 
 class _Nmt(IntEnum):
-    """State of the node, as its heartbeat says it."""
+    """State of the node, as in its heartbeat."""
 
     BOOT_UP = 0
     STOPPED = 4
@@ -97,7 +97,7 @@ class CanOpenDrive:
         self._bus: can.BusABC | None = None
 
     async def run(self, opened: Callable[[str], None]) -> None:
-        """Open the bus, tell `opened` which one it is, and serve it until cancelled.
+        """Open the bus, pass its description to `opened`, and serve it until cancelled.
 
         Raises:
             BusError: The bus cannot be opened, or is lost.
@@ -183,7 +183,7 @@ class CanOpenDrive:
         self._apply()
 
     def _apply(self) -> None:
-        """Tell the power stage what the present state lets through."""
+        """Pass to the power stage what the present state lets through."""
         power, now_s = self._power, self._clock()
         bridge = power.state is PowerState.ENABLED
         values = dict.fromkeys(COMMANDED, 0.0)

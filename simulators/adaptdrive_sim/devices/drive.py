@@ -3,7 +3,7 @@
 Once per half cycle it steps the plant under the last valid command and measures. It protects
 itself and does not trust its host:
 
-* 100 ms (or longer, where it is told) after the last valid command it shuts down: k = 0, bridge
+* 100 ms (or longer, as configured) after the last valid command it shuts down: k = 0, bridge
   off, no load current. The next valid command ends that. A missing command is no fault.
 * Above 450 V it stops drawing line current and reports over-voltage; the bridge stays as it is,
   since only the load can discharge the capacitor. The fault stays until the voltage is below
@@ -70,7 +70,7 @@ class SimulatedDrive:
 
         Args:
             world: The plant.
-            report: Told what happens, as an event's name and its data as keywords.
+            report: Takes events, as an event's name and its data as keywords.
             holder: The voltage loop of a drive that holds its own boost voltage.
             timeout_s: Age of the last valid command at which the drive shuts down.
             boost_needs_bridge: Whether the boost stage works only while the bridge is on.

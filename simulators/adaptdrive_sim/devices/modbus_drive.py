@@ -47,7 +47,7 @@ class ModbusDrive:
         self._heartbeat: tuple[int, ...] | None = None
 
     async def run(self, opened: Callable[[str], None]) -> None:
-        """Open the link, tell `opened` which one it is, and serve it until cancelled.
+        """Open the link, pass its description to `opened`, and serve it until cancelled.
 
         Raises:
             BusError: The link cannot be opened.

@@ -109,7 +109,7 @@ class ModbusSensors:
         return dict(sum((one.counts for one in self.modules.values()), collections.Counter()))
 
     async def run(self, opened: Callable[[str], None]) -> None:
-        """Open the link, tell `opened` which one it is, and serve it until cancelled.
+        """Open the link, pass its description to `opened`, and serve it until cancelled.
 
         Raises:
             BusError: The link cannot be opened.

@@ -25,7 +25,7 @@ async def run_half_cycles(
         drive: What lives through them.
         clock: Monotonic clock in seconds.
         deliver: Given the last frame of those that have passed.
-        report: Told about a process that slept.
+        report: Takes a report of a process that slept.
     """
     expired = asyncio.Event()
     deadline_s = clock() + drive.world.line.half_cycle_s

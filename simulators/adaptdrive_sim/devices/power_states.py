@@ -12,7 +12,7 @@ _SWITCH_ON, _ENABLE_VOLTAGE, _NO_QUICK_STOP, _ENABLE, _RESET = 0x01, 0x02, 0x04,
 
 
 class PowerState(IntEnum):
-    """States by their statusword; bit 4 tells that the line current may flow."""
+    """States by their statusword; bit 4 means that the line current may flow."""
 
     SWITCH_ON_DISABLED = 0x0040
     READY = 0x0021

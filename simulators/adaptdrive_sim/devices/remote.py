@@ -79,7 +79,7 @@ class Remote:
             await client.publish(topic(self._name, "reply"), encoded, qos=1)
 
     def carry_out(self, payload: bytes, *, retained: bool) -> DeviceReply:
-        """Carry out one request, or say why not."""
+        """Carry out one request, or return the reason of a refusal."""
         if retained:
             reason = "a retained request is old and is not carried out"
             return DeviceReply(id=read_id(payload), accepted=False, reason=reason)

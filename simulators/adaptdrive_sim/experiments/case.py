@@ -66,7 +66,7 @@ class Case:
         experiment: What is done.
         variant: Which controller runs; `direct_rls` and `lm_rls` are adaptive ones with the
             estimator named, whatever the design's own is.
-        settings: What the controller is told.
+        settings: Settings of the controller.
         disturbance: Measurement noise.
         seed: Of the noise; runs with the same seed see the same noise.
     """

@@ -1,4 +1,4 @@
-"""The verdict on each claim, for people: a table on a terminal, plain lines in a pipe."""
+"""The verdict on each claim: a table on a terminal, plain lines in a pipe."""
 
 from __future__ import annotations
 

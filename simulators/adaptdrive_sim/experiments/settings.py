@@ -37,7 +37,7 @@ def daemon_settings(experiment: Experiment) -> ControllerSettings:
 
 
 def _as_printed(settings: ControllerSettings, experiment: Experiment) -> ControllerSettings:
-    """The paper's controller: one sample, a plain estimator, no supervision to speak of."""
+    """The paper's controller: one sample, a plain estimator, hardly any supervision."""
     paper, rates = experiment.paper, settings.rates
     learning = Learning(
         method=paper.method,

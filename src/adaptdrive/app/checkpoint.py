@@ -223,11 +223,11 @@ class Keeper:
             async with asyncio.timeout(PATIENCE_S):
                 await asyncio.to_thread(self._write, values)
         except OSError as problem:
-            self._tell_once(problem)
+            self._report_once(problem)
         else:
             self._written, self._failed = values, False
 
-    def _tell_once(self, problem: OSError) -> None:
+    def _report_once(self, problem: OSError) -> None:
         if not self._failed:
             why = problem.strerror or str(problem) or f"the disk takes more than {PATIENCE_S:g} s"
             detail = f"checkpoint not written: {why}"

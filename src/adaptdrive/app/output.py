@@ -1,6 +1,6 @@
 """Output that never waits for its reader: lines go through a bounded queue to a thread.
 
-A pipe that nobody reads blocks whoever writes to it, and one that was closed raises. Neither may
+A pipe without a reader blocks its writer, and one that was closed raises. Neither may
 reach the thread that controls a drive. What the queue cannot hold is dropped, oldest first, and
 counted; the count is written as soon as a line gets through again.
 """
@@ -25,7 +25,7 @@ PATIENCE_S = 2.0
 """Longest wait for a reader at the end of the process."""
 
 LossLine = Callable[[int], str]
-"""From a number of lost lines to the line that says so."""
+"""Makes the line that reports a number of lost lines."""
 
 
 class QueuedStream(io.TextIOBase):
@@ -96,10 +96,10 @@ class QueuedStream(io.TextIOBase):
         self._start_thread()
         while True:
             line, lost = self._next()
-            told = not lost or self._put(self._loss_line(lost))
+            announced = not lost or self._put(self._loss_line(lost))
             written = self._put(line)
             with self._changed:
-                self._lost += (0 if told else lost) + (0 if written else 1)
+                self._lost += (0 if announced else lost) + (0 if written else 1)
                 self._busy = False
                 self._changed.notify_all()
 

@@ -1,4 +1,4 @@
-"""`adaptdrive probe`: what the bus says, decoded, and what of it cannot be used.
+"""`adaptdrive probe`: decoded measurements of the bus, and the frames that cannot be used.
 
 Nothing is commanded, unless asked for: then the safe command alone.
 """
@@ -47,7 +47,7 @@ class _Probe:
         self.reading = reading
 
     def on_bus(self, up: bool, detail: str) -> None:
-        """Say that the bus was lost or came back."""
+        """Print that the bus was lost or came back."""
         sys.stderr.write(f"bus {'up' if up else 'lost'}: {detail}\n")
 
 
@@ -89,7 +89,7 @@ async def _show(configuration: Configuration, path: Path, *, safe_command: bool)
 
 
 async def _command(port: Port, listener: _Probe) -> None:
-    """Listen, then send the safe command until cancelled; say what the drive makes of it.
+    """Listen, then send the safe command until cancelled; print how the drive reacts.
 
     Raises:
         AdaptdriveError: Somebody else commands the drive.

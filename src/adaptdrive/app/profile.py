@@ -11,7 +11,7 @@ from adaptdrive.operation.profile import Output, Profile
 
 
 def operator_profile(configuration: Configuration) -> Profile:
-    """Return what operators must know of a drive beside its state."""
+    """Return names, units and limits of a drive, which operators need beside its state."""
     load, drive = configuration.load, configuration.drive.limits
     trips, machine = trip_limits(configuration), daemon_settings(configuration).machine
     return Profile(

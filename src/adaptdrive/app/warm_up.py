@@ -38,20 +38,20 @@ class _Nobody:
         """No timer stands in."""
 
     def met_deadline(self, now_s: float) -> None:
-        """Nobody watches."""
+        """Do nothing."""
 
     def ticked(self, report: TickReport) -> None:
-        """Nobody listens."""
+        """Do nothing."""
 
     def snapshot_taken(self, snapshot: Snapshot) -> bool:
         self.snapshots.append(snapshot)
         return True
 
     def decided(self, snapshot: Snapshot, decision: Decision) -> None:
-        """Nobody listens."""
+        """Do nothing."""
 
     def not_stopped(self, detail: str) -> None:
-        """Nobody listens."""
+        """Do nothing."""
 
     def run_ended(self) -> None:
         self.snapshots.clear()

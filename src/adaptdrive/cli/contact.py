@@ -69,7 +69,7 @@ class Contact:
         as_json: Print JSON.
         username: User name at the broker.
         password_file: File that holds the password.
-        tls: Speak TLS.
+        tls: Encrypt by TLS.
         ca_file: Certificate authority for TLS.
     """
 

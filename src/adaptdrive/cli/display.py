@@ -1,4 +1,4 @@
-"""A drive's status as text for people."""
+"""Status of a drive as text."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from adaptdrive.operation.client import DriveStatus
 
 
 def describe(drive: str, status: DriveStatus) -> str:
-    """A few lines that say how a drive is doing.
+    """Return the status of a drive in a few lines.
 
     Args:
         drive: Name of the drive.
-        status: What it said about itself.
+        status: The messages that it published.
     """
     lines = [f"{drive} is {status.availability}"]
     unit = str(((status.state or {}).get("output") or {}).get("unit") or "")

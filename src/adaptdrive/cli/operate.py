@@ -146,7 +146,7 @@ def reset(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
 
 
 def status(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
-    """Show what a drive says about itself.
+    """Show the state and the telemetry of a drive.
 
     Args:
         drive: Name of the drive.

@@ -37,8 +37,8 @@ def list_sessions(*, directory: Folder = None) -> int:
             continue
         trips = len(list(path.glob("trip-*")))
         lost = f", not recorded: {info.dropped}" if info.dropped != Dropped() else ""
-        told = f", {trips} trips" if trips else ""
-        print(f"{path.name}  {info.ended:<8} {_size(path) / 1e6:9.1f} MB{told}{lost}")
+        tripped = f", {trips} trips" if trips else ""
+        print(f"{path.name}  {info.ended:<8} {_size(path) / 1e6:9.1f} MB{tripped}{lost}")
     return 0
 
 

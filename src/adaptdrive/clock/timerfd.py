@@ -51,7 +51,7 @@ def acknowledge(descriptor: int) -> bool:
     """Take note of an expiry, so that the descriptor is no longer readable.
 
     Returns:
-        Whether there was one. Arming a timer anew takes back an expiry that nobody has noted yet.
+        Whether there was one. Arming a timer anew takes back an expiry that was not read yet.
     """
     try:
         os.read(descriptor, 8)

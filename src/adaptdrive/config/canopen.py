@@ -1,4 +1,4 @@
-"""`[bus]` of a CiA 402 drive on CANopen: the node, its EDS, and who watches whom."""
+"""`[bus]` of a CiA 402 drive on CANopen: the node, its EDS, and the mutual supervision."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`[drive]` and `[voltage_loop]`: the power stage and who holds its boost voltage."""
+"""`[drive]` and `[voltage_loop]`: the power stage and the control of its boost voltage."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 from adaptdrive.config.section import NonNegativeFloat, PositiveFloat, Section
 
 BROKER_USERS = frozenset({"operator", "viewer"})
-"""Users of `deploy/mosquitto/adaptdrive.acl` that are people, not drives."""
+"""Users of `deploy/mosquitto/adaptdrive.acl` that are operators, not drives."""
 
 
 class DriveLimits(Section):

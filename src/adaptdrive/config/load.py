@@ -1,4 +1,4 @@
-"""`[load]`, `[estimator]`, `[supervisor]`: the load, what learns it, and who checks that."""
+"""`[load]`, `[estimator]`, `[supervisor]`: the load, its estimator, its supervisor."""
 
 from __future__ import annotations
 

@@ -184,7 +184,7 @@ def _word_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
 
 
 def _switch_flaws(signals: Signals) -> Iterator[Flaw]:
-    """On Modbus there are no value tables, and a register says itself what switches it."""
+    """On Modbus there are no value tables, and the section of a register names what switches it."""
     if signals.bridge is not None and isinstance(signals.bridge.on, str):
         yield Flaw("signals.bridge.on", "names are for CAN; on Modbus it is a count")
     switch = signals.command.bridge

@@ -18,7 +18,7 @@ STALE_CYCLES = 1.5
 """Cycles that a value must be allowed to age: it is one old when the next one comes."""
 
 DEFAULT_STALE_CYCLES = 3.0
-"""Cycles that a value may age when nothing else is said: two replies in a row may be lost."""
+"""Cycles that a value may age by default: two replies in a row may be lost."""
 
 
 MOST_STALE_CYCLES = 10.0

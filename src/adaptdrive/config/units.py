@@ -76,7 +76,7 @@ def si_unit(unit: str) -> str | None:
 
 
 def unit_problem(source: Converted, found: str, wanted: str) -> str | None:
-    """Return why a signal is not in the unit of its quantity, None where nothing speaks against it.
+    """Return why a signal is not in the unit of its quantity, None where it may be.
 
     Args:
         source: Its conversion; a scale or an offset that the file gives is believed.

@@ -1,7 +1,7 @@
 """From a discrete model back to the continuous-time load, for orders 1 and 2.
 
 The poles z_i of A give those of the load, s_i = ln(z_i)/T; the gain follows from that at rest,
-B(1)/A(1). This is how direct least squares tells people what it has learnt. Written in sums and
+B(1)/A(1). The parameters that direct least squares publishes follow from it. Written in sums and
 products of logarithms, so that a complex pair needs no complex numbers.
 """
 

@@ -69,7 +69,7 @@ class Controller:
         """Run the fast half for one half line cycle.
 
         Args:
-            measurement: What the drive and its sensors say; its values must be finite.
+            measurement: Values of the drive and its sensors; they must be finite.
             order: What is asked for.
 
         Returns:

@@ -46,7 +46,7 @@ def held_model(
         window_s: Length w of the averaging window, 0 for a single sample.
 
     Returns:
-        A (m + 1 entries, first one 1) and B (as long as `input_taps` says, plus the leading b_0).
+        A (m + 1 entries, first one 1) and B (`input_taps` entries, plus the leading b_0).
     """
     order = len(denominator) - 1
     count = order + input_taps(0, period_s, delay_s, window_s) + 1
@@ -130,7 +130,7 @@ def _taylor_step(system: Vector, state: Vector, term: Vector, step_s: float) -> 
 
 
 def _add(state: Vector, term: Vector) -> bool:
-    """Add a term of a series; says whether it made a difference."""
+    """Add a term of a series; return whether the sum has changed."""
     counts = False
     for i in range(len(state)):
         grown = state[i] + term[i]

@@ -110,7 +110,7 @@ def start_from(state: EstimatorState, learning: Learning, load: Load, values: Ve
     """Start from a load that an earlier run has learnt, moderately sure of it.
 
     Sure enough to be confirmed without much excitation, and doubtful enough to be corrected within
-    seconds by data that say otherwise; nothing is known of the bias.
+    seconds by data that contradict it; the bias is unknown.
 
     Args:
         state: A new estimator of a method with physical parameters, overwritten.

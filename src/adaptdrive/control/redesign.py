@@ -1,4 +1,4 @@
-"""From an estimate to gains: the model, what the supervisor says of it, and the design.
+"""From an estimate to gains: the model, its checks, and the design.
 
 The checks run in the order of their cost; the first that fails gives the verdict.
 """

@@ -19,7 +19,7 @@ before. A wrong τ_f goes into the other parameters: 20 % too long, and gain and
 motor with three disks come out 9 % low; 20 % too short, and they come out 16 % high. The bias
 takes the blame for the gain (28 V and 40 V), so that a large one without a reason is the sign.
 
-Nobody knows the state of the load at the start: a motor may still turn. D y = N u holds up to a
+The state of the load at the start is unknown: a motor may still turn. D y = N u holds up to a
 polynomial in s of lower degree than D, and the λ filters make of that, whatever the load is,
 
     Σ γ_i (t/τ_λ)^i e^(-t/τ_λ)        i = 0 ... m-1, t since the start

@@ -1,6 +1,6 @@
 """Rival explanations of an alarm, on the samples since the change.
 
-An alarm says that something has changed, and not what. The estimate goes back to the last sample
+An alarm shows that something has changed, and not what. The estimate goes back to the last sample
 before the change, and four explanations take in the samples since then, each with an estimate of
 its own: nothing; a disturbance of the input; another load; both (`hypotheses`). With σ² known
 only as σ0² from ν0 samples their likelihoods are, up to a constant (Bayesian linear regression
@@ -276,7 +276,7 @@ def _likeliest(rivals: Rivals) -> int:
 
 
 def is_clear(rivals: Rivals) -> bool:
-    """Say whether the likeliest explanation has left the others behind."""
+    """Return whether the likeliest explanation has left the others behind."""
     best = _likeliest(rivals)
     rival = -math.inf
     for kind in range(NOTHING, BOTH + 1):
@@ -318,7 +318,7 @@ def posterior_power(rivals: Rivals) -> float:
 
 
 def _is_possible(theta: Vector, learning: Learning, load: Load) -> bool:
-    """Say whether such a load can exist: it stores and loses, so it neither grows nor swings."""
+    """Return whether such a load can exist: it stores and loses, so it neither grows nor swings."""
     _, denominator = filtered_model(theta, learning, load)
     for coefficient in denominator:
         if not coefficient > 0.0:

@@ -125,10 +125,10 @@ def update_along(
     target: float,
     forgetting: float,
 ) -> None:
-    """Take in one sample, and forget only what it tells anew (directional forgetting).
+    """Take in one sample, and forget only along it (directional forgetting).
 
     P is widened along P r so that rᵀPr becomes rᵀPr/ρ, then updated without forgetting: what this
-    sample says nothing of stays as sure as it is (R. Kulhavy, Automatica 23, 1987).
+    sample carries no information about keeps its variance (R. Kulhavy, Automatica 23, 1987).
 
     Args:
         theta: θ, n entries, overwritten.

@@ -11,7 +11,7 @@ from adaptdrive.control.voltage_loop import LAG_TICKS
 
 @dataclass(frozen=True, slots=True)
 class PowerStage:
-    """The drive, as far as the voltage loop must know it.
+    """The drive, as far as the voltage loop depends on it.
 
     Attributes:
         capacitance_F: Boost capacitor.

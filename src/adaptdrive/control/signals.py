@@ -1,7 +1,7 @@
 """The values that enter and leave the controller.
 
-Everything the controller knows arrives in a `Measurement` and an `Order`; everything it wants
-leaves in a `Command`. A recording of the first two reproduces the third bit for bit. A field that
+All inputs of the controller arrive in a `Measurement` and an `Order`; all its outputs
+leave in a `Command`. A recording of the first two reproduces the third bit for bit. A field that
 is annotated with a `Quantity` is a column of the messages and of the recording.
 """
 

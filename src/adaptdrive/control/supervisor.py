@@ -1,7 +1,7 @@
 """The supervisor: estimates are judged before they reach the gains.
 
 What fails for longer than patience lasts falls back to the fixed controller. With little
-excitation a wrong estimate can look sure of itself: a slow sine tells the gain and one more
+excitation a wrong estimate can look sure of itself: a slow sine determines the gain and one more
 number, not three. So an estimate must also be one that such a load can have. Masses, baths and
 cells only store and lose: their poles are real, the damping of a second-order pair
 
@@ -30,7 +30,7 @@ _DESIGN_RADIUS = 0.995
 _RESIDUAL_RATE = 0.05
 """Rate of the mean residuals: a mean over about 20 slow periods."""
 
-_RESIDUAL_FLOOR = 1.0e-6  # a thousandth of the scale: at rest, less says nothing
+_RESIDUAL_FLOOR = 1.0e-6  # a thousandth of the scale: at rest, less is noise
 
 
 class Verdict(IntEnum):
@@ -150,7 +150,7 @@ def judge_loop(closed_loop: Vector) -> int:
 def take_verdict(
     state: SupervisorState, verdict: int, jacket: Jacket, periods: int, in_force: bool
 ) -> bool:
-    """Remember a verdict; says whether the new gains may go live.
+    """Remember a verdict; return whether the new gains may take effect.
 
     The last trusted gains survive as many refusals in a row as patience allows. Doubt that comes
     up while they are in force counts as much as error: their own samples contradict the estimate,
@@ -186,7 +186,7 @@ def take_verdict(
 
 
 def is_impossible(verdict: int) -> bool:
-    """Say whether no load within the bounds can have such an estimate."""
+    """Return whether no load within the bounds can have such an estimate."""
     if verdict == Verdict.OUT_OF_BOUNDS or verdict == Verdict.UNDERDAMPED:  # noqa: PLR1714 - compiled
         return True
     return verdict == Verdict.NOT_FINITE or verdict == Verdict.UNSTABLE_LOAD  # noqa: PLR1714

@@ -10,8 +10,9 @@ which it was 0 is Page's estimate of the change. σ² follows the median of z² 
 the mean for Gaussian noise: a change moves it hardly, however large it is. It has a floor against
 rounding and model error.
 
-While an estimate is new, its innovations say little of σ². What noise a sample has shows in their
-second differences, (ε[k] - 2 ε[k-1] + ε[k-2])² / 6 on average, whatever slow error is under it.
+While an estimate is new, its innovations are a poor measure of σ². The noise of a sample shows in
+their second differences, (ε[k] - 2 ε[k-1] + ε[k-2])² / 6 on average, whatever slow error is
+under it.
 """
 
 from __future__ import annotations

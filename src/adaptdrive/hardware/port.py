@@ -28,14 +28,14 @@ class Reading:
         load_power_W: Power into the load.
         output: Regulated quantity in its own unit.
         fault: Fault word of the drive, 0 when healthy.
-        bridge: Whether the drive says that its bridge is on.
+        bridge: Whether the drive reports its bridge on.
         other: More values of the drive, and those of the sensors beside it, by name. A quantity
             that the drive does not give is NaN until a sensor or `[derived]` has given it.
         slack_s: How much older than `interlocks.stale_s` the frame of `oldest_s` may be, as the
             drive sends it less often. Of several frames, `oldest_s` and `slack_s` are those of the
             one that is out of date first.
         fault_name: What the drive's description calls the fault, an empty string for nothing.
-        bridge_s: Arrival of the frame that says so of the bridge, None where that is `oldest_s`.
+        bridge_s: Arrival of the frame with the report of the bridge, None where that is `oldest_s`.
     """
 
     arrival_s: float
@@ -90,7 +90,7 @@ class Port(Protocol):
 
     @property
     def description(self) -> str:
-        """The bus in one phrase for people, such as `udp_multicast 239.74.163.2:43113`."""
+        """The bus in one phrase, such as `udp_multicast 239.74.163.2:43113`."""
 
     @property
     def counter_modulus(self) -> int | None:
@@ -168,7 +168,7 @@ class SensorPort(Protocol):
 
     @property
     def description(self) -> str:
-        """The bus in one phrase for people."""
+        """The bus in one phrase."""
 
     @property
     def statistics(self) -> PortStatistics:

@@ -9,7 +9,7 @@ class Presence:
     """Last report on one sensor bus to a listener.
 
     Args:
-        description: The bus in one phrase for people.
+        description: The bus in one phrase.
     """
 
     def __init__(self, description: str) -> None:
@@ -21,8 +21,8 @@ class Presence:
         """True if the bus was reported present or missing before."""
         return self._up is not None
 
-    def tell(self, listener: SensorListener, *, up: bool, problem: str = "") -> None:
-        """Tell of a change; that everything is well at the start is no news."""
+    def report(self, listener: SensorListener, *, up: bool, problem: str = "") -> None:
+        """Report a change; a bus that is present at the start is none."""
         if up is self._up:
             return
         news, self._up = self.known or not up, up

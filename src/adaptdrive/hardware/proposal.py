@@ -1,6 +1,6 @@
 """Proposal of the signal of each quantity, by unit and by name.
 
-A proposal is a start for the person who writes a configuration, who confirms each line of it.
+A proposal is a start for a configuration; its author confirms each line.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ _VOLT = ("V", "mV", "kV")
 _WATT = ("W", "kW")
 
 _NAME_POINTS = 2
-_UNIT_POINTS = 3  # a unit says more than one word of a name
+_UNIT_POINTS = 3  # a unit counts more than one word of a name
 
 _ON = ("run", "on", "enabled", "enable", "operation", "active", "start")
 _OFF = ("stop", "off", "disabled", "disable", "standby", "idle", "ready")
@@ -26,8 +26,8 @@ class Candidate:
     Attributes:
         reference: Name in a configuration, such as `Status.BoostVoltage` or `0x6079`.
         words: Names and comments that describe it.
-        unit: Unit as the configuration knows it, an empty string for none.
-        range: Range for people, such as `0…600`.
+        unit: Unit as in the configuration, an empty string for none.
+        range: Range as text, such as `0…600`.
         commanded: True for a value that the daemon sends.
         names: Names of its values, as a value table has them.
     """
@@ -55,8 +55,8 @@ class Wanted:
     """Units and names by which a quantity is recognised in foreign descriptions.
 
     Attributes:
-        words: Parts of a name that speak for it.
-        against: Parts of a name that speak against it.
+        words: Parts of a name that count for it.
+        against: Parts of a name that count against it.
         units: Units of which it must have one; none for a value without a unit.
         commanded: True for a value that the daemon sends.
     """
@@ -115,7 +115,7 @@ def propose(wanted: Wanted, candidates: Iterable[Candidate]) -> tuple[Candidate,
 
 
 def _points(wanted: Wanted, candidate: Candidate) -> int:
-    """Return how much speaks for a candidate; 0 for one that it cannot be."""
+    """Return the score of a candidate; 0 for one that it cannot be."""
     if candidate.commanded is not wanted.commanded:
         return 0
     if candidate.unit and candidate.unit not in wanted.units:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 QUIET_S = 5.0
-"""Time without a foreign command until the drive may be energised. Whoever commands a drive does so
+"""Time without a foreign command until the drive may be energised. A sender commands its drive
 many times in it, as every drive has a time-out far shorter than this."""
 
 
@@ -14,7 +14,7 @@ class Rival:
     """Remembers the last command frame on the bus that this process has not sent."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
-        """Know of no other sender.
+        """Start without another sender.
 
         Args:
             clock: Monotonic clock, in seconds.
@@ -28,7 +28,7 @@ class Rival:
         """Note a foreign command frame.
 
         Args:
-            frame: The frame's id and name, for people.
+            frame: The frame's id and name, as text.
         """
         now_s = self._clock()
         self._count = 1 if now_s - self._heard_s > QUIET_S else self._count + 1

@@ -45,7 +45,7 @@ class SensoredPort:
 
     @property
     def description(self) -> str:
-        """The drive's bus and those of the sensors in one phrase for people."""
+        """The drive's bus and those of the sensors in one phrase."""
         sensors = [f"sensors {bus.name} on {bus.port.description}" for bus in self.buses]
         return "; ".join([self._drive.description, *sensors])
 
@@ -89,7 +89,7 @@ class SensoredPort:
         """
         self._listener = listener
         for bus in self.buses:
-            bus.tell = listener.on_bus
+            bus.report = listener.on_bus
         async with asyncio.TaskGroup() as tasks:
             for bus in self.buses:
                 tasks.create_task(bus.port.run(bus), name=f"sensor bus {bus.name}")
@@ -133,7 +133,7 @@ class SensoredPort:
         """A reading with the values of the sensors and those that are derived.
 
         Args:
-            reading: What the drive said.
+            reading: Reading of the drive.
         """
         values = {name: getattr(reading, name) for name in QUANTITIES}
         values.update(reading.other)

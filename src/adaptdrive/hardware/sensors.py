@@ -39,25 +39,25 @@ class Derivation:
 
 @dataclass(slots=True)
 class SensorBus:
-    """One sensor bus, and what it said last. Listens to its port.
+    """One sensor bus with its latest values. Listens to its port.
 
     Attributes:
         name: Name of the bus.
         port: Where its values come from.
         stale_s: Oldest usable value.
         needed: Names of those values without which the drive must not be energised.
-        tell: Called when the bus is lost or open again.
+        report: Called when the bus is lost or open again.
         values: Latest values by name.
         taken_s: When each was measured, at the earliest; monotonic.
         up: Whether the bus answers.
-        detail: What it said of itself last.
+        detail: Its latest report.
     """
 
     name: str
     port: SensorPort
     stale_s: float
     needed: tuple[str, ...]
-    tell: Callable[[bool, str], None] = lambda _up, _detail: None
+    report: Callable[[bool, str], None] = lambda _up, _detail: None
     values: dict[str, float] = field(default_factory=dict)
     taken_s: dict[str, float] = field(default_factory=dict)
     up: bool = True
@@ -71,7 +71,7 @@ class SensorBus:
     def on_bus(self, up: bool, detail: str) -> None:
         """Store the state, and report it."""
         self.up, self.detail = up, detail
-        self.tell(up, f"sensor bus {self.name}: {detail}")
+        self.report(up, f"sensor bus {self.name}: {detail}")
 
     def complaint(self, now_s: float) -> str | None:
         """The needed value that is too old, or that never came, in words."""

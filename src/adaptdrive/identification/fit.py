@@ -31,7 +31,7 @@ _STEP = 1e-5
 """Step of the logarithms in a difference quotient."""
 
 _WORST_CONDITION = 1e9
-"""Condition of the columns, brought to one length, above which they are not told apart."""
+"""Condition of the columns, brought to one length, above which they are not distinguished."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -103,7 +103,7 @@ class Choice:
 
 
 def result_of(load: Load, choice: Choice, sample_s: float) -> IdentifiedLoad:
-    """Return what a fit says about the load.
+    """Return the load of a fit.
 
     Args:
         load: Its structure.

@@ -1,1 +1,1 @@
-"""Operators reach a drive here: the MQTT contract and the client that speaks it."""
+"""Operators reach a drive here: the MQTT contract and its client."""

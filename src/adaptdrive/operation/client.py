@@ -83,7 +83,7 @@ async def send_command(
 
 
 def sender() -> str:
-    """Return what a command says of its sender: user and machine; nothing proves it."""
+    """Return the sender that a command names: user and machine, unverified."""
     try:
         user = getpass.getuser()
     except (KeyError, OSError):  # a user id without a name

@@ -2,7 +2,7 @@
 
 Reading goes in two steps, so that a malformed command can be answered: first whatever is there
 is read for its id, then the whole is held against the one shape that its verb allows. Whether a
-number lies in the drive's range is for the host to say, which knows the limits.
+number lies in the drive's range is checked by the host, which has the limits.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class _Waveform(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 VERBS = tuple(REQUESTS)
 STOP = Disable.verb
-"""The verb that is carried out at its arrival, whatever its payload says."""
+"""The verb that is carried out at its arrival, whatever its payload is."""
 
 
 class Payload:

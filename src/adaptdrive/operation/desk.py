@@ -40,7 +40,7 @@ class OperatorCommand:
     Attributes:
         verb: Last part of the topic.
         raw: Payload as it came.
-        retained: Whether the broker says that it was published as a retained message.
+        retained: Whether it was published as a retained message, by the broker's flag.
         stops: Stops carried out until it arrived, its own included.
         stopped: State after the stop that it asked for; None for every verb but `disable`.
     """

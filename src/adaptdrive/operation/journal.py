@@ -2,7 +2,7 @@
 
 What is kept here is also held in memory by its owner: the file serves restarts. Statements that are
 posted while the file cannot be used are discarded; when it can be used again, its owners write all
-that they hold. A file is replaced only when SQLite says that it is damaged.
+that they hold. A file is replaced only when SQLite reports it damaged.
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ class BrokerLink:
     async def _agree(self) -> ProtocolVersion:
         """Find the newest protocol of the broker.
 
-        It is asked without a last will: brokers that know only the older protocol take the will
+        It is asked without a last will: brokers of only the older protocol take the will
         of the newer one for garbage and hang up, instead of naming the reason.
         """
         probe = f"{self._name.present}-probe"
@@ -128,10 +128,10 @@ async def connection(
     It ends with a goodbye unless an error ends it: then the broker sends the last will.
 
     Args:
-        settings: Where the broker is and who we are.
+        settings: Address of the broker, and login.
         protocol: MQTT version.
         identifier: Client identifier, None for a random one.
-        will: What the broker shall say when the connection breaks.
+        will: Message that the broker publishes when the connection breaks.
 
     Raises:
         MqttError: The broker cannot be reached or refuses.

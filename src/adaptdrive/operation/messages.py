@@ -1,7 +1,7 @@
 """Payloads of the daemon: state, telemetry, events and replies.
 
 A payload holds the fields of a report, as `runtime/reports.py` documents them. It is JSON in SI
-units with RFC 3339 times in UTC. JSON knows neither NaN nor infinity: the encoder writes null.
+units with RFC 3339 times in UTC. JSON has neither NaN nor infinity: the encoder writes null.
 """
 
 from __future__ import annotations

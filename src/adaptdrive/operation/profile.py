@@ -16,7 +16,7 @@ class Output:
     """The regulated quantity.
 
     Attributes:
-        name: Name for people, such as `speed`.
+        name: Its name, such as `speed`.
         unit: Unit of output, reference and set-point; empty for a plain number.
     """
 

@@ -51,7 +51,7 @@ class ServiceSurroundings:
         directory: Where replies and unsent events are kept across restarts.
         wall: Wall clock in UTC.
         monotonic: Clock for intervals, in seconds.
-        synchronisation: Tells whether the wall clock can be trusted.
+        synchronisation: Returns whether the wall clock can be trusted.
         uniform: Random number between its arguments, for the back-off.
         start_thread: What a thread of the service does first.
     """
@@ -80,7 +80,7 @@ class MqttService:
         Args:
             profile: Name, unit and limits of the drive.
             settings: Section `[mqtt]`.
-            host: Who carries commands out.
+            host: Carries commands out.
             hub: Where the runtime's reports come from.
             surroundings: Folder, clocks and chance.
         """

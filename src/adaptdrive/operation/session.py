@@ -59,7 +59,7 @@ class BrokerSession:
         self._logged_s = -LOGGED_EVERY_S
 
     async def run(self) -> None:
-        """Serve until the connection is lost, or until cancelled: then say so and leave.
+        """Serve until the connection is lost, or until cancelled: then publish that and leave.
 
         Raises:
             MqttError: The connection is lost.
@@ -190,7 +190,7 @@ class BrokerSession:
             await asyncio.sleep(HISTOGRAMS_EVERY_S)
 
     async def _send_history(self) -> None:
-        """Answer all who ask meanwhile with one answer, which every client can read."""
+        """Answer all requests of the meantime at once; every client can read the answer."""
         while True:
             await self._asked.wait()
             self._asked.clear()
@@ -200,7 +200,7 @@ class BrokerSession:
             await asyncio.sleep(HISTORY_EVERY_S)
 
     async def _take_leave(self) -> None:
-        """Say goodbye while commands are still answered: all but a stop are refused."""
+        """Publish the end while commands are still answered: all but a stop are refused."""
         try:
             async with asyncio.TaskGroup() as tasks:
                 answering = [

@@ -51,7 +51,7 @@ class Topics:
 
     @property
     def history(self) -> str:
-        """Answers to such requests, for all who listen."""
+        """Answers to such requests, for every client."""
         return self._below("history")
 
     @property

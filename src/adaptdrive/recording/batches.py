@@ -84,7 +84,7 @@ class EventRow(msgspec.Struct, frozen=True):
         tick: Fast tick at which it happened.
         kind: Machine-readable name.
         severity: How much it matters.
-        detail: One sentence for people.
+        detail: One sentence.
         monotonic_s: When it was heard of; NaN where that was not recorded.
         number: Running number in the session, from 1; 0 where there is none.
     """
@@ -107,7 +107,7 @@ class CommandRow(msgspec.Struct, frozen=True):
         id: Id that its sender gave it.
         verb: What was asked for.
         value: The value asked for, as JSON.
-        user: What its sender says of itself; empty where it says nothing.
+        user: Name that its sender gives itself; empty without one.
         accepted: Whether it was carried out.
         reason: Why not.
         number: Running number in the session, from 1.

@@ -22,7 +22,7 @@ from adaptdrive.recording.black_box import trip_of
 from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
 from adaptdrive.recording.session import Dropped, Ending, rename_free
 from adaptdrive.recording.session_writer import SessionWriter
-from adaptdrive.recording.writer import step_aside, tell_parent
+from adaptdrive.recording.writer import send_to_parent, step_aside
 from adaptdrive.runtime.reports import Severity
 
 TEXT_FILE = "trip.txt"
@@ -124,7 +124,7 @@ def main() -> None:
         sys.exit(str(problem))
     figure = "with a figure" if draw(directory) else f"`adaptdrive plot {directory}` draws it"
     detail = f"the record of the trip is in {directory}, {figure}"
-    tell_parent(News(severity=Severity.INFO.value, detail=detail))
+    send_to_parent(News(severity=Severity.INFO.value, detail=detail))
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ class Session:
 
     Attributes:
         path: Its directory.
-        info: What `session.json` says.
+        info: Contents of `session.json`.
         config_text: The configuration it ran with, as TOML.
         events: Events in their order.
         commands: Operator commands in their order.

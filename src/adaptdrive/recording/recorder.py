@@ -36,7 +36,7 @@ from adaptdrive.runtime.reports import (
 )
 
 EVENT_KIND = "recording"
-"""Kind of the events by which the recorder speaks of itself."""
+"""Kind of the events about the recorder itself."""
 
 _SLICE = 50
 """Reports packed before the event loop gets its turn: about 0.1 ms."""
@@ -131,7 +131,7 @@ class Recorder:
         """
         self.complete = True
         self._feed = feed
-        self._tell = report
+        self._publish = report
         self._clocks = clocks
         self._pace = pace
         self._delivery = Delivery(header, pace.backlog_bytes, self._report, pace.start_thread)
@@ -272,7 +272,7 @@ class Recorder:
         )
 
     def _report(self, severity: Severity, detail: str) -> None:
-        self._tell(self._event(severity, detail))
+        self._publish(self._event(severity, detail))
 
     def _event(self, severity: Severity, detail: str) -> Event:
         return Event(EVENT_KIND, severity, detail, self._last_tick)

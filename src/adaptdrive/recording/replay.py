@@ -1,7 +1,7 @@
 """Replay: the controller runs again on recorded measurements, and its commands are compared.
 
-The order of calls is that of `control.schedule`. The record says when each decision took effect,
-which may be late, and on which snapshots the daemon decided at all.
+The order of calls is that of `control.schedule`. The record holds the tick at which each
+decision took effect, which may be late, and on which snapshots the daemon decided at all.
 """
 
 from __future__ import annotations

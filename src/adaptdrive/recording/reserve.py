@@ -33,5 +33,5 @@ def release(sessions: Path) -> None:
 
 
 def is_full(problem: BaseException) -> bool:
-    """Return whether an error says that the disk or a quota is full."""
+    """Return whether an error means that the disk or a quota is full."""
     return isinstance(problem, OSError) and problem.errno in {errno.ENOSPC, errno.EDQUOT}

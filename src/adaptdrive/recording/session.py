@@ -43,7 +43,7 @@ class Ending(StrEnum):
     OPEN = "open"
     """Still being written, or its writer died."""
     ORDERLY = "orderly"
-    """The control process ended it; `dropped` says what is missing."""
+    """The control process ended it; `dropped` counts what is missing."""
     CUT = "cut"
     """The control process vanished; complete up to its last flush."""
     LOST = "lost"

@@ -58,7 +58,7 @@ class StreamReader:
         self._path = path
 
     def batches(self) -> Iterator[pa.RecordBatch]:
-        """All whole batches; afterwards `torn` tells whether a piece of one followed them.
+        """All whole batches; afterwards `torn` is true if a piece of one followed them.
 
         Raises:
             RecordingError: The stream cannot be opened.

@@ -27,7 +27,7 @@ from adaptdrive.recording.session_writer import SessionWriter
 from adaptdrive.recording.spool import spool_path
 from adaptdrive.runtime.reports import Severity
 
-Tell = Callable[[News], None]
+SendNews = Callable[[News], None]
 
 _LONGEST_PAUSE_S = 10.0
 _ORPHAN_PATIENCE_S = 60.0
@@ -37,16 +37,16 @@ _ORPHAN_PATIENCE_S = 60.0
 class PatientWriter:
     """Writes a session; what fails is tried again, in a new segment, until it succeeds."""
 
-    def __init__(self, header: Header, tell: Tell, *, pause_s: float = 0.5) -> None:
+    def __init__(self, header: Header, send: SendNews, *, pause_s: float = 0.5) -> None:
         """Prepare to write.
 
         Args:
             header: The session.
-            tell: Reports to the control process.
+            send: Passes news to the control process.
             pause_s: Pause after the first failure; each further one is twice as long.
         """
         self._header = header
-        self._tell = tell
+        self._send = send
         self._pause_s = pause_s
         self._writer: SessionWriter | None = None
         self._housekeeper = Housekeeper(lambda detail: self._report(Severity.WARNING, detail))
@@ -60,7 +60,7 @@ class PatientWriter:
             OSError: The control process is gone, and the disk has failed for long.
         """
         self._insist(lambda writer: writer.write(batch))
-        self._tell(News(written=batch.number))
+        self._send(News(written=batch.number))
         if batch.last:
             self.close(Ending.ORDERLY, batch.dropped)
 
@@ -85,7 +85,7 @@ class PatientWriter:
             self._give_up(problem, waited_s)
             if not waited_s:
                 detail = f"{STOPPED if self._header.directory else UNBEGUN}: {problem}"
-                self._tell(News(severity=Severity.ALARM.value, detail=detail, failing=True))
+                self._send(News(severity=Severity.ALARM.value, detail=detail, failing=True))
             time.sleep(pause_s)
             waited_s += pause_s
             pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
@@ -104,7 +104,7 @@ class PatientWriter:
             self._writer = SessionWriter(self._header, self._report, self._housekeeper)
             directory = str(self._writer.directory)
             self._header = msgspec.structs.replace(self._header, directory=directory)
-            self._tell(News(directory=directory))
+            self._send(News(directory=directory))
         return self._writer
 
     def _give_up(self, problem: Exception, waited_s: float) -> None:
@@ -116,22 +116,22 @@ class PatientWriter:
             raise problem
 
     def _report(self, severity: Severity, detail: str) -> None:
-        self._tell(News(severity=severity.value, detail=detail))
+        self._send(News(severity=severity.value, detail=detail))
 
 
-def record(source: BinaryIO, tell: Tell) -> None:
+def record(source: BinaryIO, send: SendNews) -> None:
     """Record one session from a stream of messages until that ends.
 
     Args:
         source: Messages; nothing is made of a source without any.
-        tell: Reports to the control process.
+        send: Passes news to the control process.
     """
     frames = read_frames(source)
     first = next(frames, None)
     if first is None:
         return
     header = msgspec.msgpack.decode(first, type=Header)
-    writer = PatientWriter(header, tell)
+    writer = PatientWriter(header, send)
     dropped, ended = Dropped(), False
     for batch in _batches(frames):
         writer.write(batch)
@@ -159,7 +159,7 @@ def step_aside() -> None:
     os.nice(5)
 
 
-def tell_parent(news: News) -> None:
+def send_to_parent(news: News) -> None:
     """Report to the control process, if it is still there."""
     with contextlib.suppress(OSError):
         os.write(sys.stdout.fileno(), msgspec.json.encode(news) + b"\n")
@@ -169,7 +169,7 @@ def main() -> None:
     """Run the recorder process."""
     step_aside()
     try:
-        record(sys.stdin.buffer, tell_parent)
+        record(sys.stdin.buffer, send_to_parent)
     except (OSError, sqlite3.Error, pa.ArrowException, msgspec.MsgspecError) as problem:
         # Leave at once: closing what cannot be written would only fail again.
         print(f"{sys.argv[1]}: {problem}", file=sys.stderr, flush=True)  # noqa: T201

@@ -14,12 +14,12 @@ from adaptdrive.runtime.reports import DriveReport, SensorReport, StateReport, S
 
 
 def state_report(machine: Machine, decision: Decision | None, stop: StopWord) -> StateReport:
-    """State, mode and limits, as an operator wants to know them.
+    """Return state and mode of a drive, for operators.
 
     Args:
         machine: The state machine.
         decision: The decision in force, None while there is none.
-        stop: What the drive says of its stop.
+        stop: Confirmation of the stop by the drive.
     """
     controller = _source(machine.mode, decision)
     waiting = machine.mode is Mode.ADAPTIVE and controller is Mode.FIXED

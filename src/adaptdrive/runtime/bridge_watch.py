@@ -35,12 +35,12 @@ class BridgeWatch:
     ) -> str | None:
         """One more look; the cause of a trip, None for none.
 
-        Half cycles that passed unwatched count, and a bridge that went off while nobody looked is
+        Half cycles that passed unwatched count, and a bridge that went off unwatched is
         a stop at once: a drive that stopped because this process did not run gets no command that
         energises it anew.
 
         Args:
-            reading: What the drive said last.
+            reading: The newest reading.
             commanded: Whether the last command had the bridge on.
             unwatched_s: Time since the last look.
         """

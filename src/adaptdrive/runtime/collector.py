@@ -1,4 +1,4 @@
-"""Collecting garbage at a time of our own choice."""
+"""Garbage collection between ticks."""
 
 from __future__ import annotations
 

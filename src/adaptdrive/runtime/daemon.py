@@ -302,7 +302,7 @@ class Daemon:
             self._timer.arm(deadline_s)
 
     def met_deadline(self, now_s: float) -> None:
-        """A tick was in time: the service manager may know."""
+        """Feed the watchdog of the service manager after a tick that was in time."""
         self._manager.feed(now_s)
 
     def ticked(self, report: TickReport) -> None:

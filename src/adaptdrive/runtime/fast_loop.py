@@ -88,7 +88,7 @@ class FastLoop:
 
     @property
     def cause(self) -> str | None:
-        """The interlock that is active now; what the drive's protocol says comes first."""
+        """The interlock that is active now; the complaint of the port comes first."""
         now_s = self._surroundings.now_s()
         return self._interlocks.standing_cause(self._port, self.reading, now_s) or (
             self._bridge_cause()

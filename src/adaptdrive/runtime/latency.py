@@ -77,7 +77,7 @@ class LatencyDetector:
     def __init__(
         self,
         late_us: float,
-        tell: Callable[[str], None],
+        report: Callable[[str], None],
         clock: Callable[[], float],
         ring: deque[Entry] | None = None,
     ) -> None:
@@ -85,16 +85,16 @@ class LatencyDetector:
 
         Args:
             late_us: Lateness from which a tick is reported.
-            tell: Receives the report as one sentence.
+            report: Receives the report as one sentence.
             clock: Monotonic clock in seconds, the one that lateness is measured with.
             ring: The loop's memory; without one only garbage collections are named.
         """
         self._late_us = late_us
-        self._tell = tell
+        self._report = report
         self._clock = clock
         self._ring: deque[Entry] = deque(maxlen=_RING) if ring is None else ring
-        self._told_s = float("-inf")
-        self._untold = 0
+        self._reported_s = float("-inf")
+        self._withheld = 0
         self._interrupted: object = UNKNOWN
         self._watching = ring is not None
 
@@ -117,14 +117,16 @@ class LatencyDetector:
         if lateness_us < self._late_us:
             return
         now_s = self._clock()
-        if now_s - self._told_s < _QUIET_S:
-            self._untold += 1
+        if now_s - self._reported_s < _QUIET_S:
+            self._withheld += 1
             return
         began_s = now_s - tick_us * 1e-6
         causes = self._causes(began_s - lateness_us * 1e-6, began_s)
-        untold = f"; {self._untold} more since the last of these events" if self._untold else ""
-        self._told_s, self._untold = now_s, 0
-        self._tell(f"tick {lateness_us * 1e-3:.2f} ms late: {causes}{untold}")
+        withheld = (
+            f"; {self._withheld} more since the last of these events" if self._withheld else ""
+        )
+        self._reported_s, self._withheld = now_s, 0
+        self._report(f"tick {lateness_us * 1e-3:.2f} ms late: {causes}{withheld}")
 
     def _on_collection(self, phase: str, _: dict[str, int]) -> None:
         if phase == "start":

@@ -57,7 +57,7 @@ class MachineLimits:
 
 
 class Machine:
-    """State and wishes of one drive.
+    """State and requests of one drive.
 
     Attributes:
         state: Where the machine is.

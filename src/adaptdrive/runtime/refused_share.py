@@ -80,7 +80,7 @@ class RefusedShare:
         """Start without a count.
 
         Args:
-            name: The port, for people.
+            name: Name of the port in reports.
             limit: Share that must not be reached while the drive is energised, 0 for any.
         """
         self._name = name

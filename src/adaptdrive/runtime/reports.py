@@ -58,7 +58,7 @@ class StateReport:
         pole: Closed-loop pole asked for.
         trip: Cause of the latched trip, None when not tripped.
         shutting_down: Whether the daemon ends and refuses every command but `disable`.
-        stop: What the drive says of its stop, None while it is enabled.
+        stop: Confirmation of the stop by the drive, None while it is enabled.
         voltage_V: V_c that the operator has set in mode manual, None in every other.
     """
 
@@ -112,7 +112,7 @@ class SensorReport:
     Attributes:
         name: Name of the bus.
         up: Whether it answers.
-        detail: What it said of itself last, empty while all has been well.
+        detail: Its latest report, empty while all has been well.
         values: Latest values by name, in SI.
         age_s: Age of each.
         bus: Counts of its port, by name.
@@ -170,7 +170,7 @@ class Event:
     Attributes:
         kind: Short machine-readable name, such as `trip`, `mode`, `fallback`, `bus`.
         severity: How much it matters.
-        detail: One sentence for people.
+        detail: One sentence.
         tick: Fast tick at which it happened.
     """
 
@@ -216,7 +216,7 @@ class CommandReport:
         id: Id that its sender gave it.
         verb: What was asked for.
         value: The value asked for, as JSON.
-        user: What its sender says of itself; empty where it says nothing.
+        user: Name that its sender gives itself; empty without one.
         accepted: Whether it was carried out.
         reason: Why not.
     """

@@ -25,7 +25,7 @@ class Stop(Enum):
 
 
 class StopWatch:
-    """Compares what an idle drive says of its bridge with the safe command that it was given."""
+    """Compares the bridge that an idle drive reports with the safe command in force."""
 
     def __init__(self, limit_s: float, reading_period_s: float, slack_s: float | None) -> None:
         """Expect a confirmation from the start on.
@@ -33,8 +33,8 @@ class StopWatch:
         Args:
             limit_s: Longest time from a stop to its confirmation.
             reading_period_s: Time from one reading to the next.
-            slack_s: How much later the drive speaks of its bridge than of other things, None for a
-                drive that does not speak of it.
+            slack_s: Additional delay of the report of the bridge, None for a drive that never
+                reports it.
         """
         self._confirmable = slack_s is not None
         self.limit_s = max(limit_s, _LIMIT_READINGS * reading_period_s) + (slack_s or 0.0)
@@ -72,7 +72,7 @@ class StopWatch:
         return Stop.OVERDUE if now_s - self._commanded_s > self.limit_s else Stop.AWAITED
 
     def _denied(self, reading: Reading) -> Stop:
-        """The bridge is on after a confirmed stop: denied by the second reading that says so."""
+        """The bridge is on after a confirmed stop: denied by the second such reading."""
         if reading.arrival_s not in self._on:
             self._on.append(reading.arrival_s)
         if len(self._on) < _ON_READINGS:
@@ -105,5 +105,5 @@ class StopWatch:
 
 
 def spoken_s(reading: Reading) -> float:
-    """Return when the drive said of its bridge what a reading holds."""
+    """Return the arrival of the bridge's state in a reading."""
     return reading.oldest_s if reading.bridge_s is None else reading.bridge_s

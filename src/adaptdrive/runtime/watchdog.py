@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 
 class ServiceManager:
-    """Speaks the sd_notify protocol; silent where no service manager listens."""
+    """Sends messages of the sd_notify protocol; does nothing without a service manager."""
 
     def __init__(self, environment: Mapping[str, str]) -> None:
         """Connect to the manager that the environment names.
@@ -34,7 +34,7 @@ class ServiceManager:
         self._notify("READY=1")
 
     def status(self, text: str) -> None:
-        """Say in one line what is going on; passed on when it has changed."""
+        """Send the status in one line, if it has changed."""
         if text != self._status:
             self._status = text
             self._notify(f"STATUS={text}")

@@ -39,7 +39,7 @@ class Entry:
     Attributes:
         index: Index of its object.
         subindex: Index within the object, 0 for an object that is one value.
-        label: How people write it, such as `0x2001.2`.
+        label: Its usual notation, such as `0x2001.2`.
         name: Its name in the EDS.
         bits: Length.
         signed: Whether it is a signed integer.
@@ -156,8 +156,8 @@ class ObjectCatalogue:
     def identity(self) -> tuple[tuple[Address, int], ...]:
         """Vendor and product as the EDS gives them, with the entries where the drive does."""
         device = self._dictionary.device_information
-        told = (VENDOR, device.vendor_number), (PRODUCT, device.product_number)
-        return tuple((address, number) for address, number in told if number and self.at(address))
+        given = (VENDOR, device.vendor_number), (PRODUCT, device.product_number)
+        return tuple((address, number) for address, number in given if number and self.at(address))
 
     def has(self, index: int) -> bool:
         """Return whether the drive has an object."""

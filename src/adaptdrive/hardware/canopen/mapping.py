@@ -106,7 +106,7 @@ class CommandPdo:
 
 @dataclass(frozen=True, slots=True)
 class CanOpenMapping:
-    """Everything that the port of one drive needs to know.
+    """Objects and properties of one drive, for its port.
 
     Attributes:
         transmits: PDOs that the drive sends.
@@ -115,9 +115,9 @@ class CanOpenMapping:
         statuses: How to read what it sends.
         orders: How to write what it takes.
         counter_modulus: Where the half-cycle counter wraps, None for a drive without one.
-        setup: Entries that the operator wants written, and their bytes.
+        setup: Entries that the configuration writes, and their bytes.
         present: Optional entries that the drive has.
-        identity: What the drive must say of itself to be the one that the EDS describes.
+        identity: Identity object that the drive must have to be the one of the EDS.
     """
 
     transmits: tuple[Pdo, ...]

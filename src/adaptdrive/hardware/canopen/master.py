@@ -26,7 +26,7 @@ _RETRY_S = 2.0
 """Wait before a node that did not answer, or refused, is asked again; its boot-up ends the wait."""
 
 _STARTED_S = 1.0
-"""Longest time from the start of a node to a heartbeat that says so."""
+"""Longest time from the start of a node to a heartbeat that confirms it."""
 
 _LOOK_AGAIN_S = 0.002
 """Wait before a heartbeat is called lost: one that came while the loop was busy is read meanwhile,
@@ -42,7 +42,7 @@ class NodeState(IntEnum):
     PRE_OPERATIONAL = 127
 
 
-class Tell(Protocol):
+class NodeListener(Protocol):
     """Receiver of reports on the state of the node."""
 
     def __call__(self, *, up: bool, detail: str) -> None:
@@ -65,7 +65,7 @@ class Master:
         send: Callable[[int, bytes], bool],
         clock: Callable[[], float],
     ) -> None:
-        """Know the node; nothing is sent yet.
+        """Prepare for the node; nothing is sent yet.
 
         Args:
             bus: `[bus]`.
@@ -87,28 +87,28 @@ class Master:
         self.ready = False
         self.problem = "not heard yet"
 
-    async def run(self, tell: Tell) -> None:
+    async def run(self, report: NodeListener) -> None:
         """Bring the node up whenever it is lost, until cancelled.
 
         Args:
-            tell: Called when the node is ready, and when it is not, with each new reason.
+            report: Called when the node is ready, and when it is not, with each new reason.
         """
-        told = ""
+        reported = ""
         while True:
             try:
                 await self._bring_up()
             except BusError as refusal:
                 self.problem = refusal.problem
-                if told != self.problem:
-                    told = self.problem
-                    tell(up=False, detail=told)
+                if reported != self.problem:
+                    reported = self.problem
+                    report(up=False, detail=reported)
                 await self._wait_for_boot_up()
                 continue
             self.ready = True
-            tell(up=True, detail="operational")
+            report(up=True, detail="operational")
             self._lose(await self._watch())
-            told = self.problem
-            tell(up=False, detail=told)
+            reported = self.problem
+            report(up=False, detail=reported)
 
     def hear(self, state: int) -> None:
         """Take a heartbeat or a boot-up message."""

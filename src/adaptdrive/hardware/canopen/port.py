@@ -84,7 +84,7 @@ class CanOpenPort:
         clock: Callable[[], float],
         wall_clock: Callable[[], float] = time.time,
     ) -> None:
-        """Know the drive; nothing is opened yet.
+        """Prepare for the drive; nothing is opened yet.
 
         Args:
             config: `[bus]`.
@@ -115,7 +115,7 @@ class CanOpenPort:
 
     @property
     def description(self) -> str:
-        """The bus in one phrase for people, such as `socketcan can0 node 5`."""
+        """The bus in one phrase, such as `socketcan can0 node 5`."""
         return f"{describe_bus(self._config)} {describe_node(self._config)}"
 
     @property
@@ -134,7 +134,7 @@ class CanOpenPort:
         if (seen := self._rival.complaint or self._faults.complaint) is not None:
             return seen
         if self._connection.bus is None and self._control.fallen is None:
-            return None  # without a bus there are no readings, and that says enough
+            return None  # without a bus there are no readings, which is a cause of its own
         problem = self._health.problem
         return None if problem is None else f"{describe_node(self._config)}: {problem}"
 

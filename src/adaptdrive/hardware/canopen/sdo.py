@@ -1,6 +1,6 @@
 """SDO: reading and writing the drive's object dictionary, entry by entry.
 
-The canopen library speaks the protocol. It blocks, so that it works in a thread of its own, while
+The canopen library implements the protocol. It blocks, and therefore has its own thread, while
 the event loop reads the bus and writes to it.
 """
 
@@ -27,7 +27,7 @@ logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it logs i
 
 
 def describe_node(bus: CanOpenBus) -> str:
-    """The drive in one phrase for people, such as `node 5`."""
+    """The drive in one phrase, such as `node 5`."""
     return f"node {bus.node_id}"
 
 
@@ -69,7 +69,7 @@ class SdoLink(Network):
 
 
 class Server:
-    """The drive's object dictionary, with errors in our own words."""
+    """The drive's object dictionary, with the errors of this package."""
 
     def __init__(self, client: SdoClient, name: str) -> None:
         self._client = client

@@ -35,7 +35,7 @@ Write = tuple[Address, bytes]
 
 
 def set_up(server: Server, bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_s: float) -> None:
-    """Write everything that the drive must know, and read back what safety hangs on.
+    """Write the parameters of the drive, and read back those that safety depends on.
 
     Args:
         server: The drive, in state pre-operational.

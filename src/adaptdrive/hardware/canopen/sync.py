@@ -14,7 +14,7 @@ class SyncProducer:
     def __init__(
         self, period_s: float, clock: Callable[[], float], due: Callable[[], None]
     ) -> None:
-        """Know the grid.
+        """Set the grid.
 
         Args:
             period_s: Time between two SYNCs.

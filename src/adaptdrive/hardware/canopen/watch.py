@@ -67,7 +67,7 @@ class CanOpenWatch:
 
     @property
     def description(self) -> str:
-        """The bus in one phrase for people, such as `socketcan can0 node 5`."""
+        """The bus in one phrase, such as `socketcan can0 node 5`."""
         return f"{describe_bus(self._config)} {describe_node(self._config)}"
 
     @property
@@ -111,7 +111,7 @@ class CanOpenWatch:
         return False
 
     def catch_up(self) -> None:
-        """Nothing waits: each answer is taken by who asked."""
+        """Nothing waits: each answer is taken where it was asked for."""
 
     def rehearse(self) -> None:
         """No-op: a probe has no deadline."""
@@ -144,7 +144,7 @@ class CanOpenWatch:
 
     async def _look(self, listener: Listener) -> None:
         """Read all objects at intervals; report when the drive stops or resumes its replies."""
-        told = ""
+        reported = ""
         while True:
             start_s = self._clock()
             self._link = link = SdoLink(self._put)
@@ -152,12 +152,12 @@ class CanOpenWatch:
                 values, state = await in_thread(self._config, link, self._read)
             except BusError as problem:
                 self._counts["timeouts"] += 1
-                if str(problem) != told:
-                    told = str(problem)
-                    listener.on_bus(up=False, detail=told)
+                if str(problem) != reported:
+                    reported = str(problem)
+                    listener.on_bus(up=False, detail=reported)
             else:
-                if told:
-                    told = ""
+                if reported:
+                    reported = ""
                     listener.on_bus(up=True, detail=self.description)
                 listener.on_reading(self._reading(values, state, start_s))
             await asyncio.sleep(_PAUSE_S)

@@ -75,14 +75,14 @@ class StatusFrame:
 
 @dataclass(frozen=True, slots=True)
 class CanMapping:
-    """Everything that the port of one drive needs to know.
+    """Messages and properties of one drive, for its port.
 
     Attributes:
         statuses: Messages with measurements.
         orders: Frames of the command, in the order of sending.
         clock: Message whose arrival is the fast tick.
         counter_modulus: Where the half-cycle counter wraps, None for a drive without one.
-        bridge_on: Value of the signal that says that the bridge is on.
+        bridge_on: Value of the signal while the bridge is on.
         fault_names: Value table of the fault word.
     """
 

@@ -95,7 +95,7 @@ class CanPort:
 
     @property
     def description(self) -> str:
-        """The bus in one phrase for people, such as `udp_multicast 239.74.163.2:43113`."""
+        """The bus in one phrase, such as `udp_multicast 239.74.163.2:43113`."""
         return describe_bus(self._config)
 
     @property

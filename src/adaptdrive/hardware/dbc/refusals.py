@@ -1,4 +1,4 @@
-"""Frames that a port could not use, remembered for people: which, why, and how often."""
+"""Frames that a port could not use, kept for reports: which, why, and how often."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Refusals:
         return f"its frames come and are refused ({verdict}, {count} in a row): {remedy}"
 
     def lines(self) -> Iterator[str]:
-        """Every kind of refused frame, for people."""
+        """Every kind of refused frame, one line each."""
         for message, found in self._messages.items():
             for verdict, refusal in found.items():
                 yield f"refused {message}: {verdict} {_shown(refusal)}: {_REMEDIES[verdict]}"

@@ -111,7 +111,7 @@ class CanSensorPort:
 
     @property
     def description(self) -> str:
-        """The bus in one phrase for people, such as `socketcan can1`."""
+        """The bus in one phrase, such as `socketcan can1`."""
         return describe_bus(self._config)
 
     @property
@@ -155,7 +155,7 @@ class CanSensorPort:
         """One bus after the other, less and less often while there is none."""
         backoff = BusBackoff(lambda: self._counts["received"])
         while True:
-            self._tell(up=False, problem=await self._try())
+            self._report(up=False, problem=await self._try())
             await asyncio.sleep(backoff.next_s())
 
     async def _try(self) -> str:
@@ -184,22 +184,22 @@ class CanSensorPort:
             if signal in values
         }
         self._heard_s = self._clock()
-        self._tell(up=True)
+        self._report(up=True)
         if self._listener is not None:
             self._listener.on_values(found, arrival_s)
 
     async def _watch_silence(self) -> None:
-        """Tell when nothing good has come for as long as a value may be held."""
+        """Report when nothing good has come for as long as a value may be held."""
         limit_s = self._config.oldest_s
         self._heard_s = self._clock()
         while True:
             await asyncio.sleep(self._config.cycle_s)
             if self._clock() - self._heard_s > limit_s:
-                self._tell(up=False, problem=f"no good frame for {limit_s:g} s")
+                self._report(up=False, problem=f"no good frame for {limit_s:g} s")
 
-    def _tell(self, *, up: bool, problem: str = "") -> None:
+    def _report(self, *, up: bool, problem: str = "") -> None:
         if self._listener is not None:
-            self._presence.tell(self._listener, up=up, problem=problem)
+            self._presence.report(self._listener, up=up, problem=problem)
 
 
 def _codec(

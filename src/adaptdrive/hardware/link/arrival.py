@@ -3,7 +3,7 @@
 The kernel stamps a frame with the wall clock, which may be set while the frame waits to be read.
 The offset between both clocks is measured at each frame. A frame that was stamped before the wall
 clock was set is converted with the offset from before. No frame has waited since before its queue
-was last found empty: however long that is, and whatever its stamp says.
+was last found empty: however long that is, and whatever its stamp is.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ _INTERFACES = Path("/sys/class/net")
 
 
 def describe_bus(config: CanLink) -> str:
-    """The bus in one phrase for people, such as `udp_multicast 239.74.163.2:43113`."""
+    """The bus in one phrase, such as `udp_multicast 239.74.163.2:43113`."""
     port = f":{config.udp_port}" if config.interface == "udp_multicast" else ""
     return f"{config.interface} {config.channel}{port}"
 
@@ -130,7 +130,7 @@ def _check_kernel(config: CanLink) -> None:
 
 
 def _check_interface_up(config: CanLink) -> None:
-    """An interface that is down can be opened but carries nothing: say so at once."""
+    """An interface that is down can be opened but carries nothing: refuse it at once."""
     request = struct.pack("16sh14x", config.channel.encode(), 0)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:

@@ -27,7 +27,7 @@ class FrameUser(FrameTaker, Protocol):
 
     @property
     def description(self) -> str:
-        """The bus in one phrase for people."""
+        """The bus in one phrase."""
 
     def hand_out(self) -> None:
         """Pass the newest reading on: no more frames wait."""

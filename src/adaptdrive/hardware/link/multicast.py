@@ -5,7 +5,7 @@ system call for each frame, in place of python-can's general way, which can wait
 Cold, as after each sleep between two half cycles, that way takes tens of microseconds.
 
 The group returns every frame to its sender. Frames go out through a socket of its own, whose port
-no other socket has: by that a bus tells its own frames from those of another sender with their id.
+no other socket has: it marks the frames of this bus among those of another sender with their id.
 """
 
 from __future__ import annotations

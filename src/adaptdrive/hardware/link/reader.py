@@ -3,7 +3,7 @@
 python-can's own adapter spins when a bus is lost and reports no error. This reader reads a bounded
 number of frames per wake-up, so that a flood cannot starve the loop, and ends with a lost bus.
 
-After each wake-up it says that no more frames wait. Whoever was kept from running for a while can
+After each wake-up it reports that no more frames wait. A port that did not run for a while can
 then act once, on the newest of what has piled up, and not once for each.
 """
 
@@ -66,7 +66,7 @@ class FrameReader:
 
         Args:
             bus: An open bus.
-            taker: Who gets the frames; an error it raises ends the reading, and `run` raises it.
+            taker: Receiver of the frames; an error it raises ends the reading, and `run` raises it.
             arrivals: Notes when the queue is empty, None where frames are not dated.
             caught_up: Called after each wake-up that brought a frame, when no more of them wait.
         """

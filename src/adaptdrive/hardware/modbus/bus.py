@@ -19,7 +19,7 @@ _CONNECT_S = 1.0
 
 
 def describe_bus(config: ModbusLink) -> str:
-    """The link in one phrase for people, such as `modbus-rtu /dev/ttyUSB0 9600 8E1 device 1`."""
+    """The link in one phrase, such as `modbus-rtu /dev/ttyUSB0 9600 8E1 device 1`."""
     return f"{_medium(config)} device {config.device_id}"
 
 

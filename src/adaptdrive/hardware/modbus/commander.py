@@ -15,7 +15,7 @@ _LATE_POLLS = 2.0
 """Lateness of a poll, in polls, from which on only the safe command is written with it."""
 
 _REFUSED_WRITES = 2
-"""Commands refused in a row after which the drive is said to refuse them: one may find it busy."""
+"""Commands refused in a row after which the drive counts as refusing: one may find it busy."""
 
 _UNANSWERED_WRITES = 3
 """Commands without a reply in a row, from a drive that answers what it is asked."""

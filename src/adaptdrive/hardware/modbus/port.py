@@ -30,7 +30,7 @@ from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, map_drive
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 
 _SILENT_POLLS = 3
-"""Polls without a reading after which the drive is said to be gone."""
+"""Polls without a reading after which the drive is reported lost."""
 
 
 def build_modbus_port(  # noqa: PLR0913 - what the configuration says, and the clock
@@ -92,7 +92,7 @@ class ModbusPort:
 
     @property
     def description(self) -> str:
-        """The bus in one phrase for people, such as `modbus-tcp 10.0.0.7:502 device 1`."""
+        """The bus in one phrase, such as `modbus-tcp 10.0.0.7:502 device 1`."""
         return describe_bus(self._config)
 
     @property
@@ -201,7 +201,7 @@ class ModbusPort:
         backoff = BusBackoff(lambda: self._counts["received"])
         while link is not None or not self._closing:
             if link is None:
-                self._tell_down(problem)
+                self._report_down(problem)
                 self._wake.clear()  # what was urgent when the link was lost does not hurry it back
                 await self._sleep(backoff.next_s())
                 link = None if self._closing else await self._reopen()
@@ -295,7 +295,7 @@ class ModbusPort:
         """Hand out a reading, unless the drive stands still."""
         if not self._is_alive(values.get(HEARTBEAT), start_s):
             return
-        self._tell_up()
+        self._report_up()
         counter, bridge = values.get("counter"), values.get("bridge")
         if self._listener is not None:
             fault = self._faults.word
@@ -333,15 +333,15 @@ class ModbusPort:
     def _note_silence(self, problem: str) -> None:
         self._silent += 1
         if self._silent >= _SILENT_POLLS:
-            self._tell_down(problem)
+            self._report_down(problem)
 
-    def _tell_up(self) -> None:
+    def _report_up(self) -> None:
         self._silent = 0
         if not self._up and self._listener is not None:
             self._up = True
             self._listener.on_bus(up=True, detail=self.description)
 
-    def _tell_down(self, problem: str) -> None:
+    def _report_down(self, problem: str) -> None:
         if self._up and self._listener is not None:
             self._up = False
             self._listener.on_bus(up=False, detail=f"{self.description}: {problem}")

@@ -27,7 +27,7 @@ from adaptdrive.hardware.port import PortStatistics, SensorListener
 from adaptdrive.hardware.presence import Presence
 
 _SILENT_CYCLES = 3
-"""Cycles without any reply after which the modules are said to be gone."""
+"""Cycles without any reply after which the modules are reported lost."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class ModbusSensorPort:
 
     @property
     def description(self) -> str:
-        """The link in one phrase for people, such as `modbus-tcp 10.0.0.8:502 device 1`."""
+        """The link in one phrase, such as `modbus-tcp 10.0.0.8:502 device 1`."""
         return describe_bus(self._config)
 
     @property
@@ -106,7 +106,7 @@ class ModbusSensorPort:
         """Serve one link after the other until the port is closed."""
         backoff = BusBackoff(lambda: self._counts["received"])
         while not self._closing.is_set():
-            self._tell(listener, up=False, problem=await self._try(listener))
+            self._report(listener, up=False, problem=await self._try(listener))
             await self._sleep(backoff.next_s())
 
     async def _try(self, listener: SensorListener) -> str:
@@ -145,11 +145,11 @@ class ModbusSensorPort:
                 problem = failure.problem
                 continue
             heard = True
-            self._tell(listener, up=True)
+            self._report(listener, up=True)
             listener.on_values(self._values(block, words), start_s)
         self._silent = 0 if heard else self._silent + 1
         if self._silent >= _SILENT_CYCLES:
-            self._tell(listener, up=False, problem=problem)
+            self._report(listener, up=False, problem=problem)
 
     def _values(self, block: SensorBlock, words: list[int]) -> dict[str, float]:
         """The values of a block that may be used, by name."""
@@ -160,9 +160,9 @@ class ModbusSensorPort:
         self._counts["out_of_range"] += len(values) - len(good)
         return good
 
-    def _tell(self, listener: SensorListener, *, up: bool, problem: str = "") -> None:
+    def _report(self, listener: SensorListener, *, up: bool, problem: str = "") -> None:
         if not self._closing.is_set():
-            self._presence.tell(listener, up=up, problem=problem)
+            self._presence.report(listener, up=up, problem=problem)
 
     async def _sleep(self, seconds: float) -> None:
         """Sleep, unless the port is closed."""
