@@ -10,6 +10,7 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
+from adaptdrive.control.reach import Reach
 from adaptdrive.control.schedule import Schedule
 from adaptdrive.control.signals import (
     SAFE_COMMAND,
@@ -136,6 +137,7 @@ class OperatedDrive(VirtualDrive):
         if decided and self.decision is not None:
             self._obey(self.decision)
         if self.machine.stage is Stage.OFF:
+            self.machine.forget_reach()
             self.machine.confirm_stop()
             self.world.shut()
             command, _ = self.control(measurement, self._order())
@@ -154,7 +156,8 @@ class OperatedDrive(VirtualDrive):
         return Order(machine.stage, self.reference, machine.mode, machine.pole, manual_V)
 
     def _obey(self, decision: Decision) -> None:
-        """Trip or stop where a decision demands it."""
+        """Trip or stop where a decision demands it, and take over what V_c can hold."""
+        self.machine.reach = Reach(decision.reach_low, decision.reach_high)
         if decision.fault:
             self.machine.latch(decision.fault)
         elif decision.complete:

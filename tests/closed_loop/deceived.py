@@ -220,13 +220,23 @@ def honest(job: tuple[str, int]) -> str:
     if not drive.start():
         return str(drive.machine.trip)
     end_s = drive.now + DURATIONS_s[name]
+    low, high = reachable(drive)
     while drive.now < end_s:
-        drive.ask(SetSetpoint(draw.uniform(load.reference_min, load.reference_max)))
+        if low < high:
+            drive.ask(SetSetpoint(draw.uniform(low, high)))
         for _ in range(2):
             if not drive.run(draw.uniform(0.02, 0.15) * DURATIONS_s[name]):
                 return drive.machine.trip or ""
             disturb(drive.world, draw)
     return ""
+
+
+def reachable(drive: Deceived) -> tuple[float, float]:
+    """Ends of the set-points that are accepted; a wrong model may leave none."""
+    load, reach = drive.configuration.load, drive.machine.reach
+    if not reach.is_known:
+        return load.reference_min, load.reference_max
+    return max(load.reference_min, reach.low), min(load.reference_max, reach.high)
 
 
 def begin(name: str, draw: random.Random) -> Deceived:
@@ -265,7 +275,6 @@ def lied_to(job: tuple[str, str, int]) -> float:
     name, fault, seed = job
     draw = random.Random(f"{fault} {name} {seed}")
     drive = begin(name, draw)
-    load = drive.configuration.load
     drive.sensor = FAULTS[fault]()
     if fault.endswith("from the start"):
         drive.fault_s = drive.now
@@ -273,7 +282,9 @@ def lied_to(job: tuple[str, str, int]) -> float:
         drive.start()
     except RefusedError:  # the drive is not even enabled
         return 0.0
-    low, high = load.reference_min, load.reference_max
+    low, high = reachable(drive)
+    if low >= high:
+        return math.nan
     drive.ask(SetSetpoint(draw.uniform(0.5 * (low + high), high)))
     if drive.fault_s == math.inf:
         if not drive.run(draw.uniform(0.5, 1.0) * WAITS_s[name]):

@@ -1,57 +1,135 @@
-"""Nothing winds up at a limit: steps after idle phases, and set-points at the edge."""
+"""Steps after idle phases, set-points at the edge, and loads that coast below it."""
 
 from __future__ import annotations
+
+import re
 
 import pytest
 
 from adaptdrive.control.signals import Mode
-from adaptdrive.runtime.requests import SetSetpoint
+from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.errors import RefusedError
+from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from tests.closed_loop.life import Sensed, load_world, settling_s, started, wait
 
-NOMINAL_S = {"motor": 22.0, "bath": 420.0}
-"""Settling of the longest step from a standstill, which is at the limits for most of it."""
+NOMINAL_S = {"motor": 30.0, "bath": 420.0}
+"""Settling of the longest step from rest at once after `enable`; V_c is at its limits for most."""
 
 
-def idle_then_step(name: str, idle_s: float, target: float) -> tuple[float, Mode]:
+def idle_then_step(name: str, idle_s: float, target: float) -> tuple[float, float]:
+    """Settling time of a step after idling, and how far the load moved while idle."""
     load = Motor(MotorParameters()) if name == "motor" else Bath(BathParameters())
     drive = started(name, load_world(load), Mode.ADAPTIVE)
+    assert drive.machine.coasting
     wait(drive, idle_s)
+    moved = abs(drive.world.true_output)
     taken_s = settling_s(drive, target, 4.0 * NOMINAL_S[name])
     assert drive.machine.trip is None
     assert drive.decision is not None
     assert "fell back" not in drive.decision.reason
-    return taken_s, drive.decision.controller
+    return taken_s, moved
 
 
-@pytest.mark.parametrize("idle_s", [10.0, 120.0, 300.0, 900.0])
-def test_a_step_after_idling_is_as_fast_as_any(idle_s: float) -> None:
-    taken_s, _ = idle_then_step("motor", idle_s, 3.0)
+@pytest.mark.parametrize("idle_s", [10.0, 120.0, 900.0])
+def test_a_step_after_idling_is_as_fast_as_any_and_idling_moves_nothing(idle_s: float) -> None:
+    taken_s, moved = idle_then_step("motor", idle_s, 3.0)
     assert taken_s <= 1.3 * NOMINAL_S["motor"]
+    assert moved == 0.0
 
 
 @pytest.mark.parametrize("idle_s", [600.0, 7200.0])
 def test_so_is_that_of_a_bath(idle_s: float) -> None:
-    taken_s, _ = idle_then_step("bath", idle_s, 12.0)
+    taken_s, moved = idle_then_step("bath", idle_s, 12.0)
     assert taken_s <= 1.3 * NOMINAL_S["bath"]
+    assert moved == 0.0
 
 
-@pytest.mark.parametrize(("first", "then"), [(2.25, 2.15), (4.35, 4.45), (3.0, 2.0)])
+LINEAR_S = 22.0
+"""Settling of four poles at 0.7 with T_k = 1 s to 5 %."""
+
+
+@pytest.mark.parametrize(("gain", "edge"), [(1.05, 2.2), (0.95, 4.4)])
 @pytest.mark.parametrize("mode", [Mode.FIXED, Mode.ADAPTIVE])
-def test_a_reference_beyond_the_edge_neither_trips_nor_latches(
-    first: float, then: float, mode: Mode
+def test_a_step_after_a_saturated_phase_is_as_fast_as_any(
+    gain: float, edge: float, mode: Mode
 ) -> None:
-    world = load_world(Motor(MotorParameters()))
-    world.settle(world.boost_voltage_for(first))
+    nominal = MotorParameters()
+    motor = Motor(MotorParameters(tachometer_Vs=gain * nominal.tachometer_Vs))
+    world = load_world(motor)
+    world.settle(world.boost_voltage_for(3.0))
     drive = started("motor", world, mode)
-    drive.carry_out(SetSetpoint(first))
-    wait(drive, 120.0)
-    drive.carry_out(SetSetpoint(then))
-    wait(drive, 600.0)
+    drive.carry_out(SetSetpoint(edge))
+    wait(drive, 300.0)
+    assert drive.decision is not None
+    assert drive.decision.boost_reference_V in (200.0, 400.0)
+    assert settling_s(drive, 3.0, 100.0) <= 1.3 * LINEAR_S
+
+
+@pytest.mark.parametrize(
+    ("gain", "value", "within"),
+    [(1.05, 2.2, "2.3.*…4.*"), (1.05, 2.25, "2.3.*…4.*"), (0.95, 4.3, "2.*…4.1.*|2.*…4.2.*")],
+)
+@pytest.mark.parametrize("mode", [Mode.FIXED, Mode.ADAPTIVE])
+def test_a_set_point_that_only_the_model_reaches_neither_trips_nor_latches(
+    gain: float, value: float, within: str, mode: Mode
+) -> None:
+    nominal = MotorParameters()
+    motor = Motor(MotorParameters(tachometer_Vs=gain * nominal.tachometer_Vs))
+    world = load_world(motor)
+    world.settle(world.boost_voltage_for(3.0))
+    drive = started("motor", world, mode)
+    drive.carry_out(SetSetpoint(value))
+    wait(drive, 720.0)
     assert drive.machine.trip is None
     assert drive.decision is not None
     assert "fell back" not in drive.decision.reason
+    text = f"set-point {value:g} V is outside ({within}) V, which V_c can hold"
+    assert re.fullmatch(text, drive.machine.obstacle)
+
+
+@pytest.mark.parametrize("value", [0.5, 2.15, 4.45])
+def test_a_set_point_beyond_what_V_c_can_hold_is_refused(value: float) -> None:
+    drive = started("motor", load_world(Motor(MotorParameters())))
+    with pytest.raises(RefusedError, match=f"{value:g} V is outside 2.2…4.4 V"):
+        drive.carry_out(SetSetpoint(value))
+    wave = Waveform(Shape.SQUARE, 3.0, value, 60.0)
+    with pytest.raises(RefusedError, match=r"waveform high = .* outside 2.2…4.4 V"):
+        drive.carry_out(SetWaveform(wave))
+    assert drive.machine.coasting
+
+
+def test_a_set_point_of_0_lets_the_load_coast_and_the_next_one_catches_it() -> None:
+    world = load_world(Motor(MotorParameters()))
+    world.settle(world.boost_voltage_for(3.0))
+    drive = started("motor", world)
+    drive.carry_out(SetSetpoint(0.0))
+    for _ in range(round(10.0 * 120)):
+        drive.tick()
+        assert not world.bridge
+        assert world.current_scale_S == 0.0
+    assert 0.0 < world.true_output < 2.8
+    drive.carry_out(SetSetpoint(3.0))
+    wait(drive, 60.0)
+    assert world.true_output == pytest.approx(3.0, abs=0.01)
+
+
+def test_the_reach_follows_what_is_learnt_of_the_load() -> None:
+    nominal = MotorParameters()
+    motor = Motor(MotorParameters(tachometer_Vs=0.9 * nominal.tachometer_Vs))
+    world = load_world(motor)
+    world.settle(world.boost_voltage_for(3.0))
+    drive = started("motor", world, Mode.ADAPTIVE)
+    assert (drive.machine.reach.low, drive.machine.reach.high) == (2.2, 4.4)
+    drive.carry_out(SetWaveform(Waveform(Shape.SQUARE, 3.0, 3.2, 60.0)))
+    wait(drive, 300.0)
+    true_low, true_high = (0.9 * 0.011 * limit_V for limit_V in (200.0, 400.0))
+    assert drive.machine.reach.low == pytest.approx(true_low, rel=0.02)
+    assert drive.machine.reach.high == pytest.approx(true_high, rel=0.02)
+    with pytest.raises(RefusedError, match="which V_c can hold"):
+        drive.carry_out(SetSetpoint(4.3))
+    drive.carry_out(SetSetpoint(2.1))
 
 
 def test_a_tachometer_that_sticks_trips() -> None:

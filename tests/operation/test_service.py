@@ -268,6 +268,7 @@ async def test_the_state_is_retained_and_follows_every_change(bench: Bench) -> N
     assert list(second) == [
         *("state", "mode", "controller", "reason", "enabled", "setpoint"),
         *("waveform", "pole", "trip", "shutting_down", "stop", "voltage_V"),
+        *("reach", "coasting"),
         *("since", "last_trip", "clock", "time"),
         *("drive", "output", "limits", "modes", "version"),
     ]
@@ -304,7 +305,7 @@ async def test_telemetry_is_json_with_name_and_unit_of_the_output(bench: Bench) 
         "held_V",
         *("boost_reference_V", "controller", "accepted", "reason", "estimates", "gains"),
         *("innovation", "excitation", "handover_step_V", "pole_in_force", "fault", "complete"),
-        *("monotonic_s", "output_name", "output_unit"),
+        *("reach_low", "reach_high", "monotonic_s", "output_name", "output_unit"),
     ]
     assert (load.content["output_name"], load.content["output_unit"]) == ("speed", "V")
     assert drive.content["sensors"] == {

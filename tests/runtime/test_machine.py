@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 
 import pytest
 
+from adaptdrive.control.reach import UNKNOWN, Reach
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.errors import RefusedError
@@ -36,6 +38,7 @@ LIMITS = MachineLimits(
     starting_ticks=600,
     tick_s=1.0 / 120.0,
 )
+REACH = Reach(2.2, 4.4)
 SQUARE = Waveform(Shape.SQUARE, 3.0, 3.2, 60.0)
 FAULT = "drive fault: word 0x1"
 
@@ -115,6 +118,77 @@ def test_enabling_holds_the_nearest_set_point_that_is_allowed(
 ) -> None:
     standby.ask(Enable(), output=output)
     assert standby.machine.setpoint == held
+
+
+def _desk(reach: Reach) -> Desk:
+    desk = Desk()
+    desk.machine = Machine(replace(LIMITS, reach=reach), pole=0.7)
+    return desk
+
+
+@pytest.mark.parametrize("output", [-0.3, 0.0, 2.1])
+def test_enabling_below_what_v_c_can_hold_coasts_until_a_set_point(output: float) -> None:
+    desk = _desk(REACH)
+    desk.ask(Enable(), output=output)
+    desk.pass_ticks(5)
+    assert (desk.state(), desk.machine.coasting) == (State.RUNNING, True)
+    assert (desk.machine.stage, desk.machine.energised) == (Stage.OFF, True)
+    assert desk.machine.setpoint == max(output, 0.0)
+    assert "coasting" in desk.machine.obstacle
+    desk.ask(SetSetpoint(3.0))
+    stages = []
+    for _ in range(3):
+        stages.append(desk.machine.stage)
+        desk.pass_ticks(1)
+    assert stages == [Stage.OFF, Stage.PRECHARGE, Stage.RUN]
+    assert not desk.machine.obstacle
+
+
+def test_a_waveform_starts_a_coasting_drive_too() -> None:
+    desk = _desk(REACH)
+    desk.ask(Enable(), output=0.0)
+    desk.ask(SetWaveform(SQUARE))
+    assert desk.state() is State.STARTING
+
+
+@pytest.mark.parametrize(
+    ("output", "state"), [(2.2, State.STARTING), (4.4, State.STARTING), (5.0, State.STARTING)]
+)
+def test_enabling_within_reach_or_above_starts(output: float, state: State) -> None:
+    desk = _desk(REACH)
+    desk.ask(Enable(), output=output)
+    assert desk.state() is state
+
+
+def test_a_set_point_of_0_coasts_and_one_out_of_reach_is_refused() -> None:
+    desk = _desk(REACH)
+    desk.ask(Enable(), output=3.0)
+    desk.pass_ticks(2)
+    for value in (0.1, 2.19, 4.41):
+        desk.refuses(SetSetpoint(value), f"setpoint = {value} V is outside 2.2…4.4 V, which V_c")
+    desk.refuses(SetWaveform(Waveform(Shape.SINE, 0.0, 3.0, 60.0)), "waveform low = 0 V is outside")
+    desk.ask(SetSetpoint(0.0))
+    assert (desk.state(), desk.machine.stage) == (State.RUNNING, Stage.OFF)
+    assert desk.machine.commanded_off
+    desk.ask(Disable())
+    assert (desk.state(), desk.machine.coasting) == (State.STOPPING, False)
+
+
+def test_a_drive_of_unknown_reach_is_started_at_any_output() -> None:
+    desk = _desk(UNKNOWN)
+    desk.ask(Enable(), output=-0.01)
+    assert desk.state() is State.STARTING
+    desk.ask(SetSetpoint(0.1))
+    assert not desk.machine.obstacle
+
+
+def test_a_set_point_in_force_that_goes_out_of_reach_is_named() -> None:
+    desk = _desk(REACH)
+    desk.ask(Enable(), output=4.3)
+    desk.pass_ticks(2)
+    desk.machine.reach = Reach(2.0, 4.0)
+    assert desk.machine.obstacle == "set-point 4.3 V is outside 2…4 V, which V_c can hold"
+    assert desk.machine.stage is Stage.RUN
 
 
 def test_starting_ends_when_the_boost_voltage_is_at_its_floor(starting: Desk) -> None:

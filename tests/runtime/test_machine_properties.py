@@ -6,6 +6,7 @@ And nothing but the drive's own word ends a stop.
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 
 from hypothesis import settings
 from hypothesis import strategies as st
@@ -27,7 +28,10 @@ from adaptdrive.runtime.requests import (
     SetVoltage,
     SetWaveform,
 )
-from tests.runtime.test_machine import LIMITS
+from tests.runtime.test_machine import LIMITS as PLAIN
+from tests.runtime.test_machine import REACH
+
+LIMITS = replace(PLAIN, reach=REACH)
 
 ANY = st.floats() | st.floats(-1.0, 6.0)
 WAVEFORMS = st.builds(Waveform, st.sampled_from(Shape), ANY, ANY, ANY | st.floats(4.0, 100.0))
@@ -106,9 +110,10 @@ class AnyOperator(RuleBasedStateMachine):
 
     @rule(wish=WISHES, cause=CAUSES)
     def wish(self, wish: Request, cause: str | None) -> None:
-        before = self.machine.state
+        before, enabled = self.machine.state, self.machine.energised
         self.ask(wish, cause)
-        assert self.machine.state is before
+        assert self.machine.energised == enabled
+        assert self.machine.state is before or enabled
 
     def note_trip(self) -> None:
         self.trip = self.trip or self.machine.trip
@@ -118,7 +123,8 @@ class AnyOperator(RuleBasedStateMachine):
     def nothing_is_energised_unless_enabled(self) -> None:
         assert self.machine.energised <= self.allowed
         assert self.machine.stage is Stage.OFF or self.machine.energised
-        assert (self.machine.stage is Stage.RUN) == (self.machine.state is State.RUNNING)
+        controlled = self.machine.state is State.RUNNING and not self.machine.coasting
+        assert (self.machine.stage is Stage.RUN) == controlled
 
     @invariant()
     def a_trip_stays_with_its_first_cause(self) -> None:
@@ -128,6 +134,13 @@ class AnyOperator(RuleBasedStateMachine):
     @invariant()
     def only_a_confirmed_stop_is_standby(self) -> None:
         assert self.machine.state is not State.STANDBY or self.stopped
+
+    @invariant()
+    def what_runs_is_within_reach(self) -> None:
+        if self.machine.stage is Stage.RUN:
+            for ahead in (0, 1, 777, 100_003):
+                value = self.machine.reference(self.tick + ahead)
+                assert REACH.low - ROUNDING <= value <= LIMITS.reference_max + ROUNDING
 
     @invariant()
     def limits_hold(self) -> None:

@@ -23,7 +23,7 @@ from adaptdrive.hardware.port import Port
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub, Subscription
 from adaptdrive.runtime.reports import DriveReport, Event, State, StateReport, TickReport
-from adaptdrive.runtime.requests import Enable, Request, Reset
+from adaptdrive.runtime.requests import Enable, Request, Reset, SetSetpoint
 from adaptdrive.runtime.watchdog import ServiceManager
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
@@ -40,6 +40,7 @@ class Rig:
 
     Attributes:
         events: Events, and when each came.
+        setpoint: One that V_c can hold.
         used: Every pair of boost voltage and output that a tick was computed from.
         state: The last state.
         drive: The last report on the drive.
@@ -48,6 +49,7 @@ class Rig:
     daemon: Daemon
     port: Port
     reports: Subscription
+    setpoint: float
     events: list[tuple[float, Event]] = field(default_factory=list)
     used: set[tuple[float, float]] = field(default_factory=set)
     state: StateReport | None = None
@@ -83,10 +85,11 @@ class Rig:
         await self.ask(Reset())
 
     async def run(self) -> None:
-        """Enable the drive, from a trip too, and wait until it runs."""
-        while self.state is None or self.state.state is not State.RUNNING:
+        """Enable the drive, from a trip too, and wait until it runs and does not coast."""
+        while self.state is None or self.state.state is not State.RUNNING or self.state.coasting:
             await self.recovers()
             await self.ask(Enable())
+            await self._accepts(SetSetpoint(self.setpoint))
             await asyncio.sleep(_TOLD_s)
             await until(lambda: self.state is not None and self.state.state not in _ON_THE_WAY)
 
@@ -99,6 +102,12 @@ class Rig:
         return [
             event.detail for when, event in self.events if event.kind == kind and when >= since_s
         ]
+
+
+def reachable(configuration: Configuration) -> float:
+    """A set-point that V_c can hold by the nominal model."""
+    load, reach = configuration.load, daemon_settings(configuration).machine.reach
+    return 0.5 * (max(load.reference_min, reach.low) + min(load.reference_max, reach.high))
 
 
 @contextlib.asynccontextmanager
@@ -116,7 +125,7 @@ async def rigged(configuration: Configuration) -> AsyncIterator[Rig]:
         hub=hub,
         manager=ServiceManager({}),
     )
-    rig, stop = Rig(daemon, port, reports), asyncio.Event()
+    rig, stop = Rig(daemon, port, reports, reachable(configuration)), asyncio.Event()
     async with asyncio.TaskGroup() as tasks:
         listening = tasks.create_task(rig.listen())
         serving = tasks.create_task(daemon.run(stop))

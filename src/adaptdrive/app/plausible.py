@@ -10,7 +10,8 @@ from adaptdrive.app.settings import controller_settings, tick_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BatterySection
 from adaptdrive.control.design import compensator_gains, discrete_model
-from adaptdrive.control.load import Load, to_input
+from adaptdrive.control.load import Load
+from adaptdrive.control.reach import nominal_reach
 from adaptdrive.errors import Flaw
 
 _LONGEST_PERIODS, _SHORTEST_PERIODS = 5000.0, 0.02
@@ -37,20 +38,18 @@ def implausible(configuration: Configuration) -> Iterator[Flaw]:
 def _reach_flaws(configuration: Configuration, load: Load) -> Iterator[Flaw]:
     """The voltages that may be asked for lead to outputs among the set-points."""
     section, limits = configuration.load, configuration.drive.limits
-    if isinstance(section, BatterySection):
+    reach = nominal_reach(load, controller_settings(configuration).stage)
+    if not reach.is_known:
         return
-    gain = load.numerator[-1] / load.denominator[-1]
-    ends_V = limits.boost_reference_min_V, limits.boost_reference_max_V
-    low, high = (gain * to_input(end, load.input_gain, load.input_exponent) for end in ends_V)
-    if low <= section.reference_max and high >= section.reference_min:
+    if reach.low <= section.reference_max and reach.high >= section.reference_min:
         return
     unit = section.output_unit
     yield Flaw(
         "load.model",
-        f"V_c = {ends_V[0]:g}…{ends_V[1]:g} V gives {section.output_name} = {low:.4g}…{high:.4g} "
-        f"{unit}, which misses every set-point of {section.reference_min:g}…"
-        f"{section.reference_max:g} {unit}: compare the model's gain, load.reference_min and _max, "
-        "and [drive.limits]",
+        f"V_c = {limits.boost_reference_min_V:g}…{limits.boost_reference_max_V:g} V gives "
+        f"{section.output_name} = {reach.low:g}…{reach.high:g} {unit}, which "
+        f"misses every set-point of {section.reference_min:g}…{section.reference_max:g} {unit}: "
+        "compare the model's gain, load.reference_min and _max, and [drive.limits]",
     )
 
 

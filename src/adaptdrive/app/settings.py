@@ -11,6 +11,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.load import BatterySection, MotorSection, Supervisor
 from adaptdrive.control.load import to_input
 from adaptdrive.control.methods import METHODS
+from adaptdrive.control.reach import nominal_reach
 from adaptdrive.control.settings import (
     ControllerSettings,
     Jacket,
@@ -226,6 +227,7 @@ def _machine_limits(configuration: Configuration) -> MachineLimits:
         boost_needs_bridge=configuration.drive.enable_bit == "bridge-and-boost",
         starting_ticks=round(configuration.interlocks.precharge_timeout_s / tick),
         tick_s=tick,
+        reach=nominal_reach(build_load(configuration), _power_stage(configuration)),
     )
 
 

@@ -12,6 +12,7 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
+from adaptdrive.control.reach import Reach
 from adaptdrive.control.signals import Decision, Mode, Snapshot
 from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.fast_loop import FastLoop
@@ -76,6 +77,7 @@ class Rehearsal:
             port, self._controller, self._machine, self._settings.fast, self._nobody
         )
         self._readings = 0
+        self._output = _reachable_output(configuration, self._settings.machine.reach)
 
     def run(self) -> int:
         """Go through start, run and stop.
@@ -112,22 +114,29 @@ class Rehearsal:
 
     def _carry_out(self, request: Request) -> None:
         loop = self._loop
-        self._machine.carry_out(request, loop.tick, _output(self._configuration), loop.cause)
+        self._machine.carry_out(request, loop.tick, self._output, loop.cause)
 
     def _read(self) -> None:
         configuration, nobody = self._configuration, self._nobody
         nobody.time_s += configuration.bus.ticks_per_reading * self._settings.fast.tick_s
         bridge = self._loop.command.bridge
-        reading = _reading(configuration, self._readings, nobody.time_s, bridge=bridge)
+        output = self._output * (1.0 + 0.001 * math.sin(0.1 * self._readings))
+        reading = _reading(configuration, output, nobody.time_s, bridge=bridge)
         self._loop.on_reading(reading)
         self._readings += 1
 
 
-def _output(configuration: Configuration) -> float:
-    return 0.5 * (configuration.load.reference_min + configuration.load.reference_max)
+def _reachable_output(configuration: Configuration, reach: Reach) -> float:
+    """Return the middle of the set-points that V_c can hold by the nominal model."""
+    low, high = configuration.load.reference_min, configuration.load.reference_max
+    if reach.is_known:
+        low, high = max(low, reach.low), min(high, reach.high)
+    return 0.5 * (low + high)
 
 
-def _reading(configuration: Configuration, number: int, time_s: float, *, bridge: bool) -> Reading:
+def _reading(
+    configuration: Configuration, output: float, time_s: float, *, bridge: bool
+) -> Reading:
     limits = configuration.drive.limits
     return Reading(
         arrival_s=time_s,
@@ -136,7 +145,7 @@ def _reading(configuration: Configuration, number: int, time_s: float, *, bridge
         boost_voltage_V=0.5 * (limits.boost_reference_min_V + limits.boost_reference_max_V),
         line_voltage_V=configuration.drive.line_voltage_V,
         load_power_W=0.1 * limits.load_power_max_W,
-        output=_output(configuration) * (1.0 + 0.001 * math.sin(0.1 * number)),
+        output=output,
         fault=0,
         bridge=bridge,
     )

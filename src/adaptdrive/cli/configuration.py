@@ -21,6 +21,7 @@ def check(config: Path, /) -> int:
     """
     from adaptdrive.app.examine import load_examined  # noqa: PLC0415 - `schema` needs no bus
     from adaptdrive.app.interlocks import response_limits  # noqa: PLC0415
+    from adaptdrive.app.reach_table import reach_table  # noqa: PLC0415
     from adaptdrive.app.response_table import response_table  # noqa: PLC0415
     from adaptdrive.app.settings import tick_s  # noqa: PLC0415
     from adaptdrive.app.time_limits import limits_table, time_limits  # noqa: PLC0415
@@ -29,6 +30,7 @@ def check(config: Path, /) -> int:
     if configuration.signals.bridge is None and not configuration.bus.has_bridge_words:
         print(f"{config}: signals.bridge is missing: the drive cannot confirm that it has stopped")
     print(limits_table(time_limits(configuration, config), tick_s(configuration)))
+    print(reach_table(configuration))
     print(response_table(response_limits(configuration)))
     print(f"{config}: drive {configuration.drive.name} is configured correctly")
     return 0

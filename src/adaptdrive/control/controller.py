@@ -14,6 +14,7 @@ from adaptdrive.control import fast_half as fast
 from adaptdrive.control.charging import is_complete
 from adaptdrive.control.estimator import start_from
 from adaptdrive.control.load import Load, to_input, to_voltage
+from adaptdrive.control.reach import estimated_reach, nominal_reach
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import (
     SAFE_COMMAND,
@@ -63,6 +64,7 @@ class Controller:
         self._fast = fast.FastState(tick=0, boost_reference_V=0.0, error_sum=0.0)
         self._bank = self._new_bank(settings.rates.nominal_tick_s, 0.0, 0.0)
         self._slow = new_slow_state(settings, load, 0.0, 0.0)
+        self._reach = nominal_reach(load, settings.stage)
         self._snapshot: Snapshot | None = None
 
     def tick(self, measurement: Measurement, order: Order) -> Command:
@@ -98,6 +100,7 @@ class Controller:
         voltage = to_voltage(load_input, self._load.input_gain, self._load.input_exponent)
         if state.accepted and state.watch.fallback == Fallback.NONE:
             self._trusted = self._proposed[snapshot.k] = tuple(state.values)
+        self._note_reach()
         taps = len(state.inputs)
         gains = state.adaptive_gains if state.adaptive else state.fixed_gains
         return Decision(
@@ -114,7 +117,20 @@ class Controller:
             pole=snapshot.order.pole,
             fault=_UNRESPONSIVE if state.unresponsive else "",
             complete=self._load.charging is not None and is_complete(state.charge),
+            reach_low=self._reach.low,
+            reach_high=self._reach.high,
         )
+
+    def _note_reach(self) -> None:
+        """Note what V_c can do: by an estimate that is trusted now, by the nominal model else.
+
+        While the last trusted gains wait for a better estimate, what was known last stays.
+        """
+        settings, load, state = self._settings, self._load, self._slow
+        if state.accepted:
+            self._reach = estimated_reach(settings.learning, load, settings.stage, state)
+        elif not state.supervisor.trusted:
+            self._reach = nominal_reach(load, settings.stage)
 
     @property
     def trusted(self) -> tuple[float, ...] | None:
@@ -168,6 +184,7 @@ class Controller:
             at_rest = voltage if fed else self._resting_voltage(output, voltage)
             self._bank = self._new_bank(measurement.tick_period_s, output, at_rest)
             self._slow = new_slow_state(self._settings, self._load, output, voltage)
+            self._reach = nominal_reach(self._load, limits)
             if self._prior is not None:
                 learning, values = self._settings.learning, list(self._prior)
                 start_from(self._slow.estimator, learning, self._load, values)

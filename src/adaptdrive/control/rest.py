@@ -27,15 +27,26 @@ def distance_from_rest(learning: Learning, load: Load, state: SlowState, output:
         state: The input in force, the last trusted model, and the estimate.
         output: y[k].
     """
-    offset = 0.0
-    if learning.method.physical and learning.bias:
-        estimated = learning.method.input_offset(state.estimator.theta, learning, load)
-        offset = estimated if math.isfinite(estimated) else 0.0
+    offset = believed_offset(learning, load, state)
     distance = _distance(load, nominal_gain(load), state.inputs[0], offset, output)
     if state.supervisor.trusted:
         gain = total(state.trusted_b) / total(state.trusted_a)
         distance = min(distance, _distance(load, gain, state.inputs[0], offset, output))
     return distance
+
+
+def believed_offset(learning: Learning, load: Load, state: SlowState) -> float:
+    """Return the estimated offset of the input, 0 where none is estimated.
+
+    Args:
+        learning: Scales, and whether an offset is estimated.
+        load: The nominal model.
+        state: The estimate.
+    """
+    if not (learning.method.physical and learning.bias):
+        return 0.0
+    estimated = learning.method.input_offset(state.estimator.theta, learning, load)
+    return estimated if math.isfinite(estimated) else 0.0
 
 
 def nominal_gain(load: Load) -> float:

@@ -163,3 +163,9 @@ class Decision:
     complete: Annotated[
         bool, Quantity("", "true when nothing is left to do, such as with a full battery")
     ] = False
+    reach_low: Annotated[
+        float, Quantity("y", "output at rest at the lowest V_c: the lowest that can be held")
+    ] = math.nan
+    reach_high: Annotated[
+        float, Quantity("y", "output at rest at the highest V_c: the highest that can be held")
+    ] = math.nan

@@ -28,14 +28,16 @@ def state_report(machine: Machine, decision: Decision | None, stop: StopWord) ->
         state=machine.state,
         mode=machine.mode,
         controller=controller,
-        reason=reason if waiting else "",
+        reason=machine.obstacle or (reason if waiting else ""),
         enabled=machine.energised,
         setpoint=machine.setpoint,
         waveform=machine.waveform,
         pole=machine.pole,
         trip=machine.trip,
-        stop=None if machine.energised else stop,
+        stop=stop if machine.commanded_off else None,
         voltage_V=machine.manual.target_V if machine.mode is Mode.MANUAL else None,
+        reach=machine.reach,
+        coasting=machine.coasting,
     )
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from adaptdrive.clock.tick_timer import TickTimer
 from adaptdrive.control.controller import Controller
+from adaptdrive.control.reach import Reach
 from adaptdrive.control.signals import Decision, Snapshot
 from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import Port, Reading
@@ -269,7 +270,7 @@ class Daemon:
         cause = fast.cause or self._refused.cause
         voltage_V = fast.command.boost_reference_V
         self._machine.carry_out(request, fast.tick, output, cause, voltage_V)
-        if not self._machine.energised:
+        if self._machine.commanded_off:
             self._fast.send_safe()
         if self._machine.mode is not mode:
             self._announcer.publish_event(
@@ -326,6 +327,7 @@ class Daemon:
     def decided(self, snapshot: Snapshot, decision: Decision) -> None:
         """Report a decision that took effect, and a change of controller."""
         self._announcer.decision = decision
+        self._machine.reach = Reach(decision.reach_low, decision.reach_high)
         self._hub.publish(LoadReport(snapshot, decision, self._clock()))
         if decision.fault:
             self._machine.latch(decision.fault)
@@ -346,6 +348,7 @@ class Daemon:
     def run_ended(self) -> None:
         """Nothing that was decided is valid any more."""
         self._announcer.decision = None
+        self._machine.forget_reach()
         self._slow.forget()
 
     def _opened(self) -> None:

@@ -170,7 +170,7 @@ class FastLoop:
         """Send the safe command now, outside any tick."""
         self.command = self._guard.check(SAFE_COMMAND)
         self._port.send(self.command)
-        if not self._machine.energised:
+        if self._machine.commanded_off:
             self._stopping.judge(self._port, self.reading, self._surroundings.now_s())
 
     @property
@@ -234,11 +234,13 @@ class FastLoop:
 
     def _watch_interlocks(self, now_s: float) -> None:
         machine, reading, interlocks = self._machine, self.reading, self._interlocks
+        if machine.commanded_off:
+            self._stopping.judge(self._port, reading, now_s)
+        else:
+            self._stop_watch.release()
         if not machine.energised:
             interlocks.look(now_s)
-            self._stopping.judge(self._port, reading, now_s)
             return
-        self._stop_watch.release()
         running, bridge = machine.stage is Stage.RUN, self.command.bridge
         cause = interlocks.running_cause(self._port, reading, now_s, running=running, bridge=bridge)
         if cause is not None:

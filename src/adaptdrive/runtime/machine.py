@@ -3,6 +3,9 @@
 It holds what the operator asked for and answers requests; it never talks to anything. Nothing
 but `enable` energises the drive, only a confirmed stop ends in standby, and only `reset` leaves a
 trip, once its cause is gone.
+
+Below what V_c can hold an enabled drive coasts: its bridge is off until a set-point within reach
+starts it. `enable` itself moves nothing, and a set-point of 0 or less lets the load coast.
 """
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from adaptdrive.control.reach import UNKNOWN, Reach
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.control.waveform import Waveform
 from adaptdrive.errors import RefusedError
@@ -40,6 +44,7 @@ class MachineLimits:
         starting_ticks: Longest time in state `starting`, in fast ticks.
         tick_s: Half a line cycle at nominal frequency.
         boost_needs_bridge: Whether the bridge is on in `starting` already.
+        reach: What V_c can hold by the nominal model.
     """
 
     reference_min: float
@@ -54,6 +59,7 @@ class MachineLimits:
     starting_ticks: int
     tick_s: float
     boost_needs_bridge: bool = False
+    reach: Reach = UNKNOWN
 
 
 class Machine:
@@ -68,6 +74,7 @@ class Machine:
         pole: Closed-loop pole asked for.
         trip: Cause of the latched trip.
         stopped: Whether the drive has confirmed that it is off.
+        reach: What V_c can hold, by the model in force.
     """
 
     def __init__(self, limits: MachineLimits, pole: float) -> None:
@@ -80,6 +87,8 @@ class Machine:
         self.pole = pole
         self.trip: str | None = None
         self.stopped = False
+        self.reach = limits.reach
+        self._coasts = False
         self._since_tick = 0
         self._precharging = False
         self._waveform_tick = 0
@@ -90,9 +99,35 @@ class Machine:
         return self.state in (State.STARTING, State.RUNNING)
 
     @property
+    def coasting(self) -> bool:
+        """True while an enabled drive is commanded off, because V_c cannot hold its set-point."""
+        return self._coasts and self.state is State.RUNNING
+
+    @property
+    def commanded_off(self) -> bool:
+        """True while the drive is commanded off, and has to confirm that it is."""
+        return self.coasting or not self.energised
+
+    @property
+    def obstacle(self) -> str:
+        """Why V_c cannot hold what is asked for, empty where it can."""
+        if not self.energised:
+            return ""
+        reach, unit = self.reach, self._limits.unit
+        within = f"{reach.low:g}…{reach.high:g} {unit}".rstrip()
+        if self.coasting:
+            manual = self.mode is Mode.MANUAL
+            awaited = "voltage" if manual else f"set-point within {within}"
+            return f"coasting with the bridge off until a {awaited}"
+        free = self.waveform is not None or self.mode is Mode.MANUAL
+        if not free and not reach.holds(self.setpoint):
+            return f"set-point {self.setpoint:g} {unit} is outside {within}, which V_c can hold"
+        return ""
+
+    @property
     def stage(self) -> Stage:
         """Degree to which the controller may energise the drive."""
-        if self.state is State.STARTING and not self._precharging:
+        if self.coasting or (self.state is State.STARTING and not self._precharging):
             return Stage.OFF
         return _STAGES[self.state]
 
@@ -179,6 +214,8 @@ class Machine:
             hold_s=hold_s,
             hold_ticks=0 if hold_s is None else math.ceil(hold_s / limits.tick_s),
         )
+        if self.coasting:
+            self._start()
 
     def set_setpoint(self, value: float) -> None:
         """Hold a constant set-point; stop a waveform.
@@ -188,8 +225,15 @@ class Machine:
         """
         self._require_loop("setpoint")
         self._require_reference("setpoint", value)
+        coasts = value <= 0.0 and value < self.reach.low
+        if not coasts:
+            self._require_reach("setpoint", value)
         self.setpoint = value
         self.waveform = None
+        if coasts:
+            self._coast()
+        elif self.coasting:
+            self._start()
 
     def set_waveform(self, waveform: Waveform | None, tick: int) -> None:
         """Follow a waveform from a tick on; None holds the present set-point.
@@ -201,14 +245,17 @@ class Machine:
         if waveform is None:
             self.setpoint = self.reference(tick)
         else:
-            self._require_reference("waveform low", waveform.low)
-            self._require_reference("waveform high", waveform.high)
+            for name, value in (("low", waveform.low), ("high", waveform.high)):
+                self._require_reference(f"waveform {name}", value)
+                self._require_reach(f"waveform {name}", value)
             if not waveform.period_s >= self._limits.period_min_s:
                 raise RefusedError(
                     f"waveform period_s = {waveform.period_s:g} is below "
                     f"{self._limits.period_min_s:g}"
                 )
             self._waveform_tick = tick
+            if self.coasting:
+                self._start()
         self.waveform = waveform
 
     def set_pole(self, value: float) -> None:
@@ -243,11 +290,15 @@ class Machine:
             raise RefusedError("the drive has not confirmed its stop; enable it in standby")
         if cause is not None:
             raise RefusedError(cause)
-        self.setpoint = self._nearest_reference(output)
+        limits = self._limits
         self.waveform = None
-        self.manual = self._held(self._limits.floor_V, tick)
-        self.state, self.stopped = State.STARTING, False
-        self._precharging = False
+        self.manual = self._held(limits.floor_V, tick)
+        if self.reach.is_known and output < max(limits.reference_min, self.reach.low):
+            self.setpoint = max(output, min(limits.reference_min, 0.0))
+            self._coast()
+        else:
+            self.setpoint = self._nearest_reference(output)
+            self._start()
 
     def disable(self) -> None:
         """Stop the drive, in every state."""
@@ -290,6 +341,10 @@ class Machine:
         elif tick - self._since_tick > self._limits.starting_ticks:
             self.latch(_precharge_cause(self._limits, boost_voltage_V))
 
+    def forget_reach(self) -> None:
+        """Go by the nominal model again: what a run found may not hold in the next one."""
+        self.reach = self._limits.reach
+
     def confirm_stop(self) -> None:
         """Note that the drive is off: a stop is complete."""
         self.stopped = not self.energised
@@ -314,6 +369,16 @@ class Machine:
         held_V = min(max(limits.floor_V, voltage_V), limits.ceiling_V)
         return ManualVoltage(held_V, held_V, tick, limits.slew_V_per_s * limits.tick_s)
 
+    def _start(self) -> None:
+        """Energise the drive, from the precharge on."""
+        self.state, self.stopped = State.STARTING, False
+        self._precharging = self._coasts = False
+
+    def _coast(self) -> None:
+        """Hold the drive off until a set-point within reach."""
+        self.state, self.stopped = State.RUNNING, False
+        self._coasts = True
+
     def _nearest_reference(self, output: float) -> float:
         return min(max(output, self._limits.reference_min), self._limits.reference_max)
 
@@ -323,6 +388,14 @@ class Machine:
             raise RefusedError(f"{what} needs an enabled drive; state is {self.state}")
         if self.mode is Mode.MANUAL:
             raise RefusedError(f"{what} needs mode fixed or adaptive; mode is manual")
+
+    def _require_reach(self, what: str, value: float) -> None:
+        reach, unit = self.reach, self._limits.unit
+        if not reach.holds(value):
+            raise RefusedError(
+                f"{what} = {value:g} {unit} is outside {reach.low:g}…{reach.high:g} {unit}, which "
+                "V_c can hold"
+            )
 
     def _require_reference(self, what: str, value: float) -> None:
         limits = self._limits

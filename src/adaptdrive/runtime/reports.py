@@ -9,6 +9,7 @@ from enum import StrEnum
 from typing import Annotated
 
 from adaptdrive.control.columns import Quantity, columns_of
+from adaptdrive.control.reach import UNKNOWN, Reach
 from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Snapshot
 from adaptdrive.control.waveform import Waveform
 
@@ -58,8 +59,10 @@ class StateReport:
         pole: Closed-loop pole asked for.
         trip: Cause of the latched trip, None when not tripped.
         shutting_down: Whether the daemon ends and refuses every command but `disable`.
-        stop: Confirmation of the stop by the drive, None while it is enabled.
+        stop: Confirmation of the stop by the drive, None while it may be energised.
         voltage_V: V_c that the operator has set in mode manual, None in every other.
+        reach: What V_c can hold: lowest and highest output at rest, NaN while not known.
+        coasting: Whether the enabled drive is held off until a set-point within reach.
     """
 
     state: State
@@ -74,6 +77,8 @@ class StateReport:
     shutting_down: bool = False
     stop: StopWord | None = None
     voltage_V: float | None = None
+    reach: Reach = UNKNOWN
+    coasting: bool = False
 
 
 @dataclass(frozen=True, slots=True)

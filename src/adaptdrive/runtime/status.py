@@ -34,6 +34,8 @@ def _state_line(report: StateReport, bus_problem: str | None, cause: str | None)
             return f"tripped, waiting for {awaited}: {report.trip}"
         case State.STOPPING:
             return "stopping, waiting for the drive to confirm that its bridge is off"
+        case State.RUNNING if report.coasting:
+            return f"running, {report.reason}"
         case State.RUNNING:
             why = f": {report.reason}" if report.reason else ""
             return f"running, {report.controller} controller{why}"
