@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from adaptdrive.watch.plot import PlotPoint
 from adaptdrive_sim.demo.judgement import ideal_response, shortcomings, tracking_error
-from adaptdrive_sim.demo.record import DemoRecord, SpeedPoint
+from adaptdrive_sim.demo.record import DemoRecord
 from tests.demo.stories import BEGAN, Clock, drive, event, load, state, steady_record
 
 
@@ -17,7 +18,7 @@ def square_wave(periods: int) -> list[float]:
 
 def test_the_ideal_response_has_four_poles_and_no_error_at_rest() -> None:
     references = [3.0, *square_wave(119)]
-    points = [SpeedPoint(float(k), reference, 3.0) for k, reference in enumerate(references)]
+    points = [PlotPoint(float(k), reference, 3.0) for k, reference in enumerate(references)]
     # The same loop as a transfer function, by an independent filter.
     denominator = np.poly([0.7] * 4)
     numerator = np.array([0.0, 1.0, 0.93]) * denominator.sum() / 1.93

@@ -13,11 +13,11 @@ from adaptdrive.config.root import Configuration
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.runtime.requests import SetMode, SetWaveform
-from adaptdrive_sim.demo.plot import CONTROLLER_STYLES
+from adaptdrive.watch.plot import CONTROLLER_STYLES
+from adaptdrive.watch.tables import overshoot, rows
 from adaptdrive_sim.demo.settings import ModeChoice
 from adaptdrive_sim.demo.story import Scene, Story
 from adaptdrive_sim.demo.subject import Figures
-from adaptdrive_sim.demo.tables import overshoot, rows
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.world import World, WorldParameters
 

@@ -12,10 +12,10 @@ from adaptdrive.config.root import Configuration
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.runtime.requests import SetMode, SetSetpoint, SetWaveform
+from adaptdrive.watch.tables import rows
 from adaptdrive_sim.demo.settings import DemoError, ModeChoice
 from adaptdrive_sim.demo.story import Scene, Story
 from adaptdrive_sim.demo.subject import Figures
-from adaptdrive_sim.demo.tables import rows
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.world import World, WorldParameters
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from adaptdrive_sim.demo.record import DemoRecord, SpeedPoint
+from adaptdrive.watch.plot import PlotPoint
+from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import HIGH_V, LOW_V
 
 STEP_V = HIGH_V - LOW_V
@@ -19,7 +20,7 @@ _BETWEEN_SAMPLES = 0.93
 """Zero of the motor's held model: how the response shares a step between two samples."""
 
 
-def ideal_response(points: Sequence[SpeedPoint], pole: float) -> list[float]:
+def ideal_response(points: Sequence[PlotPoint], pole: float) -> list[float]:
     """Speed at the slow instants if the closed loop had its four poles where they are asked for.
 
     Args:

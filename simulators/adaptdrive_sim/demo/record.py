@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import datetime
 
+from adaptdrive.watch.plot import Mark, PlotPoint
 from adaptdrive_sim.demo import heard
 from adaptdrive_sim.demo.halves import Halves
 
@@ -16,28 +17,6 @@ EVENTS_KEPT = 50
 _LATENESS_REPORTS = 100
 
 Clock = Callable[[], float]
-
-
-@dataclass(frozen=True, slots=True)
-class SpeedPoint:
-    """Speed and reference at one time, in tachometer volts.
-
-    Attributes:
-        controller: The controller in force, `off` when there is none.
-    """
-
-    time_s: float
-    reference: float
-    output: float
-    controller: str = "fixed"
-
-
-@dataclass(frozen=True, slots=True)
-class Mark:
-    """Something that was done to the drive, worth a mark in the plot."""
-
-    time_s: float
-    text: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +69,8 @@ class DemoRecord:
     trips: list[str] = field(default_factory=list)
     first: Counts | None = None
     last: Counts | None = None
-    trace: deque[SpeedPoint] = field(default_factory=lambda: deque(maxlen=TRACE_LENGTH))
-    slow: deque[SpeedPoint] = field(default_factory=lambda: deque(maxlen=SLOW_LENGTH))
+    trace: deque[PlotPoint] = field(default_factory=lambda: deque(maxlen=TRACE_LENGTH))
+    slow: deque[PlotPoint] = field(default_factory=lambda: deque(maxlen=SLOW_LENGTH))
     slow_periods: int = 0
     marks: deque[Mark] = field(default_factory=lambda: deque(maxlen=EVENTS_KEPT))
     handovers_V: list[float] = field(default_factory=list)
@@ -143,7 +122,7 @@ class DemoRecord:
             self.lateness.append(drive.lateness_us)
         if drive.output is not None and self.load is not None:
             controller = self.load.controller if self.running else "off"
-            point = SpeedPoint(now_s, self.load.reference, drive.output, controller)
+            point = PlotPoint(now_s, self.load.reference, drive.output, controller)
             self.trace.append(point)
 
     def hear_load(self, load: heard.LoadMessage) -> None:
@@ -155,7 +134,7 @@ class DemoRecord:
         self.load = load
         if load.output is not None:
             disks = self.truth.disks if self.truth else self.size
-            point = SpeedPoint(self.clock(), load.reference, load.output, load.controller)
+            point = PlotPoint(self.clock(), load.reference, load.output, load.controller)
             self.slow.append(point)
             self.halves.add(load.reference, load.output, load.controller, disks)
             self.slow_periods += 1

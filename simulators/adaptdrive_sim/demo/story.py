@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 from rich.table import Table
 
 from adaptdrive.config.root import Configuration
+from adaptdrive.watch.tables import figure, number, percent, rows
 from adaptdrive_sim.demo.heard import known
 from adaptdrive_sim.demo.play import Play
 from adaptdrive_sim.demo.subject import Figures
-from adaptdrive_sim.demo.tables import figure, number, percent, rows
 from adaptdrive_sim.world import World
 
 

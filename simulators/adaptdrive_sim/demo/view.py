@@ -12,12 +12,12 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from adaptdrive.watch.plot import CONTROLLER_STYLES, REFERENCE_STYLE, plot
+from adaptdrive.watch.tables import figure, number, overshoot, percent, rows
 from adaptdrive_sim.demo.heard import QuantilesMessage, known
-from adaptdrive_sim.demo.plot import CONTROLLER_STYLES, REFERENCE_STYLE, plot
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DRIVE
 from adaptdrive_sim.demo.subject import Subject
-from adaptdrive_sim.demo.tables import figure, number, overshoot, percent, rows
 
 WIDE, TALL = 110, 32
 FIGURES_ROWS = 7

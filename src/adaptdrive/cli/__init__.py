@@ -29,6 +29,7 @@ _COMMANDS = {
     "whatif": ("analysis", "Run a session again in closed loop with other settings."),
     "export": ("analysis", "Write a session as CSV, Parquet, MATLAB, MDF 4 or MCAP."),
     "panel": ("panel", "Serve the panel, a web page for a broker's drives, on this machine."),
+    "watch": ("site", "Show a drive live in the terminal, with keys for the commands."),
     "status": ("operate", "Show the state and the telemetry of a drive."),
     "manual": ("operate", "Hold the present V_c, to be set by hand."),
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from adaptdrive.operation.client import DriveStatus
+from adaptdrive.operation.client import DriveStatus, printable
 
 
 def describe(drive: str, status: DriveStatus) -> str:
@@ -37,7 +37,9 @@ def site_table(site: Mapping[str, DriveStatus]) -> str:
     rows = [heads, *(_site_row(name, site[name]) for name in ordered)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(heads))]
     return "\n".join(
-        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
+        "  ".join(
+            printable(text).ljust(width) for text, width in zip(row, widths, strict=True)
+        ).rstrip()
         for row in rows
     )
 
@@ -128,4 +130,4 @@ def _number(value: object, unit: str = "") -> str:
 
 
 def _row(name: str, text: str) -> str:
-    return f"  {name:<12}{text}"
+    return f"  {name:<12}{printable(text)}"

@@ -18,7 +18,7 @@ from adaptdrive.cli.display import describe
 from adaptdrive.operation.client import NoAnswerError, read_status, send_command
 from adaptdrive.operation.messages import ONLINE
 
-ACCEPTED, REFUSED, NO_ANSWER = 0, 1, 3
+ACCEPTED, REFUSED, UNUSABLE, NO_ANSWER = 0, 1, 2, 3
 _HERE = Contact()
 
 

@@ -1,14 +1,15 @@
-"""`adaptdrive list`: all drives of a broker."""
+"""`adaptdrive list` and `watch`: all drives of a broker, and one of them live."""
 
 from __future__ import annotations
 
 import asyncio
 import json
+import sys
 from dataclasses import asdict
 
-from adaptdrive.cli.contact import Contact
+from adaptdrive.cli.contact import Contact, DriveName
 from adaptdrive.cli.display import site_table
-from adaptdrive.cli.operate import ACCEPTED, NO_ANSWER, no_answer
+from adaptdrive.cli.operate import ACCEPTED, NO_ANSWER, UNUSABLE, no_answer
 from adaptdrive.operation.client import NoAnswerError, read_site
 
 _HERE = Contact()
@@ -32,3 +33,19 @@ def list_drives(*, contact: Contact = _HERE) -> int:
     else:
         print(site_table(found))
     return ACCEPTED if found else NO_ANSWER
+
+
+def watch(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
+    """Show a drive live in the terminal, with keys for the commands.
+
+    Args:
+        drive: Name of the drive.
+        contact: Broker.
+    """
+    from adaptdrive.watch.main import watch as watch_drive  # noqa: PLC0415 - it is large
+
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        print("adaptdrive: watch needs a terminal; in a pipe use status --json", file=sys.stderr)
+        return UNUSABLE
+    asyncio.run(watch_drive(contact.settings, drive, contact.timeout))
+    return ACCEPTED

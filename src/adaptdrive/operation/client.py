@@ -169,6 +169,43 @@ async def _listen_to_all(
         _note(message.topic.value, bytes(message.payload), Topics(drive), status)
 
 
+async def follow(broker: Mqtt, drive: str) -> AsyncIterator[tuple[str, dict[str, Any]]]:
+    """Ask for the history of a drive, and yield all that it publishes, by the name of its topic.
+
+    Args:
+        broker: Where the broker is.
+        drive: Name of the drive.
+
+    Raises:
+        NoAnswerError: The broker cannot be reached, or closed the connection.
+    """
+    topics = Topics(drive)
+    names = (topics.state, topics.load_telemetry, topics.drive_telemetry, topics.event)
+    async with _conversation(broker, drive) as client:
+        await client.subscribe([(name, 1) for name in (*names, topics.history)])
+        await client.subscribe(topics.availability, qos=1)
+        await client.publish(topics.ask_history, b"", qos=1)
+        async for message in client.messages:
+            name, payload = topics.name(message.topic.value), bytes(message.payload)
+            if name == "availability":
+                yield name, {name: payload.decode("utf-8", "replace")}
+            elif (content := _content(payload)) is not None:
+                yield name, content
+
+
+def printable(value: object) -> str:
+    """Return a part of a payload as text without characters that command a terminal."""
+    return "".join(letter if letter.isprintable() else "?" for letter in str(value))
+
+
+def _content(payload: bytes) -> dict[str, Any] | None:
+    """Return a JSON object, None for anything else."""
+    try:
+        return msgspec.json.decode(payload, type=dict[str, Any])
+    except msgspec.DecodeError:
+        return None
+
+
 def _complete(status: DriveStatus) -> bool:
     return status.state is not None and status.availability is not None
 
@@ -194,9 +231,7 @@ def _note(topic: str, payload: bytes, topics: Topics, status: DriveStatus) -> No
     if topic == topics.availability:
         status.availability = payload.decode("utf-8", "replace")
         return
-    try:
-        content = msgspec.json.decode(payload, type=dict[str, Any])
-    except msgspec.DecodeError:
+    if (content := _content(payload)) is None:
         return
     if topic == topics.state:
         status.state = content

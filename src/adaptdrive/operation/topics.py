@@ -82,5 +82,9 @@ class Topics:
         """The verb that a command topic names, known or not."""
         return topic.removeprefix(self._below("command")).removeprefix("/")
 
+    def name(self, topic: str) -> str:
+        """A topic of the drive without the drive."""
+        return topic.removeprefix(self._below(""))
+
     def _below(self, name: str) -> str:
         return f"{ROOT}/{self.drive}/{name}"

@@ -1,4 +1,4 @@
-"""A plot of speed and reference in braille characters: two by four dots in each cell."""
+"""A plot of output and reference in braille characters: two by four dots in each cell."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from itertools import groupby
 
 from rich.text import Text
 
-from adaptdrive_sim.demo.record import Mark, SpeedPoint
-
 REFERENCE_STYLE = "bright_black"
 CONTROLLER_STYLES = {"fixed": "yellow", "adaptive": "green"}
+STYLES = CONTROLLER_STYLES | {"manual": "cyan"}
 OFF_STYLE = "red"
 AXIS_STYLE = "bright_black"
 MARK_STYLE = "magenta"
@@ -24,6 +23,28 @@ _MARGIN = 0.06
 _OTHER_ROWS = 2  # marks above, times below
 _APART_s = (10, 20, 30, 60, 120, 300, 600, 1800, 3600)
 _LEVELS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class PlotPoint:
+    """Output and reference at one time, in the unit of the output.
+
+    Attributes:
+        controller: The controller in force, `off` when there is none.
+    """
+
+    time_s: float
+    reference: float
+    output: float
+    controller: str = "fixed"
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """Something that was done to the drive, worth a mark in the plot."""
+
+    time_s: float
+    text: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,13 +105,13 @@ class Canvas:
 
 
 def plot(
-    points: Sequence[SpeedPoint],
+    points: Sequence[PlotPoint],
     marks: Sequence[Mark],
     now_s: float,
     window_s: float,
     size: tuple[int, int],
 ) -> Text:
-    """Plot speed and reference.
+    """Plot output and reference.
 
     Args:
         points: What to show, in the order of time.
@@ -107,7 +128,7 @@ def plot(
     frame = PlotFrame(now_s, window_s, *_range(shown), columns, rows)
     canvas = Canvas(columns, rows)
     _trace(canvas, frame, [(p.time_s, p.reference, REFERENCE_STYLE) for p in shown])
-    speeds = [(p.time_s, p.output, CONTROLLER_STYLES.get(p.controller, OFF_STYLE)) for p in shown]
+    speeds = [(p.time_s, p.output, STYLES.get(p.controller, OFF_STYLE)) for p in shown]
     _trace(canvas, frame, speeds)
     references = [reference for reference, _ in groupby(p.reference for p in shown)]
     labels = _labels(frame, references[-_LEVELS:])
@@ -118,7 +139,7 @@ def plot(
     return Text("\n").join([_marks(frame, marks), *labelled, _times(frame)])
 
 
-def _range(points: Sequence[SpeedPoint]) -> tuple[float, float]:
+def _range(points: Sequence[PlotPoint]) -> tuple[float, float]:
     values = [value for p in points for value in (p.reference, p.output)]
     low, high = min(values), max(values)
     missing = max(0.0, _LEAST_SPAN - (high - low))

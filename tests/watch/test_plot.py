@@ -6,8 +6,7 @@ import math
 
 import pytest
 
-from adaptdrive_sim.demo.plot import plot
-from adaptdrive_sim.demo.record import Mark, SpeedPoint
+from adaptdrive.watch.plot import Mark, PlotPoint, plot
 
 WIDTH, HEIGHT = 66, 14
 LABEL = 6
@@ -27,13 +26,13 @@ def dots(text: str) -> set[tuple[int, int]]:
     return found
 
 
-def points(reference: float, *outputs: float) -> list[SpeedPoint]:
+def points(reference: float, *outputs: float) -> list[PlotPoint]:
     """One point each second, the last one at 100 s."""
     first_s = 101.0 - len(outputs)
-    return [SpeedPoint(first_s + i, reference, output) for i, output in enumerate(outputs)]
+    return [PlotPoint(first_s + i, reference, output) for i, output in enumerate(outputs)]
 
 
-def drawn(shown: list[SpeedPoint], window_s: float = 50.0, marks: tuple[Mark, ...] = ()) -> str:
+def drawn(shown: list[PlotPoint], window_s: float = 50.0, marks: tuple[Mark, ...] = ()) -> str:
     return plot(shown, marks, 100.0, window_s, (WIDTH, HEIGHT)).plain
 
 
@@ -62,7 +61,7 @@ def test_a_step_leaves_no_gap() -> None:
 
 def test_shows_nothing_older_than_its_window() -> None:
     whole = drawn(points(3.0, *[3.1] * 40), window_s=50.0)
-    short = drawn([SpeedPoint(1.0, 9.0, 9.0), *points(3.0, *[3.1] * 40)], window_s=50.0)
+    short = drawn([PlotPoint(1.0, 9.0, 9.0), *points(3.0, *[3.1] * 40)], window_s=50.0)
     assert short == whole
 
 

@@ -1,0 +1,93 @@
+"""Keys of the live view, and the commands that they send."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+import termios
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from adaptdrive.watch.record import WatchRecord
+
+QUIT = "q"
+CONFIRM_S = 5.0
+"""Time for the second press of a key that energises."""
+
+_LONGEST_READ = 64
+_STEP = 0.01
+_PLAIN = {"s": ("disable", None), "r": ("reset", None)}
+_MODES = {"f": "fixed", "a": "adaptive", "m": "manual"}
+_STEPS = {"+": 1, "-": -1}
+
+
+@dataclass(frozen=True, slots=True)
+class KeyCommand:
+    """A command that a key asks for."""
+
+    verb: str
+    value: object = None
+
+
+class KeyReader:
+    """Turns keys into commands; `enable` needs a second press."""
+
+    def __init__(self, record: WatchRecord) -> None:
+        self._record = record
+        self._armed_s: float | None = None
+
+    def press(self, key: str) -> KeyCommand | None:
+        """Return the command of a key, None for none."""
+        armed_s, self._armed_s = self._armed_s, None
+        if key in _PLAIN:
+            return KeyCommand(*_PLAIN[key])
+        if key in _MODES:
+            return KeyCommand("mode", _MODES[key])
+        if key in _STEPS:
+            return self._step(_STEPS[key])
+        if key == "e":
+            return self._enable(armed_s)
+        return None
+
+    def _enable(self, armed_s: float | None) -> KeyCommand | None:
+        now_s = self._record.monotonic()
+        if armed_s is not None and now_s - armed_s <= CONFIRM_S:
+            return KeyCommand("enable")
+        self._armed_s = now_s
+        self._record.answer = "enable: press e again"
+        return None
+
+    def _step(self, sign: int) -> KeyCommand | None:
+        """Return a set-point that is one hundredth of the range away, within the range."""
+        limits = (self._record.state.get("limits") or {}).get("setpoint")
+        present = self._record.state.get("setpoint")
+        if not isinstance(limits, list) or not isinstance(present, int | float):
+            return None
+        low, high = limits
+        return KeyCommand("setpoint", min(max(present + sign * _STEP * (high - low), low), high))
+
+
+@contextmanager
+def pressed_keys(on_key: Callable[[str], None]) -> Iterator[None]:
+    """Call a function with each key that is pressed, until the block ends.
+
+    Args:
+        on_key: Called in the event loop with one character.
+    """
+    loop, file = asyncio.get_running_loop(), sys.stdin.fileno()
+    usual = termios.tcgetattr(file)
+    tty.setcbreak(file)
+
+    def read() -> None:
+        for key in os.read(file, _LONGEST_READ).decode(errors="ignore"):
+            on_key(key)
+
+    loop.add_reader(file, read)
+    try:
+        yield
+    finally:
+        loop.remove_reader(file)
+        termios.tcsetattr(file, termios.TCSADRAIN, usual)

@@ -1,0 +1,81 @@
+"""`adaptdrive watch`: follow one drive, show it, and send the commands of the keys."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+
+from rich.console import Console
+from rich.live import Live
+
+from adaptdrive.config.services import Mqtt
+from adaptdrive.operation.client import NoAnswerError, follow, send_command
+from adaptdrive.watch.keys import QUIT, KeyCommand, KeyReader, pressed_keys
+from adaptdrive.watch.record import WatchRecord
+from adaptdrive.watch.view import screen
+
+_REFRESH_S = 0.25
+_RETRY_S = 2.0
+
+
+async def watch(broker: Mqtt, drive: str, timeout_s: float) -> None:
+    """Show a drive until `q` is pressed.
+
+    Args:
+        broker: Where the broker is.
+        drive: Name of the drive.
+        timeout_s: Longest wait for the answer to a command.
+    """
+    record, ended = WatchRecord(drive, time.monotonic), asyncio.Event()
+    reader, sending = KeyReader(record), set[asyncio.Task[None]]()
+
+    def on_key(key: str) -> None:
+        if key == QUIT:
+            ended.set()
+        elif (command := reader.press(key)) is not None:
+            task = asyncio.create_task(_send(broker, record, command, timeout_s))
+            sending.add(task)
+            task.add_done_callback(sending.discard)
+
+    tasks = [asyncio.create_task(_follow(broker, record)), asyncio.create_task(_draw(record))]
+    try:
+        with pressed_keys(on_key):
+            await ended.wait()
+    finally:
+        for task in (*tasks, *sending):
+            task.cancel()
+        await asyncio.wait([*tasks, *sending])
+
+
+async def _follow(broker: Mqtt, record: WatchRecord) -> None:
+    """Take messages, and connect again after each loss of the broker."""
+    while True:
+        try:
+            async for name, content in follow(broker, record.drive):
+                record.problem = ""
+                record.take(name, content)
+        except NoAnswerError as problem:
+            record.problem = problem.problem
+        record.availability = "unknown"
+        await asyncio.sleep(_RETRY_S)
+
+
+async def _draw(record: WatchRecord) -> None:
+    console = Console()
+    with Live(console=console, screen=True, auto_refresh=False) as live:
+        while True:
+            live.update(screen(record, (console.size.width, console.size.height)), refresh=True)
+            await asyncio.sleep(_REFRESH_S)
+
+
+async def _send(broker: Mqtt, record: WatchRecord, command: KeyCommand, timeout_s: float) -> None:
+    """Send a command; show that it was sent, then the answer, never what was hoped for."""
+    value = "" if command.value is None else f" {command.value}"
+    asked = f"{command.verb}{value}"
+    record.answer = f"{asked}: sent"
+    try:
+        reply = await send_command(broker, record.drive, command.verb, command.value, timeout_s)
+    except NoAnswerError as problem:
+        record.answer = f"{asked}: {problem.problem}"
+    else:
+        record.answer = f"{asked}: accepted" if reply.accepted else f"{asked}: {reply.reason}"

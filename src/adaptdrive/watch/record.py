@@ -1,0 +1,129 @@
+"""What has been received of one drive, as the live view needs it."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any
+
+from adaptdrive.watch.plot import PlotPoint
+
+Payload = dict[str, Any]
+
+POINTS = 6000
+EVENTS = 50
+LIVE_S = 3.0
+"""Longest age of what is shown as live: `telemetry/drive` comes ten times a second."""
+
+_OFF = "off"
+
+
+@dataclass(slots=True)
+class WatchRecord:
+    """Received messages.
+
+    Attributes:
+        drive: Name of the drive.
+        monotonic: Clock for the age of what was received, in seconds.
+        availability: `online`, `offline`, or `unknown`.
+        state: Payload of `state`.
+        load: Payload of `telemetry/load`.
+        fast: Payload of `telemetry/drive`.
+        events: The last events.
+        points: Output and reference over the time of the daemon's clock.
+        answer: Last command and what the daemon answered.
+        problem: Why the broker is not heard, empty while it is.
+    """
+
+    drive: str
+    monotonic: Callable[[], float]
+    availability: str = "unknown"
+    state: Payload = field(default_factory=dict)
+    load: Payload = field(default_factory=dict)
+    fast: Payload = field(default_factory=dict)
+    events: deque[Payload] = field(default_factory=lambda: deque(maxlen=EVENTS))
+    points: deque[PlotPoint] = field(default_factory=lambda: deque(maxlen=POINTS))
+    answer: str = ""
+    problem: str = ""
+    _heard_s: float = -math.inf
+
+    @property
+    def unit(self) -> str:
+        """Unit of the output."""
+        return str((self.state.get("output") or {}).get("unit") or "")
+
+    @property
+    def output_name(self) -> str:
+        """Name of the output."""
+        return str((self.state.get("output") or {}).get("name") or "output")
+
+    @property
+    def age_s(self) -> float:
+        """Time since the last message of the running daemon."""
+        return self.monotonic() - self._heard_s
+
+    @property
+    def live(self) -> bool:
+        """True if what is shown may be taken for the present."""
+        return self.availability == "online" and self.age_s <= LIVE_S
+
+    def take(self, name: str, content: Payload) -> None:
+        """Take a message.
+
+        Args:
+            name: Topic below that of the drive.
+            content: Its payload.
+        """
+        match name:
+            case "availability":
+                self.availability = str(content[name])
+            case "state":
+                self.state = content
+            case "telemetry/load":
+                self.load = content
+            case "telemetry/drive":
+                self.fast, self._heard_s = content, self.monotonic()
+                self._add(content, self._reference)
+            case "event":
+                self.events.append(content)
+            case "history":
+                self._remember(content)
+
+    @property
+    def _reference(self) -> object:
+        wave = self.state.get("waveform")
+        return self.load.get("reference") if wave else self.state.get("setpoint")
+
+    def _add(self, content: Payload, reference: object) -> None:
+        running = self.state.get("state") == "running"
+        controller = str(self.state.get("controller")) if running else _OFF
+        point = _point(content, reference, controller)
+        if point is not None:
+            self.points.append(point)
+
+    def _remember(self, content: Payload) -> None:
+        """Put the slow steps from before the first point in front of it."""
+        first_s = self.points[0].time_s if self.points else math.inf
+        rows = content.get("rows")
+        found = (
+            _point(row, row.get("reference"), str(row.get("controller")))
+            for row in (rows if isinstance(rows, list) else [])
+            if isinstance(row, dict)
+        )
+        older = [point for point in found if point is not None and point.time_s < first_s]
+        self.points.extendleft(reversed(older))
+
+
+def _point(content: Payload, reference: object, controller: str) -> PlotPoint | None:
+    """Return a point of the plot, None where a value is missing."""
+    output, time = content.get("output"), content.get("time")
+    if not isinstance(output, int | float) or not isinstance(reference, int | float):
+        return None
+    try:
+        time_s = datetime.fromisoformat(str(time)).timestamp()
+    except ValueError:
+        return None
+    return PlotPoint(time_s, float(reference), float(output), controller)

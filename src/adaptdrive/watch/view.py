@@ -1,0 +1,187 @@
+"""The live view of one drive: one screen, made from what was received."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from rich.box import ROUNDED
+from rich.layout import Layout
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from adaptdrive.operation.client import printable
+from adaptdrive.watch.plot import REFERENCE_STYLE, STYLES, plot
+from adaptdrive.watch.record import WatchRecord
+from adaptdrive.watch.tables import figure, rows
+
+KEYS = "s STOP   e e enable   r reset   f fixed   a adaptive   m manual   + - set-point   q quit"
+FIGURES_ROWS = 8
+_SHORTEST_WINDOW_S, _LONGEST_WINDOW_S = 30.0, 600.0
+_EVENTS, _TALL = 6, 32
+_DIM = "bright_black"
+_STATE_STYLES = {"running": "bold green", "tripped": "bold white on red"}
+_SEVERITY_STYLES = {"info": "", "warning": "yellow", "alarm": "bold red"}
+_REFUSED = ("wrong_length", "wrong_checksum", "counter_stuck", "out_of_range", "exceptions")
+
+
+def screen(record: WatchRecord, size: tuple[int, int]) -> Layout:
+    """Return the whole screen.
+
+    Args:
+        record: What was received.
+        size: Width and height of the terminal in characters.
+    """
+    width, height = size
+    events = _EVENTS if height >= _TALL else 3
+    header = list(_header(record))
+    fixed = len(header) + FIGURES_ROWS + events + 2
+    layout = Layout()
+    layout.split_column(
+        Layout(Text("\n").join(map(_cut, header)), size=len(header)),
+        Layout(_plot_panel(record, (width, height - fixed))),
+        Layout(_figures(record), size=FIGURES_ROWS),
+        Layout(_events(record, events), size=events),
+        Layout(Text("\n").join(map(_cut, _footer(record))), size=2),
+    )
+    return layout
+
+
+def _header(record: WatchRecord) -> Iterator[Text]:
+    state = record.state
+    name = printable(state.get("state") if record.availability == "online" else record.availability)
+    style = _STATE_STYLES.get(name, "bold yellow")
+    line = Text.assemble((f" {record.drive} ", "bold reverse"), " ", (f" {name} ", style), "  ")
+    controller, mode = printable(state.get("controller")), printable(state.get("mode"))
+    line.append(controller, f"bold {STYLES.get(controller, '')}")
+    line.append(" controller in force")
+    if controller != mode:
+        line.append(f", {mode} asked for: {printable(state.get('reason'))}", "yellow")
+    if not record.live:
+        line.append("   OLD DATA", "bold red")
+        line.append(f" {record.problem}", "red")
+    yield line
+    if state.get("trip"):
+        last = state.get("last_trip") or {}
+        yield Text(f" trip: {printable(state['trip'])}", "red")
+        yield Text(f" remedy: {printable(last.get('remedy') or 'see the manual')}")
+
+
+def _plot_panel(record: WatchRecord, size: tuple[int, int]) -> Panel:
+    points = list(record.points)
+    now_s = points[-1].time_s if points else 0.0
+    since_s = now_s - points[0].time_s if points else 0.0
+    window_s = min(max(since_s, _SHORTEST_WINDOW_S), _LONGEST_WINDOW_S)
+    unit = f" in {record.unit}" if record.unit else ""
+    title = Text(printable(f"{record.output_name}{unit}"))
+    for name, style in {**STYLES, "reference": REFERENCE_STYLE}.items():
+        title.append(f"  ━ {name}", style)
+    content = plot(points, [], now_s, window_s, (size[0] - 4, size[1] - 2))
+    return Panel(content, title=title, box=ROUNDED, border_style=_DIM, title_align="left")
+
+
+def _figures(record: WatchRecord) -> Table:
+    grid = Table.grid(expand=True)
+    contents = {
+        "drive": _drive(record),
+        "estimates, ± 2 σ": _estimates(record),
+        "health": _health(record),
+    }
+    for _ in contents:
+        grid.add_column(ratio=1)
+    grid.add_row(*(_boxed(title, table) for title, table in contents.items()))
+    return grid
+
+
+def _boxed(title: str, content: Table) -> Panel:
+    return Panel(
+        content,
+        title=title,
+        box=ROUNDED,
+        border_style=_DIM,
+        title_align="left",
+        height=FIGURES_ROWS,
+        padding=(0, 0),
+    )
+
+
+def _drive(record: WatchRecord) -> Table:
+    state, fast, load = record.state, record.fast, record.load
+    limits = state.get("limits") or {}
+    wave = state.get("waveform") or {}
+    table = rows("l", "r", "r")
+    table.add_row(_text(record.output_name), _text(_value(fast.get("output"), record.unit)), "")
+    reference = load.get("reference") if wave else state.get("setpoint")
+    wanted = printable(wave.get("shape")) if wave else _range(limits.get("setpoint"))
+    table.add_row("set-point", _text(_value(reference, record.unit)), _text(wanted))
+    table.add_row("V_c", _value(load.get("boost_reference_V"), "V"), _range(limits.get("boost_V")))
+    table.add_row("v_bst", _value(fast.get("boost_voltage_V"), "V"), "")
+    table.add_row("power", _value(fast.get("load_power_W"), "W"), _range(limits.get("power_W")))
+    return table
+
+
+def _estimates(record: WatchRecord) -> Table:
+    table = rows("l", "r", "r")
+    for name, estimate in list((record.load.get("estimates") or {}).items())[: FIGURES_ROWS - 3]:
+        spread = f"± {figure(2.0 * _number(estimate.get('std')))}"
+        table.add_row(_text(name), figure(_number(estimate.get("value"))), spread)
+    verdict = "accepted" if record.load.get("accepted") else record.load.get("reason") or "-"
+    table.add_row("verdict", _text(verdict), "")
+    return table
+
+
+def _health(record: WatchRecord) -> Table:
+    fast = record.fast
+    lateness, bus = fast.get("lateness_us") or {}, fast.get("bus") or {}
+    sensors = fast.get("sensors") or {}
+    down = [name for name, one in sensors.items() if not one.get("up")]
+    times = "/".join(figure(1e-3 * _number(lateness.get(name))) for name in ("p50", "p99", "max"))
+    table = rows("l", "r")
+    table.add_row("late p50/p99/max", f"{times} ms")
+    table.add_row("missed/held", f"{fast.get('missed')}/{fast.get('held')} of {fast.get('ticks')}")
+    table.add_row("refused frames", f"{sum(int(bus.get(name) or 0) for name in _REFUSED)}")
+    table.add_row("sensor buses", _text(f"down: {', '.join(down)}" if down else len(sensors)))
+    table.add_row("age", _value(fast.get("age_s"), "s"))
+    return table
+
+
+def _events(record: WatchRecord, count: int) -> Text:
+    lines = [
+        Text.assemble(
+            (f" {printable(event.get('time'))[11:19]} ", _DIM),
+            (f"{printable(event.get('kind')):<11} ", "bold"),
+            (printable(event.get("detail")), _SEVERITY_STYLES.get(str(event.get("severity")), "")),
+        )
+        for event in list(record.events)[-count:]
+    ]
+    return Text("\n").join(map(_cut, lines)) if lines else Text(" no events yet", _DIM)
+
+
+def _footer(record: WatchRecord) -> tuple[Text, Text]:
+    return Text(f" {printable(record.answer)}", "bold"), Text(f" {KEYS}", _DIM)
+
+
+def _text(value: object) -> Text:
+    return Text(printable(value))
+
+
+def _value(value: object, unit: str) -> str:
+    return f"{figure(_number(value))} {unit}".rstrip()
+
+
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, int | float) else math.nan
+
+
+def _range(limits: Any) -> str:  # noqa: ANN401 - a part of a payload
+    if not isinstance(limits, list) or len(limits) != 2:
+        return ""
+    low, high = ("" if one is None else f"{_number(one):g}" for one in limits)
+    return f"{low}…{high}"
+
+
+def _cut(line: Text) -> Text:
+    line.no_wrap, line.overflow = True, "ellipsis"
+    return line

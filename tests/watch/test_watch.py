@@ -1,0 +1,231 @@
+"""The live view: what it shows of given messages, its keys, and all of it in a real terminal."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import pty
+import sys
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from rich.console import Console
+
+from adaptdrive.control.signals import Mode
+from adaptdrive.operation.history import KEYS
+from adaptdrive.operation.messages import drive_message, encode, load_message
+from adaptdrive.operation.profile import Output
+from adaptdrive.runtime.requests import Disable, Enable, SetMode
+from adaptdrive.watch.keys import CONFIRM_S, KeyCommand, KeyReader
+from adaptdrive.watch.record import LIVE_S, WatchRecord
+from adaptdrive.watch.view import screen
+from tests.operation.peers import PATIENCE_S, Bench, drive_report, load_report, serving
+from tests.support import Broker
+
+NOW = datetime(2026, 1, 1, tzinfo=UTC)
+SPEED = Output("speed", "V")
+STATE = {
+    "state": "running",
+    "mode": "adaptive",
+    "controller": "fixed",
+    "reason": "warming up",
+    "setpoint": 3.0,
+    "waveform": None,
+    "trip": None,
+    "last_trip": None,
+    "output": {"name": "speed", "unit": "V"},
+    "limits": {"setpoint": [0.0, 4.0]},
+}
+
+
+class Clock:
+    now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def received(payload: Any) -> dict[str, Any]:
+    content = msgspec.json.decode(encode(payload))
+    assert isinstance(content, dict)
+    return content
+
+
+def live_record(clock: Clock, **state: Any) -> WatchRecord:
+    record = WatchRecord("motor", clock)
+    record.take("availability", {"availability": "online"})
+    record.take("state", STATE | state)
+    record.take("telemetry/load", received(load_message(load_report(7), NOW, SPEED)))
+    record.take("telemetry/drive", received(drive_message(drive_report(840), NOW, SPEED)))
+    return record
+
+
+def shown(record: WatchRecord, size: tuple[int, int] = (120, 40)) -> list[str]:
+    console = Console(width=size[0], height=size[1], force_terminal=True, color_system=None)
+    with console.capture() as capture:
+        console.print(screen(record, size))
+    return capture.get().splitlines()
+
+
+@pytest.mark.parametrize("size", [(80, 24), (120, 40)])
+def test_the_view_fills_the_terminal_and_shows_units(size: tuple[int, int]) -> None:
+    lines = shown(live_record(Clock()), size)
+    text = "\n".join(lines)
+    assert len(lines) == size[1]
+    assert max(map(len, lines)) <= size[0]
+    for expected in ("running", "speed in V", "3.10 V", "3.00 V", "0…4", "gain", "0.0111", "STOP"):
+        assert expected in text
+    assert "fixed controller in force, adaptive asked for" in text
+    assert "OLD DATA" not in text
+
+
+def test_a_trip_is_shown_with_its_remedy() -> None:
+    last = {"time": "x", "text": "over-voltage", "remedy": "look for a load that feeds back"}
+    text = "\n".join(shown(live_record(Clock(), trip="over-voltage", last_trip=last)))
+    assert "trip: over-voltage" in text
+    assert "remedy: look for a load that feeds back" in text
+
+
+def test_old_data_are_unmistakable() -> None:
+    clock = Clock()
+    record = live_record(clock)
+    clock.now_s = LIVE_S + 0.1
+    assert "OLD DATA" in "\n".join(shown(record))
+    record = live_record(Clock())
+    record.take("availability", {"availability": "offline"})
+    assert "OLD DATA" in "\n".join(shown(record))
+
+
+@pytest.mark.parametrize("hostile", ["\x1b[2J\x1b]0;x\x07", "[bold red]x[/]", "a\nb\nc"])
+def test_text_of_a_payload_commands_no_terminal_and_no_markup(hostile: str) -> None:
+    named = {"name": hostile, "unit": hostile}
+    record = live_record(Clock(), trip=hostile, reason=hostile, controller=hostile, output=named)
+    record.take("event", dict.fromkeys(("kind", "detail", "severity", "time"), hostile))
+    record.take("telemetry/load", {"estimates": {hostile: {"value": 1.0, "std": None}}})
+    lines = shown(record)
+    assert len(lines) == 40
+    assert "\x1b[2J" not in "".join(lines)
+    assert "\x07" not in "".join(lines)
+    assert ("bold red" in "".join(lines)) is ("bold" in hostile)
+
+
+def test_messages_without_their_keys_do_no_harm() -> None:
+    record = WatchRecord("motor", Clock())
+    for name in ("state", "telemetry/load", "telemetry/drive", "event", "history", "other"):
+        record.take(name, {})
+    assert len(shown(record)) == 40
+
+
+def test_the_history_comes_before_what_is_known() -> None:
+    record = live_record(Clock())
+    rows = []
+    for k in range(3):
+        message = load_message(load_report(k), NOW - timedelta(seconds=30 - 10 * k), SPEED)
+        rows.append({key: message[key] for key in KEYS})
+    record.take("history", received({"rows": rows}))
+    record.take("history", {"rows": [{"time": "never"}, 7, {"output": 1.0}]})
+    times = [point.time_s - NOW.timestamp() for point in record.points]
+    assert times == [-30.0, -20.0, -10.0, 0.0]
+
+
+def test_keys_send_commands_and_enable_needs_two() -> None:
+    clock = Clock()
+    reader = KeyReader(live_record(clock))
+    assert reader.press("s") == KeyCommand("disable")
+    assert reader.press("m") == KeyCommand("mode", "manual")
+    assert reader.press("+") == KeyCommand("setpoint", pytest.approx(3.04))
+    assert reader.press("e") is None
+    assert reader.press("x") is None
+    assert reader.press("e") is None
+    assert reader.press("e") == KeyCommand("enable")
+    assert reader.press("e") is None
+    clock.now_s += CONFIRM_S + 0.1
+    assert reader.press("e") is None
+
+
+def test_a_step_of_the_set_point_stays_in_its_range() -> None:
+    record = live_record(Clock(), setpoint=3.99)
+    assert KeyReader(record).press("+") == KeyCommand("setpoint", 4.0)
+    record.state["limits"] = {}
+    assert KeyReader(record).press("-") is None
+
+
+class Terminal:
+    """`adaptdrive watch` in a pseudo-terminal."""
+
+    def __init__(self, file: int, process: asyncio.subprocess.Process) -> None:
+        self.process = process
+        self._file = file
+        self._seen = ""
+        self._more = asyncio.Event()
+        asyncio.get_running_loop().add_reader(file, self._read)
+
+    def _read(self) -> None:
+        try:
+            self._seen += os.read(self._file, 65536).decode(errors="replace")
+        except OSError:  # the other end is closed
+            asyncio.get_running_loop().remove_reader(self._file)
+        self._more.set()
+
+    async def shows(self, text: str) -> None:
+        async with asyncio.timeout(PATIENCE_S):
+            while text not in self._seen:
+                self._more.clear()
+                await self._more.wait()
+
+    def press(self, keys: str) -> None:
+        os.write(self._file, keys.encode())
+
+    async def close(self) -> None:
+        if self.process.returncode is None:
+            self.process.kill()
+            await self.process.wait()
+        asyncio.get_running_loop().remove_reader(self._file)
+        os.close(self._file)
+
+
+async def terminal(broker: Broker, drive: str) -> Terminal:
+    own, other = pty.openpty()
+    around = {"PYTHONPATH": os.pathsep.join(sys.path), "TERM": "xterm", "LINES": "40"}
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "adaptdrive.cli", "watch", drive),
+        *("--broker", f"{broker.host}:{broker.port}"),
+        stdin=other,
+        stdout=other,
+        stderr=other,
+        env=os.environ | around | {"COLUMNS": "120"},
+    )
+    os.close(other)
+    return Terminal(own, process)
+
+
+async def until_asked(bench: Bench, *wanted: object) -> None:
+    async with asyncio.timeout(PATIENCE_S):
+        while bench.host.asked != list(wanted):  # noqa: ASYNC110 - the host has no event
+            await asyncio.sleep(0.02)
+
+
+async def test_a_drive_is_watched_and_commanded_from_a_terminal(
+    mosquitto: Broker, tmp_path: Path
+) -> None:
+    async with serving(mosquitto, "watched", tmp_path) as bench:
+        seen = await terminal(mosquitto, "watched")
+        try:
+            await seen.shows("standby")
+            seen.press("s")
+            await until_asked(bench, Disable())
+            await seen.shows("disable: accepted")
+            seen.press("e")
+            await seen.shows("press e again")
+            seen.press("e")
+            await until_asked(bench, Disable(), Enable())
+            seen.press("a")
+            await until_asked(bench, Disable(), Enable(), SetMode(Mode.ADAPTIVE))
+            seen.press("q")
+            async with asyncio.timeout(PATIENCE_S):
+                assert await seen.process.wait() == 0
+        finally:
+            await seen.close()
