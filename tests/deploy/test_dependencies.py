@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 OURS = {"adaptdrive", "adaptdrive_sim", "tests"}
 EXTRAS = {
-    "src": ("analysis", "canopen", "export", "identify"),
+    "src": ("analysis", "canopen", "export"),
     "simulators": ("sim", "cluster"),
     "tests": tuple(PROJECT["optional-dependencies"]),
 }

@@ -36,12 +36,12 @@ def site_table(site: Mapping[str, DriveStatus]) -> str:
     ordered = sorted(site, key=lambda name: (not (site[name].state or {}).get("trip"), name))
     rows = [heads, *(_site_row(name, site[name]) for name in ordered)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(heads))]
-    return "\n".join(
-        "  ".join(
-            printable(text).ljust(width) for text, width in zip(row, widths, strict=True)
-        ).rstrip()
-        for row in rows
-    )
+    return "\n".join(_columns(row, widths) for row in rows)
+
+
+def _columns(row: tuple[str, ...], widths: list[int]) -> str:
+    cells = zip(row, widths, strict=True)
+    return "  ".join(printable(text).ljust(width) for text, width in cells).rstrip()
 
 
 def _site_row(name: str, status: DriveStatus) -> tuple[str, ...]:

@@ -139,9 +139,9 @@ def _health(record: WatchRecord) -> Table:
     down = [name for name, one in sensors.items() if not one.get("up")]
     times = "/".join(figure(1e-3 * _number(lateness.get(name))) for name in ("p50", "p99", "max"))
     table = rows("l", "r")
-    table.add_row("late p50/p99/max", f"{times} ms")
+    table.add_row("late, ms", times)
     table.add_row("missed/held", f"{fast.get('missed')}/{fast.get('held')} of {fast.get('ticks')}")
-    table.add_row("refused frames", f"{sum(int(bus.get(name) or 0) for name in _REFUSED)}")
+    table.add_row("refused", f"{sum(int(bus.get(name) or 0) for name in _REFUSED)}")
     table.add_row("sensor buses", _text(f"down: {', '.join(down)}" if down else len(sensors)))
     table.add_row("age", _value(fast.get("age_s"), "s"))
     return table
