@@ -31,3 +31,12 @@ def test_noise_shakes_the_voltage_no_more_than_configured() -> None:
     for limit_V in (10.0, 5.0):
         rows = motion.run(Mode.ADAPTIVE, changes={"load": {"noise_V": limit_V}})
         assert 0.6 * limit_V <= voltage_noise_V(rows) <= 1.25 * limit_V
+
+
+def test_a_coarse_sensor_does_not_make_the_loop_hunt() -> None:
+    motion = Motion(quantum=0.01)
+    known = motion.run(Mode.ADAPTIVE, changes={"load": {"resolution": 0.01}})
+    assert known.in_force(LEARNT_s) >= 0.95
+    assert known.model_error(3, LEARNT_s) <= 0.035
+    unknown = motion.run(Mode.ADAPTIVE, changes={"load": {"resolution": 0.0}})
+    assert unknown.model_error(3, LEARNT_s) >= 1.5 * known.model_error(3, LEARNT_s)

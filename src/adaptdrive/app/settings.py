@@ -187,6 +187,7 @@ def _jacket(configuration: Configuration) -> Jacket:
         response_periods=_periods(configuration, supervisor.response_s),
         response_distance=supervisor.response_distance * reference_range,
         noise_max=_noise_max(configuration),
+        noise_min=load.resolution / math.sqrt(12.0),
     )
 
 

@@ -44,6 +44,11 @@ class LoadSection(Section):
         description="fast samples are clipped to this many mean deviations about their "
         "prediction; 0 takes them as they are (`exact` only)",
     )
+    resolution: NonNegativeFloat = Field(
+        default=0.0,
+        description="smallest step of the measured output, in its unit, such as 0.0049 of 10 bits "
+        "over 5 V; counts as noise for `noise_V` (`exact` and `lm-rls` only)",
+    )
     noise_V: NonNegativeFloat | None = Field(
         default=None,
         description="largest standard deviation of V_c in volts that noise of the output may cause "

@@ -73,10 +73,14 @@ def _take_loop(load: Load, state: SlowState, share: float, pole: float) -> None:
 
 
 def _output_noise(settings: ControllerSettings, state: SlowState) -> float:
-    """σ_y of a slow sample: what a disturbance or an error of the estimate adds is not in it."""
+    """σ_y of a slow sample: what a disturbance or an error of the estimate adds is not in it.
+
+    At rest a rounded output stands still, and seems to have no noise.
+    """
     if not settings.learning.method.physical:
         return 0.0
-    return math.sqrt(state.estimator.surprise.noise) * settings.learning.output_scale
+    seen = math.sqrt(state.estimator.surprise.noise) * settings.learning.output_scale
+    return max(seen, settings.jacket.noise_min)
 
 
 def _redesign(

@@ -120,6 +120,7 @@ class Jacket:
         gain_slew: Largest share of the way to new gains that is gone in one period.
         noise_max: Largest standard deviation of the input that noise of the output may cause, in
             the unit of the input.
+        noise_min: Least standard deviation of the noise of the output, in its unit.
         confirm_periods: The same after a start from estimates that an earlier run had trusted.
         confidence: Standard deviations by which the estimate may be wrong without new gains
             becoming unstable; with 0 the last trusted model is not tried either.
@@ -143,6 +144,7 @@ class Jacket:
     confidence: float = 0.0
     gain_slew: float = 1.0
     noise_max: float = 0.0
+    noise_min: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
