@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 from adaptdrive.config import Configuration
@@ -11,7 +12,8 @@ from adaptdrive.config import Configuration
 def check(config: Path, /) -> int:
     """Validate a configuration; list every error with its place.
 
-    The DBC or register map and the capacity of each link are checked too; no bus is opened.
+    The DBC or register map and the capacity of each link are checked too; no bus is opened. Values
+    that can be used, but are probably not meant, give a warning on standard error.
 
     Args:
         config: Configuration file.
@@ -19,7 +21,8 @@ def check(config: Path, /) -> int:
     Returns:
         0 when it can be used; otherwise `ConfigurationError` lists what is wrong.
     """
-    from adaptdrive.app.examine import load_examined  # noqa: PLC0415 - `schema` needs no bus
+    from adaptdrive.app.advice import advice  # noqa: PLC0415 - `schema` needs no bus
+    from adaptdrive.app.examine import load_examined  # noqa: PLC0415
     from adaptdrive.app.interlocks import response_limits  # noqa: PLC0415
     from adaptdrive.app.reach_table import reach_table  # noqa: PLC0415
     from adaptdrive.app.response_table import response_table  # noqa: PLC0415
@@ -27,6 +30,8 @@ def check(config: Path, /) -> int:
     from adaptdrive.app.time_limits import limits_table, time_limits  # noqa: PLC0415
 
     configuration = load_examined(config)
+    for one in advice(configuration):
+        print(f"adaptdrive: {config}: warning: {one}", file=sys.stderr)
     if configuration.signals.bridge is None and not configuration.bus.has_bridge_words:
         print(f"{config}: signals.bridge is missing: the drive cannot confirm that it has stopped")
     print(limits_table(time_limits(configuration, config), tick_s(configuration)))

@@ -29,12 +29,15 @@ from adaptdrive.control.signals import (
 )
 from adaptdrive.control.slow_half import slow_step
 from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
-from adaptdrive.control.supervisor import Verdict
+from adaptdrive.control.supervisor import Verdict, better_than_nominal
 from adaptdrive.control.voltage_loop import initial_sum
 from adaptdrive.control.watch import Fallback
 
 _IDLE_PERIODS = 60
 """Slow periods without an update before the reason names it: 60 s of a motor."""
+
+_FAR_BETTER = 3.0
+"""Ratio of rms prediction errors from which an estimate out of bounds contradicts its bounds."""
 
 _UNRESPONSIVE = "no response: input at its limit for long, and the output has not moved"
 
@@ -300,7 +303,26 @@ class Controller:
         nominal = state.nominal[index]
         low, high = jacket.ratio_min * nominal, jacket.ratio_max * nominal
         name, value = self._load.names[index], state.values[index]
-        return f"estimate {name} = {value:.4g} outside {low:.4g}…{high:.4g}"
+        text = f"estimate {name} = {value:.4g} outside {low:.4g}…{high:.4g}"
+        better = better_than_nominal(state.supervisor)
+        ratio = value / nominal
+        if not (better > _FAR_BETTER and 0.0 < ratio < math.inf):
+            return text
+        contrast = _contrast(name, ratio)
+        return (
+            f"{text}, but predicts {better:.1g} times better than [load.model]: the load is "
+            f"{contrast} than [load.model]; run adaptdrive commission"
+        )
+
+
+def _contrast(name: str, ratio: float) -> str:
+    """Return how a load differs in a parameter, a time or another."""
+    factor, larger = max(ratio, 1.0 / ratio), ratio > 1.0
+    if name == "tau_product_s2":
+        factor = math.sqrt(factor)
+    if name.startswith("tau_"):
+        return f"{factor:.2g} times {'slower' if larger else 'faster'}"
+    return f"{factor:.2g} times {'larger' if larger else 'smaller'} in {name}"
 
 
 def _in_force(mode: Mode, *, adaptive: bool) -> Mode:

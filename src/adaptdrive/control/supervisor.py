@@ -12,6 +12,7 @@ is at least 1, and what noise takes from that is little.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -131,6 +132,13 @@ def judge_residual(state: SupervisorState, jacket: Jacket) -> int:
     if margin > 0.0 and state.own_power > margin * state.fixed_power + _RESIDUAL_FLOOR:
         return Verdict.WORSE_THAN_FIXED
     return Verdict.TRUSTED
+
+
+def better_than_nominal(state: SupervisorState) -> float:
+    """Return rms errors of the nominal model over those of the estimate; 1 where both are small."""
+    if not state.fixed_power > _RESIDUAL_FLOOR:
+        return 1.0
+    return math.sqrt(state.fixed_power / max(state.own_power, _RESIDUAL_FLOOR))
 
 
 def judge_load(a: Vector) -> int:

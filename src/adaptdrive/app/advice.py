@@ -1,0 +1,134 @@
+"""Values that can be used, and probably are not meant or do not work well together."""
+
+from __future__ import annotations
+
+import ipaddress
+import math
+import os
+from collections.abc import Iterator
+
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.settings import controller_settings
+from adaptdrive.config import Configuration
+from adaptdrive.config.load import BathSection, BatterySection
+from adaptdrive.control.load import Load, to_input, to_voltage
+from adaptdrive.errors import Flaw
+
+_REACH_SHARE = 0.1
+"""Share of the set-points above the highest output that is not worth a word."""
+
+_LEAST_LAMBDA, _MOST_LAMBDA = 0.2, 5.0
+"""τ_λ over the mean time constant of the load; the examples have 0.5 to 0.9."""
+
+_LEAST_PERIODS, _MOST_PERIODS = 2.0, 100.0
+"""Slow periods in the mean time constant of the load; the examples have 10 to 22."""
+
+_DELAY_SHARE = 0.5
+"""Dead time of the loop, over the time constant of the closed loop."""
+
+
+def advice(configuration: Configuration) -> Iterator[Flaw]:
+    """Find values that probably do not do what is wanted, with the figures that show it.
+
+    Args:
+        configuration: A valid configuration.
+    """
+    load = build_load(configuration)
+    yield from _reach(configuration, load)
+    yield from _power(configuration, load)
+    yield from _pace(configuration, load)
+    yield from _delay(configuration)
+    yield from _broker(configuration)
+
+
+def _reach(configuration: Configuration, load: Load) -> Iterator[Flaw]:
+    """The highest voltage reaches the highest set-point."""
+    section, limits = configuration.load, configuration.drive.limits
+    if isinstance(section, BatterySection):
+        return
+    highest = _gain(load) * to_input(
+        limits.boost_reference_max_V, load.input_gain, load.input_exponent
+    )
+    span = section.reference_max - section.reference_min
+    if section.reference_max - highest > _REACH_SHARE * span:
+        text = (
+            f"{section.reference_max:g} {section.output_unit} cannot be reached: "
+            f"{limits.boost_reference_max_V:g} V gives {highest:.4g} {section.output_unit}"
+        )
+        yield Flaw("load.reference_max", text)
+
+
+def _power(configuration: Configuration, load: Load) -> Iterator[Flaw]:
+    """The drive has the power that the highest set-point takes."""
+    drive = configuration.drive
+    wanted_W = _highest_power_W(configuration, load)
+    line_W = drive.limits.current_scale_max_S * drive.line_voltage_V**2
+    given_W = min(drive.limits.load_power_max_W, line_W)
+    if wanted_W > given_W:
+        source = "load_power_max_W" if given_W < line_W else "current_scale_max_S"
+        text = f"takes {wanted_W:.4g} W; drive.limits.{source} gives {given_W:.4g} W"
+        yield Flaw("load.reference_max", text)
+
+
+def _highest_power_W(configuration: Configuration, load: Load) -> float:
+    """Return the power of the highest set-point; 0 where the model does not say."""
+    section = configuration.load
+    if isinstance(section, BatterySection):
+        current_A = section.reference_max
+        return (section.charge.voltage_max_V + section.model.droop_Ohm * current_A) * current_A
+    if not isinstance(section, BathSection):
+        return 0.0
+    heat_W = section.reference_max / _gain(load)
+    volts = to_voltage(heat_W, load.input_gain, load.input_exponent)
+    highest_V = min(volts, configuration.drive.limits.boost_reference_max_V)
+    model = section.model
+    return (model.turns_ratio * highest_V) ** 2 / (model.droop_Ohm + model.heater_Ohm)
+
+
+def _pace(configuration: Configuration, load: Load) -> Iterator[Flaw]:
+    """The λ filters and the slow period suit the load."""
+    mean_s = load.denominator[-2] / load.denominator[-1] / load.order
+    lambda_s, period_s = configuration.estimator.tau_lambda_s, configuration.load.period_s
+    known = f"the load's mean time constant of {mean_s:.4g} s"
+    if not _LEAST_LAMBDA <= lambda_s / mean_s <= _MOST_LAMBDA:
+        wanted = f"{_LEAST_LAMBDA * mean_s:.3g}…{_MOST_LAMBDA * mean_s:.3g} s"
+        yield Flaw("estimator.tau_lambda_s", f"{lambda_s:g} s does not suit {known}: {wanted}")
+    if not _LEAST_PERIODS <= mean_s / period_s <= _MOST_PERIODS:
+        wanted = f"{mean_s / _MOST_PERIODS:.3g}…{mean_s / _LEAST_PERIODS:.3g} s"
+        yield Flaw("load.period_s", f"{period_s:g} s does not suit {known}: {wanted}")
+
+
+def _delay(configuration: Configuration) -> Iterator[Flaw]:
+    """The closed loop is slow enough for the dead time in it."""
+    load, rates = configuration.load, controller_settings(configuration).rates
+    ticks = rates.latency_ticks + rates.lag_ticks + 0.5 * rates.samples
+    delay_s = ticks * rates.nominal_tick_s
+    closed_s = -load.period_s / math.log(load.pole)
+    if delay_s > _DELAY_SHARE * closed_s:
+        slowest = math.exp(-_DELAY_SHARE * load.period_s / delay_s)
+        text = (
+            f"{load.pole:g} asks for a time constant of {closed_s:.3g} s; latency_ticks, the "
+            f"voltage loop and half of the samples delay by {delay_s:.3g} s: at least {slowest:.2f}"
+        )
+        yield Flaw("load.pole", text)
+
+
+def _broker(configuration: Configuration) -> Iterator[Flaw]:
+    """The broker can be reached without showing a password to the network."""
+    mqtt = configuration.mqtt
+    if not mqtt.tls and not _is_here(mqtt.host):
+        yield Flaw("mqtt.tls", f"false, and {mqtt.host!r} is remote: commands travel in clear text")
+    if mqtt.password_file is not None and not os.access(mqtt.password_file, os.R_OK):
+        yield Flaw("mqtt.password_file", f"{mqtt.password_file} cannot be read by this user")
+
+
+def _is_here(host: str) -> bool:
+    """Return whether a host is this machine."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost" or host.endswith(".localhost")
+
+
+def _gain(load: Load) -> float:
+    return load.numerator[-1] / load.denominator[-1]

@@ -1,0 +1,88 @@
+"""Values that can be used but are probably not meant give a warning with the figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.app.advice import advice
+from adaptdrive.cli import main
+from adaptdrive.config import load_configuration, parse_configuration
+from adaptdrive.errors import Flaw
+
+EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
+
+
+def found(name: str, old: str, new: str) -> list[Flaw]:
+    text = (EXAMPLES / name).read_text(encoding="utf-8")
+    assert old in text
+    return list(advice(parse_configuration(text.replace(old, new), EXAMPLES / name)))
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
+def test_no_example_needs_advice(path: Path) -> None:
+    assert [one for one in advice(load_configuration(path)) if "password" not in one.place] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "place", "words"),
+    [
+        (
+            "motor.toml",
+            "gain = 0.011 ",
+            "gain = 0.008 ",
+            "load.reference_max",
+            "4.5 V cannot be reached: 400 V gives 3.2 V",
+        ),
+        (
+            "bath.toml",
+            "current_scale_max_S = 0.15 ",
+            "current_scale_max_S = 0.05 ",
+            "load.reference_max",
+            # the heater takes 950.6 W for 20 K, and R_d 12.7 % more
+            "takes 1071 W; drive.limits.current_scale_max_S gives 720 W",
+        ),
+        (
+            "battery.toml",
+            "reference_max = 14.0 ",
+            "reference_max = 15.9 ",
+            "load.reference_max",
+            "takes 1557 W; drive.limits.load_power_max_W gives 1500 W",
+        ),
+        (
+            "motor.toml",
+            "tau_lambda_s = 10.0 ",
+            "tau_lambda_s = 100.0 ",
+            "estimator.tau_lambda_s",
+            "mean time constant of 10.85 s: 2.17…54.2 s",
+        ),
+        ("motor.toml", "period_s = 1.0 ", "period_s = 10.0 ", "load.period_s", "0.108…5.42 s"),
+        ("motor.toml", "pole = 0.70 ", "pole = 0.3\npole_min = 0.3 ", "load.pole", "at least 0.34"),
+        ("motor.toml", '"127.0.0.1"', '"broker.site"', "mqtt.tls", "'broker.site' is remote"),
+        (
+            "motor.toml",
+            "port = 1883",
+            'port = 1883\npassword_file = "nowhere"',
+            "mqtt.password_file",
+            "cannot be read",
+        ),
+    ],
+)
+def test_a_doubtful_value_is_named_with_its_figures(
+    name: str, old: str, new: str, place: str, words: str
+) -> None:
+    (flaw,) = found(name, old, new)
+    assert flaw.place == place
+    assert words in flaw.message
+
+
+def test_check_warns_and_accepts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (EXAMPLES / "motor.toml").read_text(encoding="utf-8")
+    (tmp_path / "adaptdrive.dbc").write_bytes((EXAMPLES / "adaptdrive.dbc").read_bytes())
+    path = tmp_path / "motor.toml"
+    path.write_text(text.replace('"127.0.0.1"', '"10.0.0.9"'), encoding="utf-8")
+    assert main(["check", str(path)]) == 0
+    answer = capsys.readouterr()
+    assert f"adaptdrive: {path}: warning: mqtt.tls: false, and '10.0.0.9' is remote" in answer.err
+    assert "is configured correctly" in answer.out
