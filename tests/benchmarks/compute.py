@@ -25,7 +25,8 @@ from adaptdrive.control.signals import (
     Snapshot,
     Stage,
 )
-from adaptdrive.hardware.dbc.port import build_can_port
+from adaptdrive.hardware.dbc.mapping import map_drive
+from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
@@ -284,14 +285,8 @@ class _Clocked:
 def _frames() -> Iterator[Row]:
     listener, bus = _Clocked(), _Frames()
     source = EXAMPLES / "motor.toml"
-    port = build_can_port(
-        MOTOR_BUS,
-        MOTOR.signals,
-        TIMING,
-        lambda: listener.quiet.time_s,
-        wall_clock=time.time,
-        source=source,
-    )
+    mapping = map_drive(MOTOR_BUS, MOTOR.signals, TIMING, source)
+    port = CanPort(MOTOR_BUS, mapping, lambda: listener.quiet.time_s)
     port._connection.listener, port._connection.bus = listener, bus
     pairs = status_frames(8000)
     decode = _times_of_pairs(port.take, listener, pairs[:3000])

@@ -18,8 +18,8 @@ from crccheck.crc import Crc8SaeJ1850
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus, Signals
-from adaptdrive.hardware.dbc.mapping import Timing
-from adaptdrive.hardware.dbc.port import CanPort, build_can_port
+from adaptdrive.hardware.dbc.mapping import Timing, map_drive
+from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.port import Reading
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
@@ -150,8 +150,8 @@ def build_port(config: CanBus, clock: Clock | None = None, **signals: object) ->
     """A port; with a clock of the test, arrivals are exactly what that clock says."""
     chosen = motor_signals(**signals)
     if clock is None:
-        return build_can_port(config, chosen, TIMING, time.monotonic)
-    return build_can_port(config, chosen, TIMING, clock, wall_clock=lambda: 0.0)
+        return CanPort(config, map_drive(config, chosen, TIMING), time.monotonic)
+    return CanPort(config, map_drive(config, chosen, TIMING), clock, lambda: 0.0)
 
 
 @contextlib.asynccontextmanager

@@ -11,7 +11,8 @@ import pytest
 from adaptdrive.config.bus import CanBus, CommandSignals, SignalSource
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.dbc.port import CanPort, build_can_port
+from adaptdrive.hardware.dbc.mapping import map_drive
+from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.link.bus import open_bus
 from adaptdrive.hardware.port import Reading
 from adaptdrive.hardware.rival import QUIET_S
@@ -538,7 +539,7 @@ async def test_setting_the_wall_clock_ages_no_waiting_frame(
 ) -> None:
     """The clock is set while a frame waits, after that frame was stamped."""
     wall = WallClock()
-    port = build_can_port(config, motor_signals(), TIMING, time.monotonic, wall_clock=wall)
+    port = CanPort(config, map_drive(config, motor_signals(), TIMING), time.monotonic, wall)
     async with running(port, ear):
         sent_s = time.monotonic()
         drive.send_both()
@@ -550,9 +551,8 @@ async def test_setting_the_wall_clock_ages_no_waiting_frame(
 async def test_a_stamp_that_fits_no_clock_cannot_age_a_frame(
     config: CanBus, drive: Drive, ear: Ear, clock: Clock
 ) -> None:
-    port = build_can_port(
-        config, motor_signals(), TIMING, clock, wall_clock=lambda: time.time() + 3600.0
-    )
+    mapping = map_drive(config, motor_signals(), TIMING)
+    port = CanPort(config, mapping, clock, lambda: time.time() + 3600.0)
     async with running(port, ear):
         drive.send_both()
         await ear.hears(1)

@@ -8,7 +8,8 @@ import time
 from collections.abc import AsyncIterator
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.canopen.port import CanOpenPort, build_canopen_port
+from adaptdrive.hardware.canopen.mapping import map_drive
+from adaptdrive.hardware.canopen.port import CanOpenPort
 from adaptdrive.hardware.port import Reading
 from tests.hardware.bench import until
 from tests.hardware.canopen.documents import bus_of, parse
@@ -45,7 +46,8 @@ class Bench:
         config = bus_of(configuration).model_copy(update=bus)
         self.peer = peer
         self.ear = Ear()
-        self.port = build_canopen_port(config, configuration.signals, HALF_CYCLE_S, time.monotonic)
+        mapping = map_drive(config, configuration.signals)
+        self.port = CanOpenPort(config, mapping, HALF_CYCLE_S, time.monotonic)
         self.ear.port = self.port
 
     async def ready(self) -> None:

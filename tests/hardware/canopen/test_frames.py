@@ -8,7 +8,8 @@ import can
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.hardware.canopen.port import CanOpenPort, build_canopen_port
+from adaptdrive.hardware.canopen.mapping import map_drive
+from adaptdrive.hardware.canopen.port import CanOpenPort
 from tests.hardware.bench import Clock
 from tests.hardware.canopen.bench import HALF_CYCLE_S, RUN, Ear
 from tests.hardware.canopen.documents import bus_of, parse
@@ -28,7 +29,8 @@ frames = st.builds(
 def ready_port() -> tuple[CanOpenPort, Ear]:
     """A port whose node is up, without a bus."""
     configuration = parse({"bus/interface": "virtual"})
-    port = build_canopen_port(bus_of(configuration), configuration.signals, HALF_CYCLE_S, Clock())
+    bus = bus_of(configuration)
+    port = CanOpenPort(bus, map_drive(bus, configuration.signals), HALF_CYCLE_S, Clock())
     ear = Ear()
     port._connection.listener = ear
     port._master.ready = True

@@ -15,7 +15,8 @@ import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.canopen.watch import build_canopen_watch
+from adaptdrive.hardware.canopen.mapping import map_drive
+from adaptdrive.hardware.canopen.watch import CanOpenWatch
 from tests.hardware.bench import until
 from tests.hardware.canopen.bench import RUN, Bench, Ear, running
 from tests.hardware.canopen.documents import bus_of, other_eds, parse, without
@@ -284,7 +285,8 @@ async def test_a_bus_that_cannot_be_opened_is_an_error_at_once(peer: Peer) -> No
 
 async def test_looking_at_a_drive_writes_nothing_to_it(peer: Peer) -> None:
     configuration = parse({"bus/interface": "virtual", "bus/channel": peer.channel})
-    watch = build_canopen_watch(bus_of(configuration), configuration.signals, time.monotonic)
+    bus = bus_of(configuration)
+    watch = CanOpenWatch(bus, map_drive(bus, configuration.signals), time.monotonic)
     peer.override(0x6079, 0, (250_000).to_bytes(4, "little"))
     peer.override(0x6041, 0, (0x0237).to_bytes(2, "little"))
     writes: list[Any] = []
@@ -308,7 +310,8 @@ async def test_looking_at_a_drive_that_does_not_answer_says_so(tmp_path: Path) -
         "bus/sdo_timeout_s": 0.05,
     }
     configuration = parse(changes)
-    watch = build_canopen_watch(bus_of(configuration), configuration.signals, time.monotonic)
+    bus = bus_of(configuration)
+    watch = CanOpenWatch(bus, map_drive(bus, configuration.signals), time.monotonic)
     ear = Ear()
     async with asyncio.TaskGroup() as tasks:
         task = tasks.create_task(watch.run(ear, lambda: None))

@@ -8,8 +8,9 @@ from pathlib import Path
 from adaptdrive.config import Configuration
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.hardware.bus_kind import BusKind, Row, stale_limits
-from adaptdrive.hardware.canopen.port import build_canopen_port
-from adaptdrive.hardware.canopen.watch import build_canopen_watch
+from adaptdrive.hardware.canopen.mapping import map_drive
+from adaptdrive.hardware.canopen.port import CanOpenPort
+from adaptdrive.hardware.canopen.watch import CanOpenWatch
 from adaptdrive.hardware.demands import demands_of
 from adaptdrive.hardware.port import Port
 
@@ -23,10 +24,10 @@ def _build(
 ) -> Port:
     bus, signals = _bus(configuration), configuration.signals
     if passive:
-        return build_canopen_watch(bus, signals, clock, source=source)
+        return CanOpenWatch(bus, map_drive(bus, signals, source), clock)
     half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
-    demands = demands_of(configuration)
-    return build_canopen_port(bus, signals, half_cycle_s, clock, source=source, demands=demands)
+    mapping = map_drive(bus, signals, source, demands_of(configuration))
+    return CanOpenPort(bus, mapping, half_cycle_s, clock)
 
 
 def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[Row]:

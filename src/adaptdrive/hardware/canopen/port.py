@@ -14,24 +14,21 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
 
 import can
 
-from adaptdrive.config.bus import Signals
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.canopen.assembly import Assembly
 from adaptdrive.hardware.canopen.dictionary import label
 from adaptdrive.hardware.canopen.health import Health
-from adaptdrive.hardware.canopen.mapping import CanOpenMapping, StatusPdo, map_drive
+from adaptdrive.hardware.canopen.mapping import CanOpenMapping, StatusPdo
 from adaptdrive.hardware.canopen.master import Master, NodeState
 from adaptdrive.hardware.canopen.orders import ForeignCommands, command_frames
 from adaptdrive.hardware.canopen.profile import STATUSWORD, DriveControl, DriveState
 from adaptdrive.hardware.canopen.sdo import describe_node
 from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
 from adaptdrive.hardware.canopen.sync import SyncProducer
-from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.link.bus import describe_bus
@@ -46,31 +43,6 @@ _FAULT_RESET_S = 1.0
 """Longest wait for a drive to leave its fault."""
 
 _LOOK_S = 0.005
-
-
-def build_canopen_port(  # noqa: PLR0913 - what the configuration says, and the clock
-    bus: CanOpenBus,
-    signals: Signals,
-    half_cycle_s: float,
-    clock: Callable[[], float],
-    *,
-    source: Path | str = "configuration",
-    demands: Demands = NO_DEMANDS,
-) -> CanOpenPort:
-    """Build the port of one drive; nothing is opened yet.
-
-    Args:
-        bus: `[bus]`.
-        signals: `[signals]`.
-        half_cycle_s: Half a line cycle.
-        clock: Monotonic clock, in seconds.
-        source: The configuration, for error messages.
-        demands: What the limits of the configuration ask of the signals.
-
-    Raises:
-        ConfigurationError: Configuration and EDS do not fit; every flaw is listed.
-    """
-    return CanOpenPort(bus, map_drive(bus, signals, source, demands), half_cycle_s, clock)
 
 
 class CanOpenPort:

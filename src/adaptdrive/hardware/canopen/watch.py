@@ -6,15 +6,13 @@ import asyncio
 import math
 from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
 
 import can
 
-from adaptdrive.config.bus import Signals
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.canopen.mapping import CanOpenMapping, map_drive
+from adaptdrive.hardware.canopen.mapping import CanOpenMapping
 from adaptdrive.hardware.canopen.profile import STATUSWORD, DriveState, state_of
 from adaptdrive.hardware.canopen.sdo import SdoLink, Server, describe_node, in_thread
 from adaptdrive.hardware.link.bus import describe_bus, open_bus
@@ -23,27 +21,6 @@ from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 
 _PAUSE_S = 0.2
 """Pause between two readings: five lines a second are as many as can be read."""
-
-
-def build_canopen_watch(
-    bus: CanOpenBus,
-    signals: Signals,
-    clock: Callable[[], float],
-    *,
-    source: Path | str = "configuration",
-) -> CanOpenWatch:
-    """Build the watch on one drive; nothing is opened yet.
-
-    Args:
-        bus: `[bus]`.
-        signals: `[signals]`.
-        clock: Monotonic clock, in seconds.
-        source: The configuration, for error messages.
-
-    Raises:
-        ConfigurationError: Configuration and EDS do not fit; every flaw is listed.
-    """
-    return CanOpenWatch(bus, map_drive(bus, signals, source), clock)
 
 
 class CanOpenWatch:

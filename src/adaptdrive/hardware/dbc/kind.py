@@ -9,7 +9,7 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanBus
 from adaptdrive.hardware.bus_kind import BusKind, Row
 from adaptdrive.hardware.dbc.mapping import Timing, map_drive
-from adaptdrive.hardware.dbc.port import build_can_port
+from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.dbc.sensors import build_can_sensors
 from adaptdrive.hardware.demands import demands_of
 from adaptdrive.hardware.port import Port
@@ -23,10 +23,8 @@ def _build(
     passive: bool,
 ) -> Port:
     bus, demands = _bus(configuration), demands_of(configuration)
-    timing = _timing(configuration)
-    return build_can_port(
-        bus, configuration.signals, timing, clock, source=source, hears_all=passive, demands=demands
-    )
+    mapping = map_drive(bus, configuration.signals, _timing(configuration), source, demands)
+    return CanPort(bus, mapping, clock, hears_all=passive)
 
 
 def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[Row]:

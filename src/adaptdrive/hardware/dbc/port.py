@@ -13,17 +13,15 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import can
 
-from adaptdrive.config.bus import CanBus, Signals
+from adaptdrive.config.bus import CanBus
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.dbc.assembly import StatusAssembly
-from adaptdrive.hardware.dbc.mapping import CanMapping, StatusFrame, Timing, map_drive
+from adaptdrive.hardware.dbc.mapping import CanMapping, StatusFrame
 from adaptdrive.hardware.dbc.orders import CommandFrame
 from adaptdrive.hardware.dbc.refusals import Refusals
-from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.link.bus import as_received, describe_bus, frame_key
 from adaptdrive.hardware.link.codec import MessageCodec
@@ -31,36 +29,6 @@ from adaptdrive.hardware.link.connection import CanConnection
 from adaptdrive.hardware.link.integrity import FrameVerdict
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 from adaptdrive.hardware.rival import Rival
-
-
-def build_can_port(  # noqa: PLR0913 - what the configuration says, and both clocks
-    bus: CanBus,
-    signals: Signals,
-    timing: Timing,
-    clock: Callable[[], float],
-    *,
-    wall_clock: Callable[[], float] = time.time,
-    source: Path | str = "configuration",
-    hears_all: bool = False,
-    demands: Demands = NO_DEMANDS,
-) -> CanPort:
-    """Build the port of one drive; nothing is opened yet.
-
-    Args:
-        bus: `[bus]`.
-        signals: `[signals]`.
-        timing: How old a value may be.
-        clock: Monotonic clock, in seconds.
-        wall_clock: The clock with which the bus stamps frames, in seconds.
-        source: The configuration, for error messages.
-        hears_all: Whether to receive and record frames with unused ids, too.
-        demands: What the limits of the configuration ask of the signals.
-
-    Raises:
-        ConfigurationError: Configuration and DBC do not fit; every flaw is listed.
-    """
-    mapping = map_drive(bus, signals, timing, source, demands)
-    return CanPort(bus, mapping, clock, wall_clock, hears_all=hears_all)
 
 
 class CanPort:
@@ -71,10 +39,19 @@ class CanPort:
         config: CanBus,
         mapping: CanMapping,
         clock: Callable[[], float],
-        wall_clock: Callable[[], float],
+        wall_clock: Callable[[], float] = time.time,
         *,
         hears_all: bool = False,
     ) -> None:
+        """Open nothing yet.
+
+        Args:
+            config: `[bus]`.
+            mapping: Messages and properties of the drive.
+            clock: Monotonic clock, in seconds.
+            wall_clock: The clock with which the bus stamps frames, in seconds.
+            hears_all: Whether to receive and record frames with unused ids, too.
+        """
         self._config = config
         self._mapping = mapping
         self._clock = clock

@@ -10,7 +10,8 @@ from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.hardware.bus_kind import BusKind
 from adaptdrive.hardware.demands import demands_of
 from adaptdrive.hardware.modbus.bus import describe_bus
-from adaptdrive.hardware.modbus.port import build_modbus_port
+from adaptdrive.hardware.modbus.mapping import map_drive
+from adaptdrive.hardware.modbus.port import ModbusPort
 from adaptdrive.hardware.modbus.sensors import build_modbus_sensors
 from adaptdrive.hardware.port import Port
 
@@ -24,8 +25,8 @@ def _build(
 ) -> Port:
     bus, signals = _bus(configuration), configuration.signals
     half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
-    demands = demands_of(configuration)
-    return build_modbus_port(bus, signals, half_cycle_s, clock, source=source, demands=demands)
+    poll = map_drive(bus, signals, half_cycle_s, source, demands_of(configuration))
+    return ModbusPort(bus, poll, bus.poll_ticks * half_cycle_s, clock)
 
 
 def _lock_names(configuration: Configuration) -> Iterator[str]:

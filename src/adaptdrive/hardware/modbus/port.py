@@ -12,51 +12,22 @@ import contextlib
 import math
 from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
 
-from adaptdrive.config.bus import Signals
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.backoff import BusBackoff
-from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.modbus.blocks import Block
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.commander import Commander
 from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
-from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, map_drive
+from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 
 _SILENT_POLLS = 3
 """Polls without a reading after which the drive is reported lost."""
-
-
-def build_modbus_port(  # noqa: PLR0913 - what the configuration says, and the clock
-    bus: ModbusTcp | ModbusRtu,
-    signals: Signals,
-    half_cycle_s: float,
-    clock: Callable[[], float],
-    *,
-    source: Path | str = "configuration",
-    demands: Demands = NO_DEMANDS,
-) -> ModbusPort:
-    """Build the port of one drive; nothing is opened yet.
-
-    Args:
-        bus: `[bus]`.
-        signals: `[signals]`.
-        half_cycle_s: Half a line cycle.
-        clock: Monotonic clock, in seconds.
-        source: The configuration, for error messages.
-        demands: What the limits of the configuration ask of the signals.
-
-    Raises:
-        ConfigurationError: The map or the wanted rate does not fit; every flaw is listed.
-    """
-    poll = map_drive(bus, signals, half_cycle_s, source, demands)
-    return ModbusPort(bus, poll, bus.poll_ticks * half_cycle_s, clock)
 
 
 class ModbusPort:
