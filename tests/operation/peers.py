@@ -120,12 +120,13 @@ async def serving(
     host: RememberingHost | None = None,
     *,
     await_online: bool = True,
+    home_assistant: str | None = None,
     **around: Any,
 ) -> AsyncIterator[Bench]:
     """Run a service for one drive; stop it orderly at the end."""
     host = host or RememberingHost()
     surroundings = ServiceSurroundings(folder, **({"uniform": lambda low, _: low * 0.1} | around))
-    settings = Mqtt(host=broker.host, port=broker.port)
+    settings = Mqtt(host=broker.host, port=broker.port, home_assistant=home_assistant)
     service = MqttService(profile(drive), settings, host, host.hub, surroundings)
     host.show(host.report)
     task = asyncio.create_task(service.run())

@@ -131,6 +131,12 @@ class Mqtt(Section):
     telemetry_Hz: float = Field(
         default=10.0, ge=0.01, le=10.0, description="rate of `telemetry/drive`"
     )
+    home_assistant: str | None = Field(
+        default=None,
+        pattern="^[A-Za-z0-9_/-]+$",
+        description="prefix of Home Assistant's discovery, usually `homeassistant`; the drive is "
+        "a device there then; not announced when left out",
+    )
 
     @model_validator(mode="after")
     def _authority_needs_tls(self) -> Self:

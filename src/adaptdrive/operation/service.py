@@ -22,6 +22,7 @@ from adaptdrive.operation.clock import (
 )
 from adaptdrive.operation.desk import Desk
 from adaptdrive.operation.history import History
+from adaptdrive.operation.home_assistant import discovery
 from adaptdrive.operation.intake import Intake
 from adaptdrive.operation.journal import Journal
 from adaptdrive.operation.link import BrokerConnection, BrokerLink
@@ -86,6 +87,9 @@ class MqttService:
         """
         drive = profile.drive
         self._topics = Topics(drive)
+        self._announcement = (
+            discovery(profile, settings.home_assistant) if settings.home_assistant else None
+        )
         self._pace = Pace(1.0 / settings.telemetry_Hz, surroundings.monotonic)
         self._around = surroundings
         self._host = host
@@ -173,6 +177,7 @@ class MqttService:
 
     async def _keep_connected(self) -> None:
         async def serve(line: BrokerConnection) -> None:
-            await BrokerSession(line, self._topics, self._intake, self._desk, self._pace).run()
+            session = BrokerSession(line, self._topics, self._intake, self._desk, self._pace)
+            await session.run(self._announcement)
 
         await self._link.run(serve)

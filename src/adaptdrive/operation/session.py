@@ -13,6 +13,7 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from adaptdrive.operation.board import Mailbox
 from adaptdrive.operation.desk import Desk, OperatorCommand
+from adaptdrive.operation.home_assistant import Announcement
 from adaptdrive.operation.intake import Intake
 from adaptdrive.operation.link import BrokerConnection
 from adaptdrive.operation.messages import OFFLINE, ONLINE, Reply, encode
@@ -58,14 +59,20 @@ class BrokerSession:
         self._logged = 0
         self._logged_s = -LOGGED_EVERY_S
 
-    async def run(self) -> None:
+    async def run(self, announcement: Announcement | None = None) -> None:
         """Serve until the connection is lost, or until cancelled: then publish that and leave.
+
+        Args:
+            announcement: Retained message beside the topics of the drive, None for none.
 
         Raises:
             MqttError: The connection is lost.
         """
         try:
             await self._greet()
+            if announcement is not None:
+                payload = encode(announcement.payload)
+                await self._client.publish(announcement.topic, payload, qos=1, retain=True)
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._client.lost(), name="mqtt connection")
                 tasks.create_task(self._answer_commands(), name="mqtt replies")

@@ -1,0 +1,157 @@
+"""Discovery message for Home Assistant: one retained message makes the drive a device there.
+
+The keys are those of Home Assistant's MQTT discovery of devices. What Home Assistant may do is what
+its own user of the broker may do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from adaptdrive.operation.messages import Payload
+from adaptdrive.operation.profile import Profile
+from adaptdrive.operation.topics import Topics
+from adaptdrive.runtime.reports import State
+
+_STEPS = 1000
+_DEVICE_CLASSES = {"V": "voltage", "A": "current", "K": "temperature", "°C": "temperature"}
+_LAST_TRIP = (  # a state in Home Assistant has at most 255 characters
+    "{{ value_json.last_trip.text[:255] if value_json.last_trip else 'none' }}"
+)
+_ID = '"id": "ha-{{ now().timestamp() }}"'
+
+
+@dataclass(frozen=True, slots=True)
+class Announcement:
+    """A retained message beside the topics of the drive.
+
+    Attributes:
+        topic: Topic.
+        payload: Payload.
+    """
+
+    topic: str
+    payload: Payload
+
+
+def discovery(profile: Profile, prefix: str) -> Announcement:
+    """Return the discovery message of a drive.
+
+    Args:
+        profile: Name, unit and limits of the drive.
+        prefix: Prefix of discovery topics, as Home Assistant is configured.
+    """
+    topics, key = Topics(profile.drive), f"adaptdrive-{profile.drive}"
+    components = _sensors(profile, topics) | _controls(profile, topics)
+    for name, component in components.items():
+        component["unique_id"] = f"{key}-{name}"
+    payload = {
+        "device": {
+            "identifiers": [key],
+            "name": profile.drive,
+            "manufacturer": "adaptdrive",
+            "sw_version": profile.version,
+        },
+        "origin": {"name": "adaptdrive", "sw_version": profile.version},
+        "availability_topic": topics.availability,
+        "qos": 1,
+        "components": components,
+    }
+    return Announcement(f"{prefix}/device/{key}/config", payload)
+
+
+def _sensors(profile: Profile, topics: Topics) -> dict[str, Payload]:
+    output, load = profile.output, topics.load_telemetry
+    return {
+        "output": _measured(output.name, load, "output", output.unit),
+        "boost_reference": _measured("V_c", load, "boost_reference_V", "V"),
+        "applied": _measured("boost voltage", load, "applied_V", "V"),
+        "state": {
+            "platform": "sensor",
+            "name": "state",
+            "state_topic": topics.state,
+            "value_template": "{{ value_json.state }}",
+            "device_class": "enum",
+            "options": [state.value for state in State],
+        },
+        "controller": {
+            "platform": "sensor",
+            "name": "controller in force",
+            "state_topic": topics.state,
+            "value_template": "{{ value_json.controller }}",
+        },
+        "tripped": {
+            "platform": "binary_sensor",
+            "name": "trip",
+            "device_class": "problem",
+            "state_topic": topics.state,
+            "value_template": "{{ 'ON' if value_json.trip else 'OFF' }}",
+        },
+        "last_trip": {
+            "platform": "sensor",
+            "name": "last trip",
+            "state_topic": topics.state,
+            "value_template": _LAST_TRIP,
+            "json_attributes_topic": topics.state,
+            "json_attributes_template": "{{ (value_json.last_trip or {}) | tojson }}",
+        },
+    }
+
+
+def _measured(name: str, topic: str, key: str, unit: str) -> Payload:
+    sensor: Payload = {
+        "platform": "sensor",
+        "name": name,
+        "state_topic": topic,
+        "value_template": f"{{{{ value_json.{key} }}}}",
+        "state_class": "measurement",
+    }
+    if unit:
+        sensor["unit_of_measurement"] = unit
+    if unit in _DEVICE_CLASSES:
+        sensor["device_class"] = _DEVICE_CLASSES[unit]
+    return sensor
+
+
+def _controls(profile: Profile, topics: Topics) -> dict[str, Payload]:
+    low, high = (profile.limits or {}).get("setpoint", (None, None))
+    controls: dict[str, Payload] = {
+        "stop": _button("stop", topics.stop),
+        "reset": _button("reset trip", topics.command("reset")),
+        # whoever wants to energise the drive from Home Assistant switches this one on there
+        "enable": _button("enable", topics.command("enable")) | {"enabled_by_default": False},
+        "mode": {
+            "platform": "select",
+            "name": "mode",
+            "options": [mode.value for mode in profile.modes],
+            "state_topic": topics.state,
+            "value_template": "{{ value_json.mode }}",
+            "command_topic": topics.command("mode"),
+            "command_template": f'{{{_ID}, "value": "{{{{ value }}}}"}}',
+        },
+    }
+    if low is not None and high is not None:
+        controls["setpoint"] = {
+            "platform": "number",
+            "name": "set-point",
+            "min": low,
+            "max": high,
+            "step": (high - low) / _STEPS,
+            "mode": "box",
+            "state_topic": topics.state,
+            "value_template": "{{ value_json.setpoint }}",
+            "command_topic": topics.command("setpoint"),
+            "command_template": f'{{{_ID}, "value": {{{{ value }}}}}}',
+        }
+        if profile.output.unit:
+            controls["setpoint"]["unit_of_measurement"] = profile.output.unit
+    return controls
+
+
+def _button(name: str, topic: str) -> Payload:
+    return {
+        "platform": "button",
+        "name": name,
+        "command_topic": topic,
+        "command_template": f"{{{_ID}}}",
+    }

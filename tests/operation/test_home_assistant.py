@@ -1,0 +1,115 @@
+"""The device in Home Assistant: its templates, rendered on real messages."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import pytest
+
+from adaptdrive.control.signals import Mode
+from adaptdrive.operation.home_assistant import discovery
+from adaptdrive.operation.messages import encode
+from adaptdrive.runtime.requests import Disable, Enable, Request, Reset, SetMode, SetSetpoint
+from tests.operation.contract import validators
+from tests.operation.peers import ask, listening, load_report, profile, publish, serving
+from tests.support import Broker
+
+TOPIC = "homeassistant/device/adaptdrive-{}/config"
+
+
+def rendered(template: str, **names: Any) -> str:
+    names |= {"now": lambda: datetime.now(UTC)}
+    environment = jinja2.Environment(undefined=jinja2.StrictUndefined)  # no HTML
+    return environment.from_string(template).render(names)
+
+
+async def test_the_device_is_announced_only_where_it_is_wanted(
+    mosquitto: Broker, tmp_path: Path
+) -> None:
+    async with serving(mosquitto, "plain", tmp_path):
+        pass
+    async with (
+        listening(mosquitto, "homeassistant/#") as ear,
+        serving(mosquitto, "wanted", tmp_path, home_assistant="homeassistant"),
+    ):
+        found = await ear.on(TOPIC.format("wanted"))
+    async with listening(mosquitto, "homeassistant/#") as late:
+        assert (await late.on(found.topic)).retained
+        await publish(mosquitto, "homeassistant/end", "{}")
+        await late.on("homeassistant/end")
+    assert [message.topic for message in late.heard] == [found.topic, "homeassistant/end"]
+    assert found.content["device"]["identifiers"] == ["adaptdrive-wanted"]
+    assert found.content["availability_topic"] == "adaptdrive/wanted/availability"
+    ids = [one["unique_id"] for one in found.content["components"].values()]
+    assert len(set(ids)) == len(ids)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "request_"),
+    [
+        ("setpoint", "3.1", SetSetpoint(3.1)),
+        ("mode", "adaptive", SetMode(Mode.ADAPTIVE)),
+        ("stop", "", Disable()),
+        ("reset", "", Reset()),
+        ("enable", "", Enable()),
+    ],
+)
+async def test_what_home_assistant_sends_is_accepted(
+    mosquitto: Broker, tmp_path: Path, name: str, value: str, request_: Request
+) -> None:
+    component = discovery(profile("commanded"), "homeassistant").payload["components"][name]
+    verb = component["command_topic"].rpartition("/")[2]
+    payload = rendered(component["command_template"], value=value)
+    validators()[f"command/{verb}"].validate(json.loads(payload))
+    async with serving(mosquitto, "commanded", tmp_path) as bench:
+        assert (await ask(bench, verb, payload))["accepted"]
+    assert bench.host.asked == [request_]
+
+
+async def test_what_home_assistant_shows_is_in_the_messages(
+    mosquitto: Broker, tmp_path: Path
+) -> None:
+    payload = json.loads(encode(discovery(profile("shown"), "homeassistant").payload))
+    async with (
+        serving(mosquitto, "shown", tmp_path) as bench,
+        listening(mosquitto, bench.topic("#")) as ear,
+    ):
+        bench.hub.publish(load_report(7))
+        load = await ear.on(bench.topic("telemetry/load"))
+        bench.host.trip("over-voltage: v_bst = 431 V, limit 430 V")
+        tripped = await ear.until(lambda message: '"tripped"' in message.payload)
+    shown = {}
+    for name, component in payload["components"].items():
+        if "state_topic" in component:
+            message = load if component["state_topic"] == load.topic else tripped
+            assert component["state_topic"] == message.topic
+            shown[name] = rendered(component["value_template"], value_json=message.content)
+    assert shown == {
+        "output": "2.9",
+        "boost_reference": "302.0",
+        "applied": "301.0",
+        "state": "tripped",
+        "controller": "fixed",
+        "tripped": "ON",
+        "mode": "fixed",
+        "setpoint": "0.0",
+        "last_trip": "over-voltage: v_bst = 431 V, limit 430 V",
+    }
+    attributes = payload["components"]["last_trip"]["json_attributes_template"]
+    assert "remedy" in json.loads(rendered(attributes, value_json=tripped.content))
+    assert rendered(attributes, value_json={"last_trip": None}) == "{}"
+
+
+def test_limits_and_units_are_those_of_the_drive() -> None:
+    number = discovery(profile("x"), "homeassistant").payload["components"]["setpoint"]
+    assert (number["min"], number["max"], number["unit_of_measurement"]) == (0.0, 4.0, "V")
+
+
+def test_enabling_from_home_assistant_must_be_switched_on_there() -> None:
+    components = discovery(profile("x"), "homeassistant").payload["components"]
+    hidden = [name for name, one in components.items() if one.get("enabled_by_default") is False]
+    assert hidden == ["enable"]
