@@ -39,6 +39,7 @@ docs: $(installed) ## write the pages that are made from the code
 	$(bin)/python -m adaptdrive.config.reference docs/configuration.md
 	$(bin)/python -m tests.deploy.licences docs/licences.md
 	$(bin)/python -m tests.runtime.columns_page docs/columns.md
+	$(bin)/python -m tests.control.constants_page docs/constants.md
 	$(bin)/python -m tests.runtime.trips_table docs/operation.md
 	$(bin)/python -m adaptdrive.operation.asyncapi docs/mqtt
 

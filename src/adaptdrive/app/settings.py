@@ -27,14 +27,31 @@ from adaptdrive.runtime.machine import MachineLimits
 from adaptdrive.runtime.realtime import RealtimeSettings
 
 _LOWEST_LINE = 0.5
+"""Share of the nominal line voltage below which the voltage loop does not divide by it."""
+
 _SWING_SHARE = 0.01
+"""Smallest peak that counts as a swing, as a share of the range of set-points."""
+
 _ERROR_SHARE = 0.1
+"""Default of `supervisor.error_limit`, as a share of the range of set-points."""
+
 _NOISE_SHARE = 0.035
+"""Default of `load.noise_V`, as a share of the range of V_c."""
+
 _PAPER_PATIENCE = 30
+"""Refused estimates in a row that the trusted gains survive in the paper's design."""
+
 _PAPER_COVARIANCE = 1.0e4
-_OPEN = 1.0e8  # deviation 1 of each scaled parameter, at the smallest σ of 1e-4
+"""P[0] of the paper's design."""
+
+_OPEN = 1.0e8
+"""P[0] of the exact design: deviation 1 of each scaled parameter, at the smallest σ of 1e-4."""
+
 _SHORTEST_WAVE_PERIODS = 4
+"""Shortest period of a waveform, in slow periods: two samples for each half."""
+
 _COLLECT_TICKS = 12
+"""Ticks between collections of garbage."""
 
 
 def controller_settings(configuration: Configuration) -> ControllerSettings:

@@ -18,7 +18,10 @@ TAPER_GAIN = 0.05
 """κ: a twentieth of the way per slow period."""
 
 _NEAR_LIMIT = 0.99
+"""Share of the largest voltage that counts as reached: the taper never reaches all of it."""
+
 _END_PERIODS = 10
+"""Periods in a row with a current below its end: noise alone does not end a charge."""
 
 
 @dataclass(frozen=True, slots=True)

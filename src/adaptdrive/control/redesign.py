@@ -18,7 +18,8 @@ from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.control.slow_state import SlowSample, SlowState
 from adaptdrive.control.vectors import Vector, copy_into, total
 
-_LOST_PERIODS = 60  # three windows of evidence: an explanation that is being learnt needs one
+_LOST_PERIODS = 60
+"""Three windows of evidence: an explanation that is being learnt needs one."""
 
 
 def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample) -> None:

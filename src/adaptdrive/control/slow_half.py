@@ -25,7 +25,10 @@ from adaptdrive.control.vectors import copy_into, shift_in, total
 from adaptdrive.control.watch import Fallback, latch_fallback, watch_loop, watch_response
 
 _RETUNE = 1e-4
+"""Relative drift of the slow period from which the fixed gains are made again."""
+
 _HELD_SHARE = 0.1
+"""Share of stand-in ticks above which a slow sample teaches nothing."""
 
 
 def slow_step(

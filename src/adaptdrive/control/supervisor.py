@@ -31,7 +31,8 @@ _DESIGN_RADIUS = 0.995
 _RESIDUAL_RATE = 0.05
 """Rate of the mean residuals: a mean over about 20 slow periods."""
 
-_RESIDUAL_FLOOR = 1.0e-6  # a thousandth of the scale: at rest, less is noise
+_RESIDUAL_FLOOR = 1.0e-6
+"""A thousandth of the scale, squared: at rest, less is noise."""
 
 
 class Verdict(IntEnum):

@@ -18,7 +18,10 @@ stands still while k is limited and the error would drive it further into the li
 from __future__ import annotations
 
 PROPORTIONAL = 1.0 / 3.0
+"""Kp of a triple pole at 2/3."""
+
 INTEGRAL = 1.0 / 27.0
+"""Ki of a triple pole at 2/3: (1 - 2/3)³."""
 
 LAG_TICKS = 9.0
 """Mean delay of the closed loop: three poles at 2/3 of 3 ticks each."""

@@ -33,7 +33,8 @@ TIME_CONSTANTS = 5.0
 HELD_SHARE = 0.5
 """Share of held measurements from which a sample is more guessed than measured."""
 
-CLOSER = 0.9  # a tenth of the way within `saturated_s`: a lag of nine times that time does it
+CLOSER = 0.9
+"""A tenth of the way within `saturated_s`: a lag of nine times that time does it."""
 
 
 class Fallback(IntEnum):
