@@ -38,7 +38,7 @@ def test_a_lag_that_cannot_be_counted_is_a_flaw(changes: dict[str, str]) -> None
 
 @pytest.mark.parametrize(
     ("changes", "noise_V"),
-    [({}, 7.0), ({"load__noise_V": "12.5"}, 12.5), ({"load__noise_V": "0.0"}, 0.0)],
+    [({}, 8.0), ({"load__noise_V": "12.5"}, 12.5), ({"load__noise_V": "0.0"}, 0.0)],
 )
 def test_the_noise_of_the_input_is_limited_in_volts_of_a_motor(
     changes: dict[str, str], noise_V: float
@@ -53,7 +53,7 @@ def test_in_watts_of_a_bath() -> None:
     low_V, high_V = limits.boost_reference_min_V, limits.boost_reference_max_V
     slope_W_per_V = load.input_gain * (low_V + high_V)
     assert load.input_exponent == 2
-    expected_W = 0.035 * (high_V - low_V) * slope_W_per_V
+    expected_W = 0.04 * (high_V - low_V) * slope_W_per_V
     assert controller_settings(configuration).jacket.noise_max == pytest.approx(expected_W)
 
 

@@ -29,6 +29,7 @@ _UNITS = {
     "charging.TAPER_GAIN": "1/period",
     "charging._NEAR_LIMIT": "1",
     "charging._END_PERIODS": "periods",
+    "controller._FAR_BETTER": "1",
     "controller._IDLE_PERIODS": "periods",
     "estimator._PRIOR_VARIANCE": "σ²",
     "explanation.SETTLED_SAMPLES": "periods",

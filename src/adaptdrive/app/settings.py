@@ -35,7 +35,7 @@ _SWING_SHARE = 0.01
 _ERROR_SHARE = 0.1
 """Default of `supervisor.error_limit`, as a share of the range of set-points."""
 
-_NOISE_SHARE = 0.035
+_NOISE_SHARE = 0.04
 """Default of `load.noise_V`, as a share of the range of V_c."""
 
 _PAPER_PATIENCE = 30

@@ -52,7 +52,7 @@ class LoadSection(Section):
     noise_V: NonNegativeFloat | None = Field(
         default=None,
         description="largest standard deviation of V_c in volts that noise of the output may cause "
-        "through the adaptive gains, whose poles become slower where they would cause more; 3.5 % "
+        "through the adaptive gains, whose poles become slower where they would cause more; 4 % "
         "of the range of V_c when left out; 0: any (`exact` and `lm-rls` only)",
     )
     latency_ticks: int = Field(
