@@ -12,7 +12,8 @@ from adaptdrive.control.reach import UNKNOWN, Reach
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.errors import RefusedError
-from adaptdrive.runtime.machine import Machine, MachineLimits
+from adaptdrive.runtime.machine import Machine
+from adaptdrive.runtime.machine_limits import MachineLimits
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import (
     Disable,

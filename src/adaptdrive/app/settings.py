@@ -23,7 +23,7 @@ from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive.runtime.daemon import DaemonSettings
 from adaptdrive.runtime.guard import CommandLimits
 from adaptdrive.runtime.loop_interface import FastLoopSettings
-from adaptdrive.runtime.machine import MachineLimits
+from adaptdrive.runtime.machine_limits import MachineLimits
 from adaptdrive.runtime.realtime import RealtimeSettings
 
 _LOWEST_LINE = 0.5

@@ -23,7 +23,8 @@ from adaptdrive.runtime.frame_watch import DressRehearsal, FrameWatch
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.latency import LatencyDetector, WatchedLoop
 from adaptdrive.runtime.loop_interface import FastLoopSettings
-from adaptdrive.runtime.machine import Machine, MachineLimits
+from adaptdrive.runtime.machine import Machine
+from adaptdrive.runtime.machine_limits import MachineLimits
 from adaptdrive.runtime.refused_share import RefusedShares
 from adaptdrive.runtime.reports import (
     DriveReport,

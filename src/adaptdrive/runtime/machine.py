@@ -11,55 +11,14 @@ starts it. `enable` itself moves nothing, and a set-point of 0 or less lets the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from adaptdrive.control.reach import UNKNOWN, Reach
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.control.waveform import Waveform
 from adaptdrive.errors import RefusedError
-from adaptdrive.runtime.manual import ManualVoltage
+from adaptdrive.runtime.machine_limits import FLOOR_REACHED, MachineLimits
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Moment, Request
-
-_LONGEST_HOLD_S = 86_400.0
-
-_FLOOR_REACHED = 0.99
-"""Share of the floor of v_bst that ends `starting`: ripple and measurement differ by 1 %."""
-
-
-@dataclass(frozen=True, slots=True)
-class MachineLimits:
-    """Limits of an operator's requests, and of the time to start.
-
-    Attributes:
-        reference_min: Lowest set-point.
-        reference_max: Highest set-point.
-        unit: Unit of the set-point, for refusals.
-        pole_min: Fastest pole.
-        pole_max: Slowest pole.
-        period_min_s: Shortest period of a waveform.
-        floor_V: Boost voltage at which starting ends, and lowest V_c.
-        ceiling_V: Highest V_c.
-        slew_V_per_s: Largest slope of V_c in mode manual.
-        starting_ticks: Longest time in state `starting`, in fast ticks.
-        tick_s: Half a line cycle at nominal frequency.
-        boost_needs_bridge: Whether the bridge is on in `starting` already.
-        reach: What V_c can hold by the nominal model.
-    """
-
-    reference_min: float
-    reference_max: float
-    unit: str
-    pole_min: float
-    pole_max: float
-    period_min_s: float
-    floor_V: float
-    ceiling_V: float
-    slew_V_per_s: float
-    starting_ticks: int
-    tick_s: float
-    boost_needs_bridge: bool = False
-    reach: Reach = UNKNOWN
 
 
 class Machine:
@@ -81,7 +40,7 @@ class Machine:
         self._limits = limits
         self.state = State.STANDBY
         self.mode = Mode.FIXED
-        self.manual = self._held(limits.floor_V, 0)
+        self.manual = self._limits.held(limits.floor_V, 0)
         self.setpoint = limits.reference_min
         self.waveform: Waveform | None = None
         self.pole = pole
@@ -177,9 +136,9 @@ class Machine:
         if Mode.MANUAL in (mode, self.mode):
             self.waveform = None
         if mode is Mode.MANUAL:
-            self.manual = self._held(voltage_V, tick)
+            self.manual = self._limits.held(voltage_V, tick)
         elif self.mode is Mode.MANUAL and self.energised:
-            self.setpoint = self._nearest_reference(output)
+            self.setpoint = self._limits.nearest_reference(output)
         self.mode = mode
 
     def set_voltage(self, value: float, hold_s: float | None, tick: int) -> None:
@@ -198,14 +157,7 @@ class Machine:
             raise RefusedError(f"voltage needs mode manual; mode is {self.mode}")
         if self.state is not State.RUNNING:
             raise RefusedError(f"voltage needs a running drive; state is {self.state}")
-        if not limits.floor_V <= value <= limits.ceiling_V:
-            raise RefusedError(
-                f"voltage = {value:g} V is outside {limits.floor_V:g}…{limits.ceiling_V:g} V"
-            )
-        if hold_s is not None and not 0.0 < hold_s <= _LONGEST_HOLD_S:
-            raise RefusedError(
-                f"hold_s = {hold_s:g} s is not above 0 s and at most {_LONGEST_HOLD_S:g} s"
-            )
+        limits.require_voltage(value, hold_s)
         self.manual = replace(
             self.manual,
             start_V=self.manual.value(tick),
@@ -224,10 +176,10 @@ class Machine:
             RefusedError: No controller runs, or the value is out of range.
         """
         self._require_loop("setpoint")
-        self._require_reference("setpoint", value)
+        self._limits.require_reference("setpoint", value)
         coasts = value <= 0.0 and value < self.reach.low
         if not coasts:
-            self._require_reach("setpoint", value)
+            self._limits.require_reach("setpoint", value, self.reach)
         self.setpoint = value
         self.waveform = None
         if coasts:
@@ -246,13 +198,9 @@ class Machine:
             self.setpoint = self.reference(tick)
         else:
             for name, value in (("low", waveform.low), ("high", waveform.high)):
-                self._require_reference(f"waveform {name}", value)
-                self._require_reach(f"waveform {name}", value)
-            if not waveform.period_s >= self._limits.period_min_s:
-                raise RefusedError(
-                    f"waveform period_s = {waveform.period_s:g} is below "
-                    f"{self._limits.period_min_s:g}"
-                )
+                self._limits.require_reference(f"waveform {name}", value)
+                self._limits.require_reach(f"waveform {name}", value, self.reach)
+            self._limits.require_period("waveform period_s", waveform.period_s)
             self._waveform_tick = tick
             if self.coasting:
                 self._start()
@@ -264,11 +212,7 @@ class Machine:
         Raises:
             RefusedError: The value is out of range.
         """
-        limits = self._limits
-        if not limits.pole_min <= value <= limits.pole_max:
-            raise RefusedError(
-                f"pole = {value:g} is outside {limits.pole_min:g}…{limits.pole_max:g}"
-            )
+        self._limits.require_pole(value)
         self.pole = value
 
     def enable(self, output: float, cause: str | None, tick: int) -> None:
@@ -292,12 +236,12 @@ class Machine:
             raise RefusedError(cause)
         limits = self._limits
         self.waveform = None
-        self.manual = self._held(limits.floor_V, tick)
+        self.manual = self._limits.held(limits.floor_V, tick)
         if self.reach.is_known and output < max(limits.reference_min, self.reach.low):
             self.setpoint = max(output, min(limits.reference_min, 0.0))
             self._coast()
         else:
-            self.setpoint = self._nearest_reference(output)
+            self.setpoint = self._limits.nearest_reference(output)
             self._start()
 
     def disable(self) -> None:
@@ -336,10 +280,10 @@ class Machine:
             return
         if not self._precharging:
             self._precharging, self._since_tick = True, tick
-        elif boost_voltage_V >= _FLOOR_REACHED * self._limits.floor_V:
+        elif boost_voltage_V >= FLOOR_REACHED * self._limits.floor_V:
             self.state = State.RUNNING
         elif tick - self._since_tick > self._limits.starting_ticks:
-            self.latch(_precharge_cause(self._limits, boost_voltage_V))
+            self.latch(self._limits.precharge_cause(boost_voltage_V))
 
     def forget_reach(self) -> None:
         """Go by the nominal model again: what a run found may not hold in the next one."""
@@ -363,12 +307,6 @@ class Machine:
             self.state = State.TRIPPED
             self.trip = cause
 
-    def _held(self, voltage_V: float, tick: int) -> ManualVoltage:
-        """Return a V_c that stays, at the limit nearest to the given one."""
-        limits = self._limits
-        held_V = min(max(limits.floor_V, voltage_V), limits.ceiling_V)
-        return ManualVoltage(held_V, held_V, tick, limits.slew_V_per_s * limits.tick_s)
-
     def _start(self) -> None:
         """Energise the drive, from the precharge on."""
         self.state, self.stopped = State.STARTING, False
@@ -379,46 +317,12 @@ class Machine:
         self.state, self.stopped = State.RUNNING, False
         self._coasts = True
 
-    def _nearest_reference(self, output: float) -> float:
-        return min(max(output, self._limits.reference_min), self._limits.reference_max)
-
     def _require_loop(self, what: str) -> None:
         """Refuse a set-point that nothing follows."""
         if not self.energised:
             raise RefusedError(f"{what} needs an enabled drive; state is {self.state}")
         if self.mode is Mode.MANUAL:
             raise RefusedError(f"{what} needs mode fixed or adaptive; mode is manual")
-
-    def _require_reach(self, what: str, value: float) -> None:
-        reach, unit = self.reach, self._limits.unit
-        if not reach.holds(value):
-            raise RefusedError(
-                f"{what} = {value:g} {unit} is outside {reach.low:g}…{reach.high:g} {unit}, which "
-                "V_c can hold"
-            )
-
-    def _require_reference(self, what: str, value: float) -> None:
-        limits = self._limits
-        if not (math.isfinite(value) and limits.reference_min <= value <= limits.reference_max):
-            raise RefusedError(
-                f"{what} = {value:g} {limits.unit} is outside "
-                f"{limits.reference_min:g}…{limits.reference_max:g} {limits.unit}"
-            )
-
-
-def _precharge_cause(limits: MachineLimits, boost_voltage_V: float) -> str:
-    passed_s = limits.starting_ticks * limits.tick_s
-    hint = (
-        ", with its enable bit on"
-        if limits.boost_needs_bridge
-        else "; a boost stage that works only with the enable bit on needs drive.enable_bit = "
-        "'bridge-and-boost'"
-    )
-    return (
-        f"precharge: v_bst = {boost_voltage_V:.1f} V after {passed_s:g} s, "
-        f"needs {limits.floor_V:g} V{hint}; else the drive refuses the commands (checksum, "
-        "counter, local instead of remote mode), or line or precharge circuit is open"
-    )
 
 
 _STAGES = {

@@ -1,0 +1,119 @@
+"""Limits of an operator's requests, and the refusals of values outside them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adaptdrive.control.reach import UNKNOWN, Reach
+from adaptdrive.errors import RefusedError
+from adaptdrive.runtime.manual import ManualVoltage
+
+_LONGEST_HOLD_S = 86_400.0
+
+FLOOR_REACHED = 0.99
+"""Share of the floor of v_bst that ends `starting`: ripple and measurement differ by 1 %."""
+
+
+@dataclass(frozen=True, slots=True)
+class MachineLimits:
+    """Limits of an operator's requests, and of the time to start.
+
+    Attributes:
+        reference_min: Lowest set-point.
+        reference_max: Highest set-point.
+        unit: Unit of the set-point, for refusals.
+        pole_min: Fastest pole.
+        pole_max: Slowest pole.
+        period_min_s: Shortest period of a waveform.
+        floor_V: Boost voltage at which starting ends, and lowest V_c.
+        ceiling_V: Highest V_c.
+        slew_V_per_s: Largest slope of V_c in mode manual.
+        starting_ticks: Longest time in state `starting`, in fast ticks.
+        tick_s: Half a line cycle at nominal frequency.
+        boost_needs_bridge: Whether the bridge is on in `starting` already.
+        reach: What V_c can hold by the nominal model.
+    """
+
+    reference_min: float
+    reference_max: float
+    unit: str
+    pole_min: float
+    pole_max: float
+    period_min_s: float
+    floor_V: float
+    ceiling_V: float
+    slew_V_per_s: float
+    starting_ticks: int
+    tick_s: float
+    boost_needs_bridge: bool = False
+    reach: Reach = UNKNOWN
+
+    def require_reference(self, what: str, value: float) -> None:
+        """Refuse a set-point that the configuration does not allow.
+
+        Args:
+            what: Name of the value in the refusal.
+            value: Set-point in the unit of the output.
+
+        Raises:
+            RefusedError: The value is out of range or not finite.
+        """
+        if not (math.isfinite(value) and self.reference_min <= value <= self.reference_max):
+            raise RefusedError(
+                f"{what} = {value:g} {self.unit} is outside "
+                f"{self.reference_min:g}…{self.reference_max:g} {self.unit}"
+            )
+
+    def require_reach(self, what: str, value: float, reach: Reach) -> None:
+        """Refuse a set-point that V_c cannot hold; arguments as of `require_reference`."""
+        if not reach.holds(value):
+            raise RefusedError(
+                f"{what} = {value:g} {self.unit} is outside {reach.low:g}…{reach.high:g} "
+                f"{self.unit}, which V_c can hold"
+            )
+
+    def require_period(self, what: str, value: float) -> None:
+        """Refuse a period of a waveform, in s, that is too short."""
+        if not value >= self.period_min_s:
+            raise RefusedError(f"{what} = {value:g} is below {self.period_min_s:g}")
+
+    def require_pole(self, value: float) -> None:
+        """Refuse a closed-loop pole that is too fast or too slow."""
+        if not self.pole_min <= value <= self.pole_max:
+            raise RefusedError(f"pole = {value:g} is outside {self.pole_min:g}…{self.pole_max:g}")
+
+    def require_voltage(self, value: float, hold_s: float | None) -> None:
+        """Refuse a V_c, in V, or a time to hold it, in s, that is out of range."""
+        if not self.floor_V <= value <= self.ceiling_V:
+            raise RefusedError(
+                f"voltage = {value:g} V is outside {self.floor_V:g}…{self.ceiling_V:g} V"
+            )
+        if hold_s is not None and not 0.0 < hold_s <= _LONGEST_HOLD_S:
+            raise RefusedError(
+                f"hold_s = {hold_s:g} s is not above 0 s and at most {_LONGEST_HOLD_S:g} s"
+            )
+
+    def nearest_reference(self, output: float) -> float:
+        """Return the allowed set-point that is nearest to an output."""
+        return min(max(output, self.reference_min), self.reference_max)
+
+    def held(self, voltage_V: float, tick: int) -> ManualVoltage:
+        """Return a V_c that stays, at the limit nearest to the given one."""
+        held_V = min(max(self.floor_V, voltage_V), self.ceiling_V)
+        return ManualVoltage(held_V, held_V, tick, self.slew_V_per_s * self.tick_s)
+
+    def precharge_cause(self, boost_voltage_V: float) -> str:
+        """Return the cause of a trip in state `starting`, with the likeliest remedy."""
+        passed_s = self.starting_ticks * self.tick_s
+        hint = (
+            ", with its enable bit on"
+            if self.boost_needs_bridge
+            else "; a boost stage that works only with the enable bit on needs drive.enable_bit = "
+            "'bridge-and-boost'"
+        )
+        return (
+            f"precharge: v_bst = {boost_voltage_V:.1f} V after {passed_s:g} s, "
+            f"needs {self.floor_V:g} V{hint}; else the drive refuses the commands (checksum, "
+            "counter, local instead of remote mode), or line or precharge circuit is open"
+        )
