@@ -20,7 +20,7 @@ RETURNING = {"find_cause", "_unhealthy", "_exceeded", "complaint"} | {
     "_problem",
     "_watch",
     "_departure",
-    "_precharge_cause",
+    "precharge_cause",
     "_low",
     "_fallen",
 }

@@ -21,7 +21,10 @@ _PLANT = (
     "adaptdrive_sim.compiled.bench",
 )
 
-_OUTSIDE = {f"adaptdrive.control.{name}" for name in ("columns", "controller", "reach", "schedule")}
+_OUTSIDE = {
+    f"adaptdrive.control.{name}"
+    for name in ("columns", "controller", "reach", "reasons", "schedule")
+}
 """Texts, enumerations and the order of calls, around what is compiled."""
 
 

@@ -15,6 +15,7 @@ from adaptdrive.control.charging import is_complete
 from adaptdrive.control.estimator import start_from
 from adaptdrive.control.load import Load, to_input, to_voltage
 from adaptdrive.control.reach import estimated_reach, nominal_reach
+from adaptdrive.control.reasons import reason
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import (
     SAFE_COMMAND,
@@ -28,16 +29,9 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.control.slow_half import slow_step
-from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
-from adaptdrive.control.supervisor import Verdict, better_than_nominal
+from adaptdrive.control.slow_state import SlowSample, new_slow_state
 from adaptdrive.control.voltage_loop import initial_sum
 from adaptdrive.control.watch import Fallback
-
-_IDLE_PERIODS = 60
-"""Slow periods without an update before the reason names it: 60 s of a motor."""
-
-_FAR_BETTER = 3.0
-"""Ratio of rms prediction errors from which an estimate out of bounds contradicts its bounds."""
 
 _UNRESPONSIVE = "no response: input at its limit for long, and the output has not moved"
 
@@ -111,7 +105,7 @@ class Controller:
             boost_reference_V=voltage,
             controller=_in_force(snapshot.order.mode, adaptive=state.adaptive),
             accepted=state.accepted,
-            reason=self._reason(snapshot.order.mode),
+            reason=reason(state, settings.jacket, self._load, snapshot.order.mode),
             estimates=self._estimates(),
             gains=(*gains, sum(gains[taps:])),
             innovation=state.estimator.innovation,
@@ -273,57 +267,6 @@ class Controller:
             estimates["input_offset"] = Estimate(offset, math.nan)
         return estimates
 
-    def _reason(self, mode: Mode) -> str:
-        state, jacket = self._slow, self._settings.jacket
-        if state.watch.fallback != Fallback.NONE:
-            return f"{_FALLBACKS[Fallback(state.watch.fallback)]}; ask for adaptive again"
-        verdict = Verdict(state.supervisor.verdict)
-        if verdict is Verdict.TRUSTED:
-            return "" if mode is Mode.ADAPTIVE else f"mode {mode} asked for"
-        if verdict is Verdict.WARMING_UP:
-            return f"warming up: needs {jacket.warm_up_periods} slow periods"
-        if verdict is Verdict.OUT_OF_BOUNDS:
-            return self._out_of_bounds(state)
-        if verdict is Verdict.UNCERTAIN:
-            return self._uncertain(state)
-        return _REASONS[verdict]
-
-    def _uncertain(self, state: SlowState) -> str:
-        index, limit = state.supervisor.culprit, self._settings.jacket.deviation_max
-        name = self._load.names[index]
-        share = state.deviations[index] / abs(state.values[index])
-        if state.estimator.idle_periods > _IDLE_PERIODS:
-            return f"not identifiable now: nothing excites {name}"
-        if not math.isfinite(share):
-            return f"how sure estimate {name} is, is not known yet"
-        return f"estimate {name} is uncertain: ±{100 * share:.3g} %, limit {100 * limit:g} %"
-
-    def _out_of_bounds(self, state: SlowState) -> str:
-        index, jacket = state.supervisor.culprit, self._settings.jacket
-        nominal = state.nominal[index]
-        low, high = jacket.ratio_min * nominal, jacket.ratio_max * nominal
-        name, value = self._load.names[index], state.values[index]
-        text = f"estimate {name} = {value:.4g} outside {low:.4g}…{high:.4g}"
-        better = better_than_nominal(state.supervisor)
-        ratio = value / nominal
-        if not (better > _FAR_BETTER and 0.0 < ratio < math.inf):
-            return text
-        contrast = _contrast(name, ratio)
-        return (
-            f"{text}, but predicts {better:.1g} times better than [load.model]: the load is "
-            f"{contrast} than [load.model]; run adaptdrive commission"
-        )
-
-
-def _contrast(name: str, ratio: float) -> str:
-    """Return how a load differs in a parameter, a time or another."""
-    factor, larger = max(ratio, 1.0 / ratio), ratio > 1.0
-    if name == "tau_product_s2":
-        factor = math.sqrt(factor)
-    if name.startswith("tau_"):
-        return f"{factor:.2g} times {'slower' if larger else 'faster'}"
-    return f"{factor:.2g} times {'larger' if larger else 'smaller'} in {name}"
-
 
 def _in_force(mode: Mode, *, adaptive: bool) -> Mode:
     """Return the source of V_c: the operator, or the law in force."""
@@ -337,22 +280,3 @@ def _confirming(settings: ControllerSettings) -> ControllerSettings:
     jacket = settings.jacket
     periods = min(jacket.confirm_periods, jacket.warm_up_periods)
     return replace(settings, jacket=replace(jacket, warm_up_periods=periods))
-
-
-_REASONS = {
-    Verdict.NOT_FINITE: "estimate is not finite",
-    Verdict.UNSTABLE_LOAD: "estimated load is unstable",
-    Verdict.UNSTABLE_LOOP: "designed loop would be unstable",
-    Verdict.WORSE_THAN_FIXED: "estimate predicts worse than the nominal model",
-    Verdict.UNDERDAMPED: "estimate swings as no such load does",
-    Verdict.FRAGILE: "designed loop might be unstable within the uncertainty of the estimate",
-    Verdict.AT_ODDS: "designed loop would be unstable with the last trusted estimate",
-    Verdict.SETTLING: "estimate is good, but not yet for long enough",
-}
-
-_FALLBACKS = {
-    Fallback.SATURATED: "fell back: input at its limit for too long",
-    Fallback.ERROR: "fell back: large error although the input was free",
-    Fallback.OSCILLATING: "fell back: growing oscillation",
-    Fallback.BLIND: "fell back: measurements failed",
-}

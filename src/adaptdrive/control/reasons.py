@@ -1,0 +1,97 @@
+"""Reasons why the adaptive law is not in force, as text for operators."""
+
+from __future__ import annotations
+
+import math
+
+from adaptdrive.control.load import Load
+from adaptdrive.control.settings import Jacket
+from adaptdrive.control.signals import Mode
+from adaptdrive.control.slow_state import SlowState
+from adaptdrive.control.supervisor import Verdict, better_than_nominal
+from adaptdrive.control.watch import Fallback
+
+_IDLE_PERIODS = 60
+"""Slow periods without an update before the reason names it: 60 s of a motor."""
+
+_FAR_BETTER = 3.0
+"""Ratio of rms prediction errors from which an estimate out of bounds contradicts its bounds."""
+
+_REASONS = {
+    Verdict.NOT_FINITE: "estimate is not finite",
+    Verdict.UNSTABLE_LOAD: "estimated load is unstable",
+    Verdict.UNSTABLE_LOOP: "designed loop would be unstable",
+    Verdict.WORSE_THAN_FIXED: "estimate predicts worse than the nominal model",
+    Verdict.UNDERDAMPED: "estimate swings as no such load does",
+    Verdict.FRAGILE: "designed loop might be unstable within the uncertainty of the estimate",
+    Verdict.AT_ODDS: "designed loop would be unstable with the last trusted estimate",
+    Verdict.SETTLING: "estimate is good, but not yet for long enough",
+}
+
+_FALLBACKS = {
+    Fallback.SATURATED: "fell back: input at its limit for too long",
+    Fallback.ERROR: "fell back: large error although the input was free",
+    Fallback.OSCILLATING: "fell back: growing oscillation",
+    Fallback.BLIND: "fell back: measurements failed",
+}
+
+
+def reason(state: SlowState, jacket: Jacket, load: Load, mode: Mode) -> str:
+    """Return why the adaptive law is not in force, empty where it is.
+
+    Args:
+        state: The slow half.
+        jacket: Limits of the supervisor.
+        load: Names of the parameters.
+        mode: Mode that is asked for.
+    """
+    if state.watch.fallback != Fallback.NONE:
+        return f"{_FALLBACKS[Fallback(state.watch.fallback)]}; ask for adaptive again"
+    verdict = Verdict(state.supervisor.verdict)
+    if verdict is Verdict.TRUSTED:
+        return "" if mode is Mode.ADAPTIVE else f"mode {mode} asked for"
+    if verdict is Verdict.WARMING_UP:
+        return f"warming up: needs {jacket.warm_up_periods} slow periods"
+    if verdict is Verdict.OUT_OF_BOUNDS:
+        return _out_of_bounds(state, jacket, load)
+    if verdict is Verdict.UNCERTAIN:
+        return _uncertain(state, jacket, load)
+    return _REASONS[verdict]
+
+
+def _uncertain(state: SlowState, jacket: Jacket, load: Load) -> str:
+    index, limit = state.supervisor.culprit, jacket.deviation_max
+    name = load.names[index]
+    share = state.deviations[index] / abs(state.values[index])
+    if state.estimator.idle_periods > _IDLE_PERIODS:
+        return f"not identifiable now: nothing excites {name}"
+    if not math.isfinite(share):
+        return f"how sure estimate {name} is, is not known yet"
+    return f"estimate {name} is uncertain: ±{100 * share:.3g} %, limit {100 * limit:g} %"
+
+
+def _out_of_bounds(state: SlowState, jacket: Jacket, load: Load) -> str:
+    index = state.supervisor.culprit
+    nominal = state.nominal[index]
+    low, high = jacket.ratio_min * nominal, jacket.ratio_max * nominal
+    name, value = load.names[index], state.values[index]
+    text = f"estimate {name} = {value:.4g} outside {low:.4g}…{high:.4g}"
+    better = better_than_nominal(state.supervisor)
+    ratio = value / nominal
+    if not (better > _FAR_BETTER and 0.0 < ratio < math.inf):
+        return text
+    contrast = _contrast(name, ratio)
+    return (
+        f"{text}, but predicts {better:.1g} times better than [load.model]: the load is "
+        f"{contrast} than [load.model]; run adaptdrive commission"
+    )
+
+
+def _contrast(name: str, ratio: float) -> str:
+    """Return how a load differs in a parameter, a time or another."""
+    factor, larger = max(ratio, 1.0 / ratio), ratio > 1.0
+    if name == "tau_product_s2":
+        factor = math.sqrt(factor)
+    if name.startswith("tau_"):
+        return f"{factor:.2g} times {'slower' if larger else 'faster'}"
+    return f"{factor:.2g} times {'larger' if larger else 'smaller'} in {name}"
