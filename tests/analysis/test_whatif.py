@@ -16,6 +16,7 @@ from adaptdrive.errors import ConfigurationError
 from adaptdrive.recording.batches import Header
 from adaptdrive.recording.session import NewSession, create_session
 from tests.app.test_replay import EXAMPLE, PRIOR, lived
+from tests.closed_loop.bench import STEP
 from tests.recording.material import INFO, make_batch, record_messages
 
 
@@ -47,6 +48,15 @@ def test_a_slower_pole_settles_later_with_less_effort(slower: Comparison) -> Non
     assert slower.changed.quality.effort_V < 0.8 * slower.repeated.quality.effort_V
     assert slower.idle == ()
     assert "settling to 5 %, median s" in as_text(slower)
+
+
+def test_a_part_begins_with_what_the_daemon_had_trusted(stepped: Path) -> None:
+    found = what_if(stepped, [], 181.0)
+    rest = slice(10, None)  # the loop begins at rest, the record in a movement
+    np.testing.assert_allclose(
+        found.repeated.output[rest], found.recorded.output[rest], atol=0.1 * STEP
+    )
+    assert found.repeated.quality.settling_s < 1.2 * found.recorded.quality.settling_s
 
 
 def test_a_setting_that_acts_on_no_loop_is_named(stepped: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -11,7 +12,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from adaptdrive.analysis.curves import session_clock
-from adaptdrive.control.signals import Mode, Stage
+from adaptdrive.control.signals import Stage
 from adaptdrive.errors import IdentificationError
 from adaptdrive.identification.excerpt import Excerpt
 from adaptdrive.recording.reader import Session
@@ -19,7 +20,15 @@ from adaptdrive.recording.session import TICKS
 
 Array = NDArray[np.float64]
 
-_COLUMNS = ("boost_voltage_V", "output", "reference", "load_power_W", "pole", "tick_period_s")
+_COLUMNS = (
+    "boost_voltage_V",
+    "output",
+    "reference",
+    "load_power_W",
+    "pole",
+    "manual_V",
+    "tick_period_s",
+)
 _LONGEST_GAP = 5
 """Missing readings in a row that are filled in on a straight line; a longer gap divides."""
 
@@ -35,15 +44,16 @@ class Stretch:
         begin_s: Time of its first sample since the first tick of the session.
         period_s: Time between two samples.
         samples_per_period: Samples in a slow period; the first sample begins one.
-        columns: Values of `boost_voltage_V`, `output`, `reference`, `load_power_W` and `pole`.
-        adaptive: Whether mode adaptive was asked for, at each sample.
+        columns: Values of `boost_voltage_V`, `output`, `reference`, `load_power_W`, `pole` and
+            `manual_V`.
+        modes: Mode asked for at each sample.
     """
 
     begin_s: float
     period_s: float
     samples_per_period: int
     columns: dict[str, Array]
-    adaptive: NDArray[np.bool_]
+    modes: NDArray[np.str_]
 
     @property
     def excerpt(self) -> Excerpt:
@@ -85,28 +95,24 @@ def block_samples(stretches: list[Stretch]) -> int:
     return min(n for n in range(1, per_period + 1) if per_period % n == 0 and n >= wanted)
 
 
-def _running(session: Session, begin_s: float, end_s: float) -> dict[str, Array]:
+def _running(session: Session, begin_s: float, end_s: float) -> dict[str, Any]:
     """Return time, tick and columns of the ticks with a fresh reading of a running drive."""
     clock = session_clock(session)
     first_s = math.nan
-    kept: dict[str, list[Array]] = {n: [] for n in ("time_s", "adaptive", "tick", *_COLUMNS)}
+    kept: dict[str, list[Any]] = {n: [] for n in ("time_s", "mode", "tick", *_COLUMNS)}
     read = ("monotonic_s", "tick", "stage", "fresh", "mode", *_COLUMNS)
     for batch in session.batches(TICKS, read):
         time_s = clock(batch)
         first_s = time_s[0] if math.isnan(first_s) and len(time_s) else first_s
         since_s = time_s - first_s
-        running, adaptive = (
-            _equal(batch, "stage", Stage.RUN.value),
-            _equal(batch, "mode", Mode.ADAPTIVE.value),
-        )
-        chosen = running & ~_equal(batch, "fresh", wanted=False)
+        chosen = _equal(batch, "stage", Stage.RUN.value) & ~_equal(batch, "fresh", wanted=False)
         chosen &= (since_s >= begin_s) & (since_s <= end_s)
         kept["time_s"].append(since_s[chosen])
-        kept["adaptive"].append(adaptive[chosen].astype(np.float64))
+        kept["mode"].append(np.asarray(batch.column("mode").to_pylist(), dtype=np.str_)[chosen])
         for name in ("tick", *_COLUMNS):
             values = batch.column(name).to_numpy(zero_copy_only=False)
             kept[name].append(np.asarray(values, dtype=np.float64)[chosen])
-    return {name: np.concatenate([*values, np.empty(0)]) for name, values in kept.items()}
+    return {name: np.concatenate(values) if values else [] for name, values in kept.items()}
 
 
 def _equal(batch: pa.RecordBatch, name: str, wanted: str | bool) -> NDArray[np.bool_]:
@@ -115,7 +121,7 @@ def _equal(batch: pa.RecordBatch, name: str, wanted: str | bool) -> NDArray[np.b
     return np.asarray(found.to_numpy(zero_copy_only=False), dtype=np.bool_)
 
 
-def _stretch(rows: dict[str, Array], stride: int, ticks_per_period: int) -> Stretch | None:
+def _stretch(rows: dict[str, Any], stride: int, ticks_per_period: int) -> Stretch | None:
     """Put rows on a regular grid that begins with a slow period."""
     ticks = rows["tick"]
     begin = math.ceil((ticks[0] - stride) / ticks_per_period) * ticks_per_period + stride
@@ -128,5 +134,5 @@ def _stretch(rows: dict[str, Array], stride: int, ticks_per_period: int) -> Stre
         period_s=stride * float(rows["tick_period_s"].mean()),
         samples_per_period=max(1, ticks_per_period // stride),
         columns=columns,
-        adaptive=np.interp(grid, ticks, rows["adaptive"]) > 0.5,
+        modes=rows["mode"][np.minimum(np.searchsorted(ticks, grid), len(ticks) - 1)],
     )

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptdrive.analysis.closed_loop import LoopStart, run_loop
+from adaptdrive.analysis.curves import find_window, read_curves
 from adaptdrive.analysis.excerpts import Stretch
 from adaptdrive.analysis.identified_plant import disturbed_plant
 from adaptdrive.analysis.session_load import SessionLoad, identify_session
@@ -131,24 +132,35 @@ def _acting_with(
 def _simulated(
     found: SessionLoad, stretch: Stretch, configuration: Configuration, span: float
 ) -> LoopCourse:
-    poles = stretch.columns["pole"]
+    poles, by_hand_V = stretch.columns["pole"], np.nan_to_num(stretch.columns["manual_V"])
     if configuration.load.pole != found.configuration.load.pole:
         poles = np.full(len(poles), configuration.load.pole)
     reference = stretch.columns["reference"]
 
     def order(number: int) -> Order:
-        mode = Mode.ADAPTIVE if stretch.adaptive[number] else Mode.FIXED
-        return Order(Stage.RUN, float(reference[number]), mode, float(poles[number]))
+        mode, pole = Mode(stretch.modes[number]), float(poles[number])
+        return Order(Stage.RUN, float(reference[number]), mode, pole, float(by_hand_V[number]))
 
     record = run_loop(
         configuration,
         disturbed_plant(found.load, build_load(found.configuration), stretch),
         order,
         len(reference),
-        LoopStart(float(stretch.columns["boost_voltage_V"][0]), found.session.info.prior),
+        LoopStart(float(stretch.columns["boost_voltage_V"][0]), _prior(found, stretch)),
     )
     series = [np.array(one) for one in (record.reference, record.output, record.boost_voltage_V)]
     return _response(stretch, (series[0], series[1], series[2]), span, record.fault)
+
+
+def _prior(found: SessionLoad, stretch: Stretch) -> tuple[float, ...] | None:
+    """Return what the daemon had trusted when a part of a session began."""
+    if stretch.begin_s <= found.configuration.load.period_s:
+        return found.session.info.prior
+    curves = read_curves(found.session, find_window(found.session, None, stretch.begin_s))
+    accepted = np.flatnonzero(curves.slow.get("accepted", ()))
+    if not len(accepted):
+        return found.session.info.prior
+    return tuple(float(curves.estimates[name][0][accepted[-1]]) for name in found.nominal)
 
 
 def _response(
