@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from adaptdrive.analysis.closed_loop import LoopStart, run_loop
 from adaptdrive.analysis.curves import find_window, read_curves
-from adaptdrive.analysis.excerpts import Stretch
+from adaptdrive.analysis.excerpts import Stretch, read_stretches
 from adaptdrive.analysis.identified_plant import disturbed_plant
 from adaptdrive.analysis.session_load import SessionLoad, identify_session
 from adaptdrive.analysis.steps import Quality, period_means, quality_of
@@ -90,11 +90,13 @@ def what_if(
     if changed.load.type != found.configuration.load.type:
         flaw = Flaw("load.type", f"the session shows a {found.configuration.load.type}")
         raise ConfigurationError(source, [flaw])
-    stretch = max(found.stretches, key=lambda one: len(one.columns["output"]))
-    span = found.configuration.load.reference_max - found.configuration.load.reference_min
-    columns = stretch.columns
-    recorded = _response(
-        stretch, (columns["reference"], columns["output"], columns["boost_voltage_V"]), span
+    part = max(found.stretches, key=lambda one: len(one.columns["output"]))
+    # From its enabling on: what the controller has learnt at the first second used is unknown.
+    runs = read_stretches(found.session, None, end_s)
+    run = [one for one in runs if one.begin_s <= part.begin_s][-1]
+    columns = run.columns
+    recorded = _course(
+        found, run, (columns["reference"], columns["output"], columns["boost_voltage_V"])
     )
     idle = [
         one
@@ -103,9 +105,9 @@ def what_if(
     ]
     return Comparison(
         found=found,
-        recorded=recorded,
-        repeated=_simulated(found, stretch, found.configuration, span),
-        changed=_simulated(found, stretch, changed, span),
+        recorded=_since(recorded, part.begin_s, found),
+        repeated=_since(_simulated(found, run, found.configuration), part.begin_s, found),
+        changed=_since(_simulated(found, run, changed), part.begin_s, found),
         idle=tuple(idle),
     )
 
@@ -129,9 +131,7 @@ def _acting_with(
         return None
 
 
-def _simulated(
-    found: SessionLoad, stretch: Stretch, configuration: Configuration, span: float
-) -> LoopCourse:
+def _simulated(found: SessionLoad, stretch: Stretch, configuration: Configuration) -> LoopCourse:
     poles, by_hand_V = stretch.columns["pole"], np.nan_to_num(stretch.columns["manual_V"])
     if configuration.load.pole != found.configuration.load.pole:
         poles = np.full(len(poles), configuration.load.pole)
@@ -146,26 +146,29 @@ def _simulated(
         disturbed_plant(found.load, build_load(found.configuration), stretch),
         order,
         len(reference),
-        LoopStart(float(stretch.columns["boost_voltage_V"][0]), _prior(found, stretch)),
+        _start(found, stretch),
     )
     series = [np.array(one) for one in (record.reference, record.output, record.boost_voltage_V)]
-    return _response(stretch, (series[0], series[1], series[2]), span, record.fault)
+    return _course(found, stretch, (series[0], series[1], series[2]), record.fault)
 
 
-def _prior(found: SessionLoad, stretch: Stretch) -> tuple[float, ...] | None:
-    """Return what the daemon had trusted when a part of a session began."""
+def _start(found: SessionLoad, stretch: Stretch) -> LoopStart:
+    """Return the start of a run of the drive, with what the daemon had trusted by then."""
+    volts = float(stretch.columns["boost_voltage_V"][0])
     if stretch.begin_s <= found.configuration.load.period_s:
-        return found.session.info.prior
+        return LoopStart(volts, found.session.info.prior)
     curves = read_curves(found.session, find_window(found.session, None, stretch.begin_s))
     accepted = np.flatnonzero(curves.slow.get("accepted", ()))
     if not len(accepted):
-        return found.session.info.prior
-    return tuple(float(curves.estimates[name][0][accepted[-1]]) for name in found.nominal)
+        return LoopStart(volts, found.session.info.prior)
+    values = (float(curves.estimates[name][0][accepted[-1]]) for name in found.nominal)
+    return LoopStart(volts, tuple(values))
 
 
-def _response(
-    stretch: Stretch, series: tuple[Array, Array, Array], span: float, fault: str = ""
+def _course(
+    found: SessionLoad, stretch: Stretch, series: tuple[Array, Array, Array], fault: str = ""
 ) -> LoopCourse:
+    """Return means over slow periods of set-point, output and boost voltage."""
     samples = stretch.samples_per_period
     period_s = samples * stretch.period_s
     reference = series[0][samples - 1 :: samples]
@@ -176,9 +179,32 @@ def _response(
         reference=reference,
         output=output,
         boost_voltage_V=volts,
-        quality=quality_of(reference, output, volts, period_s, span),
+        quality=_quality(found, reference, output, volts),
         fault=fault,
     )
+
+
+def _since(course: LoopCourse, begin_s: float, found: SessionLoad) -> LoopCourse:
+    """Return the part of a course from a time on."""
+    kept = course.time_s > begin_s
+    if not kept.any():  # a fault has ended it before
+        return course
+    reference, output = course.reference[kept], course.output[kept]
+    volts = course.boost_voltage_V[kept]
+    return LoopCourse(
+        time_s=course.time_s[kept],
+        reference=reference,
+        output=output,
+        boost_voltage_V=volts,
+        quality=_quality(found, reference, output, volts),
+        fault=course.fault,
+    )
+
+
+def _quality(found: SessionLoad, reference: Array, output: Array, volts: Array) -> Quality:
+    load = found.configuration.load
+    span = load.reference_max - load.reference_min
+    return quality_of(reference, output, volts, load.period_s, span)
 
 
 _ROWS = (
