@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from adaptdrive.analysis.steps import quality_of
-from adaptdrive.analysis.whatif import Comparison, as_text, what_if
+from adaptdrive.analysis.whatif import Comparison, what_if
+from adaptdrive.analysis.whatif_report import as_text
 from adaptdrive.cli import main
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.recording.batches import Header

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,47 +203,3 @@ def _quality(found: SessionLoad, reference: Array, output: Array, volts: Array) 
     load = found.configuration.load
     span = load.reference_max - load.reference_min
     return quality_of(reference, output, volts, load.period_s, span)
-
-
-_ROWS = (
-    ("overshoot, median", "overshoot", 100.0, "%"),
-    ("settling to 5 %, median", "settling_s", 1.0, "s"),
-    ("steps not settled", "unsettled", 1.0, ""),
-    ("rms error", "error", 1.0, "y"),
-    ("rms change of v_bst", "effort_V", 1.0, "V"),
-    ("highest v_bst", "highest_V", 1.0, "V"),
-)
-
-
-def as_text(comparison: Comparison) -> str:
-    """Return the comparison as a table."""
-    unit = comparison.found.session.info.output_unit
-    courses = (comparison.recorded, comparison.repeated, comparison.changed)
-    rows = [f"{'':<28}{'recorded':>12}{'simulated':>12}{'changed':>12}"]
-    for name, key, factor, quantity in _ROWS:
-        values = (factor * getattr(one.quality, key) for one in courses)
-        texts = ("-" if math.isnan(value) else f"{value:.4g}" for value in values)
-        label = f"{name} {quantity.replace('y', unit)}".rstrip()
-        rows.append(f"{label:<28}" + "".join(f"{text:>12}" for text in texts))
-    rows.append(f"{comparison.recorded.quality.steps} steps of the set-point")
-    rows += (
-        [f"the changed loop trips: {comparison.changed.fault}"] if comparison.changed.fault else []
-    )
-    return "\n".join(rows)
-
-
-def as_json(comparison: Comparison) -> dict[str, Any]:
-    """Return the comparison as values for JSON; unknown numbers are null."""
-    courses = {
-        "recorded": comparison.recorded,
-        "simulated": comparison.repeated,
-        "changed": comparison.changed,
-    }
-    return {
-        name: {
-            key: value if math.isfinite(value) else None
-            for key, value in asdict(one.quality).items()
-        }
-        | {"fault": one.fault}
-        for name, one in courses.items()
-    }

@@ -106,18 +106,19 @@ def whatif(  # noqa: PLR0913 - one parameter for each option
         json: Print JSON, for programs.
     """
     with _Extra("analysis"):
-        from adaptdrive.analysis import whatif as analysis  # noqa: PLC0415 - it is large
+        from adaptdrive.analysis import whatif_report  # noqa: PLC0415 - it is large
+        from adaptdrive.analysis.whatif import what_if  # noqa: PLC0415
         from adaptdrive.analysis.whatif_figure import draw_comparison  # noqa: PLC0415
     path = _find(session)
-    found = analysis.what_if(path, settings, begin, end)
+    found = what_if(path, settings, begin, end)
     for one in found.idle:
         print(f"adaptdrive: {one}: has no effect on the loop", file=sys.stderr)
     figure = (path if into is None else into) / "whatif.png"
     figure.write_bytes(draw_comparison(found, settings))
     if json:
-        print(dumps(analysis.as_json(found)))
+        print(dumps(whatif_report.as_json(found)))
     else:
-        print(f"{analysis.as_text(found)}\n\n{figure}")
+        print(f"{whatif_report.as_text(found)}\n\n{figure}")
     if show:
         webbrowser.open(figure.absolute().as_uri())
     return 0
