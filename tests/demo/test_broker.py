@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import sys
 from pathlib import Path
 
 import aiomqtt
 
+from adaptdrive_sim.demo.bus import free_port
 from tests.support import Spawn
 
 HOST = "127.0.0.1"
@@ -47,3 +49,17 @@ async def test_it_ends_when_asked(spawn: Spawn, free_tcp_port: int, tmp_path: Pa
     process.terminate()
     assert await asyncio.to_thread(process.wait, 20.0) == 0
     assert "Traceback" not in (tmp_path / "process-0.log").read_text()
+
+
+async def test_a_web_page_reaches_it_over_a_websocket(spawn: Spawn, free_tcp_port: int) -> None:
+    port, page = free_tcp_port, free_port(socket.SOCK_STREAM)
+    addresses = (f"{HOST}:{port}", f"{HOST}:{page}")
+    spawn(sys.executable, "-m", "adaptdrive_sim.demo.broker_main", *addresses)
+    await listening(page)
+    async with (
+        aiomqtt.Client(HOST, page, transport="websockets", websocket_path="/mqtt") as client,
+        aiomqtt.Client(HOST, port) as other,
+    ):
+        await client.subscribe("drive/state", qos=1)
+        await other.publish("drive/state", "heard", qos=1)
+        assert (await anext(client.messages)).payload == b"heard"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from rich.console import Console
 
@@ -109,3 +111,11 @@ def test_knows_nothing_yet_and_has_no_room(size: tuple[int, int]) -> None:
     lines = shown(DemoRecord(BEGAN, Clock()), size)
     assert len(lines) == size[1]
     assert "starting" in lines[0]
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_shows_the_address_of_the_panel(size: tuple[int, int]) -> None:
+    around = replace(AROUND, panel="http://127.0.0.1:8088/?broker=ws://127.0.0.1:8083/mqtt")
+    lines = shown(steady_record(10), size, around)
+    assert len(lines) == size[1]
+    assert any("http://127.0.0.1:8088/?broker=ws://127.0.0.1:8083/mqtt" in line for line in lines)

@@ -1,4 +1,4 @@
-"""The embedded broker as a process: `python -m adaptdrive_sim.demo.broker_main HOST:PORT`.
+"""The embedded broker as a process: `… broker_main HOST:PORT [WEBSOCKET_HOST:PORT]`.
 
 It implements MQTT 3.1.1, keeps nothing on disk and needs no password: for demonstrations.
 """
@@ -31,19 +31,23 @@ class EmbeddedBroker(Broker):  # type: ignore[misc]  # amqtt is untyped
             await super()._publish_retained_messages_for_subscription(subscription, session)
 
 
-async def serve(address: str) -> None:
+async def serve(address: str, websocket: str | None = None) -> None:
     """Serve until SIGTERM or SIGINT.
 
     Args:
         address: HOST:PORT to listen at.
+        websocket: HOST:PORT of the listener for web pages, None for none.
     """
+    listeners = {"default": {"type": "tcp", "bind": address}}
+    if websocket is not None:
+        listeners["page"] = {"type": "ws", "bind": websocket}
     asked = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, asked.set)
     broker = EmbeddedBroker(
         {
-            "listeners": {"default": {"type": "tcp", "bind": address}},
+            "listeners": listeners,
             "plugins": {_ANYBODY: {"allow_anonymous": True}},
         }
     )
@@ -54,4 +58,4 @@ async def serve(address: str) -> None:
 
 if __name__ == "__main__":
     logging.basicConfig(level=logging.WARNING)
-    asyncio.run(serve(sys.argv[1]))
+    asyncio.run(serve(*sys.argv[1:]))

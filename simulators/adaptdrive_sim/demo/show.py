@@ -58,6 +58,7 @@ def _surroundings(settings: DemoSettings, scene: Venue, width: int) -> ViewConte
     return ViewContext(
         bus=str(scene.bus),
         broker=scene.broker_text,
+        panel=scene.panel.address if scene.panel else "",
         program=operator_program(),
         duration_s=settings.duration_s,
         longest_window_s=periods * settings.period_s,

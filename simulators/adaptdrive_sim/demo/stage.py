@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from adaptdrive.app.lock import NAMESPACE
+from adaptdrive.cli.panel import panel_address
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import AdaptdriveError, RecordingError
 from adaptdrive.operation.client import NoAnswerError, read_status
@@ -39,12 +40,36 @@ _LOOK_s = 0.05
 
 
 @dataclass(frozen=True, slots=True)
+class PanelPlace:
+    """Ports of the panel on the loopback interface, beside the embedded broker.
+
+    Attributes:
+        page: Port of the page.
+        websocket: Port of the broker's WebSocket listener.
+    """
+
+    page: int
+    websocket: int
+
+    @property
+    def broker(self) -> str:
+        """Address of the WebSocket listener."""
+        return f"ws://127.0.0.1:{self.websocket}/mqtt"
+
+    @property
+    def address(self) -> str:
+        """Address of the page."""
+        return panel_address(self.page, self.broker)
+
+
+@dataclass(frozen=True, slots=True)
 class Venue:
     """Place of a demonstration."""
 
     bus: BusChoice
     broker: BrokerAddress
     workspace: Workspace
+    panel: PanelPlace | None = None
 
     @property
     def broker_text(self) -> str:
@@ -127,7 +152,10 @@ async def _set_up(settings: DemoSettings) -> Venue:
     else:
         broker = parse_address(settings.broker)
     workspace = make_workspace(settings, bus, broker, datetime.now(UTC))
-    scene = Venue(bus, broker, workspace)
+    panel = None
+    if settings.broker is None and not settings.headless:
+        panel = PanelPlace(free_port(socket.SOCK_STREAM), free_port(socket.SOCK_STREAM))
+    scene = Venue(bus, broker, workspace, panel)
     if settings.broker is not None:
         await _check_broker(scene)
     return scene
@@ -150,8 +178,19 @@ async def _start(household: Household, settings: DemoSettings, scene: Venue) -> 
     workspace, configuration = scene.workspace, str(scene.workspace.configuration)
     if settings.broker is None:
         module, log = "adaptdrive_sim.demo.broker_main", workspace.log("broker")
-        await household.start("broker", module, [scene.broker_text], log)
+        listeners = [scene.broker_text]
+        if scene.panel is not None:
+            listeners.append(f"127.0.0.1:{scene.panel.websocket}")
+        await household.start("broker", module, listeners, log)
         await _broker_up(household, scene)
+    if scene.panel is not None:
+        page = [
+            "panel",
+            "--no-open",
+            f"--port={scene.panel.page}",
+            f"--broker={scene.panel.broker}",
+        ]
+        await household.start("panel", "adaptdrive.cli", page, workspace.log("panel"))
     device = [
         "device",
         configuration,

@@ -39,6 +39,7 @@ class ViewContext:
         duration_s: Seconds until the end, None when it goes on.
         longest_window_s: Longest time that the plot shows.
         subject: The load, None for the motor on a bus.
+        panel: Address of the web page, empty where there is none.
     """
 
     bus: str
@@ -47,6 +48,7 @@ class ViewContext:
     duration_s: float | None
     longest_window_s: float
     subject: Subject | None = None
+    panel: str = ""
 
     @property
     def drive(self) -> str:
@@ -245,6 +247,10 @@ def _hints(record: DemoRecord, around: ViewContext, *, tall: bool) -> Iterator[T
     if around.subject is not None:
         yield from (_cut(Text(f" {line}", _DIM)) for line in around.subject.foot)
         return
+    if around.panel:
+        yield _cut(
+            Text.assemble((" panel  ", _DIM), around.panel, ("   log in without a name", _DIM))
+        )
     yield _cut(Text(f" bus {around.bus}   broker {around.broker}   Ctrl-C ends", _DIM))
     other = "fixed" if record.state and record.state.mode == "adaptive" else "adaptive"
     call = f"{around.program} mode {DRIVE} {other} --broker {around.broker}"

@@ -4,6 +4,7 @@
 const Link = (() => {
   const ANSWER_S = 5;
   const RETRY_MS = 2000;
+  const UNSUPPORTED = new Set([1, 0x84]); // unacceptable protocol version, in MQTT 3.1.1 and 5
   const DENIED = new Set([0x80, 0x87]); // MQTT 5: unspecified error, not authorized
 
   /** @type {any} */ let client = null;
@@ -15,13 +16,13 @@ const Link = (() => {
   /** @type {Map<string, boolean>} */ const allowed = new Map();
 
   /** Connect and stay connected.
-   * @param {{url: string, username: string, password: string}} account
+   * @param {{url: string, username: string, password: string}} account @param {4|5} [version] MQTT 3.1.1 or 5
    * @returns {Promise<void>} rejected when the broker refuses the user */
-  function open(account) {
+  function open(account, version = 5) {
     close();
     return new Promise((resolve, reject) => {
       client = mqtt.connect(account.url, {
-        protocolVersion: 5,
+        protocolVersion: version,
         username: account.username || undefined,
         password: account.password || undefined,
         clientId: `adaptdrive-panel-${crypto.getRandomValues(new Uint32Array(2)).join("-")}`,
@@ -46,6 +47,10 @@ const Link = (() => {
         if (status !== "closed") tell("offline", problem);
       });
       own.on("error", (/** @type {any} */ error) => {
+        if (version === 5 && UNSUPPORTED.has(error.code)) {
+          open(account, 4).then(resolve, reject); // a broker that speaks MQTT 3.1.1 only
+          return;
+        }
         tell(status, String(error.message ?? error));
         if (refused(error)) {
           close();
