@@ -22,6 +22,9 @@ from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World, WorldParameters
 from tests.commission.draws import KINDS, Draw, experiment
 
+RAISED_V = 40.0
+"""Distance from the lowest V_c: a torque takes the rest below what the model reaches."""
+
 
 @cache
 def proposed(kind: str, seed: int) -> tuple[Draw, Proposal, Prediction, float]:
@@ -83,12 +86,14 @@ def settled(draw: Draw, proposal: Proposal, rest_V: float) -> OperatedDrive:
     """The proposed drive with the true load, at rest."""
     coupling = CouplingParameters(ratio=draw.ratio, droop_Ohm=draw.droop_Ohm)
     world = World(draw.load, WorldParameters(coupling=coupling))
-    world.settle(rest_V)
+    world.settle(rest_V + RAISED_V)
+    rest = world.true_output
     drive = OperatedDrive(proposal.configuration, world)
     drive.tick()
     drive.carry_out(Enable())
     while drive.machine.state is not State.RUNNING:
         drive.tick()
+    drive.carry_out(SetSetpoint(rest))
     for _ in range(60 * proposal.configuration.ticks_per_period):
         drive.tick()
     return drive

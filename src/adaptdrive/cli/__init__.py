@@ -28,6 +28,7 @@ _COMMANDS = {
     "identify": ("analysis", "Identify the load from a recorded session, with error bars."),
     "whatif": ("analysis", "Run a session again in closed loop with other settings."),
     "export": ("analysis", "Write a session as CSV, Parquet, MATLAB, MDF 4 or MCAP."),
+    "commission": ("commission", "Measure an unknown load on its drive, and propose the settings."),
     "panel": ("panel", "Serve the panel, a web page for a broker's drives, on this machine."),
     "watch": ("site", "Show a drive live in the terminal, with keys for the commands."),
     "status": ("operate", "Show the state and the telemetry of a drive."),

@@ -11,6 +11,8 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from adaptdrive.cli.extra import Extra
+
 
 def plot(
     session: str,
@@ -30,7 +32,7 @@ def plot(
         into: Folder for figure.png and report.html; that of the session when left out.
         show: Open the report.
     """
-    with _Extra("analysis"):
+    with Extra("analysis"):
         from adaptdrive.analysis.plot import plot as plot_session  # noqa: PLC0415 - it is large
     figure, report = plot_session(_find(session), begin, end, into)
     print(figure)
@@ -63,7 +65,7 @@ def identify(  # noqa: PLR0913 - one parameter for each option
         show: Open the figure.
         json: Print JSON, for programs.
     """
-    with _Extra("analysis"):
+    with Extra("analysis"):
         from adaptdrive.analysis import session_load  # noqa: PLC0415 - it is large
         from adaptdrive.analysis.load_figure import draw_load  # noqa: PLC0415
     path = _find(session)
@@ -105,7 +107,7 @@ def whatif(  # noqa: PLR0913 - one parameter for each option
         show: Open the figure.
         json: Print JSON, for programs.
     """
-    with _Extra("analysis"):
+    with Extra("analysis"):
         from adaptdrive.analysis import whatif_report  # noqa: PLC0415 - it is large
         from adaptdrive.analysis.whatif import what_if  # noqa: PLC0415
         from adaptdrive.analysis.whatif_figure import draw_comparison  # noqa: PLC0415
@@ -138,7 +140,7 @@ def export(
         to: Format of the files.
         into: Folder for the files; the present one when left out.
     """
-    with _Extra("export"):
+    with Extra("export"):
         from adaptdrive.analysis.export import export as export_session  # noqa: PLC0415
 
         for path in export_session(_find(session), to, Path() if into is None else into):
@@ -153,18 +155,3 @@ def _find(name: str) -> Path:
     )
 
     return find_session(name, sessions_directory(None, os.environ))
-
-
-class _Extra:
-    """Names the extra that a missing library belongs to."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-
-    def __enter__(self) -> None:
-        """Nothing to prepare."""
-
-    def __exit__(self, _kind: object, problem: BaseException | None, _trace: object) -> None:
-        if isinstance(problem, ModuleNotFoundError):
-            advice = f"{problem.name} is missing: pip install 'adaptdrive[{self._name}]'"
-            sys.exit(f"adaptdrive: {advice}")

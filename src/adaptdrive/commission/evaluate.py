@@ -18,6 +18,9 @@ _BLOCKS_TO_REST = 60
 """Blocks in the time to rest: a time constant has about fifteen."""
 
 _MOST_BLOCKS = 4000
+_LARGEST_DEVIATION = 0.5
+"""Largest standard deviation of a parameter, relative to it."""
+
 _DELAYS = (0, 1)
 """Dead times in samples: a tenth of a second is longer than any bus takes."""
 
@@ -30,14 +33,21 @@ def evaluate(experiment: LoadExperiment, load: Load) -> IdentifiedLoad:
         load: Structure and input map of the load.
 
     Raises:
-        CommissionError: It is not complete.
+        CommissionError: It is not complete, or leaves a parameter open.
         IdentificationError: The samples do not determine the load.
     """
     outcome = experiment.outcome
     if outcome is None:
         raise CommissionError("the experiment is not complete")
     excerpt = resampled(experiment.record, outcome.began_s)
-    return identify([excerpt], load, block=_block(outcome, excerpt), delays=_DELAYS)
+    found = identify([excerpt], load, block=_block(outcome, excerpt), delays=_DELAYS)
+    for name, one in found.parameters.items():
+        if not (one.value > 0.0 and one.std <= _LARGEST_DEVIATION * one.value):
+            raise CommissionError(
+                f"the test does not determine {name} = {one.value:.4g} ± {one.std:.2g}: ask for a "
+                "larger movement, or a longer wait"
+            )
+    return found
 
 
 def resampled(record: Samples, from_s: float) -> Excerpt:

@@ -32,9 +32,9 @@ _TOO_FAR = 1.2
 """Share of the movement at which V_c is taken back."""
 
 _BAND = 0.5
-"""How far beyond rest and movement the output may be in the test, as a share of the movement."""
+"""Distance beyond rest and movement that the test allows, as a share of the movement."""
 
-_DRIFTING_BAND = 1.5
+_DRIFTING_BAND = 2.5
 """The same below the current of a battery, which falls while it is charged."""
 
 _DRIFT = 0.1
@@ -65,7 +65,7 @@ _ACCURACY = 0.005
 _TAPS = (5, 3)
 _LENGTH = 2 ** _TAPS[0] - 1
 _LONGEST_CLIMB = 40
-_FLOWING = 2.0
+_FLOWING = 3.0
 _ONSET_SHARE = 0.02
 _NOISE_SHARE = 0.05
 _SLOWEST_SLEW_V_PER_S = 50.0
@@ -151,6 +151,11 @@ class LoadExperiment:
         self.record.append(time_s, boost_voltage_V, output)
         if self.phase is not Phase.DONE and next(self._course, None) is None:
             self.phase = Phase.DONE
+        return self._voltage_V
+
+    @property
+    def voltage_V(self) -> float:
+        """V_c that is asked for now."""
         return self._voltage_V
 
     @property
@@ -319,30 +324,33 @@ class LoadExperiment:
 
     def _test(self, outcome: Outcome) -> Steps[None]:
         """Switch between the two levels; the output stays within its band."""
-        target = self._target
-        levels = self._levels(outcome)
-        low = outcome.rest - self._margin(_BAND if target.onset is None else _DRIFTING_BAND)
-        high = outcome.rest + target.move + self._margin(_BAND)
-        for number, (level, duration_s) in enumerate(levels):
-            self.progress = number / len(levels)
-            self._voltage_V = outcome.high_V if level else outcome.low_V
-            until_s = self._time_s + duration_s
-            while self._time_s < until_s:
-                yield True
-                output = self._recent(self._smooth_s)
-                if not low <= output <= high:
-                    raise CommissionError(
-                        f"{target.name} = {output:.4g} {target.unit} left the band "
-                        f"{low:.4g}…{high:.4g} {target.unit} of the test: the load has changed"
-                    )
-
-    def _levels(self, outcome: Outcome) -> list[tuple[bool, float]]:
-        """Return levels and their durations: slow and fast sequences in turn, then a long step."""
         slow_s, fast_s = (outcome.settling_s / clocks for clocks in _CLOCKS)
-        repeats = self._sufficient_s(outcome) / (_LENGTH * (slow_s + fast_s))
-        both = [(level, clock_s) for clock_s in (slow_s, fast_s) for level in _sequence()]
-        long_s = _LONG * outcome.settling_s
-        return [*(both * max(_REPEATS, math.ceil(repeats))), (True, long_s), (False, long_s)]
+        sequence = [(level, clock_s) for clock_s in (slow_s, fast_s) for level in _sequence()]
+        duration_s = _LENGTH * (slow_s + fast_s)
+        repeats = max(_REPEATS, math.ceil(self._sufficient_s(outcome) / duration_s))
+        for number in range(repeats):
+            self.progress = number / (repeats + 1)
+            for level, clock_s in sequence:
+                yield from self._hold(outcome, clock_s, level=level)
+        for level in (True, False):
+            yield from self._hold(outcome, _LONG * outcome.settling_s, level=level)
+
+    def _hold(self, outcome: Outcome, duration_s: float, *, level: bool) -> Steps[None]:
+        """Hold a level of the test, the upper or the lower one, for a time."""
+        target = self._target
+        share = _BAND if target.onset is None else _DRIFTING_BAND
+        low = outcome.rest - self._margin(share)
+        high = outcome.rest + target.move + self._margin(_BAND)
+        self._voltage_V = outcome.high_V if level else outcome.low_V
+        until_s = self._time_s + duration_s
+        while self._time_s < until_s:
+            yield True
+            output = self._recent(self._smooth_s)
+            if not low <= output <= high:
+                raise CommissionError(
+                    f"{target.name} = {output:.4g} {target.unit} left the band "
+                    f"{low:.4g}…{high:.4g} {target.unit} of the test: the load has changed"
+                )
 
     def _sufficient_s(self, outcome: Outcome) -> float:
         """Return the time in which the noise lets the gain be known to `_ACCURACY`."""

@@ -40,7 +40,7 @@ class Onset:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What an experiment may do, and to what.
+    """Limits of an experiment, and the structure of its load.
 
     Attributes:
         low_V: Lowest V_c.

@@ -1,0 +1,88 @@
+"""The guided experiment on an unknown load."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from adaptdrive.cli.contact import Contact, DriveName
+from adaptdrive.cli.extra import Extra
+from adaptdrive.errors import ConfigurationError, Flaw
+
+_HERE = Contact()
+_PLACES = (Path(), Path("/etc/adaptdrive"))
+_STANDBY_S = 5.0
+_LARGEST_MOVE = 30.0
+
+
+def _check_move(_: object, move: float) -> None:
+    if not 0.0 < move <= _LARGEST_MOVE:
+        raise ValueError(f"A movement is above 0 and at most {_LARGEST_MOVE:g} percent.")
+
+
+def _check_patience(_: object, patience: float | None) -> None:
+    if patience is not None and not 1.0 <= patience <= 86_400.0:
+        raise ValueError("A wait is 1 to 86400 seconds.")
+
+
+def commission(  # noqa: PLR0913 - the words of the command line
+    drive: DriveName,
+    /,
+    *,
+    config: Path | None = None,
+    move: Annotated[float, Parameter(validator=_check_move)] = 5.0,
+    patience: Annotated[float | None, Parameter(validator=_check_patience)] = None,
+    into: Path = Path(),
+    write: Annotated[bool, Parameter(negative=())] = False,
+    yes: Annotated[bool, Parameter(negative=())] = False,
+    contact: Contact = _HERE,
+) -> int:
+    """Measure an unknown load on its drive, and propose the settings.
+
+    Args:
+        drive: Name of the drive, whose daemon runs and is in standby.
+        config: Its configuration; DRIVE.toml here or in /etc/adaptdrive when left out.
+        move: Movement of the output in percent of the set-point range.
+        patience: Shortest wait in seconds for the load to respond; by the kind of load when left
+            out.
+        into: Folder for commission.png.
+        write: Write the settings to the configuration; the old file is kept beside it.
+        yes: Begin without a question.
+        contact: Broker.
+    """
+    path = _configuration(drive, config)
+    with Extra("analysis"):
+        from adaptdrive.commission import run  # noqa: PLC0415 - it is large
+    wanted = run.CommissionRequest(path, move / 100.0, patience, _STANDBY_S)
+    if not yes and not _agreed(run.announcement(wanted, drive)):
+        return 1
+    commissioned = asyncio.run(run.commission(wanted, drive, contact.settings, contact.timeout))
+    print(run.as_text(commissioned))
+    figure = into / "commission.png"
+    figure.write_bytes(run.draw(commissioned))
+    print(f"\n{figure}")
+    if write:
+        print(f"{path} is written, the old file is {run.write(path, commissioned)}")
+    return 0
+
+
+def _configuration(drive: str, config: Path | None) -> Path:
+    """Return the configuration of a drive."""
+    found = [place / f"{drive}.toml" for place in _PLACES] if config is None else [config]
+    for path in found:
+        if path.is_file():
+            return path
+    raise ConfigurationError(found[0], [Flaw("file", "is not there; name one with --config")])
+
+
+def _agreed(announcement: str) -> bool:
+    """Return whether the operator agrees; without a terminal nothing is asked."""
+    print(announcement)
+    if not sys.stdin.isatty():
+        print("adaptdrive: say --yes to begin", file=sys.stderr)
+        return False
+    return input("begin? [y/N] ").strip().lower() in {"y", "yes"}

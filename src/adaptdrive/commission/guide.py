@@ -1,0 +1,202 @@
+"""An experiment carried out on a running drive, over MQTT.
+
+Each voltage has a time to live: when this program or its connection dies, the drive trips.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from contextlib import aclosing, suppress
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from adaptdrive.commission.experiment import LoadExperiment
+from adaptdrive.commission.samples import Samples
+from adaptdrive.config.services import Mqtt
+from adaptdrive.errors import AdaptdriveError, CommissionError
+from adaptdrive.operation.client import NoAnswerError, read_status, send_command, telemetry
+from adaptdrive.operation.messages import ONLINE
+
+HOLD_S = 5.0
+"""Time to live of a voltage."""
+
+_REFRESH_S = 1.0
+_SILENCE_S = 4.0
+"""Longest time without telemetry."""
+
+_START_S = 60.0
+"""Longest time from `enable` to state `running`."""
+
+_POLL_S = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class FastReading:
+    """One message of the fast loop.
+
+    Attributes:
+        time_s: Its time, in seconds of the wall clock.
+        boost_voltage_V: v_bst.
+        output: The regulated quantity.
+        bridge: Whether the load is commanded on.
+    """
+
+    time_s: float
+    boost_voltage_V: float
+    output: float
+    bridge: bool
+
+
+class Guide:
+    """Commands one drive for an experiment."""
+
+    def __init__(self, broker: Mqtt, drive: str, timeout_s: float) -> None:
+        """Name a drive; nothing is connected yet.
+
+        Args:
+            broker: The broker.
+            drive: Name of the drive.
+            timeout_s: Longest wait for a reply.
+        """
+        self._broker = broker
+        self._drive = drive
+        self._timeout_s = timeout_s
+
+    async def watch_standby(self, duration_s: float) -> Samples:
+        """Return what the sensors show while the drive is off.
+
+        Args:
+            duration_s: Time to watch.
+
+        Raises:
+            CommissionError: The drive is not in standby.
+            NoAnswerError: No answer.
+        """
+        state = await self._state()
+        if state.get("state") != "standby":
+            raise CommissionError(
+                f"{self._drive} is {state.get('state')}: commissioning begins in standby; "
+                f"adaptdrive disable {self._drive}, or reset"
+            )
+        samples = Samples()
+        async with aclosing(self._readings()) as readings:
+            async for one in readings:
+                samples.append(one.time_s, one.boost_voltage_V, one.output)
+                if one.time_s - samples.times_s[0] >= duration_s:
+                    break
+        return samples
+
+    async def carry_out(
+        self, experiment: LoadExperiment, show: Callable[[FastReading, float], None]
+    ) -> None:
+        """Enable the drive in mode manual and run an experiment; leave the drive off in any case.
+
+        Args:
+            experiment: The experiment.
+            show: Takes each reading and the voltage that is asked for.
+
+        Raises:
+            AdaptdriveError: The experiment cannot go on, or the drive tripped or was disabled.
+        """
+        before = await self._state()
+        try:
+            await self._ask("mode", "manual")
+            await self._ask("enable")
+            await self._await_running(coasting=True)
+            # a load at rest coasts until it is asked for a voltage
+            await self._ask("voltage", experiment.voltage_V, hold_s=HOLD_S)
+            await self._await_running(coasting=False)
+            await self._follow(experiment, show)
+        finally:
+            await asyncio.shield(self._leave(str(before.get("mode", "fixed"))))
+
+    async def _follow(
+        self, experiment: LoadExperiment, show: Callable[[FastReading, float], None]
+    ) -> None:
+        sent_V, sent_s = math.nan, -math.inf
+        async with aclosing(self._readings()) as readings:
+            async for one in readings:
+                if not one.bridge:
+                    raise CommissionError(await self._end())
+                voltage_V = experiment.take(one.time_s, one.boost_voltage_V, one.output)
+                show(one, voltage_V)
+                if experiment.done:
+                    return
+                if voltage_V != sent_V or time.monotonic() - sent_s >= _REFRESH_S:
+                    await self._ask("voltage", voltage_V, hold_s=HOLD_S)
+                    sent_V, sent_s = voltage_V, time.monotonic()
+
+    async def _readings(self) -> AsyncGenerator[FastReading, None]:
+        """Yield one reading for each message, in the order of their times."""
+        last_s = -math.inf
+        messages = telemetry(self._broker, self._drive)
+        while True:
+            name, content = await self._next(messages)
+            if name != "drive" or content.get("output") is None:
+                continue
+            reading = _reading(content)
+            if reading.time_s > last_s:
+                last_s = reading.time_s
+                yield reading
+
+    async def _next(
+        self, messages: AsyncIterator[tuple[str, dict[str, Any]]]
+    ) -> tuple[str, dict[str, Any]]:
+        """Return the next message, which must come in time."""
+        try:
+            async with asyncio.timeout(_SILENCE_S):
+                return await anext(messages)
+        except TimeoutError as problem:
+            silence = f"no telemetry for {_SILENCE_S:g} s"
+            raise NoAnswerError(self._drive, silence) from problem
+
+    async def _await_running(self, *, coasting: bool) -> None:
+        """Wait until the drive runs, with its load fed unless it may coast."""
+        end_s = time.monotonic() + _START_S
+        while True:
+            state = await self._state()
+            if state["state"] == "running" and (coasting or not state.get("coasting")):
+                return
+            if state["state"] not in {"starting", "running"}:
+                raise CommissionError(await self._end())
+            if time.monotonic() > end_s:
+                raise CommissionError(f"{self._drive} is not running {_START_S:g} s after enable")
+            await asyncio.sleep(_POLL_S)
+
+    async def _end(self) -> str:
+        """Return why the drive is off."""
+        state = await self._state()
+        why = state.get("trip") or "disabled by another operator"
+        return f"{self._drive} is {state.get('state')}: {why}"
+
+    async def _leave(self, mode: str) -> None:
+        """Bring the drive into its safe state, and its mode back."""
+        with suppress(AdaptdriveError):
+            await self._ask("disable")
+            await self._ask("mode", mode)
+
+    async def _state(self) -> dict[str, Any]:
+        status = await read_status(self._broker, self._drive, self._timeout_s)
+        if status.availability != ONLINE.decode() or status.state is None:
+            raise NoAnswerError(self._drive, "it is not online")
+        return status.state
+
+    async def _ask(self, verb: str, value: object = None, **fields: object) -> None:
+        reply = await send_command(
+            self._broker, self._drive, verb, value, self._timeout_s, **fields
+        )
+        if not reply.accepted:
+            raise CommissionError(f"{self._drive} refused {verb}: {reply.reason}")
+
+
+def _reading(content: dict[str, Any]) -> FastReading:
+    return FastReading(
+        time_s=datetime.fromisoformat(content["time"]).timestamp(),
+        boost_voltage_V=float(content["boost_voltage_V"]),
+        output=float(content["output"]),
+        bridge=bool(content["command"]["bridge"]),
+    )

@@ -1,0 +1,114 @@
+"""The result of commissioning as text and as a figure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from adaptdrive.analysis import style
+from adaptdrive.analysis.figure import as_png
+from adaptdrive.analysis.session_load import NOT_WHITE
+from adaptdrive.commission.experiment import Outcome
+from adaptdrive.commission.prediction import Prediction
+from adaptdrive.commission.proposal import Proposal
+from adaptdrive.commission.sensor import SensorState
+from adaptdrive.config.root import Configuration
+from adaptdrive.identification.result import IdentifiedLoad
+
+
+@dataclass(frozen=True, slots=True)
+class Commissioned:
+    """All results of an experiment.
+
+    Attributes:
+        sensor: The sensor at rest.
+        outcome: Levels and movement of the test.
+        load: The identified load.
+        proposal: Proposed settings.
+        prediction: Response of the proposed loop.
+        before: The present configuration.
+    """
+
+    sensor: SensorState
+    outcome: Outcome
+    load: IdentifiedLoad
+    proposal: Proposal
+    prediction: Prediction
+    before: Configuration
+
+
+def as_text(found: Commissioned) -> str:
+    """Return the result as a table."""
+    return "\n".join([*_checks(found), "", *_settings(found), "", *_loop(found)])
+
+
+def _checks(found: Commissioned) -> Iterator[str]:
+    sensor, outcome, load = found.sensor, found.outcome, found.load
+    unit = found.before.load.output_unit
+    white = "white" if load.whiteness >= NOT_WHITE else "not white: the deviations are too small"
+    noise, resolution = f"noise {sensor.noise:.3g} {unit}", f"{sensor.resolution:.3g} {unit}"
+    yield f"sensor          {noise}, resolution {resolution}"
+    yield (
+        f"test            V_c {outcome.low_V:.4g}…{outcome.high_V:.4g} V from "
+        f"{outcome.rest:.4g} {unit}, time to rest {outcome.settling_s:.3g} s"
+    )
+    yield f"fit             {100 * load.fit:.1f} %, of data left out {100 * load.cross_fit:.1f} %"
+    yield f"residuals       {load.noise_std:.3g} {unit}, {white} (p = {load.whiteness:.2g})"
+    yield f"dead time       {1e3 * load.delay_s:.3g} ms"
+
+
+def _settings(found: Commissioned) -> Iterator[str]:
+    yield f"{'setting':<34}{'present':>12}{'proposed':>12}"
+    for key, value in found.proposal.values.items():
+        deviation = found.proposal.model.get(key.removeprefix("load.model."))
+        margin = "" if deviation is None else f"  ± {deviation.std:.2g}"
+        yield f"{key:<34}{_present(found.before, key):>12.5g}{value:>12.5g}{margin}"
+
+
+def _present(configuration: Configuration, key: str) -> float:
+    value: object = configuration
+    for part in key.split("."):
+        value = getattr(value, part)
+    return float(value)  # type: ignore[arg-type]
+
+
+def _loop(found: Commissioned) -> Iterator[str]:
+    quality, margins = found.prediction.quality, found.proposal.margins
+    overshoot, settling_s = 100.0 * quality.overshoot, quality.settling_s
+    yield f"predicted overshoot {overshoot:.1f} %, settling {settling_s:.4g} s"
+    yield f"gain margin {margins.gain:.3g}, delay margin {margins.delay_s:.3g} s"
+    yield f"largest v_bst after the step {quality.highest_V:.4g} V"
+
+
+def draw(found: Commissioned) -> bytes:
+    """Draw the test with the simulated output, and the predicted response.
+
+    Args:
+        found: What to draw.
+
+    Returns:
+        A PNG.
+    """
+    load, prediction = found.load, found.prediction
+    label = f"{found.before.load.output_name} ({found.before.load.output_unit or '1'})"
+    with style.journal():
+        figure = Figure(figsize=(style.WIDTH_in, 5.6), layout="constrained")
+        test, response, volts = figure.subplots(3, 1, height_ratios=(1.4, 1.0, 0.8))
+        simulated = np.concatenate(load.simulated)
+        time_s = load.block_s * np.arange(len(simulated))
+        measured = simulated + np.concatenate(load.residuals)
+        test.plot(time_s, measured, label="measured", **style.REFERENCE)
+        test.plot(time_s, simulated, label="identified load", **style.ADAPTIVE)
+        test.set_ylabel(label)
+        test.set_xlabel("time in the experiment (s)")
+        style.legend_above(test, columns=2)
+        response.plot(prediction.time_s, prediction.output, **style.ADAPTIVE)
+        response.set_title("predicted response of the fixed controller to a step")
+        response.set_ylabel(label)
+        volts.plot(prediction.time_s, prediction.boost_voltage_V, **style.ADAPTIVE)
+        volts.set_ylabel(r"$v_{bst}$ (V)")
+        volts.set_xlabel("time since the step (s)")
+        return as_png(figure)

@@ -1,0 +1,129 @@
+"""Commissioning from the first look at the sensors to the proposal."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from adaptdrive.app.examine import load_examined
+from adaptdrive.app.loads import build_load
+from adaptdrive.commission.evaluate import evaluate
+from adaptdrive.commission.experiment import LoadExperiment
+from adaptdrive.commission.file import with_values, write_values
+from adaptdrive.commission.guide import HOLD_S, FastReading, Guide
+from adaptdrive.commission.prediction import predict, rest_voltage
+from adaptdrive.commission.proposal import propose
+from adaptdrive.commission.report import Commissioned, as_text, draw
+from adaptdrive.commission.sensor import judge_sensor
+from adaptdrive.commission.target import build_target
+from adaptdrive.config.services import Mqtt
+from adaptdrive.errors import CommissionError
+
+__all__ = [
+    "CommissionRequest",
+    "Commissioned",
+    "announcement",
+    "as_text",
+    "commission",
+    "draw",
+    "write",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class CommissionRequest:
+    """An experiment as it was asked for.
+
+    Attributes:
+        path: Configuration of the drive.
+        move_share: Movement of the output as a share of the set-point range.
+        patience_s: Shortest wait for a response; that of the kind of load when None.
+        standby_s: Time for which the sensors are watched with the drive off.
+    """
+
+    path: Path
+    move_share: float
+    patience_s: float | None
+    standby_s: float
+
+
+def announcement(wanted: CommissionRequest, drive: str) -> str:
+    """Return what the experiment will do.
+
+    Raises:
+        ConfigurationError: The configuration is not valid.
+    """
+    configuration = load_examined(wanted.path)
+    target = build_target(configuration, wanted.move_share, wanted.patience_s)
+    onset = "" if target.onset is None else ", until a current flows,"
+    return (
+        f"{drive} is enabled in mode manual. V_c rises from {target.low_V:g} V{onset} until "
+        f"{target.name} has moved by {target.move:.3g} {target.unit}, then switches between the "
+        f"two for many minutes. Ctrl-C ends it, as do disable, a trip, and {HOLD_S:g} s without "
+        "this program; the drive is then off."
+    )
+
+
+async def commission(
+    wanted: CommissionRequest, drive: str, broker: Mqtt, timeout_s: float
+) -> Commissioned:
+    """Run the experiment on a drive and evaluate it.
+
+    Args:
+        wanted: What was asked for.
+        drive: Name of the drive.
+        broker: The broker.
+        timeout_s: Longest wait for a reply.
+
+    Raises:
+        AdaptdriveError: The drive refused or tripped, or the load cannot be identified.
+    """
+    text = wanted.path.read_text(encoding="utf-8")
+    configuration = load_examined(wanted.path)
+    target = build_target(configuration, wanted.move_share, wanted.patience_s)
+    guide = Guide(broker, drive, timeout_s)
+    standby = await guide.watch_standby(wanted.standby_s)
+    sensor = judge_sensor(standby, configuration, target.move)
+    experiment = LoadExperiment(target)
+    try:
+        await guide.carry_out(experiment, lambda one, volts: _show(experiment, one, volts))
+    finally:
+        _end_line()
+    outcome = experiment.outcome
+    if outcome is None:
+        raise CommissionError("the experiment is not complete")
+    load = build_load(configuration)
+    identified = evaluate(experiment, load)
+    proposal = propose(identified, text, wanted.path)
+    rest_V = rest_voltage(outcome.low_V, outcome.high_V, load)
+    prediction = predict(identified, proposal.configuration, rest_V, target.move)
+    return Commissioned(sensor, outcome, identified, proposal, prediction, configuration)
+
+
+def write(path: Path, commissioned: Commissioned) -> Path:
+    """Write the proposed settings to the configuration.
+
+    Returns:
+        A copy of the file before.
+
+    Raises:
+        ConfigurationError: The file cannot be written.
+    """
+    text = path.read_text(encoding="utf-8")
+    return write_values(path, with_values(text, commissioned.proposal.values))
+
+
+def _show(experiment: LoadExperiment, reading: FastReading, voltage_V: float) -> None:
+    """Show progress in one line of a terminal."""
+    if not sys.stderr.isatty():
+        return
+    bar = "#" * round(20 * experiment.progress)
+    line = f"{experiment.phase}  [{bar:<20}]  V_c {voltage_V:6.1f} V  output {reading.output:9.4g}"
+    sys.stderr.write(f"\r{line:<100}"[:101])
+    sys.stderr.flush()
+
+
+def _end_line() -> None:
+    if sys.stderr.isatty():
+        sys.stderr.write("\n")

@@ -1,0 +1,101 @@
+"""`adaptdrive commission` on a real bus, with a load that its configuration does not describe."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tomllib
+
+import pytest
+
+from tests.system.conftest import MakeSite
+from tests.system.site import PATIENT_DRIVE, Site, motor_configuration, until
+
+PATIENT = {"interlocks.stale_s": "0.5"}
+LOAD = {
+    "load.model.gain": "0.008",
+    "load.model.tau_motor_s": "1.2",
+    "load.model.tau_filter_s": "0.5",
+}
+LONGEST_S = 280.0
+
+
+def commission(site: Site, *options: str) -> subprocess.Popen[str]:
+    """Start the command with the file that the daemon runs with."""
+    words = ["commission", "motor", "--config", str(site.config), "--patience", "3", "--yes"]
+    broker = ["--broker", f"127.0.0.1:{site.broker_port}"]
+    return subprocess.Popen(
+        [sys.executable, "-m", "adaptdrive.cli", *words, *broker, *options],
+        cwd=site.folder,
+        env=os.environ,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+@pytest.fixture
+def site(make_site: MakeSite) -> Site:
+    """A site whose daemon has the example's model, and whose load is another."""
+    site = make_site({**PATIENT, **LOAD})
+    site.start_broker()
+    site.start_device("--noise", "0.002", *PATIENT_DRIVE)
+    text = motor_configuration(site.broker_port, site.bus_port, PATIENT)
+    site.config.write_text(text, encoding="utf-8")
+    site.start_daemon()
+    site.await_measurement()
+    return site
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_a_load_is_commissioned_and_the_file_is_written(site: Site) -> None:
+    before = site.config.read_text(encoding="utf-8")
+    process = commission(site, "--write")
+    output, _ = process.communicate(timeout=LONGEST_S)
+    assert process.returncode == 0, output
+    site.await_state(state="standby", mode="fixed")
+    assert "predicted overshoot" in output
+    assert (site.folder / "commission.png").read_bytes().startswith(b"\x89PNG")
+    assert site.config.with_name("motor.toml.bak").read_text(encoding="utf-8") == before
+    after = site.config.read_text(encoding="utf-8")
+    assert "# tachometer volts per volt of boost voltage" in after
+    model = tomllib.loads(after)["load"]["model"]
+    assert model["gain"] == pytest.approx(0.008, rel=0.05)
+    assert model["tau_motor_s"] + model["tau_filter_s"] == pytest.approx(1.7, rel=0.15)
+    check = [sys.executable, "-m", "adaptdrive.cli", "check", str(site.config)]
+    assert subprocess.run(check, capture_output=True, check=False).returncode == 0
+
+
+@pytest.mark.slow
+def test_a_key_ends_it_with_the_drive_off(site: Site) -> None:
+    process = commission(site)
+    site.await_state(state="running", mode="manual")
+    process.send_signal(signal.SIGINT)
+    site.await_state(state="standby", mode="fixed")
+    process.communicate(timeout=LONGEST_S)
+    assert process.returncode == 130
+
+
+@pytest.mark.slow
+def test_a_disable_ends_it(site: Site) -> None:
+    process = commission(site)
+    site.await_state(state="running", mode="manual")
+    site.demand("disable")
+    output, _ = process.communicate(timeout=LONGEST_S)
+    assert process.returncode == 1
+    assert "motor is standby: disabled by another operator" in output
+
+
+@pytest.mark.slow
+def test_a_killed_program_leaves_a_tripped_drive(site: Site) -> None:
+    process = commission(site)
+    site.await_state(state="running", mode="manual")
+    until(lambda: site.state["voltage_V"] is not None, "a voltage")
+    until(lambda: [one for one in site.ear.on("reply") if "voltage" in one.payload], "a reply")
+    process.kill()
+    process.communicate()
+    tripped = site.await_state(state="tripped")
+    assert tripped["trip"].startswith("manual: no new voltage within the 5 s")
