@@ -10,7 +10,7 @@ bin := $(venv)/bin
 # The stamp's name follows the content of both files: an unchanged checkout never reinstalls.
 installed := $(venv)/.installed-$(firstword $(shell cat pyproject.toml constraints.txt | cksum))
 
-.PHONY: help demo test quick lint bench docs wheel deb constraints clean
+.PHONY: help demo test quick lint bench docs wheel compiled deb constraints clean
 
 help:
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 20
@@ -47,9 +47,13 @@ wheel: $(installed) ## build the wheel into dist/
 	rm -rf dist
 	$(bin)/python -m build --wheel --no-isolation
 
-deb: wheel ## build the Debian package into build/
+compiled: $(installed) ## build the wheel with compiled modules into build/compiled/
+	deploy/compiled-wheel $(bin)/python build/compiled
+
+deb: $(installed) ## build the Debian package into build/, of compiled modules where there is a C compiler
+	$(MAKE) --no-print-directory compiled || $(MAKE) --no-print-directory wheel
 	mkdir -p build
-	deploy/debian/build $(bin)/python dist/*.whl build
+	deploy/debian/build $(bin)/python "$$(ls build/compiled/*.whl 2>/dev/null || ls dist/*.whl)" build
 
 constraints: ## pin the newest versions of all dependencies
 	rm -rf build/constraints

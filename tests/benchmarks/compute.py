@@ -33,11 +33,13 @@ from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State, TickReport
 from adaptdrive.runtime.requests import Enable
 from tests.benchmarks.rows import Extent, Row, alternating, quantile
-from tests.hardware.bench import EXAMPLES, LOAD, MOTOR, MOTOR_BUS, STATUS, TIMING, Drive
+from tests.hardware.bench import EXAMPLES, LOAD, MOTOR, MOTOR_BUS, TIMING, Drive
 from tests.loopback_port import LoopbackPort
 
 TICK_US = 0.5e6 / MOTOR.drive.line_frequency_Hz
 CALLS, ROUNDS = 2000, 21
+WARM_UP = 80
+"""Readings before the measurement: a drive is enabled when its frame rate has been judged."""
 COLD = 300
 """Ticks that are run with cold caches."""
 
@@ -205,26 +207,28 @@ def running_loop(send: Callable[[Command], None]) -> tuple[FastLoop, Quiet]:
     controller = Controller(controller_settings(MOTOR), build_load(MOTOR))
     port = LoopbackPort(send, counter_modulus=65536)
     loop = FastLoop(port, controller, machine, settings.fast, quiet)
-    for number in range(6):
-        feed(loop, quiet, number)
-        if number == 2:
+    for number in range(WARM_UP):
+        feed(loop, quiet, number, bridge=number > WARM_UP - 4)
+        if number == WARM_UP - 4:
             machine.carry_out(Enable(), loop.tick, 3.1, loop.cause)
     assert machine.state is State.RUNNING, machine.state
     return loop, quiet
 
 
-def feed(loop: FastLoop, quiet: Quiet, number: int) -> None:
+def feed(loop: FastLoop, quiet: Quiet, number: int, *, bridge: bool) -> None:
     """The next reading, a half cycle after the last."""
     quiet.time_s += TICK_US * 1e-6
     now_s = quiet.time_s
-    loop.on_reading(replace(CALM, arrival_s=now_s, oldest_s=now_s, counter=number % 65536))
+    counter = number % 65536
+    reading = replace(CALM, arrival_s=now_s, oldest_s=now_s, counter=counter, bridge=bridge)
+    loop.on_reading(reading)
 
 
 def _whole_tick(target: str) -> Row:
     sent: list[Command] = []
     loop, quiet = running_loop(sent.append)
     times = []
-    for number in range(6, 12_006):
+    for number in range(WARM_UP, WARM_UP + 12_000):
         quiet.time_s += TICK_US * 1e-6
         now_s = quiet.time_s
         reading = replace(CALM, arrival_s=now_s, oldest_s=now_s, counter=number % 65536)
@@ -257,12 +261,12 @@ class _Frames(can.BusABC):
         self.frames.append(msg)
 
 
-def status_frames(count: int) -> list[tuple[can.Message, can.Message]]:
-    """Frames of so many half cycles, made by cantools and crccheck."""
+def status_frames(count: int, off: int = 0) -> list[tuple[can.Message, can.Message]]:
+    """Frames of so many half cycles, made by cantools and crccheck; the bridge is off at first."""
     bus = _Frames()
     drive = Drive(bus)
-    for _ in range(count):
-        drive.send_status(BoostVoltage=STATUS["BoostVoltage"])
+    for index in range(count):
+        drive.send_status(BridgeOn=float(index >= off))
         drive.send_load(Tachometer=LOAD["Tachometer"])
     bus.shutdown()
     return list(zip(bus.frames[::2], bus.frames[1::2], strict=True))
@@ -288,7 +292,8 @@ def _frames() -> Iterator[Row]:
     mapping = map_drive(MOTOR_BUS, MOTOR.signals, TIMING, source)
     port = CanPort(MOTOR_BUS, mapping, lambda: listener.quiet.time_s)
     port._connection.listener, port._connection.bus = listener, bus
-    pairs = status_frames(8000)
+    enabled = 3000 + WARM_UP
+    pairs = status_frames(8000, enabled)
     decode = _times_of_pairs(port.take, listener, pairs[:3000])
     command = Command(0.0512, 301.25, True)
     encode = []
@@ -300,9 +305,9 @@ def _frames() -> Iterator[Row]:
     machine = Machine(settings.machine, settings.pole)
     controller = Controller(controller_settings(MOTOR), build_load(MOTOR))
     listener.loop = FastLoop(port, controller, machine, settings.fast, listener.quiet)
-    _times_of_pairs(port.take, listener, pairs[3000:3003])
+    _times_of_pairs(port.take, listener, pairs[3000:enabled])
     machine.carry_out(Enable(), listener.loop.tick, 3.1, listener.loop.cause)
-    whole = _times_of_pairs(port.take, listener, pairs[3003:-COLD])
+    whole = _times_of_pairs(port.take, listener, pairs[enabled:-COLD])
     cold = _times_of_pairs(port.take, listener, pairs[-COLD:], between=_flush)
     assert machine.state is State.RUNNING, machine.trip
     bus.shutdown()

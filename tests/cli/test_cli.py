@@ -243,7 +243,7 @@ async def test_the_schema_is_the_one_of_the_configuration() -> None:
 
 
 async def test_the_version() -> None:
-    assert await adaptdrive("--version") == Outcome(0, f"{__version__}\n", "")
+    assert await adaptdrive("--version") == Outcome(0, f"{__version__} (pure Python)\n", "")
 
 
 async def test_help_names_every_command() -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
+import pytest
 
 from adaptdrive.config.load import Estimator
 from adaptdrive.control.estimator import EstimatorState
@@ -15,6 +16,7 @@ from adaptdrive.control.method import Method
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.signals import Mode
+from adaptdrive.pure import build_name
 from tests.closed_loop.bench import EXACT, Bench, order, square_wave
 
 
@@ -49,6 +51,9 @@ def test_the_configuration_offers_every_method() -> None:
     assert get_args(Estimator.model_fields["method"].annotation) == tuple(METHODS)
 
 
+@pytest.mark.skipif(
+    build_name() == "compiled", reason="a class in Python cannot inherit from a compiled one"
+)
 def test_a_third_method_learns_in_the_same_controller() -> None:
     learnt, frozen = innovations(Projection()), innovations(Projection(step=0.0))
     last = slice(-120, None)

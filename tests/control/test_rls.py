@@ -4,6 +4,7 @@ import importlib.util
 import inspect
 import math
 from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -182,7 +183,7 @@ def compiled(function: Callable[..., Any]) -> Any:
 
 def compiled_rls() -> ModuleType:
     """The same source, compiled."""
-    spec = importlib.util.find_spec("adaptdrive.control.rls")
+    spec = importlib.util.spec_from_file_location("rls", Path(rls.__file__).with_name("rls.py"))
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -1,5 +1,4 @@
 import math
-from collections.abc import Callable
 
 import pytest
 from cantools.database.can.message import Message
@@ -284,9 +283,3 @@ def test_a_counter_beyond_its_end_is_out_of_range() -> None:
     message = dbc(' SG_ Alive : 8|4@1+ (1,0) [0|14] "" X')
     codec = MessageCodec(message, FrameIntegrity(counter="Alive"))
     assert codec.decode(b"\x00\x0f" + bytes(6)).verdict is FrameVerdict.OUT_OF_RANGE
-
-
-@pytest.mark.parametrize("build", [bytes, bytearray])
-def test_bytes_of_any_kind_are_understood(build: Callable[[bytes], bytes]) -> None:
-    frame = reference("DriveStatus").encode({"BoostVoltage": 300.0})
-    assert reference("DriveStatus").decode(build(frame)).values["BoostVoltage"] == 300.0

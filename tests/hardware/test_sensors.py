@@ -24,7 +24,7 @@ from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, Reset
 from tests.loopback_port import LoopbackPort
-from tests.runtime.bench import CALM, FAST, SETTINGS, TICK_S, Around, motor_controller
+from tests.runtime.bench import CALM, FAST, SETTINGS, TICK_S, Around, MotorController
 
 STALE_s = 0.5
 
@@ -61,7 +61,7 @@ class Bench:
         self.port = SensoredPort(self.drive, [self.bus], rules, self.around.now_s)
         self.machine = Machine(SETTINGS.machine, SETTINGS.pole)
         settings = replace(FAST, timer_standin=False, drive_clocks=False)
-        self.loop = FastLoop(self.port, motor_controller(), self.machine, settings, self.around)
+        self.loop = FastLoop(self.port, MotorController(), self.machine, settings, self.around)
         self.counter = 0
         self.told: list[tuple[bool, str]] = []
 

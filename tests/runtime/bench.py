@@ -13,7 +13,15 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import load_configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.signals import Command, Decision, Mode, Order, Snapshot, Stage
+from adaptdrive.control.signals import (
+    Command,
+    Decision,
+    Measurement,
+    Mode,
+    Order,
+    Snapshot,
+    Stage,
+)
 from adaptdrive.hardware.port import Reading
 from adaptdrive.runtime.daemon import DaemonSettings
 from adaptdrive.runtime.fast_loop import FastLoop
@@ -46,9 +54,25 @@ CALM = Reading(
 )
 
 
-def motor_controller() -> Controller:
-    """The controller of the example configuration."""
-    return Controller(controller_settings(MOTOR), build_load(MOTOR))
+class MotorController:
+    """The controller of the example configuration; a test may change what it returns."""
+
+    def __init__(self) -> None:
+        self.inner = Controller(controller_settings(MOTOR), build_load(MOTOR))
+        self.replace_tick: Callable[[Measurement, Order], Command] = self.inner.tick
+        self.revise: Callable[[Decision], Decision] = lambda decision: decision
+
+    def tick(self, measurement: Measurement, order: Order) -> Command:
+        return self.replace_tick(measurement, order)
+
+    def take_snapshot(self) -> Snapshot | None:
+        return self.inner.take_snapshot()
+
+    def decide(self, snapshot: Snapshot) -> Decision:
+        return self.revise(self.inner.decide(snapshot))
+
+    def apply(self, decision: Decision) -> None:
+        self.inner.apply(decision)
 
 
 def decision(k: int, boost_reference_V: float, **changes: object) -> Decision:
@@ -129,7 +153,7 @@ class FastBench:
         self.port = LoopbackPort(self._command, counter_modulus=modulus)
         self.port.stop_slack_s = slack_s
         self.machine = Machine(SETTINGS.machine, SETTINGS.pole)
-        self.controller = motor_controller()
+        self.controller = MotorController()
         self.loop = FastLoop(self.port, self.controller, self.machine, settings, self.around)
         self.unsendable: Callable[[Command], bool] = lambda _: False
         self.counter = 0

@@ -15,10 +15,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.app.last_resort import uncaught_errors_end
-from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import controller_settings
-from adaptdrive.control.controller import Controller
-from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Mode, Snapshot
+from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Measurement, Mode, Order
 from adaptdrive.errors import BusError, RefusedError
 from adaptdrive.hardware.port import Listener
 from adaptdrive.runtime.daemon import Daemon, DaemonSettings
@@ -42,7 +39,7 @@ from adaptdrive.runtime.requests import (
 )
 from adaptdrive.runtime.watchdog import ServiceManager
 from tests.loopback_port import LoopbackPort
-from tests.runtime.bench import CALM, MOTOR, SETTINGS, Q, until
+from tests.runtime.bench import CALM, SETTINGS, MotorController, Q, until
 
 # Frames are delivered by hand, as fast as they go: neither timer nor age may interfere.
 PATIENT = replace(
@@ -55,17 +52,6 @@ PATIENT = replace(
         limits=replace(SETTINGS.fast.limits, stale_s=1e6),
     ),
 )
-
-
-class MotorController(Controller):
-    """The controller of the example; a test may change its decisions."""
-
-    def __init__(self) -> None:
-        super().__init__(controller_settings(MOTOR), build_load(MOTOR))
-        self.revise: Callable[[Decision], Decision] = lambda decision: decision
-
-    def decide(self, snapshot: Snapshot) -> Decision:
-        return self.revise(super().decide(snapshot))
 
 
 class FailingPort(LoopbackPort):
@@ -471,22 +457,24 @@ async def test_when_a_stand_in_tick_fails_the_daemon_ends_and_the_drive_is_left_
     async with daemon_bench() as bench:
         await bench.start()
 
-        def fail(deadline_s: float) -> None:
-            raise ArithmeticError(f"no tick at {deadline_s}")
+        def fail() -> None:
+            raise ArithmeticError("no frame can be read")
 
-        monkeypatch.setattr(bench.daemon._fast, "on_deadline", fail)
+        monkeypatch.setattr(bench.port, "catch_up", fail)
         bench.daemon.arm(time.monotonic())
         (cause,) = await ending(bench)
         assert isinstance(cause, ArithmeticError)
         assert bench.sent[-1] == SAFE_COMMAND
 
 
-async def test_when_a_tick_fails_the_daemon_ends_and_the_drive_is_left_safe(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_when_a_tick_fails_the_daemon_ends_and_the_drive_is_left_safe() -> None:
     async with daemon_bench() as bench:
         await bench.start()
-        monkeypatch.setattr(bench.controller, "tick", lambda *_: 1 / 0)
+
+        def fail(measurement: Measurement, _order: Order) -> Command:
+            raise ZeroDivisionError(f"no command at tick {measurement.tick}")
+
+        bench.controller.replace_tick = fail
         bench.frame()
         assert bench.sent[-1] == SAFE_COMMAND
         known = len(bench.sent)

@@ -34,9 +34,9 @@ def slow_down(bench: FastBench, monkeypatch: pytest.MonkeyPatch, seconds: float)
     """Let each tick take so long from now on."""
     send = bench.port.send
 
-    def send_slowly(command: Command) -> None:
+    def send_slowly(command: Command) -> bool:
         bench.around.now += seconds
-        send(command)
+        return send(command)
 
     monkeypatch.setattr(bench.port, "send", send_slowly)
 

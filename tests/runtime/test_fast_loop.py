@@ -272,13 +272,13 @@ async def test_a_drive_that_stopped_in_a_short_pause_trips() -> None:
 async def test_a_tick_frozen_before_its_command_sends_none(monkeypatch: pytest.MonkeyPatch) -> None:
     async with fast_bench() as bench:
         bench.start()
-        tick, known = bench.controller.tick, len(bench.sent)
+        tick, known = bench.controller.inner.tick, len(bench.sent)
 
         def freeze(measurement: Measurement, order: Order) -> Command:
             bench.around.now += 0.5
             return tick(measurement, order)
 
-        monkeypatch.setattr(bench.controller, "tick", freeze)
+        bench.controller.replace_tick = freeze
         bench.frame()
         assert (bench.machine.trip or "").startswith("overslept: ")
         assert bench.sent[known:] == [SAFE_COMMAND]
@@ -306,7 +306,7 @@ async def test_a_command_that_is_not_finite_trips(
     async with fast_bench() as bench:
         bench.start()
         broken = replace(bench.sent[-1], **{name: math.nan})  # type: ignore[arg-type]
-        monkeypatch.setattr(bench.controller, "tick", lambda *_: broken)
+        bench.controller.replace_tick = lambda *_: broken
         bench.frame()
         assert bench.state() is State.TRIPPED
         assert (bench.machine.trip or "").startswith("command cannot be sent: the controller gave")

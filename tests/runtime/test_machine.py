@@ -66,10 +66,17 @@ class Desk:
     def refuses(self, request: Request, reason: str) -> None:
         """The request is refused, and nothing was changed."""
         machine = self.machine
-        before = {name: value for name, value in vars(machine).items() if name != "_limits"}
+        before = attributes(machine)
         with pytest.raises(RefusedError, match=re.escape(reason)):
             self.ask(request)
-        assert {name: value for name, value in vars(machine).items() if name in before} == before
+        assert attributes(machine) == before
+
+
+def attributes(machine: Machine) -> dict[str, object]:
+    """What the machine holds; its limits are values that never change."""
+    names = [name for name in dir(machine) if not name.startswith("__") and name != "_limits"]
+    held = {name: getattr(machine, name) for name in names}
+    return {name: value for name, value in held.items() if not callable(value)}
 
 
 @pytest.fixture

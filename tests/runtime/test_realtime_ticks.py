@@ -103,7 +103,7 @@ async def test_what_was_overslept_reaches_the_filters_as_a_drive_that_skipped_it
         other.around.deadline_s = math.inf
         other.measured = CALM
         other.frame(after_s=5 * TICK_S, steps=5, bridge=True)
-        mine, others = bench.controller, other.controller
+        mine, others = bench.controller.inner, other.controller.inner
         assert bench.loop.tick == other.loop.tick
         assert mine._bank == others._bank
         assert mine._fast == others._fast

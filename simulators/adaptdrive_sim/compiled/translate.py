@@ -18,7 +18,6 @@ import ast
 import enum
 import hashlib
 import importlib
-import inspect
 import os
 import sys
 from collections.abc import Iterable, Iterator
@@ -76,8 +75,14 @@ def cache_folder() -> Path:
     return Path(base) / "adaptdrive" / "compiled"
 
 
+def _source(module: ModuleType) -> str:
+    """Return the Python source of a module, which a compiled module has beside it."""
+    path = Path(str(module.__file__))
+    return path.with_name(f"{path.name.partition('.')[0]}.py").read_text(encoding="utf-8")
+
+
 def _translated(module: ModuleType, copies: dict[str, str]) -> str:
-    tree = ast.parse(inspect.getsource(module))
+    tree = ast.parse(_source(module))
     body = [copy for node in tree.body for copy in _top_level(node, module, copies)]
     text = ast.unparse(ast.fix_missing_locations(ast.Module(body, [])))
     return f"{_HEADER}{text}\n"

@@ -41,6 +41,7 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.errors import AdaptdriveError, first_error
 from adaptdrive.hardware.port import Port
 from adaptdrive.operation.service import MqttService, ServiceSurroundings
+from adaptdrive.pure import build_name
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub
@@ -121,7 +122,11 @@ async def _serve(
     daemon = _daemon(configuration, port, controller, hub, rehearsal, recorder)
     _stop_on_signals(stop)
     logger.info(
-        "starting", drive=configuration.drive.name, version=__version__, bus=port.description
+        "starting",
+        drive=configuration.drive.name,
+        version=__version__,
+        build=build_name(),
+        bus=port.description,
     )
     async with asyncio.TaskGroup() as tasks, contextlib.AsyncExitStack() as ending:
         # ended in reverse: broker and log receive the last reports of those that end before them

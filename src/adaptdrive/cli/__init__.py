@@ -76,11 +76,17 @@ def _close_quietly() -> int:
     return FAILED
 
 
+def _version() -> str:
+    from adaptdrive.pure import build_name  # noqa: PLC0415 - it imports the controller
+
+    return f"{__version__} ({build_name()})"
+
+
 def _app() -> App:
     app = App(
         name="adaptdrive",
         help="Adaptive control of speed, temperature and charge behind a power-electronic drive.",
-        version=__version__,
+        version=_version,
         print_error=False,
         exit_on_error=False,
         suppress_keyboard_interrupt=False,

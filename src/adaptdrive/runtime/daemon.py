@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from adaptdrive.clock.tick_timer import TickTimer
-from adaptdrive.control.controller import Controller
 from adaptdrive.control.reach import Reach
+from adaptdrive.control.schedule import TwoRate
 from adaptdrive.control.signals import Decision, Snapshot
 from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import Port, Reading
@@ -86,7 +86,7 @@ class Daemon:
         self,
         *,
         port: Port,
-        controller: Controller,
+        controller: TwoRate,
         settings: DaemonSettings,
         clock: Callable[[], float],
         hub: Hub,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
 import time
@@ -76,7 +75,7 @@ def test_a_probe_shows_the_drive_and_leaves_it_as_it_is(
         assert time.monotonic() < deadline_s, shown.read_text()
         time.sleep(0.05)
     assert "bridge off" in shown.read_text()
-    probe.send_signal(signal.SIGINT)
+    probe.terminate()
     probe.wait(timeout=PATIENCE_S)
     device = (tmp_path / "process-0.log").read_text()
     assert "commanded" not in device
@@ -91,7 +90,7 @@ def test_a_probe_of_nobody_says_so_once(tmp_path: Path, spawn: Spawn, free_udp_p
     while shown.read_text().count("no reading yet") < 4:
         assert time.monotonic() < deadline_s, shown.read_text()
         time.sleep(0.05)
-    probe.send_signal(signal.SIGINT)
+    probe.terminate()
     probe.wait(timeout=PATIENCE_S)
     told = [line for line in shown.read_text().splitlines() if "no reading yet" not in line]
     assert told[1] == "bus lost: node 5: no answer when asked to read 0x6079"

@@ -59,7 +59,7 @@ class SignalField:
         """
         if value is None:
             return self.unavailable
-        raw = (value - self.offset) / self.scale
+        raw: Raw = (value - self.offset) / self.scale
         if self.integer and math.isfinite(raw):
             raw = round(raw)
         if not self.low <= raw <= self.high:

@@ -1,0 +1,30 @@
+"""Choice between the compiled modules and their Python sources."""
+
+from __future__ import annotations
+
+import sys
+from importlib.abc import PathEntryFinder
+from importlib.machinery import SOURCE_SUFFIXES, FileFinder, SourceFileLoader
+from pathlib import Path
+
+_ROOT = str(Path(__file__).parent)
+
+
+def import_sources() -> None:
+    """Import the sources of this package from now on, also those that are compiled."""
+    hook = FileFinder.path_hook((SourceFileLoader, SOURCE_SUFFIXES))
+
+    def ours(path: str) -> PathEntryFinder:
+        if path != _ROOT and not path.startswith(f"{_ROOT}/"):
+            raise ImportError(f"{path} is not in this package", path=path)
+        return hook(path)
+
+    sys.path_hooks.insert(0, ours)
+    sys.path_importer_cache.clear()
+
+
+def build_name() -> str:
+    """Return "compiled" where the controller's modules are compiled, else "pure Python"."""
+    from adaptdrive.control import controller  # noqa: PLC0415 - the choice comes before it
+
+    return "pure Python" if str(controller.__file__).endswith(".py") else "compiled"
