@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -78,3 +79,19 @@ def test_events_of_the_last_session_are_shown(state: Path) -> None:
     answer = run(state, "events", "--kind", "trip")
     assert "alarm    trip         over-voltage: 431 V" in answer.stdout
     assert run(state, "events", "--kind", "mode").stdout == ""
+
+
+def test_sessions_and_events_are_read_by_programs(state: Path) -> None:
+    listed = json.loads(run(state, "sessions", "list", "--json").stdout)
+    assert [(one["session"], one["info"]["ended"]) for one in listed] == [(NAME, "orderly")]
+    assert listed[0]["info"]["dropped"]["ticks"] == 3
+    assert json.loads(run(state, "sessions", "show", NAME, "--json").stdout) == listed[0]
+    events = json.loads(run(state, "events", "--json").stdout)
+    assert [(one["kind"], one["detail"]) for one in events] == [("trip", "over-voltage: 431 V")]
+
+
+def test_the_events_name_the_remedy_of_a_trip(state: Path) -> None:
+    first, second = run(state, "events", "--kind", "trip").stdout.splitlines()
+    assert first.endswith("over-voltage: 431 V")
+    assert "remedy" in second
+    assert "wrong capacitance" in second

@@ -13,14 +13,16 @@ from cyclopts import App, Parameter
 app = App(name="sessions")
 
 Folder = Annotated[Path | None, Parameter(name="--directory")]
+Json = Annotated[bool, Parameter(name="--json", negative=())]
 
 
 @app.command(name="list")
-def list_sessions(*, directory: Folder = None) -> int:
+def list_sessions(*, directory: Folder = None, as_json: Json = False) -> int:
     """List the sessions of this machine, the oldest first.
 
     Args:
         directory: Folder of the sessions; $STATE_DIRECTORY/sessions or ./sessions when left out.
+        as_json: Print JSON.
     """
     from adaptdrive.errors import RecordingError  # noqa: PLC0415 - `--help` reads no recordings
     from adaptdrive.recording.session import (  # noqa: PLC0415
@@ -29,26 +31,35 @@ def list_sessions(*, directory: Folder = None) -> int:
         session_directories,
     )
 
+    found: list[dict[str, object]] = []
     for path in session_directories(_folder(directory)):
         try:
             info = read_info(path)
         except RecordingError as problem:
-            print(f"{path.name}  damaged: {problem}")
+            found.append({"session": path.name, "damaged": str(problem)})
+            if not as_json:
+                print(f"{path.name}  damaged: {problem}")
+            continue
+        found.append({"session": path.name, "bytes": _size(path), "info": info})
+        if as_json:
             continue
         trips = len(list(path.glob("trip-*")))
         lost = f", not recorded: {info.dropped}" if info.dropped != Dropped() else ""
         tripped = f", {trips} trips" if trips else ""
         print(f"{path.name}  {info.ended:<8} {_size(path) / 1e6:9.1f} MB{tripped}{lost}")
+    if as_json:
+        _print_json(found)
     return 0
 
 
 @app.command
-def show(session: str, /, *, directory: Folder = None) -> int:
+def show(session: str, /, *, directory: Folder = None, as_json: Json = False) -> int:
     """Show what a session holds.
 
     Args:
         session: Folder of the session, or its name in the folder of sessions.
         directory: Folder of the sessions.
+        as_json: Print JSON.
     """
     from adaptdrive.recording.reader import read_session  # noqa: PLC0415 - see above
     from adaptdrive.recording.repair import last_tick_time  # noqa: PLC0415
@@ -70,6 +81,9 @@ def show(session: str, /, *, directory: Folder = None) -> int:
         ("trips", ", ".join(path.name for path in sorted(found.path.glob("trip-*"))) or "none"),
         ("size", f"{_size(found.path) / 1e6:.1f} MB"),
     ]
+    if as_json:
+        _print_json({"session": found.path.name, "bytes": _size(found.path), "info": info})
+        return 0
     for name, text in rows:
         print(f"{name:<14}{text}")
     return 0
@@ -130,17 +144,20 @@ def events(
     *,
     kind: tuple[str, ...] = (),
     directory: Folder = None,
+    as_json: Json = False,
 ) -> int:
-    """Show the events of a session.
+    """Show the events of a session, each trip with its remedy.
 
     Args:
         session: Folder of the session, or its name; the last one when left out.
         kind: Only events of these kinds.
         directory: Folder of the sessions.
+        as_json: Print JSON.
     """
     from adaptdrive.errors import RecordingError  # noqa: PLC0415 - see above
     from adaptdrive.recording.event_log import read_events  # noqa: PLC0415
     from adaptdrive.recording.session import EVENTS_FILE, session_directories  # noqa: PLC0415
+    from adaptdrive.runtime.trips import remedy  # noqa: PLC0415
 
     if session is None:
         *_, path = (None, *session_directories(_folder(directory)))
@@ -148,10 +165,21 @@ def events(
             raise RecordingError(_folder(directory), "it holds no session")
     else:
         path = _find(session, directory)
-    for one in read_events(path / EVENTS_FILE):
-        if not kind or one.kind in kind:
-            print(f"{one.time.isoformat()}  {one.severity:<8} {one.kind:<12} {one.detail}")
+    found = [one for one in read_events(path / EVENTS_FILE) if not kind or one.kind in kind]
+    if as_json:
+        _print_json(found)
+        return 0
+    for one in found:
+        print(f"{one.time.isoformat()}  {one.severity:<8} {one.kind:<12} {one.detail}")
+        if one.kind == "trip" and (steps := remedy(one.detail)):
+            print(f"{'':<34}{'':<8} {'remedy':<12} {steps}")
     return 0
+
+
+def _print_json(content: object) -> None:
+    import msgspec  # noqa: PLC0415 - see above
+
+    print(msgspec.json.format(msgspec.json.encode(content), indent=2).decode())
 
 
 def _folder(directory: Path | None) -> Path:
