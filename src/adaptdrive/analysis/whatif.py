@@ -133,10 +133,10 @@ def _simulated(found: SessionLoad, stretch: Stretch, configuration: Configuratio
     poles, by_hand_V = stretch.columns["pole"], np.nan_to_num(stretch.columns["manual_V"])
     if configuration.load.pole != found.configuration.load.pole:
         poles = np.full(len(poles), configuration.load.pole)
-    reference = stretch.columns["reference"]
+    reference, modes = stretch.columns["reference"], tuple(Mode)
 
     def order(number: int) -> Order:
-        mode, pole = Mode(stretch.modes[number]), float(poles[number])
+        mode, pole = modes[stretch.modes[number]], float(poles[number])
         return Order(Stage.RUN, float(reference[number]), mode, pole, float(by_hand_V[number]))
 
     record = run_loop(
