@@ -26,95 +26,91 @@ middle of the voltage range. *1* is a ratio.
 """
 
 _UNITS = {
-    "charging.TAPER_GAIN": "1/period",
-    "charging._NEAR_LIMIT": "1",
-    "charging._END_PERIODS": "periods",
-    "controller._FAR_BETTER": "1",
-    "controller._IDLE_PERIODS": "periods",
-    "estimator._PRIOR_VARIANCE": "σ²",
-    "explanation.SETTLED_SAMPLES": "periods",
-    "explanation._LOUDER": "1",
-    "fast_half._CEILING_RISE": "1/tick",
-    "hypotheses._DISTURBANCE_SHARE": "scale of the input",
-    "hypotheses._LOAD_SPREAD": "1",
-    "hypotheses._GAIN_SHARE": "1",
-    "lambda_method._KNOWN": "p0",
-    "noise_limit.OBSERVER_POLE": "pole per period",
-    "noise_limit.SLOWEST_SHARE": "1",
-    "redesign._LOST_PERIODS": "periods",
-    "rivals.WINDOW": "periods",
-    "rivals.ROOM": "periods",
-    "rivals._PRIOR_SAMPLES": "samples",
-    "rivals._EARLIEST": "periods",
-    "rivals._DECIDED": "log odds",
-    "rivals._PROOF": "log odds",
-    "rivals._LOAD_RARER": "log odds",
-    "rivals._BOTH_RARER": "log odds",
-    "rivals._LOAD_REPEATED": "log odds",
-    "rivals._LOAD_MEMORY": "periods",
-    "rivals._DAMPING": "1",
-    "rivals._FLOOR": "scale²",
-    "robustness.SURE": "1",
-    "robustness.MARGIN_RADIUS": "pole per period",
-    "robustness.STABLE_RADIUS": "pole per period",
-    "robustness._SMALLEST_SHARE": "1",
-    "screen.ALPHA": "1/tick",
-    "screen.BETA": "1/tick²",
-    "screen.GAMMA": "1/tick",
-    "screen.WIDE": "1",
-    "slow_half._RETUNE": "1",
-    "slow_half._HELD_SHARE": "1",
-    "supervisor._STABLE_RADIUS": "pole per period",
-    "supervisor._DESIGN_RADIUS": "pole per period",
-    "supervisor._RESIDUAL_RATE": "1/period",
-    "supervisor._RESIDUAL_FLOOR": "scale²",
-    "surprise.DRIFT": "σ²",
-    "surprise.LARGEST": "σ²",
-    "surprise.THRESHOLD": "σ²",
-    "surprise.SETTLE_SAMPLES": "periods",
-    "surprise._FLOOR": "scale²",
-    "surprise._FAST_RATE": "1/period",
-    "surprise._SLOW_RATE": "1/period",
-    "voltage_loop.PROPORTIONAL": "1",
-    "voltage_loop.INTEGRAL": "1/tick",
-    "voltage_loop.LAG_TICKS": "ticks",
-    "watch.GROWTH": "1",
-    "watch.SWINGS": "peaks",
-    "watch.TIME_CONSTANTS": "closed-loop time constants",
-    "watch.HELD_SHARE": "1",
-    "watch.CLOSER": "1",
-    "settings._LOWEST_LINE": "1",
-    "settings._SWING_SHARE": "1",
-    "settings._ERROR_SHARE": "1",
-    "settings._NOISE_SHARE": "1",
-    "settings._PAPER_PATIENCE": "periods",
-    "settings._PAPER_COVARIANCE": "σ²",
-    "settings._OPEN": "σ²",
-    "settings._SHORTEST_WAVE_PERIODS": "periods",
-    "settings._COLLECT_TICKS": "ticks",
+    "TAPER_GAIN": "1/period",
+    "_NEAR_LIMIT": "1",
+    "_END_PERIODS": "periods",
+    "_FAR_BETTER": "1",
+    "_IDLE_PERIODS": "periods",
+    "_PRIOR_VARIANCE": "σ²",
+    "SETTLED_SAMPLES": "periods",
+    "_LOUDER": "1",
+    "_CEILING_RISE": "1/tick",
+    "_DISTURBANCE_SHARE": "scale of the input",
+    "_LOAD_SPREAD": "1",
+    "_GAIN_SHARE": "1",
+    "_KNOWN": "p0",
+    "OBSERVER_POLE": "pole per period",
+    "SLOWEST_SHARE": "1",
+    "_LOST_PERIODS": "periods",
+    "WINDOW": "periods",
+    "ROOM": "periods",
+    "_PRIOR_SAMPLES": "samples",
+    "_EARLIEST": "periods",
+    "_DECIDED": "log odds",
+    "_PROOF": "log odds",
+    "_LOAD_RARER": "log odds",
+    "_BOTH_RARER": "log odds",
+    "_LOAD_REPEATED": "log odds",
+    "_LOAD_MEMORY": "periods",
+    "_DAMPING": "1",
+    "_FLOOR": "scale²",
+    "SURE": "1",
+    "MARGIN_RADIUS": "pole per period",
+    "STABLE_RADIUS": "pole per period",
+    "_SMALLEST_SHARE": "1",
+    "ALPHA": "1/tick",
+    "BETA": "1/tick²",
+    "GAMMA": "1/tick",
+    "WIDE": "1",
+    "_RETUNE": "1",
+    "_HELD_SHARE": "1",
+    "_STABLE_RADIUS": "pole per period",
+    "_DESIGN_RADIUS": "pole per period",
+    "_RESIDUAL_RATE": "1/period",
+    "_RESIDUAL_FLOOR": "scale²",
+    "DRIFT": "σ²",
+    "LARGEST": "σ²",
+    "THRESHOLD": "σ²",
+    "SETTLE_SAMPLES": "periods",
+    "_FAST_RATE": "1/period",
+    "_SLOW_RATE": "1/period",
+    "PROPORTIONAL": "1",
+    "INTEGRAL": "1/tick",
+    "LAG_TICKS": "ticks",
+    "GROWTH": "1",
+    "SWINGS": "peaks",
+    "TIME_CONSTANTS": "closed-loop time constants",
+    "HELD_SHARE": "1",
+    "CLOSER": "1",
+    "_LOWEST_LINE": "1",
+    "_SWING_SHARE": "1",
+    "_ERROR_SHARE": "1",
+    "_NOISE_SHARE": "1",
+    "_PAPER_PATIENCE": "periods",
+    "_PAPER_COVARIANCE": "σ²",
+    "_OPEN": "σ²",
+    "_SHORTEST_WAVE_PERIODS": "periods",
+    "_COLLECT_TICKS": "ticks",
 }
 
 _NUMERICAL = {
-    "design._HALVINGS",
-    "discretise._LARGEST_EXPONENT",
-    "discretise._LONGEST_REACH",
-    "discretise._LONGEST_STEP",
-    "discretise._TAYLOR_TERMS",
-    "estimator._TINY",
-    "hypotheses._TINY",
-    "lambda_filter._SERIES_TERMS",
-    "noise_limit._BOTH",
-    "noise_limit._FINE",
-    "regression._TINY",
-    "rls.COVARIANCE_CEILING",
-    "rls._SMALLEST",
-    "screen._NARROWEST",
-    "supervisor._TINY",
-    "surprise._MEDIAN",
+    "_HALVINGS",
+    "_LARGEST_EXPONENT",
+    "_LONGEST_REACH",
+    "_LONGEST_STEP",
+    "_TAYLOR_TERMS",
+    "_TINY",
+    "_SERIES_TERMS",
+    "_BOTH",
+    "_FINE",
+    "COVARIANCE_CEILING",
+    "_SMALLEST",
+    "_NARROWEST",
+    "_MEDIAN",
 }
 """Limits of rounding and series, and constants of mathematics: nothing to choose."""
 
-_NAMES = {f"hypotheses.{name}" for name in ("NOTHING", "DISTURBANCE", "LOAD", "BOTH")}
+_NAMES = {"NOTHING", "DISTURBANCE", "LOAD", "BOTH"}
 """Numbers of the explanations."""
 
 
@@ -134,17 +130,12 @@ class Constant:
     value: str
     reason: str
 
-    @property
-    def key(self) -> str:
-        """Module and name."""
-        return f"{Path(self.module).stem}.{self.name}"
-
 
 def constants() -> list[Constant]:
     """All chosen numbers, those of rounding left out."""
     paths = [*sorted((SOURCE / "control").rglob("*.py")), SOURCE / "app" / "settings.py"]
     found = [constant for path in paths for constant in _of_module(path)]
-    return [one for one in found if one.key not in _NUMERICAL | _NAMES]
+    return [one for one in found if one.name not in _NUMERICAL | _NAMES]
 
 
 def _of_module(path: Path) -> Iterator[Constant]:
@@ -183,7 +174,7 @@ def _text_of(node: ast.stmt) -> str:
 def page() -> str:
     """The whole page."""
     rows = [
-        f"| `{one.name}` | {one.value} | {_UNITS[one.key]} | `{one.module}` | {one.reason} |"
+        f"| `{one.name}` | {one.value} | {_UNITS[one.name]} | `{one.module}` | {one.reason} |"
         for one in constants()
     ]
     table = ["| constant | value | unit | module | reason |", "|---|---|---|---|---|", *rows]
@@ -191,7 +182,7 @@ def page() -> str:
 
 
 def units() -> set[str]:
-    """Every constant that has a unit, by module and name."""
+    """Every constant that has a unit."""
     return set(_UNITS)
 
 

@@ -10,11 +10,11 @@ PAGE = Path(__file__).parents[2] / "docs" / "constants.md"
 
 
 def test_every_constant_has_a_unit_and_no_unit_is_left_over() -> None:
-    assert {one.key for one in constants()} == units()
+    assert {one.name for one in constants()} == units()
 
 
 def test_every_constant_has_a_reason() -> None:
-    assert [one.key for one in constants() if not one.reason] == []
+    assert [one.name for one in constants() if not one.reason] == []
 
 
 def test_the_page_is_current() -> None:

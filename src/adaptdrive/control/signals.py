@@ -155,7 +155,7 @@ class Decision:
         float,
         Quantity(
             "",
-            "closed-loop pole in force; slower than `pole` while the actuator cannot follow",
+            "closed-loop pole with which set-points are answered",
             "pole_in_force",
         ),
     ] = math.nan
