@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.settings import Rates
 from adaptdrive.control.signals import Decision, Measurement, Mode, Order, Snapshot, Stage
-from adaptdrive_sim.compiled.wire import Wire, find_cause
+from adaptdrive_sim.compiled.wire import NO_RESPONSE, Wire, find_cause
 from adaptdrive_sim.virtual import VirtualDrive
 from adaptdrive_sim.world import World
 
@@ -66,6 +66,7 @@ class Run:
         snapshots: What the slow half was given.
         decisions: What it made of that.
         verdicts: Of the supervisor.
+        fallbacks: Of the watch, 0 for none.
         interlock: What ended the run, 0 for nothing.
         fast_output: Output without noise at every tick, where asked for.
         fast_voltage_V: Boost voltage at every tick, where asked for.
@@ -75,15 +76,22 @@ class Run:
     snapshots: list[Snapshot] = field(default_factory=list)
     decisions: list[Decision] = field(default_factory=list)
     verdicts: list[int] = field(default_factory=list)
+    fallbacks: list[int] = field(default_factory=list)
     interlock: int = 0
     fast_output: array[float] = field(default_factory=lambda: array("d"))
     fast_voltage_V: array[float] = field(default_factory=lambda: array("d"))
 
 
 def start_at_rest(controller: Controller, world: World, course: Course, output: float) -> None:
-    """Put a plant at rest at an output, and start a controller on it."""
-    world.settle(world.boost_voltage_for(output))
+    """Put a plant at rest at an output, and start a controller on it.
+
+    A line with a higher peak than that output needs lets the plant rest above it.
+    """
     boost, line = world.boost, world.line
+    needed_V, peak_V = world.boost_voltage_for(output), line.voltage_V * 2.0**0.5
+    world.settle(max(needed_V, peak_V))
+    if needed_V < peak_V:
+        output = world.true_output
     at_rest = Measurement(
         -1, line.half_cycle_s, boost.voltage_V, line.voltage_V, boost.mean_load_W, output
     )
@@ -122,6 +130,9 @@ def run_course(
             command, decided = drive.control(measurement, order)
             if decided:
                 _note(run, drive, controller)
+                if run.decisions[-1].fault:
+                    run.interlock = NO_RESPONSE
+                    return run
             drive.advance(command, disturbances[n + 1])
     return run
 
@@ -134,3 +145,4 @@ def _note(run: Run, drive: VirtualDrive, controller: Controller) -> None:
     run.snapshots.append(drive.snapshot)
     run.decisions.append(drive.decision)
     run.verdicts.append(controller._slow.supervisor.verdict)  # noqa: SLF001  # as a number
+    run.fallbacks.append(controller._slow.watch.fallback)  # noqa: SLF001  # as a number

@@ -23,6 +23,8 @@ def test_a_boost_stage_behind_the_enable_bit_starts(make_site: MakeSite, where: 
         until(bus.commands, "commands in standby")
         before = bus.commands()
         site.run_drive()
+        site.demand("setpoint", 3.0)
+        site.await_state(state="running", coasting=False)
         site.demand("disable")
         site.await_state(state="standby")
     assert before
@@ -36,6 +38,7 @@ def test_a_boost_voltage_that_does_not_rise_trips(make_site: MakeSite) -> None:
     site.start("--boost-needs-bridge")
     with BusEar(site.config) as bus:
         site.demand("enable")
+        site.demand("setpoint", 3.0)
         tripped = site.await_state(state="tripped")
         tripped_s = time.monotonic()
         until(lambda: bus.commands()[-1].time_s > tripped_s + 0.1, "commands after the trip")
@@ -48,6 +51,7 @@ def test_without_the_key_it_never_starts_and_says_why(make_site: MakeSite) -> No
     site = make_site({"interlocks.precharge_timeout_s": "1.0"})
     site.start("--boost-needs-bridge")
     site.demand("enable")
+    site.demand("setpoint", 3.0)
     tripped = site.await_state(state="tripped")
     assert tripped["trip"].startswith("precharge: v_bst = ")
     assert "drive.enable_bit = 'bridge-and-boost'" in tripped["trip"]

@@ -161,6 +161,7 @@ def _trace(run: Run, periods: int) -> Array:
     rows[:, bench.ADAPTIVE] = [one.controller is Mode.ADAPTIVE for one in run.decisions]
     rows[:, bench.ACCEPTED] = [one.accepted for one in run.decisions]
     rows[:, bench.VERDICT] = run.verdicts
+    rows[:, bench.FALLBACK] = run.fallbacks
     rows[:, bench.INNOVATION] = [one.innovation for one in run.decisions]
     rows[:, bench.HANDOVER_V] = [one.handover_step_V for one in run.decisions]
     for i, name in enumerate(deployed().load.names, bench.VALUES):

@@ -22,7 +22,7 @@ from adaptdrive.control.slow_half import slow_step
 from adaptdrive.control.slow_state import SlowSample, SlowState
 from adaptdrive.control.vectors import Vector, total
 from adaptdrive_sim.compiled.room import forget_vectors
-from adaptdrive_sim.compiled.wire import Wire, delayed, find_cause, rounded
+from adaptdrive_sim.compiled.wire import NO_RESPONSE, Wire, delayed, find_cause, rounded
 from adaptdrive_sim.world import Sample, World
 
 OUTPUT = 0
@@ -34,7 +34,8 @@ ACCEPTED = 5
 VERDICT = 6
 INNOVATION = 7
 HANDOVER_V = 8
-VALUES = 9
+FALLBACK = 9
+VALUES = 10
 
 Array = NDArray[np.float64]
 
@@ -102,6 +103,8 @@ def run(
                 sample.reference = references[k]
                 decided_V = decide(settings, load, state, bank, slow, measurement, sample)
                 note(trace[k], slow, sample, decided_V, load)
+                if slow.unresponsive:
+                    return NO_RESPONSE
             scale_S = fast.drive(state, stage, measurement)[0]
             scale_S = rounded(scale_S, wire.scale_quantum_S)
             frame = world.step_disturbed(scale_S, True, disturbances[n + 1])
@@ -160,6 +163,7 @@ def note(
     row[VERDICT] = slow.supervisor.verdict
     row[INNOVATION] = slow.estimator.innovation
     row[HANDOVER_V] = slow.handover_step
+    row[FALLBACK] = slow.watch.fallback
     for i in range(len(slow.values)):
         row[VALUES + i] = slow.values[i]
 

@@ -23,6 +23,8 @@ DELAY_MAX = 20
 OVER_VOLTAGE = 1
 OVER_OUTPUT = 2
 NOT_FINITE = 3
+NO_RESPONSE = 4
+"""The controller itself trips: the load does not respond."""
 
 
 @dataclass(slots=True)
