@@ -85,3 +85,14 @@ def test_an_error_that_nobody_sees_costs_the_floor() -> None:
 def test_without_a_scheduler_there_the_address_is_named() -> None:
     with pytest.raises(ClusterError, match=r"127\.0\.0\.1:1"), workers(None, "127.0.0.1:1"):
         pass
+
+
+@pytest.mark.parametrize("gain", [0.6, 1.6])
+def test_a_motor_whose_model_is_wrong_runs_from_start_to_end(gain: float) -> None:
+    campaign = read_campaign(Path("wide.toml"))
+    load = campaign.load.model_copy(update={"gain": (gain, gain)})
+    short = campaign.model_copy(update={"load": load, "duration_s": 300.0})
+    row = run_seed(short, 3)
+    assert row["gain"] == gain
+    assert row["interlock_adaptive"] == row["interlock_fixed"] == 0
+    assert math.isfinite(row["ratio"])

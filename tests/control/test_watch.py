@@ -74,9 +74,20 @@ def test_an_output_that_leaves_its_rest_falls_back() -> None:
 
 def test_a_large_error_with_a_free_input_falls_back() -> None:
     state = WatchState()
-    reasons = [look(state, error=0.5) for _ in range(30)]
-    assert first(reasons) == 16  # five time constants of 1 / (1 - 0.7) periods
+    reasons = [look(state, error=0.5) for _ in range(40)]
+    assert first(reasons) == 33  # ten time constants of 1 / (1 - 0.7) periods
     assert reasons[-1] == Fallback.ERROR
+
+
+def test_a_step_over_the_whole_range_is_settled_before_it_falls_back() -> None:
+    """Four equal poles at 0.7 need 6.7 time constants, 22 periods, to a tenth of a step."""
+    state = WatchState()
+    whole = 4.5  # the limit is a tenth of it
+    waits = [(1.0 - 0.7) * k for k in range(200)]
+    errors = [whole * math.exp(-x) * sum(x**i / math.factorial(i) for i in range(4)) for x in waits]
+    jacket = replace(JACKET, error_limit=0.1 * whole)
+    assert sum(error > jacket.error_limit for error in errors) in {22, 23}
+    assert not any(look(state, error=error, jacket=jacket) for error in errors)
 
 
 @pytest.mark.parametrize(("error", "saturated"), [(0.4, False), (-0.39, False), (9.0, True)])

@@ -90,7 +90,8 @@ def costs(rows: list[Row]) -> Figure:
         right.semilogx(ratios, share, color=colour, label=f"load {label}")
     ends = [row[f"cost_{one}"] for row in rows for one in ("fixed", "adaptive")]
     ends = [value for value in ends if np.isfinite(value)]
-    left.loglog([min(ends), max(ends)], [min(ends), max(ends)], "k-", lw=0.8)
+    if ends:
+        left.loglog([min(ends), max(ends)], [min(ends), max(ends)], "k-", lw=0.8)
     left.set(xlabel="cost of the fixed controller", ylabel="cost of the adaptive controller")
     right.axvline(WORSE, color="k", lw=0.8, ls="--", label="5 % worse")
     right.set(xlabel="cost ratio, adaptive over fixed", ylabel="share of the runs below")

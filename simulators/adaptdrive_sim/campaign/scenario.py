@@ -8,12 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive_sim.campaign.settings import Campaign, LoadRanges
+from adaptdrive_sim.campaign.settings import Campaign, LoadRanges, ReferenceRanges
 from adaptdrive_sim.compiled.wire import DELAY_MAX, Wire
 from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.plants.motor import MotorParameters
 
 Array = NDArray[np.float64]
+
+NOMINAL_REACH = (2.2, 4.4)
+"""What V_c = 200…400 V holds with the gain of the controller's model, in volts."""
+
+_EDGE = 0.05
+"""Least distance from there to a set-point, as a share: torque and noise need some room."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,17 +116,19 @@ def draw(campaign: Campaign, seed: int) -> Scenario:
     shape = reference.shapes[int(generator.integers(len(reference.shapes)))]
     period_s = round(_uniform(generator, reference.period_s))
     line, wire = campaign.line, campaign.wire
+    gain, above = _uniform(generator, load.gain), _low_above(reference, seed)
+    low, high = _reachable(reference.low + above, step, gain)
     return Scenario(
         seed=seed,
         duration_s=campaign.duration_s,
         inertias=inertias,
         change_times_s=times_s,
-        gain=_uniform(generator, load.gain),
+        gain=gain,
         filter=_uniform(generator, load.filter),
-        reference=Waveform(Shape(shape), reference.low, reference.low + step, float(period_s)),
-        sigma=step * _uniform(generator, noise.sigma),
+        reference=Waveform(Shape(shape), low, high, float(period_s)),
+        sigma=(high - low) * _uniform(generator, noise.sigma),
         spike_share=_uniform(generator, noise.spike_share),
-        spike_sigma=step * noise.spike_sigma,
+        spike_sigma=(high - low) * noise.spike_sigma,
         line_voltage=_uniform(generator, line.voltage),
         frequency_Hz=_uniform(generator, line.frequency_Hz),
         output_delay_ticks=_whole(generator, wire.output_delay_ticks),
@@ -129,6 +137,19 @@ def draw(campaign: Campaign, seed: int) -> Scenario:
         power_W=_uniform(generator, wire.power_W),
         scale_S=_uniform(generator, wire.scale_S),
     )
+
+
+def _low_above(reference: ReferenceRanges, seed: int) -> float:
+    """Draw from a stream of its own, so that a file without it draws what it always drew."""
+    return _uniform(np.random.default_rng([seed, 2]), reference.low_above)
+
+
+def _reachable(low: float, step: float, gain: float) -> tuple[float, float]:
+    """Move the set-points of a step into what V_c holds with a tachometer of a relative gain."""
+    least, most = (gain * end for end in NOMINAL_REACH)
+    height = min(step, (1.0 - 2.0 * _EDGE) * (most - least))
+    moved = min(max(low, least * (1.0 + _EDGE)), most * (1.0 - _EDGE) - height)
+    return (low, low + step) if (moved, height) == (low, step) else (moved, moved + height)
 
 
 def _inertias(

@@ -61,9 +61,14 @@ class LoadRanges(_Section):
 
 
 class ReferenceRanges(_Section):
-    """The set-point's waveform."""
+    """The set-point's waveform; it is moved into what V_c can hold with the drawn load.
+
+    Attributes:
+        low_above: What is drawn and added to `low`, in the unit of the output.
+    """
 
     low: float = Field(ge=2.0, le=4.0)
+    low_above: Annotated[Range, _within(0.0, 2.0)] = (0.0, 0.0)
     step: Annotated[Range, _within(1e-3, 1.0)]
     period_s: Annotated[Range, _within(10.0, 1e4)]
     shapes: list[ShapeName] = Field(min_length=1)

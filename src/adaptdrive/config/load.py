@@ -269,7 +269,7 @@ class Supervisor(Section):
     )
     error_limit: NonNegativeFloat | None = Field(
         default=None,
-        description="error, in the unit of the output, that must not last for five closed-loop "
+        description="error, in the unit of the output, that must not last for ten closed-loop "
         "time constants with a free input; a tenth of the set-point range when left out; 0: any",
     )
     response_s: Duration = Field(

@@ -27,8 +27,8 @@ GROWTH = 1.1
 SWINGS = 6
 """Growing peaks in a row: three full oscillations, which a step response does not make."""
 
-TIME_CONSTANTS = 5.0
-"""Closed-loop time constants with a large error: a step has decayed to 1 % by then."""
+TIME_CONSTANTS = 10.0
+"""Closed-loop time constants with a large error: four equal poles have let a step decay to 1 %."""
 
 HELD_SHARE = 0.5
 """Share of held measurements from which a sample is more guessed than measured."""
