@@ -23,6 +23,7 @@ EXTRAS = {
 }
 NOT_IMPORTED = {
     "build": "makes the wheel",
+    "hatch-mypyc": "compiles modules of the wheel",
     "hatchling": "builds the wheel",
     "import-linter": "a program",
     "msgpack": "python-can imports it for multicast",
