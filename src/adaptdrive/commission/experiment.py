@@ -28,11 +28,14 @@ _FIRST_SHARE = 0.25
 _ENOUGH = 0.4
 """Share of the movement that shows the gain."""
 
-_TOO_FAR = 1.2
+_TOO_FAR = 1.1
 """Share of the movement at which V_c is taken back."""
 
 _BAND = 0.5
 """Distance beyond rest and movement that the test allows, as a share of the movement."""
+
+_NOISE_DEVIATIONS = 6.0
+"""Standard deviations of a mean that noise may add to a limit: it is looked at 10,000 times."""
 
 _DRIFTING_BAND = 2.5
 """The same below the current of a battery, which falls while it is charged."""
@@ -401,7 +404,7 @@ class LoadExperiment:
 
     def _margin(self, share: float) -> float:
         """Return a share of the movement, and what noise adds to a mean over `_smooth_s`."""
-        return share * self._target.move + 4.0 * self._standard_error(self._smooth_s)
+        return share * self._target.move + _NOISE_DEVIATIONS * self._standard_error(self._smooth_s)
 
     def _standard_error(self, duration_s: float) -> float:
         """Return the standard error of a mean over the last time."""
