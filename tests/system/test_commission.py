@@ -19,6 +19,9 @@ LOAD = {
     "load.model.tau_motor_s": "1.2",
     "load.model.tau_filter_s": "0.5",
 }
+BEGIN_S = 90.0
+"""The program starts, watches the sensor, and enables the drive."""
+
 LONGEST_S = 280.0
 
 
@@ -72,7 +75,7 @@ def test_a_load_is_commissioned_and_the_file_is_written(site: Site) -> None:
 @pytest.mark.slow
 def test_a_key_ends_it_with_the_drive_off(site: Site) -> None:
     process = commission(site)
-    site.await_state(state="running", mode="manual")
+    site.await_state(patience_s=BEGIN_S, state="running", mode="manual")
     process.send_signal(signal.SIGINT)
     site.await_state(state="standby", mode="fixed")
     process.communicate(timeout=LONGEST_S)
@@ -82,7 +85,7 @@ def test_a_key_ends_it_with_the_drive_off(site: Site) -> None:
 @pytest.mark.slow
 def test_a_disable_ends_it(site: Site) -> None:
     process = commission(site)
-    site.await_state(state="running", mode="manual")
+    site.await_state(patience_s=BEGIN_S, state="running", mode="manual")
     site.demand("disable")
     output, _ = process.communicate(timeout=LONGEST_S)
     assert process.returncode == 1
@@ -92,7 +95,7 @@ def test_a_disable_ends_it(site: Site) -> None:
 @pytest.mark.slow
 def test_a_killed_program_leaves_a_tripped_drive(site: Site) -> None:
     process = commission(site)
-    site.await_state(state="running", mode="manual")
+    site.await_state(patience_s=BEGIN_S, state="running", mode="manual")
     until(lambda: site.state["voltage_V"] is not None, "a voltage")
     until(lambda: [one for one in site.ear.on("reply") if "voltage" in one.payload], "a reply")
     process.kill()
