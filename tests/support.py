@@ -141,15 +141,23 @@ class Broker:
 
 @dataclass(frozen=True, slots=True)
 class MosquittoLauncher:
-    """Starts mosquitto on a port, as often as a test wants."""
+    """Starts mosquitto on a port, as often as a test wants.
+
+    Attributes:
+        program: mosquitto.
+        folder: Takes its configuration and its log.
+        more: Further listeners, in the words of its configuration.
+    """
 
     program: str
     folder: Path
+    more: str = ""
 
     def start(self, port: int) -> Process:
         """Start a broker on the loopback interface and wait until it listens."""
         settings = self.folder / f"mosquitto-{port}.conf"
-        settings.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
+        own = f"listener {port} 127.0.0.1\nallow_anonymous true\n"
+        settings.write_text(f"per_listener_settings true\n{own}{self.more}")
         log = settings.with_suffix(".log")
         process = start_process([self.program, "-c", settings], log)
         try:

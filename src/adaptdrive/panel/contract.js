@@ -3,29 +3,29 @@
 
 /**
  * @typedef {{value: number|null, std: number|null}} Estimate
- * @typedef {{time: string, text: string, remedy?: string}} Trip
- * @typedef {{shape: string, low: number, high: number, period_s: number}} Waveform
+ * @typedef {{time: string, text: string, remedy: string}} Trip
+ * @typedef {{shape: string, low: number|null, high: number|null, period_s: number|null}} Waveform
  * @typedef {{
  *   state: string, mode: string, controller: string, reason: string, enabled: boolean,
- *   setpoint: number, waveform: Waveform|null, pole: number, trip: string|null, time: string,
- *   since?: string, last_trip?: Trip|null, clock?: string, version?: string, features?: string[],
- *   output?: {name: string, unit: string}, modes?: string[],
- *   limits?: Record<string, [number|null, number|null]>
+ *   setpoint: number|null, waveform: Waveform|null, pole: number|null, trip: string|null,
+ *   time: string, since: string, last_trip: Trip|null, clock: string,
+ *   output: {name: string, unit: string}, modes: string[],
+ *   limits: Record<string, [number|null, number|null]>
  * }} State
  * @typedef {{
- *   time: string, k: number, reference: number, output: number, boost_reference_V: number,
- *   applied_V: number, estimates: Record<string, Estimate>, accepted: boolean, controller: string,
- *   reason: string, excitation?: number
+ *   time: string, reference: number|null, output: number|null, boost_reference_V: number|null,
+ *   applied_V: number|null, estimates: Record<string, Estimate>, accepted: boolean,
+ *   controller: string, reason: string
  * }} Load
  * @typedef {{
  *   time: string, output: number|null, boost_voltage_V: number|null, load_power_W: number|null,
- *   line_voltage_V: number|null, age_s: number, ticks: number, missed: number, held: number,
- *   lateness_us: {p50: number, p99: number, max: number}, bus: Record<string, number>,
+ *   line_voltage_V: number|null, ticks: number|null, missed: number|null, held: number|null,
+ *   lateness_us: {p99: number|null, max: number|null}, bus: Record<string, number|null>,
  *   sensors: Record<string, {up: boolean, detail: string}>
  * }} Fast
  * @typedef {{time: string, kind: string, severity: string, detail: string}} DriveEvent
- * @typedef {{time: string, page: number, pages: number, rows: Load[]}} History
- * @typedef {{id: string|number, verb: string, accepted: boolean, reason: string}} Reply
+ * @typedef {{rows: Load[]}} Past
+ * @typedef {{id: string, accepted: boolean, reason: string}} Reply
  */
 
 const Contract = (() => {
@@ -52,12 +52,13 @@ const Contract = (() => {
     return { drive, kind };
   }
 
-  /** Read a payload; null for what is no JSON object. @param {Uint8Array} payload */
-  function read(payload) {
+  /** Read a payload; null for what is no JSON object, or has no time.
+   * @param {string} kind @param {Uint8Array} payload */
+  function read(kind, payload) {
     if (payload.length > LARGEST) return null;
     try {
       const document = JSON.parse(new TextDecoder().decode(payload));
-      return document && typeof document === "object" && !Array.isArray(document) ? document : null;
+      return document && typeof document === "object" ? Payloads.shaped(kind, document) : null;
     } catch {
       return null;
     }

@@ -87,13 +87,18 @@ const DrivePage = (() => {
       ["estimate", load ? (load.accepted ? "accepted" : "refused") : "–", load?.reason ?? ""],
       ...Object.entries(load?.estimates ?? {}).map(([name, one]) => [name, `${Dom.number(one.value, Contract.unitOf(name))}`, one.std == null ? "uncertainty unknown" : `± ${Dom.number(2 * one.std, "", 2)} (2 σ)`]),
       ["pole", Dom.number(state?.pole), limitText(state?.limits?.pole, "")],
-      ["lateness of a tick", lateness ? Dom.number(lateness.p99 / 1000, "ms", 2) : "–", lateness ? `99 %; longest ${Dom.number(lateness.max / 1000, "ms", 2)}` : ""],
-      ["ticks", Dom.number(fast?.ticks, "", 9), fast ? `${fast.missed} missed, ${fast.held} held` : ""],
+      ["lateness of a tick", milliseconds(lateness?.p99), lateness ? `99 %; longest ${milliseconds(lateness.max)}` : ""],
+      ["ticks", Dom.number(fast?.ticks, "", 9), fast ? `${Dom.number(fast.missed)} missed, ${Dom.number(fast.held)} held` : ""],
       ["refused frames", fast ? String(refused(fast.bus)) : "–", fast ? `of ${fast.bus.received ?? 0}` : ""],
       ...Object.entries(fast?.sensors ?? {}).map(([name, one]) => [`sensors ${name}`, one.up ? "up" : "down", one.detail]),
       ["clock", state?.clock ?? "–", Number.isFinite(drive.clockS) ? new Date(1000 * drive.clockS).toISOString().slice(11, 19) + " UTC" : ""],
     ];
     drawRows(parts.rows, rows);
+  }
+
+  /** @param {number|null|undefined} us */
+  function milliseconds(us) {
+    return Dom.number(us == null ? null : us / 1000, "ms", 2);
   }
 
   /** @param {HTMLElement} list @param {string[][]} rows */
@@ -109,7 +114,7 @@ const DrivePage = (() => {
   }
 
   /** @param {HTMLElement} bar @param {[number|null, number|null]|undefined} range
-   * @param {number|null|undefined} value @param {number|undefined} wanted */
+   * @param {number|null|undefined} value @param {number|null|undefined} wanted */
   function drawRange(bar, range, value, wanted) {
     const [low, high] = range ?? [null, null];
     bar.hidden = low == null || high == null;
@@ -130,7 +135,7 @@ const DrivePage = (() => {
     return range ? `limits ${Dom.number(range[0])}…${Dom.number(range[1], unit)}` : "";
   }
 
-  /** @param {Record<string, number>} bus */
+  /** @param {Record<string, number|null>} bus */
   function refused(bus) {
     const kinds = ["wrong_length", "wrong_checksum", "counter_stuck", "out_of_range", "exceptions"];
     return kinds.reduce((sum, kind) => sum + (bus[kind] ?? 0), 0);

@@ -5,6 +5,7 @@ const Drives = (() => {
   const FAST_ROWS = 6000; // ten minutes at ten messages a second
   const SLOW_ROWS = 4000; // an hour of one message a second, and some more
   const EVENTS = 200;
+  const MOST_DRIVES = 500;
   const STALE_S = 3; // telemetry/drive comes at least once a second
 
   class Drive {
@@ -54,7 +55,7 @@ const Drives = (() => {
       if (kind === "load") this._takeLoad(message);
       if (kind === "fast") this._takeFast(message);
       if (kind === "event") this._takeEvent(message);
-      if (kind === "history" && Array.isArray(message.rows)) this.remember(message.rows);
+      if (kind === "history") this.remember(message.rows);
     }
 
     /** Add rows that are not known yet. @param {Load[]} rows */
@@ -119,14 +120,15 @@ const Drives = (() => {
   function take(topic, payload, retained) {
     const place = Contract.place(topic);
     if (!place) return;
+    if (!all.has(place.drive) && all.size >= MOST_DRIVES) return;
     const drive = named(place.drive);
     if (place.kind === "availability") {
       drive.availability = new TextDecoder().decode(payload).slice(0, 20);
       drive.version += 1;
       return;
     }
-    const message = Contract.read(payload);
-    if (message && place.kind !== "reply") drive.take(place.kind, message, retained);
+    const message = place.kind === "reply" ? null : Contract.read(place.kind, payload);
+    if (message) drive.take(place.kind, message, retained);
   }
 
   /** Forget that anything is live: the broker is gone. */

@@ -75,8 +75,8 @@ const Link = (() => {
   function take(topic, payload, packet) {
     const place = Contract.place(topic);
     if (place?.kind === "reply") {
-      const reply = Contract.read(payload);
-      if (reply) waiting.get(String(reply.id))?.(reply);
+      const reply = Contract.read(place.kind, payload);
+      if (reply) waiting.get(reply.id)?.(reply);
     }
     Drives.take(topic, payload, packet.retain === true);
   }

@@ -1,0 +1,115 @@
+"use strict";
+// Payloads held to their types: whoever may publish them, the page goes on and shows text as text.
+
+const Payloads = (() => {
+  const LONGEST_TEXT = 2000;
+  const MOST_KEYS = 40;
+  const MOST_ROWS = 4000;
+
+  /** @param {unknown} value @returns {string} */
+  const text = (value) => (typeof value === "string" ? value.slice(0, LONGEST_TEXT) : "");
+  /** @param {unknown} value @returns {string|null} */
+  const textOrNull = (value) => (typeof value === "string" ? text(value) : null);
+  /** @param {unknown} value @returns {number|null} */
+  const number = (value) => (typeof value === "number" && Number.isFinite(value) ? value : null);
+  /** @param {unknown} value @returns {value is Record<string, unknown>} */
+  const isObject = (value) => Boolean(value) && typeof value === "object" && !Array.isArray(value);
+
+  /** The entries of an object, each made into what it must be.
+   * @template T @param {unknown} value @param {(entry: unknown) => T} make @returns {Record<string, T>} */
+  function map(value, make) {
+    if (!isObject(value)) return {};
+    return Object.fromEntries(Object.entries(value).slice(0, MOST_KEYS).map(([key, entry]) => [text(key), make(entry)]));
+  }
+
+  /** @param {unknown} value @returns {Record<string, unknown>} */
+  const fields = (value) => (isObject(value) ? value : {});
+
+  /** @param {unknown} value @returns {[number|null, number|null]} */
+  function range(value) {
+    return Array.isArray(value) ? [number(value[0]), number(value[1])] : [null, null];
+  }
+
+  /** @param {unknown} value @returns {Waveform|null} */
+  function waveform(value) {
+    if (!isObject(value)) return null;
+    const { shape, low, high, period_s } = value;
+    return { shape: text(shape), low: number(low), high: number(high), period_s: number(period_s) };
+  }
+
+  /** @param {unknown} value @returns {Trip|null} */
+  function trip(value) {
+    return isObject(value) ? { time: text(value.time), text: text(value.text), remedy: text(value.remedy) } : null;
+  }
+
+  /** @param {Record<string, unknown>} raw @returns {State} */
+  function state(raw) {
+    const output = fields(raw.output);
+    return {
+      state: text(raw.state), mode: text(raw.mode), controller: text(raw.controller),
+      reason: text(raw.reason), time: text(raw.time), since: text(raw.since), clock: text(raw.clock),
+      trip: textOrNull(raw.trip), last_trip: trip(raw.last_trip), enabled: raw.enabled === true,
+      setpoint: number(raw.setpoint), pole: number(raw.pole), waveform: waveform(raw.waveform),
+      output: { name: text(output.name) || "output", unit: text(output.unit) },
+      modes: Array.isArray(raw.modes) ? raw.modes.slice(0, 10).map(text) : ["fixed", "adaptive"],
+      limits: map(raw.limits, range),
+    };
+  }
+
+  /** @param {Record<string, unknown>} raw @returns {Load} */
+  function load(raw) {
+    return {
+      time: text(raw.time), controller: text(raw.controller), reason: text(raw.reason),
+      accepted: raw.accepted === true, reference: number(raw.reference), output: number(raw.output),
+      boost_reference_V: number(raw.boost_reference_V), applied_V: number(raw.applied_V),
+      estimates: map(raw.estimates, (one) => ({ value: number(fields(one).value), std: number(fields(one).std) })),
+    };
+  }
+
+  /** @param {Record<string, unknown>} raw @returns {Fast} */
+  function fast(raw) {
+    const lateness = fields(raw.lateness_us);
+    return {
+      time: text(raw.time), output: number(raw.output), boost_voltage_V: number(raw.boost_voltage_V),
+      load_power_W: number(raw.load_power_W), line_voltage_V: number(raw.line_voltage_V),
+      ticks: number(raw.ticks), missed: number(raw.missed), held: number(raw.held),
+      lateness_us: { p99: number(lateness.p99), max: number(lateness.max) },
+      bus: map(raw.bus, number),
+      sensors: map(raw.sensors, (one) => ({ up: fields(one).up === true, detail: text(fields(one).detail) })),
+    };
+  }
+
+  /** @param {Record<string, unknown>} raw @returns {DriveEvent} */
+  function event(raw) {
+    return { time: text(raw.time), kind: text(raw.kind), severity: text(raw.severity), detail: text(raw.detail) };
+  }
+
+  /** @param {Record<string, unknown>} raw @returns {Past} */
+  function history(raw) {
+    const rows = Array.isArray(raw.rows) ? raw.rows.slice(0, MOST_ROWS).filter(isObject).map(load) : [];
+    return { rows: rows.filter(isTimed) };
+  }
+
+  /** @param {Record<string, unknown>} raw @returns {Reply} */
+  function reply(raw) {
+    return { id: String(number(raw.id) ?? text(raw.id)), accepted: raw.accepted === true, reason: text(raw.reason) };
+  }
+
+  /** @param {{time: string}} message */
+  function isTimed(message) {
+    return Number.isFinite(Date.parse(message.time));
+  }
+
+  /** @type {Record<string, (raw: Record<string, unknown>) => any>} */
+  const MAKERS = { state, load, fast, event, history, reply };
+  const UNTIMED = new Set(["history", "reply"]);
+
+  /** Hold a payload to the types of its topic; null for one without a time that can be read.
+   * @param {string} kind @param {Record<string, unknown>} raw @returns {any} */
+  function shaped(kind, raw) {
+    const message = MAKERS[kind]?.(raw) ?? null;
+    return message && (UNTIMED.has(kind) || isTimed(message)) ? message : null;
+  }
+
+  return { shaped };
+})();

@@ -1,0 +1,3 @@
+// The vendored libraries, as far as the panel uses them.
+declare const mqtt: any;
+declare const uPlot: any;

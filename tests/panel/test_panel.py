@@ -1,0 +1,235 @@
+"""The panel in a real browser, on a real broker with users, with a daemon and a simulated drive."""
+
+from __future__ import annotations
+
+import json
+import time
+from typing import Any
+
+import paho.mqtt.publish as paho
+import pytest
+from playwright.sync_api import expect
+
+from tests.panel.browser import PATIENCE_MS, Panel, PanelSite
+from tests.panel.conftest import MakePanel
+from tests.system.site import PATIENT_DRIVE, publish, until
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def operator(make_panel: MakePanel, panel_site: PanelSite) -> Panel:
+    panel = make_panel()
+    panel.log_in(panel_site.address, "operator")
+    panel.open_drive()
+    panel.expect_text(".age", "live")
+    return panel
+
+
+def rest(panel_site: PanelSite) -> None:
+    """Leave the drive in standby, whatever the test did."""
+    panel_site.site.ask("disable")
+    panel_site.site.ask("reset")
+    panel_site.site.await_state(state="standby")
+
+
+def test_a_wrong_password_is_refused(make_panel: MakePanel, panel_site: PanelSite) -> None:
+    panel = make_panel()
+    panel.log_in(panel_site.address, "operator", "guess")
+    panel.expect_text(".answer", "refuses")
+    panel.log_in(panel_site.address, "operator")
+    expect(panel.page.get_by_role("heading", name="Drives")).to_be_visible()
+
+
+def test_an_operator_runs_the_drive_and_sees_the_estimate_move(
+    operator: Panel, panel_site: PanelSite
+) -> None:
+    page = operator.page
+    operator.expect_state("standby")
+    page.get_by_role("button", name="Enable").click()
+    operator.expect_state("standby")  # one press energises nothing
+    page.get_by_role("button", name="Enable: press again").click()
+    operator.expect_state("running")
+    operator.expect_text(".answer", "enable: accepted")
+    page.get_by_role("button", name="adaptive").click()
+    expect(page.get_by_role("button", name="adaptive")).to_have_attribute("aria-pressed", "true")
+    page.get_by_label("set-point, V").fill("9")
+    page.get_by_label("set-point, V").evaluate("field => { field.max = ''; }")
+    page.get_by_role("button", name="Set", exact=True).first.click()
+    operator.expect_text(".answer", "refused: setpoint = 9 V is outside")
+    page.get_by_label("set-point, V").fill("3.2")
+    page.get_by_role("button", name="Set", exact=True).first.click()
+    operator.expect_text(".answer", "setpoint 3.2: accepted")
+    first = estimates(operator)
+    until(lambda: estimates(operator) != first, "the estimates move", 60.0)
+    expect(page.locator("figure.plot canvas").first).to_be_visible()
+    assert panel_site.site.state["setpoint"] == 3.2
+    page.keyboard.press("Escape")
+    page.locator("h1").click()
+    page.keyboard.press("s")
+    operator.expect_state("standby")
+
+
+def estimates(panel: Panel) -> list[str]:
+    return [panel.value(name) for name in ("gain", "tau_sum_s", "input_offset")]
+
+
+def test_a_trip_is_shown_with_its_remedy_and_reset(operator: Panel, panel_site: PanelSite) -> None:
+    site = panel_site.site
+    site.run_drive()
+    operator.expect_state("running")
+    site.kill(site.device)
+    operator.expect_state("tripped")
+    operator.expect_text(".alarm", "Trip: ")
+    operator.expect_text(".alarm", "What to do: ")
+    operator.page.get_by_role("button", name="Reset trip").click()
+    operator.expect_text(".answer", "refused: cause is still there")
+    site.start_device("--initial-voltage", "280", *PATIENT_DRIVE)
+    site.await_measurement()
+    operator.page.get_by_role("button", name="Reset trip").click()
+    operator.expect_state("standby")
+    expect(operator.page.locator(".alarm")).to_be_hidden()
+
+
+def test_what_was_lost_comes_back(operator: Panel, panel_site: PanelSite) -> None:
+    site = panel_site.site
+    site.kill(site.broker)
+    operator.expect_text(".notice", "The broker cannot be reached")
+    operator.page.get_by_role("button", name="STOP").click()
+    operator.expect_text(".answer", "disable: not sent: no broker")
+    site.start_broker()
+    expect(operator.page.locator(".notice")).to_be_hidden(timeout=PATIENCE_MS)
+    operator.expect_text(".age", "live")
+    site.kill(site.daemon)
+    operator.expect_state("offline")
+    site.start_daemon()
+    operator.expect_state("standby")
+    operator.expect_text(".age", "live")
+
+
+def test_a_viewer_sees_everything_and_changes_nothing(
+    make_panel: MakePanel, panel_site: PanelSite
+) -> None:
+    panel_site.site.run_drive()
+    panel = make_panel()
+    panel.log_in(panel_site.address, "viewer")
+    panel.open_drive()
+    panel.expect_state("running")
+    expect(panel.page.get_by_text("This user may look and not command.")).to_be_visible()
+    expect(panel.page.get_by_role("button", name="Enable")).to_be_hidden()
+    panel.page.get_by_role("button", name="STOP").click()
+    panel.expect_text(".answer", "disable: not allowed for this user")
+    known = len(panel_site.site.ear.on("telemetry/load"))
+    panel_site.site.ear.next_on("telemetry/load", after=known)
+    assert panel_site.site.state["state"] == "running"
+    assert panel_site.site.state["enabled"]
+    rest(panel_site)
+
+
+MARKUP = "<img src=x onerror=alert(1)><script>alert(2)</script>"
+KEYS = {
+    "state": (
+        "state",
+        "mode",
+        "controller",
+        "reason",
+        "trip",
+        "time",
+        "since",
+        "clock",
+        "waveform",
+    ),
+    "telemetry/load": ("time", "output", "reference", "estimates", "controller", "reason"),
+    "telemetry/drive": ("time", "output", "bus", "sensors", "lateness_us", "ticks"),
+    "event": ("time", "kind", "severity", "detail"),
+    "history": ("rows", "time"),
+}
+ODD: tuple[Any, ...] = (
+    MARKUP,
+    5,
+    None,
+    [],
+    {},
+    {MARKUP: MARKUP},
+    [MARKUP],
+    1e308,
+    "2026-11-22T00:00:00Z",
+    True,
+)
+
+
+def test_no_payload_becomes_a_script_or_stops_the_page(
+    operator: Panel, panel_site: PanelSite
+) -> None:
+    site = panel_site.site
+    operator.page.get_by_role("link", name="all drives").click()
+    for drive in ("evil", "motor"):
+        for topic, keys in KEYS.items():
+            for odd in ODD:
+                hostile(site.broker_port, f"adaptdrive/{drive}/{topic}", dict.fromkeys(keys, odd))
+    for raw in (b"", b"\xc3\xa9", b"[]", b"null", b'"x"', MARKUP.encode(), b"{" * 5000):
+        for topic in (*KEYS, "availability", "reply"):
+            hostile_raw(site.broker_port, f"adaptdrive/evil/{topic}", raw)
+    publish(site.broker_port, "adaptdrive/evil/availability", "online")
+    limits = {"setpoint": [MARKUP, {}], "pole": 7, "boost_V": None}
+    trip = {"time": MARKUP, "text": MARKUP, "remedy": MARKUP}
+    state = {
+        "state": MARKUP,
+        "time": "2026-11-22T00:00:00Z",
+        "trip": MARKUP,
+        "last_trip": trip,
+        "limits": limits,
+        "modes": [MARKUP],
+    }
+    hostile(site.broker_port, "adaptdrive/evil/state", state | {"output": {"unit": MARKUP}})
+    operator.page.get_by_role("link", name="evil").click()
+    operator.page.get_by_text(MARKUP).first.wait_for()
+    assert operator.page.locator("img, script[src='x'], #panel script").count() == 0
+    operator.page.get_by_role("link", name="all drives").click()
+    operator.open_drive()
+    site.stop_daemon()
+    site.start_daemon()
+    operator.expect_state("standby")
+    operator.expect_text(".age", "live")
+
+
+def hostile(port: int, topic: str, content: object) -> None:
+    hostile_raw(port, topic, json.dumps(content).encode())
+
+
+def hostile_raw(port: int, topic: str, payload: bytes) -> None:
+    paho.single(topic, payload, qos=1, hostname="127.0.0.1", port=port)
+
+
+@pytest.mark.parametrize("width", [360, 1280, 3840])
+def test_nothing_is_cut_off_at_any_width(
+    make_panel: MakePanel, panel_site: PanelSite, width: int
+) -> None:
+    panel = make_panel(viewport={"width": width, "height": 900})
+    panel.log_in(panel_site.address, "operator")
+    panel.open_drive()
+    panel.expect_text(".age", "live")
+    assert panel.page.evaluate("document.documentElement.scrollWidth") <= width
+    stop = panel.page.get_by_role("button", name="STOP").bounding_box()
+    assert stop is not None
+    assert stop["x"] + stop["width"] <= width
+    assert stop["y"] + stop["height"] <= 900
+    assert stop["height"] >= 44
+
+
+def test_a_page_opened_late_shows_the_last_hour(
+    make_panel: MakePanel, panel_site: PanelSite
+) -> None:
+    site = panel_site.site
+    site.run_drive()
+    site.let_periods_pass(4)
+    opened_s = time.time()
+    panel = make_panel()
+    panel.log_in(panel_site.address, "viewer")
+    panel.open_drive()
+    earlier = (
+        f"Drives.named('motor').slowRows.filter(row => Date.parse(row.time) < {1e3 * opened_s})"
+    )
+    # one row is the retained message
+    until(lambda: panel.page.evaluate(earlier) > 1, "the page shows the past")
+    rest(panel_site)
