@@ -21,7 +21,7 @@ from tests.system.site import PATIENT_DRIVE, Site
 PANEL = Path(__file__).parents[2] / "src" / "adaptdrive" / "panel"
 PATIENCE_MS = 30_000
 SETTINGS = {
-    "interlocks.stale_s": "0.2",
+    "interlocks.stale_s": "1.0",
     "supervisor.warm_up_s": "4.0",
     "supervisor.dwell_periods": "1",
 }

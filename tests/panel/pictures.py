@@ -6,14 +6,20 @@ import sys
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Literal
 
+from PIL import Image
 from playwright.sync_api import Browser, ViewportSize
 
 from tests.panel.browser import Panel, PanelSite, browser_of, open_panel, panel_site_in
 
+Scheme = Literal["light", "dark"]
+
 DESK = ViewportSize(width=1280, height=900)
 PHONE = ViewportSize(width=360, height=780)
-RUN_S = 75.0
+COLOURS = 64
+SETTLED_S = 2.5
+RUN_S = 70.0
 """Long enough for a step of the reference and a trusted estimate."""
 
 
@@ -31,10 +37,12 @@ def main(folder: Path) -> None:
         time.sleep(RUN_S / 2)
         site.site.demand("setpoint", 3.0)
         time.sleep(RUN_S / 2)
-        _take(browser, site, folder, "running")
+        _take(browser, site, "running", folder / "panel-running-light.png", "light", DESK)
         site.site.kill(site.site.device)
         site.site.await_state(state="tripped")
-        _take(browser, site, folder, "tripped")
+        _take(browser, site, "tripped", folder / "panel-tripped-dark.png", "dark", DESK)
+        _take(browser, site, "tripped", folder / "panel-tripped-phone.png", "light", PHONE)
+        _take_list(browser, site, folder)
 
 
 def _take_login(browser: Browser, site: PanelSite, folder: Path) -> None:
@@ -44,26 +52,35 @@ def _take_login(browser: Browser, site: PanelSite, folder: Path) -> None:
     _write(panel, folder / "panel-login.png")
 
 
-def _take(browser: Browser, site: PanelSite, folder: Path, state: str) -> None:
-    for name, viewport, scheme in (
-        ("light", DESK, "light"),
-        ("dark", DESK, "dark"),
-        ("phone", PHONE, "light"),
-    ):
-        panel = open_panel(browser, viewport=viewport, color_scheme=scheme)
-        panel.log_in(site.address, "operator")
-        panel.page.get_by_role("heading", name="Drives").wait_for()
-        time.sleep(1.5)
-        if name == "light":
-            _write(panel, folder / f"panel-site-{state}.png")
-        panel.open_drive()
-        panel.expect_state(state)
-        time.sleep(2.5)
-        _write(panel, folder / f"panel-{state}-{name}.png")
+def _take_list(browser: Browser, site: PanelSite, folder: Path) -> None:
+    panel = open_panel(browser, viewport=ViewportSize(width=1280, height=300))
+    panel.log_in(site.address, "operator")
+    panel.expect_text("table", "tripped")
+    _write(panel, folder / "panel-site-tripped.png")
+
+
+def _take(  # noqa: PLR0917 - one picture
+    browser: Browser,
+    site: PanelSite,
+    state: str,
+    path: Path,
+    scheme: Scheme,
+    viewport: ViewportSize,
+) -> None:
+    panel = open_panel(browser, viewport=viewport, color_scheme=scheme)
+    panel.log_in(site.address, "operator")
+    panel.open_drive()
+    panel.expect_state(state)
+    time.sleep(SETTLED_S)
+    _write(panel, path)
 
 
 def _write(panel: Panel, path: Path) -> None:
     panel.page.screenshot(path=path)
+    with Image.open(path) as image:
+        small = image.convert("RGB").quantize(COLOURS)
+    small.save(path, optimize=True)
+    panel.page.context.close()
 
 
 if __name__ == "__main__":

@@ -54,7 +54,7 @@ def test_an_operator_runs_the_drive_and_sees_the_estimate_move(
     page.get_by_role("button", name="adaptive").click()
     expect(page.get_by_role("button", name="adaptive")).to_have_attribute("aria-pressed", "true")
     page.get_by_label("set-point, V").fill("9")
-    page.get_by_label("set-point, V").evaluate("field => { field.max = ''; }")
+    page.get_by_label("set-point, V").evaluate("field => { field.form.noValidate = true; }")
     page.get_by_role("button", name="Set", exact=True).first.click()
     operator.expect_text(".answer", "refused: setpoint = 9 V is outside")
     page.get_by_label("set-point, V").fill("3.2")
@@ -71,7 +71,7 @@ def test_an_operator_runs_the_drive_and_sees_the_estimate_move(
 
 
 def estimates(panel: Panel) -> list[str]:
-    return [panel.value(name) for name in ("gain", "tau_sum_s", "input_offset")]
+    return [panel.value(name) for name in ("gain", "tau_sum", "input_offset")]
 
 
 def test_a_trip_is_shown_with_its_remedy_and_reset(operator: Panel, panel_site: PanelSite) -> None:
@@ -82,6 +82,7 @@ def test_a_trip_is_shown_with_its_remedy_and_reset(operator: Panel, panel_site: 
     operator.expect_state("tripped")
     operator.expect_text(".alarm", "Trip: ")
     operator.expect_text(".alarm", "What to do: ")
+    operator.expect_text(".age", "drive silent")
     operator.page.get_by_role("button", name="Reset trip").click()
     operator.expect_text(".answer", "refused: cause is still there")
     site.start_device("--initial-voltage", "280", *PATIENT_DRIVE)
@@ -144,18 +145,8 @@ KEYS = {
     "event": ("time", "kind", "severity", "detail"),
     "history": ("rows", "time"),
 }
-ODD: tuple[Any, ...] = (
-    MARKUP,
-    5,
-    None,
-    [],
-    {},
-    {MARKUP: MARKUP},
-    [MARKUP],
-    1e308,
-    "2026-11-22T00:00:00Z",
-    True,
-)
+NOW = "2026-11-22T00:00:00Z"
+ODD: tuple[Any, ...] = (MARKUP, 5, None, [], {}, {MARKUP: MARKUP}, [MARKUP], 1e308, NOW, True)
 
 
 def test_no_payload_becomes_a_script_or_stops_the_page(
@@ -175,7 +166,7 @@ def test_no_payload_becomes_a_script_or_stops_the_page(
     trip = {"time": MARKUP, "text": MARKUP, "remedy": MARKUP}
     state = {
         "state": MARKUP,
-        "time": "2026-11-22T00:00:00Z",
+        "time": NOW,
         "trip": MARKUP,
         "last_trip": trip,
         "limits": limits,
@@ -222,6 +213,7 @@ def test_a_page_opened_late_shows_the_last_hour(
 ) -> None:
     site = panel_site.site
     site.run_drive()
+    site.demand("setpoint", 3.0)  # below its reach the drive coasts, without slow steps
     site.let_periods_pass(4)
     opened_s = time.time()
     panel = make_panel()

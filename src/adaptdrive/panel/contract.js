@@ -20,7 +20,7 @@
  * @typedef {{
  *   time: string, output: number|null, boost_voltage_V: number|null, load_power_W: number|null,
  *   line_voltage_V: number|null, ticks: number|null, missed: number|null, held: number|null,
- *   lateness_us: {p99: number|null, max: number|null}, bus: Record<string, number|null>,
+ *   age_s: number|null, lateness_us: {p99: number|null, max: number|null}, bus: Record<string, number|null>,
  *   sensors: Record<string, {up: boolean, detail: string}>
  * }} Fast
  * @typedef {{time: string, kind: string, severity: string, detail: string}} DriveEvent
@@ -74,11 +74,13 @@ const Contract = (() => {
     return { ask: `${ROOT}/${drive}/ask/history`, answer: `${ROOT}/${drive}/history` };
   }
 
-  /** The unit of an estimate, from its name. @param {string} name */
-  function unitOf(name) {
-    const match = /_([A-Za-z]+(?:_per_[A-Za-z]+)?\d?)$/.exec(name);
-    return match ? match[1].replace("_per_", "/").replace("s2", "s²").replace("Ohm", "Ω") : "";
+  /** The name of an estimate without its unit, and the unit as it is written.
+   * @param {string} name */
+  function named(name) {
+    const match = /^(.+)_((?:s|V|A|W|K|S|J|F|Ohm|rad)\d?(?:_per_(?:s|V|A|W|K)\d?)?)$/.exec(name);
+    if (!match) return { text: name, unit: "" };
+    return { text: match[1], unit: match[2].replace("_per_", "/").replace("2", "²").replace("Ohm", "Ω") };
   }
 
-  return { SUBSCRIPTIONS, place, read, command, history, unitOf };
+  return { SUBSCRIPTIONS, place, read, command, history, named };
 })();

@@ -41,6 +41,14 @@ const Dom = (() => {
     return unit ? `${text}\u202f${unit}` : text;
   }
 
+  /** Write a measured value with a constant count of digits, so that it does not jump.
+   * @param {unknown} value @param {string} unit */
+  function measured(value, unit) {
+    if (typeof value !== "number" || !Number.isFinite(value)) return "–";
+    const text = Math.abs(value) < 1e4 && Math.abs(value) >= 1e-3 ? value.toPrecision(4) : number(value);
+    return unit ? `${text}\u202f${unit}` : text;
+  }
+
   /** Write a time span. @param {number} seconds */
   function span(seconds) {
     if (!Number.isFinite(seconds)) return "never";
@@ -50,5 +58,5 @@ const Dom = (() => {
     return `${(seconds / 3600).toFixed(1)} h`;
   }
 
-  return { make, say, mark, number, span };
+  return { make, say, mark, number, measured, span };
 })();

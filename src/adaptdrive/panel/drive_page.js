@@ -50,13 +50,14 @@ const DrivePage = (() => {
     const shown = drive.availability === "online" ? state?.state ?? "unknown" : drive.availability;
     Dom.say(chip, shown);
     Dom.mark(chip, "data-state", shown);
-    Dom.say(age, drive.live ? "live" : `no data: ${Dom.span(drive.ageS)}`);
+    Dom.say(age, drive.ageText);
     const trip = state?.trip;
-    const last = state?.last_trip;
     alarm.hidden = !trip;
     if (!trip) return;
-    const remedy = last?.remedy ? Dom.make("p", {}, `What to do: ${last.remedy}`) : "";
-    alarm.replaceChildren(Dom.make("strong", {}, `Trip: ${trip}`), remedy);
+    const remedy = state?.last_trip?.remedy ?? "";
+    const cause = remedy && trip.endsWith(`: ${remedy}`) ? trip.slice(0, -remedy.length - 2) : trip;
+    const advice = remedy ? Dom.make("p", {}, `What to do: ${remedy}`) : "";
+    alarm.replaceChildren(Dom.make("strong", {}, `Trip: ${cause}`), advice);
   }
 
   /** What is now: large numbers, each with unit, limits and age. */
@@ -74,7 +75,7 @@ const DrivePage = (() => {
     const { state, fast, load } = drive;
     const value = fast?.output ?? load?.output;
     Dom.say(parts.name, drive.outputName);
-    Dom.say(parts.output, Dom.number(value, drive.unit));
+    Dom.say(parts.output, Dom.measured(value, drive.unit));
     drawRange(parts.bar, state?.limits?.setpoint, value, load?.reference ?? state?.setpoint);
     const lateness = fast?.lateness_us;
     const rows = [
@@ -85,7 +86,7 @@ const DrivePage = (() => {
       ["line", Dom.number(fast?.line_voltage_V, "V"), ""],
       ["controller in force", state?.controller ?? "–", state?.reason || `asked for: ${state?.mode ?? "–"}`],
       ["estimate", load ? (load.accepted ? "accepted" : "refused") : "–", load?.reason ?? ""],
-      ...Object.entries(load?.estimates ?? {}).map(([name, one]) => [name, `${Dom.number(one.value, Contract.unitOf(name))}`, one.std == null ? "uncertainty unknown" : `± ${Dom.number(2 * one.std, "", 2)} (2 σ)`]),
+      ...Object.entries(load?.estimates ?? {}).map(([name, one]) => estimateRow(name, one)),
       ["pole", Dom.number(state?.pole), limitText(state?.limits?.pole, "")],
       ["lateness of a tick", milliseconds(lateness?.p99), lateness ? `99 %; longest ${milliseconds(lateness.max)}` : ""],
       ["ticks", Dom.number(fast?.ticks, "", 9), fast ? `${Dom.number(fast.missed)} missed, ${Dom.number(fast.held)} held` : ""],
@@ -94,6 +95,13 @@ const DrivePage = (() => {
       ["clock", state?.clock ?? "–", Number.isFinite(drive.clockS) ? new Date(1000 * drive.clockS).toISOString().slice(11, 19) + " UTC" : ""],
     ];
     drawRows(parts.rows, rows);
+  }
+
+  /** @param {string} name @param {Estimate} one */
+  function estimateRow(name, one) {
+    const { text, unit } = Contract.named(name);
+    const doubt = one.std == null ? "uncertainty unknown" : `± ${Dom.number(2 * one.std, unit, 2)} (2 σ)`;
+    return [text, Dom.number(one.value, unit), doubt];
   }
 
   /** @param {number|null|undefined} us */
@@ -132,7 +140,10 @@ const DrivePage = (() => {
 
   /** @param {[number|null, number|null]|undefined} range @param {string} unit */
   function limitText(range, unit) {
-    return range ? `limits ${Dom.number(range[0])}…${Dom.number(range[1], unit)}` : "";
+    if (!range || (range[0] == null && range[1] == null)) return "";
+    if (range[0] == null) return `at most ${Dom.number(range[1], unit)}`;
+    if (range[1] == null) return `at least ${Dom.number(range[0], unit)}`;
+    return `limits ${Dom.number(range[0])}…${Dom.number(range[1], unit)}`;
   }
 
   /** @param {Record<string, number|null>} bus */

@@ -28,9 +28,21 @@ const Drives = (() => {
       return nowS() - this.heardS;
     }
 
+    /** Age of the drive's last measurement; the daemon goes on when the drive falls silent. */
+    get measurementAgeS() {
+      return this.ageS + (this.fast?.age_s ?? 0);
+    }
+
     /** Whether what is shown may be taken for the present. */
     get live() {
-      return this.availability === "online" && this.ageS < STALE_S;
+      return this.availability === "online" && this.measurementAgeS < STALE_S;
+    }
+
+    /** How old what is shown is, in words. */
+    get ageText() {
+      if (this.live) return "live";
+      const silent = this.availability === "online" && this.ageS < STALE_S;
+      return silent ? `drive silent: ${Dom.span(this.measurementAgeS)}` : `no data: ${Dom.span(this.ageS)}`;
     }
 
     get unit() {

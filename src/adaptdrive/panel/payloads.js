@@ -72,7 +72,7 @@ const Payloads = (() => {
     return {
       time: text(raw.time), output: number(raw.output), boost_voltage_V: number(raw.boost_voltage_V),
       load_power_W: number(raw.load_power_W), line_voltage_V: number(raw.line_voltage_V),
-      ticks: number(raw.ticks), missed: number(raw.missed), held: number(raw.held),
+      age_s: number(raw.age_s), ticks: number(raw.ticks), missed: number(raw.missed), held: number(raw.held),
       lateness_us: { p99: number(lateness.p99), max: number(lateness.max) },
       bus: map(raw.bus, number),
       sensors: map(raw.sensors, (one) => ({ up: fields(one).up === true, detail: text(fields(one).detail) })),

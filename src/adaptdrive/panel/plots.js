@@ -96,8 +96,8 @@ const Plots = (() => {
     function drawEstimate(name, rows, time) {
       let own = estimates.get(name);
       if (!own) {
-        const shown = Contract.unitOf(name);
-        own = plot(parent, `estimate: ${name}${shown ? `, ${shown}` : ""}, ± 2 σ`, [
+        const { text, unit } = Contract.named(name);
+        own = plot(parent, `estimate: ${text}${unit ? `, ${unit}` : ""}, ± 2 σ`, [
           { label: "high", colour: "--series-1", band: true },
           { label: "low", colour: "--series-1", band: true },
           { label: name, colour: "--series-1" },

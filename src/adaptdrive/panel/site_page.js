@@ -53,11 +53,11 @@ const SitePage = (() => {
     const shown = drive.availability === "online" ? state?.state ?? "unknown" : drive.availability;
     const texts = [
       state?.trip && drive.availability === "online" ? `${shown}: ${state.trip}` : shown,
-      Dom.number(drive.fast?.output ?? drive.load?.output, drive.unit),
+      Dom.measured(drive.fast?.output ?? drive.load?.output, drive.unit),
       state?.waveform ? `${state.waveform.shape} wave` : Dom.number(state?.setpoint, drive.unit),
       state ? (state.controller === state.mode ? state.controller : `${state.controller} (asked for ${state.mode})`) : "–",
       (state?.since ?? state?.time ?? "").replace("T", " ").slice(0, 19),
-      drive.live ? "live" : Dom.span(drive.ageS),
+      drive.ageText,
     ];
     texts.forEach((text, i) => Dom.say(cells[i], text));
     Dom.mark(cells[0], "data-state", shown);
