@@ -16,7 +16,7 @@ from adaptdrive_sim.plants.motor import MotorParameters
 Array = NDArray[np.float64]
 
 NOMINAL_REACH = (2.2, 4.4)
-"""What V_c = 200…400 V holds with the gain of the controller's model, in volts."""
+"""Outputs that V_c = 200…400 V holds with the gain of the controller's model, in volts."""
 
 _EDGE = 0.05
 """Least distance from there to a set-point, as a share: torque and noise need some room."""

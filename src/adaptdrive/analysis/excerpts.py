@@ -57,7 +57,7 @@ class Stretch:
 
     @property
     def excerpt(self) -> Excerpt:
-        """What identification needs of it."""
+        """Return the part that identification needs."""
         return Excerpt(self.columns["boost_voltage_V"], self.columns["output"], self.period_s)
 
 

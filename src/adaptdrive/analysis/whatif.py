@@ -1,4 +1,4 @@
-"""What if: a recorded session again in closed loop, with other settings."""
+"""A recorded session again in closed loop, with other settings."""
 
 from __future__ import annotations
 

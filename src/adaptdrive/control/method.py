@@ -21,7 +21,7 @@ class Method(Protocol):
 
     @property
     def physical(self) -> bool:
-        """Whether θ follows from the physical parameters of the load.
+        """True if θ follows from the physical parameters of the load.
 
         Only then can an estimate start from these, be compared with the nominal model, and be
         kept for the next run.

@@ -69,7 +69,7 @@ class Machine:
 
     @property
     def obstacle(self) -> str:
-        """Why V_c cannot hold what is asked for, empty where it can."""
+        """Return the reason why V_c cannot hold the set-point, empty where it can."""
         if not self.energised:
             return ""
         reach, unit = self.reach, self._limits.unit

@@ -1,4 +1,4 @@
-"""What has been received of one drive, as the live view needs it."""
+"""Messages received of one drive, as the live view needs them."""
 
 from __future__ import annotations
 
