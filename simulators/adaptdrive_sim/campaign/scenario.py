@@ -145,10 +145,14 @@ def _low_above(reference: ReferenceRanges, seed: int) -> float:
 
 
 def _reachable(low: float, step: float, gain: float) -> tuple[float, float]:
-    """Move the set-points of a step into what V_c holds with a tachometer of a relative gain."""
-    least, most = (gain * end for end in NOMINAL_REACH)
-    height = min(step, (1.0 - 2.0 * _EDGE) * (most - least))
-    moved = min(max(low, least * (1.0 + _EDGE)), most * (1.0 - _EDGE) - height)
+    """Move the set-points of a step into what V_c holds, by the drawn gain and by the model's.
+
+    The daemon refuses what the model does not reach, and its output limit lies above that.
+    """
+    least = (1.0 + _EDGE) * max(1.0, gain) * NOMINAL_REACH[0]
+    most = (1.0 - _EDGE) * min(1.0, gain) * NOMINAL_REACH[1]
+    height = min(step, most - least)
+    moved = min(max(low, least), most - height)
     return (low, low + step) if (moved, height) == (low, step) else (moved, moved + height)
 
 

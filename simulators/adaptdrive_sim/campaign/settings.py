@@ -52,7 +52,7 @@ class LoadRanges(_Section):
     """The motor: inertia in disks, the rest relative to the settings of the controller."""
 
     inertia: Annotated[Range, _within(0.2, 10.0)]
-    gain: Annotated[Range, _within(0.5, 2.0)]
+    gain: Annotated[Range, _within(0.56, 1.8)]
     filter: Annotated[Range, _within(0.5, 2.0)]
     unchanged: float = Field(ge=0.0, le=1.0)
     changes: Annotated[WholeRange, _within(1, 20)]
