@@ -169,7 +169,7 @@ def test_a_voltage_without_a_time_ends_the_watch() -> None:
         (SetVoltage(199.0), "voltage = 199 V is outside 200…400 V"),
         (SetVoltage(401.0), "voltage = 401 V is outside 200…400 V"),
         (SetVoltage(float("nan")), "voltage = nan V is outside"),
-        (SetVoltage(300.0, hold_s=0.0), "hold_s = 0 s is not a finite time above 0 s"),
+        (SetVoltage(300.0, hold_s=0.0), "hold_s = 0 s is not above 0 s and at most 86400 s"),
         (SetVoltage(300.0, hold_s=float("inf")), "hold_s = inf s is not"),
         (SetSetpoint(3.0), "setpoint needs mode fixed or adaptive; mode is manual"),
     ],

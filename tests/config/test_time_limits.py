@@ -14,7 +14,7 @@ from tests.config.documents import flaws
 from tests.config.test_sensors import DIFFERENCE, THERMOCOUPLES
 from tests.config.test_sensors import flaws as sensor_flaws
 
-TIME = re.compile(r".*_(s|us|ticks|cycles|periods)$")
+TIME = re.compile(r".*(?<!_per)_(s|us|ticks|cycles|periods)$")
 NO_LIMITS = {
     "tau_motor_s": "of a model",
     "tau_filter_s": "of a model",
