@@ -12,11 +12,11 @@ from tests.deploy.broker import GuardedBroker, make_broker
 from tests.support import MosquittoLauncher, free_port, stop_process
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def guarded(
     mosquitto_launcher: MosquittoLauncher, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[GuardedBroker]:
-    """The broker as it is shipped; it runs until the last test has ended."""
+    """The broker as it is shipped; what one file of tests leaves on it, no other file hears."""
     for program in ("openssl", "mosquitto_passwd", "mosquitto_pub", "mosquitto_sub"):
         if shutil.which(program) is None:
             pytest.skip(f"{program} is not installed")

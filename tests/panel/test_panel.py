@@ -15,7 +15,7 @@ from tests.panel.browser import PATIENCE_MS, Panel, PanelSite
 from tests.panel.conftest import MakePanel
 from tests.system.site import PATIENT_DRIVE, publish, until
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.alone]
 
 
 @pytest.fixture
