@@ -17,6 +17,8 @@ TRIP = "trip"
 """Kind of the event that has the black box written."""
 
 _MODULE = "adaptdrive.recording.black_box_writer"
+NO_FIGURE = "--no-figure"
+"""Word of the command line without which the figure of a trip is drawn."""
 
 
 class BlackBox:
@@ -66,18 +68,19 @@ class BlackBox:
             await asyncio.sleep(self._after_s)
             await self.write_pending(timeout_s=60.0)
 
-    async def write_pending(self, timeout_s: float) -> None:
+    async def write_pending(self, timeout_s: float, *, figure: bool = True) -> None:
         """Write the trip that is not written yet, if there is one.
 
         Args:
-            timeout_s: Longest wait for the disk.
+            timeout_s: Longest wait for the disk, and for the figure.
+            figure: Whether to draw the figure, which takes some seconds.
         """
         if not self._tripped.is_set():
             return
         self._tripped.clear()
         try:
             async with asyncio.timeout(timeout_s):
-                problem = await self._write()
+                problem = await self._write(figure=figure)
         except TimeoutError:
             problem = f"the disk took longer than {timeout_s:g} s"
         except OSError as error:
@@ -85,8 +88,9 @@ class BlackBox:
         if problem is not None:
             self._report(Severity.ALARM, f"the record of the trip is not written: {problem}")
 
-    async def _write(self) -> str | None:
-        writer = await WriterProcess.start(Path(self._header.sessions), _MODULE)
+    async def _write(self, *, figure: bool) -> str | None:
+        words = () if figure else (NO_FIGURE,)
+        writer = await WriterProcess.start(Path(self._header.sessions), _MODULE, *words)
         try:
             header = msgspec.structs.replace(self._header, directory=self.directory)
             writer.send(framed(header))

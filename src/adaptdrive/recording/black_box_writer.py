@@ -18,7 +18,7 @@ import msgspec
 
 from adaptdrive.recording import reserve
 from adaptdrive.recording.batches import Batch, EventRow, Header, News, read_frames
-from adaptdrive.recording.black_box import trip_of
+from adaptdrive.recording.black_box import NO_FIGURE, trip_of
 from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
 from adaptdrive.recording.session import Dropped, Ending, rename_free
 from adaptdrive.recording.session_writer import SessionWriter
@@ -122,7 +122,8 @@ def main() -> None:
         directory = write_trip(sys.stdin.buffer)
     except ERRORS as problem:
         sys.exit(str(problem))
-    figure = "with a figure" if draw(directory) else f"`adaptdrive plot {directory}` draws it"
+    drawn = NO_FIGURE not in sys.argv and draw(directory)
+    figure = "with a figure" if drawn else f"`adaptdrive plot {directory}` draws it"
     detail = f"the record of the trip is in {directory}, {figure}"
     send_to_parent(News(severity=Severity.INFO.value, detail=detail))
 

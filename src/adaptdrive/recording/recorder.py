@@ -180,7 +180,8 @@ class Recorder:
 
     async def _finish(self) -> None:
         part_s = self._pace.close_s / 4.0
-        await self._black_box.write_pending(part_s)  # its report belongs to the end
+        # its report belongs to the end, for which the figure would take too long
+        await self._black_box.write_pending(part_s, figure=False)
         self._note(self._feed.events.drain())
         await self._gather()
         self._send(last=True)

@@ -27,18 +27,21 @@ class WriterProcess:
         self._process = process
 
     @classmethod
-    async def start(cls, sessions: Path, module: str = "adaptdrive.recording.writer") -> Self:
+    async def start(
+        cls, sessions: Path, module: str = "adaptdrive.recording.writer", *words: str
+    ) -> Self:
         """Start the process for one session.
 
         Args:
             sessions: Folder of all sessions.
-            module: What it runs.
+            module: Module that it runs.
+            words: Further words of its command line.
 
         Raises:
             OSError: The process cannot be started.
         """
         process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", module, str(sessions)),
+            *(sys.executable, "-m", module, str(sessions), *words),
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,
