@@ -174,9 +174,11 @@ class Operator:
         return until(find, f"state {wanted}; the last is {self.heard('state')[-1:]}")
 
     def run_drive(self) -> None:
-        """Enable the drive and wait until it runs."""
+        """Enable the drive and give it a set-point, without which a motor at rest coasts."""
         self.await_accepted("enable")
         self.await_state(state="running")
+        assert self.ask("setpoint", 3.0)["accepted"]
+        self.await_state(state="running", setpoint=3.0)
 
 
 def _plain(content: dict[str, Any]) -> dict[str, Any]:
