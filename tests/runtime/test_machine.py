@@ -235,7 +235,10 @@ def test_disabling_stops_until_the_drive_confirms(
     assert desk.state() is State.STOPPING
     assert (desk.machine.stage, desk.machine.energised) == (Stage.OFF, False)
     assert desk.machine.waveform is None
-    desk.refuses(Enable(), "the drive has not confirmed its stop")
+    desk.refuses(Enable(), "the drive has not confirmed its stop; enable it in standby")
+    desk.cause = FAULT
+    desk.refuses(Enable(), f"the drive has not confirmed its stop ({FAULT}); enable it in standby")
+    desk.cause = None
     desk.machine.confirm_stop()
     assert desk.state() is State.STANDBY
 

@@ -231,7 +231,8 @@ class Machine:
         if self.energised:
             return
         if self.state is State.STOPPING:
-            raise RefusedError("the drive has not confirmed its stop; enable it in standby")
+            why = "" if cause is None else f" ({cause})"
+            raise RefusedError(f"the drive has not confirmed its stop{why}; enable it in standby")
         if cause is not None:
             raise RefusedError(cause)
         limits = self._limits
