@@ -88,6 +88,12 @@ def ask_twin(site: Site, verb: str) -> dict[str, Any]:
     return until(lambda: replies_of_twin(site)[known:], "a reply of the twin")[0]
 
 
+def names_the_rival(reply: dict[str, Any]) -> bool:
+    """Whether a refusal says that another sender commands the drive."""
+    assert not reply["accepted"]
+    return "another sender commands this drive" in reply["reason"]
+
+
 def replies_of_twin(site: Site) -> list[dict[str, Any]]:
     heard = site.ear._messages()
     return [one.content for one in heard if one.topic == "adaptdrive/twin/reply"]
@@ -101,7 +107,7 @@ def test_two_daemons_trip_and_neither_enables(site: Site, twin: Process) -> None
     with BusEar(site.config) as bus:
         reply = ask_twin(site, "enable")
         assert not reply["accepted"]
-        assert "another sender commands this drive" in reply["reason"]
+        until(lambda: names_the_rival(ask_twin(site, "enable")), "the twin names the other daemon")
         assert not site.ask("reset")["accepted"]
         assert not site.ask("enable")["accepted"]
         until(lambda: len(bus.commands()) > 200, "commands of both")
