@@ -6,14 +6,25 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from rich.box import ROUNDED
 from rich.layout import Layout
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
 from adaptdrive.watch.plot import CONTROLLER_STYLES, REFERENCE_STYLE, plot
-from adaptdrive.watch.tables import figure, number, overshoot, percent, rows
+from adaptdrive.watch.tables import (
+    DIM,
+    STATE_STYLES,
+    boxed,
+    cut,
+    event_line,
+    event_lines,
+    figure,
+    number,
+    overshoot,
+    percent,
+    rows,
+)
 from adaptdrive_sim.demo.heard import QuantilesMessage, known
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DRIVE
@@ -23,9 +34,6 @@ WIDE, TALL = 110, 32
 FIGURES_ROWS = 7
 _SHORTEST_WINDOW_s = 30.0
 _ESTIMATES = (("gain", "g", "V/V"), ("tau_sum_s", "τm+τf", "s"), ("tau_product_s2", "τm·τf", "s²"))
-_STATE_STYLES = {"running": "bold green", "tripped": "bold white on red"}
-_SEVERITY_STYLES = {"info": "", "warning": "yellow", "alarm": "bold red"}
-_DIM = "bright_black"
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,14 +90,14 @@ def screen(record: DemoRecord, around: ViewContext, size: tuple[int, int]) -> La
 def _header(record: DemoRecord, around: ViewContext) -> Text:
     state = record.state
     name = state.state if state else "starting"
-    style = _STATE_STYLES.get(name, "bold yellow")
+    style = STATE_STYLES.get(name, "bold yellow")
     line = Text.assemble((f" {around.drive} ", "bold reverse"), " ", (f" {name} ", style))
     if state is not None:
         line.append_text(_controller(state.controller, state.mode, state.reason, state.trip))
-    line.append(f"   {_elapsed(record, around)}", _DIM)
+    line.append(f"   {_elapsed(record, around)}", DIM)
     if not record.connected:
         line.append("   broker not heard", "bold red")
-    return _cut(Text("\n").join([line, Text(f" {_caption(record, around)}", "italic")]))
+    return cut(Text("\n").join([line, Text(f" {_caption(record, around)}", "italic")]))
 
 
 def _caption(record: DemoRecord, around: ViewContext) -> str:
@@ -130,7 +138,7 @@ def _plot_panel(record: DemoRecord, around: ViewContext, size: tuple[int, int]) 
         title.append(f"  ━ {name}", style)
     inner = (size[0] - 4, size[1] - 2)
     content = plot(points, list(record.marks), now_s, window_s, inner)
-    return Panel(content, title=title, box=ROUNDED, border_style=_DIM, title_align="left")
+    return boxed(title, content)
 
 
 def _figures(record: DemoRecord, around: ViewContext, *, wide: bool) -> Table:
@@ -145,20 +153,9 @@ def _figures(record: DemoRecord, around: ViewContext, *, wide: bool) -> Table:
     grid = Table.grid(expand=True)
     for ratio in (28, 30, 22):
         grid.add_column(ratio=ratio)
-    grid.add_row(*(_boxed(title, table, wide=wide) for title, table in contents.items()))
+    pad = 1 if wide else 0
+    grid.add_row(*(boxed(title, one, FIGURES_ROWS, pad) for title, one in contents.items()))
     return grid
-
-
-def _boxed(title: str, content: Table, *, wide: bool) -> Panel:
-    return Panel(
-        content,
-        title=title,
-        box=ROUNDED,
-        border_style=_DIM,
-        title_align="left",
-        height=FIGURES_ROWS,
-        padding=(0, 1 if wide else 0),
-    )
 
 
 def _drive(record: DemoRecord, *, wide: bool) -> Table:
@@ -233,38 +230,27 @@ def _overshoots(record: DemoRecord) -> Table:
 
 def _events(record: DemoRecord, rows: int) -> Text:
     lines = [
-        Text.assemble(
-            (f" {event.time.astimezone():%H:%M:%S} ", _DIM),
-            (f"{event.kind:<11}", "bold"),
-            (event.detail, _SEVERITY_STYLES.get(event.severity, "")),
-        )
+        event_line(f"{event.time.astimezone():%H:%M:%S}", event.kind, event.detail, event.severity)
         for event in list(record.events)[-rows:]
     ]
-    return Text("\n").join(map(_cut, lines)) if lines else Text(" no events yet", _DIM)
+    return event_lines(lines)
 
 
 def _hints(record: DemoRecord, around: ViewContext, *, tall: bool) -> Iterator[Text]:
     if around.subject is not None:
-        yield from (_cut(Text(f" {line}", _DIM)) for line in around.subject.foot)
+        yield from (cut(Text(f" {line}", DIM)) for line in around.subject.foot)
         return
     if around.panel:
-        yield _cut(
-            Text.assemble((" panel  ", _DIM), around.panel, ("   log in without a name", _DIM))
-        )
-    yield _cut(Text(f" bus {around.bus}   broker {around.broker}   Ctrl-C ends", _DIM))
+        yield cut(Text.assemble((" panel  ", DIM), around.panel, ("   log in without a name", DIM)))
+    yield cut(Text(f" bus {around.bus}   broker {around.broker}   Ctrl-C ends", DIM))
     other = "fixed" if record.state and record.state.mode == "adaptive" else "adaptive"
     call = f"{around.program} mode {DRIVE} {other} --broker {around.broker}"
-    yield _cut(Text.assemble((" try  ", _DIM), call))
+    yield cut(Text.assemble((" try  ", DIM), call))
     if not tall:
         return
     program = f"{around.program}-sim"
-    yield _cut(Text(f"      {program} disturb {DRIVE} add-disk --broker {around.broker}"))
+    yield cut(Text(f"      {program} disturb {DRIVE} add-disk --broker {around.broker}"))
     host, _, port = around.broker.rpartition(":")
     message = '{"id": "1", "value": 3.1}'
     topic = f"adaptdrive/{DRIVE}/command/setpoint"
-    yield _cut(Text(f"      mosquitto_pub -h {host} -p {port} -t {topic} -m '{message}'"))
-
-
-def _cut(line: Text) -> Text:
-    line.no_wrap, line.overflow = True, "ellipsis"
-    return line
+    yield cut(Text(f"      mosquitto_pub -h {host} -p {port} -t {topic} -m '{message}'"))

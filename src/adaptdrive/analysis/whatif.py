@@ -92,10 +92,8 @@ def what_if(
     # From its enabling on: what the controller has learnt at the first second used is unknown.
     runs = read_stretches(found.session, None, end_s)
     run = [one for one in runs if one.begin_s <= part.begin_s][-1]
-    columns = run.columns
-    recorded = _course(
-        found, run, (columns["reference"], columns["output"], columns["boost_voltage_V"])
-    )
+    columns, begin_s = run.columns, part.begin_s
+    recorded = (columns["reference"], columns["output"], columns["boost_voltage_V"])
     idle = [
         one
         for one in settings
@@ -103,9 +101,9 @@ def what_if(
     ]
     return Comparison(
         found=found,
-        recorded=_since(recorded, part.begin_s, found),
-        repeated=_since(_simulated(found, run, found.configuration), part.begin_s, found),
-        changed=_since(_simulated(found, run, changed), part.begin_s, found),
+        recorded=_course(found, run, recorded, begin_s),
+        repeated=_simulated(found, run, found.configuration, begin_s),
+        changed=_simulated(found, run, changed, begin_s),
         idle=tuple(idle),
     )
 
@@ -129,7 +127,9 @@ def _acting_with(
         return None
 
 
-def _simulated(found: SessionLoad, stretch: Stretch, configuration: Configuration) -> LoopCourse:
+def _simulated(
+    found: SessionLoad, stretch: Stretch, configuration: Configuration, begin_s: float
+) -> LoopCourse:
     poles, by_hand_V = stretch.columns["pole"], np.nan_to_num(stretch.columns["manual_V"])
     if configuration.load.pole != found.configuration.load.pole:
         poles = np.full(len(poles), configuration.load.pole)
@@ -147,7 +147,7 @@ def _simulated(found: SessionLoad, stretch: Stretch, configuration: Configuratio
         _start(found, stretch),
     )
     series = [np.array(one) for one in (record.reference, record.output, record.boost_voltage_V)]
-    return _course(found, stretch, (series[0], series[1], series[2]), record.fault)
+    return _course(found, stretch, (series[0], series[1], series[2]), begin_s, record.fault)
 
 
 def _start(found: SessionLoad, stretch: Stretch) -> LoopStart:
@@ -164,42 +164,31 @@ def _start(found: SessionLoad, stretch: Stretch) -> LoopStart:
 
 
 def _course(
-    found: SessionLoad, stretch: Stretch, series: tuple[Array, Array, Array], fault: str = ""
+    found: SessionLoad,
+    stretch: Stretch,
+    series: tuple[Array, Array, Array],
+    begin_s: float,
+    fault: str = "",
 ) -> LoopCourse:
-    """Return means over slow periods of set-point, output and boost voltage."""
-    samples = stretch.samples_per_period
-    period_s = samples * stretch.period_s
-    reference = series[0][samples - 1 :: samples]
+    """Return means over slow periods of set-point, output and boost voltage.
+
+    Those from `begin_s` on; all of them where a fault ended the run before.
+    """
+    samples, load = stretch.samples_per_period, found.configuration.load
     output, volts = (period_means(one, samples) for one in series[1:])
-    reference = reference[: len(output)]
+    reference = series[0][samples - 1 :: samples][: len(output)]
+    ends = np.arange(1.0, len(output) + 1.0)
+    time_s = stretch.begin_s + samples * stretch.period_s * ends
+    kept = time_s > begin_s
+    if not kept.any():
+        kept[:] = True
+    reference, output, volts = reference[kept], output[kept], volts[kept]
+    span = load.reference_max - load.reference_min
     return LoopCourse(
-        time_s=stretch.begin_s + period_s * np.arange(1.0, len(output) + 1.0),
+        time_s=time_s[kept],
         reference=reference,
         output=output,
         boost_voltage_V=volts,
-        quality=_quality(found, reference, output, volts),
+        quality=quality_of(reference, output, volts, load.period_s, span),
         fault=fault,
     )
-
-
-def _since(course: LoopCourse, begin_s: float, found: SessionLoad) -> LoopCourse:
-    """Return the part of a course from a time on."""
-    kept = course.time_s > begin_s
-    if not kept.any():  # a fault has ended it before
-        return course
-    reference, output = course.reference[kept], course.output[kept]
-    volts = course.boost_voltage_V[kept]
-    return LoopCourse(
-        time_s=course.time_s[kept],
-        reference=reference,
-        output=output,
-        boost_voltage_V=volts,
-        quality=_quality(found, reference, output, volts),
-        fault=course.fault,
-    )
-
-
-def _quality(found: SessionLoad, reference: Array, output: Array, volts: Array) -> Quality:
-    load = found.configuration.load
-    span = load.reference_max - load.reference_min
-    return quality_of(reference, output, volts, load.period_s, span)

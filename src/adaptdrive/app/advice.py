@@ -7,11 +7,12 @@ import math
 import os
 from collections.abc import Iterator
 
-from adaptdrive.app.loads import build_load
+from adaptdrive.app.loads import build_load, total_lag_s
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BathSection, BatterySection
 from adaptdrive.control.load import Load, to_input, to_voltage
+from adaptdrive.control.rest import nominal_gain
 from adaptdrive.errors import Flaw
 
 _REACH_SHARE = 0.1
@@ -46,7 +47,7 @@ def _reach(configuration: Configuration, load: Load) -> Iterator[Flaw]:
     section, limits = configuration.load, configuration.drive.limits
     if isinstance(section, BatterySection):
         return
-    highest = _gain(load) * to_input(
+    highest = nominal_gain(load) * to_input(
         limits.boost_reference_max_V, load.input_gain, load.input_exponent
     )
     span = section.reference_max - section.reference_min
@@ -78,7 +79,7 @@ def _highest_power_W(configuration: Configuration, load: Load) -> float:
         return (section.charge.voltage_max_V + section.model.droop_Ohm * current_A) * current_A
     if not isinstance(section, BathSection):
         return 0.0
-    heat_W = section.reference_max / _gain(load)
+    heat_W = section.reference_max / nominal_gain(load)
     volts = to_voltage(heat_W, load.input_gain, load.input_exponent)
     highest_V = min(volts, configuration.drive.limits.boost_reference_max_V)
     model = section.model
@@ -87,7 +88,7 @@ def _highest_power_W(configuration: Configuration, load: Load) -> float:
 
 def _pace(configuration: Configuration, load: Load) -> Iterator[Flaw]:
     """The λ filters and the slow period suit the load."""
-    mean_s = load.denominator[-2] / load.denominator[-1] / load.order
+    mean_s = total_lag_s(load) / load.order
     lambda_s, period_s = configuration.estimator.tau_lambda_s, configuration.load.period_s
     known = f"the load's mean time constant of {mean_s:.4g} s"
     if not _LEAST_LAMBDA <= lambda_s / mean_s <= _MOST_LAMBDA:
@@ -128,7 +129,3 @@ def _is_here(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost" or host.endswith(".localhost")
-
-
-def _gain(load: Load) -> float:
-    return load.numerator[-1] / load.denominator[-1]

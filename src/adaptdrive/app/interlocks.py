@@ -7,11 +7,12 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from adaptdrive.app.loads import build_load
+from adaptdrive.app.loads import build_load, total_lag_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.derived import moved_inputs
 from adaptdrive.config.load import BatterySection
 from adaptdrive.control.load import Load, to_input
+from adaptdrive.control.rest import nominal_gain
 from adaptdrive.runtime.interlocks import Limits, Watch
 from adaptdrive.runtime.response import Response, ResponseLimits
 from adaptdrive.runtime.stillness import StillnessLimits, StillnessWatch
@@ -64,7 +65,7 @@ def stillness_limits(configuration: Configuration) -> StillnessLimits | None:
         distance = 0.0
     return StillnessLimits(
         unit=section.output_unit,
-        gain=load.numerator[-1] / load.denominator[-1],
+        gain=nominal_gain(load),
         input_gain=load.input_gain,
         input_exponent=load.input_exponent,
         lags_s=_lags_s(load),
@@ -77,7 +78,7 @@ def stillness_limits(configuration: Configuration) -> StillnessLimits | None:
 
 def _lags_s(load: Load) -> tuple[float, ...]:
     """Return equal time constants with the same sum as those of the load."""
-    return (load.denominator[-2] / load.denominator[-1] / load.order,) * load.order
+    return (total_lag_s(load) / load.order,) * load.order
 
 
 def response_limits(configuration: Configuration) -> ResponseLimits | None:
@@ -90,7 +91,7 @@ def response_limits(configuration: Configuration) -> ResponseLimits | None:
     limits = ResponseLimits(
         name=section.output_name,
         unit=section.output_unit,
-        gain=load.numerator[-1] / load.denominator[-1],
+        gain=nominal_gain(load),
         input_gain=load.input_gain,
         input_exponent=load.input_exponent,
         input_max=to_input(highest_V, load.input_gain, load.input_exponent),

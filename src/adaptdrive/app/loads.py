@@ -34,6 +34,11 @@ def build_load(configuration: Configuration) -> Load:
             )
 
 
+def total_lag_s(load: Load) -> float:
+    """Return the sum of the nominal model's time constants."""
+    return load.denominator[-2] / load.denominator[-1]
+
+
 def _charging(battery: BatterySection) -> Charging:
     return Charging(
         turns_ratio=battery.model.turns_ratio,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from adaptdrive.app.loads import build_load
+from adaptdrive.app.loads import build_load, total_lag_s
 from adaptdrive.app.settings import controller_settings, tick_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BatterySection
@@ -70,7 +70,7 @@ def _battery_flaws(configuration: Configuration) -> Iterator[Flaw]:
 def _pace_flaws(configuration: Configuration, load: Load) -> Iterator[Flaw]:
     """The slow period fits the load, and the load can be controlled with it."""
     period_s = configuration.load.period_s
-    total_s = load.denominator[-2] / load.denominator[-1]
+    total_s = total_lag_s(load)
     if not _SHORTEST_PERIODS <= total_s / period_s <= _LONGEST_PERIODS:
         problem = f"its time constants add up to {total_s:.4g} s, {total_s / period_s:.3g} slow "
         limits = f"{_SHORTEST_PERIODS:g}…{_LONGEST_PERIODS:g}"

@@ -12,6 +12,7 @@ from adaptdrive.config.load import BatterySection, MotorSection, Supervisor
 from adaptdrive.control.load import to_input
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.reach import nominal_reach
+from adaptdrive.control.rest import nominal_gain
 from adaptdrive.control.settings import (
     ControllerSettings,
     Jacket,
@@ -139,7 +140,6 @@ def _learning(configuration: Configuration, *, exact: bool) -> Learning:
     limits = configuration.drive.limits
     middle_V = 0.5 * (limits.boost_reference_min_V + limits.boost_reference_max_V)
     middle = to_input(middle_V, load.input_gain, load.input_exponent)
-    dc_gain = load.numerator[-1] / load.denominator[-1]
     method = METHODS[estimator.method]
     directional = exact and estimator.alert and method.physical
     return Learning(
@@ -150,7 +150,7 @@ def _learning(configuration: Configuration, *, exact: bool) -> Learning:
         initial_covariance=_initial_covariance(configuration, exact=exact),
         settle_periods=math.ceil(estimator.settle_s / configuration.load.period_s),
         gate=estimator.gate if exact else 0.0,
-        output_scale=dc_gain * middle if exact else 1.0,
+        output_scale=nominal_gain(load) * middle if exact else 1.0,
         input_scale=middle if exact else 1.0,
         start_at_nominal=exact,
         alert=exact and estimator.alert,

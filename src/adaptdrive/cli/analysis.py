@@ -35,11 +35,7 @@ def plot(
     with Extra("analysis"):
         from adaptdrive.analysis.plot import plot as plot_session  # noqa: PLC0415 - it is large
     figure, report = plot_session(_find(session), begin, end, into)
-    print(figure)
-    print(report)
-    if show:
-        webbrowser.open(report.absolute().as_uri())
-    return 0
+    return _present(f"{figure}\n{report}", report, show=show)
 
 
 def identify(  # noqa: PLR0913 - one parameter for each option
@@ -72,13 +68,8 @@ def identify(  # noqa: PLR0913 - one parameter for each option
     found = session_load.identify_session(path, begin, end)
     figure = (path if into is None else into) / "load.png"
     figure.write_bytes(draw_load(found))
-    if json:
-        print(dumps(session_load.as_json(found)))
-    else:
-        print(f"{session_load.as_text(found)}\n\n{figure}")
-    if show:
-        webbrowser.open(figure.absolute().as_uri())
-    return 0
+    text = f"{session_load.as_text(found)}\n\n{figure}"
+    return _present(dumps(session_load.as_json(found)) if json else text, figure, show=show)
 
 
 def whatif(  # noqa: PLR0913 - one parameter for each option
@@ -117,13 +108,8 @@ def whatif(  # noqa: PLR0913 - one parameter for each option
         print(f"adaptdrive: {one}: has no effect on the loop", file=sys.stderr)
     figure = (path if into is None else into) / "whatif.png"
     figure.write_bytes(draw_comparison(found, settings))
-    if json:
-        print(dumps(whatif_report.as_json(found)))
-    else:
-        print(f"{whatif_report.as_text(found)}\n\n{figure}")
-    if show:
-        webbrowser.open(figure.absolute().as_uri())
-    return 0
+    text = f"{whatif_report.as_text(found)}\n\n{figure}"
+    return _present(dumps(whatif_report.as_json(found)) if json else text, figure, show=show)
 
 
 def export(
@@ -145,6 +131,14 @@ def export(
 
         for path in export_session(_find(session), to, Path() if into is None else into):
             print(path)
+    return 0
+
+
+def _present(text: str, result: Path, *, show: bool) -> int:
+    """Print a text, and open a file when asked for."""
+    print(text)
+    if show:
+        webbrowser.open(result.absolute().as_uri())
     return 0
 
 

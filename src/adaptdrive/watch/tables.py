@@ -3,8 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
+from rich.box import ROUNDED
+from rich.panel import Panel
 from rich.table import Table
+from rich.text import Text
+
+DIM = "bright_black"
+"""Style of what is beside the point: frames, times, hints."""
+
+STATE_STYLES = {"running": "bold green", "tripped": "bold white on red"}
+_SEVERITY_STYLES = {"info": "", "warning": "yellow", "alarm": "bold red"}
 
 
 def rows(*columns: str) -> Table:
@@ -33,3 +43,33 @@ def percent(share: float) -> str:
 def overshoot(share: float | None) -> str:
     """An overshoot, which may not have been seen yet."""
     return "·" if share is None else f"{100.0 * share:.1f}%"
+
+
+def cut(line: Text) -> Text:
+    """Let a line end in an ellipsis where the terminal is too narrow for it."""
+    line.no_wrap, line.overflow = True, "ellipsis"
+    return line
+
+
+def boxed(title: str | Text, content: Table | Text, rows: int | None = None, pad: int = 1) -> Panel:
+    """Return a frame with a title, as high as its content or as so many rows."""
+    return Panel(
+        content,
+        title=title,
+        box=ROUNDED,
+        border_style=DIM,
+        title_align="left",
+        height=rows,
+        padding=(0, pad),
+    )
+
+
+def event_line(time: str, kind: str, detail: str, severity: str) -> Text:
+    """Return an event in one line."""
+    style = _SEVERITY_STYLES.get(severity, "")
+    return Text.assemble((f" {time} ", DIM), (f"{kind:<11} ", "bold"), (detail, style))
+
+
+def event_lines(lines: Sequence[Text]) -> Text:
+    """Return the lines of events, or that there were none."""
+    return Text("\n").join(map(cut, lines)) if lines else Text(" no events yet", DIM)

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from rich.box import ROUNDED
 from rich.layout import Layout
 from rich.panel import Panel
 from rich.table import Table
@@ -15,15 +14,21 @@ from rich.text import Text
 from adaptdrive.operation.client import printable
 from adaptdrive.watch.plot import REFERENCE_STYLE, STYLES, plot
 from adaptdrive.watch.record import WatchRecord
-from adaptdrive.watch.tables import figure, rows
+from adaptdrive.watch.tables import (
+    DIM,
+    STATE_STYLES,
+    boxed,
+    cut,
+    event_line,
+    event_lines,
+    figure,
+    rows,
+)
 
 KEYS = "s STOP   e e enable   r reset   f fixed   a adaptive   m manual   + - set-point   q quit"
 FIGURES_ROWS = 8
 _SHORTEST_WINDOW_S, _LONGEST_WINDOW_S = 30.0, 600.0
 _EVENTS, _TALL = 6, 32
-_DIM = "bright_black"
-_STATE_STYLES = {"running": "bold green", "tripped": "bold white on red"}
-_SEVERITY_STYLES = {"info": "", "warning": "yellow", "alarm": "bold red"}
 _REFUSED = ("wrong_length", "wrong_checksum", "counter_stuck", "out_of_range", "exceptions")
 
 
@@ -40,11 +45,11 @@ def screen(record: WatchRecord, size: tuple[int, int]) -> Layout:
     fixed = len(header) + FIGURES_ROWS + events + 2
     layout = Layout()
     layout.split_column(
-        Layout(Text("\n").join(map(_cut, header)), size=len(header)),
+        Layout(Text("\n").join(map(cut, header)), size=len(header)),
         Layout(_plot_panel(record, (width, height - fixed))),
         Layout(_figures(record), size=FIGURES_ROWS),
         Layout(_events(record, events), size=events),
-        Layout(Text("\n").join(map(_cut, _footer(record))), size=2),
+        Layout(Text("\n").join(map(cut, _footer(record))), size=2),
     )
     return layout
 
@@ -52,7 +57,7 @@ def screen(record: WatchRecord, size: tuple[int, int]) -> Layout:
 def _header(record: WatchRecord) -> Iterator[Text]:
     state = record.state
     name = printable(state.get("state") if record.availability == "online" else record.availability)
-    style = _STATE_STYLES.get(name, "bold yellow")
+    style = STATE_STYLES.get(name, "bold yellow")
     line = Text.assemble((f" {record.drive} ", "bold reverse"), " ", (f" {name} ", style), "  ")
     controller, mode = printable(state.get("controller")), printable(state.get("mode"))
     line.append(controller, f"bold {STYLES.get(controller, '')}")
@@ -79,7 +84,7 @@ def _plot_panel(record: WatchRecord, size: tuple[int, int]) -> Panel:
     for name, style in {**STYLES, "reference": REFERENCE_STYLE}.items():
         title.append(f"  ━ {name}", style)
     content = plot(points, [], now_s, window_s, (size[0] - 4, size[1] - 2))
-    return Panel(content, title=title, box=ROUNDED, border_style=_DIM, title_align="left")
+    return boxed(title, content)
 
 
 def _figures(record: WatchRecord) -> Table:
@@ -91,20 +96,8 @@ def _figures(record: WatchRecord) -> Table:
     }
     for _ in contents:
         grid.add_column(ratio=1)
-    grid.add_row(*(_boxed(title, table) for title, table in contents.items()))
+    grid.add_row(*(boxed(title, table, FIGURES_ROWS, 0) for title, table in contents.items()))
     return grid
-
-
-def _boxed(title: str, content: Table) -> Panel:
-    return Panel(
-        content,
-        title=title,
-        box=ROUNDED,
-        border_style=_DIM,
-        title_align="left",
-        height=FIGURES_ROWS,
-        padding=(0, 0),
-    )
 
 
 def _drive(record: WatchRecord) -> Table:
@@ -149,18 +142,19 @@ def _health(record: WatchRecord) -> Table:
 
 def _events(record: WatchRecord, count: int) -> Text:
     lines = [
-        Text.assemble(
-            (f" {printable(event.get('time'))[11:19]} ", _DIM),
-            (f"{printable(event.get('kind')):<11} ", "bold"),
-            (printable(event.get("detail")), _SEVERITY_STYLES.get(str(event.get("severity")), "")),
+        event_line(
+            printable(event.get("time"))[11:19],
+            printable(event.get("kind")),
+            printable(event.get("detail")),
+            str(event.get("severity")),
         )
         for event in list(record.events)[-count:]
     ]
-    return Text("\n").join(map(_cut, lines)) if lines else Text(" no events yet", _DIM)
+    return event_lines(lines)
 
 
 def _footer(record: WatchRecord) -> tuple[Text, Text]:
-    return Text(f" {printable(record.answer)}", "bold"), Text(f" {KEYS}", _DIM)
+    return Text(f" {printable(record.answer)}", "bold"), Text(f" {KEYS}", DIM)
 
 
 def _text(value: object) -> Text:
@@ -180,8 +174,3 @@ def _range(limits: Any) -> str:  # noqa: ANN401 - a part of a payload
         return ""
     low, high = ("" if one is None else f"{_number(one):g}" for one in limits)
     return f"{low}…{high}"
-
-
-def _cut(line: Text) -> Text:
-    line.no_wrap, line.overflow = True, "ellipsis"
-    return line
