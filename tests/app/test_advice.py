@@ -77,6 +77,15 @@ def test_a_doubtful_value_is_named_with_its_figures(
     assert words in flaw.message
 
 
+def test_an_estimator_that_is_not_the_papers_is_named_in_the_papers_design() -> None:
+    flaws = found("bath.toml", 'type = "bath"', 'type = "bath"\ndesign = "paper"')
+    assert {flaw.place: flaw.message for flaw in flaws} == {
+        "estimator.method": "'lm-rls': the paper has 'rls' here",
+        "estimator.forgetting": "0.97: the paper has 0.99; leave the key out for it",
+    }
+    assert found("motor.toml", 'type = "motor"', 'type = "motor"\ndesign = "paper"') == []
+
+
 def test_check_warns_and_accepts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = (EXAMPLES / "motor.toml").read_text(encoding="utf-8")
     (tmp_path / "adaptdrive.dbc").write_bytes((EXAMPLES / "adaptdrive.dbc").read_bytes())

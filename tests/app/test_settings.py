@@ -10,6 +10,8 @@ import pytest
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.file import validate_configuration
+from adaptdrive.control.methods import METHODS
+from adaptdrive.control.settings import Jacket, Learning
 from tests.config.documents import flaws, parse
 from tests.hardware.bench import EXAMPLES
 
@@ -60,3 +62,54 @@ def test_in_watts_of_a_bath() -> None:
 def test_a_step_of_the_sensor_is_a_noise_of_its_own() -> None:
     jacket = controller_settings(parse(load__resolution="0.012")).jacket
     assert jacket.noise_min == pytest.approx(0.012 / math.sqrt(12.0))
+
+
+STRICT = {
+    "supervisor__ratio_min": "0.9",
+    "supervisor__ratio_max": "1.1",
+    "supervisor__patience_periods": "3",
+    "supervisor__blend_periods": "9",
+    "supervisor__error_limit": "0.1",
+    "estimator__gate": "3.0",
+    "estimator__settle_s": "60.0",
+    "load__resolution": "0.01",
+    "load__samples": "60",
+}
+
+
+def test_the_papers_design_takes_nothing_from_the_keys_of_the_exact_one() -> None:
+    plain = controller_settings(parse(load__design='"paper"'))
+    assert controller_settings(parse(load__design='"paper"', **STRICT)) == plain
+
+
+def test_the_papers_design_has_the_papers_numbers_and_no_limits() -> None:
+    settings = controller_settings(parse(load__design='"paper"'))
+    assert settings.exact is False
+    assert settings.rates.samples == 1
+    assert settings.learning == Learning(
+        method=METHODS["lm-rls"],
+        forgetting=0.97,
+        tau_lambda_s=10.0,
+        dead_band=0.0,
+        initial_covariance=1.0e4,
+        settle_periods=0,
+        gate=0.0,
+        output_scale=1.0,
+        input_scale=1.0,
+        start_at_nominal=False,
+    )
+    assert settings.jacket == Jacket(90, -math.inf, math.inf, settings.jacket.patience_periods)
+    assert settings.jacket.patience_periods * 1.0 > 10 * 365 * 86_400.0
+
+
+def test_rho_left_out_is_that_of_the_design_and_of_the_load() -> None:
+    def forgetting(name: str, **changes: str) -> float:
+        path = EXAMPLES / name
+        tables = tomllib.loads(path.read_text("utf-8"))
+        tables["estimator"].pop("forgetting", None)
+        tables["load"].update(changes)
+        return controller_settings(validate_configuration(tables, path)).learning.forgetting
+
+    assert forgetting("motor.toml") == 0.985
+    assert forgetting("motor.toml", design="paper") == 0.97
+    assert forgetting("bath.toml", design="paper") == 0.99

@@ -86,8 +86,9 @@ _UNITS = {
     "_SWING_SHARE": "1",
     "_ERROR_SHARE": "1",
     "_NOISE_SHARE": "1",
-    "_PAPER_PATIENCE": "periods",
-    "_PAPER_COVARIANCE": "σ²",
+    "_FORGETTING": "1",
+    "PAPER_COVARIANCE": "σ²",
+    "_FOREVER": "periods",
     "_OPEN": "σ²",
     "_SHORTEST_WAVE_PERIODS": "periods",
     "_COLLECT_TICKS": "ticks",
@@ -133,7 +134,8 @@ class Constant:
 
 def constants() -> list[Constant]:
     """All chosen numbers, those of rounding left out."""
-    paths = [*sorted((SOURCE / "control").rglob("*.py")), SOURCE / "app" / "settings.py"]
+    app = [SOURCE / "app" / name for name in ("paper_design.py", "settings.py")]
+    paths = [*sorted((SOURCE / "control").rglob("*.py")), *app]
     found = [constant for path in paths for constant in _of_module(path)]
     return [one for one in found if one.name not in _NUMERICAL | _NAMES]
 

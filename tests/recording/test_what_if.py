@@ -17,7 +17,7 @@ def flaw(*settings: str) -> str:
 
 
 def test_no_setting_leaves_the_configuration_as_it_was() -> None:
-    assert what_if().estimator.forgetting == 0.985
+    assert what_if().load.pole == 0.7
 
 
 def test_settings_keep_their_types() -> None:

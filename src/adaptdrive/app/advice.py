@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterator
 
 from adaptdrive.app.loads import build_load, total_lag_s
+from adaptdrive.app.paper_design import PAPER_FORGETTING, PAPER_METHOD
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BathSection, BatterySection
@@ -39,7 +40,22 @@ def advice(configuration: Configuration) -> Iterator[Flaw]:
     yield from _power(configuration, load)
     yield from _pace(configuration, load)
     yield from _delay(configuration)
+    yield from _paper(configuration)
     yield from _broker(configuration)
+
+
+def _paper(configuration: Configuration) -> Iterator[Flaw]:
+    """The paper's design has the paper's estimator."""
+    load, estimator = configuration.load, configuration.estimator
+    if load.design != "paper":
+        return
+    method = PAPER_METHOD.get(load.type, estimator.method)
+    if estimator.method != method:
+        yield Flaw("estimator.method", f"{estimator.method!r}: the paper has {method!r} here")
+    forgetting = PAPER_FORGETTING[load.type]
+    if estimator.forgetting not in (None, forgetting):
+        text = f"{estimator.forgetting:g}: the paper has {forgetting:g}; leave the key out for it"
+        yield Flaw("estimator.forgetting", text)
 
 
 def _reach(configuration: Configuration, load: Load) -> Iterator[Flaw]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 from adaptdrive.app.interlocks import trip_limits, watches
 from adaptdrive.app.loads import build_load
+from adaptdrive.app.paper_design import PAPER_COVARIANCE, paper_jacket, paper_learning
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BatterySection, MotorSection, Supervisor
 from adaptdrive.control.load import to_input
@@ -39,11 +39,8 @@ _ERROR_SHARE = 0.1
 _NOISE_SHARE = 0.04
 """Default of `load.noise_V`, as a share of the range of V_c."""
 
-_PAPER_PATIENCE = 30
-"""Refused estimates in a row that the trusted gains survive in the paper's design."""
-
-_PAPER_COVARIANCE = 1.0e4
-"""P[0] of the paper's design."""
+_FORGETTING = 0.985
+"""Default of `estimator.forgetting`."""
 
 _OPEN = 1.0e8
 """P[0] of the exact design: deviation 1 of each scaled parameter, at the smallest σ of 1e-4."""
@@ -70,8 +67,8 @@ def controller_settings(configuration: Configuration) -> ControllerSettings:
             clip=load.clip if exact else 0.0,
             lag_ticks=_lag_ticks(configuration),
         ),
-        learning=_learning(configuration, exact=exact),
-        jacket=_jacket(configuration),
+        learning=_learning(configuration) if exact else paper_learning(configuration),
+        jacket=_jacket(configuration) if exact else paper_jacket(configuration),
     )
 
 
@@ -134,39 +131,39 @@ def _lowest_scale(configuration: Configuration) -> float:
     return -drive.limits.current_scale_max_S if drive.kind == "bidirectional" else 0.0
 
 
-def _learning(configuration: Configuration, *, exact: bool) -> Learning:
+def _learning(configuration: Configuration) -> Learning:
     estimator, load = configuration.estimator, build_load(configuration)
     battery = isinstance(configuration.load, BatterySection)
     limits = configuration.drive.limits
     middle_V = 0.5 * (limits.boost_reference_min_V + limits.boost_reference_max_V)
     middle = to_input(middle_V, load.input_gain, load.input_exponent)
     method = METHODS[estimator.method]
-    directional = exact and estimator.alert and method.physical
+    directional = estimator.alert and method.physical
     return Learning(
         method=method,
-        forgetting=estimator.forgetting,
+        forgetting=estimator.forgetting or _FORGETTING,
         tau_lambda_s=estimator.tau_lambda_s,
         dead_band=estimator.dead_band,
-        initial_covariance=_initial_covariance(configuration, exact=exact),
-        settle_periods=math.ceil(estimator.settle_s / configuration.load.period_s),
-        gate=estimator.gate if exact else 0.0,
-        output_scale=nominal_gain(load) * middle if exact else 1.0,
-        input_scale=middle if exact else 1.0,
-        start_at_nominal=exact,
-        alert=exact and estimator.alert,
-        covariance_max=0.0 if not exact or directional else estimator.covariance_max,
+        initial_covariance=_initial_covariance(configuration),
+        settle_periods=_periods(configuration, estimator.settle_s),
+        gate=estimator.gate,
+        output_scale=nominal_gain(load) * middle,
+        input_scale=middle,
+        start_at_nominal=True,
+        alert=estimator.alert,
+        covariance_max=0.0 if directional else estimator.covariance_max,
         known_filter_s=_known_filter_s(configuration),
-        bias=(exact and estimator.bias) or battery,
-        initial_state=exact and estimator.initial_state and not battery,
+        bias=estimator.bias or battery,
+        initial_state=estimator.initial_state and not battery,
     )
 
 
-def _initial_covariance(configuration: Configuration, *, exact: bool) -> float:
+def _initial_covariance(configuration: Configuration) -> float:
     """P[0] over σ²: open enough that the first alarm is not the nominal model's fault."""
     estimator = configuration.estimator
     if estimator.initial_covariance is not None:
         return estimator.initial_covariance
-    return _OPEN if exact and METHODS[estimator.method].physical else _PAPER_COVARIANCE
+    return _OPEN if METHODS[estimator.method].physical else PAPER_COVARIANCE
 
 
 def _known_filter_s(configuration: Configuration) -> float:
@@ -179,16 +176,10 @@ def _known_filter_s(configuration: Configuration) -> float:
 def _jacket(configuration: Configuration) -> Jacket:
     supervisor, load = configuration.supervisor, configuration.load
     reference_range = load.reference_max - load.reference_min
-    basics = Jacket(
+    return Jacket(
         warm_up_periods=_periods(configuration, supervisor.warm_up_s),
         ratio_min=supervisor.ratio_min,
         ratio_max=supervisor.ratio_max,
-        patience_periods=_PAPER_PATIENCE,
-    )
-    if load.design == "paper":
-        return basics
-    return replace(
-        basics,
         patience_periods=supervisor.patience_periods,
         damping_min=supervisor.damping_min,
         deviation_max=supervisor.deviation_max,

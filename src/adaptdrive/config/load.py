@@ -33,7 +33,7 @@ class LoadSection(Section):
     design: Literal["exact", "paper"] = Field(
         default="exact",
         description="`exact`: held input, delays and filter in the model; "
-        "`paper`: the paper's discretisation, single sample",
+        "`paper`: the paper's controller and nothing else",
     )
     samples: int = Field(
         default=90, ge=1, description="fast samples averaged for one slow one (`exact` only)"
@@ -167,7 +167,13 @@ class Estimator(Section):
     method: Literal["lm-rls", "rls"] = Field(
         default="lm-rls", description="λ-filtered or direct recursive least squares"
     )
-    forgetting: float = Field(default=0.985, gt=0.5, le=1.0, description="forgetting factor ρ")
+    forgetting: float | None = Field(
+        default=None,
+        gt=0.5,
+        le=1.0,
+        description="forgetting factor ρ; 0.985 when left out, in the `paper` design 0.97, for a "
+        "bath 0.99",
+    )
     tau_lambda_s: PositiveFloat = Field(default=10.0, description="time constant of the λ filters")
     dead_band: float = Field(
         default=0.0, ge=0.0, description="skip updates while the output moves less than this"
@@ -206,11 +212,13 @@ class Estimator(Section):
         description="take `load.model.tau_filter_s` as known and estimate the rest: faster "
         "and surer where it is right, biased where it is not (`exact` and `lm-rls` only)",
     )
-    settle_s: Duration = Field(default=30.0, description="time after start before the first update")
+    settle_s: Duration = Field(
+        default=30.0, description="time after start before the first update (`exact` only)"
+    )
 
 
 class Supervisor(Section):
-    """`[supervisor]`: what estimates, and the loop, must satisfy (`exact` design only)."""
+    """`[supervisor]`: what estimates, and the loop, must satisfy (`exact` only but `warm_up_s`)."""
 
     warm_up_s: Duration = Field(
         default=90.0, description="time after start before adaptive may take over"
