@@ -394,6 +394,46 @@ async def test_a_trip_is_kept_with_the_minute_before_it(sessions: Path) -> None:
     assert [event.kind for event in kept.events if event.kind == "trip"] == ["trip"]
 
 
+async def test_an_end_while_a_trip_is_written_loses_no_record(sessions: Path) -> None:
+    async with recording(sessions) as bench:
+        await bench.publish_until(lambda: bench.rows() > 300)
+        bench.hub.publish(Event("trip", Severity.ALARM, "over-voltage: 431 V", bench.published))
+        await bench.publish_until(lambda: bool(trip_writers(sessions)))
+        os.kill(trip_writers(sessions)[0], signal.SIGSTOP)
+        await bench.stop()
+    assert trip_texts(bench.directory) == ["over-voltage: 431 V"]
+    assert any("record of the trip is in" in event.detail for event in bench.session().events)
+
+
+async def test_trips_one_after_another_and_at_the_end_have_a_record_each(sessions: Path) -> None:
+    async with recording(sessions) as bench:
+        await bench.publish_until(lambda: bench.rows() > 300)
+        bench.hub.publish(Event("trip", Severity.ALARM, "first", bench.published))
+        await bench.publish(20)
+        bench.hub.publish(Event("trip", Severity.ALARM, "second", bench.published))
+        await bench.publish_until(lambda: bool(trip_writers(sessions)))
+        bench.hub.publish(Event("trip", Severity.ALARM, "in the queue at the end", bench.published))
+        await bench.stop()
+    assert trip_texts(bench.directory) == ["first", "second", "in the queue at the end"]
+
+
+def trip_writers(sessions: Path) -> list[int]:
+    """Process ids of those that write the record of a trip."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):
+            words = process.read_bytes().split(b"\0")
+            if os.fsencode(sessions) in words and any(b"black_box" in word for word in words):
+                found.append(int(process.parent.name))
+    return found
+
+
+def trip_texts(directory: Path) -> list[str]:
+    """First line of each record of a trip, which names the trip, in the order of their events."""
+    trips = sorted(directory.glob("trip-*"), key=lambda path: int(path.name.rpartition("-")[2]))
+    return [(trip / "trip.txt").read_text().splitlines()[0] for trip in trips]
+
+
 async def test_a_trip_fits_on_a_full_disk(small_disk: Path) -> None:
     sessions = small_disk / "sessions"
     async with recording(sessions) as bench:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 
-from adaptdrive.recording.batches import Batch, EventRow, Header, framed
+from adaptdrive.recording.batches import Batch, Header, framed
 from adaptdrive.recording.writer_process import WriterProcess
 from adaptdrive.runtime.reports import Severity
 
@@ -20,9 +21,25 @@ _MODULE = "adaptdrive.recording.black_box_writer"
 NO_FIGURE = "--no-figure"
 """Word of the command line without which the figure of a trip is drawn."""
 
+_PATIENCE_S = 60.0
+"""Longest wait for the disk, and for the figure, while the daemon runs."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Trip:
+    """A trip whose record is not on disk yet.
+
+    Attributes:
+        number: Running number of its event in the session.
+        time_s: When it was heard of, monotonic.
+    """
+
+    number: int
+    time_s: float
+
 
 class BlackBox:
-    """Keeps recent batches, and has a process of their own write them after a trip."""
+    """Keeps recent batches, and has a process of their own write them after each trip."""
 
     def __init__(
         self,
@@ -50,60 +67,82 @@ class BlackBox:
         self._before_s = before_s
         self._after_s = after_s
         self._kept: deque[tuple[float, Batch]] = deque()
+        self._trips: deque[_Trip] = deque()
         self._tripped = asyncio.Event()
+        self._newest = 0
 
     def keep(self, batch: Batch) -> None:
         """Keep a batch; what is older than any trip may need is forgotten."""
         now_s = self._clock()
         self._kept.append((now_s, batch))
-        while self._kept[0][0] < now_s - self._before_s - self._after_s:
+        # twice as long as a record: one may have to wait for the one before it
+        while self._kept[0][0] < now_s - 2.0 * (self._before_s + self._after_s):
             self._kept.popleft()
-        if any(event.kind == TRIP for event in batch.events):
-            self._tripped.set()
+        for event in batch.events:
+            # a batch that was refused comes again with its events
+            if event.kind == TRIP and event.number > self._newest:
+                self._newest = event.number
+                self._trips.append(_Trip(event.number, now_s))
+                self._tripped.set()
 
     async def run(self) -> None:
         """Write each trip, a while after it, until cancelled."""
         while True:
             await self._tripped.wait()
-            await asyncio.sleep(self._after_s)
-            await self.write_pending(timeout_s=60.0)
+            while self._trips:
+                trip = self._trips[0]
+                await asyncio.sleep(max(0.0, trip.time_s + self._after_s - self._clock()))
+                await self._write(trip, _PATIENCE_S)
+            self._tripped.clear()
 
-    async def write_pending(self, timeout_s: float, *, figure: bool = True) -> None:
-        """Write the trip that is not written yet, if there is one.
+    async def finish(self, timeout_s: float) -> None:
+        """Write the trips that are not written yet; `run` must have ended.
 
         Args:
-            timeout_s: Longest wait for the disk, and for the figure.
-            figure: Whether to draw the figure, which takes some seconds.
+            timeout_s: Longest wait for the disk; there is no time for a figure.
         """
-        if not self._tripped.is_set():
-            return
-        self._tripped.clear()
+        end_s = self._clock() + timeout_s
+        while self._trips:
+            await self._write(self._trips[0], max(0.0, end_s - self._clock()), NO_FIGURE)
+
+    async def _write(self, trip: _Trip, timeout_s: float, *words: str) -> None:
+        """Write one trip, which stays to be written where this is cancelled before its end."""
+        problem: str | None
         try:
             async with asyncio.timeout(timeout_s):
-                problem = await self._write(figure=figure)
+                problem = await self._have_written(trip, *words)
         except TimeoutError:
-            problem = f"the disk took longer than {timeout_s:g} s"
+            problem = f"it took longer than {timeout_s:.3g} s"
         except OSError as error:
             problem = str(error)
-        if problem is not None:
+        if self._done(trip):
             self._report(Severity.ALARM, f"the record of the trip is not written: {problem}")
 
-    async def _write(self, *, figure: bool) -> str | None:
-        words = () if figure else (NO_FIGURE,)
-        writer = await WriterProcess.start(Path(self._header.sessions), _MODULE, *words)
+    async def _have_written(self, trip: _Trip, *words: str) -> str | None:
+        """Run the process that writes; why it failed."""
+        sessions = Path(self._header.sessions)
+        writer = await WriterProcess.start(sessions, _MODULE, str(trip.number), *words)
         try:
-            header = msgspec.structs.replace(self._header, directory=self.directory)
-            writer.send(framed(header))
-            for _, batch in self._kept:
-                writer.send(framed(batch))
-            writer.hang_up()
+            self._send(trip, writer)
             async for news in writer.news():
+                self._done(trip)
                 self._report(Severity(news.severity), news.detail)
             return await writer.ended()
         finally:
             await writer.kill()
 
+    def _send(self, trip: _Trip, writer: WriterProcess) -> None:
+        header = msgspec.structs.replace(self._header, directory=self.directory)
+        writer.send(framed(header))
+        begin_s, end_s = trip.time_s - self._before_s, trip.time_s + self._after_s
+        for time_s, batch in self._kept:
+            if begin_s <= time_s <= end_s:
+                writer.send(framed(batch))
+        writer.hang_up()
 
-def trip_of(events: list[EventRow]) -> EventRow | None:
-    """Return the last trip among some events."""
-    return next((event for event in reversed(events) if event.kind == TRIP), None)
+    def _done(self, trip: _Trip) -> bool:
+        """Take a trip off those to be written; False where it is not among them."""
+        if trip not in self._trips:
+            return False
+        self._trips.remove(trip)
+        return True

@@ -1,7 +1,8 @@
 """The process that writes the record of one trip, a small session of its own, and its figure.
 
-It is started as `python -m adaptdrive.recording.black_box_writer SESSIONS`, reads a header and
-batches from its standard input, and uses the reserve where the disk is full.
+It is started as `python -m adaptdrive.recording.black_box_writer SESSIONS NUMBER`, the number being
+that of the event of the trip, reads a header and batches from its standard input, and uses the
+reserve where the disk is full.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ import msgspec
 
 from adaptdrive.recording import reserve
 from adaptdrive.recording.batches import Batch, EventRow, Header, News, read_frames
-from adaptdrive.recording.black_box import NO_FIGURE, trip_of
+from adaptdrive.recording.black_box import NO_FIGURE, TRIP
 from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
-from adaptdrive.recording.session import Dropped, Ending, rename_free
+from adaptdrive.recording.session import Dropped, Ending
 from adaptdrive.recording.session_writer import SessionWriter
 from adaptdrive.recording.writer import send_to_parent, step_aside
 from adaptdrive.runtime.reports import Severity
@@ -30,11 +31,12 @@ _FIGURE_MODULE = "adaptdrive.analysis"
 _FIGURE_PATIENCE_S = 120.0
 
 
-def write_trip(source: BinaryIO) -> Path:
-    """Write the record of a trip.
+def write_trip(source: BinaryIO, number: int) -> Path:
+    """Write the record of a trip, unless it is there already.
 
     Args:
         source: A header and batches.
+        number: Running number of the event of the trip.
 
     Returns:
         Its directory, within that of the session.
@@ -47,7 +49,7 @@ def write_trip(source: BinaryIO) -> Path:
     batches = [msgspec.msgpack.decode(frame, type=Batch) for frame in frames]
     parent = Path(decoded.directory or decoded.sessions)
     parent.mkdir(parents=True, exist_ok=True)
-    return _with_reserve(parent.parent, lambda: _write(decoded, batches, parent))
+    return _with_reserve(parent.parent, lambda: _write(decoded, batches, number))
 
 
 def _with_reserve(sessions: Path, write: Callable[[], Path]) -> Path:
@@ -59,17 +61,21 @@ def _with_reserve(sessions: Path, write: Callable[[], Path]) -> Path:
         return write()
 
 
-def _write(header: Header, batches: Sequence[Batch], parent: Path) -> Path:
+def _write(header: Header, batches: Sequence[Batch], number: int) -> Path:
+    parent = Path(header.directory or header.sessions)
     events = [event for batch in batches for event in batch.events]
-    trip = trip_of(events)
+    trip = next((one for one in events if one.kind == TRIP and one.number == number), None)
     if trip is None:
         raise OSError("the batches hold no trip")
+    directory = parent / f"trip-{trip.time:%Y%m%dT%H%M%S%fZ}-{number}"
+    if directory.exists():
+        return directory  # the process before this was ended while it drew the figure
     unfinished = parent / ".trip"
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.mkdir()
     _write_tables(msgspec.structs.replace(header, directory=str(unfinished)), batches)
     (unfinished / TEXT_FILE).write_text(_text(header, trip, events), encoding="utf-8")
-    return rename_free(unfinished, f"trip-{trip.time:%Y%m%dT%H%M%S%fZ}")
+    return unfinished.rename(directory)
 
 
 def _write_tables(header: Header, batches: Sequence[Batch]) -> None:
@@ -116,15 +122,18 @@ def draw(directory: Path) -> bool:
 
 
 def main() -> None:
-    """Write one trip."""
+    """Write one trip, report it, and draw its figure."""
     step_aside()
     try:
-        directory = write_trip(sys.stdin.buffer)
+        directory = write_trip(sys.stdin.buffer, int(sys.argv[2]))
     except ERRORS as problem:
         sys.exit(str(problem))
-    drawn = NO_FIGURE not in sys.argv and draw(directory)
-    figure = "with a figure" if drawn else f"`adaptdrive plot {directory}` draws it"
-    detail = f"the record of the trip is in {directory}, {figure}"
+    _tell(f"the record of the trip is in {directory}; `adaptdrive plot {directory}` draws it")
+    if NO_FIGURE not in sys.argv and draw(directory):
+        _tell(f"the figure of the trip is in {directory}")
+
+
+def _tell(detail: str) -> None:
     send_to_parent(News(severity=Severity.INFO.value, detail=detail))
 
 

@@ -180,13 +180,17 @@ class Recorder:
 
     async def _finish(self) -> None:
         part_s = self._pace.close_s / 4.0
-        # its report belongs to the end, for which the figure would take too long
-        await self._black_box.write_pending(part_s, figure=False)
-        self._note(self._feed.events.drain())
-        await self._gather()
-        self._send(last=True)
+        await self._send_rest()
+        # after the last tick, and before the end: its report belongs to the session
+        await self._black_box.finish(part_s)
+        await self._send_rest(last=True)
         lost = await self._delivery.finish(self._dropped(), part_s)
         self.complete = lost == Dropped()
+
+    async def _send_rest(self, *, last: bool = False) -> None:
+        self._note(self._feed.events.drain())
+        await self._gather()
+        self._send(last=last)
 
     async def _events_until(self, deadline: float) -> Iterable[Report]:
         try:
