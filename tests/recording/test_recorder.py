@@ -70,9 +70,9 @@ class Bench:
                 await self.publish(100)
 
     async def settle(self) -> None:
-        """Wait until all that was published is on disk."""
+        """Wait until all that was published is on disk, and the recorder has heard that."""
         async with asyncio.timeout(PATIENCE_S):
-            while self.rows() < self.published:  # noqa: ASYNC110  another process writes them
+            while self.rows() < self.published or self.recorder.failing:  # noqa: ASYNC110  another process writes them
                 await asyncio.sleep(0.05)
 
     def session(self) -> Session:
