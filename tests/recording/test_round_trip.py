@@ -170,7 +170,6 @@ def test_events_configuration_and_losses_come_back(tmp_path: Path) -> None:
     assert session.config_text == "[drive]\nname = 'µ'\n"
     assert session.info.dropped == Dropped(ticks=5)
     assert session.info.ended is Ending.ORDERLY
-    assert not session.torn
 
 
 def test_a_session_without_a_goodbye_is_marked_as_cut(tmp_path: Path) -> None:

@@ -5,10 +5,11 @@ import pytest
 from pyarrow import parquet as pq
 
 from adaptdrive.errors import RecordingError
-from adaptdrive.recording.batches import TickTable
+from adaptdrive.recording.batches import Header, TickTable
+from adaptdrive.recording.segments import Segment
 from adaptdrive.recording.streams import StreamReader, StreamWriter, convert
 from adaptdrive.recording.tables import ticks_batch, ticks_schema
-from tests.recording.material import make_tick
+from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
 TICKS_SCHEMA = ticks_schema("V")
 BATCHES = 4
@@ -80,3 +81,16 @@ def test_an_empty_stream_leaves_no_file(tmp_path: Path) -> None:
 def test_an_absent_stream_is_an_error_that_names_it(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"ticks\.arrows"):
         list(StreamReader(tmp_path / "ticks.arrows").batches())
+
+
+def test_a_segment_that_is_closed_after_it_was_listed_is_read(directory: Path) -> None:
+    """As by a reader of a session in progress at the end of an hour."""
+    header = Header(INFO, "", str(directory.parent))
+    record_messages(directory, header, make_batch(list(map(make_tick, range(30)))))
+    closed = directory / "ticks-0001.parquet"
+    listed = Segment(1, "ticks", closed.with_suffix(".arrows"))
+    for strict in (False, True):
+        rows = [batch.num_rows for batch in listed.batches(["sequence"], strict=strict)]
+        assert sum(rows) == 30
+    closed.unlink()  # by retention
+    assert list(listed.batches()) == []

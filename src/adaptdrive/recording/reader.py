@@ -22,7 +22,6 @@ from adaptdrive.recording.session import (
     SessionInfo,
     read_info,
 )
-from adaptdrive.recording.streams import StreamReader
 from adaptdrive.recording.tables import conform, slow_schema, ticks_schema
 
 
@@ -58,16 +57,6 @@ class Session:
     def sensors(self) -> pa.Table:
         """Values of the sensor buses."""
         return self._table(SENSORS)
-
-    @property
-    def torn(self) -> bool:
-        """True when a table broke off in the middle of a batch, which is left out."""
-        streams = [segment for segment in segments(self.path) if not segment.closed]
-        readers = [StreamReader(segment.path) for segment in streams]
-        for reader in readers:
-            for _ in reader.batches():
-                pass
-        return any(reader.torn for reader in readers)
 
     def schema(self, table: str) -> pa.Schema:
         """Return the columns of a table, with their units."""

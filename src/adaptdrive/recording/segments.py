@@ -43,19 +43,29 @@ class Segment:
         """True once it is a Parquet file."""
         return self.path.suffix == ".parquet"
 
-    def batches(self, columns: list[str] | None = None) -> Iterator[pa.RecordBatch]:
+    def batches(
+        self, columns: list[str] | None = None, *, strict: bool = False
+    ) -> Iterator[pa.RecordBatch]:
         """Yield its rows a batch at a time, as they are on disk.
 
         Args:
             columns: The columns wanted, where the file has them; None for all.
+            strict: Whether to hold each page against its checksum and to refuse a torn tail.
 
         Raises:
-            RecordingError: The file is damaged beyond a torn tail.
+            RecordingError: The file is damaged.
         """
         if self.closed:
-            yield from _parquet_batches(self.path, columns)
-        else:
-            yield from StreamReader(self.path).batches()
+            yield from _parquet_batches(self.path, columns, strict=strict)
+            return
+        try:
+            yield from _stream_batches(self.path, strict=strict)
+        except RecordingError as problem:
+            if not isinstance(problem.__cause__, FileNotFoundError):
+                raise
+            closed = self.path.with_suffix(".parquet")  # since this segment was listed
+            if closed.exists():
+                yield from _parquet_batches(closed, columns, strict=strict)
 
     def schema(self) -> pa.Schema:
         """Return its columns as they are on disk; none for a stream that broke off at its start."""
@@ -94,9 +104,18 @@ def segments(directory: Path, table: str | None = None) -> list[Segment]:
     return sorted(found.values())
 
 
-def _parquet_batches(path: Path, columns: list[str] | None) -> Iterator[pa.RecordBatch]:
+def _stream_batches(path: Path, *, strict: bool) -> Iterator[pa.RecordBatch]:
+    reader = StreamReader(path)
+    yield from reader.batches()
+    if strict and reader.torn:
+        raise RecordingError(path, "it breaks off within a batch, which is left out")
+
+
+def _parquet_batches(
+    path: Path, columns: list[str] | None, *, strict: bool
+) -> Iterator[pa.RecordBatch]:
     try:
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(path, page_checksum_verification=strict) as file:
             wanted = columns and [name for name in columns if name in file.schema_arrow.names]
             yield from file.iter_batches(_BATCH_ROWS, columns=wanted)
     except (pa.ArrowException, OSError) as problem:

@@ -8,16 +8,10 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-import pyarrow as pa
-from pyarrow import parquet as pq
-
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session
-from adaptdrive.recording.segments import Segment, segments
+from adaptdrive.recording.segments import segments
 from adaptdrive.recording.session import EVENTS_FILE, TICKS
-from adaptdrive.recording.streams import StreamReader
-
-_BATCH_ROWS = 1 << 15
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,26 +45,15 @@ def verify(session: Session) -> Verification:
     expected, missing = 0, 0
     for segment in segments(session.path):
         try:
-            for batch in _checked(segment):
+            for batch in segment.batches(strict=True):
                 rows[segment.table] = rows.get(segment.table, 0) + batch.num_rows
                 if segment.table == TICKS and batch.num_rows:
                     sequence = batch.column("sequence")
                     missing += sequence[-1].as_py() + 1 - expected - batch.num_rows
                     expected = sequence[-1].as_py() + 1
-        except (RecordingError, pa.ArrowException, OSError) as problem:
-            problems.append(f"{segment.path.name}: {problem}")
+        except RecordingError as problem:
+            problems.append(f"{segment.path.name}: {problem.problem}")
     return Verification(rows, missing, tuple(problems))
-
-
-def _checked(segment: Segment) -> Iterator[pa.RecordBatch]:
-    if segment.closed:
-        with pq.ParquetFile(segment.path, page_checksum_verification=True) as file:
-            yield from file.iter_batches(_BATCH_ROWS)
-        return
-    reader = StreamReader(segment.path)
-    yield from reader.batches()
-    if reader.torn:
-        raise RecordingError(segment.path, "it breaks off within a batch, which is left out")
 
 
 def _event_problems(path: Path) -> Iterator[str]:
