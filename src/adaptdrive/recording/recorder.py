@@ -190,7 +190,7 @@ class Recorder:
     async def _send_rest(self, *, last: bool = False) -> None:
         self._note(self._feed.events.drain())
         await self._gather()
-        self._send(last=last)
+        self._send(urgent=True, last=last)
 
     async def _events_until(self, deadline: float) -> Iterable[Report]:
         try:
@@ -224,14 +224,14 @@ class Recorder:
             self._last_tick = reports[-1].measurement.tick
             await asyncio.sleep(0)
 
-    def _send(self, *, last: bool = False) -> None:
+    def _send(self, *, urgent: bool = False, last: bool = False) -> None:
         batch = self._batch(last=last)
         if batch.empty:
             return
         self._ticks, self._slow, self._sensors = TickTable(), [], []
         self._black_box.directory = self._delivery.directory
         self._black_box.keep(batch)
-        if self._delivery.offer(batch, urgent=last):
+        if self._delivery.offer(batch, urgent=urgent):
             self._note_sent(batch)
         else:
             self._note_refused(batch)
