@@ -29,7 +29,7 @@ _ANCILLARY = socket.CMSG_SPACE(_TIMESPEC.size)
 
 
 class LoopbackMulticast(UdpMulticastBus):
-    """A group on the loopback interface; python-can's own buses in it are peers."""
+    """A group on the loopback interface; python-can's own buses are peers if they send there."""
 
     def __init__(self, group: str, port: int, *, fd: bool) -> None:
         """Join a group; call `shutdown()` at the end.
