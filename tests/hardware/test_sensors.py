@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from adaptdrive.app.sensors import _RULES
+from adaptdrive.app.sensors import _RULES, publish_samples
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import PortStatistics, Reading, SensorListener
@@ -21,7 +21,7 @@ from adaptdrive.hardware.sensors import Derivation, SensorBus
 from adaptdrive.runtime.accounts import sensor_report
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
-from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.reports import SensorSample, State
 from adaptdrive.runtime.requests import Enable, Reset
 from tests.loopback_port import LoopbackPort
 from tests.runtime.bench import CALM, FAST, SETTINGS, TICK_S, Around, MotorController
@@ -100,6 +100,23 @@ async def bench() -> AsyncIterator[Bench]:
     finally:
         serving.cancel()
         await asyncio.wait([serving])
+
+
+async def test_each_new_value_is_sampled_once_at_the_tick_that_uses_it() -> None:
+    async with bench() as one:
+        samples: list[SensorSample] = []
+        publish_samples(one.port, samples.append, one.around.now_s)
+        one.frames(3)
+        for number in range(50):
+            one.say(age_s=0.002, hot=300.0 + number)
+            one.frames(1)
+            one.frames(number % 3)
+        assert [sample.values["thermo.hot"] for sample in samples] == [
+            300.0 + number for number in range(50)
+        ]
+        assert all(
+            sample.age_s["thermo.hot"] == pytest.approx(TICK_S + 0.002) for sample in samples
+        )
 
 
 async def test_the_output_is_derived_from_what_the_sensors_said_last() -> None:

@@ -18,7 +18,7 @@ from adaptdrive.config import load_configuration
 from adaptdrive.recording.batches import CommandRow, Header, sensor_row
 from adaptdrive.recording.session import NewSession, create_session
 from adaptdrive.recording.tables import INPUT_UNIT
-from adaptdrive.runtime.reports import SensorReport
+from adaptdrive.runtime.reports import SensorReport, SensorSample
 from tests.operation.peers import drive_report, load_report
 from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
@@ -28,6 +28,12 @@ SI = {"", "s", "V", "A", "W", "K", "S", "Hz", "µs", INPUT_UNIT}
 COMMAND = CommandRow(INFO.started, 50.0, "op-7", "setpoint", "3.1", "ann@bench", True, "", 1)
 READ = {"bath_temperature": 310.25, "inflow_temperature": 288.5}
 AGE_S = {"bath_temperature": 0.125, "inflow_temperature": 0.25}
+
+SAMPLE = SensorSample(
+    50.51,
+    {"thermocouples.bath_temperature": 310.5},
+    {"thermocouples.bath_temperature": 0.0625},
+)
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +49,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     batch = msgspec.structs.replace(
         make_batch([make_tick(0)], [replace(load_report(1), time_s=50.0)], last=True),
         utc_offset_s=UTC_OFFSET_S,
-        sensors=[sensor_row(report)],
+        sensors=[sensor_row(report), sensor_row(SAMPLE)],
         commands=[COMMAND],
     )
     directory = create_session(NewSession(tmp_path_factory.mktemp("sessions"), info, ""))
@@ -75,7 +81,10 @@ def test_the_output_is_in_the_unit_of_the_load(files: Path) -> None:
 
 def test_each_value_of_a_sensor_bus_is_recorded_with_its_age(files: Path) -> None:
     table = pq.read_table(files / "sensors-0001.parquet")
-    (row,) = table.to_pylist()
+    row, sample = table.to_pylist()
+    assert sample["monotonic_s"] == SAMPLE.time_s
+    assert sample["thermocouples.bath_temperature"] == 310.5
+    assert sample["thermocouples.bath_temperature.age_s"] == 0.0625
     for name, value in READ.items():
         field = table.schema.field(f"thermocouples.{name}")
         assert row[field.name] == value

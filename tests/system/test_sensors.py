@@ -8,6 +8,7 @@ import time
 
 import pytest
 
+from adaptdrive.recording.reader import read_session
 from tests.system.conftest import MakeSite
 from tests.system.sensor_site import bath_site, mbpoll
 from tests.system.site import PATIENT_DRIVE, Site, until
@@ -73,6 +74,16 @@ def test_a_sensor_that_fails_trips_the_drive_and_its_return_lets_it_be_reset(
     if fault == "3":
         told = [heard.content["detail"] for heard in site.ear.on("event")]
         assert any(detail.startswith("sensor bus thermocouples: modbus-rtu") for detail in told)
+    assert_each_reply_is_recorded(site)
+
+
+def assert_each_reply_is_recorded(site: Site) -> None:
+    """Each reply of the module has a row of its own, besides those of `telemetry/drive`."""
+    rows = read_session(site.session_folder()).sensors.to_pylist()
+    age = "thermocouples.bath_temperature.age_s"
+    asked_s = {round(row["monotonic_s"] - row[age], 3) for row in rows if row[age] is not None}
+    assert len(asked_s) > 10
+    assert len(rows) > len(site.ear.on("telemetry/drive")) + 0.5 * len(asked_s)
 
 
 def test_without_its_sensors_the_daemon_starts_waits_and_does_not_enable(

@@ -32,7 +32,7 @@ from adaptdrive.app.output import unblocked_output
 from adaptdrive.app.profile import operator_profile
 from adaptdrive.app.realtime import build_rehearsal, prepared
 from adaptdrive.app.recording import build_recorder
-from adaptdrive.app.sensors import build_whole_port, sensor_reports
+from adaptdrive.app.sensors import build_whole_port, publish_samples, sensor_reports
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.app.state_file import directory_flaw
 from adaptdrive.app.warm_up import Rehearsal
@@ -119,6 +119,8 @@ async def _serve(
     rehearsal = build_rehearsal(configuration, path)
     start_thread = _use_helper_threads(configuration)
     recorder = build_recorder(configuration, text, hub, prior, start_thread)
+    if recorder is not None:
+        publish_samples(port, hub.publish, time.monotonic)
     daemon = _daemon(configuration, port, controller, hub, rehearsal, recorder)
     _stop_on_signals(stop)
     logger.info(

@@ -23,8 +23,8 @@ from adaptdrive.hardware.sensors import (
     ratio,
     smallest,
 )
-from adaptdrive.runtime.accounts import sensor_report
-from adaptdrive.runtime.reports import SensorReport
+from adaptdrive.runtime.accounts import sensor_report, sensor_sample
+from adaptdrive.runtime.reports import SensorReport, SensorSample
 
 _RULES: dict[Rule, Callable[[Sequence[float]], float]] = {
     "sum": sum,
@@ -118,3 +118,17 @@ def sensor_reports(
     if not isinstance(port, SensoredPort):
         return tuple
     return lambda: tuple(sensor_report(bus, clock()) for bus in port.buses)
+
+
+def publish_samples(
+    port: Port, publish: Callable[[SensorSample], None], clock: Callable[[], float]
+) -> None:
+    """Publish the values of the sensor buses at each fast tick that has a new one.
+
+    Args:
+        port: The drive's port, with or without sensors.
+        publish: Takes the samples.
+        clock: Monotonic clock in seconds.
+    """
+    if isinstance(port, SensoredPort):
+        port.sampled = lambda: publish(sensor_sample(port.buses, clock()))

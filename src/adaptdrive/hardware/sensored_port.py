@@ -42,6 +42,8 @@ class SensoredPort:
         self._derivations = tuple(derivations)
         self._clock = clock
         self._listener: Listener | None = None
+        self.sampled: Callable[[], None] = lambda: None
+        """Called after a reading of the drive that had new values of a sensor bus."""
 
     @property
     def description(self) -> str:
@@ -123,11 +125,20 @@ class SensoredPort:
         """Complete a reading of the drive and pass it on."""
         if self._listener is not None:
             self._listener.on_reading(self.completed(reading))
+            self._note_news()
 
     def on_bus(self, up: bool, detail: str) -> None:
         """Pass on that the drive's bus was lost or came back."""
         if self._listener is not None:
             self._listener.on_bus(up, detail)
+
+    def _note_news(self) -> None:
+        news = False
+        for bus in self.buses:
+            news = news or bus.news
+            bus.news = False
+        if news:
+            self.sampled()
 
     def completed(self, reading: Reading) -> Reading:
         """A reading with the values of the sensors and those that are derived.

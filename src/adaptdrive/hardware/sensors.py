@@ -51,6 +51,7 @@ class SensorBus:
         taken_s: When each was measured, at the earliest; monotonic.
         up: Whether the bus answers.
         detail: Its latest report.
+        news: Whether values have come since this was last cleared.
     """
 
     name: str
@@ -62,11 +63,13 @@ class SensorBus:
     taken_s: dict[str, float] = field(default_factory=dict)
     up: bool = True
     detail: str = ""
+    news: bool = False
 
     def on_values(self, values: Mapping[str, float], taken_s: float) -> None:
         """Keep checked values."""
         self.values.update(values)
         self.taken_s.update(dict.fromkeys(values, taken_s))
+        self.news = True
 
     def on_bus(self, up: bool, detail: str) -> None:
         """Store the state, and report it."""

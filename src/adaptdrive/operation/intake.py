@@ -29,6 +29,7 @@ from adaptdrive.runtime.reports import (
     Event,
     LoadReport,
     Report,
+    SensorSample,
     Severity,
     StateReport,
     TickReport,
@@ -123,7 +124,7 @@ class Intake:
                 self.histograms.put(histogram_message(report, self._wall()))
             case Event():
                 self.outbox.append(encode(event_message(report, self._wall())))
-            case TickReport() | CommandReport():
+            case TickReport() | SensorSample() | CommandReport():
                 pass
             case _:
                 assert_never(report)

@@ -24,6 +24,7 @@ from adaptdrive.runtime.reports import (
     DriveReport,
     Event,
     LoadReport,
+    SensorSample,
     TickReport,
 )
 
@@ -222,9 +223,13 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever a column holds
     return [{"name": name, "value": one.value, "std": one.std} for name, one in value.items()]
 
 
-def sensor_row(report: DriveReport) -> dict[str, float]:
+def sensor_row(report: DriveReport | SensorSample) -> dict[str, float]:
     """Return the values of the sensor buses and their ages, by name of their column."""
     values = {MONOTONIC: report.time_s}
+    if isinstance(report, SensorSample):
+        values.update(report.values)
+        values.update((f"{name}.age_s", age_s) for name, age_s in report.age_s.items())
+        return values
     for bus in report.sensors:
         for name, value in bus.values.items():
             values[f"{bus.name}.{name}"] = value

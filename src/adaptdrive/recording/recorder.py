@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
+from typing import Any, TypeGuard
 
 from adaptdrive.recording.batches import (
     Batch,
@@ -31,6 +31,7 @@ from adaptdrive.runtime.reports import (
     Event,
     LoadReport,
     Report,
+    SensorSample,
     Severity,
     TickReport,
 )
@@ -97,7 +98,7 @@ class Feed:
         return cls(
             ticks=hub.subscribe(TickReport, size=reports),
             slow=hub.subscribe(LoadReport, size=reports),
-            sensors=hub.subscribe(DriveReport, size=reports),
+            sensors=hub.subscribe(SensorSample, DriveReport, size=reports),
             events=hub.subscribe(Event, CommandReport, size=_EVENTS_HELD),
         )
 
@@ -214,8 +215,7 @@ class Recorder:
     async def _gather(self) -> None:
         """Turn queued reports into columns and rows; cancelled half-way, it loses none."""
         self._slow += [slow_row(r) for r in self._feed.slow.drain() if isinstance(r, LoadReport)]
-        drives = self._feed.sensors.drain()
-        self._sensors += [sensor_row(r) for r in drives if isinstance(r, DriveReport) and r.sensors]
+        self._sensors += map(sensor_row, filter(_has_sensors, self._feed.sensors.drain()))
         self._waiting += (r for r in self._feed.ticks.drain() if isinstance(r, TickReport))
         while self._waiting:
             count = min(_SLICE, len(self._waiting))
@@ -281,3 +281,9 @@ class Recorder:
 
     def _event(self, severity: Severity, detail: str) -> Event:
         return Event(EVENT_KIND, severity, detail, self._last_tick)
+
+
+def _has_sensors(report: Report) -> TypeGuard[SensorSample | DriveReport]:
+    return isinstance(report, SensorSample) or (
+        isinstance(report, DriveReport) and bool(report.sensors)
+    )

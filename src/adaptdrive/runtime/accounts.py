@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 
 from adaptdrive.control.signals import Decision, Mode
@@ -10,7 +11,13 @@ from adaptdrive.hardware.port import PortStatistics
 from adaptdrive.hardware.sensors import SensorBus
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
-from adaptdrive.runtime.reports import DriveReport, SensorReport, StateReport, StopWord
+from adaptdrive.runtime.reports import (
+    DriveReport,
+    SensorReport,
+    SensorSample,
+    StateReport,
+    StopWord,
+)
 
 
 def state_report(machine: Machine, decision: Decision | None, stop: StopWord) -> StateReport:
@@ -97,3 +104,20 @@ def sensor_report(bus: SensorBus, now_s: float) -> SensorReport:
         age_s={name: now_s - taken_s for name, taken_s in bus.taken_s.items()},
         bus=asdict(bus.port.statistics),
     )
+
+
+def sensor_sample(buses: Sequence[SensorBus], now_s: float) -> SensorSample:
+    """Return the latest values of sensor buses and their ages.
+
+    Args:
+        buses: The sensor buses.
+        now_s: Monotonic time.
+    """
+    values: dict[str, float] = {}
+    age_s: dict[str, float] = {}
+    for bus in buses:
+        for name, value in bus.values.items():
+            column = f"{bus.name}.{name}"
+            values[column] = value
+            age_s[column] = now_s - bus.taken_s[name]
+    return SensorSample(now_s, values, age_s)

@@ -132,6 +132,21 @@ class SensorReport:
 
 
 @dataclass(frozen=True, slots=True)
+class SensorSample:
+    """Values of the sensor buses at a fast tick that had a new one.
+
+    Attributes:
+        time_s: Monotonic time of the sample.
+        values: Latest values in SI; the key is `BUS.VALUE`.
+        age_s: Age of each.
+    """
+
+    time_s: float
+    values: dict[str, float]
+    age_s: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True)
 class DriveReport:
     """The fast loop, at most ten times a second.
 
@@ -234,7 +249,7 @@ class CommandReport:
     reason: str
 
 
-Report = StateReport | LoadReport | DriveReport | Event | TickReport | CommandReport
+Report = StateReport | LoadReport | DriveReport | SensorSample | Event | TickReport | CommandReport
 
 TICK_COLUMNS = columns_of(TickReport)
 SLOW_COLUMNS = columns_of(LoadReport)
