@@ -41,6 +41,15 @@ PATIENT_DRIVE = ("--command-timeout", "1.0")
 """Options of a simulated drive that must not stop by itself while the machine runs others."""
 POLL_S = 0.02
 
+QUICK_MOTOR = {
+    "load.period_s": "0.25",
+    "load.samples": "22",
+    "load.model.tau_motor_s": "2.925",
+    "load.model.tau_filter_s": "2.5",
+    "estimator.tau_lambda_s": "2.5",
+}
+"""The motor of the example with a quarter of its inertia, controlled four times as fast."""
+
 
 def until(find: Callable[[], T | None], what: str, patience_s: float = PATIENCE_S) -> T:
     """Wait until something is found and return it."""
@@ -171,12 +180,14 @@ class Site:
         self.device = self._start(
             "device.log", "-m", "adaptdrive_sim", "device", self.config, *broker, *options
         )
-        until(
-            lambda: "simulated drive" in self._read("device.log"),
-            "the drive is on the bus",
-            START_PATIENCE_S,
-        )
-        prefer(self.device)
+        device = self.device
+
+        def serves() -> bool:
+            assert device.poll() is None, self._read("device.log")
+            return "simulated drive" in self._read("device.log")
+
+        until(serves, "the drive is on the bus", START_PATIENCE_S)
+        prefer(device)
 
     def start_daemon(self) -> None:
         """Start the daemon and wait until it is on the broker."""

@@ -1,4 +1,7 @@
-"""A battery charged over a real bus, in real time, by the daemon that its example configures."""
+"""A battery charged over a real bus, in real time, by the daemon that its example configures.
+
+All its times are half of the example's.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from tests.system.site import EXAMPLES, PATIENT_DRIVE, Site, _with_setting
 
 pytestmark = pytest.mark.slow
 
-WAVE = {"shape": "square", "low": 6.0, "high": 10.0, "period_s": 20.0}
+WAVE = {"shape": "square", "low": 6.0, "high": 10.0, "period_s": 10.0}
 
 
 def battery_site(make_site: MakeSite) -> Site:
@@ -22,6 +25,10 @@ def battery_site(make_site: MakeSite) -> Site:
         ("bus", "database", f'"{EXAMPLES / "battery.dbc"}"'),
         ("mqtt", "port", str(site.broker_port)),
         ("interlocks", "stale_s", PATIENT_STALE_S),
+        ("load", "period_s", "0.5"),
+        ("load", "samples", "45"),
+        ("load.model", "relaxation_s", "15.0"),
+        ("estimator", "tau_lambda_s", "10.0"),
     ):
         lines = _with_setting(lines, f"[{section}]", key, value)
     site.config.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -5,12 +5,13 @@ from __future__ import annotations
 import pytest
 
 from tests.system.conftest import MakeSite
-from tests.system.site import Site, until
+from tests.system.site import QUICK_MOTOR, Site, until
 
 WARM_UP = 12
 QUICK = {
-    "supervisor.warm_up_s": f"{WARM_UP}.0",
-    "supervisor.confirm_s": "2.0",
+    **QUICK_MOTOR,
+    "supervisor.warm_up_s": str(WARM_UP * 0.25),
+    "supervisor.confirm_s": "0.5",
     "supervisor.deviation_max": "0.0",
     "supervisor.residual_margin": "0.0",
     "supervisor.confidence": "0.0",
@@ -18,12 +19,11 @@ QUICK = {
     "interlocks.stale_s": "0.5",
     "recording.flush_s": "0.5",
 }
-WAVE = {"shape": "square", "low": 2.9, "high": 3.2, "period_s": 12.0}
+WAVE = {"shape": "square", "low": 2.9, "high": 3.2, "period_s": 3.0}
 
 
 def restart(site: Site) -> None:
     site.start_daemon()
-    site.await_availability("online")
     site.await_measurement()
 
 
@@ -59,7 +59,7 @@ def test_a_restarted_daemon_needs_a_confirmation_only(make_site: MakeSite) -> No
     assert "start from trusted estimates" in site.daemon_log
     prior = site.session().info.prior
     assert prior is not None
-    assert prior == pytest.approx([0.011, 21.7, 117.0], rel=0.5)
+    assert prior == pytest.approx([0.011, 5.425, 7.3125], rel=0.5)
     replayed = site.replay()
     assert replayed.returncode == 0, replayed.stdout + replayed.stderr
 

@@ -21,7 +21,7 @@ from tests.system.site import PATIENT_DRIVE, until
 
 pytestmark = pytest.mark.slow
 
-FAULT_S = 5.0
+FAULT_S = 3.0
 SLOW_FSYNC_S = 5.0
 RESUMED_S = 60.0
 

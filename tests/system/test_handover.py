@@ -7,12 +7,12 @@ from typing import Any
 import pytest
 
 from tests.system.conftest import MakeSite
-from tests.system.site import PATIENT_DRIVE, Site, until
+from tests.system.site import PATIENT_DRIVE, QUICK_MOTOR, Site, until
 
 CALM_PERIODS = 20
 LEARNT_S = 90.0
-QUICK = {"supervisor.warm_up_s": "15.0", "estimator.settle_s": "2.0"}
-WAVE = {"shape": "square", "low": 2.9, "high": 3.2, "period_s": 12.0}
+QUICK = {**QUICK_MOTOR, "supervisor.warm_up_s": "4.0", "estimator.settle_s": "0.5"}
+WAVE = {"shape": "square", "low": 2.9, "high": 3.2, "period_s": 3.0}
 
 
 @pytest.mark.slow
