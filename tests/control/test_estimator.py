@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.signal import lfilter, lsim
 
@@ -239,6 +239,7 @@ def after_stream(values: list[float]) -> est.EstimatorState:
 
 
 @given(st.lists(st.floats(), min_size=4, max_size=40))
+@example([0.0, 136277456.0, 0.0, 1.0, 0.0, 1.7437623408164464e308])
 def test_no_stream_of_samples_makes_the_estimate_stop_being_a_number(values: list[float]) -> None:
     after_stream(values)
 

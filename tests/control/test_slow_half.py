@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adaptdrive.control.design import discrete_model
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.slow_half import slow_step
 from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
+from adaptdrive.control.watch import Fallback
 from tests.closed_loop.bench import EXACT, MOTOR, PAPER, PLAIN_LEARNING
 
 REST_V = 3.0 / 0.011
@@ -88,6 +90,21 @@ def test_a_pole_or_a_period_that_changes_makes_new_fixed_gains(
     assert len(set(seen)) == 3
     slow_step(settings, MOTOR, state, sample(pole=0.8, period_s=1.00100001))
     assert tuple(state.fixed_gains) == seen[-1]
+
+
+def test_a_reference_faster_than_a_slow_pole_is_no_error_of_the_loop() -> None:
+    """The loop lags far behind such a reference for ever, as it was asked to."""
+    settings = replace(EXACT, jacket=replace(EXACT.jacket, error_limit=0.1))
+    a, b = discrete_model(settings, MOTOR, list(MOTOR.numerator), list(MOTOR.denominator), 1.0)
+    state, inputs, outputs, lags = at_rest(settings), [REST_V] * len(b), [3.0] * len(a), []
+    for k in range(1000):
+        reference = 3.0 + 0.4 * (k // 20 % 2)
+        outputs = [np.dot(b, inputs) - np.dot(a[1:], outputs[: len(a) - 1]), *outputs[:-1]]
+        asked = sample(float(outputs[0]), reference=reference, pole=0.95, adaptive=True)
+        inputs = [0.0, slow_step(settings, MOTOR, state, asked), *inputs[1:-1]]
+        lags.append(abs(reference - outputs[0]))
+    assert min(lags[-20:]) > settings.jacket.error_limit
+    assert state.watch.fallback == Fallback.NONE
 
 
 def test_a_law_that_is_not_a_number_keeps_the_last_input() -> None:

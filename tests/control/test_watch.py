@@ -39,7 +39,7 @@ def look(
     saturated: bool = False,
     jacket: Jacket = JACKET,
 ) -> int:
-    return watch_loop(state, jacket, error, rest, 0.7, held, saturated)
+    return watch_loop(state, jacket, error, error, rest, 0.7, held, saturated)
 
 
 def first(reasons: list[int]) -> int | None:

@@ -277,8 +277,9 @@ class Supervisor(Section):
     )
     error_limit: NonNegativeFloat | None = Field(
         default=None,
-        description="error, in the unit of the output, that must not last for ten closed-loop "
-        "time constants with a free input; a tenth of the set-point range when left out; 0: any",
+        description="distance from the response that was asked for, in the unit of the output, "
+        "that must not last for ten closed-loop time constants with a free input; a tenth of the "
+        "set-point range when left out; 0: any",
     )
     response_s: Duration = Field(
         default=120.0,

@@ -127,8 +127,11 @@ def _look_at_loop(
     """Return to the fixed controller, and stay there, when the loop is in trouble."""
     jacket, watch, saturated = settings.jacket, state.watch, state.saturated
     error = reference - sample.output
+    strayed = _expected_output(state, sample, reference) - sample.output
     distance = distance_from_rest(settings.learning, load, state, sample.output)
-    reason = watch_loop(watch, jacket, error, distance, sample.pole, sample.held_share, saturated)
+    reason = watch_loop(
+        watch, jacket, error, strayed, distance, sample.pole, sample.held_share, saturated
+    )
     latch_fallback(watch, reason, sample.adaptive)
     if load.charging is not None and state.inputs[0] < sample.high:
         saturated = False  # below its own voltage a battery answers no input
@@ -137,6 +140,17 @@ def _look_at_loop(
     state.unresponsive = watch_response(
         watch, jacket, expected, lag_periods, sample.output, saturated
     )
+
+
+def _expected_output(state: SlowState, sample: SlowSample, reference: float) -> float:
+    """Return the response to the reference that was asked for: 2m equal poles, from y by hand."""
+    value = reference
+    for i in range(len(state.expected)):
+        state.expected[i] += (1.0 - sample.pole) * (value - state.expected[i])
+        if sample.manual:
+            state.expected[i] = sample.output
+        value = state.expected[i]
+    return value
 
 
 def _act(jacket: Jacket, state: SlowState, sample: SlowSample, reference: float) -> float:

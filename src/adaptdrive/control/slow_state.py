@@ -44,6 +44,7 @@ class SlowState:
         trusted_b: B of it.
         reference_filter: Reference filter of the adaptive law.
         new_loop: A_c of the design of this period.
+        expected: Response to the reference that was asked for, a lag for each pole.
         trusted_alarms: Abrupt changes noticed when it was accepted.
         saturated: Whether the last input was at a limit or could not be followed.
         blend: Share of the adaptive law in what is sent, 0 to 1.
@@ -75,6 +76,7 @@ class SlowState:
     trusted_b: Vector
     reference_filter: ReferenceFilter
     new_loop: Vector
+    expected: Vector
     trusted_alarms: int = 0
     saturated: bool = False
     blend: float = 0.0
@@ -153,4 +155,5 @@ def new_slow_state(
         trusted_b=[0.0] * (taps + 1),
         reference_filter=new_reference_filter(load.order, taps),
         new_loop=[0.0] * (load.order + taps + 1),
+        expected=[output] * (2 * load.order),
     )

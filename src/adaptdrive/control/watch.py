@@ -2,9 +2,9 @@
 
 Estimates can be sound and the loop still be in trouble. The watch checks the closed loop: an input
 that stays at its limit while the output neither rests where a model puts it nor comes closer, an
-error that stays large although the input is free, errors that swing with growing peaks,
-measurements that fail. Any of them returns to the fixed controller. The return is latched: only the
-operator, by asking for adaptive again, arms it again.
+output that stays far from the response that was asked for although the input is free, errors that
+swing with growing peaks, measurements that fail. Any of them returns to the fixed controller. The
+return is latched: only the operator, by asking for adaptive again, arms it again.
 
 The response monitor trips where a load must have moved and has not: the sensor or the drive is
 broken then, and no controller can help. Two first-order lags follow the input, one as fast and one
@@ -92,6 +92,7 @@ def watch_loop(
     state: WatchState,
     jacket: Jacket,
     error: float,
+    strayed: float,
     rest_distance: float,
     pole: float,
     held_share: float,
@@ -103,6 +104,7 @@ def watch_loop(
         state: Overwritten.
         jacket: Limits.
         error: r - y.
+        strayed: Response that was asked for, minus y: a slow pole alone is no error.
         rest_distance: How far y is from where a model rests at this input.
         pole: Closed-loop pole in force.
         held_share: Share of the period without fresh measurements.
@@ -112,7 +114,7 @@ def watch_loop(
         The reason to return to the fixed controller, 0 for none.
     """
     _watch_saturation(state, jacket, rest_distance, saturated)
-    _watch_error(state, jacket, error, saturated)
+    _watch_error(state, jacket, strayed, saturated)
     _watch_swings(state, jacket, error)
     if held_share > HELD_SHARE:
         return Fallback.BLIND
@@ -192,8 +194,8 @@ def _watch_saturation(
     state.stuck_periods += 1
 
 
-def _watch_error(state: WatchState, jacket: Jacket, error: float, saturated: bool) -> None:
-    if saturated or abs(error) <= jacket.error_limit:
+def _watch_error(state: WatchState, jacket: Jacket, strayed: float, saturated: bool) -> None:
+    if saturated or abs(strayed) <= jacket.error_limit:
         state.error_periods = 0
     else:
         state.error_periods += 1
