@@ -1,6 +1,6 @@
 """Draw docs/images/motor.png: one motor, two controllers, disks that drop onto the shaft.
 
-Both runs are those of `adaptdrive-sim reproduce motor --design exact --seed 0`.
+Both runs are those of `adaptdrive-sim reproduce motor --keep-speed --design exact --seed 0`.
 
 Run it with `.venv/bin/python docs/images/motor.py`.
 """

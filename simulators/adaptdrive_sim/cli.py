@@ -111,6 +111,7 @@ def reproduce(  # noqa: PLR0913 - one parameter for each option
     noise: float | None = None,
     spikes: str = "0,0",
     design: Literal["paper", "exact"] = "paper",
+    keep_speed: bool = False,
 ) -> None:
     """Reproduce an experiment of the paper, faster than real time.
 
@@ -126,16 +127,18 @@ def reproduce(  # noqa: PLR0913 - one parameter for each option
             of the published experiment when left out.
         spikes: RATE,SIGMA: share of samples that carry a spike, and its deviation, likewise.
         design: paper is the controller as printed and corrected; exact is the daemon's default.
+        keep_speed: The motor's disks turn with the shaft when they are added, so that its speed
+            stays. Without it they land at rest and share its momentum, as in the paper.
     """
     from adaptdrive_sim.experiments.case import disturbance_of  # noqa: PLC0415  # keeps --help fast
     from adaptdrive_sim.experiments.report import print_claims  # noqa: PLC0415
     from adaptdrive_sim.experiments.reproduce import (  # noqa: PLC0415
-        EXPERIMENTS,
         ReproduceRequest,
+        find_experiment,
         run_request,
     )
 
-    chosen = EXPERIMENTS[experiment]
+    chosen = find_experiment(experiment, keep_speed=keep_speed)
     disturbance = disturbance_of(chosen.noise if noise is None else noise, spikes)
     claims = run_request(ReproduceRequest(chosen, design, disturbance, seed), output)
     print_claims(f"{experiment}, {design} design, seed {seed}: {output}", claims)

@@ -10,13 +10,13 @@ import pytest
 from adaptdrive_sim.experiments.bath import BATH
 from adaptdrive_sim.experiments.case import Design, Disturbance, Variant
 from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
-from adaptdrive_sim.experiments.motor import MOTOR
+from adaptdrive_sim.experiments.motor import DROPPED
 from adaptdrive_sim.experiments.runner import run_case
 from tests.experiments.cases import make_case
 from tests.experiments.compiled_case import run_case_compiled
 
 SHORT_BATH = replace(BATH, duration_s=2400.0, changes=(LoadChange(1000.0, 2.5, over_s=300.0),))
-SHORT_MOTOR = replace(MOTOR, duration_s=240.0, changes=(LoadChange(150.0, 2.0),))
+SHORT_MOTOR = replace(DROPPED, duration_s=240.0, changes=(LoadChange(150.0, 2.0),))
 SPIKES = Disturbance(0.002, 0.02, 0.1)
 
 

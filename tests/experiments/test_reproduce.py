@@ -45,7 +45,7 @@ def test_it_says_what_became_of_every_claim_and_shows_no_progress_in_a_pipe(
     assert done.stderr == ""
     title, *verdicts = done.stdout.splitlines()
     assert title.startswith("motor, paper design, seed 3")
-    assert len(verdicts) == 6
+    assert len(verdicts) == 7
     assert all(line.startswith(("holds: ", "FAILS: ")) for line in verdicts)
 
 
@@ -94,6 +94,7 @@ def test_the_recorded_runs_say_what_they_are(twice: tuple[Path, Path, Finished])
         b"design": b"paper",
         b"seed": b"3",
         b"noise": b"0.002",
+        b"dropped_at_rest": b"true",
         b"spikes": b"0.02,0.1",
     }
 
@@ -126,6 +127,12 @@ def test_what_cannot_be_asked_for_is_one_clear_line(
     assert done.stderr.startswith(f"adaptdrive-sim: {complaint}")
     assert done.stderr.count("\n") == 1
     assert done.stdout == ""
+
+
+def test_a_bath_has_no_disks_whose_speed_could_stay(tmp_path: Path) -> None:
+    done = reproduce("bath", "--output", tmp_path, "--keep-speed")
+    assert done.returncode == 1
+    assert done.stderr == "adaptdrive-sim: --keep-speed: a bath has no disks\n"
 
 
 def test_a_folder_that_cannot_be_made_is_one_clear_line(tmp_path: Path) -> None:

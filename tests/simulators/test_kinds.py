@@ -17,6 +17,7 @@ from adaptdrive.errors import RefusedError
 from adaptdrive_sim.device_main import build_world
 from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.plants.kinds import load_of
+from adaptdrive_sim.plants.motor import Motor
 from tests.hardware.bench import EXAMPLES
 
 MODELS: dict[str, dict[str, float]] = {
@@ -114,3 +115,12 @@ def test_without_its_extra_it_names_the_command_to_install_it() -> None:
     answer = simulator("device", str(EXAMPLES / "motor.toml"), hidden=hidden)
     assert answer.returncode == 1
     assert answer.stderr == ("adaptdrive-sim: numpy is missing: pip install 'adaptdrive[sim]'\n")
+
+
+@pytest.mark.parametrize(("given", "speed"), [({}, 100.0), ({"dropped_at_rest": 1.0}, 50.0)])
+def test_a_disk_may_land_on_the_shaft_at_rest(given: dict[str, float], speed: float) -> None:
+    motor = load_of(changed("motor", ("simulation.parameters", given)))
+    assert isinstance(motor, Motor)
+    motor.speed_rad_s = 100.0
+    motor.disks = 2
+    assert motor.speed_rad_s == pytest.approx(speed)

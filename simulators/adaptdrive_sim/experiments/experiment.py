@@ -79,6 +79,7 @@ class Experiment:
         nominal: The load that the fixed controller is designed for.
         plant: Makes the simulated load at its nominal size.
         true_load: The load's model at a size, by formula.
+        dropped: Whether what is added to the load is at rest, so that its speed drops.
     """
 
     name: str
@@ -94,6 +95,7 @@ class Experiment:
     nominal: Callable[[], Load] = field(repr=False)
     plant: Callable[[], Any] = field(repr=False)
     true_load: Callable[[float], Load] = field(repr=False)
+    dropped: bool = False
 
     @property
     def step(self) -> float:

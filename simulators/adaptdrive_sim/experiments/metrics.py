@@ -120,3 +120,22 @@ def _between(record: RunRecord, first_s: float, last_s: float) -> NDArray[np.boo
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values * values)))
+
+
+def estimate_moves(experiment: Experiment, record: RunRecord) -> dict[str, float]:
+    """Return the smallest move of each estimate among the load changes, relative to its value.
+
+    A move is the largest distance from the last value before the change, within one cycle after
+    it.
+    """
+    periods = round(experiment.reference.period_s / experiment.period_s)
+    firsts = [round(change.time_s / experiment.period_s) for change in experiment.changes]
+    return {
+        name: min(_move(np.array(record.estimates[name]), first, periods) for first in firsts)
+        for name in experiment.nominal().names
+    }
+
+
+def _move(values: Array, first: int, periods: int) -> float:
+    before = values[first - 1]
+    return float(np.max(np.abs(values[first : first + periods] / before - 1.0)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -21,8 +22,13 @@ from adaptdrive_sim.plants.motor import Motor, MotorParameters
 
 
 def new_motor() -> Motor:
-    """A motor with one disk."""
+    """A motor with one disk, whose speed stays when the inertia changes."""
     return Motor(MotorParameters())
+
+
+def new_motor_with_momentum() -> Motor:
+    """A motor with one disk; each further one is at rest when it lands on the shaft."""
+    return Motor(MotorParameters(dropped_at_rest=True))
 
 
 @cache
@@ -68,3 +74,7 @@ MOTOR = Experiment(
     plant=new_motor,
     true_load=true_motor,
 )
+"""The experiment with a speed that stays: the change of the load is the only disturbance."""
+
+DROPPED = replace(MOTOR, plant=new_motor_with_momentum, dropped=True)
+"""The published experiment: weights dropped onto the turning shaft share its momentum."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,8 +13,6 @@ from adaptdrive_sim.experiments.metrics import (
     Cycle,
     convergence_cycles,
     cycles,
-    model_errors,
-    rms_between,
 )
 from adaptdrive_sim.experiments.runner import RunRecord
 from adaptdrive_sim.experiments.sweep import SweepPoint
@@ -46,10 +45,14 @@ class ExperimentOutcome:
     over_tau_lambda: list[SweepPoint] = dataclasses.field(default_factory=list)
 
     def model_error(self, variant: Variant) -> float:
-        """Root mean square of the model error, all but the first reference cycle."""
-        errors = model_errors(self.experiment, self.design, self.records[variant])
-        first_s = self.experiment.reference.period_s
-        return rms_between(self.records[variant], errors, first_s, self.experiment.duration_s)
+        """Root mean square of the model error, all but the first reference cycle.
+
+        The cycles in which the speed drops with a disk are left out too: no controller can help.
+        """
+        drops = {one.time_s for one in self.experiment.changes if self.experiment.dropped}
+        counted = [one for one in self.cycles[variant][1:] if one.start_s not in drops]
+        squares = [one.model_error_rms * one.model_error_rms for one in counted]
+        return math.sqrt(sum(squares) / len(squares))
 
 
 def judge(

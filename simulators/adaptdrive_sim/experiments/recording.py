@@ -21,6 +21,7 @@ def write_record(path: Path, outcome: ExperimentOutcome, variant: Variant) -> No
         "design": outcome.design,
         "seed": str(outcome.seed),
         "noise": repr(disturbance.noise),
+        "dropped_at_rest": str(outcome.experiment.dropped).lower(),
         "spikes": f"{disturbance.spike_share!r},{disturbance.spike_noise!r}",
     }
     table = pa.table(_columns(outcome.records[variant])).replace_schema_metadata(metadata)

@@ -20,12 +20,12 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from adaptdrive.errors import AdaptdriveError
+from adaptdrive.errors import AdaptdriveError, RefusedError
 from adaptdrive_sim.experiments.bath import BATH
 from adaptdrive_sim.experiments.case import Case, Design, Disturbance, Variant
 from adaptdrive_sim.experiments.claims import ExperimentClaim, claims
 from adaptdrive_sim.experiments.experiment import Experiment
-from adaptdrive_sim.experiments.motor import MOTOR
+from adaptdrive_sim.experiments.motor import DROPPED, MOTOR
 from adaptdrive_sim.experiments.outcome import ExperimentOutcome, judge, summary
 from adaptdrive_sim.experiments.recording import write_record
 from adaptdrive_sim.experiments.runner import RunRecord, run_case
@@ -38,7 +38,6 @@ from adaptdrive_sim.experiments.sweep import (
 )
 from adaptdrive_sim.parameters import check_range
 
-EXPERIMENTS = {"motor": MOTOR, "bath": BATH}
 VARIANTS: dict[str, tuple[Variant, ...]] = {
     "motor": ("fixed", "adaptive", "direct_rls"),
     "bath": ("fixed", "adaptive"),
@@ -92,6 +91,23 @@ class ReproduceRequest:
         silent = self.disturbance.scaled(1.0).silent
         disturbance = Disturbance(self.experiment.noise) if silent else self.disturbance
         return Case(self.experiment, "fixed", settings, disturbance, self.seed)
+
+
+def find_experiment(name: str, *, keep_speed: bool) -> Experiment:
+    """Return an experiment by its name on the command line.
+
+    Args:
+        name: motor or bath.
+        keep_speed: Whether the motor's speed stays when a disk is added.
+
+    Raises:
+        RefusedError: The load has no disks.
+    """
+    if name == "bath":
+        if keep_speed:
+            raise RefusedError("--keep-speed: a bath has no disks")
+        return BATH
+    return MOTOR if keep_speed else DROPPED
 
 
 def run_request(request: ReproduceRequest, folder: Path) -> list[ExperimentClaim]:

@@ -22,6 +22,8 @@ from adaptdrive_sim.plants.motor import Motor, MotorParameters
 
 Parameters = TypeVar("Parameters", bound=Any)
 
+_WHOLE = {"int": int, "bool": bool}
+
 _CELL_MAX_V = 4.10
 """Highest voltage to which a cell is charged."""
 
@@ -115,6 +117,6 @@ def _with(parameters: Parameters, given: Mapping[str, float]) -> Parameters:
         if name not in types:
             near = get_close_matches(name, types, 1) or [", ".join(types)]
             raise RefusedError(f"simulation.parameters.{name}: is not known; {near[0]}?")
-    whole = {n: int(v) if types[n] == "int" else v for n, v in given.items()}
+    whole = {n: _WHOLE.get(str(types[n]), float)(v) for n, v in given.items()}
     made: Parameters = dataclasses.replace(parameters, **whole)
     return made

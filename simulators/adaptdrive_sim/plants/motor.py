@@ -26,9 +26,8 @@ class MotorParameters:
 
     Attributes:
         dropped_at_rest: A disk added to the turning shaft is at rest when it lands, so that the
-            speed drops as angular momentum is shared. Otherwise the inertia alone changes and
-            the speed stays, which is the standard experiment. A disk taken away never changes
-            the speed.
+            speed drops as angular momentum is shared: the published experiment. Otherwise the
+            inertia alone changes and the speed stays. A disk taken away never changes the speed.
     """
 
     resistance_Ohm: float = quantity(3.0, "Ω", "armature resistance, R_f", 0.01, 1e3)
@@ -78,10 +77,8 @@ class Motor:
     @disks.setter
     def disks(self, disks: int) -> None:
         check_range("disks", disks, 1, DISKS_MAX, "")
-        if self.parameters.dropped_at_rest and disks > self._disks:
-            self.speed_rad_s *= self._disks / disks
         self._disks = disks
-        self.set_inertia(self.parameters.disk_kgm2 * disks)
+        self.resize(float(disks), 0.0)
 
     @property
     def inertia_kgm2(self) -> float:
@@ -95,8 +92,14 @@ class Motor:
         self._coasting.forget()
 
     def resize(self, size: float, _over_s: float) -> None:
-        """Turn a multiple of one disk's inertia from now on."""
-        self.set_inertia(self.parameters.disk_kgm2 * size)
+        """Turn a multiple of one disk's inertia from now on.
+
+        What is added at rest shares the angular momentum of the shaft.
+        """
+        inertia_kgm2 = self.parameters.disk_kgm2 * size
+        if self.parameters.dropped_at_rest and inertia_kgm2 > self._inertia_kgm2:
+            self.speed_rad_s *= self._inertia_kgm2 / inertia_kgm2
+        self.set_inertia(inertia_kgm2)
 
     @property
     def torque_Nm(self) -> float:

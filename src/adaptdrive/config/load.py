@@ -156,8 +156,9 @@ class SimulatorSection(Section):
 
     parameters: dict[str, FiniteFloat] = Field(
         default={},
-        description="physical parameters that `[load.model]` leaves open, such as `friction_Nms`; "
-        "the reference load's when left out",
+        description="physical parameters that `[load.model]` leaves open, such as `friction_Nms`, "
+        "or `dropped_at_rest = 1.0` for disks that share the momentum of the shaft; the reference "
+        "load's when left out",
     )
 
 
