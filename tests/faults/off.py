@@ -1,0 +1,123 @@
+"""When a drive must be off: a model of its own, from the manual, which sees the bus and the clock.
+
+It judges each command that reaches the bus. It does not ask the daemon anything: what the operator
+asked for, what the drive said, and when the daemon last ran are all that it goes by.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adaptdrive.control.signals import Command
+from adaptdrive.hardware.port import Reading
+
+STALE_s = 0.05
+BOOST_MAX_V = 430.0
+OUTPUT_MAX_V = 5.0
+SLACK_s = 1e-6
+RATE_READINGS = 60
+OFF_COMMANDS = 34
+"""Commands in a row after which a bridge that stays off is a drive that has stopped."""
+
+UNDECIDED_COMMANDS = 540
+"""Commands in a row after which a slow loop that decides nothing has been missed."""
+
+
+@dataclass
+class MustBeOff:
+    """What is known on the outside of the daemon, and whether the drive may be energised.
+
+    Attributes:
+        enabled: Whether `enable` has been accepted, and nothing has revoked it since.
+        why_not: What revoked it last.
+        reading: The last reading that was handed over.
+        readings: How many have been, since the daemon was started.
+        complaint: What another sender does, as the bus sees it.
+        ran_s: When the daemon last sent a command.
+        stalled: Whether the slow loop decides nothing.
+        refused: Commands in a row with the bridge on to a drive that reports it off.
+        undecided: Commands in a row with the bridge on that a stalled slow loop has not seen.
+    """
+
+    enabled: bool = False
+    why_not: str = "nobody has enabled it"
+    reading: Reading | None = None
+    readings: int = 0
+    complaint: bool = False
+    ran_s: float = math.inf
+    stalled: bool = False
+    refused: int = 0
+    undecided: int = 0
+
+    def cause(self, now_s: float) -> str | None:
+        """Return why no drive may be energised now, None for no reason."""
+        reading = self.reading
+        if reading is None:
+            return "nothing was measured"
+        values = (reading.boost_voltage_V, reading.line_voltage_V, reading.load_power_W)
+        causes = {
+            "the measurement is old": now_s - reading.oldest_s > STALE_s + SLACK_s,
+            "a value is no number": not all(map(math.isfinite, (*values, reading.output))),
+            "the drive has a fault": reading.fault != 0,
+            "over-voltage": reading.boost_voltage_V > BOOST_MAX_V,
+            "the output is too high": reading.output > OUTPUT_MAX_V,
+            "another sender commands the drive": self.complaint,
+        }
+        return next((cause for cause, active in causes.items() if active), None)
+
+    def judge(self, command: Command, now_s: float) -> None:
+        """Take a command that reaches the bus.
+
+        Raises:
+            AssertionError: It energises a drive that must be off.
+        """
+        cause = self.cause(now_s) or self._while_energised(now_s)
+        if cause is not None:
+            self.revoke(cause)
+        self.ran_s = now_s
+        if self._energises(command):
+            assert self.enabled, f"energised although {self.why_not}: {command}"
+            assert self.readings >= RATE_READINGS, "energised before the rate was judged"
+        reported = self.reading is not None and self.reading.bridge
+        self.refused = self.refused + 1 if command.bridge and not reported else 0
+        self.undecided = self.undecided + 1 if command.bridge and self.stalled else 0
+
+    def _while_energised(self, now_s: float) -> str | None:
+        """Return what stops a drive only while it is energised."""
+        if not self.enabled:
+            return None
+        if now_s - self.ran_s > STALE_s + SLACK_s:
+            return "the daemon did not run"
+        if self.undecided > UNDECIDED_COMMANDS:
+            return "the slow loop is behind"
+        if self.refused > OFF_COMMANDS:
+            return "the drive has stopped by itself"
+        return None
+
+    def enable(self, now_s: float) -> None:
+        """Take an `enable` that was accepted.
+
+        Raises:
+            AssertionError: It must have been refused.
+        """
+        if self.enabled:
+            return
+        cause = self.cause(now_s)
+        assert cause is None, f"enabled although {cause}"
+        self.enabled, self.refused, self.undecided = True, 0, 0
+
+    def revoke(self, why: str) -> None:
+        """Whoever wants the drive to run must enable it again."""
+        if self.enabled:
+            self.enabled, self.why_not = False, why
+
+    def restart(self) -> None:
+        """A new daemon: nobody has enabled anything."""
+        self.revoke("the daemon was restarted")
+        self.reading, self.readings, self.refused, self.undecided = None, 0, 0, 0
+        self.ran_s = math.inf
+
+    @staticmethod
+    def _energises(command: Command) -> bool:
+        return command.bridge or command.current_scale_S != 0.0 or command.boost_reference_V != 0.0

@@ -1,0 +1,54 @@
+"""No sequence of commands, faults, delays, restarts, thaws energises a drive that must be off."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from hypothesis import HealthCheck, Phase, settings
+from hypothesis.stateful import run_state_machine_as_test
+
+from adaptdrive.runtime.bridge_watch import BridgeWatch
+from adaptdrive.runtime.interlock_board import InterlockBoard
+from tests.faults.story import Story
+
+STORIES = int(os.environ.get("STORIES", "40"))
+QUICK = settings(
+    max_examples=STORIES,
+    stateful_step_count=25,
+    deadline=None,
+    suppress_health_check=list(HealthCheck),
+)
+UNSHRUNK = settings(
+    QUICK,
+    max_examples=300,
+    derandomize=True,
+    database=None,
+    print_blob=False,
+    report_multiple_bugs=False,
+    phases=[Phase.generate],
+)
+
+TestStory = Story.TestCase
+TestStory.settings = QUICK
+
+
+def _no_cause(*_: object, **__: object) -> None:
+    return None
+
+
+@pytest.mark.parametrize(
+    ("owner", "name"),
+    [
+        (InterlockBoard, "standing_cause"),
+        (InterlockBoard, "_gap_cause"),
+        (BridgeWatch, "find_cause"),
+    ],
+    ids=["interlocks", "freezes", "own-stop"],
+)
+def test_a_daemon_without_one_protection_is_found_out(
+    owner: type, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(owner, name, _no_cause)
+    with pytest.raises(AssertionError, match=r"although|without a reset"):
+        run_state_machine_as_test(Story, settings=UNSHRUNK)
