@@ -20,7 +20,7 @@ from tests.benchmarks.rows import Extent, Row, table, write_json
 
 PARTS = (
     *("compute", "experiment", "campaign", "lateness", "turnaround", "load", "daemons", "stop"),
-    "kills",
+    *("kills", "page_storm"),
 )
 RESULT = Path("build/bench.json")
 

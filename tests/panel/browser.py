@@ -46,6 +46,10 @@ class Panel:
 
     def log_in(self, address: str, user: str, secret: str | None = None) -> None:
         self.page.goto(address)
+        self.fill_in(user, secret)
+
+    def fill_in(self, user: str, secret: str | None = None) -> None:
+        """Log in on the page that is open."""
         self.page.get_by_label("user").fill(user)
         self.page.get_by_label("password").fill(password(user) if secret is None else secret)
         self.page.get_by_role("button", name="Log in").press("Enter")

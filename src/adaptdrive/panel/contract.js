@@ -23,13 +23,16 @@
  *   age_s: number|null, lateness_us: {p99: number|null, max: number|null}, bus: Record<string, number|null>,
  *   sensors: Record<string, {up: boolean, detail: string}>
  * }} Fast
- * @typedef {{time: string, kind: string, severity: string, detail: string}} DriveEvent
+ * @typedef {{time: string, kind: string, severity: string, detail: string, remedy: string}} DriveEvent
  * @typedef {{rows: Load[]}} Past
  * @typedef {{id: string, accepted: boolean, reason: string}} Reply
+ * @typedef {{text: string, request: Record<string, number>}} Feature
+ * @typedef {{features: Feature[]}} Features
  */
 
 const Contract = (() => {
   const ROOT = "adaptdrive";
+  const SIMULATOR = "adaptdrive-sim"; // topics of a simulated device, beside those of its daemon
   const LARGEST = 1 << 20; // bytes: no payload of a drive comes near it
   const KINDS = new Map([
     ["availability", "availability"],
@@ -41,14 +44,19 @@ const Contract = (() => {
     ["history", "history"],
   ]);
 
-  const SUBSCRIPTIONS = [...KINDS.keys()].filter((tail) => tail !== "history").map((tail) => `${ROOT}/+/${tail}`);
+  const SIMULATED = new Map([["features", "features"], ["reply", "reply"]]);
+
+  const SUBSCRIPTIONS = [
+    ...[...KINDS.keys()].filter((tail) => tail !== "history").map((tail) => `${ROOT}/+/${tail}`),
+    ...[...SIMULATED.keys()].map((tail) => `${SIMULATOR}/+/${tail}`),
+  ];
 
   /** Split a topic; null for one that is not of the contract.
    * @param {string} topic @returns {{drive: string, kind: string} | null} */
   function place(topic) {
     const [root, drive, ...tail] = topic.split("/");
-    const kind = KINDS.get(tail.join("/"));
-    if (root !== ROOT || !kind || !/^[A-Za-z0-9_-]{1,64}$/.test(drive)) return null;
+    const kind = (root === ROOT ? KINDS : root === SIMULATOR ? SIMULATED : null)?.get(tail.join("/"));
+    if (!kind || !/^[A-Za-z0-9_-]{1,64}$/.test(drive)) return null;
     return { drive, kind };
   }
 
@@ -69,6 +77,11 @@ const Contract = (() => {
     return `${ROOT}/${drive}/command/${verb}`;
   }
 
+  /** Where a simulated device is disturbed. @param {string} drive */
+  function disturb(drive) {
+    return `${SIMULATOR}/${drive}/disturb`;
+  }
+
   /** Where the last hour is asked for, and where it is answered. @param {string} drive */
   function history(drive) {
     return { ask: `${ROOT}/${drive}/ask/history`, answer: `${ROOT}/${drive}/history` };
@@ -82,5 +95,5 @@ const Contract = (() => {
     return { text: match[1], unit: match[2].replace("_per_", "/").replace("2", "²").replace("Ohm", "Ω") };
   }
 
-  return { SUBSCRIPTIONS, place, read, command, history, named };
+  return { SUBSCRIPTIONS, place, read, command, disturb, history, named };
 })();

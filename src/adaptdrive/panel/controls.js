@@ -9,9 +9,14 @@ const Controls = (() => {
    * @param {string} verb @param {unknown} [value] */
   async function ask(drive, answer, verb, value) {
     const asked = value === undefined ? verb : `${verb} ${typeof value === "object" ? "…" : value}`;
+    await report(answer, asked, () => Link.ask(drive.name, verb, value));
+  }
+
+  /** @param {HTMLElement} answer @param {string} asked @param {() => ReturnType<typeof Link.ask>} send */
+  async function report(answer, asked, send) {
     Dom.mark(answer, "data-kind", "sent");
     Dom.say(answer, `${asked}: sent`);
-    const { accepted, text } = await Link.ask(drive.name, verb, value);
+    const { accepted, text } = await send();
     Dom.mark(answer, "data-kind", accepted ? "accepted" : "refused");
     Dom.say(answer, `${asked}: ${text}`);
   }
@@ -73,15 +78,13 @@ const Controls = (() => {
       Dom.make("details", {}, Dom.make("summary", {}, "Voltage by hand, in mode manual"), form("Set", () => send("voltage", voltage.input.valueAsNumber), voltage.row)),
       Dom.make("details", {}, Dom.make("summary", {}, "Pole"), form("Set", () => send("pole", pole.input.valueAsNumber), pole.row)),
     );
-    const viewer = Dom.make("p.viewer", { hidden: true }, "This user may look and not command.");
-    const root = Dom.make("section.side", {}, Dom.make("h2", {}, "Operate"), viewer, body, answer);
-    Link.mayCommand(drive.name).then((may) => {
-      viewer.hidden = may;
-      body.hidden = !may;
-    });
+    const viewer = Dom.make("p.viewer", { hidden: true });
+    const root = Dom.make("section.side", {}, Dom.make("h2", {}, "Operate"), viewer, body, simulated(drive, answer), answer);
+    const rights = seeRights(drive, viewer, body);
     return {
       root,
       draw() {
+        rights();
         for (const button of choose) Dom.mark(button, "aria-pressed", String(button.dataset.mode === drive.state?.mode));
         const limits = drive.state?.limits ?? {};
         bound(setpoint.input, limits.setpoint);
@@ -91,6 +94,32 @@ const Controls = (() => {
         bound(voltage.input, limits.boost_V);
       },
     };
+  }
+
+  /** Show what the user may do, asked again until the drive's answer is known.
+   * @param {DriveView} drive @param {HTMLElement} viewer @param {HTMLElement} body */
+  function seeRights(drive, viewer, body) {
+    let known = false, asking = false;
+    return async () => {
+      if (known || asking) return;
+      asking = true;
+      const may = await Link.mayCommand(drive.name);
+      asking = false;
+      known = may !== null;
+      viewer.hidden = may === true;
+      body.hidden = may === false;
+      Dom.say(viewer, known ? "This user may look and not command." : "The daemon does not answer.");
+    };
+  }
+
+  /** What only a simulated device can do, as it offers it.
+   * @param {DriveView} drive @param {HTMLElement} answer */
+  function simulated(drive, answer) {
+    const buttons = drive.features.map(({ text, request }) => Dom.make("button", {
+      type: "button", onclick: () => report(answer, text, () => Link.disturb(drive.name, request)),
+    }, text));
+    const heading = Dom.make("h2", {}, "Simulated plant");
+    return Dom.make("div.simulated", { hidden: buttons.length === 0 }, heading, Dom.make("div.row", {}, ...buttons));
   }
 
   /** @param {HTMLInputElement} input @param {[number|null, number|null]} [range] */

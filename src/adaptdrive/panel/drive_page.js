@@ -23,6 +23,7 @@ const DrivePage = (() => {
     const plots = Plots.open(plotted, drive);
     Link.askHistory(drive.name);
     let seen = -1;
+    const built = drive.build;
 
     function draw() {
       drawState(drive, state, age, alarm);
@@ -30,8 +31,8 @@ const DrivePage = (() => {
       now.draw(drive);
       controls.draw();
       plots.draw();
-      if (seen === drive.version) return;
-      seen = drive.version;
+      if (seen === drive.eventVersion) return;
+      seen = drive.eventVersion;
       events.replaceChildren(...drive.events.slice(0, 30).map(eventRow));
     }
 
@@ -41,7 +42,7 @@ const DrivePage = (() => {
       if (key.key === "s") Controls.ask(drive, answer, "disable");
     }
     document.addEventListener("keydown", press);
-    return { draw, end() { document.removeEventListener("keydown", press); plots.end(); } };
+    return { draw, outdated: () => drive.build !== built, end() { document.removeEventListener("keydown", press); plots.end(); } };
   }
 
   /** @param {DriveView} drive @param {HTMLElement} chip @param {HTMLElement} age @param {HTMLElement} alarm */
@@ -154,7 +155,7 @@ const DrivePage = (() => {
 
   /** @param {DriveEvent} event */
   function eventRow(event) {
-    return Dom.make("li", { "data-severity": event.severity }, Dom.make("time", {}, event.time.slice(11, 19)), Dom.make("b", {}, event.kind), event.detail);
+    return Dom.make("li", { "data-severity": event.severity }, Dom.make("time", {}, event.time.slice(11, 19)), Dom.make("b", {}, event.kind), event.detail, event.remedy && !event.detail.includes(event.remedy) ? Dom.make("small", {}, event.remedy) : "");
   }
 
   return { open };

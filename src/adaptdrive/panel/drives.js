@@ -2,7 +2,6 @@
 // What is known of each drive: its latest messages, how old they are, and a bounded history.
 
 const Drives = (() => {
-  const FAST_ROWS = 6000; // ten minutes at ten messages a second
   const SLOW_ROWS = 4000; // an hour of one message a second, and some more
   const EVENTS = 200;
   const MOST_DRIVES = 500;
@@ -16,11 +15,13 @@ const Drives = (() => {
       /** @type {State|null} */ this.state = null;
       /** @type {Load|null} */ this.load = null;
       /** @type {Fast|null} */ this.fast = null;
+      /** @type {Feature[]} */ this.features = [];
       /** @type {DriveEvent[]} */ this.events = [];
-      /** @type {Fast[]} */ this.fastRows = [];
       /** @type {Load[]} */ this.slowRows = [];
       this.heardS = -Infinity;
-      this.version = 0;
+      this.version = 0; // of all that is shown
+      this.slowVersion = 0; // of what is plotted
+      this.eventVersion = 0;
     }
 
     /** Seconds since a live message came. */
@@ -49,6 +50,11 @@ const Drives = (() => {
       return this.state?.output?.unit ?? "";
     }
 
+    /** What a page of the drive is built from; the page is built again when it changes. */
+    get build() {
+      return JSON.stringify([this.outputName, this.unit, this.state?.modes, this.features]);
+    }
+
     get outputName() {
       return this.state?.output?.name ?? "output";
     }
@@ -64,8 +70,8 @@ const Drives = (() => {
       this.version += 1;
       if (!retained && kind !== "history") this.heardS = nowS();
       if (kind === "state") this.state = message;
-      if (kind === "load") this._takeLoad(message);
-      if (kind === "fast") this._takeFast(message);
+      if (kind === "load") this._takeLoad(message, retained);
+      if (kind === "fast") this.fast = message;
       if (kind === "event") this._takeEvent(message);
       if (kind === "history") this.remember(message.rows);
     }
@@ -75,25 +81,25 @@ const Drives = (() => {
       const known = new Set(this.slowRows.map((row) => row.time));
       const all = [...rows.filter((row) => !known.has(row.time)), ...this.slowRows];
       this.slowRows = all.sort((a, b) => timeS(a.time) - timeS(b.time)).slice(-SLOW_ROWS);
-      this.version += 1;
+      this.slowVersion += 1;
     }
 
-    /** @param {Load} message */
-    _takeLoad(message) {
-      const last = this.slowRows[this.slowRows.length - 1];
+    /** @param {Load} message @param {boolean} retained */
+    _takeLoad(message, retained) {
       this.load = message;
-      if (last && timeS(message.time) <= timeS(last.time)) return; // retained, and known
+      const now = timeS(message.time);
+      const last = this.slowRows[this.slowRows.length - 1];
+      if (last && now <= timeS(last.time)) {
+        if (retained) return; // known
+        this.slowRows = this.slowRows.filter((row) => timeS(row.time) < now); // the clock was set back
+      }
       push(this.slowRows, message, SLOW_ROWS);
-    }
-
-    /** @param {Fast} message */
-    _takeFast(message) {
-      this.fast = message;
-      push(this.fastRows, message, FAST_ROWS);
+      this.slowVersion += 1;
     }
 
     /** @param {DriveEvent} message */
     _takeEvent(message) {
+      this.eventVersion += 1;
       this.events.unshift(message);
       this.events.length = Math.min(this.events.length, EVENTS);
     }
@@ -139,8 +145,17 @@ const Drives = (() => {
       drive.version += 1;
       return;
     }
+    if (place.kind === "features") {
+      drive.features = Contract.read(place.kind, payload)?.features ?? []; // empty: the device is gone
+      return;
+    }
     const message = place.kind === "reply" ? null : Contract.read(place.kind, payload);
     if (message) drive.take(place.kind, message, retained);
+  }
+
+  /** Whether a drive should be heard now. */
+  function expected() {
+    return [...all.values()].some((drive) => drive.availability === "online");
   }
 
   /** Forget that anything is live: the broker is gone. */
@@ -151,6 +166,6 @@ const Drives = (() => {
     }
   }
 
-  return { all, named, take, lose, timeS };
+  return { all, named, take, expected, lose, timeS };
 })();
 /** @typedef {ReturnType<typeof Drives.named>} DriveView */

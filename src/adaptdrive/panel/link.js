@@ -3,6 +3,8 @@
 
 const Link = (() => {
   const ANSWER_S = 5;
+  const SILENCE_MS = 10_000; // ten times the longest pause of a drive that is online
+  const LONGEST_SILENCE_MS = 300_000;
   const RETRY_MS = 2000;
   const UNSUPPORTED = new Set([1, 0x84]); // unacceptable protocol version, in MQTT 3.1.1 and 5
   const DENIED = new Set([0x80, 0x87]); // MQTT 5: unspecified error, not authorized
@@ -12,6 +14,8 @@ const Link = (() => {
   /** @type {Set<() => void>} */ const listeners = new Set();
   /** @type {Set<string>} */ const remembered = new Set(); // drives whose last hour is shown
   let status = "offline";
+  let heardMs = 0;
+  let patienceMs = SILENCE_MS;
   let problem = "";
   /** @type {Map<string, boolean>} */ const allowed = new Map();
 
@@ -38,6 +42,7 @@ const Link = (() => {
         own.subscribe(Contract.SUBSCRIPTIONS, { qos: 1 });
         for (const drive of remembered) askHistory(drive);
         allowed.clear();
+        heardMs = performance.now();
         tell("online", "");
         resolve();
       });
@@ -73,6 +78,8 @@ const Link = (() => {
 
   /** @param {string} topic @param {Uint8Array} payload @param {{retain?: boolean}} packet */
   function take(topic, payload, packet) {
+    heardMs = performance.now();
+    if (!packet.retain) patienceMs = SILENCE_MS;
     const place = Contract.place(topic);
     if (place?.kind === "reply") {
       const reply = Contract.read(place.kind, payload);
@@ -81,13 +88,35 @@ const Link = (() => {
     Drives.take(topic, payload, packet.retain === true);
   }
 
+  /** Connect again where a drive that is online is not heard: a broker may leave a socket open and
+   * send no more (mosquitto 2.0.11 does after a page has read too slowly). */
+  function endSilence() {
+    if (status !== "online" || !Drives.expected() || performance.now() - heardMs < patienceMs) return;
+    patienceMs = Math.min(2 * patienceMs, LONGEST_SILENCE_MS);
+    const own = client;
+    own.end(true, () => { if (own === client) own.reconnect(); });
+  }
+  window.setInterval(endSilence, RETRY_MS);
+
   /** Send a command and wait for the daemon's answer.
    * @param {string} drive @param {string} verb @param {unknown} [value]
    * @returns {Promise<{accepted: boolean, text: string}>} what the daemon said, or that it did not */
   function ask(drive, verb, value) {
-    const id = `panel-${crypto.getRandomValues(new Uint32Array(3)).join("-")}`;
     const expires = verb === "disable" ? {} : { expires: new Date(clockMs(drive) + 1000 * ANSWER_S).toISOString() };
-    const payload = JSON.stringify({ id, ...(value === undefined ? {} : { value }), ...expires });
+    return request(Contract.command(drive, verb), { ...(value === undefined ? {} : { value }), ...expires });
+  }
+
+  /** Disturb a simulated device and wait for its answer.
+   * @param {string} drive @param {Record<string, number>} content */
+  function disturb(drive, content) {
+    return request(Contract.disturb(drive), content);
+  }
+
+  /** @param {string} topic @param {Record<string, unknown>} content
+   * @returns {Promise<{accepted: boolean, text: string}>} */
+  function request(topic, content) {
+    const id = `panel-${crypto.getRandomValues(new Uint32Array(3)).join("-")}`;
+    const payload = JSON.stringify({ ...content, id });
     return new Promise((resolve) => {
       const end = (/** @type {boolean} */ accepted, /** @type {string} */ text) => {
         clearTimeout(timer);
@@ -97,7 +126,7 @@ const Link = (() => {
       const timer = setTimeout(() => end(false, `no answer within ${ANSWER_S} s`), 1000 * ANSWER_S);
       waiting.set(id, (reply) => end(reply?.accepted === true, reply?.accepted ? "accepted" : `refused: ${reply?.reason}`));
       if (!client?.connected) return end(false, "not sent: no broker");
-      client.publish(Contract.command(drive, verb), payload, { qos: 1 }, (/** @type {any} */ error, /** @type {any} */ packet) => {
+      client.publish(topic, payload, { qos: 1 }, (/** @type {any} */ error, /** @type {any} */ packet) => {
         const code = packet?.reasonCode ?? error?.code;
         if (error || DENIED.has(code)) end(false, DENIED.has(code) ? "not allowed for this user" : `not sent: ${error.message}`);
       });
@@ -119,13 +148,16 @@ const Link = (() => {
   }
 
   /** Find out whether this user may command a drive, by a request that does nothing.
-   * @param {string} drive */
+   * @param {string} drive @returns {Promise<boolean|null>} null while it is not known */
   async function mayCommand(drive) {
     const known = allowed.get(drive);
     if (known !== undefined) return known;
-    const answer = await ask(drive, "ping");
-    const may = !answer.text.startsWith("not allowed") && !answer.text.startsWith("no answer");
-    if (client?.connected && !answer.text.startsWith("no answer")) allowed.set(drive, may);
+    const { text } = await ask(drive, "ping");
+    if (text.startsWith("not sent")) return null;
+    const silent = text.startsWith("no answer");
+    if (silent && !Drives.named(drive).live) return null;
+    const may = !silent && !text.startsWith("not allowed"); // a broker of MQTT 3.1.1 refuses silently
+    allowed.set(drive, may);
     return may;
   }
 
@@ -137,7 +169,7 @@ const Link = (() => {
   }
 
   return {
-    open, close, ask, askHistory, mayCommand,
+    open, close, ask, disturb, askHistory, mayCommand,
     /** @param {() => void} listener */ watch: (listener) => listeners.add(listener),
     get online() { return status === "online"; },
     get problem() { return problem; },

@@ -6,7 +6,7 @@
   const root = /** @type {HTMLElement} */ (document.getElementById("panel"));
   const notice = Dom.make("div.notice", { role: "status", hidden: true });
   const body = Dom.make("div");
-  /** @type {{draw: () => void, end: () => void} | null} */ let page = null;
+  /** @type {{draw: () => void, outdated: () => boolean, end: () => void} | null} */ let page = null;
 
   function show() {
     page?.end();
@@ -21,7 +21,9 @@
   function draw() {
     notice.hidden = Link.online;
     Dom.say(notice, `The broker cannot be reached${Link.problem ? `: ${Link.problem}` : ""}. What is shown is old.`);
-    page?.draw();
+    if (document.hidden) return; // a page in the background keeps its messages and draws nothing
+    if (page?.outdated()) show();
+    else page?.draw();
   }
 
   Login.open(root, () => {
@@ -29,5 +31,6 @@
     show();
     window.addEventListener("hashchange", show);
     window.setInterval(draw, REDRAW_MS);
+    document.addEventListener("visibilitychange", draw);
   });
 })();

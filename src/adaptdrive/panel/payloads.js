@@ -5,13 +5,16 @@ const Payloads = (() => {
   const LONGEST_TEXT = 2000;
   const MOST_KEYS = 40;
   const MOST_ROWS = 4000;
+  const MOST_FEATURES = 9;
+  const LARGEST = 1e15; // no quantity of a drive comes near it, and axes end before numbers do
+  const FIRST_MS = 0, LAST_MS = Date.UTC(2200); // a clock that was never set begins in 1970
 
   /** @param {unknown} value @returns {string} */
   const text = (value) => (typeof value === "string" ? value.slice(0, LONGEST_TEXT) : "");
   /** @param {unknown} value @returns {string|null} */
   const textOrNull = (value) => (typeof value === "string" ? text(value) : null);
   /** @param {unknown} value @returns {number|null} */
-  const number = (value) => (typeof value === "number" && Number.isFinite(value) ? value : null);
+  const number = (value) => (typeof value === "number" && Math.abs(value) <= LARGEST ? value : null);
   /** @param {unknown} value @returns {value is Record<string, unknown>} */
   const isObject = (value) => Boolean(value) && typeof value === "object" && !Array.isArray(value);
 
@@ -81,7 +84,8 @@ const Payloads = (() => {
 
   /** @param {Record<string, unknown>} raw @returns {DriveEvent} */
   function event(raw) {
-    return { time: text(raw.time), kind: text(raw.kind), severity: text(raw.severity), detail: text(raw.detail) };
+    const remedy = text(raw.remedy);
+    return { time: text(raw.time), kind: text(raw.kind), severity: text(raw.severity), detail: text(raw.detail), remedy };
   }
 
   /** @param {Record<string, unknown>} raw @returns {Past} */
@@ -95,14 +99,26 @@ const Payloads = (() => {
     return { id: String(number(raw.id) ?? text(raw.id)), accepted: raw.accepted === true, reason: text(raw.reason) };
   }
 
+  /** @param {Record<string, unknown>} raw @returns {Features} */
+  function features(raw) {
+    const offered = Array.isArray(raw.features) ? raw.features.slice(0, MOST_FEATURES).filter(isObject) : [];
+    return { features: offered.map((one) => ({ text: text(one.text), request: numbers(one.request) })) };
+  }
+
+  /** The numbers of an object. @param {unknown} value @returns {Record<string, number>} */
+  function numbers(value) {
+    return Object.fromEntries(Object.entries(map(value, number)).flatMap(([key, one]) => (one === null ? [] : [[key, one]])));
+  }
+
   /** @param {{time: string}} message */
   function isTimed(message) {
-    return Number.isFinite(Date.parse(message.time));
+    const timeMs = Date.parse(message.time);
+    return timeMs >= FIRST_MS && timeMs <= LAST_MS;
   }
 
   /** @type {Record<string, (raw: Record<string, unknown>) => any>} */
-  const MAKERS = { state, load, fast, event, history, reply };
-  const UNTIMED = new Set(["history", "reply"]);
+  const MAKERS = { state, load, fast, event, history, reply, features };
+  const UNTIMED = new Set(["history", "reply", "features"]);
 
   /** Hold a payload to the types of its topic; null for one without a time that can be read.
    * @param {string} kind @param {Record<string, unknown>} raw @returns {any} */

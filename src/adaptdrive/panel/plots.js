@@ -82,8 +82,8 @@ const Plots = (() => {
     let drawn = -1;
 
     function draw() {
-      if (drawn === drive.version) return;
-      drawn = drive.version;
+      if (drawn === drive.slowVersion) return;
+      drawn = drive.slowVersion;
       const rows = recent(drive.slowRows, spanS);
       const time = rows.map((row) => Drives.timeS(row.time));
       output.chart.setData([time, rows.map((r) => r.reference), rows.map((r) => r.output)]);

@@ -30,7 +30,7 @@ const SitePage = (() => {
         if (rows.children[i] !== row) rows.insertBefore(row, rows.children[i] ?? null);
       });
     }
-    return { draw, end() {} };
+    return { draw, outdated: () => false, end() {} };
   }
 
   /** @param {DriveView} drive */
