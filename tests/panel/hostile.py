@@ -91,19 +91,20 @@ class Hostile:
             return self._value(self._chance.choice(schema["anyOf"]), known, rate)
         if self._chance.random() < rate and "properties" not in schema:
             return self.odd()
-        match self._kind(schema):
-            case "object":
-                return self._object(schema, known, rate)
-            case "array":
-                parts = schema.get("prefixItems") or [schema.get("items") or {}] * 3
-                return [self._value(one, known, rate) for one in parts]
-            case "string":
-                return self._string(schema)
-            case "boolean":
-                return self._chance.random() < 0.5
-            case "null":
-                return None
-        return self._chance.uniform(-10.0, 400.0)
+        return self._made(self._kind(schema), schema, known, rate)
+
+    def _made(self, kind: str, schema: Any, known: dict[str, Any], rate: float) -> Any:
+        if kind == "object":
+            return self._object(schema, known, rate)
+        if kind == "array":
+            parts = schema.get("prefixItems") or [schema.get("items") or {}] * 3
+            return [self._value(one, known, rate) for one in parts]
+        plain: dict[str, Callable[[], Any]] = {
+            "string": lambda: self._string(schema),
+            "boolean": lambda: self._chance.random() < 0.5,
+            "null": lambda: None,
+        }
+        return plain.get(kind, lambda: self._chance.uniform(-10.0, 400.0))()
 
     def _kind(self, schema: dict[str, Any]) -> str:
         kind = schema.get("type", "string" if "enum" in schema else "number")
