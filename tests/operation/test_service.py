@@ -31,6 +31,7 @@ from adaptdrive.runtime.requests import (
 from tests.operation.peers import (
     STANDBY,
     Bench,
+    Heard,
     ask,
     drive_report,
     expect_retained,
@@ -389,6 +390,30 @@ async def test_the_last_trip_stays_with_its_remedy_after_a_reset(bench: Bench) -
     assert tripped["last_trip"]["text"] == cause
     assert "wrong capacitance" in tripped["last_trip"]["remedy"]
     assert tripped["last_trip"]["time"] == tripped["since"]
+
+
+async def test_the_last_trip_survives_a_restart(mosquitto: Broker, tmp_path: Path) -> None:
+    cause = "over-voltage: v_bst = 431.2 V, limit 430 V"
+
+    def tripped(message: Heard) -> bool:
+        return message.content["last_trip"] is not None
+
+    async with (
+        serving(mosquitto, "tripped", tmp_path) as bench,
+        listening(bench.broker, bench.topic("state")) as ear,
+    ):
+        bench.host.trip(cause)
+        before = (await ear.until(tripped)).content["last_trip"]
+    async with (
+        serving(mosquitto, "tripped", tmp_path) as bench,
+        listening(bench.broker, bench.topic("state")) as ear,
+    ):
+        first = (await ear.until(tripped)).content
+        assert first["last_trip"] == before
+        assert first["state"] == "standby"
+        bench.host.trip("stale: measurement is 54 ms old, limit 50 ms")
+        second = await ear.until(lambda message: message.content["last_trip"] != before)
+        assert second.content["last_trip"]["text"].startswith("stale")
 
 
 async def test_the_event_of_a_trip_carries_its_remedy(bench: Bench) -> None:

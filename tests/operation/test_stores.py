@@ -19,9 +19,10 @@ from structlog.testing import capture_logs
 from adaptdrive.operation.desk import INTERRUPTED, Desk
 from adaptdrive.operation.journal import Journal
 from adaptdrive.operation.memory import LIFETIME_S, ReplyMemory
-from adaptdrive.operation.messages import Reply
+from adaptdrive.operation.messages import LastTrip, Reply
 from adaptdrive.operation.outbox import Outbox
 from adaptdrive.operation.pace import LogRation
+from adaptdrive.operation.trip_memory import TripMemory
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Request
 
@@ -319,3 +320,36 @@ async def test_a_command_cut_short_by_a_crash_does_not_act_a_second_time(path: P
     assert reply is not None
     assert not reply.accepted
     assert reply.reason == INTERRUPTED
+
+
+async def test_an_unreadable_trip_is_counted_and_the_next_one_kept(path: Path) -> None:
+    trip = LastTrip(wall(), "over-voltage: v_bst = 431.2 V, limit 430 V", "")
+    async with open_journal(path) as journal:
+        journal.post("INSERT INTO trip VALUES (1, ?)", (b'{"text": 5}',))
+        memory = TripMemory(journal)
+        assert await memory.load() == 1
+        assert memory.last is None
+        memory.note(trip)
+    async with open_journal(path) as journal:
+        memory = TripMemory(journal)
+        assert await memory.load() == 0
+        assert memory.last is not None
+        assert (memory.last.time, memory.last.text) == (trip.time, trip.text)
+        assert "wrong capacitance" in memory.last.remedy
+
+
+async def test_a_trip_of_this_run_is_not_replaced_by_an_older_one(path: Path) -> None:
+    newest = LastTrip(wall(), "stale: measurement is 54 ms old, limit 50 ms", "")
+    async with open_journal(path) as journal:
+        TripMemory(journal).note(LastTrip(wall(), "over-voltage", ""))
+    async with open_journal(path) as journal:
+        memory = TripMemory(journal)
+        memory.note(newest)
+        await memory.load()
+        memory.rewrite()
+        assert memory.last == newest
+    async with open_journal(path) as journal:
+        memory = TripMemory(journal)
+        await memory.load()
+        assert memory.last is not None
+        assert memory.last.text == newest.text

@@ -59,7 +59,7 @@ class Reply(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class LastTrip:
-    """The last trip of this run of the daemon.
+    """The last trip, of this run of the daemon or of an earlier one.
 
     Attributes:
         time: Time of the trip.

@@ -34,6 +34,7 @@ from adaptdrive.operation.pace import BrokerBackoff, LogRation, Pace
 from adaptdrive.operation.profile import Profile
 from adaptdrive.operation.session import BrokerSession
 from adaptdrive.operation.topics import Topics
+from adaptdrive.operation.trip_memory import TripMemory
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Severity
 from adaptdrive.runtime.requests import Host
@@ -96,7 +97,8 @@ class MqttService:
         path = surroundings.directory / f"{drive}.operation.sqlite3"
         self._journal = Journal(path, surroundings.start_thread)
         self._memory = ReplyMemory(self._journal, surroundings.wall, surroundings.monotonic)
-        self._board = StateBoard(surroundings.wall, profile)
+        self._trips = TripMemory(self._journal)
+        self._board = StateBoard(surroundings.wall, profile, self._trips)
         self._outbox = Outbox(self._journal, surroundings.wall)
         history = History(surroundings.monotonic)
         self._intake = Intake(
@@ -147,10 +149,14 @@ class MqttService:
         """Recall what an earlier run left, unless it is known, and write what this one holds."""
         if not known:
             replies, events = await self._memory.load(), await self._outbox.load()
-            if replies or events:
-                self._report_journal(f"{replies} replies and {events} events cannot be read")
+            trips = await self._trips.load()
+            self._board.show_recalled()
+            if replies or events or trips:
+                unread = f"{replies} replies, {events} events and {trips} trips cannot be read"
+                self._report_journal(unread)
         self._memory.rewrite()
         self._outbox.rewrite()
+        self._trips.rewrite()
 
     def _report_journal(self, problem: str) -> None:
         self._intake.report(
