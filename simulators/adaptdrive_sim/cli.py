@@ -213,7 +213,20 @@ def battery(*, settings: VirtualSettings | None = None) -> None:
     _run_virtual("battery", settings)
 
 
-def _run_virtual(load: Literal["bath", "battery"], settings: VirtualSettings | None) -> NoReturn:
+@demo.command
+def braking(*, settings: VirtualSettings | None = None) -> None:
+    """Watch a bidirectional drive brake a motor and feed its energy back to the line.
+
+    The daemon's controller, with the settings of motor-bidirectional.toml, runs against the
+    simulated motor in virtual time: one process, no bus. The status is 0 when control worked and 1
+    when it failed.
+    """
+    _run_virtual("braking", settings)
+
+
+def _run_virtual(
+    load: Literal["bath", "battery", "braking"], settings: VirtualSettings | None
+) -> NoReturn:
     from adaptdrive_sim.demo.virtual import run_virtual  # noqa: PLC0415
 
     sys.exit(run_virtual(replace(settings or VirtualSettings(), load=load)))

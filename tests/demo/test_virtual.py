@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,6 +13,7 @@ import pytest
 from rich.console import Console
 
 from adaptdrive.errors import RefusedError
+from adaptdrive_sim.demo.braking_story import BrakingStory
 from adaptdrive_sim.demo.settings import VirtualSettings
 from adaptdrive_sim.demo.story import Story
 from adaptdrive_sim.demo.subject import Subject
@@ -22,7 +24,7 @@ from adaptdrive_sim.demo.virtual import (
     summarise,
 )
 
-Load = Literal["bath", "battery"]
+Load = Literal["bath", "battery", "braking"]
 
 
 def told(load: Load, duration_s: float, until: Callable[[Story], bool] | None = None) -> Story:
@@ -76,6 +78,23 @@ def test_the_battery_is_complete_in_the_end_and_says_so() -> None:
     assert "full" in story.play.record.caption
 
 
+def test_braking_returns_the_energy_that_the_motor_gives() -> None:
+    story = build_story(VirtualSettings("braking"))
+    assert isinstance(story, BrakingStory)
+    teller, taken_J, before_J = Teller(story), 0.0, math.nan
+    while teller.time_s < 100.0:
+        teller.tick()
+        taken_J += max(0.0, -story.play.drive.world.boost.mean_load_W) / 120.0
+        if teller.time_s < 59.0:
+            before_J = story.returned_J
+    assert before_J == 0.0
+    summary = story.summary()
+    assert summary["lowest_load_W"] < -50.0
+    assert -0.05 <= summary["lowest_scale_S"] < 0.0
+    # The capacitor itself gives 0.5 C (400² - 200²) V² = 60 J of what the line gets.
+    assert 0.8 * taken_J < summary["returned_J"] < taken_J + 60.0 + 20.0
+
+
 def run(*words: str) -> tuple[int, dict[str, Any], str]:
     command = [sys.executable, "-m", "adaptdrive_sim", "demo", *words, "--headless"]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=110, check=False)
@@ -83,7 +102,7 @@ def run(*words: str) -> tuple[int, dict[str, Any], str]:
     return ended.returncode, json.loads(lines[0]) if lines else {}, ended.stderr
 
 
-@pytest.mark.parametrize("load", ["bath", "battery"])
+@pytest.mark.parametrize("load", ["bath", "battery", "braking"])
 def test_headless_it_prints_one_line_of_json(load: str) -> None:
     status, summary, problem = run(load, "--duration=120", "--speed=100000")
     assert status == 0, (summary, problem)

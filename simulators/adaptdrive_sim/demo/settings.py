@@ -87,7 +87,7 @@ class DemoSettings:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
 class VirtualSettings:
-    """The options of `adaptdrive-sim demo bath` and `battery`.
+    """The options of `adaptdrive-sim demo bath`, `battery` and `braking`.
 
     Attributes:
         load: What is controlled.
@@ -97,11 +97,11 @@ class VirtualSettings:
         headless: Show nothing; print one line of JSON at the end.
         mode: Controller to ask for; alternate shows both in turn, the others ask once.
         noise: Standard deviation of each sample, in kelvin or ampere; 0.05 K for a bath and
-            0.02 A for a battery when left out.
+            0.02 A for a battery when left out (0.4 mV for `braking`).
         seed: Seed of the noise.
     """
 
-    load: Annotated[Literal["bath", "battery"], Parameter(parse=False)] = "bath"
+    load: Annotated[Literal["bath", "battery", "braking"], Parameter(parse=False)] = "bath"
     speed: float = 60.0
     duration_s: Annotated[float | None, Parameter(name="--duration")] = None
     headless: Annotated[bool, Parameter(negative=())] = False

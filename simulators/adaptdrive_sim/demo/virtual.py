@@ -17,6 +17,7 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.runtime.requests import Enable
 from adaptdrive_sim.demo.bath_story import BathStory
 from adaptdrive_sim.demo.battery_story import BatteryStory
+from adaptdrive_sim.demo.braking_story import BrakingStory
 from adaptdrive_sim.demo.settings import VirtualSettings
 from adaptdrive_sim.demo.stage import end_on_signals
 from adaptdrive_sim.demo.story import Scene, Story
@@ -26,13 +27,16 @@ from adaptdrive_sim.demo.view import ViewContext, screen
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.noise import NoiseParameters
+from adaptdrive_sim.plants.boost import BoostParameters
 from adaptdrive_sim.world import WorldParameters
 
-_STORIES: dict[str, type[BathStory | BatteryStory]] = {
+_STORIES: dict[str, type[BathStory | BatteryStory | BrakingStory]] = {
     "bath": BathStory,
     "battery": BatteryStory,
+    "braking": BrakingStory,
 }
-_NOISE = {"bath": 0.05, "battery": 0.02}
+_FILES = {"bath": "bath", "battery": "battery", "braking": "motor-bidirectional"}
+_NOISE = {"bath": 0.05, "battery": 0.02, "braking": 0.0004}
 _SLICE_s = 0.02
 _BREAK_s = 0.005
 _REFRESH_s = 0.25
@@ -64,12 +68,16 @@ def run_virtual(settings: VirtualSettings) -> int:
 
 def build_story(settings: VirtualSettings) -> Story:
     """The controller of the packaged configuration, in front of the load's simulated plant."""
-    source = f"{settings.load}.toml"
+    source = f"{_FILES[settings.load]}.toml"
     configuration = validate_configuration(example_tables(source), FOLDER / source)
     noise = _NOISE[settings.load] if settings.noise is None else settings.noise
     parameters = WorldParameters(
         line=LineParameters(
             frequency_Hz=configuration.drive.line_frequency_Hz, drift_Hz=_LINE_DRIFT_Hz
+        ),
+        boost=BoostParameters(
+            capacitance_F=configuration.drive.boost_capacitance_F,
+            bidirectional=configuration.drive.kind == "bidirectional",
         ),
         noise=NoiseParameters(sigma=noise),
         seed=settings.seed,
@@ -159,7 +167,7 @@ class Teller:
 async def _show(settings: VirtualSettings, story: Story) -> None:
     foot = (
         f"virtual time, {settings.speed:g} times real time: no bus, no broker   Ctrl-C ends",
-        f"the controller and settings of {story.name}.toml, against the simulated {story.name}",
+        f"the controller and settings of {_FILES[story.name]}.toml, against a simulated load",
     )
     around = ViewContext(
         bus="",
@@ -217,6 +225,13 @@ def _problems(story: Story) -> Iterator[str]:
 def _lines(found: dict[str, Any]) -> Iterator[str]:
     verdict = "control worked" if found["ok"] else "control failed"
     yield f"{found['demo']} demo: {verdict} for {found['duration_s']:.0f} s of virtual time"
-    for name in ("state", "overshoot", "complete", "charge", "terminal_voltage_max_V"):
+    for name in (
+        "state",
+        "overshoot",
+        "complete",
+        "charge",
+        "terminal_voltage_max_V",
+        "returned_J",
+    ):
         if name in found:
             yield f"  {name.replace('_', ' '):<24} {found[name]}"

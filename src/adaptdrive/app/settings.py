@@ -115,7 +115,7 @@ def _power_stage(configuration: Configuration) -> PowerStage:
     return PowerStage(
         capacitance_F=drive.boost_capacitance_F,
         line_voltage_min_V=_LOWEST_LINE * drive.line_voltage_V,
-        current_scale_min_S=_lowest_scale(configuration),
+        current_scale_min_S=configuration.drive.current_scale_min_S,
         current_scale_max_S=drive.limits.current_scale_max_S,
         boost_reference_min_V=drive.limits.boost_reference_min_V,
         boost_reference_max_V=drive.limits.boost_reference_max_V,
@@ -124,11 +124,6 @@ def _power_stage(configuration: Configuration) -> PowerStage:
         holds_voltage=loop.where == "drive",
         boost_needs_bridge=drive.enable_bit == "bridge-and-boost",
     )
-
-
-def _lowest_scale(configuration: Configuration) -> float:
-    drive = configuration.drive
-    return -drive.limits.current_scale_max_S if drive.kind == "bidirectional" else 0.0
 
 
 def _learning(configuration: Configuration) -> Learning:
@@ -246,7 +241,7 @@ def _fast_loop(configuration: Configuration) -> FastLoopSettings:
         limits=trip_limits(configuration),
         watches=watches(configuration),
         command=CommandLimits(
-            current_scale_min_S=_lowest_scale(configuration),
+            current_scale_min_S=configuration.drive.current_scale_min_S,
             current_scale_max_S=limits.current_scale_max_S,
             current_scale_slew_S=limits.current_scale_slew_S,
             boost_reference_max_V=limits.boost_reference_max_V,

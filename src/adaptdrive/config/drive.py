@@ -22,6 +22,12 @@ class DriveLimits(Section):
     current_scale_max_S: PositiveFloat = Field(
         default=0.15, description="largest line-current scale k (line current over line voltage)"
     )
+    regeneration_scale_max_S: PositiveFloat | None = Field(
+        default=None,
+        description="largest scale of the line current that a bidirectional drive feeds back: "
+        "times the line voltage squared, the power that the line takes; current_scale_max_S when "
+        "left out",
+    )
     current_scale_slew_S: PositiveFloat = Field(
         default=0.15, description="largest change of k from one tick to the next"
     )
@@ -65,6 +71,14 @@ class DriveSection(Section):
     )
     limits: DriveLimits = Field(default_factory=DriveLimits)
 
+    @property
+    def current_scale_min_S(self) -> float:
+        """Lowest line-current scale: 0, or negative for a bidirectional drive."""
+        if self.kind == "unidirectional":
+            return 0.0
+        limits = self.limits
+        return -(limits.regeneration_scale_max_S or limits.current_scale_max_S)
+
     @field_validator("name")
     @classmethod
     def _is_no_user(cls, name: str) -> str:
@@ -74,6 +88,12 @@ class DriveSection(Section):
                 "choose another name"
             )
         return name
+
+    @model_validator(mode="after")
+    def _regenerates(self) -> Self:
+        if self.kind == "unidirectional" and self.limits.regeneration_scale_max_S is not None:
+            raise ValueError("limits.regeneration_scale_max_S needs kind = 'bidirectional'")
+        return self
 
     @model_validator(mode="after")
     def _above_line_peak(self) -> Self:

@@ -30,10 +30,10 @@ NO_DEMANDS = Demands()
 
 def demands_of(configuration: Configuration) -> Demands:
     """Return what the limits of a configuration ask of its signals."""
-    limits, scale_S = configuration.drive.limits, 0.0
+    limits, lowest_S, scale_S = configuration.drive.limits, 0.0, 0.0
     if configuration.voltage_loop.where == "daemon":
-        scale_S = configuration.drive.limits.current_scale_max_S
-    lowest_S = -scale_S if configuration.drive.kind == "bidirectional" else 0.0
+        scale_S = limits.current_scale_max_S
+        lowest_S = configuration.drive.current_scale_min_S
     return Demands(
         output_unit=configuration.load.output_unit,
         commands=(

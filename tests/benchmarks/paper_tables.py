@@ -1,0 +1,184 @@
+"""The tables of the paper's motor experiment in README and docs/control.md.
+
+`python -m tests.benchmarks.paper_tables [FIRST_SEED]` runs every controller with twenty seeds from
+the first one on, and writes the tables between their marks in the pages, with seeds and date.
+Nothing in the controller was tuned on the default seeds.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import re
+import statistics
+import sys
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from adaptdrive_sim.experiments.case import Design, Disturbance, Variant
+from adaptdrive_sim.experiments.metrics import Cycle, convergence_cycles, cycles
+from adaptdrive_sim.experiments.motor import DROPPED
+from tests.experiments.cases import make_case
+from tests.experiments.compiled_case import run_case_compiled
+
+ROOT = Path(__file__).parents[2]
+SEEDS = 20
+FIRST_SEED = 81_000
+LAST_CYCLES = (4, 7, 10)
+
+NOISES = {
+    "none": Disturbance(0.0),
+    "0.2 %": Disturbance(0.002),
+    "0.2 %, spikes": Disturbance(0.002, 0.02, 0.1),
+    "0.5 %": Disturbance(0.005),
+    "1 %": Disturbance(0.01),
+    "2 %": Disturbance(0.02),
+    "5 %": Disturbance(0.05),
+}
+CONTROLLERS: dict[str, tuple[Design, Variant]] = {
+    "paper's design, fixed": ("paper", "fixed"),
+    "paper's design, adaptive": ("paper", "adaptive"),
+    "paper's design, direct RLS": ("paper", "direct_rls"),
+    "exact design, fixed": ("exact", "fixed"),
+    "exact design, adaptive": ("exact", "adaptive"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """One run.
+
+    Attributes:
+        cycles: Every reference cycle.
+        converged: Cycles until the estimates are right, for each disk; None for never.
+    """
+
+    cycles: list[Cycle]
+    converged: list[float | None]
+
+
+@cache
+def run(controller: str, noise: str, seed: int) -> Found:
+    """Run one controller once."""
+    design, variant = CONTROLLERS[controller]
+    record = run_case_compiled(make_case(DROPPED, variant, design, NOISES[noise], seed))
+    converged = [convergence_cycles(DROPPED, record, one) for one in DROPPED.changes]
+    return Found(cycles(DROPPED, design, record), converged)
+
+
+def runs(controller: str, noise: str, first: int) -> list[Found]:
+    """Run one controller with every seed; once where there is no noise."""
+    count = 1 if noise == "none" else SEEDS
+    return [run(controller, noise, seed) for seed in range(first, first + count)]
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """Return a Markdown table."""
+    lines = [list(head), *map(list, rows)]
+    lines.insert(1, ["---"] * len(lines[0]))
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def spread(values: list[float], form: str) -> str:
+    """Return median and worst of some values."""
+    if len(values) == 1:
+        return form.format(values[0])
+    return f"{form.format(statistics.median(values))} ({form.format(max(values))})"
+
+
+def model_errors(first: int, cycle: int) -> str:
+    """Model error of every controller in one cycle, as fractions of the step."""
+    rows = [
+        [name, *(_error(name, noise, first, cycle) for noise in NOISES)] for name in CONTROLLERS
+    ]
+    return table(["noise", *NOISES], rows)
+
+
+def _error(controller: str, noise: str, first: int, cycle: int) -> str:
+    found = runs(controller, noise, first)
+    return spread([one.cycles[cycle].model_error_rms for one in found], "{:.3f}")
+
+
+def overshoots(first: int) -> str:
+    """Overshoot of every controller in the last cycle with each number of disks, in percent."""
+    noises = ("0.2 %", "0.2 %, spikes", "2 %")
+    rows = [[name, *(_overshoot(name, one, first) for one in noises)] for name in CONTROLLERS]
+    return table(["noise", *noises], rows)
+
+
+def _overshoot(controller: str, noise: str, first: int) -> str:
+    found = runs(controller, noise, first)
+    shares = [[100.0 * one.cycles[i].overshoot for one in found] for i in LAST_CYCLES]
+    return ", ".join(spread(values, "{:.1f}") for values in shares)
+
+
+def convergence(first: int) -> str:
+    """Cycles until the estimates are within 5 %, after the second and after the third disk."""
+    noises = ("none", "0.2 %", "0.5 %", "1 %", "2 %")
+    names = ("paper's design, adaptive", "exact design, adaptive")
+    rows = [[name, *(_converged(name, one, first) for one in noises)] for name in names]
+    return table(["noise", *noises], rows)
+
+
+def _converged(controller: str, noise: str, first: int) -> str:
+    found = runs(controller, noise, first)
+    return "; ".join(_when([one.converged[disk] for one in found]) for disk in (0, 1))
+
+
+def _when(found: list[float | None]) -> str:
+    known = [one for one in found if one is not None]
+    if len(found) == 1 and known:
+        return f"{known[0]:.2f}"
+    values = sorted(known) + [float("inf")] * (len(found) - len(known))
+    text = f"{statistics.median(values):.2f} ({values[-1]:.2f})".replace("inf", "never")
+    return text if len(known) == len(found) else f"{text}, {len(found) - len(known)} never"
+
+
+def readme(first: int) -> str:
+    """The README's table: the last cycle with three disks, in percent of the step."""
+    names = [name for name in CONTROLLERS if "direct" not in name]
+    rows = [
+        [noise, *(_percent(name, noise, first) for name in names)]
+        for noise in ("none", "0.2 %", "0.2 %, spikes", "2 %", "5 %")
+    ]
+    return table(["noise of each sample, % of the step", *names], rows)
+
+
+def _percent(controller: str, noise: str, first: int) -> str:
+    found = runs(controller, noise, first)
+    return spread([100.0 * one.cycles[LAST_CYCLES[-1]].model_error_rms for one in found], "{:.1f}")
+
+
+def tables(first: int) -> Iterator[tuple[str, str]]:
+    """Every table by the name of its mark."""
+    yield "three-disks", model_errors(first, LAST_CYCLES[2])
+    yield "two-disks", model_errors(first, LAST_CYCLES[1])
+    yield "one-disk", model_errors(first, LAST_CYCLES[0])
+    yield "overshoot", overshoots(first)
+    yield "convergence", convergence(first)
+    yield "readme", readme(first)
+
+
+def write(page: Path, name: str, text: str) -> None:
+    """Put a table between its marks in a page, where it has them."""
+    old = page.read_text(encoding="utf-8")
+    pattern = rf"(<!-- {name} -->\n).*?(\n<!-- /{name} -->)"
+    new = re.sub(pattern, lambda found: f"{found[1]}{text}{found[2]}", old, flags=re.DOTALL)
+    page.write_text(new, encoding="utf-8")
+
+
+def main(words: list[str]) -> None:
+    """Write every table, and print it."""
+    first = int(words[0]) if words else FIRST_SEED
+    today = dt.datetime.now(tz=dt.UTC).date().isoformat()
+    note = f"\n\nSeeds {first} to {first + SEEDS - 1}, {today}."
+    for name, text in tables(first):
+        for page in (ROOT / "README.md", ROOT / "docs" / "control.md"):
+            write(page, name, text + note)
+        sys.stdout.write(f"{name}\n{text}{note}\n\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
