@@ -16,11 +16,12 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
+from adaptdrive.pure import build_name
 from tests.benchmarks.rows import Extent, Row, table, write_json
 
 PARTS = (
-    *("compute", "experiment", "campaign", "lateness", "turnaround", "load", "daemons", "stop"),
-    *("kills", "page_storm"),
+    *("compute", "experiment", "campaign", "lateness", "turnaround", "load"),
+    *("daemon", "daemons", "stop", "kills", "page_storm", "builds", "equality"),
 )
 RESULT = Path("build/bench.json")
 
@@ -44,6 +45,7 @@ def main() -> int:
         "cpus": os.cpu_count(),
         "load_before": os.getloadavg()[0],
         "quick": options.quick,
+        "build": build_name(),
     }
     extent = Extent(options.quick, options.minutes)
     began_s = time.monotonic()

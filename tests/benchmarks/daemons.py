@@ -1,10 +1,9 @@
-"""What a daemon costs: CPU, memory, its start, and how many of them two cores hold."""
+"""How many daemons two cores hold, and what each of them costs there."""
 
 from __future__ import annotations
 
 import json
 import os
-import select
 import subprocess
 import sys
 import time
@@ -16,18 +15,11 @@ from tempfile import TemporaryDirectory
 
 from tests.benchmarks.rows import Extent, Row
 from tests.benchmarks.site import Running, await_broker, broker, enable, runs, start_daemon
-from tests.benchmarks.tools import (
-    PRIORITY,
-    bus_ports,
-    bus_socket,
-    cpu_s,
-    is_command,
-    process,
-)
+from tests.benchmarks.tools import PRIORITY, bus_ports, cpu_s, process
 from tests.support import children, resident_MiB
 
 WANTED = 16
-COUNTS = (1, 8, 16, 24)
+COUNTS = (8, 16, 24)
 
 
 @dataclass(frozen=True)
@@ -51,18 +43,11 @@ class Census:
 
 def rows(extent: Extent) -> Iterator[Row]:
     """All rows of this file."""
-    yield _start()
     seconds = 10.0 if extent.quick else 15.0
     counts = COUNTS[:-1] if extent.quick else COUNTS
     held = 0
     for count in counts:
-        census = measure(count, seconds, recording=count == 1)
-        if count == 1:
-            yield from _one(census)
-            awake = measure(1, seconds, recording=True, changes={"realtime.cpu_latency_us": "0"})
-            share = awake.cpu_share
-            name, target = "CPU share of a daemon, cpu_latency_us = 0", "at most 4 %"
-            yield Row(name, share, "%", target=target, met=share <= 4.0)
+        census = measure(count, seconds, recording=False)
         note = f"{census.missed} missed or stand-in ticks in {seconds:.0f} s"
         note += f"; {census.late} half cycles were played late"
         yield Row(f"CPU share of each of {count} daemons", census.cpu_share, "%", note=note)
@@ -74,42 +59,6 @@ def rows(extent: Extent) -> Iterator[Row]:
     yield Row(
         "daemons at 120 Hz without a missed tick", held, "", target=target, met=met, note=note
     )
-
-
-def _one(census: Census) -> Iterator[Row]:
-    share, resident, recorder = census.cpu_share, census.resident, census.recorder
-    yield Row("CPU share of a daemon", share, "%", target="at most 4 %", met=share <= 4.0)
-    note = "memory locked as it is touched"
-    met = resident <= 80.0
-    yield Row("resident memory of a daemon", resident, "MiB", None, "", "at most 80", met, note)
-    met = recorder <= 120.0
-    yield Row("resident memory of its recorder", recorder, "MiB", None, "", "at most 120", met)
-
-
-def _start() -> Row:
-    """From the start of the process to its first command on the bus."""
-    times = []
-    with TemporaryDirectory() as name, ExitStack() as stack:
-        folder = Path(name)
-        _, port = stack.enter_context(broker(folder))
-        for number in range(3):
-            with ExitStack() as one:
-                began_s = time.monotonic()
-                (bus_port,) = bus_ports(1)
-                running = start_daemon(one, folder / str(number), bus_port, port, {})
-                bus = one.enter_context(bus_socket(running.bus_port))
-                _await_command(bus.fileno(), began_s + 30.0)
-                while not is_command(bus.recv(512)):
-                    pass
-                times.append(time.monotonic() - began_s)
-    median = sorted(times)[1]
-    name = "start of the process to first command on the bus"
-    return Row(name, median, "s", target="at most 1.5 s", met=median <= 1.5)
-
-
-def _await_command(fileno: int, deadline_s: float) -> None:
-    if not select.select([fileno], [], [], deadline_s - time.monotonic())[0]:
-        raise RuntimeError("no command on the bus")
 
 
 def measure(

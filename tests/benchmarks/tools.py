@@ -21,7 +21,8 @@ ROOT = Path(__file__).parents[2]
 GROUP = "239.74.163.2"
 COMMAND_ID = 0x080
 PRIORITY = 50
-BUSY = {**os.environ, "PYTHONPATH": f"{ROOT}/src:{ROOT}/simulators:{ROOT}"}
+PATHS = (os.environ.get("PYTHONPATH", ""), f"{ROOT}/src", f"{ROOT}/simulators", str(ROOT))
+BUSY = {**os.environ, "PYTHONPATH": ":".join(filter(None, PATHS))}
 
 
 def packed_frames(count: int) -> list[tuple[bytes, bytes]]:

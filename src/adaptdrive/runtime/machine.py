@@ -55,7 +55,7 @@ class Machine:
     @property
     def energised(self) -> bool:
         """True if the drive may be energised."""
-        return self.state in (State.STARTING, State.RUNNING)
+        return self.state in _ENERGISED
 
     @property
     def coasting(self) -> bool:
@@ -326,6 +326,7 @@ class Machine:
             raise RefusedError(f"{what} needs mode fixed or adaptive; mode is manual")
 
 
+_ENERGISED = (State.STARTING, State.RUNNING)
 _STAGES = {
     State.STANDBY: Stage.OFF,
     State.STARTING: Stage.PRECHARGE,

@@ -65,14 +65,16 @@ class ArrivalClock:
         if abs(offset_s - self._offset_s) > _STEP_S:
             self._former.append((self._offset_s, now_s))
         self._offset_s = offset_s
-        waits_s = [now_s - (frame.timestamp - one_s) for one_s in self._offsets_s()]
-        possible_s = [wait_s for wait_s in waits_s if wait_s > -_STEP_S]
-        return min(max(min(possible_s, default=0.0), 0.0), now_s - self._empty_s)
+        wait_s = now_s - (frame.timestamp - offset_s)
+        if self._former:
+            wait_s = self._shortest_s(wait_s, frame.timestamp, now_s)
+        return min(max(wait_s, 0.0), now_s - self._empty_s)
 
-    def _offsets_s(self) -> list[float]:
-        """Return the offsets with which a frame of this queue may have been stamped."""
+    def _shortest_s(self, wait_s: float, timestamp_s: float, now_s: float) -> float:
+        """Return the shortest wait that is possible with the offsets since the queue was empty."""
         former = [offset_s for offset_s, until_s in self._former if until_s >= self._empty_s]
-        return [self._offset_s, *former]
+        waits_s = [wait_s, *(now_s - (timestamp_s - offset_s) for offset_s in former)]
+        return min((one_s for one_s in waits_s if one_s > -_STEP_S), default=0.0)
 
     def _look(self) -> tuple[float, float]:
         """Return the monotonic time, and how far the wall clock is ahead of it."""

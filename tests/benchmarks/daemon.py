@@ -1,0 +1,66 @@
+"""What one daemon costs: CPU, memory and its start."""
+
+from __future__ import annotations
+
+import select
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from tests.benchmarks.daemons import measure
+from tests.benchmarks.rows import Extent, Row
+from tests.benchmarks.site import broker, start_daemon
+from tests.benchmarks.tools import bus_ports, bus_socket, is_command
+
+START_S, SLEEPING_PERCENT, AWAKE_PERCENT = 0.6, 4.0, 2.5
+
+
+def rows(extent: Extent) -> Iterator[Row]:
+    """All rows of this file."""
+    yield _start()
+    seconds = 10.0 if extent.quick else 30.0
+    yield from _asleep(seconds)
+    changes = {"realtime.cpu_latency_us": "0"}
+    share = measure(1, seconds, recording=True, changes=changes).cpu_share
+    name, target = "CPU share of a daemon, cpu_latency_us = 0", f"at most {AWAKE_PERCENT:g} %"
+    yield Row(name, share, "%", target=target, met=share <= AWAKE_PERCENT)
+
+
+def _asleep(seconds: float) -> Iterator[Row]:
+    census = measure(1, seconds, recording=True)
+    share, resident, recorder = census.cpu_share, census.resident, census.recorder
+    target = f"at most {SLEEPING_PERCENT:g} %"
+    yield Row("CPU share of a daemon", share, "%", target=target, met=share <= SLEEPING_PERCENT)
+    note = "memory locked as it is touched"
+    met = resident <= 80.0
+    yield Row("resident memory of a daemon", resident, "MiB", None, "", "at most 80", met, note)
+    met = recorder <= 120.0
+    yield Row("resident memory of its recorder", recorder, "MiB", None, "", "at most 120", met)
+
+
+def _start() -> Row:
+    """From the start of the process to its first command on the bus."""
+    times = []
+    with TemporaryDirectory() as name, ExitStack() as stack:
+        folder = Path(name)
+        _, port = stack.enter_context(broker(folder))
+        for number in range(3):
+            with ExitStack() as one:
+                began_s = time.monotonic()
+                (bus_port,) = bus_ports(1)
+                running = start_daemon(one, folder / str(number), bus_port, port, {})
+                bus = one.enter_context(bus_socket(running.bus_port))
+                _await_command(bus.fileno(), began_s + 30.0)
+                while not is_command(bus.recv(512)):
+                    pass
+                times.append(time.monotonic() - began_s)
+    median = sorted(times)[1]
+    name = "start of the process to first command on the bus"
+    return Row(name, median, "s", target=f"at most {START_S:g} s", met=median <= START_S)
+
+
+def _await_command(fileno: int, deadline_s: float) -> None:
+    if not select.select([fileno], [], [], deadline_s - time.monotonic())[0]:
+        raise RuntimeError("no command on the bus")
