@@ -20,7 +20,7 @@ from adaptdrive.pure import build_name
 from tests.benchmarks.rows import Extent, Row, table, write_json
 
 PARTS = (
-    *("compute", "experiment", "campaign", "lateness", "turnaround", "load"),
+    *("compute", "path", "experiment", "campaign", "lateness", "turnaround", "load"),
     *("daemon", "daemons", "stop", "kills", "page_storm", "builds", "equality"),
 )
 RESULT = Path("build/bench.json")
