@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptdrive.commission.experiment import LoadExperiment
+from adaptdrive.commission.phases import Phase
 from adaptdrive.commission.target import Target, build_target
 from adaptdrive.config.root import Configuration
 from adaptdrive.recording.what_if import reconfigured
@@ -70,6 +70,17 @@ class Draw:
         if isinstance(self.load, Motor):
             one, two = model["tau_motor_s"], model["tau_filter_s"]
             return {"gain": model["gain"], "tau_sum_s": one + two, "tau_product_s2": one * two}
+        model.pop("heater_W_per_V2", None)
+        return model
+
+    @property
+    def model(self) -> dict[str, float]:
+        """The load as `[load.model]` describes it."""
+        if isinstance(self.load, Battery):
+            own = self.load.parameters
+            names = ("relaxation_Ohm", "relaxation_s")
+            return {"internal_Ohm": own.series_Ohm, **{one: getattr(own, one) for one in names}}
+        model = self.load.model(self.ratio, self.droop_Ohm)
         model.pop("heater_W_per_V2", None)
         return model
 
@@ -154,7 +165,7 @@ class Rig:
         self.draw = draw
         self.time_s = 0.0
         self.voltage_V = self.slewed_V = 170.0
-        self.highest = 0.0
+        self.rest = self.highest = self.lowest = math.nan
         top = draw.configuration.load.reference_max
         self._noise = NOISE_SHARE * top
         self._quantum = 1.25 * top / 2**BITS
@@ -170,6 +181,18 @@ class Rig:
         output = round(noisy / self._quantum) * self._quantum
         return self.time_s, self.voltage_V, output
 
+    def begin(self) -> None:
+        """Note the rest from which the true output moves."""
+        self.rest = self.highest = self.lowest = self.draw.load.output
+
+    @property
+    def movement(self) -> tuple[float, float]:
+        """Largest fall and rise of the true output, in movements; 0 before it has begun."""
+        if math.isnan(self.rest):
+            return 0.0, 0.0
+        move = self.draw.target.move
+        return (self.lowest - self.rest) / move, (self.highest - self.rest) / move
+
     def _step(self, wanted_V: float, step_s: float) -> None:
         draw, way_V = self.draw, SLEW_V_PER_S * step_s
         self.slewed_V += min(max(wanted_V - self.slewed_V, -way_V), way_V)
@@ -181,23 +204,16 @@ class Rig:
             draw.load.coast(step_s)
         self.time_s += step_s
         self.highest = max(self.highest, draw.load.output)
+        self.lowest = min(self.lowest, draw.load.output)
         self._late = [*self._late[1:], draw.load.output]
-
-
-def experiment(draw: Draw, random: Random) -> tuple[LoadExperiment, Rig]:
-    """Run an experiment to its end, or to its error."""
-    rig, found = Rig(draw, random), LoadExperiment(draw.target)
-    finish(found, rig)
-    return found, rig
 
 
 def finish(found: LoadExperiment, rig: Rig) -> None:
     """Feed an experiment until it is complete."""
-    voltage_V = rig.draw.configuration.drive.limits.boost_reference_min_V
+    limits = rig.draw.configuration.drive.limits
+    voltage_V = limits.boost_reference_min_V
     while not found.done:
         voltage_V = found.take(*rig.sample(voltage_V))
-
-
-def arrays(found: LoadExperiment) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Boost voltages and outputs."""
-    return np.array(found.record.voltages_V), np.array(found.record.outputs)
+        assert limits.boost_reference_min_V <= voltage_V <= limits.boost_reference_max_V
+        if math.isnan(rig.rest) and found.phase is Phase.CLIMB:
+            rig.begin()

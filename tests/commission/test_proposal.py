@@ -10,6 +10,7 @@ import pytest
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.commission.evaluate import evaluate
+from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.prediction import Prediction, predict, rest_voltage
 from adaptdrive.commission.proposal import Proposal, propose
 from adaptdrive.control.design import compensator_gains, discrete_model
@@ -20,7 +21,7 @@ from adaptdrive_sim.experiments.examples import FOLDER
 from adaptdrive_sim.plants.coupling import CouplingParameters
 from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World, WorldParameters
-from tests.commission.draws import KINDS, Draw, experiment
+from tests.commission.draws import KINDS, Draw, Rig, finish
 
 RAISED_V = 40.0
 """Distance from the lowest V_c: a torque takes the rest below what the model reaches."""
@@ -31,7 +32,8 @@ def proposed(kind: str, seed: int) -> tuple[Draw, Proposal, Prediction, float]:
     """A draw, what commissioning proposes for it, what it predicts, and the voltage before."""
     random = np.random.default_rng([seed, 15])
     draw = KINDS[kind](random)
-    found, _ = experiment(draw, random)
+    found = LoadExperiment(draw.target)
+    finish(found, Rig(draw, random))
     assert found.outcome is not None
     load = build_load(draw.configuration)
     identified = evaluate(found, load)

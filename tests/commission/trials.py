@@ -8,8 +8,10 @@ import numpy as np
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.commission.evaluate import evaluate
+from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.errors import AdaptdriveError
-from tests.commission.draws import KINDS, experiment
+from tests.commission.draws import KINDS, Rig, finish
+from tests.commission.loops import Loop, loop_around
 
 CLOSE = 0.05
 SIGMAS = 3.0
@@ -25,15 +27,19 @@ class Trial:
         refusal: Why it ended early; empty where it did not.
         errors: Relative error of each parameter.
         sigmas: The same in its own standard deviations.
-        peak: Largest movement of the true output from rest, over the movement asked for.
+        fall: Largest fall of the true output below rest, over the movement asked for.
+        peak: Largest rise, likewise.
         duration_s: Length of the experiment.
+        loop: The proposed loop around the true load; None without one.
     """
 
     refusal: str
     errors: dict[str, float]
     sigmas: dict[str, float]
+    fall: float
     peak: float
     duration_s: float
+    loop: Loop | None
 
     @property
     def right(self) -> bool:
@@ -48,16 +54,15 @@ def trial(kind: str, seed: int) -> Trial:
     random = np.random.default_rng([seed, 15])
     draw = KINDS[kind](random)
     truth = draw.truth
+    found, rig = LoadExperiment(draw.target), Rig(draw, random)
+    refusal, errors, sigmas, loop = "", {}, {}, None
     try:
-        found, rig = experiment(draw, random)
-        parameters = evaluate(found, build_load(draw.configuration)).parameters
+        finish(found, rig)
+        identified = evaluate(found, build_load(draw.configuration))
+        parameters = identified.parameters
+        errors = {name: one.value / truth[name] - 1.0 for name, one in parameters.items()}
+        sigmas = {name: (one.value - truth[name]) / one.std for name, one in parameters.items()}
+        loop = loop_around(draw, identified)
     except AdaptdriveError as problem:
-        return Trial(str(problem), {}, {}, 0.0, 0.0)
-    assert found.outcome is not None
-    return Trial(
-        refusal="",
-        errors={name: one.value / truth[name] - 1.0 for name, one in parameters.items()},
-        sigmas={name: (one.value - truth[name]) / one.std for name, one in parameters.items()},
-        peak=(rig.highest - found.outcome.rest) / draw.target.move,
-        duration_s=rig.time_s,
-    )
+        refusal = str(problem)
+    return Trial(refusal, errors, sigmas, *rig.movement, rig.time_s, loop)

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from adaptdrive.commission.experiment import LoadExperiment, Outcome
+from adaptdrive.commission.experiment import LoadExperiment
+from adaptdrive.commission.phases import Outcome
 from adaptdrive.commission.samples import Samples
 from adaptdrive.control.load import Load
 from adaptdrive.errors import CommissionError

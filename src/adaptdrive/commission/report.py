@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from adaptdrive.analysis import style
 from adaptdrive.analysis.figure import as_png
 from adaptdrive.analysis.session_load import NOT_WHITE
-from adaptdrive.commission.experiment import Outcome
+from adaptdrive.commission.phases import Outcome
 from adaptdrive.commission.prediction import Prediction
 from adaptdrive.commission.proposal import Proposal
 from adaptdrive.commission.sensor import SensorState

@@ -1,0 +1,121 @@
+"""The course of an experiment: its samples, the voltage that is asked for, and the limits."""
+
+from __future__ import annotations
+
+import math
+
+from adaptdrive.commission.phases import Phase, Steps
+from adaptdrive.commission.samples import Samples
+from adaptdrive.commission.target import Target
+from adaptdrive.errors import CommissionError
+
+_NOISE_DEVIATIONS = 6.0
+"""Standard deviations of a mean that noise may add to a limit: it is looked at 10,000 times."""
+
+_SMOOTH_SHARE = 0.02
+"""Length of the means that are compared with limits, as a share of the shortest wait."""
+
+_NOISE_SHARE = 0.05
+"""Time between two looks at the noise, as a share of the shortest wait."""
+
+
+class Course:
+    """What the phases of an experiment share.
+
+    Attributes:
+        target: Limits, and the movement that was asked for.
+        record: All samples.
+        phase: Where the experiment is.
+        progress: Share of the present phase, 0 to 1, where it is known.
+        voltage_V: V_c that is asked for.
+        time_s: Time of the last sample.
+    """
+
+    def __init__(self, target: Target) -> None:
+        self.target = target
+        self.record = Samples()
+        self.phase = Phase.REST
+        self.progress = 0.0
+        self.voltage_V = target.low_V
+        self.time_s = 0.0
+        self._noise = 0.0
+        self._noise_known_s = -math.inf
+
+    def append(self, time_s: float, boost_voltage_V: float, output: float) -> None:
+        """Add a sample.
+
+        Raises:
+            CommissionError: It is not finite.
+        """
+        if not (math.isfinite(boost_voltage_V) and math.isfinite(output)):
+            raise CommissionError(f"output = {output}, v_bst = {boost_voltage_V} is not finite")
+        self.time_s = time_s
+        self.record.append(time_s, boost_voltage_V, output)
+
+    def wait(self, duration_s: float) -> Steps[None]:
+        """Let time pass."""
+        until_s = self.time_s + duration_s
+        while self.time_s < until_s:
+            yield True
+            self.look_at_output()
+
+    def look_at_output(self) -> None:
+        """Make sure that the output is within its range.
+
+        Raises:
+            CommissionError: It is not.
+        """
+        target = self.target
+        output = self.recent(self.smooth_s)
+        if output > target.output_max + self.margin(0.0):
+            raise CommissionError(
+                f"{target.name} = {output:.4g} {target.unit} at V_c = {self.voltage_V:.4g} V is "
+                f"above load.reference_max = {target.output_max:g} {target.unit}"
+            )
+
+    def look_at_terminals(self, voltage_V: float, output: float) -> None:
+        """Make sure that a battery's terminals stay within their limit.
+
+        Raises:
+            CommissionError: They would not.
+        """
+        onset = self.target.onset
+        if onset is None:
+            return
+        terminal_V = onset.terminal_V(voltage_V, output)
+        if terminal_V > onset.terminal_max_V:
+            raise CommissionError(
+                f"{terminal_V:.4g} V at the terminals would be above load.charge.voltage_max_V = "
+                f"{onset.terminal_max_V:g} V: the battery is too full for the experiment"
+            )
+
+    def recent(self, duration_s: float) -> float:
+        """Return the mean output over the last time, at least of one sample."""
+        record = self.record
+        if not record.times_s:
+            return math.nan
+        mean = record.mean(self.time_s - duration_s, self.time_s)
+        return mean if math.isfinite(mean) else record.outputs[-1]
+
+    @property
+    def smooth_s(self) -> float:
+        """Length of the means that are compared with limits."""
+        return _SMOOTH_SHARE * self.target.patience_s
+
+    def margin(self, share: float) -> float:
+        """Return a share of the movement, and what noise adds to a mean over `smooth_s`."""
+        return share * self.target.move + _NOISE_DEVIATIONS * self.standard_error(self.smooth_s)
+
+    def standard_error(self, duration_s: float) -> float:
+        """Return the standard error of a mean over the last time."""
+        count = self.record.count(self.time_s - duration_s, self.time_s)
+        return self.noise / math.sqrt(max(1, count))
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the noise of one sample."""
+        record, patience_s = self.record, self.target.patience_s
+        if self.time_s >= self._noise_known_s + _NOISE_SHARE * patience_s:
+            self._noise = record.noise(self.time_s - patience_s, self.time_s)
+            self._noise_known_s = self.time_s
+        return self._noise

@@ -1,0 +1,141 @@
+"""Loads that the samples of an experiment leave credible, and how far they would move the output.
+
+Each of a grid of loads with two lags,
+
+    y = y0 + K / ((1 + T1 s)(1 + T2 s)) u,        T1 > T2,
+
+is fitted to all samples since rest by least squares in K and y0. A load is credible where its sum
+of squares exceeds the least one by no more than nine times the variance of a sample, which is three
+standard deviations of K (profile likelihood). The largest credible K of each gives the largest
+movement that V_c can cause before it is taken back.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_RATIO = 1.6
+"""Ratio of two neighbouring time constants of the grid."""
+
+_DISTINCT = 1.05
+"""Ratio of the two time constants that stand for equal ones: the closed form needs two."""
+
+_SIGMAS = 3.0
+
+
+class CredibleLoads:
+    """The loads on a grid, fitted to what the experiment has shown."""
+
+    def __init__(
+        self, shortest_s: float, longest_s: float, gain_max: float, deviation_min: float
+    ) -> None:
+        """Make the grid.
+
+        Args:
+            shortest_s: Shortest time constant.
+            longest_s: Longest time constant.
+            gain_max: Largest K that is credible before anything was measured.
+            deviation_min: Least standard deviation of a sample that is believed.
+        """
+        count = math.ceil(math.log(longest_s / shortest_s) / math.log(_RATIO)) + 1
+        taus_s = np.geomspace(shortest_s, longest_s, count)
+        slow, fast = np.tril_indices(count)
+        self._slow_s = np.where(slow == fast, _DISTINCT, 1.0) * taus_s[slow]
+        self._fast_s = taus_s[fast]
+        self._ratio = self._slow_s / (self._slow_s - self._fast_s)
+        self._gain_max = gain_max
+        self._least_variance = deviation_min * deviation_min
+        self._first = np.zeros(len(slow))
+        self._second = np.zeros(len(slow))
+        self._count = self._outputs = self._squares = 0.0
+        self._sums = np.zeros((3, len(slow)))
+        self._largest = np.full(len(slow), gain_max)
+        self._decays = (0.0, self._first, self._second)
+
+    def rest(self, count: int, deviation: float) -> None:
+        """Take samples at rest, whose mean is y = 0.
+
+        Args:
+            count: Samples.
+            deviation: Standard deviation of one.
+        """
+        self._count += count
+        self._squares += count * deviation * deviation
+
+    def take(self, duration_s: float, fed: float, outputs: Array) -> None:
+        """Take the samples of a short time.
+
+        Args:
+            duration_s: Its length.
+            fed: The load's input above that at rest.
+            outputs: Output above that at rest, a value for each sample.
+        """
+        self._first, self._second = self._after(duration_s, fed)
+        count, total, response = len(outputs), float(outputs.sum()), self._second
+        self._count += count
+        self._outputs += total
+        self._squares += float(outputs @ outputs)
+        self._sums[0] += count * response
+        self._sums[1] += count * response * response
+        self._sums[2] += total * response
+        self._largest = self._fit()
+
+    @property
+    def gain(self) -> float:
+        """Largest credible K."""
+        return float(self._largest.max())
+
+    def movement(self, fed: float, duration_s: float) -> float:
+        """Return the largest credible movement if an input acts for a time, and then none.
+
+        Args:
+            fed: The input above that at rest.
+            duration_s: The time.
+        """
+        first, second = self._after(duration_s, fed)
+        peak = np.maximum(second, self._peak(first, second))
+        return float((self._largest * np.maximum(peak, self._second)).max())
+
+    def _after(self, duration_s: float, fed: float) -> tuple[Array, Array]:
+        """Return both states after an input has acted for a time."""
+        slow, fast = self._decay(duration_s)
+        gap = self._first - fed
+        second = fed + (self._second - fed) * fast + gap * self._ratio * (slow - fast)
+        return fed + gap * slow, second
+
+    def _decay(self, duration_s: float) -> tuple[Array, Array]:
+        """Return what a time leaves of both exponentials; most times are the same."""
+        if self._decays[0] != duration_s:
+            slow, fast = np.exp(-duration_s / self._slow_s), np.exp(-duration_s / self._fast_s)
+            self._decays = (duration_s, slow, fast)
+        return self._decays[1:]
+
+    def _peak(self, first: Array, second: Array) -> Array:
+        """Return the largest second state after the input has become 0."""
+        a = first * self._ratio
+        b = second - a
+        with np.errstate(all="ignore"):
+            turning = -b * self._slow_s / (a * self._fast_s)
+            time_s = np.log(turning) / (1.0 / self._fast_s - 1.0 / self._slow_s)
+            peak = a * np.exp(-time_s / self._slow_s) + b * np.exp(-time_s / self._fast_s)
+        return np.where(np.isfinite(peak) & (first > second), peak, second)
+
+    def _fit(self) -> Array:
+        """Return the largest credible K of each load, 0 where the load is not credible."""
+        responses, squares, products = self._sums
+        spread = squares - responses * responses / self._count
+        cross = products - responses * (self._outputs / self._count)
+        total = self._squares - self._outputs * self._outputs / self._count
+        spread = np.maximum(spread, 1e-300)
+        gain = np.clip(cross / spread, 0.0, self._gain_max)
+        losses = total - 2.0 * gain * cross + gain * gain * spread
+        least = float(losses.min())
+        variance = max(least / self._count, self._least_variance)
+        slack = least + _SIGMAS * _SIGMAS * variance - losses
+        largest = gain + np.sqrt(np.maximum(slack, 0.0) / spread)
+        return np.where(slack >= 0.0, np.minimum(largest, self._gain_max), 0.0)

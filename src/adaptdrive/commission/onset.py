@@ -1,0 +1,37 @@
+"""The search for the voltage at which a battery takes a current."""
+
+from __future__ import annotations
+
+from adaptdrive.commission.course import Course
+from adaptdrive.commission.phases import Steps
+from adaptdrive.errors import CommissionError
+
+_FLOWING = 3.0
+"""Current that can be lowered again, in movements."""
+
+_WAIT_SHARE = 0.02
+"""Wait after each step, as a share of the shortest wait for a response."""
+
+
+def find_onset(course: Course) -> Steps[float]:
+    """Raise V_c until a current flows that can be lowered again, and return it.
+
+    Raises:
+        CommissionError: No current flows, or the voltage at the terminals would be too high.
+    """
+    target = course.target
+    wanted, wait_s = _FLOWING * target.move, _WAIT_SHARE * target.patience_s
+    voltage_V = target.low_V
+    yield from course.wait(target.patience_s / 4.0)
+    while course.recent(wait_s) < wanted:
+        if voltage_V >= target.high_V:
+            raise CommissionError(
+                f"no current: {target.name} = {course.recent(wait_s):.3g} {target.unit} at "
+                f"{voltage_V:.4g} V, the highest V_c"
+            )
+        voltage_V = min(voltage_V + target.onset_step_V, target.high_V)
+        course.voltage_V = voltage_V
+        course.progress = (voltage_V - target.low_V) / (target.high_V - target.low_V)
+        course.look_at_terminals(voltage_V, course.recent(wait_s))
+        yield from course.wait(wait_s)
+    return voltage_V
