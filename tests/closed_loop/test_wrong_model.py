@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
+
+import pytest
 
 from adaptdrive.lab import simulate
 from tests.hardware.bench import EXAMPLES
@@ -34,6 +36,20 @@ def test_a_load_six_times_faster_than_its_model_is_called_that() -> None:
     last = reasons(1.0 / 6.0)[-1]
     assert "times better than [load.model]: the load is 5" in last
     assert last.endswith("times faster than [load.model]; run adaptdrive commission")
+
+
+@pytest.mark.parametrize("mode", ["fixed", "adaptive"])
+def test_a_limit_cycle_on_such_a_load_ends_in_the_safe_state(mode: Literal["fixed"]) -> None:
+    plant = FirstOrderPair(1.0 / 6.0)
+    run: Any = simulate(EXAMPLES / "motor.toml", plant, 3.2, 600.0, mode)
+    assert run.fault == "limit cycle: the fixed controller drives V_c from limit to limit"
+    assert len(run.slow["reason"]) < 150
+
+
+def test_a_limit_cycle_that_the_adaptive_controller_ends_does_not_trip() -> None:
+    run: Any = simulate(EXAMPLES / "motor.toml", FirstOrderPair(0.5), 3.2, 300.0)
+    assert run.fault == ""
+    assert run.slow["controller"][-1] == "adaptive"
 
 
 def test_a_load_within_the_bounds_is_trusted_without_advice() -> None:

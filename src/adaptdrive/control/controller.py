@@ -29,11 +29,12 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.control.slow_half import slow_step
-from adaptdrive.control.slow_state import SlowSample, new_slow_state
+from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
 from adaptdrive.control.voltage_loop import initial_sum
 from adaptdrive.control.watch import Fallback
 
 _UNRESPONSIVE = "no response: input at its limit for long, and the output has not moved"
+_CYCLING = "limit cycle: the fixed controller drives V_c from limit to limit"
 
 
 class Controller:
@@ -112,7 +113,7 @@ class Controller:
             excitation=state.estimator.excitation,
             handover_step_V=state.handover_step,
             pole=snapshot.order.pole,
-            fault=_UNRESPONSIVE if state.unresponsive else "",
+            fault=_fault(state),
             complete=self._load.charging is not None and is_complete(state.charge),
             reach_low=self._reach.low,
             reach_high=self._reach.high,
@@ -280,3 +281,10 @@ def _confirming(settings: ControllerSettings) -> ControllerSettings:
     jacket = settings.jacket
     periods = min(jacket.confirm_periods, jacket.warm_up_periods)
     return replace(settings, jacket=replace(jacket, warm_up_periods=periods))
+
+
+def _fault(state: SlowState) -> str:
+    """Return why the drive must be tripped, empty for no reason."""
+    if state.unresponsive:
+        return _UNRESPONSIVE
+    return _CYCLING if state.cycling else ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from adaptdrive.control.cycling import FAR_BETTER
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import Jacket
 from adaptdrive.control.signals import Mode
@@ -13,9 +14,6 @@ from adaptdrive.control.watch import Fallback
 
 _IDLE_PERIODS = 60
 """Slow periods without an update before the reason names it: 60 s of a motor."""
-
-_FAR_BETTER = 3.0
-"""Ratio of rms prediction errors from which an estimate out of bounds contradicts its bounds."""
 
 _REASONS = {
     Verdict.NOT_FINITE: "estimate is not finite",
@@ -78,7 +76,7 @@ def _out_of_bounds(state: SlowState, jacket: Jacket, load: Load) -> str:
     text = f"estimate {name} = {value:.4g} outside {low:.4g}…{high:.4g}"
     better = better_than_nominal(state.supervisor)
     ratio = value / nominal
-    if not (better > _FAR_BETTER and 0.0 < ratio < math.inf):
+    if not (better > FAR_BETTER and 0.0 < ratio < math.inf):
         return text
     contrast = _contrast(name, ratio)
     return (

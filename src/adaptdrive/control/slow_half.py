@@ -13,6 +13,7 @@ from adaptdrive.control import estimator as est
 from adaptdrive.control import supervisor as sup
 from adaptdrive.control.charging import taper, terminal_voltage
 from adaptdrive.control.compensator import control_law, lead_reference
+from adaptdrive.control.cycling import watch_cycling
 from adaptdrive.control.design import compensator_gains, discrete_model, reference_lead
 from adaptdrive.control.load import Load
 from adaptdrive.control.redesign import adapt
@@ -133,12 +134,24 @@ def _look_at_loop(
         watch, jacket, error, strayed, distance, sample.pole, sample.held_share, saturated
     )
     latch_fallback(watch, reason, sample.adaptive)
+    _look_for_cycle(jacket, state, sample)
     if load.charging is not None and state.inputs[0] < sample.high:
         saturated = False  # below its own voltage a battery answers no input
     expected = nominal_gain(load) * state.inputs[0]
     lag_periods = load.denominator[load.order - 1] / load.denominator[load.order] / sample.period_s
     state.unresponsive = watch_response(
         watch, jacket, expected, lag_periods, sample.output, saturated
+    )
+
+
+def _look_for_cycle(jacket: Jacket, state: SlowState, sample: SlowSample) -> None:
+    """Look for a limit cycle under the fixed controller."""
+    span = sample.high - sample.low
+    position = (state.inputs[0] - sample.low) / span if span > 0.0 else 0.5
+    better = sup.better_than_nominal(state.supervisor)
+    fixed = not (state.adaptive or sample.manual)
+    state.cycling = watch_cycling(
+        state.cycles, position, sample.reference, jacket.swing_min, better, fixed
     )
 
 

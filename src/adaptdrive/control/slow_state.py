@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from adaptdrive.control import estimator as est
 from adaptdrive.control import supervisor as sup
 from adaptdrive.control.charging import ChargeState
+from adaptdrive.control.cycling import CyclingState
 from adaptdrive.control.design import past_inputs
 from adaptdrive.control.load import Load, to_input
 from adaptdrive.control.reference_filter import ReferenceFilter, new_reference_filter
@@ -50,6 +51,8 @@ class SlowState:
         blend: Share of the adaptive law in what is sent, 0 to 1.
         watch: The watch over the adaptive law.
         unresponsive: Whether the load has stopped to answer.
+        cycles: The watch over the fixed law.
+        cycling: Whether the fixed law is in a limit cycle.
     """
 
     inputs: Vector
@@ -70,6 +73,7 @@ class SlowState:
     nominal_theta: Vector
     deviations: Vector
     watch: WatchState
+    cycles: CyclingState
     model_a: Vector
     model_b: Vector
     trusted_a: Vector
@@ -81,6 +85,7 @@ class SlowState:
     saturated: bool = False
     blend: float = 0.0
     unresponsive: bool = False
+    cycling: bool = False
 
 
 @dataclass(slots=True)
@@ -149,6 +154,7 @@ def new_slow_state(
         nominal_theta=est.nominal_theta(settings.learning, load, taps),
         deviations=[math.nan] * len(nominal),
         watch=WatchState(fast=resting, slow=resting),
+        cycles=CyclingState(),
         model_a=[1.0] + [0.0] * load.order,
         model_b=[0.0] * (taps + 1),
         trusted_a=[1.0] + [0.0] * load.order,

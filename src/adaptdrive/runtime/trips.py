@@ -275,6 +275,13 @@ TRIPS = (
         "check for an unplugged sensor, a blocked shaft, a broken heater",
     ),
     Trip(
+        r"^limit cycle: ",
+        "limit cycle: the fixed controller drives V_c from limit to limit",
+        "at a constant set-point V_c went forty times from one limit to the other, and the "
+        "estimate predicts the load three times better than `load.model`",
+        "`adaptdrive commission`: the load is not the one of `[load.model]`",
+    ),
+    Trip(
         r"^manual: ",
         "manual: no new voltage within the 5 s that its sender had set",
         "in mode `manual`, the program that sets V_c has sent none within its own `hold_s`",
