@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import shutil
-import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,6 +14,7 @@ from adaptdrive.recording.session import Dropped, Ending, session_directories
 from tests.support import slow_disk
 from tests.system.bus_ear import BusEar
 from tests.system.conftest import MakeSite
+from tests.system.own_disk import mounted, run_privileged, stalled
 from tests.system.site import PATIENT_DRIVE, until
 
 pytestmark = pytest.mark.slow
@@ -31,22 +29,10 @@ Fault = Callable[[Path], contextlib.AbstractContextManager[None]]
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
     """A file system of its own, where one may be mounted."""
-    image, folder = tmp_path / "disk.img", tmp_path / "disk"
-    folder.mkdir()
-    with image.open("wb") as file:
-        file.truncate(24 << 20)
-    programs = ("mkfs.ext4", "mount", "fsfreeze", "chattr")
-    if any(shutil.which(one, path=f"{os.environ['PATH']}:/usr/sbin") is None for one in programs):
-        pytest.skip("e2fsprogs or util-linux is not installed")
-    if not (run("mkfs.ext4", "-q", "-F", image) and run("mount", "-o", "loop", image, folder)):
-        pytest.skip("no disk can be mounted here")
-    yield folder
-    run("umount", "--lazy", folder)
-
-
-def run(*command: str | Path) -> bool:
-    path = {"PATH": f"{os.environ['PATH']}:/usr/sbin"}
-    return subprocess.run(command, capture_output=True, check=False, env=path).returncode == 0
+    with mounted(tmp_path) as folder:
+        if folder is None:
+            pytest.skip("no disk can be mounted here, or e2fsprogs or util-linux is not installed")
+        yield folder
 
 
 @contextlib.contextmanager
@@ -64,21 +50,11 @@ def full(disk: Path) -> Iterator[None]:
 @contextlib.contextmanager
 def read_only(disk: Path) -> Iterator[None]:
     """No file can be changed or made, those that are open included."""
-    assert run("chattr", "-R", "+i", disk / "sessions")
+    assert run_privileged("chattr", "-R", "+i", disk / "sessions")
     try:
         yield
     finally:
-        assert run("chattr", "-R", "-i", disk / "sessions")
-
-
-@contextlib.contextmanager
-def stalled(disk: Path) -> Iterator[None]:
-    """Each write waits."""
-    assert run("fsfreeze", "--freeze", disk)
-    try:
-        yield
-    finally:
-        assert run("fsfreeze", "--unfreeze", disk)
+        assert run_privileged("chattr", "-R", "-i", disk / "sessions")
 
 
 @pytest.mark.parametrize("fault", [full, read_only, stalled])
