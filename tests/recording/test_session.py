@@ -1,4 +1,5 @@
 import json
+import shutil
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from adaptdrive.recording.session import (
     create_session,
     find_session,
     read_info,
+    session_directories,
     sessions_directory,
     write_info,
 )
@@ -106,3 +108,8 @@ def test_damaged_facts_are_an_error_that_says_where(
 def test_a_directory_without_a_session_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="No such file"):
         read_info(tmp_path)
+
+
+def test_a_folder_in_the_making_is_no_session(new_session: NewSession, directory: Path) -> None:
+    shutil.copytree(directory, directory.with_name(".new-1"))
+    assert list(session_directories(new_session.sessions)) == [directory]

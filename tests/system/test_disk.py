@@ -50,11 +50,11 @@ def full(disk: Path) -> Iterator[None]:
 @contextlib.contextmanager
 def read_only(disk: Path) -> Iterator[None]:
     """No file can be changed or made, those that are open included."""
-    assert run_privileged("chattr", "-R", "+i", disk / "sessions")
+    assert run_privileged("chattr", "-R", "+i", disk)
     try:
         yield
     finally:
-        assert run_privileged("chattr", "-R", "-i", disk / "sessions")
+        assert run_privileged("chattr", "-R", "-i", disk)
 
 
 @pytest.mark.parametrize("fault", [full, read_only, stalled])
@@ -82,8 +82,24 @@ def test_the_drive_runs_on_and_recording_resumes(
     said = [event.detail for event in session.events if event.kind == "recording"]
     if fault is not stalled:
         assert any("recording has stopped" in detail for detail in said)
-        assert any("goes on in segment" in detail for detail in said), said
+        assert any("recording goes on in" in detail for detail in said), said
         assert len(list(folder.glob("ticks-*.parquet"))) == 2
+
+
+def test_a_state_disk_that_becomes_read_only_ends_nothing(make_site: MakeSite, disk: Path) -> None:
+    """An access to such a disk through mapped memory would end the process."""
+    site = make_site()
+    site.environment["STATE_DIRECTORY"] = str(disk)
+    site.start("--initial-voltage", "280", *PATIENT_DRIVE)
+    site.run_drive()
+    with read_only(disk):
+        for number in range(10):
+            site.demand("setpoint", 3.0 + 0.01 * number)
+    ticks = site.ear.on("telemetry/drive")[-1].content["ticks"]
+    folder = newest(disk / "sessions")
+    until(lambda: read_session(folder).ticks.num_rows > ticks, "recording resumes", RESUMED_S)
+    assert site.state["state"] == "running"
+    assert site.stop_daemon() == 0
 
 
 def test_a_slow_disk_holds_up_no_end_and_loses_no_event(make_site: MakeSite) -> None:

@@ -40,6 +40,7 @@ def eventful_site(make_shared_site: MakeSite) -> Site:
     _drop_frames(site)
     _lose_the_broker(site)
     _trip_and_reset(site)
+    _set_the_voltage_by_hand(site)
     site.demand("mode", "fixed")
     site.let_periods_pass(2)
     assert site.stop_daemon() == 0
@@ -72,6 +73,12 @@ def _trip_and_reset(site: Site) -> None:
     site.let_periods_pass(2)
 
 
+def _set_the_voltage_by_hand(site: Site) -> None:
+    site.demand("mode", "manual")
+    site.demand("voltage", 285.0)
+    site.let_periods_pass(2)
+
+
 @pytest.fixture(scope="module")
 def session(eventful_site: Site) -> Session:
     return eventful_site.session()
@@ -98,7 +105,7 @@ def test_the_session_is_whole(session: Session, ticks: list[dict[str, Any]]) -> 
 def test_the_session_holds_what_happened(session: Session, ticks: list[dict[str, Any]]) -> None:
     kinds = {event.kind for event in session.events}
     assert {"state", "mode", "trip"} <= kinds
-    assert {row["mode"] for row in ticks} == {"fixed", "adaptive"}
+    assert {row["mode"] for row in ticks} == {"fixed", "adaptive", "manual"}
     stages = [stage for stage, _ in itertools.groupby(row["stage"] for row in ticks)]
     assert stages == ["off", "precharge", "run"] * 2 + ["off"]
     held = [row for row in ticks if not row["fresh"]]

@@ -25,6 +25,8 @@ LARGEST_BACKLOG = 50_000
 """Statements that wait for a disk that hangs: all that the owners hold, several times over."""
 
 _SCHEMA = (
+    # without memory mapped from the disk: one that fails under it would end this process
+    "PRAGMA locking_mode = EXCLUSIVE",
     "PRAGMA journal_mode = WAL",
     "PRAGMA synchronous = FULL",
     "BEGIN",

@@ -195,6 +195,8 @@ class Delivery:
         self.directory = news.directory or self.directory
         while self._unwritten and self._unwritten[0].number <= news.written:
             self._waiting_bytes -= len(self._unwritten.popleft().message)
+            if self._cause is not None:
+                self._report(Severity.INFO, "recording goes on in another recorder process")
             self.failing, self._cause = False, None
             if not self._unwritten:
                 self._spool.clear()

@@ -192,7 +192,8 @@ class SessionLock:
 def session_directories(sessions: Path) -> Iterator[Path]:
     """Yield the directories of sessions in a folder, the oldest first."""
     if sessions.is_dir():
-        yield from sorted(path.parent for path in sessions.glob(f"*/{INFO_FILE}"))
+        found = (path.parent for path in sessions.glob(f"*/{INFO_FILE}"))
+        yield from sorted(path for path in found if not path.name.startswith("."))  # unfinished
 
 
 def find_session(name: str, sessions: Path) -> Path:
