@@ -199,6 +199,56 @@ def test_a_set_point_in_force_that_goes_out_of_reach_is_named() -> None:
     assert desk.machine.stage is Stage.RUN
 
 
+@pytest.fixture
+def governed() -> Desk:
+    desk = Desk()
+    desk.machine = Machine(replace(LIMITS, reach=REACH, govern=True), pole=0.7)
+    desk.ask(Enable(), output=3.0)
+    desk.pass_ticks(2)
+    return desk
+
+
+@pytest.mark.parametrize(("asked", "followed"), [(0.1, 2.2), (2.2, 2.2), (3.0, 3.0), (4.5, 4.4)])
+def test_a_governed_set_point_is_the_nearest_one_within_reach(
+    governed: Desk, asked: float, followed: float
+) -> None:
+    governed.ask(SetSetpoint(asked))
+    assert governed.machine.setpoint == asked
+    assert governed.machine.reference(governed.tick) == followed
+    said = "governed: V_c can hold 2.2…4.4 V" in governed.machine.obstacle
+    assert said == (asked != followed)
+
+
+def test_a_governed_set_point_follows_the_reach_and_comes_back(governed: Desk) -> None:
+    governed.ask(SetSetpoint(4.3))
+    followed = []
+    for high in (4.4, 4.0, 4.2, 4.4):
+        governed.machine.reach = Reach(2.2, high)
+        followed.append(governed.machine.reference(governed.tick))
+    assert followed == [4.3, 4.0, 4.2, 4.3]
+
+
+def test_the_ends_of_a_governed_waveform_are_cut_off(governed: Desk) -> None:
+    governed.ask(SetWaveform(Waveform(Shape.TRIANGLE, 0.5, 4.5, 60.0)))
+    assert "governed" in governed.machine.obstacle
+    course = [governed.machine.reference(governed.tick + n) for n in range(7200)]
+    assert (min(course), max(course)) == (2.2, 4.4)
+    assert len(set(course)) > 1000
+
+
+def test_what_the_configuration_forbids_is_refused_with_governing_too(governed: Desk) -> None:
+    governed.refuses(SetSetpoint(4.6), "setpoint = 4.6 V is outside 0…4.5 V")
+    governed.ask(SetSetpoint(0.0))
+    assert governed.machine.coasting
+
+
+def test_governing_waits_until_the_reach_is_known(governed: Desk) -> None:
+    governed.machine.reach = UNKNOWN
+    governed.ask(SetSetpoint(0.1))
+    assert governed.machine.reference(governed.tick) == 0.1
+    assert not governed.machine.obstacle
+
+
 def test_starting_ends_when_the_boost_voltage_is_at_its_floor(starting: Desk) -> None:
     starting.pass_ticks(100, boost_voltage_V=190.0)
     assert starting.state() is State.STARTING

@@ -232,6 +232,7 @@ def _machine_limits(configuration: Configuration) -> MachineLimits:
         starting_ticks=round(configuration.interlocks.precharge_timeout_s / tick),
         tick_s=tick,
         reach=nominal_reach(build_load(configuration), _power_stage(configuration)),
+        govern=load.govern,
     )
 
 

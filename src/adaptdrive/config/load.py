@@ -60,6 +60,11 @@ class LoadSection(Section):
     )
     reference_min: FiniteFloat = Field(default=0.0, description="lowest set-point")
     reference_max: FiniteFloat = Field(description="highest set-point")
+    govern: bool = Field(
+        default=False,
+        description="move a set-point that V_c cannot hold to the nearest one that it can, and say "
+        "so; otherwise refuse it",
+    )
     output_name: str = Field(default="output", description="name of the output for people")
     output_unit: str = Field(default="", description="unit of the output for people")
 

@@ -39,6 +39,12 @@ class Reach:
         """Return whether V_c can hold an output; True while the range is not known."""
         return not (value < self.low or value > self.high)
 
+    def nearest(self, value: float) -> float:
+        """Return the output within reach that is nearest; the same while the range is not known."""
+        if value > self.high:
+            return self.high
+        return max(value, self.low)
+
 
 UNKNOWN = Reach()
 """Reach of a load of which not enough is known."""

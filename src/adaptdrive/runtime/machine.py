@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from adaptdrive.control.reach import Reach
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.control.waveform import Waveform
 from adaptdrive.errors import RefusedError
@@ -78,10 +79,19 @@ class Machine:
             manual = self.mode is Mode.MANUAL
             awaited = "voltage" if manual else f"set-point within {within}"
             return f"coasting with the bridge off until a {awaited}"
-        free = self.waveform is not None or self.mode is Mode.MANUAL
-        if not free and not reach.holds(self.setpoint):
-            return f"set-point {self.setpoint:g} {unit} is outside {within}, which V_c can hold"
-        return ""
+        if self.mode is Mode.MANUAL or self._is_within(reach):
+            return ""
+        if self._limits.govern:
+            return f"set-point is governed: V_c can hold {within}, and more is asked for"
+        if self.waveform is not None:
+            return ""
+        return f"set-point {self.setpoint:g} {unit} is outside {within}, which V_c can hold"
+
+    def _is_within(self, reach: Reach) -> bool:
+        """Say whether V_c can hold every set-point that is asked for."""
+        if self.waveform is None:
+            return reach.holds(self.setpoint)
+        return reach.holds(self.waveform.low) and reach.holds(self.waveform.high)
 
     @property
     def stage(self) -> Stage:
@@ -91,7 +101,11 @@ class Machine:
         return _STAGES[self.state]
 
     def reference(self, tick: int) -> float:
-        """The set-point at a tick."""
+        """The set-point at a tick; governed to the edge of what V_c can hold where that is set."""
+        asked = self._asked(tick)
+        return self.reach.nearest(asked) if self._limits.govern else asked
+
+    def _asked(self, tick: int) -> float:
         if self.waveform is None:
             return self.setpoint
         return self.waveform.value((tick - self._waveform_tick) * self._limits.tick_s)

@@ -33,6 +33,7 @@ class MachineLimits:
         tick_s: Half a line cycle at nominal frequency.
         boost_needs_bridge: Whether the bridge is on in `starting` already.
         reach: What V_c can hold by the nominal model.
+        govern: Whether a set-point out of reach is moved to its edge, not refused.
     """
 
     reference_min: float
@@ -48,6 +49,7 @@ class MachineLimits:
     tick_s: float
     boost_needs_bridge: bool = False
     reach: Reach = UNKNOWN
+    govern: bool = False
 
     def require_reference(self, what: str, value: float) -> None:
         """Refuse a set-point that the configuration does not allow.
@@ -66,8 +68,11 @@ class MachineLimits:
             )
 
     def require_reach(self, what: str, value: float, reach: Reach) -> None:
-        """Refuse a set-point that V_c cannot hold; arguments as of `require_reference`."""
-        if not reach.holds(value):
+        """Refuse a set-point that V_c cannot hold, unless it is governed.
+
+        Arguments as of `require_reference`.
+        """
+        if not (self.govern or reach.holds(value)):
             raise RefusedError(
                 f"{what} = {value:g} {self.unit} is outside {reach.low:g}…{reach.high:g} "
                 f"{self.unit}, which V_c can hold"
