@@ -238,3 +238,15 @@ def test_an_authority_without_tls_is_refused() -> None:
     assert set(found) == {"mqtt"}
     assert "in clear" in found["mqtt"]
     assert parse(mqtt__ca_file='"ca.pem"', mqtt__tls="true").mqtt.tls
+
+
+def test_a_course_of_impulses_needs_the_papers_design_and_a_quick_voltage_loop() -> None:
+    impulse = {"load__boost_course": '"impulse"'}
+    assert flaws(**impulse).keys() == {"load.boost_course"}
+    assert flaws(**impulse, load__design='"paper"') == {}
+    slow = {
+        "voltage_loop__where": '"drive"',
+        "voltage_loop__lag_s": "0.3",
+        "signals__command__boost_reference_V__signal": '"DriveCommand.BoostReference"',
+    }
+    assert flaws(**impulse, load__design='"paper"', **slow).keys() == {"load.boost_course"}

@@ -89,6 +89,7 @@ _UNITS = {
     "_SWING_SHARE": "1",
     "_ERROR_SHARE": "1",
     "_NOISE_SHARE": "1",
+    "KICK_SHARE": "1",
     "_FORGETTING": "1",
     "PAPER_COVARIANCE": "σ²",
     "_FOREVER": "periods",

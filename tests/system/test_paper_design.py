@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cmath
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -14,6 +15,8 @@ POLE, PERIOD_S = 0.70, 1.0
 NOMINAL = {"gain": 0.011, "tau_sum_s": 21.7, "tau_product_s2": 117.0}
 PAPER = {
     "load.design": '"paper"',
+    "load.boost_course": '"impulse"',
+    "recording.flush_s": "0.5",
     "supervisor.warm_up_s": "4.0",
     # None of these has a say in the paper's design: no estimate would pass.
     "supervisor.ratio_min": "0.99",
@@ -46,6 +49,16 @@ def test_every_estimate_reaches_the_gains_by_the_published_formulas(make_site: M
         assert [r1, r2] == pytest.approx(_published(one)[:2], rel=0.01, abs=0.005)
         assert [h1, h2, h3] == pytest.approx(_published(one)[2:], rel=0.05)
     assert max(_distance(one) for one in accepted) > 0.01
+    _see_kicks(site)
+
+
+def _see_kicks(site: Site) -> None:
+    """The commanded voltage changes more than once in a slow period, within the limits."""
+    assert site.stop_daemon() == 0
+    voltages = site.session().ticks["command_boost_reference_V"].to_pylist()[600:]
+    changes = [after - before for before, after in pairwise(voltages) if after != before]
+    assert len(changes) > 1.2 * len(voltages) / 120
+    assert 200.0 <= min(voltages) < max(voltages) <= 400.0
 
 
 def _published(load: dict[str, Any]) -> list[float]:

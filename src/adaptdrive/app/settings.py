@@ -9,6 +9,7 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.app.paper_design import PAPER_COVARIANCE, paper_jacket, paper_learning
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BatterySection, MotorSection, Supervisor
+from adaptdrive.control.impulse_hold import KICK_SHARE, kick_factors
 from adaptdrive.control.load import to_input
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.reach import nominal_reach
@@ -112,6 +113,7 @@ def _lag_ticks(configuration: Configuration) -> float:
 
 def _power_stage(configuration: Configuration) -> PowerStage:
     drive, loop = configuration.drive, configuration.voltage_loop
+    kick_ticks, kick_first, kick_second = _kicks(configuration)
     return PowerStage(
         capacitance_F=drive.boost_capacitance_F,
         line_voltage_min_V=_LOWEST_LINE * drive.line_voltage_V,
@@ -123,7 +125,21 @@ def _power_stage(configuration: Configuration) -> PowerStage:
         feed_forward=loop.feed_forward,
         holds_voltage=loop.where == "drive",
         boost_needs_bridge=drive.enable_bit == "bridge-and-boost",
+        kick_ticks=kick_ticks,
+        kick_first=kick_first,
+        kick_second=kick_second,
     )
+
+
+def _kicks(configuration: Configuration) -> tuple[int, float, float]:
+    """Return length and factors of the kicks for the impulse-invariant model; 0 to hold V_c."""
+    section = configuration.load
+    if not isinstance(section, MotorSection) or section.boost_course == "held":
+        return 0, 0.0, 0.0
+    ticks, tick = round(KICK_SHARE * configuration.ticks_per_period), tick_s(configuration)
+    delay_s = (section.latency_ticks + _lag_ticks(configuration)) * tick
+    load = build_load(configuration)
+    return ticks, *kick_factors(load, section.period_s, delay_s, ticks * tick)
 
 
 def _learning(configuration: Configuration) -> Learning:

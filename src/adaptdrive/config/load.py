@@ -97,6 +97,11 @@ class MotorSection(LoadSection):
     type: Literal["motor"] = Field(description="kind of load")
     output_name: str = Field(default="speed", description="name of the output for people")
     output_unit: str = Field(default="V", description="unit of the output for people")
+    boost_course: Literal["held", "impulse"] = Field(
+        default="held",
+        description="`impulse`: each change of V_c is exaggerated for half a slow period, so that "
+        "the impulse-invariant model of the `paper` design holds",
+    )
     model: MotorModel
 
 

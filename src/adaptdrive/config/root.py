@@ -132,6 +132,17 @@ def _filter_flaws(configuration: Configuration) -> Iterator[Flaw]:
         yield Flaw("estimator.known_filter", "needs method 'lm-rls' and load.design 'exact'")
 
 
+def _course_flaws(configuration: Configuration) -> Iterator[Flaw]:
+    load = configuration.load
+    if not isinstance(load, MotorSection) or load.boost_course == "held":
+        return
+    if load.design != "paper":
+        yield Flaw("load.boost_course", "'impulse' needs load.design 'paper'")
+    elif (configuration.voltage_loop.lag_s or 0.0) > 0.25 * load.period_s:
+        lag_s = configuration.voltage_loop.lag_s
+        yield Flaw("load.boost_course", f"'impulse' needs voltage_loop.lag_s = {lag_s} s shorter")
+
+
 def _trip_flaws(configuration: Configuration) -> Iterator[Flaw]:
     interlocks = configuration.interlocks
     limits = {
@@ -164,6 +175,7 @@ _CHECKS: tuple[tuple[Callable[[Configuration], Iterator[Flaw]], frozenset[str]],
     (_lag_flaws, frozenset({"voltage_loop", "load"})),
     (_trip_flaws, frozenset({"drive", "load", "interlocks"})),
     (_filter_flaws, frozenset({"load", "estimator"})),
+    (_course_flaws, frozenset({"load", "voltage_loop"})),
 )
 """Checks between sections, and the sections that each one reads."""
 

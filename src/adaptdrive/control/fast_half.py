@@ -66,6 +66,9 @@ class FastState:
         limited_ticks: Those of them with k at a limit.
         held_ticks: Those of them without a fresh measurement.
         by_hand: Whether the operator has set V_c in the slow period so far.
+        kicked_V: V_c whose last change has been kicked; NaN before the first one.
+        kick_V: That change.
+        kick_age: Ticks since.
     """
 
     tick: int
@@ -78,6 +81,9 @@ class FastState:
     limited_ticks: int = 0
     held_ticks: int = 0
     by_hand: bool = False
+    kicked_V: float = math.nan
+    kick_V: float = 0.0
+    kick_age: int = 0
 
 
 def new_filter_bank(
@@ -187,11 +193,29 @@ def drive(state: FastState, stage: PowerStage, measurement: Measurement) -> tupl
     """Return the command for the drive: current scale k in siemens, and V_c in force in volts."""
     voltage_V, power_W = measurement.boost_voltage_V, measurement.load_power_W
     reference_V = limit_power(state, stage, voltage_V, power_W)
+    if stage.kick_ticks > 0:
+        reference_V = kick(state, stage, reference_V)
     if stage.holds_voltage:
         return 0.0, reference_V
     line_V, tick_s = measurement.line_voltage_V, measurement.tick_period_s
     scale_S = regulate_voltage(state, stage, reference_V, voltage_V, line_V, power_W, tick_s)
     return scale_S, reference_V
+
+
+def kick(state: FastState, stage: PowerStage, reference_V: float) -> float:
+    """Exaggerate the last change of V_c, so that the impulse-invariant model holds."""
+    if math.isnan(state.kicked_V) or state.by_hand:
+        state.kicked_V, state.kick_V = state.boost_reference_V, 0.0
+    elif state.kicked_V != state.boost_reference_V:
+        state.kick_V, state.kick_age = state.boost_reference_V - state.kicked_V, 0
+        state.kicked_V = state.boost_reference_V
+    part, state.kick_age = state.kick_age // stage.kick_ticks, state.kick_age + 1
+    if part == 0:
+        reference_V += stage.kick_first * state.kick_V
+    elif part == 1:
+        reference_V += stage.kick_second * state.kick_V
+    limited_V = max(reference_V, stage.boost_reference_min_V)
+    return min(limited_V, stage.boost_reference_max_V, state.ceiling_V)
 
 
 def set_by_hand(state: FastState, stage: PowerStage, voltage_V: float) -> None:

@@ -24,6 +24,9 @@ class PowerStage:
         feed_forward: Whether the load power is fed forward.
         holds_voltage: True for a drive with its own voltage loop.
         boost_needs_bridge: True for a drive whose boost stage works only with the bridge on.
+        kick_ticks: Length of each part of a kick (`impulse_hold`); 0 to hold V_c.
+        kick_first: Exaggeration of a change of V_c in the first part.
+        kick_second: The same in the second part.
     """
 
     capacitance_F: float
@@ -36,6 +39,9 @@ class PowerStage:
     feed_forward: bool
     holds_voltage: bool
     boost_needs_bridge: bool = False
+    kick_ticks: int = 0
+    kick_first: float = 0.0
+    kick_second: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
