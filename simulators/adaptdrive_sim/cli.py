@@ -72,7 +72,7 @@ def disturb(
     values: Annotated[tuple[float, ...], Parameter(allow_leading_hyphen=True)] = (),
     /,
     *,
-    broker: str = "127.0.0.1:1883",
+    broker: Annotated[str, Parameter(env_var="ADAPTDRIVE_BROKER")] = "127.0.0.1:1883",
 ) -> None:
     """Disturb a running simulated drive.
 
@@ -99,6 +99,7 @@ def disturb(
         sys.exit(NO_ANSWER)
     if not reply.accepted:
         sys.exit(f"adaptdrive-sim: refused: {reply.reason}")
+    print(f"{drive}: {' '.join([action, *(f'{value:g}' for value in values)])}: done")
 
 
 @app.command

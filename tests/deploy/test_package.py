@@ -131,6 +131,17 @@ def test_nothing_is_enabled_and_no_one_gains_rights(tree: Path) -> None:
         assert path.is_symlink() or not mode & (stat.S_ISUID | stat.S_ISGID | stat.S_IWOTH), path
 
 
+def test_everyone_may_enter_the_root_folder(tree: Path) -> None:
+    assert stat.S_IMODE(tree.stat().st_mode) == 0o755
+
+
+def test_the_links_of_its_pages_lead_somewhere(tree: Path) -> None:
+    folder = tree / "usr/share/doc/adaptdrive"
+    for page in folder.rglob("*.md"):
+        for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+            assert (page.parent / link).exists(), f"{page.relative_to(folder)}: {link}"
+
+
 def test_it_says_nothing_about_the_machine_that_built_it(tree: Path) -> None:
     command = ["grep", "--recursive", "--files-with-matches", "--fixed-strings"]
     command += [str(CHECKOUT), str(tree)]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import pty
 import signal
 import subprocess
 import sys
@@ -16,8 +18,8 @@ from tests.system.site import PATIENT_DRIVE, Site, motor_configuration, until
 PATIENT = {"interlocks.stale_s": "0.5"}
 LOAD = {
     "load.model.gain": "0.008",
-    "load.model.tau_motor_s": "1.2",
-    "load.model.tau_filter_s": "0.5",
+    "load.model.tau_motor_s": "0.5",
+    "load.model.tau_filter_s": "0.2",
 }
 BEGIN_S = 90.0
 """The program starts, watches the sensor, and enables the drive."""
@@ -25,15 +27,39 @@ BEGIN_S = 90.0
 LONGEST_S = 280.0
 
 
-def commission(site: Site, *options: str) -> subprocess.Popen[str]:
+class Screen:
+    """A pseudo-terminal; what was written to it."""
+
+    def __init__(self) -> None:
+        self._own, self.inner = pty.openpty()
+        os.set_blocking(self._own, False)
+        self._text = ""
+
+    def read(self) -> str:
+        """All that was written so far."""
+        with contextlib.suppress(BlockingIOError, OSError):
+            while chunk := os.read(self._own, 65536):
+                self._text += chunk.decode(errors="replace")
+        return self._text
+
+    def press(self, key: str) -> None:
+        os.write(self._own, key.encode())
+
+    def close(self) -> None:
+        os.close(self._own)
+        os.close(self.inner)
+
+
+def commission(site: Site, *options: str, terminal: int | None = None) -> subprocess.Popen[str]:
     """Start the command with the file that the daemon runs with."""
-    words = ["commission", "motor", "--config", str(site.config), "--patience", "3", "--yes"]
+    words = ["commission", "motor", "--config", str(site.config), "--patience", "1", "--yes"]
     broker = ["--broker", f"127.0.0.1:{site.broker_port}"]
     return subprocess.Popen(
         [sys.executable, "-m", "adaptdrive.cli", *words, *broker, *options],
         cwd=site.folder,
-        env=os.environ,
-        stdout=subprocess.PIPE,
+        env=os.environ | {"TERM": "xterm", "LINES": "24", "COLUMNS": "80"},
+        stdin=terminal,
+        stdout=subprocess.PIPE if terminal is None else terminal,
         stderr=subprocess.STDOUT,
         text=True,
     )
@@ -67,19 +93,31 @@ def test_a_load_is_commissioned_and_the_file_is_written(site: Site) -> None:
     assert "# tachometer volts per volt of boost voltage" in after
     model = tomllib.loads(after)["load"]["model"]
     assert model["gain"] == pytest.approx(0.008, rel=0.05)
-    assert model["tau_motor_s"] + model["tau_filter_s"] == pytest.approx(1.7, rel=0.15)
+    assert model["tau_motor_s"] + model["tau_filter_s"] == pytest.approx(0.7, rel=0.15)
     check = [sys.executable, "-m", "adaptdrive.cli", "check", str(site.config)]
     assert subprocess.run(check, capture_output=True, check=False).returncode == 0
 
 
 @pytest.mark.slow
-def test_a_key_ends_it_with_the_drive_off(site: Site) -> None:
+def test_an_interrupt_and_a_key_end_it_with_the_drive_off(site: Site) -> None:
     process = commission(site)
     site.await_state(patience_s=BEGIN_S, state="running", mode="manual")
     process.send_signal(signal.SIGINT)
     site.await_state(state="standby", mode="fixed")
     process.communicate(timeout=LONGEST_S)
     assert process.returncode == 130
+    screen = Screen()
+    process = commission(site, terminal=screen.inner)
+    try:
+        until(lambda: "waiting for rest" in screen.read(), "the live picture", BEGIN_S)
+        assert site.state["mode"] == "manual"
+        screen.press("q")
+        site.await_state(state="standby", mode="fixed")
+        until(lambda: "ended by a key: the drive is off" in screen.read(), "the reason")
+        assert process.wait(timeout=LONGEST_S) == 1
+    finally:
+        process.kill()
+        screen.close()
 
 
 @pytest.mark.slow

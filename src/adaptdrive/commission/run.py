@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +10,9 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.commission.evaluate import evaluate
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.file import with_values, write_values
-from adaptdrive.commission.guide import HOLD_S, FastReading, Guide
+from adaptdrive.commission.guide import HOLD_S, Guide
+from adaptdrive.commission.live import carry_out
+from adaptdrive.commission.picture import Picture
 from adaptdrive.commission.prediction import predict, rest_voltage
 from adaptdrive.commission.proposal import propose
 from adaptdrive.commission.report import Commissioned, as_text, draw
@@ -60,8 +61,8 @@ def announcement(wanted: CommissionRequest, drive: str) -> str:
     return (
         f"{drive} is enabled in mode manual. V_c rises from {target.low_V:g} V{onset} until "
         f"{target.name} has moved by {target.move:.3g} {target.unit}, then switches between the "
-        f"two for many minutes. Ctrl-C ends it, as do disable, a trip, and {HOLD_S:g} s without "
-        "this program; the drive is then off."
+        "two for many minutes. The key q ends it, as do Ctrl-C, disable, a trip, and "
+        f"{HOLD_S:g} s without this program; the drive is then off."
     )
 
 
@@ -86,10 +87,7 @@ async def commission(
     standby = await guide.watch_standby(wanted.standby_s)
     sensor = judge_sensor(standby, configuration, target.move)
     experiment = LoadExperiment(target)
-    try:
-        await guide.carry_out(experiment, lambda one, volts: _show(experiment, one, volts))
-    finally:
-        _end_line()
+    await carry_out(guide, experiment, Picture(drive, target))
     outcome = experiment.outcome
     if outcome is None:
         raise CommissionError("the experiment is not complete")
@@ -112,18 +110,3 @@ def write(path: Path, commissioned: Commissioned) -> Path:
     """
     text = path.read_text(encoding="utf-8")
     return write_values(path, with_values(text, commissioned.proposal.values))
-
-
-def _show(experiment: LoadExperiment, reading: FastReading, voltage_V: float) -> None:
-    """Show progress in one line of a terminal."""
-    if not sys.stderr.isatty():
-        return
-    bar = "#" * round(20 * experiment.progress)
-    line = f"{experiment.phase}  [{bar:<20}]  V_c {voltage_V:6.1f} V  output {reading.output:9.4g}"
-    sys.stderr.write(f"\r{line:<100}"[:101])
-    sys.stderr.flush()
-
-
-def _end_line() -> None:
-    if sys.stderr.isatty():
-        sys.stderr.write("\n")

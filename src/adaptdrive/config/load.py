@@ -36,7 +36,11 @@ class LoadSection(Section):
         "`paper`: the paper's controller and nothing else",
     )
     samples: int = Field(
-        default=90, ge=1, description="fast samples averaged for one slow one (`exact` only)"
+        default=90,
+        ge=1,
+        description="fast samples averaged for one slow one, the last before the slow instant: "
+        "more against noise, fewer for less delay; counted in half line cycles, on a polled "
+        "drive too, and not more than the slow period has of them (`exact` only)",
     )
     clip: float = Field(
         default=5.0,
@@ -124,7 +128,11 @@ class BathSection(LoadSection):
     )
     pole: Fraction = Field(default=0.80, description="closed-loop pole of the load loop")
     samples: int = Field(
-        default=600, ge=1, description="fast samples averaged for one slow one (`exact` only)"
+        default=600,
+        ge=1,
+        description="fast samples averaged for one slow one, the last before the slow instant: "
+        "more against noise, fewer for less delay; counted in half line cycles, on a polled "
+        "drive too, and not more than the slow period has of them (`exact` only)",
     )
     output_name: str = Field(default="temperature", description="name of the output for people")
     output_unit: str = Field(default="K", description="unit of the output for people")
@@ -182,10 +190,15 @@ class Estimator(Section):
         default=None,
         gt=0.5,
         le=1.0,
-        description="forgetting factor ρ; 0.985 when left out, in the `paper` design 0.97, for a "
-        "bath 0.99",
+        description="forgetting factor ρ: the memory is 1/(1 - ρ) slow periods; lower for a load "
+        "that changes fast, nearer 1 against noise; 0.985 when left out, in the `paper` design "
+        "0.97, for a bath 0.99",
     )
-    tau_lambda_s: PositiveFloat = Field(default=10.0, description="time constant of the λ filters")
+    tau_lambda_s: PositiveFloat = Field(
+        default=10.0,
+        description="time constant of the λ filters: half the sum of the load's time constants is "
+        "a good choice, a fifth to five times their mean is usable; longer against noise",
+    )
     dead_band: float = Field(
         default=0.0, ge=0.0, description="skip updates while the output moves less than this"
     )

@@ -1,0 +1,84 @@
+"""An experiment with its live picture, ended by a key."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+
+from rich.console import Console
+from rich.live import Live
+
+from adaptdrive.commission.experiment import LoadExperiment
+from adaptdrive.commission.guide import FastReading, Guide
+from adaptdrive.commission.phases import Phase
+from adaptdrive.commission.picture import Picture, screen
+from adaptdrive.errors import CommissionError
+from adaptdrive.watch.keys import QUIT, pressed_keys
+
+_REFRESH_S = 0.25
+
+
+async def carry_out(guide: Guide, experiment: LoadExperiment, picture: Picture) -> None:
+    """Run an experiment and show it, in a terminal as a picture, else each phase as a line.
+
+    Args:
+        guide: The drive.
+        experiment: The experiment.
+        picture: Takes what is shown.
+
+    Raises:
+        AdaptdriveError: The experiment cannot go on, or was ended.
+    """
+    if sys.stdin.isatty() and sys.stdout.isatty():
+        await _with_picture(guide, experiment, picture)
+    else:
+        await guide.carry_out(experiment, PhaseLines(experiment))
+
+
+async def _with_picture(guide: Guide, experiment: LoadExperiment, picture: Picture) -> None:
+    def show(reading: FastReading, voltage_V: float) -> None:
+        picture.take(experiment, reading, voltage_V)
+
+    work = asyncio.create_task(guide.carry_out(experiment, show))
+    drawing = asyncio.create_task(_draw(picture))
+    pressed = asyncio.Event()
+
+    def on_key(key: str) -> None:
+        if key == QUIT:
+            pressed.set()
+            work.cancel()
+
+    try:
+        with pressed_keys(on_key):
+            await work
+    except asyncio.CancelledError:
+        if pressed.is_set():
+            raise CommissionError("ended by a key: the drive is off") from None
+        raise
+    finally:
+        drawing.cancel()
+        await asyncio.wait([drawing])
+
+
+async def _draw(picture: Picture) -> None:
+    console = Console()
+    with Live(console=console, screen=True, auto_refresh=False) as live:
+        while True:
+            live.update(screen(picture, (console.size.width, console.size.height)), refresh=True)
+            await asyncio.sleep(_REFRESH_S)
+
+
+class PhaseLines:
+    """Prints the begin of each phase."""
+
+    def __init__(self, experiment: LoadExperiment) -> None:
+        self._experiment = experiment
+        self._phase: Phase | None = None
+
+    def __call__(self, reading: FastReading, voltage_V: float) -> None:
+        """Take a reading and the voltage that follows from it."""
+        phase = self._experiment.phase
+        if phase is not self._phase:
+            self._phase = phase
+            output = f"output {reading.output:.4g}"
+            sys.stderr.write(f"V_c {voltage_V:.4g} V  {output}  {phase}\n")

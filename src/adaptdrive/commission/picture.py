@@ -1,0 +1,102 @@
+"""The live picture of an experiment in a terminal."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+from rich.layout import Layout
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from adaptdrive.commission.experiment import LoadExperiment
+from adaptdrive.commission.guide import FastReading
+from adaptdrive.commission.phases import Phase
+from adaptdrive.commission.target import Target
+from adaptdrive.watch.plot import Mark, PlotPoint, plot
+from adaptdrive.watch.tables import DIM, boxed, cut, figure
+
+KEYS = "q ends the experiment with the drive off, as does Ctrl-C"
+_POINTS = 6000
+_SHORTEST_WINDOW_S, _LONGEST_WINDOW_S = 30.0, 600.0
+_HEADER_ROWS, _BAR_WIDTH = 2, 30
+_SHORT = {
+    Phase.REST: "rest",
+    Phase.ONSET: "onset",
+    Phase.CLIMB: "climb",
+    Phase.RETREAT: "back",
+    Phase.TEST: "test",
+    Phase.DONE: "done",
+}
+
+
+@dataclass(slots=True)
+class Picture:
+    """What is shown of an experiment.
+
+    Attributes:
+        drive: Name of the drive.
+        target: Names, units and limits.
+        phase: Present phase; None before the first reading.
+        progress: Share of it, where it is known.
+        voltage_V: V_c that is asked for.
+        points: Output, and the rest beside it, over time.
+        marks: Begin of each phase.
+    """
+
+    drive: str
+    target: Target
+    phase: Phase | None = None
+    progress: float = 0.0
+    voltage_V: float = math.nan
+    points: deque[PlotPoint] = field(default_factory=lambda: deque(maxlen=_POINTS))
+    marks: deque[Mark] = field(default_factory=lambda: deque(maxlen=50))
+
+    def take(self, experiment: LoadExperiment, reading: FastReading, voltage_V: float) -> None:
+        """Take a reading and the voltage that follows from it."""
+        if experiment.phase is not self.phase:
+            self.marks.append(Mark(reading.time_s, _SHORT[experiment.phase]))
+        self.phase, self.progress = experiment.phase, experiment.progress
+        self.voltage_V = voltage_V
+        outcome = experiment.outcome
+        rest = reading.output if outcome is None else outcome.rest
+        self.points.append(PlotPoint(reading.time_s, rest, reading.output, "manual"))
+
+
+def screen(picture: Picture, size: tuple[int, int]) -> Layout:
+    """Return the whole screen.
+
+    Args:
+        picture: What is shown.
+        size: Width and height of the terminal in characters.
+    """
+    width, height = size
+    points = list(picture.points)
+    now_s = points[-1].time_s if points else 0.0
+    since_s = now_s - points[0].time_s if points else 0.0
+    window_s = min(max(since_s, _SHORTEST_WINDOW_S), _LONGEST_WINDOW_S)
+    canvas = (width - 4, height - _HEADER_ROWS - 3)
+    target = picture.target
+    content = plot(points, list(picture.marks), now_s, window_s, canvas)
+    layout = Layout()
+    layout.split_column(
+        Layout(_header(picture, points), size=_HEADER_ROWS),
+        Layout(boxed(Text(f"{target.name} in {target.unit or '1'}"), content)),
+        Layout(cut(Text(f" {KEYS}", DIM)), size=1),
+    )
+    return layout
+
+
+def _header(picture: Picture, points: list[PlotPoint]) -> Table:
+    phase = "the drive starts" if picture.phase is None else str(picture.phase)
+    output = points[-1].output if points else math.nan
+    values = f"V_c {figure(picture.voltage_V)} V   {picture.target.name} {figure(output)}"
+    grid = Table.grid(expand=True)
+    grid.add_row(cut(Text.assemble((f" {picture.drive} ", "bold reverse"), f" {phase}")))
+    line = Table.grid(padding=(0, 1))
+    bar = ProgressBar(total=1.0, completed=picture.progress, width=_BAR_WIDTH)
+    line.add_row("", bar, Text(f"{values} {picture.target.unit}"))
+    grid.add_row(line)
+    return grid
