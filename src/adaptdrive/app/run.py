@@ -11,6 +11,7 @@ import socket
 import time
 from collections.abc import Callable, Coroutine, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +101,27 @@ def run(path: Path) -> int:
     return 0 if complete else UNRECORDED
 
 
+@dataclass(frozen=True, slots=True)
+class _Parts:
+    """Parts of the daemon of one drive, built and not started.
+
+    Attributes:
+        daemon: Fast loop, slow loop and state machine.
+        bus: The bus in one phrase.
+        rehearsal: What is computed once before the first tick.
+        recorder: None where nothing is recorded.
+        keeper: Writes the checkpoint of the estimates, None where none is kept.
+        news: Events that the building of the parts gave.
+    """
+
+    daemon: Daemon
+    bus: str
+    rehearsal: Rehearsal
+    recorder: Recorder | None
+    keeper: Keeper | None
+    news: tuple[Event, ...]
+
+
 async def _serve(
     configuration: Configuration,
     text: str,
@@ -109,26 +131,16 @@ async def _serve(
     """Serve until asked to stop; False when the end of the session is not recorded."""
     logger, hub, stop = set_up_logging(), Hub(), asyncio.Event()
     events = hub.subscribe(Event, size=_EVENTS_HELD)
-    port = build_whole_port(configuration, time.monotonic, path)
-    settings, load = controller_settings(configuration), build_load(configuration)
-    state = state_directory(os.environ.get("STATE_DIRECTORY", ""))
-    checkpoint = checkpoint_path(state, configuration.drive.name)
-    prior, recalled = recall(checkpoint, configuration, settings, load)
-    controller = Controller(settings, load, prior)
-    keeper = _keeper(configuration, checkpoint, controller, hub) if is_kept(settings) else None
-    rehearsal = build_rehearsal(configuration, path)
     start_thread = _use_helper_threads(configuration)
-    recorder = build_recorder(configuration, text, hub, prior, start_thread)
-    if recorder is not None:
-        publish_samples(port, hub.publish, time.monotonic)
-    daemon = _daemon(configuration, port, controller, hub, rehearsal, recorder)
+    parts = _build(configuration, text, path, hub, start_thread)
+    daemon, recorder, keeper = parts.daemon, parts.recorder, parts.keeper
     _stop_on_signals(stop)
     logger.info(
         "starting",
         drive=configuration.drive.name,
         version=__version__,
         build=build_name(),
-        bus=port.description,
+        bus=parts.bus,
     )
     async with asyncio.TaskGroup() as tasks, contextlib.AsyncExitStack() as ending:
         # ended in reverse: broker and log receive the last reports of those that end before them
@@ -141,12 +153,39 @@ async def _serve(
         if keeper is not None:
             ending.push_async_callback(keeper.save)
             start("checkpoint", keeper.run())
-        for event in filter(None, (recalled, state_event(state))):
+        for event in parts.news:
             hub.publish(event)
-        with uncaught_errors_end(daemon.fail), prepared(configuration, rehearsal, hub):
+        with uncaught_errors_end(daemon.fail), prepared(configuration, parts.rehearsal, hub):
             await daemon.run(stop)
     logger.info("stopped", drive=configuration.drive.name)
     return recorder is None or recorder.complete
+
+
+def _build(
+    configuration: Configuration,
+    text: str,
+    path: Path,
+    hub: Hub,
+    start_thread: Callable[[], None],
+) -> _Parts:
+    port = build_whole_port(configuration, time.monotonic, path)
+    settings, load = controller_settings(configuration), build_load(configuration)
+    state = state_directory(os.environ.get("STATE_DIRECTORY", ""))
+    checkpoint = checkpoint_path(state, configuration.drive.name)
+    prior, recalled = recall(checkpoint, configuration, settings, load)
+    controller = Controller(settings, load, prior)
+    rehearsal = build_rehearsal(configuration, path)
+    recorder = build_recorder(configuration, text, hub, prior, start_thread)
+    if recorder is not None:
+        publish_samples(port, hub.publish, time.monotonic)
+    return _Parts(
+        daemon=_daemon(configuration, port, controller, hub, rehearsal, recorder),
+        bus=port.description,
+        rehearsal=rehearsal,
+        recorder=recorder,
+        keeper=_keeper(configuration, checkpoint, controller, hub) if is_kept(settings) else None,
+        news=tuple(filter(None, (recalled, state_event(state)))),
+    )
 
 
 def _daemon(  # noqa: PLR0913, PLR0917 - the parts of a daemon

@@ -12,6 +12,7 @@ from pathlib import Path
 from aiomqtt import Will
 
 from adaptdrive.config.services import Mqtt
+from adaptdrive.operation.archive import Archive
 from adaptdrive.operation.board import StateBoard
 from adaptdrive.operation.clock import (
     Monotonic,
@@ -26,23 +27,17 @@ from adaptdrive.operation.home_assistant import discovery
 from adaptdrive.operation.intake import Intake
 from adaptdrive.operation.journal import Journal
 from adaptdrive.operation.link import BrokerConnection, BrokerLink
-from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.messages import OFFLINE
 from adaptdrive.operation.name import ClientName
-from adaptdrive.operation.outbox import Outbox
 from adaptdrive.operation.pace import BrokerBackoff, LogRation, Pace
 from adaptdrive.operation.profile import Profile
 from adaptdrive.operation.session import BrokerSession
 from adaptdrive.operation.topics import Topics
-from adaptdrive.operation.trip_memory import TripMemory
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Severity
 from adaptdrive.runtime.requests import Host
 
 CLOCK_CHECK_S = 10.0
-JOURNAL_RETRY_S = 10.0
-FAREWELL_S = 5.0
-"""For a disk that hangs at the end: less than a service manager waits before it kills."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,18 +90,16 @@ class MqttService:
         self._around = surroundings
         self._host = host
         path = surroundings.directory / f"{drive}.operation.sqlite3"
-        self._journal = Journal(path, surroundings.start_thread)
-        self._memory = ReplyMemory(self._journal, surroundings.wall, surroundings.monotonic)
-        self._trips = TripMemory(self._journal)
-        self._board = StateBoard(surroundings.wall, profile, self._trips)
-        self._outbox = Outbox(self._journal, surroundings.wall)
-        history = History(surroundings.monotonic)
+        journal = Journal(path, surroundings.start_thread)
+        self._archive = Archive(journal, surroundings.wall, surroundings.monotonic)
+        self._board = StateBoard(surroundings.wall, profile, self._archive.trips)
+        history, outbox = History(surroundings.monotonic), self._archive.outbox
         self._intake = Intake(
-            hub, self._board, self._outbox, history, wall=surroundings.wall, output=profile.output
+            hub, self._board, outbox, history, wall=surroundings.wall, output=profile.output
         )
         self._desk = Desk(
             host,
-            self._memory,
+            self._archive.replies,
             lambda: self._board.state,
             surroundings.wall,
             LogRation(surroundings.monotonic),
@@ -124,47 +117,16 @@ class MqttService:
         """Serve until cancelled, with a broker or without."""
         try:
             async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._keep_journal(), name="mqtt journal")
+                tasks.create_task(self._keep_archive(), name="mqtt journal")
                 tasks.create_task(self._intake.run(), name="mqtt intake")
                 tasks.create_task(self._watch_clock(), name="mqtt clock")
                 tasks.create_task(self._desk.run(), name="mqtt desk")
                 tasks.create_task(self._keep_connected(), name="mqtt link")
         finally:
-            await self._journal.close(FAREWELL_S)
+            await self._archive.close()
 
-    async def _keep_journal(self) -> None:
-        """Have the journal opened, and opened again when it has failed; nothing waits for it."""
-        loaded, reported = False, ""
-        while True:
-            if await self._journal.open():
-                await self._restore(known=loaded)
-                loaded = True
-            self._memory.begin()
-            if self._journal.problem not in ("", reported):
-                self._report_journal(self._journal.problem)
-            reported = self._journal.problem
-            await asyncio.sleep(JOURNAL_RETRY_S)
-
-    async def _restore(self, *, known: bool) -> None:
-        """Recall what an earlier run left, unless it is known, and write what this one holds."""
-        if not known:
-            replies, events = await self._memory.load(), await self._outbox.load()
-            trips = await self._trips.load()
-            self._board.show_recalled()
-            if replies or events or trips:
-                unread = f"{replies} replies, {events} events and {trips} trips cannot be read"
-                self._report_journal(unread)
-        self._memory.rewrite()
-        self._outbox.rewrite()
-        self._trips.rewrite()
-
-    def _report_journal(self, problem: str) -> None:
-        self._intake.report(
-            "journal",
-            Severity.WARNING,
-            f"{self._journal.path}: {problem}; after a restart commands with ids used before may "
-            "be carried out again, and unsent events are lost",
-        )
+    async def _keep_archive(self) -> None:
+        await self._archive.run(self._intake.report, self._board.show_recalled)
 
     def _meet_rival(self, detail: str, *, certain: bool) -> None:
         """Report another client of the drive's name, and trip where that is certain."""
