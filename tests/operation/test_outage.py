@@ -209,7 +209,7 @@ async def test_discarded_events_are_counted_in_an_event(
     mortal: MortalBroker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async with serving(mortal.address, "overflow", tmp_path) as bench:
-        monkeypatch.setattr(bench.service._outbox, "limit", 10)
+        monkeypatch.setattr(bench.service._intake.outbox, "limit", 10)
         mortal.kill()
         for tick in range(25):
             bench.hub.publish(_event(tick))

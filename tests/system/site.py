@@ -191,8 +191,9 @@ class Site:
 
     def start_daemon(self) -> None:
         """Start the daemon and wait until it is on the broker."""
+        known = len(self.ear.on("availability"))
         self.daemon = self._start("daemon.log", "-m", "adaptdrive.cli", "run", self.config)
-        self.await_availability("online")
+        self.await_availability("online", after=known)
         prefer(self.daemon)
 
     def start(self, *device_options: str) -> None:
@@ -299,20 +300,21 @@ class Site:
 
         return until(find, f"state {wanted}", patience_s)
 
-    def await_availability(self, wanted: str) -> None:
-        """Wait until the drive is online or offline."""
+    def await_availability(self, wanted: str, after: int = 0) -> None:
+        """Wait until the drive is online or offline, by a message after so many others."""
 
         def find() -> bool:
-            heard = self.ear.on("availability")
+            heard = self.ear.on("availability")[after:]
             return bool(heard) and heard[-1].payload == wanted
 
         until(find, wanted, START_PATIENCE_S)
 
     def await_measurement(self) -> None:
-        """Wait until the daemon hears the drive."""
+        """Wait until a report that is still to come has a fresh measurement."""
+        known = len(self.ear.on("telemetry/drive"))
 
         def find() -> bool:
-            heard = self.ear.on("telemetry/drive")
+            heard = self.ear.on("telemetry/drive")[known:]
             return bool(heard) and (heard[-1].content["age_s"] or 1.0) < 0.05
 
         until(find, "a fresh measurement")

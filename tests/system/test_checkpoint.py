@@ -52,7 +52,7 @@ def test_a_restarted_daemon_needs_a_confirmation_only(make_site: MakeSite) -> No
     assert site.session().info.prior is None
 
     restart(site)
-    assert (site.state["state"], site.state["controller"]) == ("standby", "fixed")
+    site.await_state(state="standby", controller="fixed")
     again = periods_to_adaptive(site)
     assert again < WARM_UP - 1 <= first
     assert site.stop_daemon() == 0

@@ -138,7 +138,8 @@ def test_a_fault_trips_with_its_emergency_and_is_reset_by_the_operator_alone(
     time.sleep(0.5)
     assert power_states(site) == CLIMB  # still in its fault: nobody has asked yet
     site.demand("reset")
-    assert power_states(site) == [*CLIMB, "SWITCH_ON_DISABLED"]
+    left = [*CLIMB, "SWITCH_ON_DISABLED"]
+    until(lambda: power_states(site) == left, "the drive leaves its fault")
     site.await_state(state="standby", enabled=False)
     site.run_drive()
     climbed(site, *CLIMB, "SWITCH_ON_DISABLED")

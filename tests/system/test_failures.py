@@ -63,7 +63,7 @@ def test_each_signal_that_ends_leaves_the_bridge_off(
         assert site.daemon.wait(timeout=20.0) == 0
         farewell = bus.commands()[-3:]
     assert all(command.safe for command in farewell)
-    assert site.state["state"] == "standby"
+    site.await_state(state="standby")
 
 
 def test_asked_to_end_the_daemon_says_goodbye(make_site: MakeSite) -> None:
@@ -79,7 +79,7 @@ def test_asked_to_end_the_daemon_says_goodbye(make_site: MakeSite) -> None:
     assert all(command.safe for command in farewell)
     assert len(farewell) >= 3
     site.await_availability("offline")
-    assert site.state["state"] == "standby"
+    site.await_state(state="standby")
     session = site.session()
     assert session.info.ended is Ending.ORDERLY
     assert session.info.dropped.ticks == 0
@@ -102,7 +102,7 @@ def test_a_killed_drive_trips_and_can_be_run_again_once_it_is_back(make_site: Ma
         assert not site.ask(verb)["accepted"]
     site.start_device("--initial-voltage", "280")
     until(lambda: site.ask("reset")["accepted"], "the reset is accepted")
-    assert site.state["state"] == "standby"
+    site.await_state(state="standby")
     site.run_drive()
     site.demand("disable")
     assert site.stop_daemon() == 0

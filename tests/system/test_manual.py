@@ -25,7 +25,7 @@ def test_an_operator_sets_the_voltage_and_the_record_replays(make_site: MakeSite
     refused = site.ask("voltage", 300.0)
     assert refused["reason"] == "voltage needs mode manual; mode is fixed"
     site.demand("mode", "manual")
-    assert site.state["voltage_V"] == 200.0
+    site.await_state(voltage_V=200.0)
     site.run_drive()
     for voltage_V in (300.0, 260.0):
         site.demand("voltage", voltage_V)

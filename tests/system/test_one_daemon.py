@@ -131,12 +131,18 @@ def test_a_foreign_command_frame_trips_and_decays(site: Site) -> None:
 
 
 def test_before_enable_a_foreign_command_frame_refuses(site: Site) -> None:
+    known = foreign_commands(site)
     send_foreign_command(site)
-    time.sleep(0.1)  # its way through the loop
+    until(lambda: foreign_commands(site) > known, "the frame is counted")
     refused = site.ask("enable")
     assert not refused["accepted"]
     assert "another sender commands this drive: 1 x frame 0x080" in refused["reason"]
     assert site.state["state"] == "standby"
+
+
+def foreign_commands(site: Site) -> int:
+    """Foreign commands that the daemon has counted, by its last report."""
+    return int(site.ear.on("telemetry/drive")[-1].content["bus"]["foreign_commands"])
 
 
 def send_foreign_command(site: Site) -> None:

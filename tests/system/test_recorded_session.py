@@ -13,7 +13,7 @@ import pytest
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.session import Ending
 from tests.system.conftest import MakeSite
-from tests.system.site import Site
+from tests.system.site import Site, until
 
 pytestmark = [pytest.mark.slow, pytest.mark.alone]
 
@@ -67,7 +67,7 @@ def _trip_and_reset(site: Site) -> None:
     site.disturb("fault", "1")
     site.await_state(state="tripped")
     site.disturb("fault", "0")
-    assert site.ask("reset")["accepted"]
+    until(lambda: site.ask("reset")["accepted"], "the reset is accepted")
     site.run_drive()
     site.demand("setpoint", 3.1)
     site.let_periods_pass(2)
