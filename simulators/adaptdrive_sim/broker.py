@@ -2,7 +2,8 @@
 
     adaptdrive-sim/DRIVE/disturb   requests, see `adaptdrive_sim.disturbances`; never retained
     adaptdrive-sim/DRIVE/reply     the answer to each: id, accepted, reason
-    adaptdrive-sim/DRIVE/truth     retained, once a second: what an estimator is to find
+    adaptdrive-sim/DRIVE/truth     retained, once a second: what an estimator is to find, and
+                                   the disturbances that the device offers
 
 The truth is removed when the simulated drive goes away, by its last will if need be.
 """
@@ -11,8 +12,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-
-import msgspec
 
 from adaptdrive.errors import RefusedError
 
@@ -23,14 +22,6 @@ class BrokerAddress:
 
     host: str
     port: int
-
-
-class DeviceReply(msgspec.Struct, frozen=True):
-    """The answer to one request; the id is None where none could be read."""
-
-    id: str | None
-    accepted: bool
-    reason: str
 
 
 def parse_address(text: str) -> BrokerAddress:
@@ -46,8 +37,3 @@ def parse_address(text: str) -> BrokerAddress:
     if not 1 <= port <= 65535:
         raise RefusedError(f"broker {text!r}: port {port} must lie in 1…65535")
     return BrokerAddress(match[1].strip("[]"), port)
-
-
-def topic(drive: str, leaf: str) -> str:
-    """Topic of a simulated drive."""
-    return f"adaptdrive-sim/{drive}/{leaf}"

@@ -9,7 +9,8 @@ from typing import Any
 import aiomqtt
 import msgspec
 
-from adaptdrive_sim.broker import BrokerAddress, DeviceReply, topic
+from adaptdrive.operation.simulator import DeviceReply, simulator_topic
+from adaptdrive_sim.broker import BrokerAddress
 
 ANSWER_s = 5.0
 
@@ -28,8 +29,10 @@ async def ask(broker: BrokerAddress, drive: str, disturbance: dict[str, Any]) ->
     request = {"id": uuid.uuid4().hex, **disturbance}
     try:
         async with asyncio.timeout(ANSWER_s), aiomqtt.Client(broker.host, broker.port) as client:
-            await client.subscribe(topic(drive, "reply"), qos=1)
-            await client.publish(topic(drive, "disturb"), msgspec.json.encode(request), qos=1)
+            await client.subscribe(simulator_topic(drive, "reply"), qos=1)
+            await client.publish(
+                simulator_topic(drive, "disturb"), msgspec.json.encode(request), qos=1
+            )
             return await _answer(client, request["id"])
     except (TimeoutError, aiomqtt.MqttError):
         return None

@@ -8,11 +8,12 @@ from collections.abc import Callable
 from typing import Any
 
 from adaptdrive.operation.asyncapi import schema
-from adaptdrive.operation.contract import Topic, topics
+from adaptdrive.operation.contract import Topic, simulator_topics, topics
 
 READ = (
     *("state", "telemetry/load", "telemetry/drive"),
     *("event", "history", "reply", "availability"),
+    *("simulator/truth", "simulator/reply"),
 )
 """Topics that the page reads."""
 
@@ -65,7 +66,7 @@ class Hostile:
 
     def __init__(self, seed: int) -> None:
         self._chance = random.Random(seed)
-        found = {topic.name: topic for topic in topics()}
+        found = {topic.name: topic for topic in (*topics(), *simulator_topics())}
         self._schemas = {name: _schema_of(found[name]) for name in READ}
         self._kinds: tuple[Callable[[], Any], ...] = (
             lambda: self._chance.choice(TEXTS),

@@ -69,7 +69,9 @@ class Storm:
         name = self._chance.choice(READ)
         drive = self._chance.choice(ODD_DRIVES) if self._chance.random() < 0.02 else EVIL
         body = base64.b64encode(self._hostile.draw(name)).decode()
-        return f"adaptdrive/{drive}/{name}", body, self._chance.random() < 0.1
+        root = "adaptdrive-sim" if name.startswith("simulator/") else "adaptdrive"
+        topic = f"{root}/{drive}/{name.removeprefix('simulator/')}"
+        return topic, body, self._chance.random() < 0.1
 
     def answer(self, client: paho.Client, _: object, message: paho.MQTTMessage) -> None:
         """Answer a command of the page by its id, with an odd reply."""

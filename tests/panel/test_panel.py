@@ -71,6 +71,24 @@ def test_an_operator_runs_the_drive_and_sees_the_estimate_move(
     operator.expect_state("standby")
 
 
+def test_a_simulated_plant_is_disturbed_from_the_page(
+    operator: Panel, make_panel: MakePanel, panel_site: PanelSite
+) -> None:
+    operator.page.get_by_role("button", name="add a disk").click()
+    operator.expect_text(".answer", "add a disk: accepted")
+    operator.page.get_by_role("button", name="remove a disk").click()
+    operator.expect_text(".answer", "remove a disk: accepted")
+    operator.page.get_by_role("button", name="remove a disk").click()
+    operator.expect_text(".answer", "remove a disk: refused: disks = 0 must lie in 1…10")
+    asked = [one["disks"] for one in panel_site.site.device_events("disturbed")]
+    assert asked[-2:] == [1, -1]
+    viewer = make_panel()
+    viewer.log_in(panel_site.address, "viewer")
+    viewer.open_drive()
+    viewer.expect_text(".age", "live")
+    expect(viewer.page.get_by_role("button", name="add a disk")).to_be_hidden()
+
+
 def estimates(panel: Panel) -> list[str]:
     return [panel.value(name) for name in ("gain", "tau_sum", "input_offset")]
 

@@ -1,12 +1,16 @@
 """Disturbances: what is accepted, what is refused, and what they do."""
 
+import json
 import re
 from typing import Any
 
 import msgspec
 import pytest
+from jsonschema import Draft202012Validator
 
 from adaptdrive.errors import RefusedError
+from adaptdrive.operation.asyncapi import schema
+from adaptdrive.operation.contract import simulator_topics
 from adaptdrive_sim.broker import BrokerAddress, parse_address
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.remote import Remote
@@ -187,3 +191,25 @@ def test_broker_addresses(text: str, address: BrokerAddress) -> None:
 def test_no_broker_addresses(text: str) -> None:
     with pytest.raises(RefusedError, match="broker"):
         parse_address(text)
+
+
+@pytest.mark.parametrize(
+    "load",
+    [Motor(MotorParameters()), Bath(BathParameters()), Battery(BatteryParameters())],
+    ids=["motor", "bath", "battery"],
+)
+def test_what_a_device_offers_is_carried_out(load: SimulatedLoad) -> None:
+    device = SimulatedDrive(World(load), ignore)
+    remote = Remote(BrokerAddress("localhost", 1), "bench", device, ignore)
+    features = json.loads(msgspec.json.encode(remote.state()))["features"]
+    assert len(features) >= 3
+    for feature in features:
+        assert ask(remote, **feature["request"]) == (True, ""), feature
+
+
+def test_the_state_of_a_device_fits_its_schema(remote: Remote) -> None:
+    state = json.loads(msgspec.json.encode(remote.state()))
+    topic = next(one for one in simulator_topics() if one.name == "simulator/truth")
+    Draft202012Validator(schema(topic)).validate(state)
+    assert {"text": "add a disk", "request": {"disks": 1}} in state["features"]
+    assert not Draft202012Validator(schema(topic)).is_valid({"features": [{"text": 5}]})

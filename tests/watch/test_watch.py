@@ -146,6 +146,20 @@ def test_keys_send_commands_and_enable_needs_two() -> None:
     assert reader.press("e") is None
 
 
+def test_a_simulated_device_is_disturbed_by_the_digits_that_it_offers() -> None:
+    record = live_record(Clock())
+    add = {"text": "add a disk", "request": {"disks": 1}}
+    reader = KeyReader(record)
+    assert reader.press("1") is None
+    assert "simulated plant" not in "\n".join(shown(record))
+    record.take("simulator", {"features": [add, 7, {"text": "no request"}]})
+    assert "simulated plant: 1 add a disk" in "\n".join(shown(record))
+    assert reader.press("1") == KeyCommand("add a disk", disturbance={"disks": 1})
+    assert reader.press("2") is None
+    record.take("simulator", {})  # the device went away
+    assert reader.press("1") is None
+
+
 def test_a_step_of_the_set_point_stays_in_its_range() -> None:
     record = live_record(Clock(), setpoint=3.99)
     assert KeyReader(record).press("+") == KeyCommand("setpoint", 4.0)

@@ -12,8 +12,8 @@ from aiomqtt import Client, Message, MqttError, ProtocolVersion
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.link import connection
 from adaptdrive.operation.messages import ONLINE
+from adaptdrive.operation.simulator import simulator_topic
 from adaptdrive.operation.topics import Topics
-from adaptdrive_sim.broker import topic as simulator_topic
 from adaptdrive_sim.demo import heard
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoError

@@ -10,14 +10,17 @@ import asyncio
 import contextlib
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from typing import Any
 
 import aiomqtt
 import msgspec
 
 from adaptdrive.errors import RefusedError
-from adaptdrive_sim.broker import BrokerAddress, DeviceReply, topic
+from adaptdrive.operation.simulator import DeviceReply, simulator_topic
+from adaptdrive_sim.broker import BrokerAddress
 from adaptdrive_sim.devices.drive import Report, SimulatedDrive
 from adaptdrive_sim.disturbances import apply_request, parse_request, read_id
+from adaptdrive_sim.features import features_of
 
 TRUTH_PERIOD_s = 1.0
 RETRY_FIRST_s = 0.5
@@ -50,7 +53,7 @@ class Remote:
 
     async def _serve(self) -> None:
         """Serve one connection until it is lost."""
-        truth = topic(self._name, "truth")
+        truth = simulator_topic(self._name, "truth")
         will = aiomqtt.Will(truth, payload=b"", qos=1, retain=True)
         address = self._broker
         async with aiomqtt.Client(address.host, address.port, will=will) as client:
@@ -67,16 +70,16 @@ class Remote:
 
     async def _publish_truth(self, client: aiomqtt.Client, truth: str) -> None:
         while True:
-            payload = msgspec.json.encode(self.truth())
+            payload = msgspec.json.encode(self.state())
             await client.publish(truth, payload, qos=0, retain=True)
             await asyncio.sleep(TRUTH_PERIOD_s)
 
     async def _answer(self, client: aiomqtt.Client) -> None:
-        await client.subscribe(topic(self._name, "disturb"), qos=1)
+        await client.subscribe(simulator_topic(self._name, "disturb"), qos=1)
         async for message in client.messages:
             reply = self.carry_out(message.payload, retained=bool(message.retain))
             encoded = msgspec.json.encode(reply)
-            await client.publish(topic(self._name, "reply"), encoded, qos=1)
+            await client.publish(simulator_topic(self._name, "reply"), encoded, qos=1)
 
     def carry_out(self, payload: bytes, *, retained: bool) -> DeviceReply:
         """Carry out one request, or return the reason of a refusal."""
@@ -90,6 +93,10 @@ class Remote:
             return DeviceReply(id=read_id(payload), accepted=False, reason=refusal.reason)
         self._report("disturbed", **msgspec.to_builtins(request))
         return DeviceReply(id=request.id, accepted=True, reason="")
+
+    def state(self) -> Mapping[str, Any]:
+        """Return the truth, and the disturbances that the device offers."""
+        return {**self.truth(), "features": features_of(self._drive.world.load)}
 
     def truth(self) -> Mapping[str, float | str]:
         """Return the true parameters for comparison with estimates, and the surroundings."""

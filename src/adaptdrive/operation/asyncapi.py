@@ -15,7 +15,7 @@ import msgspec
 
 from adaptdrive import __version__
 from adaptdrive.operation.commands import VERBS
-from adaptdrive.operation.contract import Availability, Topic, attributes, topics
+from adaptdrive.operation.contract import Availability, Topic, attributes, simulator_topics, topics
 
 Document = dict[str, Any]
 
@@ -30,7 +30,7 @@ _NONE = re.compile(r"\bNone\b")
 
 def asyncapi() -> Document:
     """Return the AsyncAPI 3 document of the daemon."""
-    found = topics()
+    found = (*topics(), *simulator_topics())
     messages: Document = {}
     schemas: Document = {}
     for sent in (True, False):
@@ -129,7 +129,9 @@ def write(folder: Path) -> None:
 def documents() -> dict[str, str]:
     """Return the text of each file by its name."""
     found = {"asyncapi.json": asyncapi()}
-    found |= {f"{_id(topic)}.schema.json": schema(topic) for topic in topics()}
+    found |= {
+        f"{_id(topic)}.schema.json": schema(topic) for topic in (*topics(), *simulator_topics())
+    }
     return {
         name: json.dumps(document, indent=1, ensure_ascii=False) + "\n"
         for name, document in found.items()

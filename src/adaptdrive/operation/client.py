@@ -12,7 +12,7 @@ import uuid
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 from aiomqtt import Client, MqttError, ProtocolVersion
@@ -22,7 +22,13 @@ from adaptdrive.errors import AdaptdriveError
 from adaptdrive.operation.commands import LONGEST_USER
 from adaptdrive.operation.link import connection
 from adaptdrive.operation.messages import ONLINE, Reply
+from adaptdrive.operation.simulator import DISTURB, REPLY, TRUTH, DeviceReply, simulator_topic
 from adaptdrive.operation.topics import Topics
+
+AnyReply = TypeVar("AnyReply", Reply, DeviceReply)
+
+SIMULATOR = "simulator"
+"""Name under which `follow` yields the state of a simulated device."""
 
 TELEMETRY_WAIT_S = 1.0
 _DRIVE = re.compile("[A-Za-z0-9_-]{1,64}")
@@ -71,15 +77,52 @@ async def send_command(
         NoAnswerError: No reply in time, or no broker.
     """
     topics, identity = Topics(drive), str(uuid.uuid4())
-    command = json.dumps({"id": identity, "value": value, "user": sender(), **fields})
-    async with _conversation(broker, drive) as client, asyncio.timeout(timeout_s):
-        await client.subscribe(topics.reply, qos=1)
-        await client.publish(topics.command(verb), command, qos=1)
-        async for message in client.messages:
-            reply = _reply(bytes(message.payload))
-            if reply is not None and reply.id == identity:
-                return reply
+    command = {"id": identity, "value": value, "user": sender(), **fields}
+    places = topics.command(verb), topics.reply
+    async for payload in _answers(broker, drive, places, command, timeout_s):
+        reply = _reply(payload, Reply)
+        if reply is not None and reply.id == identity:
+            return reply
     raise NoAnswerError(drive, "the broker closed the connection")
+
+
+async def disturb(
+    broker: Mqtt, drive: str, request: dict[str, Any], timeout_s: float
+) -> DeviceReply:
+    """Ask a simulated device for a disturbance and wait for its answer.
+
+    Args:
+        broker: Where the broker is.
+        drive: Name of the drive.
+        request: Disturbance that the device offers.
+        timeout_s: Longest wait for the answer.
+
+    Raises:
+        NoAnswerError: No answer in time, or no broker.
+    """
+    identity = str(uuid.uuid4())
+    places = simulator_topic(drive, DISTURB), simulator_topic(drive, REPLY)
+    async for payload in _answers(broker, drive, places, {**request, "id": identity}, timeout_s):
+        reply = _reply(payload, DeviceReply)
+        if reply is not None and reply.id == identity:
+            return reply
+    raise NoAnswerError(drive, "the broker closed the connection")
+
+
+async def _answers(
+    broker: Mqtt,
+    drive: str,
+    places: tuple[str, str],
+    content: dict[str, Any],
+    timeout_s: float,
+) -> AsyncIterator[bytes]:
+    """Publish a request on the first topic, and yield what is then published on the second."""
+    asked, answered = places
+    async with _conversation(broker, drive) as client, asyncio.timeout(timeout_s):
+        await client.subscribe(answered, qos=1)
+        await client.publish(asked, json.dumps(content), qos=1)
+        async for message in client.messages:
+            yield bytes(message.payload)
 
 
 def sender() -> str:
@@ -184,10 +227,14 @@ async def follow(broker: Mqtt, drive: str) -> AsyncIterator[tuple[str, dict[str,
     async with _conversation(broker, drive) as client:
         await client.subscribe([(name, 1) for name in (*names, topics.history)])
         await client.subscribe(topics.availability, qos=1)
+        truth = simulator_topic(drive, TRUTH)
+        await client.subscribe(truth)
         await client.publish(topics.ask_history, b"", qos=1)
         async for message in client.messages:
             name, payload = topics.name(message.topic.value), bytes(message.payload)
-            if name == "availability":
+            if message.topic.value == truth:
+                yield SIMULATOR, _content(payload) or {}
+            elif name == "availability":
                 yield name, {name: payload.decode("utf-8", "replace")}
             elif (content := _content(payload)) is not None:
                 yield name, content
@@ -239,9 +286,9 @@ def _note(topic: str, payload: bytes, topics: Topics, status: DriveStatus) -> No
         status.telemetry[topic.rpartition("/")[2]] = content
 
 
-def _reply(payload: bytes) -> Reply | None:
+def _reply(payload: bytes, kind: type[AnyReply]) -> AnyReply | None:
     try:
-        return msgspec.json.decode(payload, type=Reply)
+        return msgspec.json.decode(payload, type=kind)
     except msgspec.DecodeError:
         return None
 

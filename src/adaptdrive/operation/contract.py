@@ -16,6 +16,7 @@ import msgspec
 
 from adaptdrive.control.columns import Column, columns_of
 from adaptdrive.control.signals import Estimate, Measurement
+from adaptdrive.operation import simulator
 from adaptdrive.operation.commands import VERBS, payload_type
 from adaptdrive.operation.history import KEYS
 from adaptdrive.operation.messages import MEASURED, Reply, Standing
@@ -66,8 +67,9 @@ class Topic:
 
     @property
     def name(self) -> str:
-        """The topic below that of the drive."""
-        return self.address.split("/", 2)[2]
+        """The topic below that of the drive; one of a simulated device below `simulator`."""
+        root, _, name = self.address.split("/", 2)
+        return f"simulator/{name}" if root == simulator.ROOT else name
 
 
 def topics() -> tuple[Topic, ...]:
@@ -95,6 +97,25 @@ def topics() -> tuple[Topic, ...]:
             Topic(of.command(verb), f"the command {verb}", payload_type(verb), sent=False)
             for verb in VERBS
         ),
+    )
+
+
+def simulator_topics() -> tuple[Topic, ...]:
+    """Return all topics of a simulated device, beside those of its daemon."""
+
+    def of(leaf: str) -> str:
+        return simulator.simulator_topic("{drive}", leaf)
+
+    return (
+        Topic(
+            of(simulator.TRUTH),
+            "the simulated plant, once a second, and the disturbances that it offers",
+            simulator.Truth,
+            retained=True,
+            qos=0,
+        ),
+        Topic(of(simulator.REPLY), "the answer to a request", simulator.DeviceReply),
+        Topic(of(simulator.DISTURB), "a request", simulator.Disturbance, sent=False),
     )
 
 

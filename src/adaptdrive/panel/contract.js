@@ -44,7 +44,7 @@ const Contract = (() => {
     ["history", "history"],
   ]);
 
-  const SIMULATED = new Map([["features", "features"], ["reply", "reply"]]);
+  const SIMULATED = new Map([["truth", "features"], ["reply", "reply"]]);
 
   const SUBSCRIPTIONS = [
     ...[...KINDS.keys()].filter((tail) => tail !== "history").map((tail) => `${ROOT}/+/${tail}`),

@@ -7,9 +7,10 @@ import os
 import sys
 import termios
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 from adaptdrive.watch.record import WatchRecord
 
@@ -26,10 +27,17 @@ _STEPS = {"+": 1, "-": -1}
 
 @dataclass(frozen=True, slots=True)
 class KeyCommand:
-    """A command that a key asks for."""
+    """A command that a key asks for.
+
+    Attributes:
+        verb: Verb of the command, or the words of a disturbance.
+        value: Value of the command.
+        disturbance: Request to a simulated device, None for a command of the drive.
+    """
 
     verb: str
     value: object = None
+    disturbance: Mapping[str, Any] | None = None
 
 
 class KeyReader:
@@ -50,7 +58,15 @@ class KeyReader:
             return self._step(_STEPS[key])
         if key == "e":
             return self._enable(armed_s)
-        return None
+        return self._disturbance(key)
+
+    def _disturbance(self, key: str) -> KeyCommand | None:
+        """Return the disturbance that a simulated device offers under a digit."""
+        features = self._record.features
+        if key not in "123456789" or int(key) > len(features):
+            return None
+        chosen = features[int(key) - 1]
+        return KeyCommand(str(chosen.get("text")), disturbance=chosen["request"])
 
     def _enable(self, armed_s: float | None) -> KeyCommand | None:
         now_s = self._record.monotonic()

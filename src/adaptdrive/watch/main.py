@@ -9,7 +9,9 @@ from rich.console import Console
 from rich.live import Live
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.client import NoAnswerError, follow, send_command
+from adaptdrive.operation.client import NoAnswerError, disturb, follow, send_command
+from adaptdrive.operation.messages import Reply
+from adaptdrive.operation.simulator import DeviceReply
 from adaptdrive.watch.keys import QUIT, KeyCommand, KeyReader, pressed_keys
 from adaptdrive.watch.record import WatchRecord
 from adaptdrive.watch.view import screen
@@ -74,8 +76,16 @@ async def _send(broker: Mqtt, record: WatchRecord, command: KeyCommand, timeout_
     asked = f"{command.verb}{value}"
     record.answer = f"{asked}: sent"
     try:
-        reply = await send_command(broker, record.drive, command.verb, command.value, timeout_s)
+        reply = await _reply(broker, record.drive, command, timeout_s)
     except NoAnswerError as problem:
         record.answer = f"{asked}: {problem.problem}"
     else:
         record.answer = f"{asked}: accepted" if reply.accepted else f"{asked}: {reply.reason}"
+
+
+async def _reply(
+    broker: Mqtt, drive: str, command: KeyCommand, timeout_s: float
+) -> Reply | DeviceReply:
+    if command.disturbance is not None:
+        return await disturb(broker, drive, dict(command.disturbance), timeout_s)
+    return await send_command(broker, drive, command.verb, command.value, timeout_s)

@@ -15,6 +15,7 @@ Payload = dict[str, Any]
 
 POINTS = 6000
 EVENTS = 50
+MOST_FEATURES = 9
 LIVE_S = 3.0
 """Longest age of what is shown as live: `telemetry/drive` comes ten times a second."""
 
@@ -34,6 +35,7 @@ class WatchRecord:
         fast: Payload of `telemetry/drive`.
         events: The last events.
         points: Output and reference over the time of the daemon's clock.
+        features: Disturbances that a simulated device offers.
         answer: Last command and what the daemon answered.
         problem: Why the broker is not heard, empty while it is.
     """
@@ -46,6 +48,7 @@ class WatchRecord:
     fast: Payload = field(default_factory=dict)
     events: deque[Payload] = field(default_factory=lambda: deque(maxlen=EVENTS))
     points: deque[PlotPoint] = field(default_factory=lambda: deque(maxlen=POINTS))
+    features: list[Payload] = field(default_factory=list)
     answer: str = ""
     problem: str = ""
     _heard_s: float = -math.inf
@@ -89,6 +92,8 @@ class WatchRecord:
                 self._add(content, self._reference)
             case "event":
                 self.events.append(content)
+            case "simulator":
+                self.features = _features(content)
             case "history":
                 self._remember(content)
 
@@ -115,6 +120,13 @@ class WatchRecord:
         )
         older = [point for point in found if point is not None and point.time_s < first_s]
         self.points.extendleft(reversed(older))
+
+
+def _features(content: Payload) -> list[Payload]:
+    """Return the disturbances that can be read, at most one for each digit."""
+    found = content.get("features")
+    offered = (one for one in (found if isinstance(found, list) else []) if isinstance(one, dict))
+    return [one for one in offered if isinstance(one.get("request"), dict)][:MOST_FEATURES]
 
 
 def _point(content: Payload, reference: object, controller: str) -> PlotPoint | None:

@@ -42,14 +42,15 @@ def screen(record: WatchRecord, size: tuple[int, int]) -> Layout:
     width, height = size
     events = _EVENTS if height >= _TALL else 3
     header = list(_header(record))
-    fixed = len(header) + FIGURES_ROWS + events + 2
+    footer = _footer(record)
+    fixed = len(header) + FIGURES_ROWS + events + len(footer)
     layout = Layout()
     layout.split_column(
         Layout(Text("\n").join(map(cut, header)), size=len(header)),
         Layout(_plot_panel(record, (width, height - fixed))),
         Layout(_figures(record), size=FIGURES_ROWS),
         Layout(_events(record, events), size=events),
-        Layout(Text("\n").join(map(cut, _footer(record))), size=2),
+        Layout(Text("\n").join(map(cut, footer)), size=len(footer)),
     )
     return layout
 
@@ -153,8 +154,12 @@ def _events(record: WatchRecord, count: int) -> Text:
     return event_lines(lines)
 
 
-def _footer(record: WatchRecord) -> tuple[Text, Text]:
-    return Text(f" {printable(record.answer)}", "bold"), Text(f" {KEYS}", DIM)
+def _footer(record: WatchRecord) -> tuple[Text, ...]:
+    lines = Text(f" {printable(record.answer)}", "bold"), Text(f" {KEYS}", DIM)
+    offered = "   ".join(
+        f"{number} {printable(one.get('text'))}" for number, one in enumerate(record.features, 1)
+    )
+    return (*lines, Text(f" simulated plant: {offered}", DIM)) if offered else lines
 
 
 def _text(value: object) -> Text:
