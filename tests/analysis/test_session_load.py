@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,8 +12,11 @@ from adaptdrive.analysis.excerpts import block_samples, read_stretches
 from adaptdrive.analysis.session_load import SessionLoad, as_json, as_text, identify_session
 from adaptdrive.cli import main
 from adaptdrive.errors import IdentificationError
+from adaptdrive.recording.batches import Header
 from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.session import NewSession, create_session
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
 
 @pytest.fixture(scope="module")
@@ -60,3 +64,18 @@ def test_the_command_draws_and_prints(
     assert main(["identify", str(session_path), "--into", str(tmp_path), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["delay_s"] >= 0.0
     assert (tmp_path / "load.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_line_whose_frequency_wanders_has_one_period(tmp_path: Path) -> None:
+    """From one run of the drive to the next, by more than excerpts of one experiment may differ."""
+    ticks = [make_tick(number) for number in range(600)]
+    slower = [
+        replace(one, measurement=replace(one.measurement, tick_period_s=1.003 / 120.0))
+        for one in map(make_tick, range(2000, 2600))
+    ]
+    directory = create_session(NewSession(tmp_path, INFO, ""))
+    record_messages(directory, Header(INFO, ""), make_batch([*ticks, *slower], last=True))
+    stretches = read_stretches(read_session(directory))
+    assert len(stretches) == 2
+    for one in stretches:
+        assert one.period_s == pytest.approx(1.0015 / 120.0)

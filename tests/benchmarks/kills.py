@@ -127,7 +127,10 @@ class Drive:
                 command, stdout=output, stderr=output, cwd=self.folder, env=BUSY
             )
         before = len(self._sessions())
-        until(lambda: len(self._sessions()) > before, "a session begins", PATIENCE_s)
+        try:
+            until(lambda: len(self._sessions()) > before, "a session begins", PATIENCE_s)
+        except AssertionError as problem:
+            raise RuntimeError(f"{problem}: {log.read_text(encoding='utf-8')[-2000:]}") from None
         return daemon, log
 
     def _sessions(self) -> list[Path]:

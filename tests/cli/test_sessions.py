@@ -86,6 +86,8 @@ def test_sessions_and_events_are_read_by_programs(state: Path) -> None:
     assert [(one["session"], one["info"]["ended"]) for one in listed] == [(NAME, "orderly")]
     assert listed[0]["info"]["dropped"]["ticks"] == 3
     assert json.loads(run(state, "sessions", "show", NAME, "--json").stdout) == listed[0]
+    verdict = json.loads(run(state, "sessions", "verify", NAME, "--json").stdout)[NAME]
+    assert (verdict["whole"], verdict["rows"]["ticks"]) == (True, 1000)
     events = json.loads(run(state, "events", "--json").stdout)
     assert [(one["kind"], one["detail"]) for one in events] == [("trip", "over-voltage: 431 V")]
 

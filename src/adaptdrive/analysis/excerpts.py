@@ -81,7 +81,11 @@ def read_stretches(
     gaps = np.flatnonzero(np.diff(rows["tick"]) > (_LONGEST_GAP + 1) * stride) + 1
     parts = np.split(np.arange(len(rows["tick"])), gaps)
     period = session.info.ticks_per_period
-    found = [_stretch({n: v[part] for n, v in rows.items()}, stride, period) for part in parts]
+    # one for all: the line's frequency wanders by less than matters, and one grid needs one period
+    period_s = stride * float(np.mean(rows["tick_period_s"]))
+    found = [
+        _stretch({n: v[part] for n, v in rows.items()}, stride, period, period_s) for part in parts
+    ]
     return [one for one in found if one is not None]
 
 
@@ -128,7 +132,9 @@ def _equal(batch: pa.RecordBatch, name: str, wanted: str | bool) -> NDArray[np.b
     return np.asarray(found.to_numpy(zero_copy_only=False), dtype=np.bool_)
 
 
-def _stretch(rows: dict[str, Any], stride: int, ticks_per_period: int) -> Stretch | None:
+def _stretch(
+    rows: dict[str, Any], stride: int, ticks_per_period: int, period_s: float
+) -> Stretch | None:
     """Put rows on a regular grid that begins with a slow period."""
     ticks = rows["tick"]
     begin = math.ceil((ticks[0] - stride) / ticks_per_period) * ticks_per_period + stride
@@ -138,7 +144,7 @@ def _stretch(rows: dict[str, Any], stride: int, ticks_per_period: int) -> Stretc
     columns = {name: np.interp(grid, ticks, rows[name]) for name in _COLUMNS[:-1]}
     return Stretch(
         begin_s=float(np.interp(begin, ticks, rows["time_s"])),
-        period_s=stride * float(rows["tick_period_s"].mean()),
+        period_s=period_s,
         samples_per_period=max(1, ticks_per_period // stride),
         columns=columns,
         modes=rows["mode"][np.minimum(np.searchsorted(ticks, grid), len(ticks) - 1)],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
@@ -40,10 +41,10 @@ def list_sessions(*, directory: Folder = None, as_json: Json = False) -> int:
             if not as_json:
                 print(f"{path.name}  damaged: {problem}")
             continue
-        found.append({"session": path.name, "bytes": _size(path), "info": info})
+        found.append(_facts(path, info))
         if as_json:
             continue
-        trips = len(list(path.glob("trip-*")))
+        trips = len(_trips(path))
         lost = f", not recorded: {info.dropped}" if info.dropped != Dropped() else ""
         tripped = f", {trips} trips" if trips else ""
         print(f"{path.name}  {info.ended:<8} {_size(path) / 1e6:9.1f} MB{tripped}{lost}")
@@ -78,11 +79,11 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
         ("segments", str(max((one.number for one in segments(found.path)), default=0))),
         ("events", str(len(found.events))),
         ("commands", str(len(found.commands))),
-        ("trips", ", ".join(path.name for path in sorted(found.path.glob("trip-*"))) or "none"),
+        ("trips", ", ".join(_trips(found.path)) or "none"),
         ("size", f"{_size(found.path) / 1e6:.1f} MB"),
     ]
     if as_json:
-        _print_json({"session": found.path.name, "bytes": _size(found.path), "info": info})
+        _print_json(_facts(found.path, info))
         return 0
     for name, text in rows:
         print(f"{name:<14}{text}")
@@ -90,12 +91,13 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
 
 
 @app.command
-def verify(*sessions: str, directory: Folder = None) -> int:
+def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> int:
     """Read all of some sessions and hold every page against its checksum.
 
     Args:
         sessions: Folders of sessions, or names in the folder of sessions.
         directory: Folder of the sessions.
+        as_json: Print JSON.
 
     Returns:
         0 when nothing is damaged and no tick is missing, else 1.
@@ -104,14 +106,20 @@ def verify(*sessions: str, directory: Folder = None) -> int:
     from adaptdrive.recording.verify import verify as verify_session  # noqa: PLC0415
 
     status = 0
+    verdicts: dict[str, object] = {}
     for name in sessions:
         verdict = verify_session(read_session(_find(name, directory)))
+        status = status if verdict.whole else 1
+        if as_json:
+            verdicts[name] = {"whole": verdict.whole, **asdict(verdict)}
+            continue
         rows = ", ".join(f"{count} {table}" for table, count in verdict.rows.items()) or "nothing"
         state = "whole" if verdict.whole else f"{verdict.missing_ticks} ticks are missing"
         print(f"{name}: {rows}; {state}")
         for problem in verdict.problems:
             print(f"adaptdrive: {name}: {problem}", file=sys.stderr)
-        status = status if verdict.whole else 1
+    if as_json:
+        _print_json(verdicts)
     return status
 
 
@@ -174,6 +182,14 @@ def events(
         if one.kind == "trip" and (steps := remedy(one.detail)):
             print(f"{'':<34}{'':<8} {'remedy':<12} {steps}")
     return 0
+
+
+def _facts(path: Path, info: object) -> dict[str, object]:
+    return {"session": path.name, "bytes": _size(path), "trips": _trips(path), "info": info}
+
+
+def _trips(path: Path) -> list[str]:
+    return sorted(one.name for one in path.glob("trip-*"))
 
 
 def _print_json(content: object) -> None:
