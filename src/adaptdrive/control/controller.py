@@ -179,6 +179,10 @@ class Controller:
         if stage is Stage.RUN:
             self._recall()
             output = measurement.output
+            if not fed and self._load.charging is not None:
+                # the capacitor may still be charged: holding it would charge at any current
+                self._fast.boost_reference_V = limits.boost_reference_min_V
+                self._fast.error_sum = initial_sum(limits.boost_reference_min_V)
             at_rest = voltage if fed else self._resting_voltage(output, voltage)
             self._bank = self._new_bank(measurement.tick_period_s, output, at_rest)
             self._slow = new_slow_state(self._settings, self._load, output, voltage)
