@@ -10,7 +10,7 @@ bin := $(venv)/bin
 # The stamp's name follows the content of both files: an unchanged checkout never reinstalls.
 installed := $(venv)/.installed-$(firstword $(shell cat pyproject.toml constraints.txt | cksum))
 
-.PHONY: help demo test quick lint bench docs wheel compiled deb constraints clean
+.PHONY: help demo test quick lint bench proof docs wheel compiled deb constraints clean
 
 help:
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 20
@@ -34,6 +34,9 @@ lint: $(installed) ## lint, formatting, types and import layers
 
 bench: $(installed) ## measure speed and real time; MINUTES=10 looks longer for late ticks
 	$(bin)/python -m tests.benchmarks --minutes $(MINUTES)
+
+proof: $(installed) ## run the long forms of the tests and write docs/proof.md; takes hours
+	$(bin)/python -m tests.proof docs/proof.md
 
 docs: $(installed) ## write the pages that are made from the code
 	$(bin)/python -m adaptdrive.config.reference docs/configuration.md

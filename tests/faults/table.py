@@ -1,0 +1,76 @@
+"""The table of faults: `python -m tests.faults.table SEEDS`; PROCESSES runs more at once.
+
+Each row runs on each of its loads with so many seeds, from 100 on; the tests of CI use seeds below.
+Lines come to stderr as they are found, the whole table to stdout.
+"""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+import statistics
+import sys
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+from tests.faults.judge import Verdict, judge
+from tests.faults.rows import ROWS, Row
+
+FIRST_SEED = 100
+HEAD = (
+    "| | fault | load and link | must | trips, of runs | reaction, median (worst) "
+    "| highest output / limit | flaws |"
+)
+RULE = "|---|---|---|---|---|---|---|---|"
+
+
+def promise(row: Row, name: str) -> str:
+    """What must follow, in words."""
+    bound_s = (row.bound_s or {}).get(name.partition(",")[0])
+    if bound_s is not None:
+        return f"trip in {bound_s:g} s"
+    return "trip or hold" if row.causes else "hold"
+
+
+def cell(row: Row, name: str, verdicts: Sequence[Verdict | None]) -> str:
+    """One line of the table."""
+    ran = [verdict for verdict in verdicts if verdict is not None]
+    times = [one.reaction_s for one in ran if one.reaction_s < math.inf]
+    flaws = Counter(flaw for one in ran for flaw in one.flaws)
+    again = sum(one.enables > 1 for one in ran)
+    told = [f"{flaw} ({count})" for flaw, count in flaws.most_common()]
+    told += [f"second `enable` ({again})"] if again else []
+    reaction = f"{statistics.median(times):.3g} s ({max(times):.3g})" if times else ""
+    highest = max((one.excess for one in ran), default=math.nan)
+    words = [row.group, row.fault, name, promise(row, name), f"{len(times)} of {len(ran)}"]
+    return "| " + " | ".join([*words, reaction, f"{highest:.2f}", "; ".join(told)]) + " |"
+
+
+def lines(seeds: Iterable[int], processes: int) -> list[str]:
+    """All lines of the table."""
+    span, found = list(seeds), [HEAD, RULE]
+    with multiprocessing.Pool(processes) as pool:
+        for row in ROWS:
+            for name in row.loads:
+                number = ROWS.index(row)
+                jobs = [(number, name, seed) for seed in span]
+                found.append(cell(row, name, pool.map(_run, jobs, 1)))
+                sys.stderr.write(f"{found[-1]}\n")
+    return found
+
+
+def _run(job: tuple[int, str, int]) -> Verdict | None:
+    number, name, seed = job
+    return judge(ROWS[number], name, seed)
+
+
+def main() -> None:
+    """Run and print."""
+    seeds = int(sys.argv[1])
+    table = lines(range(FIRST_SEED, FIRST_SEED + seeds), int(os.environ.get("PROCESSES", "1")))
+    sys.stdout.write("\n".join(table) + "\n")
+
+
+if __name__ == "__main__":
+    main()
