@@ -270,9 +270,12 @@ class Site:
         assert reply["accepted"], reply
 
     def run_drive(self) -> None:
-        """Enable the drive and wait until it runs."""
+        """Enable the drive and wait until it runs, with a set-point that V_c can hold."""
         self.demand("enable")
-        self.await_state(state="running")
+        running = self.await_state(state="running")
+        if running["coasting"] and running["mode"] != "manual":  # it was slow before the daemon ran
+            self.demand("setpoint", 0.5 * (running["reach"]["low"] + running["reach"]["high"]))
+            self.await_state(state="running", coasting=False)
 
     def disturb(self, *words: str) -> None:
         """Disturb the simulated drive from the command line, once it is back on the broker."""

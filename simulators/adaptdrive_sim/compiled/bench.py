@@ -112,7 +112,7 @@ def run(
 
 
 def receive(measurement: Any, wire: Wire, tick: int, frame: Sample) -> None:
-    """Overwrite what the controller sees by what the drive measured now."""
+    """Overwrite the measurement by what the drive measures now."""
     measurement.tick = tick
     measurement.tick_period_s = frame.tick_period_s
     measurement.boost_voltage_V = rounded(frame.boost_voltage_V, wire.voltage_quantum_V)

@@ -68,7 +68,7 @@ def screen(record: DemoRecord, around: ViewContext, size: tuple[int, int]) -> La
     """The whole screen.
 
     Args:
-        record: What was heard.
+        record: What was received.
         around: Where this takes place.
         size: Width and height of the terminal in characters.
     """

@@ -114,12 +114,12 @@ class ModbusSensors:
         Raises:
             BusError: The link cannot be opened.
         """
-        told = False
+        reported = False
         while True:
             async with serving(self._config, self.modules):
-                if not told:
+                if not reported:
                     opened(describe_bus(self._config))
-                    told = True
+                    reported = True
                 await self._until(unplugged=True)
             await self._until(unplugged=False)
 

@@ -1,4 +1,4 @@
-"""The lowest output that is believed, as it follows from a whole configuration."""
+"""The lowest plausible output, as it follows from a whole configuration."""
 
 from __future__ import annotations
 

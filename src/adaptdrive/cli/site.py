@@ -16,13 +16,13 @@ _HERE = Contact()
 
 
 def list_drives(*, contact: Contact = _HERE) -> int:
-    """List the drives that the broker knows, with state, output and trip.
+    """List the drives that have published to the broker, with state, output and trip.
 
     Args:
         contact: Broker.
 
     Returns:
-        0 when the broker knows a drive, 3 when it cannot be reached or knows none.
+        0 when there is a drive, 3 when there is none or the broker cannot be reached.
     """
     try:
         found = asyncio.run(read_site(contact.settings, contact.timeout))

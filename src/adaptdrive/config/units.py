@@ -79,7 +79,7 @@ def unit_problem(source: Converted, found: str, wanted: str) -> str | None:
     """Return why a signal is not in the unit of its quantity, None where it may be.
 
     Args:
-        source: Its conversion; a scale or an offset that the file gives is believed.
+        source: Its conversion; nothing is checked where the file gives a scale or an offset.
         found: Unit that the DBC or the register map names.
         wanted: Unit of the quantity.
     """

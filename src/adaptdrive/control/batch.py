@@ -124,7 +124,7 @@ def least_squares(
         initial_theta: θ[0]; 0 if not given.
 
     Returns:
-        θ and how far to believe it.
+        θ and its uncertainty.
 
     Raises:
         ValueError: A number is missing, or the shapes do not fit.

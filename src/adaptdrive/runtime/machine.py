@@ -284,8 +284,8 @@ class Machine:
     def advance(self, tick: int, boost_voltage_V: float) -> None:
         """Move from `starting` to `running` at the floor of the boost voltage, and watch the hand.
 
-        The first tick is always one of `starting`: a controller that ran until just before then
-        knows that it must begin anew.
+        The first tick is always one of `starting`: it makes a controller that ran until just
+        before begin anew.
         """
         if self.state is State.RUNNING and self.mode is Mode.MANUAL:
             cause = self.manual.find_cause(tick)

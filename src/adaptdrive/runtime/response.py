@@ -44,7 +44,7 @@ cold water, faster than it cools."""
 
 @dataclass(frozen=True, slots=True)
 class ResponseLimits:
-    """The load with the lowest output that is believed.
+    """The load with the lowest plausible output.
 
     Attributes:
         name: Name of the output, for the text of the trip.
@@ -103,7 +103,7 @@ class Response:
         self._arrival_s = math.nan
 
     def find_cause(self, reading: Reading) -> str | None:
-        """Return why the output is not believed any more, None while it is.
+        """Return why the output is too low to be true, None while it is not.
 
         Args:
             reading: The newest, again where there is no newer one.

@@ -14,7 +14,7 @@ def status_line(
         report: The state.
         bus_problem: Why the bus is lost, None while it is there.
         cause: Interlock that is active now, None for none. Only what comes before its colon is
-            told: the figures behind it change all the time.
+            returned: the figures behind it change all the time.
         recorded: Whether all that is to be recorded is.
     """
     line = _state_line(report, bus_problem, cause)

@@ -123,7 +123,7 @@ class Stillness:
             arrival_s: When they were measured.
 
         Returns:
-            Why the value is not believed any more, or None.
+            Reason to reject the value, None for no reason.
         """
         limits = self._limits
         input_value = limits.input_gain * boost_voltage_V**limits.input_exponent

@@ -117,8 +117,8 @@ class FrameVerdict(StrEnum):
 class AliveCounter:
     """Follows the alive counter of one message.
 
-    A counter that stands still is a repeated frame. One that leaps further than `max_jump` is not
-    believed, but becomes the new start, so that one refusal is the price of a restarted sender.
+    A counter that stands still is a repeated frame. One that leaps further than `max_jump` is
+    refused once and becomes the new start, so that a restarted sender loses one frame.
     """
 
     def __init__(self, modulus: int, max_jump: int) -> None:

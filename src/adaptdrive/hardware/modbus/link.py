@@ -1,7 +1,7 @@
 """One exchange at a time with one device, and what can go wrong with it.
 
 A reply that does not belong to its request must never be taken for it. On TCP the transaction id
-tells. On a serial line nothing does: a reply that comes after its time-out would answer the next
+shows it. On a serial line nothing does: a reply that comes after its time-out would answer the next
 request, and every request from then on would be given the reply before. So after a reply has
 failed, or after bytes without a request, the line must have been silent for a while before
 anything is read again.
