@@ -31,13 +31,23 @@ def rows(extent: Extent) -> Iterator[Row]:
         folder = Path(name)
         path = unpacked(folder)
         for part in PARTS:
-            runs: Runs = {}
-            for _ in range(1 if extent.quick else ROUNDS):
-                for build in BUILDS:
-                    for row in _measured(part, build, path, folder / "bench.json"):
-                        places = runs.setdefault((row["name"], row["against"]), {})
-                        places.setdefault(build, []).append(row)
+            try:
+                runs = _in_turn(part, 1 if extent.quick else ROUNDS, path, folder / "bench.json")
+            except RuntimeError as problem:
+                sys.stderr.write(f"{part}: not measured: {problem}\n")
+                continue
             yield from _compared(runs)
+
+
+def _in_turn(part: str, rounds: int, path: Path, output: Path) -> Runs:
+    """Run a part with each build in turn."""
+    runs: Runs = {}
+    for _ in range(rounds):
+        for build in BUILDS:
+            for row in _measured(part, build, path, output):
+                places = runs.setdefault((row["name"], row["against"]), {})
+                places.setdefault(build, []).append(row)
+    return runs
 
 
 def unpacked(folder: Path) -> Path:

@@ -18,6 +18,7 @@ from tests.benchmarks.tools import (
     GROUP,
     PRIORITY,
     bus_socket,
+    commanded_bridge,
     is_command,
     packed_frames,
     try_fifo,
@@ -34,20 +35,22 @@ _ECHO_PATIENCE_S = 1e-3
 
 def main(duration_s: float, ports: list[int]) -> dict[str, list[float]]:
     """Probe for so long."""
-    frames = packed_frames(16 * 30)
+    played = [packed_frames(16 * 30, bridge=bridge) for bridge in (False, True)]
     sockets = [bus_socket(port) for port in ports]
     try_fifo(PRIORITY + 10)
     found: dict[str, list[float]] = {str(port): [] for port in ports}
-    began_s = time.monotonic()
+    began_s, bridge = time.monotonic(), False
     for number in range(round(duration_s / TICK_S)):
         _sleep_until(began_s + number * TICK_S)
-        status, load = frames[number % len(frames)]
+        status, load = played[bridge][number % len(played[bridge])]
         for bus, port in zip(sockets, ports, strict=True):
             patience_s = _PATIENCE_S if port == ports[0] else _ECHO_PATIENCE_S
             bus.sendto(status, (GROUP, port))
             time.sleep(_FRAME_S)
             _drain(bus)
-            time_us = _probe(bus, port, load, patience_s)
+            time_us, answer = _probe(bus, port, load, patience_s)
+            if port == ports[0] and answer:
+                bridge = bool(commanded_bridge(answer))
             if number * TICK_S >= SETTLE_S:
                 found[str(port)].append(time_us)
     return found
@@ -67,7 +70,10 @@ def _drain(bus: socket.socket) -> None:
             return
 
 
-def _probe(bus: socket.socket, port: int, datagram: bytes, patience_s: float) -> float:
+def _probe(
+    bus: socket.socket, port: int, datagram: bytes, patience_s: float
+) -> tuple[float, bytes]:
+    """Send a frame; return the time to the answer in microseconds, and the answer."""
     began_s = time.monotonic()
     bus.sendto(datagram, (GROUP, port))
     while (rest_s := began_s + patience_s - time.monotonic()) > 0.0:
@@ -76,8 +82,8 @@ def _probe(bus: socket.socket, port: int, datagram: bytes, patience_s: float) ->
         answer = bus.recv(512)
         now_s = time.monotonic()
         if answer[0] == 69 or (answer != datagram and is_command(answer)):
-            return (now_s - began_s) * 1e6
-    return -1.0
+            return (now_s - began_s) * 1e6, answer
+    return -1.0, b""
 
 
 if __name__ == "__main__":

@@ -85,7 +85,7 @@ def await_broker(running: Running, patience_s: float = 120.0) -> None:
         time.sleep(0.1)
 
 
-def enable(running: Running, drive: str = "motor", patience_s: float = 30.0) -> None:
+def enable(running: Running, drive: str = "motor", patience_s: float = 120.0) -> None:
     """Ask until the drive runs or patience ends: its first frames may be still to come."""
     deadline_s = time.monotonic() + patience_s
     while not runs(running) and time.monotonic() < deadline_s:

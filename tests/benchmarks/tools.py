@@ -15,6 +15,7 @@ from pathlib import Path
 import msgpack
 from can.interfaces.udp_multicast.utils import pack_message
 
+from adaptdrive.app.lock import NAMESPACE
 from tests.benchmarks.compute import status_frames
 
 ROOT = Path(__file__).parents[2]
@@ -22,12 +23,28 @@ GROUP = "239.74.163.2"
 COMMAND_ID = 0x080
 PRIORITY = 50
 PATHS = (os.environ.get("PYTHONPATH", ""), f"{ROOT}/src", f"{ROOT}/simulators", str(ROOT))
-BUSY = {**os.environ, "PYTHONPATH": ":".join(filter(None, PATHS))}
+BUSY = {
+    NAMESPACE: f"benchmarks-{os.getpid()}",  # daemons of another run are not these
+    **os.environ,
+    "PYTHONPATH": ":".join(filter(None, PATHS)),
+}
 
 
-def packed_frames(count: int) -> list[tuple[bytes, bytes]]:
-    """Datagrams of so many half cycles, as python-can puts them on the bus."""
-    return [(pack_message(one), pack_message(other)) for one, other in status_frames(count)]
+def packed_frames(count: int, *, bridge: bool) -> list[tuple[bytes, bytes]]:
+    """Datagrams of so many half cycles, as python-can puts them on the bus.
+
+    Args:
+        count: Half cycles.
+        bridge: What the drive reports of its bridge: as it is commanded, or it is not driven.
+    """
+    pairs = status_frames(count, 0 if bridge else count)
+    return [(pack_message(one), pack_message(other)) for one, other in pairs]
+
+
+def commanded_bridge(datagram: bytes) -> bool | None:
+    """The bridge that a command asks for, None for any other frame."""
+    content = msgpack.unpackb(datagram)
+    return bool(content["data"][4] & 1) if content["arbitration_id"] == COMMAND_ID else None
 
 
 def is_command(datagram: bytes) -> bool:

@@ -14,7 +14,8 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[2]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PROJECT = PYPROJECT["project"]
 OURS = {"adaptdrive", "adaptdrive_sim", "tests"}
 EXTRAS = {
     "src": ("analysis", "canopen", "export"),
@@ -88,3 +89,16 @@ def test_what_is_declared_is_imported() -> None:
 def test_an_extra_holds_what_its_folder_imports() -> None:
     used = set().union(*(distributions(module) for module in modules("simulators")))
     assert declared(("sim", "cluster")) - declared(()) - used == set()
+
+
+def test_every_compiled_module_is_held_to_what_a_compiled_module_may_import() -> None:
+    hook = PYPROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["hooks"]["mypyc"]
+    contracts = {one["id"]: one for one in PYPROJECT["tool"]["importlinter"]["contracts"]}
+    held = set(contracts["compiled"]["source_modules"])
+    compiled = {
+        pattern.removeprefix("/src/").removesuffix("/**/*.py").removesuffix(".py").replace("/", ".")
+        for pattern in hook["include"]
+    }
+    assert compiled == held
+    for pattern in (*hook["include"], *hook["exclude"]):
+        assert list(ROOT.glob(pattern.removeprefix("/"))), f"{pattern} names no file"
