@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
+from adaptdrive.analysis import style
 from adaptdrive_sim.campaign.judge import WORSE, Row
 from adaptdrive_sim.campaign.verdict import CampaignClaim, Failure, claims, failures
 
@@ -20,8 +22,9 @@ _SHOWN = 20
 def write_results(rows: list[Row], output: Path) -> None:
     """Write results.parquet and the pictures."""
     pq.write_table(pa.Table.from_pylist(rows), output / "results.parquet")
-    costs(rows).savefig(output / "costs.png", dpi=120)
-    influences(rows).savefig(output / "influences.png", dpi=120)
+    with style.journal():
+        costs(rows).savefig(output / "costs.png", dpi=style.DPI)
+        influences(rows).savefig(output / "influences.png", dpi=style.DPI)
 
 
 def print_results(rows: list[Row], seconds: float, campaign: Path, console: Console) -> None:
@@ -78,26 +81,28 @@ def _failure_table(found: list[Failure], campaign: Path) -> Table:
 
 def costs(rows: list[Row]) -> Figure:
     """Cost of the adaptive controller over that of the fixed one, run by run."""
-    figure = Figure(figsize=(10, 5), layout="constrained")
+    figure = Figure(figsize=(style.WIDTH_in, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
-    for changed, colour, label in ((True, "tab:blue", "changed"), (False, "tab:orange", "same")):
+    groups = (True, style.ADAPTIVE["color"], "changed"), (False, style.FIXED["color"], "same")
+    for changed, colour, label in groups:
         group = [row for row in rows if bool(row["changes"]) is changed]
         fixed = [row["cost_fixed"] for row in group]
         adaptive = [row["cost_adaptive"] for row in group]
-        left.loglog(fixed, adaptive, ".", ms=4, alpha=0.6, color=colour, label=f"load {label}")
+        left.loglog(fixed, adaptive, ".", ms=2.5, alpha=0.6, color=colour, label=f"load {label}")
         ratios = np.sort([row["ratio"] for row in group])
         share = (np.arange(ratios.size) + 1.0) / max(1, ratios.size)
         right.semilogx(ratios, share, color=colour, label=f"load {label}")
     ends = [row[f"cost_{one}"] for row in rows for one in ("fixed", "adaptive")]
     ends = [value for value in ends if np.isfinite(value)]
     if ends:
-        left.loglog([min(ends), max(ends)], [min(ends), max(ends)], "k-", lw=0.8)
+        left.loglog([min(ends), max(ends)], [min(ends), max(ends)], color="0.35", lw=0.6)
     left.set(xlabel="cost of the fixed controller", ylabel="cost of the adaptive controller")
-    right.axvline(WORSE, color="k", lw=0.8, ls="--", label="5 % worse")
+    right.axvline(WORSE, color="0.35", lw=0.6, ls=":", label="5 % worse")
     right.set(xlabel="cost ratio, adaptive over fixed", ylabel="share of the runs below")
     for axes in (left, right):
-        axes.grid(visible=True, alpha=0.3)
         axes.legend()
+    style.letter(left, "a", "Cost of each run")
+    style.letter(right, "b", "Distribution of the cost ratio")
     return figure
 
 
@@ -111,16 +116,18 @@ def influences(rows: list[Row]) -> Figure:
         "step": "step, V",
         "period_s": "period of the reference, s",
     }
-    figure = Figure(figsize=(12, 6.5), layout="constrained")
+    figure = Figure(figsize=(style.WIDTH_in, 4.6), layout="constrained")
     ratios = [row["ratio"] for row in rows]
     shapes = sorted({row["shape"] for row in rows})
     for axes, (name, label) in zip(figure.subplots(2, 3).flat, names.items(), strict=True):
-        for shape in shapes:
+        for shape, colour in zip(shapes, cycle((*style.PARAMETERS, "0.5")), strict=False):
             chosen = [i for i, row in enumerate(rows) if row["shape"] == shape]
             values = [rows[i][name] for i in chosen]
-            axes.semilogy(values, [ratios[i] for i in chosen], ".", ms=4, alpha=0.6, label=shape)
-        axes.axhline(WORSE, color="k", lw=0.8, ls="--")
+            axes.semilogy(
+                values, [ratios[i] for i in chosen], ".", ms=2.5, color=colour, label=shape
+            )
+        axes.axhline(WORSE, color="0.35", lw=0.6, ls=":")
         axes.set(xlabel=label, ylabel="cost ratio")
-        axes.grid(visible=True, alpha=0.3)
-    figure.axes[0].legend()
+    named = figure.axes[0].get_legend_handles_labels()
+    figure.legend(*named, loc="outside upper center", ncols=len(shapes))
     return figure

@@ -80,11 +80,14 @@ class SweepPoint:
             of the load changes, None when one is never followed.
         deviation: What noise adds to the estimates, as a fraction of them; root of the mean
             square over all parameters and the last cycle before each change and the end.
+        transient: Largest distance of an estimate from the truth within one cycle after a change
+            of the load, without noise, as a multiple of the truth.
     """
 
     setting: Setting
     cycles: float | None
     deviation: float
+    transient: float
 
 
 def listen(case: Case, record: RunRecord) -> Heard:
@@ -147,7 +150,9 @@ def _try_setting(heard: Heard, noises: list[Array], setting: Setting) -> SweepPo
     )
     estimate = _estimate_filtered if learning.method.physical else _estimate_directly
     quiet, *noisy = estimate(heard, learning, noises)
-    return SweepPoint(setting, _speed(heard.case.experiment, quiet), _spread(heard, quiet, noisy))
+    experiment = heard.case.experiment
+    spread = _spread(heard, quiet, noisy)
+    return SweepPoint(setting, _speed(experiment, quiet), spread, _transient(experiment, quiet))
 
 
 def _estimate_filtered(heard: Heard, learning: Learning, noises: list[Array]) -> list[Array]:
@@ -258,3 +263,14 @@ def _spread(heard: Heard, quiet: Array, noisy: list[Array]) -> float:
     )
     relative = np.array([(one[chosen] - quiet[chosen]) / quiet[chosen] for one in noisy])
     return float(np.sqrt(np.mean(relative * relative)))
+
+
+def _transient(experiment: Experiment, estimates: Array) -> float:
+    largest, period_s = 0.0, experiment.period_s
+    for change in experiment.changes:
+        first = round(change.time_s / period_s)
+        last = first + round(experiment.reference.period_s / period_s)
+        truth = np.array([experiment.truth_at(k * period_s) for k in range(first, last)])
+        distances = np.abs(estimates[first:last] / truth - 1.0)
+        largest = max(largest, float(np.nanmax(distances)))
+    return largest

@@ -13,6 +13,7 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 from adaptdrive.analysis import style
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.experiments.figure import save
+from adaptdrive_sim.experiments.figure_parts import describe
 from adaptdrive_sim.experiments.outcome import ExperimentOutcome
 from adaptdrive_sim.experiments.sweep import SweepPoint, settling_time_s
 
@@ -33,14 +34,20 @@ Grid = Sequence[Sequence[Axes]]
 def draw_sweep(outcome: ExperimentOutcome, path: Path) -> None:
     """Draw what other values of ρ and τ_λ do as a PNG."""
     with style.journal():
-        figure = Figure(figsize=(style.WIDTH_in, 4.6), layout="constrained")
-        axes = figure.subplots(2, 2, sharex="col", sharey="row")
-        _column(axes[:, 0], outcome.over_forgetting, lambda one: _memory(one.setting.forgetting))
-        _column(axes[:, 1], outcome.over_tau_lambda, lambda one: one.setting.tau_lambda_s)
-        _name(axes, outcome.experiment)
-        _mark(axes, outcome.experiment)
-        figure.align_ylabels(list(axes[:, 0]))
-        save(figure, path)
+        save(sweep_figure(outcome), path)
+
+
+def sweep_figure(outcome: ExperimentOutcome) -> Figure:
+    """Return the figure of other values of ρ and τ_λ."""
+    figure = Figure(figsize=(style.WIDTH_in, 6.6), layout="constrained")
+    axes = figure.subplots(3, 2, sharex="col", sharey="row")
+    _column(axes[:, 0], outcome.over_forgetting, lambda one: _memory(one.setting.forgetting))
+    _column(axes[:, 1], outcome.over_tau_lambda, lambda one: one.setting.tau_lambda_s)
+    _name(axes, outcome.experiment)
+    _mark(axes, outcome.experiment)
+    figure.suptitle(describe(outcome), fontsize=9.0)
+    figure.align_ylabels(list(axes[:, 0]))
+    return figure
 
 
 def _memory(forgetting: float) -> float:
@@ -65,7 +72,7 @@ def _curves(
     look: style.Look,
 ) -> None:
     """Speed and noise of one estimator; open marks where it never follows."""
-    speed, noise = axes
+    speed, noise, transient = axes
     followed = [(position(one), one.cycles) for one in points if one.cycles is not None]
     speed.plot([x for x, _ in followed], [y for _, y in followed], **look)
     noise.plot(
@@ -74,6 +81,7 @@ def _curves(
         label=label,
         **look,
     )
+    transient.plot([position(one) for one in points], [one.transient for one in points], **look)
     never = [position(one) for one in points if one.cycles is None]
     if never:
         heights = [_NEVER] * len(never)
@@ -93,16 +101,19 @@ def _curves(
 
 def _name(axes: Grid, experiment: Experiment) -> None:
     paper = experiment.paper
-    (speed, speed_tau), (noise, noise_tau) = axes
+    (speed, speed_tau), (noise, noise_tau), (transient, transient_tau) = axes
     style.letter(speed, "a", rf"Convergence over $\rho$, $\tau_\lambda$ = {paper.tau_lambda_s:g} s")
     style.letter(speed_tau, "b", rf"Convergence over $\tau_\lambda$, $\rho$ = {paper.forgetting:g}")
     style.letter(noise, "c", r"Noise over $\rho$")
     style.letter(noise_tau, "d", r"Noise over $\tau_\lambda$")
     speed.set_ylabel("Cycles until within 5 %")
     noise.set_ylabel("Noise in the estimates (%)")
-    noise.set_xlabel(r"Forgetting factor $\rho$, spaced by its memory $1/(1-\rho)$")
-    noise_tau.set_xlabel(r"$\tau_\lambda$ (s)")
-    for one in (noise, noise_tau):
+    style.letter(transient, "e", r"Transient over $\rho$, without noise")
+    style.letter(transient_tau, "f", r"Transient over $\tau_\lambda$, without noise")
+    transient.set_ylabel("Largest error (× truth)")
+    transient.set_xlabel(r"Forgetting factor $\rho$, spaced by its memory $1/(1-\rho)$")
+    transient_tau.set_xlabel(r"$\tau_\lambda$ (s)")
+    for one in (noise, noise_tau, transient, transient_tau):
         one.set_xscale("log")
         one.set_yscale("log")
         one.yaxis.set_major_formatter(_PLAIN)
@@ -110,10 +121,10 @@ def _name(axes: Grid, experiment: Experiment) -> None:
     noise.legend(loc="best")
     speed.set_ylim(bottom=0.0, top=1.2 * speed.get_ylim()[1])
     forgettings = [one for one in experiment.sweep.forgetting if one not in _CROWDED]
-    noise.set_xticks(
+    transient.set_xticks(
         [_memory(one) for one in forgettings], [f"{one:g}" for one in forgettings], minor=False
     )
-    noise.xaxis.set_minor_locator(NullLocator())
+    transient.xaxis.set_minor_locator(NullLocator())
 
 
 def _mark(axes: Grid, experiment: Experiment) -> None:
@@ -137,11 +148,11 @@ def _mark(axes: Grid, experiment: Experiment) -> None:
         va="bottom",
         fontsize=8.0,
     )
-    axes[1][1].annotate(
+    axes[0][1].annotate(
         "slower than the\nload settles",
-        (math.sqrt(settled_s * last), 0.97),
-        xycoords=axes[1][1].get_xaxis_transform(),
+        (math.sqrt(settled_s * last), 0.03),
+        xycoords=axes[0][1].get_xaxis_transform(),
         ha="center",
-        va="top",
+        va="bottom",
         fontsize=8.0,
     )

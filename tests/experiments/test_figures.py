@@ -1,0 +1,96 @@
+"""Content of the figures of an experiment: what is drawn, that nothing is cut, what is named."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from adaptdrive.analysis import style
+from adaptdrive_sim.experiments.case import Disturbance, Variant
+from adaptdrive_sim.experiments.experiment import LoadChange
+from adaptdrive_sim.experiments.figure import experiment_figure
+from adaptdrive_sim.experiments.motor import DROPPED
+from adaptdrive_sim.experiments.outcome import ExperimentOutcome, judge
+from adaptdrive_sim.experiments.runner import run_case
+from tests.experiments.cases import make_case
+
+SHORT = dataclasses.replace(
+    DROPPED, duration_s=480.0, changes=(LoadChange(240.0, 2.0), LoadChange(360.0, 3.0))
+)
+VARIANTS: tuple[Variant, ...] = ("fixed", "adaptive", "direct_rls")
+
+
+@pytest.fixture(scope="module")
+def outcome() -> ExperimentOutcome:
+    records = {one: run_case(make_case(SHORT, one, seed=81_200)) for one in VARIANTS}
+    return judge(SHORT, "paper", Disturbance(SHORT.noise), 81_200, records)
+
+
+@pytest.fixture(scope="module")
+def figure(outcome: ExperimentOutcome) -> Figure:
+    with style.journal():
+        drawn = experiment_figure(outcome)
+        FigureCanvasAgg(drawn).draw()  # type: ignore[no-untyped-call]
+    return drawn
+
+
+def line(axes: Axes, label: str) -> list[float]:
+    (found,) = [one for one in axes.lines if one.get_label() == label]
+    return [float(value) for value in np.asarray(found.get_ydata())]
+
+
+def test_the_head_names_design_noise_and_seed(figure: Figure) -> None:
+    head = figure.get_suptitle()
+    assert head == (
+        "paper design, noise 0.2 % of the step, seed 81200, disks at rest when they land"
+    )
+
+
+def test_each_controller_has_its_speed_and_its_voltage(
+    outcome: ExperimentOutcome, figure: Figure
+) -> None:
+    for i, variant in enumerate(VARIANTS):
+        speed, voltage = figure.axes[2 * i], figure.axes[2 * i + 1]
+        record = outcome.records[variant]
+        assert line(speed, "without noise") == record.output
+        assert line(speed, "measured") == record.measured
+        assert line(speed, "reference") == record.reference
+        assert line(voltage, r"$V_c$ commanded") == record.boost_reference_V
+        assert line(voltage, r"$v_{bst}$ applied")[:-1] == record.applied_V[1:]
+
+
+@pytest.mark.parametrize("panel", [0, 1, 2, 3, 4, 5, 7])
+def test_nothing_is_cut(figure: Figure, panel: int) -> None:
+    axes = figure.axes[panel]
+    low, high = axes.get_ylim()
+    for one in axes.lines:
+        if one.get_transform() == axes.transData:
+            values = np.asarray(one.get_ydata(), dtype=float)
+            assert low <= values.min(), one.get_label()
+            assert values.max() <= high, one.get_label()
+
+
+def test_the_model_errors_are_those_of_the_cycles(
+    outcome: ExperimentOutcome, figure: Figure
+) -> None:
+    errors = line(figure.axes[7], "adaptive")
+    expected = [100.0 * one.model_error_rms for one in outcome.cycles["adaptive"]]
+    assert errors[:-1] == pytest.approx(expected)
+
+
+def test_warm_up_and_the_time_in_force_are_marked(figure: Figure) -> None:
+    names = [text.get_text() for text in figure.axes[3].get_legend().get_texts()]  # type: ignore[union-attr]
+    assert {"warm-up", "adaptive in force"} <= set(names)
+
+
+def test_no_legend_covers_a_title(figure: Figure) -> None:
+    for axes in figure.axes:
+        legend = axes.get_legend()
+        if legend is not None:
+            title = axes._left_title.get_window_extent()  # type: ignore[attr-defined]
+            assert title.x1 < legend.get_window_extent().x0, axes.get_title(loc="left")
