@@ -77,5 +77,6 @@ clean: ## remove what was built and cached; the environment in .venv stays
 $(installed):
 	test -x $(bin)/python || $(PYTHON) -m venv $(venv)
 	$(bin)/python -m pip install --quiet --constraint constraints.txt --editable '.[$(EXTRAS)]'
+	rm -rf $(venv)/lib/python*/site-packages/adaptdrive_sim # a copy, which would hide the source
 	rm -f $(venv)/.installed-*
 	touch $@
