@@ -41,6 +41,7 @@ FORMS = (
     Form("Stories that must energise nothing",
          ("-m", "pytest", "-q", "tests/faults/test_energised.py", "--timeout", "7200"),
          {"STORIES": "5000"}),
+    Form("Damaged inputs of each decoder", ("-m", "tests.fuzz", "1000000")),
     Form("A drive of foreign code", ("-m", "pytest", "-q", "tests/peers")),
     Form("Sensors that lie", ("-m", "tests.closed_loop.deceived", SEEDS)),
     Form("Processes killed at random moments", ("-m", "tests.benchmarks", "--only", "kills")),
