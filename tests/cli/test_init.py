@@ -82,6 +82,13 @@ def test_a_missing_signal_is_named(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "signals.line_voltage_V" in capsys.readouterr().out
 
 
+def test_a_dbc_beside_the_configuration_is_named_without_its_folder(tmp_path: Path) -> None:
+    database = tmp_path / "mine.dbc"
+    database.write_bytes((EXAMPLES / "inverter.dbc").read_bytes())
+    assert init("motor", "--bus", "can", "--dbc", database, "--directory", tmp_path) == 0
+    assert 'database = "mine.dbc"' in (tmp_path / "motor.toml").read_text()
+
+
 def test_an_existing_file_is_never_replaced(tmp_path: Path) -> None:
     file = tmp_path / "motor.toml"
     file.write_text("mine")

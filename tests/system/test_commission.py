@@ -140,3 +140,12 @@ def test_a_killed_program_leaves_a_tripped_drive(site: Site) -> None:
     process.communicate()
     tripped = site.await_state(state="tripped")
     assert tripped["trip"].startswith("manual: no new voltage within the 5 s")
+
+
+@pytest.mark.slow
+def test_a_drive_that_is_not_heard_is_named(make_site: MakeSite) -> None:
+    site = make_site(PATIENT)
+    site.start_broker()
+    site.start_daemon()
+    output, _ = commission(site).communicate(timeout=LONGEST_S)
+    assert "no measurement for 4 s: adaptdrive probe shows why" in output

@@ -49,7 +49,7 @@ def init(  # noqa: PLR0913 - one parameter for each option
     """
     _refuse_misfits(bus, dbc, eds)
     drive = name or load
-    part = _described(load, dbc, eds, ask=sys.stdin.isatty() and not yes)
+    part = _described(load, directory, dbc, eds, ask=sys.stdin.isatty() and not yes)
     starter = compose(
         load, bus, drive, part, stride=clock_ticks(part or ""), output_unit=output_unit(part or "")
     )
@@ -75,20 +75,28 @@ def _refuse_misfits(bus: BusName, dbc: Path | None, eds: Path | None) -> None:
         raise ConfigurationError("--eds", [flaw])
 
 
-def _described(load: LoadName, dbc: Path | None, eds: Path | None, *, ask: bool) -> str | None:
+def _described(
+    load: LoadName, directory: Path, dbc: Path | None, eds: Path | None, *, ask: bool
+) -> str | None:
     """Return the bus part that a DBC or EDS gives, None for the reference drive."""
     if dbc is not None:
         from adaptdrive.hardware.dbc import proposal  # noqa: PLC0415 - cantools only where needed
 
         database = proposal.read_description(dbc)
         found = list(proposal.candidates(database))
-        return can_part(database, str(dbc.resolve()), _choose(load, found, ask=ask))
+        return can_part(database, _place(dbc, directory), _choose(load, found, ask=ask))
     if eds is not None:
         from adaptdrive.hardware.canopen.proposal import candidates  # noqa: PLC0415 - an extra
 
         found = list(candidates(eds, _NODE_ID))
         return canopen_part(eds.resolve(), _choose(load, found, ask=ask))
     return None
+
+
+def _place(file: Path, directory: Path) -> str:
+    """Return how the configuration names a file: one in its own folder by its name alone."""
+    beside = file.resolve().parent == directory.resolve()
+    return file.name if beside else str(file.resolve())
 
 
 def _choose(load: LoadName, found: Iterable[Candidate], *, ask: bool) -> Choices:

@@ -26,7 +26,7 @@ HOLD_S = 5.0
 
 _REFRESH_S = 1.0
 _SILENCE_S = 4.0
-"""Longest time without telemetry."""
+"""Longest time without telemetry, and without a measurement in it."""
 
 _START_S = 60.0
 """Longest time from `enable` to state `running`."""
@@ -132,12 +132,16 @@ class Guide:
 
     async def _readings(self) -> AsyncGenerator[FastReading, None]:
         """Yield one reading for each message, in the order of their times."""
-        last_s = -math.inf
+        last_s, heard_s = -math.inf, time.monotonic()
         messages = telemetry(self._broker, self._drive)
         while True:
             name, content = await self._next(messages)
             if name != "drive" or content.get("output") is None:
+                if time.monotonic() - heard_s > _SILENCE_S:
+                    silence = f"no measurement for {_SILENCE_S:g} s: adaptdrive probe shows why"
+                    raise NoAnswerError(self._drive, silence)
                 continue
+            heard_s = time.monotonic()
             reading = _reading(content)
             if reading.time_s > last_s:
                 last_s = reading.time_s
