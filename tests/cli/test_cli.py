@@ -9,6 +9,7 @@ import re
 import signal
 import subprocess
 import sys
+import tomllib
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -219,6 +220,23 @@ async def test_a_bad_configuration_ends_with_2_and_every_flaw(tmp_path: Path) ->
     assert all(line.startswith(f"adaptdrive: {flawed}: ") for line in lines)
     assert any("unknown_key" in line for line in lines)
     assert any("realtime.late_fraction" in line for line in lines)
+
+
+async def test_a_check_for_programs_lists_limits_and_flaws(tmp_path: Path) -> None:
+    outcome = await adaptdrive("check", "--json", str(EXAMPLE))
+    report = json.loads(outcome.output)
+    assert (outcome.status, outcome.errors) == (0, "")
+    assert report["valid"]
+    assert report["drive"] == "motor"
+    assert report["output"] == {"name": "speed", "unit": "V"}
+    stale = next(one for one in report["time_limits"] if "interlocks.stale_s" in one["keys"])
+    assert stale["limit_s"] == tomllib.loads(EXAMPLE.read_text())["interlocks"]["stale_s"]
+    flawed = tmp_path / "flawed.toml"
+    flawed.write_text("unknown_key = 1\n" + EXAMPLE.read_text(encoding="utf-8"))
+    outcome = await adaptdrive("check", "--json", str(flawed))
+    report = json.loads(outcome.output)
+    assert (outcome.status, report["valid"]) == (2, False)
+    assert "unknown_key" in [one["place"] for one in report["flaws"]]
 
 
 @pytest.mark.parametrize("verb", ["check", "run", "probe"])

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from typing import Any
+
 import can
 import pytest
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus
 from adaptdrive.hardware.link.bus import open_bus
-from tests.support import Process
+from tests.support import Process, complete_lines
 from tests.system.bus_ear import BusEar
 from tests.system.conftest import MakeSite
 from tests.system.site import PATIENCE_S, Site, until
@@ -40,6 +43,20 @@ def test_a_probe_shows_refused_frames_and_commands_nothing(site: Site) -> None:
     assert "refused 0x101 (DriveLoad): wrong_checksum 1 x, last [00 00 00 00 00 00 00 00]" in shown
     assert "refused 0x101 (DriveLoad): wrong_length 1 x, last [00 00 00]" in shown
     assert "refused 0x345: no entry of [signals] is taken from this id, 1 x, last [12 34]" in shown
+
+
+def test_a_probe_for_programs_prints_a_reading_on_each_line(site: Site) -> None:
+    probe(site, "--json")
+
+    def found() -> list[dict[str, Any]]:
+        lines = complete_lines(site.folder / "probe.log")
+        shown = [json.loads(line) for line in lines if line.startswith("{")]
+        return [one for one in shown if one["reading"] is not None]
+
+    reading = until(found, "a reading")[0]
+    assert reading["output"] == {"name": "speed", "unit": "V"}
+    assert reading["reading"]["boost_voltage_V"] == pytest.approx(280.0, rel=0.1)
+    assert reading["frames"]["received"] > 0
 
 
 def test_asked_to_a_probe_sends_the_safe_command_alone(site: Site) -> None:

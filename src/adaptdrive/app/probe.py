@@ -9,9 +9,13 @@ import asyncio
 import os
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import asdict
 from itertools import count
 from pathlib import Path
+from typing import Protocol
+
+import msgspec
 
 from adaptdrive.app.examine import load_examined
 from adaptdrive.app.lock import lock_names, locked
@@ -36,6 +40,20 @@ _COMMAND_S = 0.02
 _ANSWER_EVERY = 50
 
 
+Remark = Callable[[str], None]
+"""Prints a remark beside what is shown."""
+
+
+class Show(Protocol):
+    """Prints what is known after so many half seconds."""
+
+    def __call__(
+        self, configuration: Configuration, port: Port, reading: Reading | None, number: int, /
+    ) -> None:
+        """Print it."""
+        ...
+
+
 class _Probe:
     """Remembers the latest reading."""
 
@@ -51,12 +69,13 @@ class _Probe:
         sys.stderr.write(f"bus {'up' if up else 'lost'}: {detail}\n")
 
 
-def probe(path: Path, *, safe_command: bool) -> int:
+def probe(path: Path, *, safe_command: bool, as_json: bool = False) -> int:
     """Print the decoded measurements twice a second until interrupted.
 
     Args:
         path: Configuration file.
         safe_command: Whether to send the safe command, and print what the drive answers.
+        as_json: Whether to print one JSON object a line.
 
     Raises:
         AdaptdriveError: The configuration or the bus cannot be used, or another sender commands the
@@ -64,31 +83,59 @@ def probe(path: Path, *, safe_command: bool) -> int:
     """
     configuration = load_examined(path)
     locks = lock_names(configuration) if safe_command else ()
+    show = _show_json if as_json else _show_text
+    remark = _say_aside if as_json else _say
     try:
         with locked(locks, os.environ):
-            asyncio.run(_show(configuration, path, safe_command=safe_command))
+            asyncio.run(_listen(configuration, path, (show, remark), safe_command=safe_command))
     except* AdaptdriveError as group:
         raise first_error(group) from None
     return 0
 
 
-async def _show(configuration: Configuration, path: Path, *, safe_command: bool) -> None:
+async def _listen(
+    configuration: Configuration, path: Path, voices: tuple[Show, Remark], *, safe_command: bool
+) -> None:
+    show, remark = voices
     port = build_whole_port(configuration, time.monotonic, path, passive=not safe_command)
     listener = _Probe()
     async with asyncio.TaskGroup() as tasks:
-        tasks.create_task(port.run(listener, lambda: _say(port.description)))
+        tasks.create_task(port.run(listener, lambda: remark(port.description)))
         if safe_command:
-            tasks.create_task(_command(port, listener))
+            tasks.create_task(_command(port, listener, remark))
         for number in count():
             await asyncio.sleep(_EVERY_S)
-            _say(_line(configuration, port, listener.reading))
-            for report in sensor_reports(port, time.monotonic)():
-                _say(_sensor_line(report))
-            if number % _DETAILS_EVERY == 1:
-                _say("".join(f"  {line}\n" for line in port.details()), end="")
+            show(configuration, port, listener.reading, number)
 
 
-async def _command(port: Port, listener: _Probe) -> None:
+def _show_text(
+    configuration: Configuration, port: Port, reading: Reading | None, number: int
+) -> None:
+    _say(_line(configuration, port, reading))
+    for report in sensor_reports(port, time.monotonic)():
+        _say(_sensor_line(report))
+    if number % _DETAILS_EVERY == 1:
+        _say("".join(f"  {line}\n" for line in port.details()), end="")
+
+
+def _show_json(
+    configuration: Configuration, port: Port, reading: Reading | None, number: int
+) -> None:
+    """Print a reading, null before the first; names end in the unit, the output has its own."""
+    age_s = None if reading is None else time.monotonic() - reading.oldest_s
+    shown = {
+        "number": number,
+        "age_s": age_s,
+        "reading": reading,
+        "output": {"name": configuration.load.output_name, "unit": configuration.load.output_unit},
+        "frames": port.statistics,
+        "sensors": sensor_reports(port, time.monotonic)(),
+        "refused": list(port.details()),
+    }
+    _say(msgspec.json.encode(shown).decode())
+
+
+async def _command(port: Port, listener: _Probe, remark: Remark) -> None:
     """Listen, then send the safe command until cancelled; print how the drive reacts.
 
     Raises:
@@ -103,7 +150,7 @@ async def _command(port: Port, listener: _Probe) -> None:
         await asyncio.sleep(_COMMAND_S)
         if number % _ANSWER_EVERY == 0:
             counts = port.statistics
-            _say(
+            remark(
                 f"safe command: sent {counts.sent}, dropped {counts.send_drops}; the drive says "
                 f"{_said(listener.reading)} (before: {before})"
             )
@@ -119,6 +166,11 @@ def _said(reading: Reading | None) -> str:
 def _say(text: str, end: str = "\n") -> None:
     sys.stdout.write(text + end)
     sys.stdout.flush()
+
+
+def _say_aside(text: str) -> None:
+    sys.stderr.write(text + "\n")
+    sys.stderr.flush()
 
 
 def _sensor_line(report: SensorReport) -> str:

@@ -5,11 +5,19 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from cyclopts import Parameter
 
 from adaptdrive.config import Configuration
+from adaptdrive.errors import ConfigurationError
+
+Json = Annotated[bool, Parameter(name="--json", negative=())]
+FLAWED = 2
 
 
-def check(config: Path, /) -> int:
+def check(config: Path, /, *, as_json: Json = False) -> int:
     """Validate a configuration; list every error with its place.
 
     The DBC or register map and the capacity of each link are checked too; no bus is opened. Values
@@ -17,10 +25,13 @@ def check(config: Path, /) -> int:
 
     Args:
         config: Configuration file.
+        as_json: Print JSON, for programs.
 
     Returns:
         0 when it can be used; otherwise `ConfigurationError` lists what is wrong.
     """
+    if as_json:
+        return _check_for_programs(config)
     from adaptdrive.app.advice import advice  # noqa: PLC0415 - `schema` needs no bus
     from adaptdrive.app.examine import load_examined  # noqa: PLC0415
     from adaptdrive.app.interlocks import response_limits  # noqa: PLC0415
@@ -39,6 +50,18 @@ def check(config: Path, /) -> int:
     print(response_table(response_limits(configuration)))
     print(f"{config}: drive {configuration.drive.name} is configured correctly")
     return 0
+
+
+def _check_for_programs(config: Path) -> int:
+    from adaptdrive.app.check_report import flawed_report, sound_report  # noqa: PLC0415
+    from adaptdrive.app.examine import load_examined  # noqa: PLC0415
+
+    try:
+        report = sound_report(load_examined(config), config)
+    except ConfigurationError as problem:
+        report = flawed_report(problem)
+    print(msgspec.json.format(msgspec.json.encode(report)).decode())
+    return 0 if report["valid"] else FLAWED
 
 
 def schema() -> int:

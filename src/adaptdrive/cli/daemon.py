@@ -43,19 +43,26 @@ def _leave_stuck_threads(status: int) -> None:
                 os._exit(status)
 
 
-def probe(config: Path, /, *, safe_command: bool = False) -> int:
+def probe(
+    config: Path,
+    /,
+    *,
+    safe_command: bool = False,
+    as_json: Annotated[bool, Parameter(name="--json", negative=())] = False,
+) -> int:
     """Show decoded measurements and refused frames as they come from the bus; command nothing.
 
     Args:
         config: Configuration file.
         safe_command: Send the safe command, k = 0 and bridge off, and show what the drive answers.
+        as_json: Print one JSON object a line, for programs.
 
     Returns:
         Exit status.
     """
     from adaptdrive.app.probe import probe as probe_drive  # noqa: PLC0415 - see above
 
-    return probe_drive(config, safe_command=safe_command)
+    return probe_drive(config, safe_command=safe_command, as_json=as_json)
 
 
 def replay(

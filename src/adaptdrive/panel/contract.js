@@ -10,7 +10,7 @@
  *   setpoint: number|null, waveform: Waveform|null, pole: number|null, trip: string|null,
  *   time: string, since: string, last_trip: Trip|null, clock: string,
  *   output: {name: string, unit: string}, modes: string[],
- *   limits: Record<string, [number|null, number|null]>
+ *   limits: Record<string, [number|null, number|null]>, reach: [number|null, number|null]
  * }} State
  * @typedef {{
  *   time: string, reference: number|null, output: number|null, boost_reference_V: number|null,

@@ -2,6 +2,7 @@
 // One drive: what is, how it came, and what can be done.
 
 const DrivePage = (() => {
+  const NEAR = 0.1; // share of a trip's limit
   /** @param {HTMLElement} parent @param {DriveView} drive */
   function open(parent, drive) {
     const answer = Dom.make("p.answer", { "aria-live": "polite" });
@@ -56,9 +57,8 @@ const DrivePage = (() => {
     alarm.hidden = !trip;
     if (!trip) return;
     const remedy = state?.last_trip?.remedy ?? "";
-    const cause = remedy && trip.endsWith(`: ${remedy}`) ? trip.slice(0, -remedy.length - 2) : trip;
     const advice = remedy ? Dom.make("p", {}, `What to do: ${remedy}`) : "";
-    alarm.replaceChildren(Dom.make("strong", {}, `Trip: ${cause}`), advice);
+    alarm.replaceChildren(Dom.make("strong", {}, `Trip: ${Drives.cause(state)}`), advice);
   }
 
   /** What is now: large numbers, each with unit, limits and age. */
@@ -81,10 +81,14 @@ const DrivePage = (() => {
     const lateness = fast?.lateness_us;
     const rows = [
       ["reference", Dom.number(load?.reference ?? state?.setpoint, drive.unit), wave(state)],
+      ["reachable", limitText(state?.reach, drive.unit).replace("limits ", "") || "–", ""],
       ["V_c asked for", Dom.number(load?.boost_reference_V, "V"), limitText(state?.limits?.boost_V, "V")],
       ["boost voltage", Dom.number(fast?.boost_voltage_V, "V"), limitText(state?.limits?.boost_trip_V, "V")],
       ["load power", Dom.number(fast?.load_power_W, "W"), limitText(state?.limits?.power_W, "W")],
       ["line", Dom.number(fast?.line_voltage_V, "V"), ""],
+      marginRow(drive.outputName, value, state?.limits?.output_trip, drive.unit),
+      marginRow("boost voltage", fast?.boost_voltage_V, state?.limits?.boost_trip_V, "V"),
+      marginRow("load power", fast?.load_power_W, state?.limits?.power_W, "W"),
       ["controller in force", state?.controller ?? "–", state?.reason || `asked for: ${state?.mode ?? "–"}`],
       ["estimate", load ? (load.accepted ? "accepted" : "refused") : "–", load?.reason ?? ""],
       ...Object.entries(load?.estimates ?? {}).map(([name, one]) => estimateRow(name, one)),
@@ -96,6 +100,17 @@ const DrivePage = (() => {
       ["clock", state?.clock ?? "–", Number.isFinite(drive.clockS) ? new Date(1000 * drive.clockS).toISOString().slice(11, 19) + " UTC" : ""],
     ];
     drawRows(parts.rows, rows);
+  }
+
+  /** How far a quantity is from its trip; marked where less than a tenth of the limit is left.
+   * @param {string} name @param {number|null|undefined} value
+   * @param {[number|null, number|null]|undefined} limits @param {string} unit */
+  function marginRow(name, value, limits, unit) {
+    const [low, high] = limits ?? [null, null];
+    const known = value != null && (low != null || high != null);
+    const left = known ? Math.min((high ?? Infinity) - value, value - (low ?? -Infinity)) : null;
+    const near = left != null && left < NEAR * Math.max(Math.abs(low ?? 0), Math.abs(high ?? 0));
+    return [`${name} to trip`, Dom.number(left, unit, 3), limitText(limits, unit).replace("limits ", "within "), near ? "near" : ""];
   }
 
   /** @param {string} name @param {Estimate} one */
@@ -113,11 +128,12 @@ const DrivePage = (() => {
   /** @param {HTMLElement} list @param {string[][]} rows */
   function drawRows(list, rows) {
     while (list.children.length > rows.length) list.lastElementChild?.remove();
-    rows.forEach(([name, value, remark], i) => {
+    rows.forEach(([name, value, remark, mark], i) => {
       if (!list.children[i]) list.append(Dom.make("div", {}, Dom.make("dt"), Dom.make("dd"), Dom.make("small")));
       const [dt, dd, small] = list.children[i].children;
       Dom.say(dt, name);
       Dom.say(dd, value);
+      Dom.mark(dd, "data-mark", mark ?? "");
       Dom.say(small, remark);
     });
   }

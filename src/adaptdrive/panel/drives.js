@@ -19,6 +19,7 @@ const Drives = (() => {
       /** @type {DriveEvent[]} */ this.events = [];
       /** @type {Load[]} */ this.slowRows = [];
       this.heardS = -Infinity;
+      this.lost = false; // the broker is gone since
       this.version = 0; // of all that is shown
       this.slowVersion = 0; // of what is plotted
       this.eventVersion = 0;
@@ -36,13 +37,13 @@ const Drives = (() => {
 
     /** Whether what is shown may be taken for the present. */
     get live() {
-      return this.availability === "online" && this.measurementAgeS < STALE_S;
+      return this.availability === "online" && !this.lost && this.measurementAgeS < STALE_S;
     }
 
     /** How old what is shown is, in words. */
     get ageText() {
       if (this.live) return "live";
-      const silent = this.availability === "online" && this.ageS < STALE_S;
+      const silent = this.availability === "online" && !this.lost && this.ageS < STALE_S;
       return silent ? `drive silent: ${Dom.span(this.measurementAgeS)}` : `no data: ${Dom.span(this.ageS)}`;
     }
 
@@ -68,7 +69,10 @@ const Drives = (() => {
     /** @param {string} kind @param {any} message @param {boolean} retained */
     take(kind, message, retained) {
       this.version += 1;
-      if (!retained && kind !== "history") this.heardS = nowS();
+      if (!retained && kind !== "history") {
+        this.heardS = nowS();
+        this.lost = false;
+      }
       if (kind === "state") this.state = message;
       if (kind === "load") this._takeLoad(message, retained);
       if (kind === "fast") this.fast = message;
@@ -120,6 +124,12 @@ const Drives = (() => {
     return Date.parse(text) / 1000;
   }
 
+  /** The cause of a trip without its remedy, which is shown by itself. @param {State} state */
+  function cause(state) {
+    const trip = state.trip ?? "", remedy = state.last_trip?.remedy;
+    return remedy && trip.endsWith(`: ${remedy}`) ? trip.slice(0, -remedy.length - 2) : trip;
+  }
+
   /** @type {Map<string, Drive>} */
   const all = new Map();
 
@@ -158,14 +168,14 @@ const Drives = (() => {
     return [...all.values()].some((drive) => drive.availability === "online");
   }
 
-  /** Forget that anything is live: the broker is gone. */
+  /** Take nothing for live until it is heard again: the broker is gone. */
   function lose() {
     for (const drive of all.values()) {
-      drive.heardS = -Infinity;
+      drive.lost = true;
       drive.version += 1;
     }
   }
 
-  return { all, named, take, expected, lose, timeS };
+  return { all, named, take, expected, lose, cause, timeS };
 })();
 /** @typedef {ReturnType<typeof Drives.named>} DriveView */

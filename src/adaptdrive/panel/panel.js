@@ -32,5 +32,6 @@
     window.addEventListener("hashchange", show);
     window.setInterval(draw, REDRAW_MS);
     document.addEventListener("visibilitychange", draw);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", show); // plots keep their colours
   });
 })();

@@ -47,7 +47,7 @@ const Payloads = (() => {
 
   /** @param {Record<string, unknown>} raw @returns {State} */
   function state(raw) {
-    const output = fields(raw.output);
+    const output = fields(raw.output), reach = fields(raw.reach);
     return {
       state: text(raw.state), mode: text(raw.mode), controller: text(raw.controller),
       reason: text(raw.reason), time: text(raw.time), since: text(raw.since), clock: text(raw.clock),
@@ -55,7 +55,7 @@ const Payloads = (() => {
       setpoint: number(raw.setpoint), pole: number(raw.pole), waveform: waveform(raw.waveform),
       output: { name: text(output.name) || "output", unit: text(output.unit) },
       modes: Array.isArray(raw.modes) ? raw.modes.slice(0, 10).map(text) : ["fixed", "adaptive"],
-      limits: map(raw.limits, range),
+      limits: map(raw.limits, range), reach: [number(reach.low), number(reach.high)],
     };
   }
 

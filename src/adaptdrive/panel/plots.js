@@ -77,7 +77,7 @@ const Plots = (() => {
       { label: "applied", colour: "--series-1" },
     ]);
     const strip = Dom.make("canvas.strip", { "aria-label": "controller in force and verdict over time" });
-    parent.append(Dom.make("figure.plot", {}, Dom.make("figcaption", {}, "adaptive in force (dark), fixed (light); red where the estimate is refused"), strip));
+    parent.append(Dom.make("figure.plot", {}, Dom.make("figcaption", {}, "controller in force: adaptive blue, fixed grey; red below where the estimate is refused"), strip));
     /** @type {Map<string, ReturnType<typeof plot>>} */ const estimates = new Map();
     let drawn = -1;
 

@@ -2,16 +2,16 @@
 // All drives of the broker: a trip rises to the top; what is stale fades and shows since when.
 
 const SitePage = (() => {
+  const HEADS = ["drive", "state", "output", "set-point", "controller", "since", "data"];
   const ORDER = ["tripped", "stopping", "running", "manual", "starting", "standby"];
 
   /** @param {HTMLElement} parent */
   function open(parent) {
     const rows = Dom.make("tbody");
     const hint = Dom.make("p.hint", {}, "No drive has been heard on this broker yet.");
-    const heads = ["drive", "state", "output", "set-point", "controller", "since", "data"];
     parent.append(
       Dom.make("header.bar", {}, Dom.make("h1", {}, "Drives")),
-      Dom.make("div.scroll", {}, Dom.make("table.site", {}, Dom.make("thead", {}, Dom.make("tr", {}, ...heads.map((h) => Dom.make("th", { scope: "col" }, h)))), rows)),
+      Dom.make("div.scroll", {}, Dom.make("table.site", {}, Dom.make("thead", {}, Dom.make("tr", {}, ...HEADS.map((h) => Dom.make("th", { scope: "col" }, h)))), rows)),
       hint,
     );
     /** @type {Map<string, HTMLElement>} */ const known = new Map();
@@ -43,7 +43,7 @@ const SitePage = (() => {
   /** @param {string} name */
   function newRow(name) {
     const link = Dom.make("a", { href: `#${encodeURIComponent(name)}` }, name);
-    return Dom.make("tr", {}, Dom.make("th", { scope: "row" }, link), ...Array.from({ length: 6 }, () => Dom.make("td")));
+    return Dom.make("tr", {}, Dom.make("th", { scope: "row" }, link), ...HEADS.slice(1).map((head) => Dom.make("td", { "data-head": head })));
   }
 
   /** @param {HTMLElement} row @param {DriveView} drive */
@@ -52,7 +52,7 @@ const SitePage = (() => {
     const state = drive.state;
     const shown = drive.availability === "online" ? state?.state ?? "unknown" : drive.availability;
     const texts = [
-      state?.trip && drive.availability === "online" ? `${shown}: ${state.trip}` : shown,
+      state?.trip && drive.availability === "online" ? `${shown}: ${Drives.cause(state)}` : shown,
       Dom.measured(drive.fast?.output ?? drive.load?.output, drive.unit),
       state?.waveform ? `${state.waveform.shape} wave` : Dom.number(state?.setpoint, drive.unit),
       state ? (state.controller === state.mode ? state.controller : `${state.controller} (asked for ${state.mode})`) : "–",
