@@ -1,4 +1,4 @@
-"""The examples of docs/python.md, run in their order."""
+"""The examples of docs/python.md and docs/walk.md, run in their order."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ from tests.app.test_replay import EXAMPLE
 from tests.operation.peers import load_report, serving
 from tests.support import Broker
 
-PAGE = Path(__file__).parents[2] / "docs" / "python.md"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
-def examples() -> list[str]:
-    return re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+def examples(page: str = "python.md") -> list[str]:
+    text = (DOCS / page).read_text(encoding="utf-8")
+    return re.findall(r"```python\n(.*?)```", text, re.DOTALL)
 
 
 def test_the_examples_on_sessions_run(
@@ -42,6 +43,27 @@ def test_the_examples_on_sessions_run(
     assert "motor orderly" in said
     assert re.search(r"gain 0\.01\d+ ± .*adaptive", said)
     assert re.search(r"gain = 0\.01\d+ ± .*on-line 0\.01", said)
+
+
+def test_the_walk_through_a_session_runs(
+    session_path: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "session").symlink_to(session_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    names: dict[str, Any] = {}
+    for code in examples("walk.md"):
+        exec(code, names)
+    names["plt"].close(names["figure"])
+    said = capsys.readouterr().out
+    assert "missing: 0 ticks" in said
+    assert "30.0 s  trip   stale: 54 ms" in said
+    assert re.search(r"error: median 0\.\d+ V", said)
+    assert re.search(r"gain: 0\.01\d+ ± .*on-line 0\.01", said)
+    assert (tmp_path / "walk.png").stat().st_size > 10_000
 
 
 def test_the_example_with_a_plant_runs(
