@@ -133,19 +133,17 @@ class Guide:
     async def _readings(self) -> AsyncGenerator[FastReading, None]:
         """Yield one reading for each message, in the order of their times."""
         last_s, heard_s = -math.inf, time.monotonic()
-        messages = telemetry(self._broker, self._drive)
-        while True:
-            name, content = await self._next(messages)
-            if name != "drive" or content.get("output") is None:
-                if time.monotonic() - heard_s > _SILENCE_S:
+        async with aclosing(telemetry(self._broker, self._drive)) as messages:
+            while True:
+                name, content = await self._next(messages)
+                if name == "drive" and content.get("output") is not None:
+                    heard_s, reading = time.monotonic(), _reading(content)
+                    if reading.time_s > last_s:
+                        last_s = reading.time_s
+                        yield reading
+                elif time.monotonic() - heard_s > _SILENCE_S:
                     silence = f"no measurement for {_SILENCE_S:g} s: adaptdrive probe shows why"
                     raise NoAnswerError(self._drive, silence)
-                continue
-            heard_s = time.monotonic()
-            reading = _reading(content)
-            if reading.time_s > last_s:
-                last_s = reading.time_s
-                yield reading
 
     async def _next(
         self, messages: AsyncIterator[tuple[str, dict[str, Any]]]

@@ -9,7 +9,7 @@ import os
 import re
 import socket
 import uuid
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
@@ -156,7 +156,7 @@ async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> DriveStatus
     return status
 
 
-async def telemetry(broker: Mqtt, drive: str) -> AsyncIterator[tuple[str, dict[str, Any]]]:
+async def telemetry(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[str, Any]], None]:
     """Yield telemetry as it is published: `load` or `drive`, and the message.
 
     Args:
