@@ -13,14 +13,11 @@ from adaptdrive.control.settings import Jacket
 from adaptdrive.control.supervisor import (
     SupervisorState,
     Verdict,
-    compare_changes,
-    compare_residuals,
     judge_bounds,
     judge_damping,
     judge_load,
     judge_loop,
     judge_model,
-    judge_residual,
     take_verdict,
 )
 
@@ -173,33 +170,3 @@ def test_trust_needs_warm_up_and_a_trusted_estimate_within_patience(
         assert accepted == (verdict == Verdict.TRUSTED and periods > JACKET.warm_up_periods)
         assert not state.trusted or Verdict.TRUSTED in recent
         assert not state.trusted or periods > JACKET.warm_up_periods
-
-
-def residuals(own: list[float], fixed: list[float]) -> SupervisorState:
-    state = SupervisorState()
-    for one, other in zip(own, fixed, strict=True):
-        compare_residuals(state, one * one, other * other)
-        compare_changes(state, one, other)
-    return state
-
-
-@pytest.mark.parametrize(("size", "expected"), [(1.0, 0), (2.0, Verdict.WORSE_THAN_FIXED)])
-def test_wrong_dynamics_show_in_the_changes_beside_an_offset_of_the_nominal_model(
-    size: float, expected: int
-) -> None:
-    """The offset makes every residual of the nominal model thirty times as large as the noise."""
-    noise = 0.01 * np.random.default_rng(3).standard_normal(400)
-    own, fixed = (size * noise).tolist(), (0.3 + noise).tolist()
-    assert judge_residual(residuals(own, fixed), replace(JACKET, residual_margin=1.5)) == expected
-    assert judge_residual(residuals(own, fixed), JACKET) == Verdict.TRUSTED
-
-
-def test_changes_below_rounding_refuse_nothing() -> None:
-    own, fixed = [3e-5 * (-1.0) ** k for k in range(400)], [0.0] * 400
-    state = residuals(own, fixed)
-    assert judge_residual(state, replace(JACKET, residual_margin=1.5)) == Verdict.TRUSTED
-
-
-def test_an_innovation_that_is_no_number_is_left_out() -> None:
-    state = residuals([math.nan, *[0.01, -0.01] * 50], [0.0] * 101)
-    assert state.own_changes > 0.0

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.supervisor import Verdict
-from adaptdrive_sim.campaign.bench import RunOutcome, Stand, deployed
+from adaptdrive_sim.campaign.bench import RunOutcome, Stand
 from adaptdrive_sim.campaign.scenario import Scenario, draw
 from adaptdrive_sim.campaign.settings import Campaign
 from adaptdrive_sim.compiled import bench
@@ -86,7 +86,7 @@ def is_unstable(scenario: Scenario, errors: Array) -> bool:
 def _supervision(stand: Stand, trace: Array) -> Row:
     in_force = trace[:, bench.ADAPTIVE] > 0.0
     verdicts = trace[:, bench.VERDICT]
-    estimates = trace[-1, bench.VALUES : bench.VALUES + len(deployed().load.names)]
+    estimates = trace[-1, bench.VALUES :]
     truth = stand.truth_of(stand.scenario.inertias[-1])
     row: Row = {
         "adaptive_share": float(np.mean(in_force)),

@@ -166,7 +166,6 @@ def note(
     row[FALLBACK] = slow.watch.fallback
     for i in range(len(slow.values)):
         row[VALUES + i] = slow.values[i]
-        row[VALUES + len(slow.values) + i] = slow.deviations[i]
 
 
 def follow_ideal(

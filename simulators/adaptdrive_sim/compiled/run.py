@@ -36,7 +36,7 @@ def run_compiled(controller: Controller, world: World, course: Course) -> tuple[
     wire = course.wire or perfect_wire(float(course.references[0]))
     changing = (*states, world, wire, measurement, sample)
     objects = [_constant(settings), _constant(load), *map(Memory, changing)]
-    trace = np.full((len(course.references), bench.VALUES + 2 * len(load.names)), np.nan)
+    trace = np.full((len(course.references), bench.VALUES + len(load.names)), np.nan)
     function: Any = compiled_modules()[bench.__name__].run
     cause = function(
         *objects,

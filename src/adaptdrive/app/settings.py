@@ -46,9 +46,6 @@ _FORGETTING = 0.985
 _OPEN = 1.0e8
 """P[0] of the exact design: deviation 1 of each scaled parameter, at the smallest σ of 1e-4."""
 
-_LOSS_LAGS = 3.0
-"""Memory of what the laws cost, in sums of the nominal time constants: a step settles in it."""
-
 _SHORTEST_WAVE_PERIODS = 4
 """Shortest period of a waveform, in slow periods: two samples for each half."""
 
@@ -210,16 +207,7 @@ def _jacket(configuration: Configuration) -> Jacket:
         response_distance=supervisor.response_distance * reference_range,
         noise_max=_noise_max(configuration),
         noise_min=load.resolution / math.sqrt(12.0),
-        loss_max=0.0 if isinstance(load, BatterySection) else supervisor.loss_max,
-        loss_periods=_loss_periods(configuration),
     )
-
-
-def _loss_periods(configuration: Configuration) -> int:
-    """Return the slow periods over which the two laws are compared."""
-    load = build_load(configuration)
-    lag_s = load.denominator[load.order - 1] / load.denominator[load.order]
-    return _periods(configuration, _LOSS_LAGS * lag_s)
 
 
 def _noise_max(configuration: Configuration) -> float:

@@ -305,11 +305,6 @@ class Supervisor(Section):
         "that must not last for ten closed-loop time constants with a free input; a tenth of the "
         "set-point range when left out; 0: any",
     )
-    loss_max: NonNegativeFloat = Field(
-        default=1.1,
-        description="largest mean squared error of the adaptive law over that which the fixed one "
-        "would have made, by a replay of the same samples; above it, adaptive waits; 0: any",
-    )
     response_s: Duration = Field(
         default=120.0,
         description="trip when the input has been at a limit for this time and the output has not "

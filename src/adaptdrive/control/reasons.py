@@ -15,8 +15,6 @@ from adaptdrive.control.watch import Fallback
 _IDLE_PERIODS = 60
 """Slow periods without an update before the reason names it: 60 s of a motor."""
 
-_LOST = "waits: costs more than fixed control would, on these samples"
-
 _REASONS = {
     Verdict.NOT_FINITE: "estimate is not finite",
     Verdict.UNSTABLE_LOAD: "estimated load is unstable",
@@ -49,7 +47,7 @@ def reason(state: SlowState, jacket: Jacket, load: Load, mode: Mode) -> str:
         return f"{_FALLBACKS[Fallback(state.watch.fallback)]}; ask for adaptive again"
     verdict = Verdict(state.supervisor.verdict)
     if verdict is Verdict.TRUSTED:
-        return _not_asked(state, mode)
+        return "" if mode is Mode.ADAPTIVE else f"mode {mode} asked for"
     if verdict is Verdict.WARMING_UP:
         return f"warming up: needs {jacket.warm_up_periods} slow periods"
     if verdict is Verdict.OUT_OF_BOUNDS:
@@ -57,13 +55,6 @@ def reason(state: SlowState, jacket: Jacket, load: Load, mode: Mode) -> str:
     if verdict is Verdict.UNCERTAIN:
         return _uncertain(state, jacket, load)
     return _REASONS[verdict]
-
-
-def _not_asked(state: SlowState, mode: Mode) -> str:
-    """Return why a trusted estimate is not in force, empty where it is."""
-    if mode is not Mode.ADAPTIVE:
-        return f"mode {mode} asked for"
-    return _LOST if state.contest.waiting_periods > 0 else ""
 
 
 def _uncertain(state: SlowState, jacket: Jacket, load: Load) -> str:

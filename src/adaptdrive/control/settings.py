@@ -127,8 +127,6 @@ class Jacket:
         noise_max: Largest standard deviation of the input that noise of the output may cause, in
             the unit of the input.
         noise_min: Least standard deviation of the noise of the output, in its unit.
-        loss_max: Largest mean squared error of the adaptive law, over that of the fixed one.
-        loss_periods: Slow periods over which these errors are averaged.
         confirm_periods: The same after a start from estimates that an earlier run had trusted.
         confidence: Standard deviations by which the estimate may be wrong without new gains
             becoming unstable; with 0 the last trusted model is not tried either.
@@ -153,8 +151,6 @@ class Jacket:
     gain_slew: float = 1.0
     noise_max: float = 0.0
     noise_min: float = 0.0
-    loss_max: float = 0.0
-    loss_periods: int = 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,6 @@ from adaptdrive.control.charging import taper, terminal_voltage
 from adaptdrive.control.compensator import control_law, lead_reference
 from adaptdrive.control.cycling import watch_cycling
 from adaptdrive.control.design import compensator_gains, discrete_model, reference_lead
-from adaptdrive.control.laws import judge_laws, replay_other_law
 from adaptdrive.control.load import Load
 from adaptdrive.control.redesign import adapt
 from adaptdrive.control.reference_filter import condition_reference, filter_reference
@@ -58,12 +57,7 @@ def slow_step(
     state.reference = reference
     if sample.manual:
         return _follow_hand(state, sample)
-    if not jacket.loss_max > 0.0:
-        return _act(jacket, state, sample, led)
-    judge_laws(settings, state, sample, led)
-    load_input = _act(jacket, state, sample, led)
-    replay_other_law(state, sample, led)
-    return load_input
+    return _act(jacket, state, sample, led)
 
 
 def _note_applied(state: SlowState, sample: SlowSample) -> None:
@@ -97,8 +91,6 @@ def _take_sample(
         fixed = target / learning.output_scale - predict(state.nominal_theta, estimator.regressor)
         own = est.own_residual(estimator, learning)
         sup.compare_residuals(state.supervisor, own, fixed * fixed)
-        innovation = estimator.innovation / learning.output_scale
-        sup.compare_changes(state.supervisor, innovation, fixed)
     shift_in(state.outputs, sample.output)
 
 
@@ -177,7 +169,7 @@ def _expected_output(state: SlowState, sample: SlowSample, reference: float) -> 
 def _act(jacket: Jacket, state: SlowState, sample: SlowSample, reference: float) -> float:
     """Both laws on the shared history; what is sent is limited and remembered."""
     sound = state.supervisor.trusted and state.watch.fallback == Fallback.NONE
-    state.adaptive = sample.adaptive and sound and state.contest.waiting_periods == 0
+    state.adaptive = sample.adaptive and sound
     fixed = control_law(state.fixed_gains, state.inputs, state.outputs, reference)
     filtered = filter_reference(state.reference_filter, reference)
     other = control_law(state.adaptive_gains, state.inputs, state.outputs, filtered)

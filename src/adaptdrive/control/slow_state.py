@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from adaptdrive.control import estimator as est
 from adaptdrive.control import supervisor as sup
 from adaptdrive.control.charging import ChargeState
-from adaptdrive.control.contest import Contest
 from adaptdrive.control.cycling import CyclingState
 from adaptdrive.control.design import past_inputs
 from adaptdrive.control.load import Load, to_input
 from adaptdrive.control.reference_filter import ReferenceFilter, new_reference_filter
-from adaptdrive.control.ringing import Ringing
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.vectors import Vector
 from adaptdrive.control.watch import WatchState
@@ -47,7 +45,6 @@ class SlowState:
         trusted_b: B of it.
         reference_filter: Reference filter of the adaptive law.
         new_loop: A_c of the design of this period.
-        contest: Comparison with the law that is not in force.
         expected: Response to the reference that was asked for, a lag for each pole.
         trusted_alarms: Abrupt changes noticed when it was accepted.
         saturated: Whether the last input was at a limit or could not be followed.
@@ -84,7 +81,6 @@ class SlowState:
     reference_filter: ReferenceFilter
     new_loop: Vector
     expected: Vector
-    contest: Contest
     trusted_alarms: int = 0
     saturated: bool = False
     blend: float = 0.0
@@ -166,18 +162,4 @@ def new_slow_state(
         reference_filter=new_reference_filter(load.order, taps),
         new_loop=[0.0] * (load.order + taps + 1),
         expected=[output] * (2 * load.order),
-        contest=_new_contest(load, taps, output, load_input),
-    )
-
-
-def _new_contest(load: Load, taps: int, output: float, load_input: float) -> Contest:
-    return Contest(
-        inputs=[load_input] * taps,
-        outputs=[output] * (load.order + 1),
-        pushes=[0.0] * taps,
-        shifts=[0.0] * (load.order + 1),
-        filter=new_reference_filter(load.order, taps),
-        course=[output] * (2 * load.order + taps + 1),
-        ringing=Ringing(load_input),
-        reference=output,
     )

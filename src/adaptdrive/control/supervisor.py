@@ -35,13 +35,6 @@ _RESIDUAL_FLOOR = 1.0e-6
 """A thousandth of the scale, squared: at rest, less is noise."""
 
 
-_CHANGE_MARGIN = 1.2
-"""Largest mean square of the residuals' changes, over that of the nominal model."""
-
-_CHANGE_FLOOR = 1.0e-8
-"""A ten-thousandth of the scale, squared: changes below it are rounding."""
-
-
 class Verdict(IntEnum):
     """Result of the supervisor's checks of an estimate."""
 
@@ -71,10 +64,6 @@ class SupervisorState:
         good_periods: Accepted estimates in a row.
         own_power: Slow mean square of the estimate's own innovations, scaled.
         fixed_power: The same of the nominal model.
-        own_changes: Slow mean square of the changes of the estimate's innovation, scaled.
-        fixed_changes: The same of the nominal model.
-        own_last: Last innovation of the estimate.
-        fixed_last: Last innovation of the nominal model.
     """
 
     verdict: int = Verdict.WARMING_UP
@@ -84,10 +73,6 @@ class SupervisorState:
     good_periods: int = 0
     own_power: float = 0.0
     fixed_power: float = 0.0
-    own_changes: float = 0.0
-    fixed_changes: float = 0.0
-    own_last: float = 0.0
-    fixed_last: float = 0.0
 
 
 def judge_model(numerator: Vector, denominator: Vector) -> int:
@@ -142,33 +127,10 @@ def compare_residuals(state: SupervisorState, own: float, fixed: float) -> None:
     state.fixed_power += _RESIDUAL_RATE * (fixed - state.fixed_power)
 
 
-def compare_changes(state: SupervisorState, own: float, fixed: float) -> None:
-    """Remember how well the estimate and the nominal model predicted the change of this sample.
-
-    An offset, or another gain of the sensor, is a large residual of the nominal model for ever. Its
-    changes are not, and an estimate of the wrong dynamics shows in them.
-
-    Args:
-        state: Overwritten.
-        own: Innovation of the estimate, scaled.
-        fixed: Innovation of the nominal model, scaled.
-    """
-    if not math.isfinite(own + fixed):
-        return
-    own_change, fixed_change = own - state.own_last, fixed - state.fixed_last
-    state.own_changes += _RESIDUAL_RATE * (own_change * own_change - state.own_changes)
-    state.fixed_changes += _RESIDUAL_RATE * (fixed_change * fixed_change - state.fixed_changes)
-    state.own_last, state.fixed_last = own, fixed
-
-
 def judge_residual(state: SupervisorState, jacket: Jacket) -> int:
     """Check whether the estimate predicts no worse than the nominal model does."""
     margin = jacket.residual_margin * jacket.residual_margin
-    if not margin > 0.0:
-        return Verdict.TRUSTED
-    if state.own_power > margin * state.fixed_power + _RESIDUAL_FLOOR:
-        return Verdict.WORSE_THAN_FIXED
-    if state.own_changes > _CHANGE_MARGIN * state.fixed_changes + _CHANGE_FLOOR:
+    if margin > 0.0 and state.own_power > margin * state.fixed_power + _RESIDUAL_FLOOR:
         return Verdict.WORSE_THAN_FIXED
     return Verdict.TRUSTED
 
