@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.settings import Rates
 from adaptdrive.control.signals import Decision, Measurement, Mode, Order, Snapshot, Stage
-from adaptdrive_sim.compiled.wire import NO_RESPONSE, Wire, find_cause
+from adaptdrive_sim.compiled.wire import CONTROL_FAULT, Wire, find_cause
 from adaptdrive_sim.virtual import VirtualDrive
 from adaptdrive_sim.world import World
 
@@ -131,7 +131,7 @@ def run_course(
             if decided:
                 _note(run, drive, controller)
                 if run.decisions[-1].fault:
-                    run.interlock = NO_RESPONSE
+                    run.interlock = CONTROL_FAULT
                     return run
             drive.advance(command, disturbances[n + 1])
     return run

@@ -22,7 +22,7 @@ from adaptdrive.control.slow_half import slow_step
 from adaptdrive.control.slow_state import SlowSample, SlowState
 from adaptdrive.control.vectors import Vector, total
 from adaptdrive_sim.compiled.room import forget_vectors
-from adaptdrive_sim.compiled.wire import NO_RESPONSE, Wire, delayed, find_cause, rounded
+from adaptdrive_sim.compiled.wire import CONTROL_FAULT, Wire, delayed, find_cause, rounded
 from adaptdrive_sim.world import Sample, World
 
 OUTPUT = 0
@@ -103,8 +103,8 @@ def run(
                 sample.reference = references[k]
                 decided_V = decide(settings, load, state, bank, slow, measurement, sample)
                 note(trace[k], slow, sample, decided_V, load)
-                if slow.unresponsive:
-                    return NO_RESPONSE
+                if slow.unresponsive or slow.cycling:
+                    return CONTROL_FAULT
             scale_S = fast.drive(state, stage, measurement)[0]
             scale_S = rounded(scale_S, wire.scale_quantum_S)
             frame = world.step_disturbed(scale_S, True, disturbances[n + 1])

@@ -23,8 +23,8 @@ DELAY_MAX = 20
 OVER_VOLTAGE = 1
 OVER_OUTPUT = 2
 NOT_FINITE = 3
-NO_RESPONSE = 4
-"""The controller itself trips: the load does not respond."""
+CONTROL_FAULT = 4
+"""The controller itself trips: the load does not respond, or the fixed law is in a limit cycle."""
 
 
 @dataclass(slots=True)
