@@ -1,4 +1,4 @@
-"""What `adaptdrive check --json` reports of a configuration."""
+"""Report of `adaptdrive check --json` on a configuration."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""How far V_c may go: the movement that the credible loads predict, kept within the band."""
+"""Bounds of V_c: the movement that the credible loads predict, kept within the band."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from adaptdrive.commission.course import Course
+from adaptdrive.commission.course import ExperimentCourse
 from adaptdrive.commission.credible import CredibleLoads
 from adaptdrive.commission.rest import Rest
 
@@ -36,7 +36,7 @@ _TRIES = (1.0, 0.8, 0.65, 0.5)
 class Bounds:
     """The credible loads of an experiment since its rest."""
 
-    def __init__(self, course: Course, base_V: float, rest: Rest) -> None:
+    def __init__(self, course: ExperimentCourse, base_V: float, rest: Rest) -> None:
         """Begin at rest.
 
         Args:

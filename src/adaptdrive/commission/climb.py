@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from adaptdrive.commission.bounds import Bounds
-from adaptdrive.commission.course import Course
+from adaptdrive.commission.course import ExperimentCourse
 from adaptdrive.commission.phases import Phase, Steps
 from adaptdrive.commission.rest import Rest, until_rest
 from adaptdrive.errors import CommissionError
@@ -58,7 +58,7 @@ class Summit:
 class Climb:
     """Steps of V_c from rest, each no larger than the credible loads allow."""
 
-    def __init__(self, course: Course, base_V: float, rest: Rest) -> None:
+    def __init__(self, course: ExperimentCourse, base_V: float, rest: Rest) -> None:
         """Begin at rest.
 
         Args:

@@ -19,8 +19,8 @@ _NOISE_SHARE = 0.05
 """Time between two looks at the noise, as a share of the shortest wait."""
 
 
-class Course:
-    """What the phases of an experiment share.
+class ExperimentCourse:
+    """State that the phases of an experiment share.
 
     Attributes:
         target: Limits, and the movement that was asked for.

@@ -13,7 +13,7 @@ A load without overshoot stays within that movement. Time is that of the samples
 from __future__ import annotations
 
 from adaptdrive.commission.climb import Climb, Summit
-from adaptdrive.commission.course import Course
+from adaptdrive.commission.course import ExperimentCourse
 from adaptdrive.commission.onset import find_onset
 from adaptdrive.commission.phases import Outcome, Phase, Steps
 from adaptdrive.commission.rest import Rest, until_rest
@@ -34,7 +34,7 @@ class LoadExperiment:
 
     def __init__(self, target: Target) -> None:
         self.outcome: Outcome | None = None
-        self._course = Course(target)
+        self._course = ExperimentCourse(target)
         self._steps = self._run()
 
     def take(self, time_s: float, boost_voltage_V: float, output: float) -> float:
@@ -60,7 +60,7 @@ class LoadExperiment:
 
     @property
     def phase(self) -> Phase:
-        """Where the experiment is."""
+        """Phase of the experiment."""
         return self._course.phase
 
     @property
@@ -94,7 +94,7 @@ class LoadExperiment:
 
 
 def _judge(
-    course: Course, base_V: float, summit: Summit, began_s: float, largest_gain: float
+    course: ExperimentCourse, base_V: float, summit: Summit, began_s: float, largest_gain: float
 ) -> Outcome:
     """Choose the level at which no credible load moves the output further than was asked for."""
     target, moved = course.target, summit.moved

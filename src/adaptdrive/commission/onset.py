@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from adaptdrive.commission.course import Course
+from adaptdrive.commission.course import ExperimentCourse
 from adaptdrive.commission.phases import Steps
 from adaptdrive.errors import CommissionError
 
@@ -13,7 +13,7 @@ _WAIT_SHARE = 0.02
 """Wait after each step, as a share of the shortest wait for a response."""
 
 
-def find_onset(course: Course) -> Steps[float]:
+def find_onset(course: ExperimentCourse) -> Steps[float]:
     """Raise V_c until a current flows that can be lowered again, and return it.
 
     Raises:

@@ -34,7 +34,7 @@ _SHORT = {
 
 @dataclass(slots=True)
 class Picture:
-    """What is shown of an experiment.
+    """Live picture of an experiment.
 
     Attributes:
         drive: Name of the drive.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from adaptdrive.commission.course import Course
+from adaptdrive.commission.course import ExperimentCourse
 from adaptdrive.commission.phases import Steps
 from adaptdrive.errors import CommissionError
 
@@ -23,7 +23,7 @@ _PATIENCES = 60.0
 
 @dataclass(slots=True)
 class Rest:
-    """Where a load came to rest; NaN until it has.
+    """Output at which a load came to rest; NaN until it has.
 
     Attributes:
         output: Mean output over the last quarter of the wait.
@@ -34,7 +34,7 @@ class Rest:
     count: int = 0
 
 
-def until_rest(course: Course, rest: Rest) -> Steps[None]:
+def until_rest(course: ExperimentCourse, rest: Rest) -> Steps[None]:
     """Wait until two quarters of the time since now have the same mean.
 
     Args:
@@ -58,7 +58,7 @@ def until_rest(course: Course, rest: Rest) -> Steps[None]:
         next_s = began_s + 1.1 * elapsed_s
 
 
-def _is_rest(course: Course, elapsed_s: float, start: float, rest: Rest) -> bool:
+def _is_rest(course: ExperimentCourse, elapsed_s: float, start: float, rest: Rest) -> bool:
     """Compare the last two quarters of a wait."""
     target, record, time_s = course.target, course.record, course.time_s
     quarter_s, drift = 0.25 * elapsed_s, 0.0

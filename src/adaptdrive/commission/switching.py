@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from adaptdrive.commission.bounds import Bounds
-from adaptdrive.commission.course import Course
+from adaptdrive.commission.course import ExperimentCourse
 from adaptdrive.commission.phases import Outcome, Steps
 from adaptdrive.errors import CommissionError
 
@@ -35,7 +35,7 @@ _LENGTH = 2 ** _TAPS[0] - 1
 class Switching:
     """V_c between rest and a level, in pseudo-random sequences."""
 
-    def __init__(self, course: Course, outcome: Outcome, bounds: Bounds) -> None:
+    def __init__(self, course: ExperimentCourse, outcome: Outcome, bounds: Bounds) -> None:
         """Take what the climb has found.
 
         Args:

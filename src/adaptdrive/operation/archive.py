@@ -1,4 +1,4 @@
-"""What survives a restart of the daemon: replies, trips, and events not yet published."""
+"""Archive that survives a restart of the daemon: replies, trips, and events not yet published."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import re
 import socket
 import uuid
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
-from contextlib import asynccontextmanager, suppress
+from contextlib import aclosing, asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -79,10 +79,11 @@ async def send_command(
     topics, identity = Topics(drive), str(uuid.uuid4())
     command = {"id": identity, "value": value, "user": sender(), **fields}
     places = topics.command(verb), topics.reply
-    async for payload in _answers(broker, drive, places, command, timeout_s):
-        reply = _reply(payload, Reply)
-        if reply is not None and reply.id == identity:
-            return reply
+    async with aclosing(_answers(broker, drive, places, command, timeout_s)) as answers:
+        async for payload in answers:
+            reply = _reply(payload, Reply)
+            if reply is not None and reply.id == identity:
+                return reply
     raise NoAnswerError(drive, "the broker closed the connection")
 
 
@@ -102,10 +103,12 @@ async def disturb(
     """
     identity = str(uuid.uuid4())
     places = simulator_topic(drive, DISTURB), simulator_topic(drive, REPLY)
-    async for payload in _answers(broker, drive, places, {**request, "id": identity}, timeout_s):
-        reply = _reply(payload, DeviceReply)
-        if reply is not None and reply.id == identity:
-            return reply
+    content = {**request, "id": identity}
+    async with aclosing(_answers(broker, drive, places, content, timeout_s)) as answers:
+        async for payload in answers:
+            reply = _reply(payload, DeviceReply)
+            if reply is not None and reply.id == identity:
+                return reply
     raise NoAnswerError(drive, "the broker closed the connection")
 
 
@@ -115,7 +118,7 @@ async def _answers(
     places: tuple[str, str],
     content: dict[str, Any],
     timeout_s: float,
-) -> AsyncIterator[bytes]:
+) -> AsyncGenerator[bytes, None]:
     """Publish a request on the first topic, and yield what is then published on the second."""
     asked, answered = places
     async with _conversation(broker, drive) as client, asyncio.timeout(timeout_s):

@@ -110,12 +110,12 @@ def simulator_topics() -> tuple[Topic, ...]:
         Topic(
             of(simulator.TRUTH),
             "the simulated plant, once a second, and the disturbances that it offers",
-            simulator.Truth,
+            simulator.PlantTruth,
             retained=True,
             qos=0,
         ),
         Topic(of(simulator.REPLY), "the answer to a request", simulator.DeviceReply),
-        Topic(of(simulator.DISTURB), "a request", simulator.Disturbance, sent=False),
+        Topic(of(simulator.DISTURB), "a request", simulator.PlantDisturbance, sent=False),
     )
 
 

@@ -22,7 +22,7 @@ class Feature(msgspec.Struct, frozen=True):
     request: dict[str, float]
 
 
-class Truth(msgspec.Struct, frozen=True):
+class PlantTruth(msgspec.Struct, frozen=True):
     """The device's own state; beside these keys, true parameters and quantities of the plant.
 
     Attributes:
@@ -34,7 +34,7 @@ class Truth(msgspec.Struct, frozen=True):
     features: tuple[Feature, ...] = ()
 
 
-class Disturbance(msgspec.Struct, frozen=True):
+class PlantDisturbance(msgspec.Struct, frozen=True):
     """A request; beside its id, exactly one disturbance such as `disks`, as `features` lists them.
 
     Attributes:
