@@ -1,5 +1,6 @@
 """A session that started from a checkpoint replays from it, bit for bit."""
 
+import json
 from pathlib import Path
 
 import msgspec
@@ -66,6 +67,12 @@ def test_the_prior_is_part_of_the_record(
     assert replay(str(directory)) == 0, capsys.readouterr().out
     write_info(directory, INFO)
     assert replay(str(directory)) == 1
+    capsys.readouterr()
+    assert replay(str(directory), as_json=True) == 1
+    report = json.loads(capsys.readouterr().out)
+    assert not report["bit_equal"]
+    assert report["ticks"] == len(ticks)
+    assert report["first_command"]["tick"] >= 0
 
 
 @pytest.mark.parametrize(

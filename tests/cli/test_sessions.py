@@ -75,6 +75,18 @@ def test_old_sessions_are_pruned_on_request(state: Path) -> None:
     assert run(state, "sessions", "list").stdout == ""
 
 
+def test_what_is_pruned_is_listed_for_programs(state: Path) -> None:
+    (removal,) = json.loads(run(state, "sessions", "prune", "--keep-MB", "0.001", "--json").stdout)
+    assert NAME in removal
+
+
+def test_files_of_a_session_are_listed_for_programs(state: Path, tmp_path: Path) -> None:
+    words = ("export", NAME, "--to", "csv", "--into", str(tmp_path / "out"), "--json")
+    files = json.loads(run(state, *words).stdout)
+    assert files
+    assert all(Path(file).is_file() for file in files)
+
+
 def test_events_of_the_last_session_are_shown(state: Path) -> None:
     answer = run(state, "events", "--kind", "trip")
     assert "alarm    trip         over-voltage: 431 V" in answer.stdout

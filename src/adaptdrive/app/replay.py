@@ -5,7 +5,10 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
+
+import msgspec
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
@@ -16,16 +19,18 @@ from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.replay import replay as run_again
+from adaptdrive.recording.replay_report import ReplayReport
 from adaptdrive.recording.session import find_session, sessions_directory
 from adaptdrive.recording.what_if import reconfigured
 
 
-def replay(name: str, settings: Sequence[str] = ()) -> int:
+def replay(name: str, settings: Sequence[str] = (), *, as_json: bool = False) -> int:
     """Run the controller again and print what differs from the record.
 
     Args:
         name: Directory of a session, or its name below the sessions of this machine.
         settings: `KEY=VALUE` pairs that replace keys of the recorded configuration.
+        as_json: Print JSON, for programs.
 
     Returns:
         0 when every command is bit-equal, or when settings were given, so that differences are
@@ -45,8 +50,13 @@ def replay(name: str, settings: Sequence[str] = ()) -> int:
     for setting in settings:
         if not _acts(session.config_text, path / "config.toml", setting):
             sys.stderr.write(f"adaptdrive: {setting}: {_WITHOUT_EFFECT}\n")
-    sys.stdout.write(f"{report}\n")
+    sys.stdout.write(f"{_as_json(report) if as_json else report}\n")
     return 0 if report.exact or settings else 1
+
+
+def _as_json(report: ReplayReport) -> str:
+    facts = {"bit_equal": report.exact, **asdict(report)}
+    return msgspec.json.format(msgspec.json.encode(facts), indent=2).decode()
 
 
 _WITHOUT_EFFECT = (

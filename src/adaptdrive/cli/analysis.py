@@ -14,7 +14,7 @@ from cyclopts import Parameter
 from adaptdrive.cli.extra import Extra
 
 
-def plot(
+def plot(  # noqa: PLR0913 - one parameter for each option
     session: str,
     /,
     *,
@@ -22,6 +22,7 @@ def plot(
     end: Annotated[float | None, Parameter(name="--to")] = None,
     into: Path | None = None,
     show: Annotated[bool, Parameter(name="--open", negative=())] = False,
+    json: Annotated[bool, Parameter(negative=())] = False,
 ) -> int:
     """Draw a session: a PNG, and a report as one HTML file.
 
@@ -31,11 +32,13 @@ def plot(
         end: Last second shown.
         into: Folder for figure.png and report.html; that of the session when left out.
         show: Open the report.
+        json: Print JSON: the paths of the files.
     """
     with Extra("analysis"):
         from adaptdrive.analysis.plot import plot as plot_session  # noqa: PLC0415 - it is large
     figure, report = plot_session(_find(session), begin, end, into)
-    return _present(f"{figure}\n{report}", report, show=show)
+    files = {"figure": str(figure), "report": str(report)}
+    return _present(dumps(files) if json else f"{figure}\n{report}", report, show=show)
 
 
 def identify(  # noqa: PLR0913 - one parameter for each option
@@ -118,6 +121,7 @@ def export(
     *,
     to: Literal["csv", "parquet", "mat", "mdf4", "mcap"],
     into: Path | None = None,
+    json: Annotated[bool, Parameter(negative=())] = False,
 ) -> int:
     """Write a session for another program: CSV, Parquet, MATLAB, MDF 4 or MCAP.
 
@@ -125,12 +129,14 @@ def export(
         session: Folder of the session, or its name below the sessions of this machine.
         to: Format of the files.
         into: Folder for the files; the present one when left out.
+        json: Print JSON: the paths of the files.
     """
     with Extra("export"):
         from adaptdrive.analysis.export import export as export_session  # noqa: PLC0415
 
-        for path in export_session(_find(session), to, Path() if into is None else into):
-            print(path)
+        files = export_session(_find(session), to, Path() if into is None else into)
+        paths = [str(path) for path in files]
+    print(dumps(paths) if json else "\n".join(paths))
     return 0
 
 

@@ -70,16 +70,18 @@ def replay(
     /,
     *,
     settings: Annotated[tuple[str, ...], Parameter(name="--set", negative=())] = (),
+    json: Annotated[bool, Parameter(negative=())] = False,
 ) -> int:
     """Run the controller again on the measurements of a recorded session.
 
     Args:
         session: Folder of the session, or its name below the sessions of this machine.
         settings: Ask "what if": KEY=VALUE, such as estimator.forgetting=0.95; may be repeated.
+        json: Print JSON, for programs.
 
     Returns:
         0 when every command is bit-equal.
     """
     from adaptdrive.app.replay import replay as replay_session  # noqa: PLC0415 - see above
 
-    return replay_session(session, settings)
+    return replay_session(session, settings, as_json=json)

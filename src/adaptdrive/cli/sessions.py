@@ -129,6 +129,7 @@ def prune(
     keep_days: Annotated[float | None, Parameter(name="--keep-days")] = None,
     keep_MB: Annotated[float | None, Parameter(name="--keep-MB")] = None,
     directory: Folder = None,
+    as_json: Json = False,
 ) -> int:
     """Remove old sessions; one that is being written is left alone.
 
@@ -136,13 +137,19 @@ def prune(
         keep_days: Remove what began longer ago.
         keep_MB: Remove the oldest while all take more.
         directory: Folder of the sessions.
+        as_json: Print JSON: a sentence for each removal.
     """
     from adaptdrive.recording.batches import Keep  # noqa: PLC0415 - see above
     from adaptdrive.recording.retention import prune as prune_sessions  # noqa: PLC0415
 
     keep = Keep(keep_days, None if keep_MB is None else round(keep_MB * 1e6))
+    removals: list[str] = []
     for sentence in prune_sessions(_folder(directory), keep, datetime.now(UTC)):
-        print(sentence)
+        removals.append(sentence)
+        if not as_json:
+            print(sentence)
+    if as_json:
+        _print_json(removals)
     return 0
 
 

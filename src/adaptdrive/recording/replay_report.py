@@ -16,7 +16,7 @@ class Difference:
     replayed: Mapping[str, Any]
 
     def __str__(self) -> str:
-        return f"at tick {self.tick}: recorded {_told(self.recorded)}; now {_told(self.replayed)}"
+        return f"at tick {self.tick}: recorded {_text(self.recorded)}; now {_text(self.replayed)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ class ReplayReport:
         if self.first_command is None:
             return ["every command is bit-equal"]
         share = f"{self.differing_commands} of {self.ticks} commands differ"
-        return [share, f"first {self.first_command}", f"largest difference {_told(self.largest)}"]
+        return [share, f"first {self.first_command}", f"largest difference {_text(self.largest)}"]
 
     def _told_decisions(self) -> list[str]:
         if self.first_decision is None:
@@ -96,5 +96,5 @@ class ReplayReport:
         return [share, f"first {self.first_decision}"]
 
 
-def _told(values: Mapping[str, Any]) -> str:
+def _text(values: Mapping[str, Any]) -> str:
     return ", ".join(f"{name} = {value!r}" for name, value in values.items())
