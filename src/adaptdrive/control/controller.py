@@ -167,10 +167,7 @@ class Controller:
         self._stage = stage
         self._snapshot = None
         limits = self._settings.stage
-        measured = voltage = measurement.boost_voltage_V
-        if stage is Stage.RUN and not fed and self._load.charging is not None:
-            # the capacitor may still be charged: holding it would charge at any current
-            voltage = limits.boost_reference_min_V
+        voltage = measurement.boost_voltage_V
         reference = min(max(voltage, limits.boost_reference_min_V), limits.boost_reference_max_V)
         if stage is Stage.PRECHARGE:
             reference = limits.boost_reference_min_V
@@ -182,7 +179,11 @@ class Controller:
         if stage is Stage.RUN:
             self._recall()
             output = measurement.output
-            at_rest = measured if fed else self._resting_voltage(output, measured)
+            if not fed and self._load.charging is not None:
+                # the capacitor may still be charged: holding it would charge at any current
+                self._fast.boost_reference_V = limits.boost_reference_min_V
+                self._fast.error_sum = initial_sum(limits.boost_reference_min_V)
+            at_rest = voltage if fed else self._resting_voltage(output, voltage)
             self._bank = self._new_bank(measurement.tick_period_s, output, at_rest)
             self._slow = new_slow_state(self._settings, self._load, output, voltage)
             self._reach = nominal_reach(self._load, limits)
