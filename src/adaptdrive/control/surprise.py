@@ -96,7 +96,8 @@ def watch_noise(state: Surprise, innovation: float) -> None:
         innovation: ε, scaled.
     """
     slope = innovation - state.last
-    squared = (slope - state.slope) ** 2 / 6.0
+    bend = slope - state.slope
+    squared = bend * bend / 6.0  # a power would raise where it overflows
     state.last, state.slope = innovation, slope
     rate = _FAST_RATE if state.samples <= SETTLE_SAMPLES else _SLOW_RATE
     state.noise = max(_FLOOR, _moved(max(_FLOOR, state.noise), squared, rate))
