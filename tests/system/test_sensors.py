@@ -79,11 +79,18 @@ def test_a_sensor_that_fails_trips_the_drive_and_its_return_lets_it_be_reset(
 
 def assert_each_reply_is_recorded(site: Site) -> None:
     """Each reply of the module has a row of its own, besides those of `telemetry/drive`."""
-    rows = read_session(site.session_folder()).sensors.to_pylist()
+    until(lambda: len(recorded_replies(site)) > 10, "eleven recorded replies")
+    assert site.stop_daemon() == 0
+    rows = read_session(site.session_folder()).sensors.num_rows
+    asked = len(recorded_replies(site))
+    assert rows > len(site.ear.on("telemetry/drive")) + 0.5 * asked
+
+
+def recorded_replies(site: Site) -> set[float]:
+    """Return the times of the replies that the session of a running daemon holds by now."""
     age = "thermocouples.bath_temperature.age_s"
-    asked_s = {round(row["monotonic_s"] - row[age], 3) for row in rows if row[age] is not None}
-    assert len(asked_s) > 10
-    assert len(rows) > len(site.ear.on("telemetry/drive")) + 0.5 * len(asked_s)
+    rows = read_session(site.session_folder()).sensors.to_pylist()
+    return {round(row["monotonic_s"] - row[age], 3) for row in rows if row[age] is not None}
 
 
 def test_without_its_sensors_the_daemon_starts_waits_and_does_not_enable(
