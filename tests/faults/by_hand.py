@@ -78,7 +78,7 @@ class _Timer:
 
 
 class DaemonByHand:
-    """A daemon that runs when it is told to.
+    """A daemon that runs at each call of the test only.
 
     Attributes:
         now: The time that the daemon reads, in s.

@@ -39,12 +39,12 @@ def cell(row: Row, name: str, verdicts: Sequence[Verdict | None]) -> str:
     times = [one.reaction_s for one in ran if one.reaction_s < math.inf]
     flaws = Counter(flaw for one in ran for flaw in one.flaws)
     again = sum(one.enables > 1 for one in ran)
-    told = [f"{flaw} ({count})" for flaw, count in flaws.most_common()]
-    told += [f"second `enable` ({again})"] if again else []
+    findings = [f"{flaw} ({count})" for flaw, count in flaws.most_common()]
+    findings += [f"second `enable` ({again})"] if again else []
     reaction = f"{statistics.median(times):.3g} s ({max(times):.3g})" if times else ""
     highest = max((one.excess for one in ran), default=math.nan)
     words = [row.group, row.fault, name, promise(row, name), f"{len(times)} of {len(ran)}"]
-    return "| " + " | ".join([*words, reaction, f"{highest:.2f}", "; ".join(told)]) + " |"
+    return "| " + " | ".join([*words, reaction, f"{highest:.2f}", "; ".join(findings)]) + " |"
 
 
 def lines(seeds: Iterable[int], processes: int) -> list[str]:

@@ -1,7 +1,7 @@
 """The watch over the fixed controller: a limit cycle ends in the safe state.
 
 A fixed controller on a load far from its model can drive the input from one limit to the other for
-ever. Noise does that too, and so do set-points that change; a limit cycle is told from them by a
+ever. Noise does that too, and so do set-points that change; a limit cycle differs from them by a
 set-point that rests, and by an estimate that predicts the load far better than the model.
 """
 

@@ -10,7 +10,7 @@ import re
 import socket
 import uuid
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
-from contextlib import aclosing, asynccontextmanager, suppress
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -76,15 +76,10 @@ async def send_command(
     Raises:
         NoAnswerError: No reply in time, or no broker.
     """
-    topics, identity = Topics(drive), str(uuid.uuid4())
-    command = {"id": identity, "value": value, "user": sender(), **fields}
+    topics = Topics(drive)
     places = topics.command(verb), topics.reply
-    async with aclosing(_answers(broker, drive, places, command, timeout_s)) as answers:
-        async for payload in answers:
-            reply = _reply(payload, Reply)
-            if reply is not None and reply.id == identity:
-                return reply
-    raise NoAnswerError(drive, "the broker closed the connection")
+    command = {"value": value, "user": sender(), **fields}
+    return await _ask(broker, drive, places, command, timeout_s=timeout_s, kind=Reply)
 
 
 async def disturb(
@@ -101,31 +96,30 @@ async def disturb(
     Raises:
         NoAnswerError: No answer in time, or no broker.
     """
-    identity = str(uuid.uuid4())
     places = simulator_topic(drive, DISTURB), simulator_topic(drive, REPLY)
-    content = {**request, "id": identity}
-    async with aclosing(_answers(broker, drive, places, content, timeout_s)) as answers:
-        async for payload in answers:
-            reply = _reply(payload, DeviceReply)
-            if reply is not None and reply.id == identity:
-                return reply
-    raise NoAnswerError(drive, "the broker closed the connection")
+    return await _ask(broker, drive, places, request, timeout_s=timeout_s, kind=DeviceReply)
 
 
-async def _answers(
+async def _ask(  # noqa: PLR0913 - one request, wherever it goes
     broker: Mqtt,
     drive: str,
     places: tuple[str, str],
     content: dict[str, Any],
+    *,
     timeout_s: float,
-) -> AsyncGenerator[bytes, None]:
-    """Publish a request on the first topic, and yield what is then published on the second."""
+    kind: type[AnyReply],
+) -> AnyReply:
+    """Publish a request with an id on the first topic, and return its reply on the second."""
     asked, answered = places
+    identity = str(uuid.uuid4())
     async with _conversation(broker, drive) as client, asyncio.timeout(timeout_s):
         await client.subscribe(answered, qos=1)
-        await client.publish(asked, json.dumps(content), qos=1)
+        await client.publish(asked, json.dumps(content | {"id": identity}), qos=1)
         async for message in client.messages:
-            yield bytes(message.payload)
+            reply = _reply(bytes(message.payload), kind)
+            if reply is not None and reply.id == identity:
+                return reply
+    raise NoAnswerError(drive, "the broker closed the connection")
 
 
 def sender() -> str:
