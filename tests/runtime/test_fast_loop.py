@@ -218,6 +218,16 @@ async def test_a_bridge_that_goes_off_by_itself_trips() -> None:
         assert 10 < ticks < 60
 
 
+async def test_a_drive_that_falls_silent_before_its_bridge_is_on_is_stale_and_not_stopped() -> None:
+    """Its last frame reports the bridge off: the drive may have switched it on since."""
+    limits = replace(FAST.limits, stale_s=0.5)
+    async with fast_bench(replace(FAST, limits=limits)) as bench:
+        bench.start()
+        bench.frame(bridge=False)
+        bench.wait(0.5 + 1.1 * TICK_S)
+        assert (bench.machine.trip or "").startswith("stale: ")
+
+
 def thaw(bench: FastBench, frozen_s: float, *, bridge: bool) -> None:
     """The process runs again after a while; the first that it sees is a frame that waited."""
     bench.around.now += frozen_s

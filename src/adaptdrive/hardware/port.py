@@ -52,6 +52,11 @@ class Reading:
     fault_name: str = ""
     bridge_s: float | None = None
 
+    @property
+    def bridge_reported_s(self) -> float:
+        """Arrival of the report of the bridge, monotonic clock."""
+        return self.oldest_s if self.bridge_s is None else self.bridge_s
+
 
 @dataclass(frozen=True, slots=True)
 class PortStatistics:

@@ -14,8 +14,12 @@ _GAP_READINGS = 3
 """Readings that pass unwatched before a bridge that was on and is off is a stop, not a flicker."""
 
 
+_SLACK_S = 1e-6
+"""Rounding of sums of half cycles: the last one within the grace is not yet a stop."""
+
+
 class BridgeWatch:
-    """Counts half cycles in which a bridge is off that was commanded on."""
+    """Measures how long a drive has reported its bridge off although it was commanded on."""
 
     def __init__(self, tick_s: float, ticks_per_reading: int) -> None:
         """Watch from the first half cycle.
@@ -24,20 +28,19 @@ class BridgeWatch:
             tick_s: Half a line cycle at nominal frequency.
             ticks_per_reading: Half cycles from one reading to the next.
         """
-        self._tick_s = tick_s
-        self._stride = ticks_per_reading
-        self._grace = max(_GRACE_TICKS, _GRACE_READINGS * ticks_per_reading)
-        self._off_ticks = 0
+        self._reading_s = ticks_per_reading * tick_s
+        self._grace_s = max(_GRACE_TICKS * tick_s, _GRACE_READINGS * self._reading_s)
+        self._off_s: float | None = None
         self._been_on = False
 
     def find_cause(
         self, reading: Reading | None, *, commanded: bool, unwatched_s: float
     ) -> str | None:
-        """One more look; the cause of a trip, None for none.
+        """Return the cause of a trip, None for none.
 
-        Half cycles that passed unwatched count, and a bridge that went off unwatched is
-        a stop at once: a drive that stopped because this process did not run gets no command that
-        energises it anew.
+        Only reports of the drive count: one that has fallen silent is stale, not off. A bridge that
+        went off unwatched is a stop at once: a drive that stopped because this process did not run
+        gets no command that energises it anew.
 
         Args:
             reading: The newest reading.
@@ -45,11 +48,12 @@ class BridgeWatch:
             unwatched_s: Time since the last look.
         """
         if reading is None or reading.bridge or not commanded:
-            self._off_ticks, self._been_on = 0, commanded and reading is not None
+            self._off_s, self._been_on = None, commanded and reading is not None
             return None
-        missed_ticks = unwatched_s / self._tick_s
-        self._off_ticks += max(self._stride, int(missed_ticks))
-        slept = self._been_on and missed_ticks > _GAP_READINGS * self._stride
-        if self._off_ticks <= self._grace and not slept:
+        reported_s = reading.bridge_reported_s
+        if self._off_s is None:
+            self._off_s = reported_s - self._reading_s
+        slept = self._been_on and unwatched_s > _GAP_READINGS * self._reading_s
+        if reported_s - self._off_s <= self._grace_s + _SLACK_S and not slept:
             return None
         return "drive stopped: its bridge is off although it was commanded on"

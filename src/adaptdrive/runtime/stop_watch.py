@@ -66,7 +66,9 @@ class StopWatch:
             return self._denied(reading)
         elif reading is not None and not reading.bridge:
             self._on.clear()
-            self._confirmed = self._confirmed or spoken_s(reading) > max(safe_s, self._commanded_s)
+            self._confirmed = self._confirmed or reading.bridge_reported_s > max(
+                safe_s, self._commanded_s
+            )
         if self._confirmed:
             return Stop.CONFIRMED
         return Stop.OVERDUE if now_s - self._commanded_s > self.limit_s else Stop.AWAITED
@@ -93,7 +95,7 @@ class StopWatch:
                 f"it has not taken the safe command {waited}; check that it accepts commands from "
                 "the bus (remote mode, write access), and disconnect its supply"
             )
-        if reading is not None and reading.bridge and spoken_s(reading) > self._commanded_s:
+        if reading is not None and reading.bridge and reading.bridge_reported_s > self._commanded_s:
             return (
                 f"its bridge is still on {waited}; check that it accepts commands from the bus "
                 "(remote mode, checksum, another sender), and disconnect its supply"
@@ -102,8 +104,3 @@ class StopWatch:
             f"it has not reported its bridge off {waited}; check its cable and its supply, "
             "and disconnect the supply before the load is touched"
         )
-
-
-def spoken_s(reading: Reading) -> float:
-    """Return the arrival of the bridge's state in a reading."""
-    return reading.oldest_s if reading.bridge_s is None else reading.bridge_s

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import cantools
@@ -30,6 +31,9 @@ _FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
 
 _NIBBLE_BITS = 4
 
+_ENDLESS_NUMBER = re.compile(r"(?<![\w.])[0-9]+(?:\.[0-9]*)?[eE]\+?0*[1-9][0-9]{3,}(?!\w)")
+"""A number of 10^1000 or more; the largest that a signal of 64 bits can have is below 10^309."""
+
 
 def load_database(path: Path, source: Path | str = "configuration", bus: str = "bus") -> Database:
     """Read a DBC file.
@@ -44,12 +48,21 @@ def load_database(path: Path, source: Path | str = "configuration", bus: str = "
     """
     try:
         text = read_description(path).decode("cp1252", "replace")  # as DBC editors write it
+        _refuse_endless_numbers(text)
         database = cantools.database.load_string(text, database_format="dbc")
     except Exception as problem:  # the parser's own errors are of many kinds
         flaw = Flaw(f"{bus}.database", f"{path} cannot be used: {problem_text(problem)}")
         raise ConfigurationError(source, [flaw]) from problem
     assert isinstance(database, Database)  # noqa: S101 - what the format "dbc" gives
     return database
+
+
+def _refuse_endless_numbers(text: str) -> None:
+    """Refuse a number whose digits the parser would expand for minutes or hours."""
+    found = _ENDLESS_NUMBER.search(text)
+    if found:
+        line = text.count("\n", 0, found.start()) + 1
+        raise ValueError(f"line {line}: {found[0]} is not the value of any signal")
 
 
 def message_codec(
