@@ -121,7 +121,10 @@ def children(pid: int) -> list[int]:
 
 
 def slow_disk(folder: Path, seconds: float) -> dict[str, str] | None:
-    """Environment of a process whose every fsync takes so long, None without a C compiler."""
+    """Environment of a process whose every fsync takes so long, None without a C compiler.
+
+    With `SLOW_WRITE_S` beside it each `write` to a file takes longer too.
+    """
     compiler = shutil.which("cc")
     if compiler is None:
         return None

@@ -21,7 +21,7 @@ from tests.benchmarks.rows import Extent, Row, table, write_json
 
 PARTS = (
     *("compute", "path", "experiment", "campaign", "lateness", "turnaround", "load"),
-    *("daemon", "daemons", "stop", "kills", "stalled_disk", "page_storm"),
+    *("daemon", "daemons", "stop", "kills", "day", "stalled_disk", "page_storm"),
     *("panels", "builds", "equality"),
 )
 RESULT = Path("build/bench.json")

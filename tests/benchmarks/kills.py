@@ -1,9 +1,9 @@
-"""Daemons at 120 Hz whose processes are killed at random moments; what their sessions then lack.
+"""A daemon at 120 Hz whose processes are killed at random moments; what its sessions then lack.
 
-Each life of a daemon ends with `kill -9` of the daemon, or of daemon and recorder in either order;
-before that its recorder alone may be killed. Commands change the mode ten times a second. Witnesses
-of a loss are the clock of the killer, a client of the broker and the log of the daemon: an event
-that one of them has is recorded, or lost.
+Each life of the daemon ends with `kill -9` of the daemon, or of daemon and recorder in either
+order; before that its recorder alone may be killed. Commands change the mode ten times a second.
+Witnesses of a loss are the clock of the killer, a client of the broker and the log of the daemon:
+an event or an answered command that one of them has is recorded, or lost.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -36,13 +35,12 @@ from tests.benchmarks.tools import BUSY, bus_ports, process
 from tests.support import Process, children, stop_process
 from tests.system.site import motor_configuration, until
 
-DRIVES = 3
-LONGEST_LIFE_s = 4.0
+LONGEST_PAUSE_s = 3.0
 PATIENCE_s = 60.0
 SETTLED_s = 15.0
 """From a start to its last report about earlier sessions, and past the record of a trip."""
 COMMANDS_per_s = 10.0
-UNREPORTED_s = 0.5
+UNREPORTED_s = 0.25
 """Shortest loss that the next start could report: one flush."""
 
 Witnessed = Counter[tuple[int, str, str]]
@@ -79,6 +77,7 @@ class Drive:
     chance: random.Random
     deaths: list[Death] = field(default_factory=list)
     heard: Witnessed = field(default_factory=Counter)
+    answered: set[str] = field(default_factory=set)
     lives: int = 0
 
     def live(self) -> None:
@@ -106,7 +105,14 @@ class Drive:
         for directory in session_directories(self.folder / "sessions"):
             events = read_session(directory).events
             recorded.update((one.tick, one.kind, one.detail) for one in events)
-        return (self._logged() | self.heard) - recorded
+        return (self.logged() | self.heard) - recorded
+
+    def commands_lost(self) -> set[str]:
+        """Return the ids of the commands that were answered and are in no session."""
+        recorded: set[str] = set()
+        for directory in session_directories(self.folder / "sessions"):
+            recorded.update(one.id for one in read_session(directory).commands)
+        return self.answered - recorded
 
     def ticks_missing(self) -> int:
         """Return the ticks that sessions lack between their first and their last."""
@@ -137,7 +143,7 @@ class Drive:
         return list(session_directories(self.folder / "sessions"))
 
     def _pause(self) -> None:
-        time.sleep(self.chance.uniform(0.0, LONGEST_LIFE_s))
+        time.sleep(self.chance.uniform(0.0, LONGEST_PAUSE_s))
 
     def _kill(self, victim: str, daemon: Process) -> None:
         recorders = [one for one in children(daemon.pid) if _records(one)]
@@ -163,9 +169,10 @@ class Drive:
         return Death(death.victim, death.time_s, session, lost_s, reported)
 
     def _operator(self) -> Operator:
-        return Operator(self.name, self.broker_port, self.heard)
+        return Operator(self.name, self.broker_port, self.heard, self.answered)
 
-    def _logged(self) -> Witnessed:
+    def logged(self) -> Witnessed:
+        """Return the events that the logs of all lives have."""
         found: Witnessed = Counter()
         for log in sorted(self.folder.glob("daemon-*.log")):
             whole, _, _ = log.read_text(encoding="utf-8").rpartition("\n")
@@ -175,16 +182,17 @@ class Drive:
 
 
 class Operator:
-    """A client that changes the mode again and again, and notes each event."""
+    """A client that changes the mode again and again, and notes each event and each answer."""
 
-    def __init__(self, drive: str, port: int, heard: Witnessed) -> None:
+    def __init__(self, drive: str, port: int, heard: Witnessed, answered: set[str]) -> None:
         self._topic = f"adaptdrive/{drive}"
         self._heard = heard
+        self._answered = answered
         self._ended = threading.Event()
         self._client = paho.Client(CallbackAPIVersion.VERSION2)
         self._client.on_message = self._note
         self._client.connect("127.0.0.1", port)
-        self._client.subscribe(f"{self._topic}/event", qos=1)
+        self._client.subscribe([(f"{self._topic}/{name}", 1) for name in ("event", "reply")])
         self._thread = threading.Thread(target=self._command)
 
     def __enter__(self) -> None:
@@ -199,6 +207,9 @@ class Operator:
 
     def _note(self, _client: object, _data: object, message: paho.MQTTMessage) -> None:
         event = json.loads(message.payload)
+        if message.topic.endswith("/reply"):
+            self._answered.add(event["id"])
+            return
         self._heard[event["tick"], event["kind"], event["detail"]] = 1  # may come again
 
     def _command(self) -> None:
@@ -213,43 +224,33 @@ def rows(extent: Extent) -> Iterator[Row]:
     """All rows of this file."""
     kills = 12 if extent.quick else 200
     with TemporaryDirectory() as name:
-        drives = run(Path(name), kills, seed=int(time.time()))
-        yield from _judged(drives)
+        yield from _judged(run(Path(name), kills, seed=int(time.time())))
 
 
-def run(folder: Path, kills: int, seed: int) -> list[Drive]:
-    """Kill so often; the drives with what is left on disk.
+def run(folder: Path, kills: int, seed: int) -> Drive:
+    """Kill so often; the drive with what is left on disk.
 
     Args:
         folder: Takes everything.
-        kills: How often, over all drives.
+        kills: How often.
         seed: Of the random moments.
     """
     with ExitStack() as stack:
         _, broker_port = stack.enter_context(broker(folder))
-        ports = bus_ports(DRIVES)
-        drives = [
-            Drive(f"d{i}", folder / f"d{i}", port, broker_port, random.Random(seed + i))
-            for i, port in enumerate(ports)
-        ]
-        for drive in drives:
-            drive.folder.mkdir()
-        words = [",".join(map(str, ports)), "1", str(folder / "late")]
+        (port,) = bus_ports(1)
+        drive = Drive("d0", folder / "d0", port, broker_port, random.Random(seed))
+        drive.folder.mkdir()
+        words = [str(port), "1", str(folder / "late")]
         stack.enter_context(process([sys.executable, "-m", "tests.benchmarks.player", *words]))
-        until((folder / "late").exists, "the drives send", PATIENCE_s)
-        with ThreadPoolExecutor(DRIVES) as threads:
-            list(threads.map(lambda drive: _live_often(drive, kills // DRIVES), drives))
-        return drives
+        until((folder / "late").exists, "the drive sends", PATIENCE_s)
+        while len(drive.deaths) < kills:
+            drive.live()
+        drive.rest()
+        return drive
 
 
-def _live_often(drive: Drive, kills: int) -> None:
-    while len(drive.deaths) < kills:
-        drive.live()
-    drive.rest()
-
-
-def _judged(drives: list[Drive]) -> Iterator[Row]:
-    deaths = [death for drive in drives for death in drive.deaths]
+def _judged(drive: Drive) -> Iterator[Row]:
+    deaths = drive.deaths
     lost_s = [death.lost_s for death in deaths if death.victim != "recorder"]
     counts = ", ".join(f"{n} {victim}" for victim, n in Counter(d.victim for d in deaths).items())
     yield Row(
@@ -260,12 +261,16 @@ def _judged(drives: list[Drive]) -> Iterator[Row]:
         met=max(lost_s) <= 1.0,
         note=f"{counts}; median {quantile(lost_s, 0.5):.2f} s",
     )
-    missing = sum(drive.ticks_missing() for drive in drives)
+    missing = drive.ticks_missing()
     yield Row("ticks missing within sessions", missing, "", target="none", met=not missing)
-    witnessed = sum((drive.heard | drive._logged()).total() for drive in drives)
-    lost = [one for drive in drives for one in drive.events_lost().elements()]
+    witnessed = (drive.heard | drive.logged()).total()
+    lost = list(drive.events_lost().elements())
     note = f"of {witnessed} witnessed; " + "; ".join(map(str, lost[:5]))
     yield Row("events lost", len(lost), "", target="none", met=not lost, note=note)
+    unrecorded = sorted(drive.commands_lost())
+    note = f"of {len(drive.answered)} answered; " + "; ".join(unrecorded[:5])
+    name = "answered commands lost"
+    yield Row(name, len(unrecorded), "", target="none", met=not unrecorded, note=note)
     silent = [death for death in deaths if not death.reported]
     note = "; ".join(f"{one.victim} {one.lost_s:.2f} s of {one.session}" for one in silent[:5])
     name = "losses that the next start did not report"

@@ -1,6 +1,6 @@
 """A stand-in for the control process: records ticks at 1 kHz and events until it is killed.
 
-Run as `python control_process.py SESSIONS`.
+Run as `python control_process.py SESSIONS`; its log is on stderr.
 """
 
 import asyncio
@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 
+from adaptdrive.app.log import log_events, set_up_logging
 from adaptdrive.recording.batches import Header
 from adaptdrive.recording.recorder import Clocks, Feed, Recorder, WritePace
 from adaptdrive.runtime.hub import Hub
@@ -28,10 +29,13 @@ async def publish(hub: Hub) -> None:
 async def main(sessions: Path) -> None:
     hub = Hub()
     clocks = Clocks(lambda: datetime.now(UTC), time.monotonic)
-    feed, pace = Feed.of(hub, flush_s=0.1), WritePace(flush_s=0.1)
+    feed, pace = Feed.of(hub, flush_s=0.1), WritePace(flush_s=0.1, keep_s=60.0)
     recorder = Recorder(Header(INFO, "", str(sessions)), feed, hub.publish, clocks, pace)
+    hub.keep_with(recorder.keep)
+    events = hub.subscribe(Event, size=1000)
     async with asyncio.TaskGroup() as group:
         group.create_task(recorder.run())
+        group.create_task(log_events(events, set_up_logging(), hub.kept))
         group.create_task(publish(hub))
 
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from array import array
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
@@ -22,7 +25,7 @@ from adaptdrive.recording.session import Ending, SessionLock, read_info, session
 from adaptdrive.recording.spool import Spool, left_spools, spool_path
 from adaptdrive.recording.writer import record
 from tests.recording.material import INFO, make_batch, make_tick
-from tests.support import Process, children
+from tests.support import Process, children, slow_disk
 
 PATIENCE_S = 60.0
 TORN = (b"\x00" * 4096, b"\x05", b"\x08\x00\x00\x00\xc1\xc1", b"\xff\xff\xff\x7f{}")
@@ -31,14 +34,33 @@ TORN = (b"\x00" * 4096, b"\x05", b"\x08\x00\x00\x00\xc1\xc1", b"\xff\xff\xff\x7f
 
 @pytest.fixture
 def control(tmp_path: Path) -> Iterator[Process]:
+    with started(tmp_path, subprocess.DEVNULL) as process:
+        yield process
+
+
+@pytest.fixture
+def slow_control(tmp_path: Path) -> Iterator[Process]:
+    """A control process whose log can be read, and each of whose writes to a file takes 10 ms."""
+    environment = slow_disk(tmp_path, 0.0)
+    if environment is None:
+        pytest.skip("no C compiler")
+    sessions = tmp_path / "sessions"
+    with started(sessions, subprocess.PIPE, **environment, SLOW_WRITE_S="0.01") as process:
+        yield process
+
+
+@contextmanager
+def started(sessions: Path, log: int, **environment: str) -> Iterator[Process]:
     program = Path(__file__).with_name("control_process.py")
+    path = os.pathsep.join(filter(None, sys.path))
     process = subprocess.Popen(
-        [sys.executable, program, tmp_path],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        [sys.executable, program, sessions],
+        env={**os.environ, "PYTHONPATH": path, **environment},
+        stderr=log,
     )
-    yield process
-    process.kill()
-    process.wait()
+    with process:
+        yield process
+        process.kill()
 
 
 def wait_until(condition: Callable[[], bool]) -> None:
@@ -153,6 +175,62 @@ def test_a_disk_that_refuses_the_spool_is_known(tmp_path: Path) -> None:
     spool = Spool(spool_path(tmp_path / "sessions", INFO))
     spool.append(b"message")
     assert not spool.flushed(PATIENCE_S)
+
+
+@pytest.mark.parametrize("round_", range(3))
+@pytest.mark.parametrize("recorder_too", [True, False])
+def test_an_event_is_in_the_session_before_it_is_in_the_log(
+    tmp_path: Path, slow_control: Process, *, recorder_too: bool, round_: int
+) -> None:
+    sessions = tmp_path / "sessions"
+    log = slow_control.stderr
+    assert log is not None
+    said = [log.readline() for _ in range(5)]
+    wait_until(lambda: bool(children(slow_control.pid)))
+    (recorder,) = children(slow_control.pid)
+    os.kill(recorder, signal.SIGSTOP)
+    said += [log.readline() for _ in range(3 + round_)]
+    slow_control.kill()
+    slow_control.wait()
+    os.kill(recorder, signal.SIGKILL if recorder_too else signal.SIGCONT)
+    said += log.read().splitlines(keepends=True)
+    told = [json.loads(line)["event"] for line in said if line.endswith(b"\n")]
+    wait_until(lambda: bool(next_start(sessions)) and not left_spools(sessions))
+    recorded_ones = map(read_session, session_directories(sessions))
+    assert len(told) >= 8
+    assert set(told) <= {event.detail for one in recorded_ones for event in one.events}
+
+
+def test_a_recorder_whose_pipe_breaks_off_writes_the_rest_from_the_spool(tmp_path: Path) -> None:
+    header = Header(INFO, "", str(tmp_path))
+    batches = [
+        msgspec.structs.replace(make_batch([make_tick(number)]), number=number + 1)
+        for number in range(4)
+    ]
+    spool_path(tmp_path, INFO).write_bytes(stream(header, *batches))
+    record(io.BytesIO(stream(header, *batches[:2])), lambda _: None)
+    assert sequences(recorded(tmp_path)) == [0, 1, 2, 3]
+    assert recorded(tmp_path).info.ended is Ending.CUT
+    assert not left_spools(tmp_path)
+
+
+async def test_a_disk_that_hangs_is_waited_for_once(tmp_path: Path) -> None:
+    hanging = threading.Event()
+
+    def hang() -> None:
+        hanging.wait()
+
+    spool = Spool(spool_path(tmp_path, INFO), hang)
+    spool.append(b"first")
+    await spool.kept(0.01)
+    with pytest.raises(StopIteration):  # it does not wait
+        spool.kept(PATIENCE_S).send(None)
+    hanging.set()
+    assert spool.flushed(PATIENCE_S)
+    spool.append(b"second")
+    await spool.kept(PATIENCE_S)
+    assert spool.path.read_bytes() == b"firstsecond"
+    spool.remove()
 
 
 def test_the_log_of_events_of_a_lost_session_is_one_file(tmp_path: Path, control: Process) -> None:

@@ -102,6 +102,17 @@ def test_a_state_disk_that_becomes_read_only_ends_nothing(make_site: MakeSite, d
     assert site.stop_daemon() == 0
 
 
+def test_a_trip_reaches_the_broker_while_the_disk_hangs(make_site: MakeSite, disk: Path) -> None:
+    site = make_site()
+    site.environment["STATE_DIRECTORY"] = str(disk)
+    site.start("--initial-voltage", "280", *PATIENT_DRIVE)
+    site.run_drive()
+    with stalled(disk):
+        site.disturb("fault", "1")
+        until(lambda: "trip" in [one.content["kind"] for one in site.ear.on("event")], "the trip")
+    assert site.stop_daemon() == 0
+
+
 def test_a_slow_disk_holds_up_no_end_and_loses_no_event(make_site: MakeSite) -> None:
     site = make_site()
     site.start_broker()

@@ -12,7 +12,7 @@ from typing import TextIO
 
 import structlog
 
-from adaptdrive.runtime.hub import Subscription
+from adaptdrive.runtime.hub import Keep, Subscription
 from adaptdrive.runtime.reports import Event, Report, Severity
 
 _LEVELS = {
@@ -72,12 +72,25 @@ def _with_priority(_: object, method: str, line: object) -> str:
     return f"{_PRIORITIES.get(method, '')}{line}"
 
 
-async def log_events(events: Subscription, logger: structlog.typing.FilteringBoundLogger) -> None:
-    """Write every event to the log until cancelled, those of the last moment included."""
+async def log_events(
+    events: Subscription, logger: structlog.typing.FilteringBoundLogger, kept: Keep
+) -> None:
+    """Write every event to the log until cancelled, those of the last moment included.
+
+    Args:
+        events: Subscription to events.
+        logger: Writes the lines.
+        kept: Waits until they are recorded.
+    """
+    taken: Iterable[Report] = ()
     try:
         while True:
-            _log(await events.take(), logger)
+            taken = await events.take()
+            await kept()
+            _log(taken, logger)
+            taken = ()
     finally:
+        _log(taken, logger)
         _log(events.drain(), logger)
 
 

@@ -146,7 +146,7 @@ async def _serve(
         # ended in reverse: broker and log receive the last reports of those that end before them
         start = functools.partial(_start, tasks, ending)
         start("lock", send_visitors_away(locks))
-        start("log", log_events(events, logger))
+        start("log", log_events(events, logger, hub.kept))
         start("mqtt", _mqtt(configuration, daemon, hub, start_thread).run())
         if recorder is not None:
             start("recorder", recorder.run(daemon.opened))
@@ -177,6 +177,7 @@ def _build(
     rehearsal = build_rehearsal(configuration, path)
     recorder = build_recorder(configuration, text, hub, prior, start_thread)
     if recorder is not None:
+        hub.keep_with(recorder.keep)
         publish_samples(port, hub.publish, time.monotonic)
     return _Parts(
         daemon=_daemon(configuration, port, controller, hub, rehearsal, recorder),

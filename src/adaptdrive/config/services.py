@@ -156,7 +156,7 @@ class Recording(Section):
         default=None, description="where sessions lie; $STATE_DIRECTORY/sessions or ./sessions"
     )
     flush_s: float = Field(
-        default=0.5, ge=0.1, le=60.0, description="longest time data stay unwritten"
+        default=0.25, ge=0.1, le=60.0, description="longest time data stay unwritten"
     )
     segment_s: float = Field(
         default=3600.0,

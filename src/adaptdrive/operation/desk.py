@@ -21,6 +21,7 @@ from adaptdrive.operation.commands import LONGEST_ID, STOP, Payload
 from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.messages import Reply
 from adaptdrive.operation.pace import LogRation
+from adaptdrive.runtime.hub import Keep
 from adaptdrive.runtime.reports import CommandReport, State
 from adaptdrive.runtime.requests import Host, Request
 
@@ -69,6 +70,7 @@ class Desk:
         ration: LogRation,
         *,
         report: Callable[[CommandReport], None] = lambda _report: None,
+        kept: Keep | None = None,
     ) -> None:
         """Prepare to answer.
 
@@ -79,7 +81,9 @@ class Desk:
             wall: Wall clock.
             ration: Bounds the lines of the log.
             report: Takes a report of each command that was answered for the first time.
+            kept: Waits until the report is recorded, before the command is answered.
         """
+        self._kept = kept
         self._report = report
         self._host = host
         self._memory = memory
@@ -127,6 +131,8 @@ class Desk:
             async with self._turn:
                 await self._memory.ready()
                 reply = self._repeated(command, payload) or await self._decide(command, payload)
+        if self._kept is not None:
+            await self._kept()
         self._log_reply(reply)
         return reply
 

@@ -6,7 +6,7 @@ long it then waits, so that nothing old is ever sent as new.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import assert_never
 
 from adaptdrive.operation.board import Mailbox, StateBoard
@@ -77,8 +77,10 @@ class Intake:
     async def run(self) -> None:
         """Take reports until cancelled."""
         while True:
-            for report in await self._reports.take():
+            reports = await self._reports.take()
+            for report in reports:
                 self._lay_out(report)
+            await self._pass_on([one for one in reports if isinstance(one, Event)])
 
     def report(self, kind: str, severity: Severity, detail: str) -> None:
         """Publish an event of the operators' side to the log, the recording and the broker."""
@@ -100,6 +102,8 @@ class Intake:
         """Take what has arrived, without waiting for more."""
         for report in self._reports.drain():
             self._lay_out(report)
+            if isinstance(report, Event):
+                self.outbox.append(self._event_body(report))
 
     def history_pages(self) -> Iterator[Payload]:
         """Yield the payloads that answer a request for the last hour."""
@@ -110,6 +114,19 @@ class Intake:
         self.load.clear()
         self.drive.clear()
         self.histograms.clear()
+
+    async def _pass_on(self, events: Sequence[Event]) -> None:
+        """Queue events for the broker once they are recorded, or as this daemon ends."""
+        bodies = [self._event_body(event) for event in events]
+        try:
+            if bodies:
+                await self._hub.kept()
+        finally:
+            for body in bodies:
+                self.outbox.append(body)
+
+    def _event_body(self, event: Event) -> bytes:
+        return encode(event_message(event, self._wall()))
 
     def _lay_out(self, report: Report) -> None:
         match report:
@@ -122,9 +139,7 @@ class Intake:
             case DriveReport():
                 self.drive.put(drive_message(report, self._wall(), self._output))
                 self.histograms.put(histogram_message(report, self._wall()))
-            case Event():
-                self.outbox.append(encode(event_message(report, self._wall())))
-            case TickReport() | SensorSample() | CommandReport():
+            case Event() | TickReport() | SensorSample() | CommandReport():
                 pass
             case _:
                 assert_never(report)

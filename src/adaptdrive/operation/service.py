@@ -104,6 +104,7 @@ class MqttService:
             surroundings.wall,
             LogRation(surroundings.monotonic),
             report=hub.publish,
+            kept=hub.kept,
         )
         self._link = BrokerLink(
             settings,

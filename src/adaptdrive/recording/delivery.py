@@ -71,10 +71,11 @@ class Delivery:
         """Hand over a batch at once; False when too much waits already.
 
         Args:
-            batch: What to hand over.
+            batch: What to hand over; one without rows of tables may double the backlog.
             urgent: Add it to the backlog however long that is.
         """
-        if not urgent and self._waiting_bytes >= self._backlog_bytes:
+        few = not (batch.tick_rows or batch.slow or batch.sensors)
+        if not urgent and self._waiting_bytes >= self._backlog_bytes * (2 if few else 1):
             return False
         self._number += 1
         message = framed(msgspec.structs.replace(batch, number=self._number))
@@ -96,6 +97,14 @@ class Delivery:
         self._spool.append(framed(self._header))
         for sent in self._unwritten:
             self._spool.append(sent.message)
+
+    async def kept(self, patience_s: float) -> None:
+        """Wait until the file has all that was offered.
+
+        Args:
+            patience_s: Longest wait.
+        """
+        await self._spool.kept(patience_s)
 
     async def run(self) -> None:
         """Keep a recorder process running until cancelled."""

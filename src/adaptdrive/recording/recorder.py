@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, TypeGuard
 
+import msgspec
+
 from adaptdrive.recording.batches import (
     Batch,
     CommandRow,
@@ -56,13 +58,15 @@ class WritePace:
         close_s: Longest time that the end of the recording takes, in four parts: the record of a
             trip, the recorder process, another one in its place, and what then is left.
         trip_s: How long the record of a trip goes on after it.
+        keep_s: Longest time that an event waits for its record before it is published.
         start_thread: What a thread that writes does first.
     """
 
-    flush_s: float = 0.5
+    flush_s: float = 0.25
     backlog_bytes: int = 1 << 20
     close_s: float = 8.0
     trip_s: float = 10.0
+    keep_s: float = 0.2
     start_thread: Callable[[], None] = lambda: None
 
 
@@ -147,6 +151,7 @@ class Recorder:
         self._lost = Dropped()
         self._reported_loss = Dropped()
         self._stalled = False
+        self._open = False
         self._last_tick = 0
 
     @property
@@ -162,6 +167,7 @@ class Recorder:
         """
         if begin is not None:
             await begin.wait()
+        self._open = True
         try:
             async with asyncio.TaskGroup() as group:
                 group.create_task(self._delivery.run(), name="recorder-delivery")
@@ -169,6 +175,18 @@ class Recorder:
                 group.create_task(self._black_box.run(), name="recorder-black-box")
         finally:
             await self._finish()
+
+    async def keep(self) -> None:
+        """Wait until each event and command published so far is in a file.
+
+        It waits at most `keep_s`, and not at all for a disk that has just been slower than that.
+        Before the session begins and after its end there is nothing to wait for.
+        """
+        if self._open:
+            self._note(self._feed.events.drain())
+            if self._events or self._commands:
+                self._send()
+            await self._delivery.kept(self._pace.keep_s)
 
     async def _feed_for_ever(self) -> None:
         deadline = self._clocks.monotonic() + self._pace.flush_s
@@ -185,6 +203,7 @@ class Recorder:
         # after the last tick, and before the end: its report belongs to the session
         await self._black_box.finish(part_s)
         await self._send_rest(last=True)
+        self._open = False
         lost = await self._delivery.finish(self._dropped(), part_s)
         self.complete = lost == Dropped()
 
@@ -235,6 +254,16 @@ class Recorder:
             self._note_sent(batch)
         else:
             self._note_refused(batch)
+            self._send_events()
+
+    def _send_events(self) -> None:
+        """Hand over the events of a refused batch, for which there still is room."""
+        few = msgspec.structs.replace(
+            self._batch(last=False), tick_rows=0, ticks={}, slow=[], sensors=[]
+        )
+        if not few.empty and self._delivery.offer(few):
+            self._events.clear()
+            self._commands.clear()
 
     def _batch(self, *, last: bool) -> Batch:
         return Batch(

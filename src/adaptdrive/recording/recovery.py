@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
@@ -17,24 +18,46 @@ from adaptdrive.recording.session import Ending, SessionLock, read_info, session
 from adaptdrive.recording.session_writer import Report, SessionWriter
 from adaptdrive.recording.spool import left_spools
 
+_LOOKS, _LOOK_S = 20, 0.05
 
-def recover(sessions: Path, report: Report, housekeeper: Housekeeper) -> None:
+
+def recover(own: Path, report: Report, housekeeper: Housekeeper) -> None:
     """Write each spool whose control process is gone into its session, and remove it.
 
     Args:
-        sessions: Folder of all sessions.
+        own: Spool of the session in progress, which is left alone; the others are beside it.
         report: Reports an event.
         housekeeper: Of this process.
 
     Raises:
         OSError, RecordingError, sqlite3.Error, pa.ArrowException: One cannot be written; it stays.
     """
-    for path in left_spools(sessions):
+    for path in left_spools(own.parent):
+        if path == own:
+            continue
         with path.open("rb") as source:
             if _is_free(source) and _write(
                 source, lambda header: SessionWriter(header, report, housekeeper)
             ):
                 path.unlink(missing_ok=True)
+
+
+def left_batches(path: Path) -> list[Batch]:
+    """Return the whole batches in the spool of a control process that has ended; none without it.
+
+    Args:
+        path: The spool.
+    """
+    try:
+        source = path.open("rb")
+    except OSError:
+        return []
+    with source:
+        for _ in range(_LOOKS):  # its files are closed one after another
+            if _is_free(source):
+                return _read(source)[1]
+            time.sleep(_LOOK_S)
+    return []
 
 
 def _is_free(source: BinaryIO) -> bool:

@@ -7,8 +7,10 @@ process lives.
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import fcntl
+import functools
 import os
 import queue
 import threading
@@ -57,16 +59,18 @@ class Spool:
         self.path = path
         self._start_thread = start_thread
         self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._queued_bytes = 0
+        self._handed_over = 0  # bytes, counted by the owner of this object
+        self._done = 0  # of them, counted by the thread
+        self._slow = False
         self._descriptor = -1
         self._thread: threading.Thread | None = None
 
     def append(self, message: bytes) -> None:
         """Append a message soon; returns at once."""
-        if self._queued_bytes > _LARGEST_QUEUE_BYTES:
+        if self._handed_over - self._done > _LARGEST_QUEUE_BYTES:
             self.sound = False
             return
-        self._queued_bytes += len(message)
+        self._handed_over += len(message)
         self.size += len(message)
         self._submit(lambda: self._write(message))
 
@@ -74,6 +78,24 @@ class Spool:
         """Empty the file soon; returns at once."""
         self.size, self.sound = 0, True
         self._submit(self._truncate)
+
+    async def kept(self, patience_s: float) -> None:
+        """Wait until the file has what was appended, or could not take it.
+
+        A disk that takes longer is waited for once, and then not before it has answered.
+
+        Args:
+            patience_s: Longest wait.
+        """
+        if self._slow or self._done == self._handed_over:
+            return
+        loop, done = asyncio.get_running_loop(), asyncio.Event()
+        self._submit(functools.partial(_tell, loop, done))
+        try:
+            async with asyncio.timeout(patience_s):
+                await done.wait()
+        except TimeoutError:
+            self._slow = self._done != self._handed_over
 
     def flushed(self, patience_s: float) -> bool:
         """Wait until the file has all that was appended; False when the disk hangs.
@@ -105,13 +127,25 @@ class Spool:
                 job()
             except OSError:
                 self.sound = False
+            self._slow = False
 
     def _write(self, message: bytes) -> None:
-        self._queued_bytes -= len(message)
-        if self._descriptor < 0:
-            self._open()
-        while message:
-            message = message[os.write(self._descriptor, message) :]
+        try:
+            if self._descriptor < 0:
+                self._open()
+            self._append_whole(message)
+        finally:
+            self._done += len(message)
+
+    def _append_whole(self, message: bytes) -> None:
+        """Append a message; one for which there is no room leaves nothing behind."""
+        end = os.fstat(self._descriptor).st_size
+        try:
+            while message:
+                message = message[os.write(self._descriptor, message) :]
+        except OSError:
+            os.ftruncate(self._descriptor, end)
+            raise
 
     def _open(self) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -125,3 +159,8 @@ class Spool:
     def _unlink(self) -> None:
         with contextlib.suppress(FileNotFoundError):
             self.path.unlink()
+
+
+def _tell(loop: asyncio.AbstractEventLoop, done: asyncio.Event) -> None:
+    with contextlib.suppress(RuntimeError):  # the loop that waited has ended
+        loop.call_soon_threadsafe(done.set)

@@ -12,7 +12,7 @@ import signal
 import sqlite3
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -21,7 +21,7 @@ import pyarrow as pa
 
 from adaptdrive.recording.batches import STOPPED, UNBEGUN, Batch, Header, News, read_frames
 from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
-from adaptdrive.recording.recovery import recover
+from adaptdrive.recording.recovery import left_batches, recover
 from adaptdrive.recording.session import Dropped, Ending
 from adaptdrive.recording.session_writer import SessionWriter
 from adaptdrive.recording.spool import spool_path
@@ -77,7 +77,8 @@ class PatientWriter:
         self._housekeeper.finish()
 
     def _recover(self) -> None:
-        recover(Path(self._header.sessions), self._report, self._housekeeper)
+        own = spool_path(Path(self._header.sessions), self._header.info)
+        recover(own, self._report, self._housekeeper)
 
     def _insist(self, act: Callable[[SessionWriter], None]) -> None:
         pause_s, waited_s = self._pause_s, 0.0
@@ -132,19 +133,32 @@ def record(source: BinaryIO, send: SendNews) -> None:
         return
     header = msgspec.msgpack.decode(first, type=Header)
     writer = PatientWriter(header, send)
-    dropped, ended = Dropped(), False
-    for batch in _batches(frames):
-        writer.write(batch)
-        dropped, ended = batch.dropped, batch.last
-    if not ended:
-        writer.close(Ending.CUT, dropped)
-        spool_path(Path(header.sessions), header.info).unlink(missing_ok=True)
+    last = _write_new(writer, _batches(frames), None)
+    if last is None or not last.last:
+        _write_rest(writer, spool_path(Path(header.sessions), header.info), last)
     writer.finish()
 
 
 def _batches(frames: Iterator[bytes]) -> Iterator[Batch]:
     decoder = msgspec.msgpack.Decoder(Batch)
     return map(decoder.decode, frames)
+
+
+def _write_new(writer: PatientWriter, batches: Iterable[Batch], last: Batch | None) -> Batch | None:
+    """Write the batches after the last one; return the last one written."""
+    for batch in batches:
+        if last is None or not batch.number or batch.number > last.number:
+            writer.write(batch)
+            last = batch
+    return last
+
+
+def _write_rest(writer: PatientWriter, spool: Path, last: Batch | None) -> None:
+    """Write what a control process that was killed had not put into the pipe, and close."""
+    last = _write_new(writer, left_batches(spool), last)
+    if last is None or not last.last:
+        writer.close(Ending.CUT, Dropped() if last is None else last.dropped)
+    spool.unlink(missing_ok=True)
 
 
 def step_aside() -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Awaitable, Callable, Sequence
 
 from adaptdrive.runtime.reports import Report
 
@@ -42,11 +42,32 @@ class Subscription:
         return taken
 
 
+Keep = Callable[[], Awaitable[None]]
+"""Waits until all that was published is in a file, for a short bounded time at most."""
+
+
 class Hub:
     """Hands each report to every subscriber of its kind."""
 
     def __init__(self) -> None:
         self._queues: dict[type[Report], list[Subscription]] = {}
+        self._keep: Keep = _wait_for_nothing
+
+    def keep_with(self, keep: Keep) -> None:
+        """Name the recorder of what is published.
+
+        Args:
+            keep: Waits for the recorder.
+        """
+        self._keep = keep
+
+    async def kept(self) -> None:
+        """Wait until all that was published so far is recorded; at once where nothing is.
+
+        Subscribers call it before an event leaves the process, so that no kill can leave an event
+        with an operator and not in the session. A disk that hangs delays it by a bounded time.
+        """
+        await self._keep()
 
     def subscribe(self, *kinds: type[Report], size: int) -> Subscription:
         """Open a queue for the given kinds of report.
@@ -64,3 +85,7 @@ class Hub:
         """Offer a report to its subscribers. Never blocks, never fails."""
         for subscription in self._queues.get(type(report), ()):
             subscription.offer(report)
+
+
+async def _wait_for_nothing() -> None:
+    pass
