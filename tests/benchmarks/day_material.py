@@ -34,6 +34,7 @@ STRETCH_s = 20 * 60
 
 _NOISE = 2e-3
 _WAVE = Waveform(Shape.SQUARE, 3.0, 3.2, 60.0)
+_EVENT_EVERY_s = 600
 _JITTER_s = 2e-4
 
 
@@ -119,9 +120,9 @@ def repeated(batches: list[Batch], seconds: int, offset_s: float) -> Iterator[Ba
             severity="info",
             detail="mode fixed to adaptive",
             monotonic_s=float(second),
-            number=second // 60 + 1,
+            number=second // _EVENT_EVERY_s + 1,
         )
-        events = [] if second % 60 else [event]
+        events = [] if second % _EVENT_EVERY_s else [event]
         yield msgspec.structs.replace(
             moved,
             events=events,

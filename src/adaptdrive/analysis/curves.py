@@ -27,6 +27,8 @@ _MOST_STEPS = 6000
 _GAP_PERIODS = 3.0
 """Time between two slow steps from which on they are no line: late ones are none."""
 
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
 _TICK_COLUMNS = ("output", "reference", "boost_voltage_V", "command_boost_reference_V")
 _SLOW_COLUMNS = ("controller", "accepted", "applied_V", "boost_reference_V", "estimates", "reason")
 
@@ -112,20 +114,22 @@ def find_window(session: Session, begin_s: float | None, end_s: float | None) ->
         RecordingError: There is no tick in it.
     """
     clock = session_clock(session)
-    first = last = utc = None
-    for batch in session.batches(TICKS, ("utc", "monotonic_s", "tick")):
-        time_s = clock(batch)
-        if first is None and len(time_s):
-            first, utc = time_s[0], batch.column("utc")[0].as_py()
-        last = time_s[-1] if len(time_s) else last
-    if first is None or last is None:
+    ends = session.ends(TICKS, ("utc", "monotonic_s", "tick"))
+    if ends is None:
         raise RecordingError(session.path, "it holds no ticks")
+    first, last = clock(ends[0])[0], clock(ends[1])[-1]
     begin = first + (begin_s or 0.0)
     end = last if end_s is None else min(last, first + end_s)
     if not begin < end:
         raise RecordingError(session.path, f"it holds {last - first:.6g} s, none of them in there")
-    started = (utc or session.info.started.astimezone(UTC)) + timedelta(seconds=begin - first)
-    return Window(begin, end, started)
+    started = _utc(ends[0]) or session.info.started.astimezone(UTC)
+    return Window(begin, end, started + timedelta(seconds=begin - first))
+
+
+def _utc(batch: pa.RecordBatch) -> datetime | None:
+    """Return the wall-clock time of the first row, None where it is not recorded."""
+    microseconds = batch.column("utc")[0].value
+    return None if microseconds is None else _EPOCH + timedelta(microseconds=microseconds)
 
 
 def session_clock(session: Session) -> Callable[[pa.RecordBatch], Array]:
@@ -144,23 +148,32 @@ def session_clock(session: Session) -> Callable[[pa.RecordBatch], Array]:
 def read_curves(session: Session, window: Window) -> Curves:
     """Read what a figure shows of a session."""
     clock = session_clock(session)
-    slow = _within(session, SLOW, _SLOW_COLUMNS, window, clock)
-    steps = list(slow)
+    steps = _thinned(list(_within(session, SLOW, _SLOW_COLUMNS, window, clock)))
     slow_s = np.concatenate([time_s for time_s, _ in steps]) if steps else np.empty(0)
     batches = [batch for _, batch in steps]
-    shown = slice(None, None, 1 + len(slow_s) // _MOST_STEPS)
-    estimates = _estimates(batches, len(slow_s))
     return Curves(
         window=window,
         ticks=_envelopes(session, window, clock),
-        slow_s=slow_s[shown],
+        slow_s=slow_s,
         slow={
-            name: np.concatenate([_values(batch, name) for batch in batches])[shown]
+            name: np.concatenate([_values(batch, name) for batch in batches])
             for name in _SLOW_COLUMNS
             if name != "estimates" and batches
         },
-        estimates={name: (value[shown], std[shown]) for name, (value, std) in estimates.items()},
+        estimates=_estimates(batches, len(slow_s)),
     )
+
+
+def _thinned(steps: list[tuple[Array, pa.RecordBatch]]) -> list[tuple[Array, pa.RecordBatch]]:
+    """Return every n-th step, so that a figure shows no more than it can."""
+    every = 1 + sum(len(time_s) for time_s, _ in steps) // _MOST_STEPS
+    kept, first = [], 0
+    for time_s, batch in steps:
+        rows = np.arange(-first % every, len(time_s), every, dtype=np.int64)
+        indices = pa.Array.from_buffers(pa.int64(), len(rows), [None, pa.py_buffer(rows)])
+        kept.append((time_s[rows], batch.take(indices)))
+        first += len(time_s)
+    return kept
 
 
 def _within(
@@ -204,21 +217,30 @@ def _estimates(batches: list[pa.RecordBatch], rows: int) -> dict[str, tuple[Arra
     first = 0
     for batch in batches:
         column = batch.column("estimates")
-        at = first + pc.list_parent_indices(column).to_numpy()
+        at = first + np.from_dlpack(pc.list_parent_indices(column))
         flat = pc.list_flatten(column)
         names = np.asarray(flat.field("name").to_pylist())
         for name in np.unique(names):
             value, std = found.setdefault(name, (np.full(rows, np.nan), np.full(rows, np.nan)))
             chosen = names == name
-            value[at[chosen]] = flat.field("value").to_numpy(zero_copy_only=False)[chosen]
-            std[at[chosen]] = flat.field("std").to_numpy(zero_copy_only=False)[chosen]
+            value[at[chosen]] = _floats(flat.field("value"))[chosen]
+            std[at[chosen]] = _floats(flat.field("std"))[chosen]
         first += batch.num_rows
     return found
 
 
 def _numbers(batch: pa.RecordBatch, name: str) -> Array:
-    return np.asarray(batch.column(name).to_numpy(zero_copy_only=False), dtype=np.float64)
+    return _floats(batch.column(name))
+
+
+def _floats(column: pa.Array) -> Array:
+    """Return numbers; `to_numpy` would load pandas wherever that is installed."""
+    numbers = column.cast(pa.float64())
+    if numbers.null_count:
+        numbers = numbers.fill_null(math.nan)
+    return np.asarray(np.from_dlpack(numbers), dtype=np.float64)
 
 
 def _values(batch: pa.RecordBatch, name: str) -> NDArray[np.generic]:
-    return np.asarray(batch.column(name).to_numpy(zero_copy_only=False))
+    column = batch.column(name)
+    return _floats(column) if column.type == pa.float64() else np.asarray(column.to_pylist())

@@ -22,6 +22,9 @@ _TRIP: style.Look = {"color": "#c1121f", "linewidth": 1.0}
 _CHANGE: style.Look = {"color": "0.4", "linewidth": 0.7, "linestyle": ":"}
 _CHANGES = {"mode", "controller", "fallback"}
 _MOST_LABELS = 6
+_MOST_CHANGES = 100
+"""Changes of mode that are marked across the curves; more would hide them."""
+
 _SHADES = {
     "adaptive": style.ADAPTIVE["color"],
     "fixed": style.FIXED["color"],
@@ -63,8 +66,8 @@ def draw_session(session: Session, configuration: Configuration, curves: Curves)
         _draw_voltages(axes[1], curves, scale_s)
         _draw_estimates(axes[2], configuration, curves, scale_s)
         _draw_strip(axes[3], curves, scale_s)
-        _mark(axes, session, curves, scale_s)
         axes[3].set_xlim(0.0, span_s / scale_s)
+        _mark(axes, session, curves, scale_s)
         axes[3].set_xlabel(f"time since {curves.window.started:%Y-%m-%d %H:%M:%S} UTC ({unit})")
         figure.align_ylabels(list(axes[:3]))
         return as_png(figure)
@@ -172,20 +175,18 @@ def _runs(values: list[str], breaks: NDArray[np.int64]) -> Iterator[tuple[int, i
 
 
 def _mark(axes: Sequence[Axes], session: Session, curves: Curves, scale_s: float) -> None:
-    labels = 0
-    for event in session.events:
-        time_s = event.monotonic_s - curves.window.begin_s
-        if not 0.0 <= time_s <= curves.window.end_s - curves.window.begin_s:
-            continue
-        if event.kind not in _CHANGES | {"trip"}:
-            continue
-        look = _TRIP if event.kind == "trip" else _CHANGE
-        for one in axes:
-            one.axvline(time_s / scale_s, **look)
-        if event.kind == "trip" and labels < _MOST_LABELS:
-            text = f"trip: {event.detail.partition(':')[0]}"
-            _label(axes[0], time_s / scale_s, text)
-            labels += 1
+    begin_s, end_s = curves.window.begin_s, curves.window.end_s
+    shown = [event for event in session.events if begin_s <= event.monotonic_s <= end_s]
+    trips = [event for event in shown if event.kind == "trip"]
+    changes = [event for event in shown if event.kind in _CHANGES]
+    for events, look in ((changes, _CHANGE), (trips, _TRIP)):
+        times = [(event.monotonic_s - begin_s) / scale_s for event in events]
+        marked = axes if len(times) <= _MOST_CHANGES else axes[-1:]
+        for one in marked if times else ():
+            one.vlines(times, 0.0, 1.0, transform=one.get_xaxis_transform(), **look)
+    for event in trips[:_MOST_LABELS]:
+        text = f"trip: {event.detail.partition(':')[0]}"
+        _label(axes[0], (event.monotonic_s - begin_s) / scale_s, text)
 
 
 def _label(axes: Axes, time: float, text: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,7 +13,7 @@ import pyarrow as pa
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import CommandRow, EventRow
 from adaptdrive.recording.event_log import read_commands, read_events
-from adaptdrive.recording.segments import segments
+from adaptdrive.recording.segments import Segment, segments
 from adaptdrive.recording.session import (
     CONFIG_FILE,
     EVENTS_FILE,
@@ -77,17 +78,52 @@ class Session:
         Raises:
             RecordingError: A file is damaged beyond a torn tail, or holds another table.
         """
-        schema = self.schema(table)
-        if columns is not None:
-            schema = pa.schema([schema.field(name) for name in columns])
+        schema = self._schema_of(table, columns)
         for segment in segments(self.path, table):
-            for batch in segment.batches(schema.names):
-                if not set(batch.schema.names) & set(schema.names):
-                    raise RecordingError(segment.path, "its columns are not those known here")
-                yield conform(batch, schema)
+            yield from _conformed(segment, schema)
+
+    def ends(
+        self, table: str, columns: Sequence[str]
+    ) -> tuple[pa.RecordBatch, pa.RecordBatch] | None:
+        """Return the first and the last rows of a table, without those between; None without rows.
+
+        Args:
+            table: Name of the table.
+            columns: The columns wanted.
+
+        Raises:
+            RecordingError: As for `batches`.
+        """
+        schema, found = self._schema_of(table, columns), segments(self.path, table)
+        for segment in found:
+            if (first := next(_filled(segment, schema), None)) is not None:
+                lasts = (_last(_filled(one, schema)) for one in reversed(found))
+                return first, next(last for last in lasts if last is not None)
+        return None
+
+    def _schema_of(self, table: str, columns: Sequence[str] | None) -> pa.Schema:
+        schema = self.schema(table)
+        if columns is None:
+            return schema
+        return pa.schema([schema.field(name) for name in columns])
 
     def _table(self, table: str) -> pa.Table:
         return pa.Table.from_batches(list(self.batches(table)), self.schema(table))
+
+
+def _conformed(segment: Segment, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
+    for batch in segment.batches(schema.names):
+        if not set(batch.schema.names) & set(schema.names):
+            raise RecordingError(segment.path, "its columns are not those known here")
+        yield conform(batch, schema)
+
+
+def _filled(segment: Segment, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
+    return (batch for batch in _conformed(segment, schema) if batch.num_rows)
+
+
+def _last(batches: Iterator[pa.RecordBatch]) -> pa.RecordBatch | None:
+    return next(iter(deque(batches, maxlen=1)), None)
 
 
 def read_session(path: Path) -> Session:
