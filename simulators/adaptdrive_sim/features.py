@@ -28,7 +28,7 @@ def _of_motor(_: SimulatedLoad) -> tuple[Feature, ...]:
     return (
         Feature("add a disk", {"disks": 1}),
         Feature("remove a disk", {"disks": -1}),
-        Feature("load the shaft with 0.5 N m", {"torque_Nm": 0.5}),
+        Feature("load the shaft with 0.5 Nm", {"torque_Nm": 0.5}),
         Feature("unload the shaft", {"torque_Nm": 0.0}),
     )
 

@@ -45,6 +45,8 @@ async def test_the_list_has_every_drive_with_units_and_the_tripped_one_first(
     assert (outcome.status, outcome.errors) == (0, "")
     head, *rows = outcome.output.splitlines()
     assert head.split()[:3] == ["drive", "state", "output"]
+    *rows, advice = rows
+    assert advice.startswith("beta: what to do: ")
     assert [row.split()[:2] for row in rows] == [
         ["beta", "tripped"],
         ["alpha", "standby"],
@@ -65,7 +67,7 @@ async def test_a_broker_without_drives_ends_with_3(
     finally:
         stop_process(process)
     assert outcome.status == 3
-    assert outcome.output.startswith("drive  state")
+    assert "no drive is on 127.0.0.1" in outcome.errors
 
 
 async def test_a_reply_as_json_keeps_the_exit_status(mosquitto: Broker, tmp_path: Path) -> None:

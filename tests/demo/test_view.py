@@ -46,7 +46,7 @@ def test_shows_control_in_figures(size: tuple[int, int]) -> None:
 def test_shows_lateness_and_losses() -> None:
     text = " ".join("\n".join(shown(steady_record(50), (120, 40))).split())
     assert "late p50/p99/max, ms 0.1/1.5/1.5" in text
-    assert "missed/held 0/0 of 6000" in text
+    assert "ticks missed/held 0/0 of 6000" in text
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -88,6 +88,7 @@ def test_shows_a_trip_with_its_cause(size: tuple[int, int]) -> None:
     assert "tripped" in text
     assert text.count("stale: no measurement for 61 ms") == 2  # above, and among the events
     assert "adaptdrive reset motor" in text
+    assert "What to do: " in text
 
 
 def test_shows_the_last_events_only() -> None:

@@ -81,7 +81,7 @@ def test_a_trip_is_in_the_registry(trip: str) -> None:
 
 @pytest.mark.parametrize("known", REGISTRY, ids=lambda known: known.sign)
 def test_the_text_of_a_trip_leads_to_its_own_remedy(known: Trip) -> None:
-    assert remedy(known.example) == known.remedy
+    assert remedy(known.example) == known.remedy.replace("`", "")
 
 
 def test_an_unknown_trip_has_no_remedy() -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import random
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
@@ -16,8 +17,8 @@ from typing import Any
 import pytest
 
 from adaptdrive.control.signals import Mode
-from adaptdrive.operation.commands import VERBS
-from adaptdrive.operation.desk import PING, Desk
+from adaptdrive.operation.commands import PING, VERBS
+from adaptdrive.operation.desk import Desk
 from adaptdrive.operation.journal import Journal
 from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.messages import encode
@@ -29,7 +30,8 @@ from tests.operation.contract import validators
 from tests.runtime.test_machine import LIMITS
 
 SEED = 20260
-PAYLOADS = 10_000
+PAYLOADS = int(os.environ.get("PAYLOADS", "10000"))
+"""On each topic; the long form sets 100,000 in the environment."""
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
 LATER = (NOW + timedelta(seconds=9)).isoformat()
 VALID: dict[str, Any] = {

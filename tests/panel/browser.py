@@ -68,7 +68,7 @@ class Panel:
     def value(self, name: str) -> str:
         """The present value with a name."""
         row = self.page.locator(".values div").filter(has_text=name).first
-        return row.locator("dd").inner_text()
+        return row.locator("dd").first.inner_text()
 
 
 @contextmanager

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from adaptdrive.operation.asyncapi import schema
-from adaptdrive.operation.contract import Topic, simulator_topics, topics
+from adaptdrive.operation.contract import simulator_topics, topics
 
 READ = (
     *("state", "telemetry/load", "telemetry/drive"),
@@ -64,10 +64,10 @@ RAW = (
 class Hostile:
     """Draws payloads: one in eight raw bytes, otherwise of the topic's schema with odd values."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, names: Sequence[str] = READ) -> None:
         self._chance = random.Random(seed)
         found = {topic.name: topic for topic in (*topics(), *simulator_topics())}
-        self._schemas = {name: _schema_of(found[name]) for name in READ}
+        self._schemas = {name: schema(found[name]) for name in names}
         self._kinds: tuple[Callable[[], Any], ...] = (
             lambda: self._chance.choice(TEXTS),
             lambda: self._chance.choice(NUMBERS),
@@ -149,7 +149,3 @@ class Hostile:
         if self._chance.random() < 0.5:
             return [self._chance.choice(NUMBERS)] * count
         return {f"{self._text()[:20]}{i}": i for i in range(count)}
-
-
-def _schema_of(topic: Topic) -> dict[str, Any]:
-    return schema(topic)

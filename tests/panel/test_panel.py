@@ -90,7 +90,7 @@ def test_a_simulated_plant_is_disturbed_from_the_page(
 
 
 def estimates(panel: Panel) -> list[str]:
-    return [panel.value(name) for name in ("gain", "tau_sum", "input_offset")]
+    return [panel.value(name) for name in ("gain", "tau sum", "input offset")]
 
 
 def test_a_trip_is_shown_with_its_remedy_and_reset(operator: Panel, panel_site: PanelSite) -> None:

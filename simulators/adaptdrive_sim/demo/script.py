@@ -12,7 +12,7 @@ from itertools import count
 
 from adaptdrive_sim.demo.settings import ModeChoice
 
-BEGINNING = "One disk turns. The fixed controller was designed for it and follows the steps well."
+BEGINNING = "One disk turns. The fixed controller was designed for it and follows well."
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,21 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from textwrap import wrap
 
 from rich.layout import Layout
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from adaptdrive.runtime.trips import remedy
 from adaptdrive.watch.plot import CONTROLLER_STYLES, REFERENCE_STYLE, plot
 from adaptdrive.watch.tables import (
     DIM,
     STATE_STYLES,
     boxed,
-    cut,
     event_line,
     event_lines,
     figure,
+    lines,
     number,
     overshoot,
     percent,
@@ -33,7 +35,11 @@ from adaptdrive_sim.demo.subject import Subject
 WIDE, TALL = 110, 32
 FIGURES_ROWS = 7
 _SHORTEST_WINDOW_s = 30.0
-_ESTIMATES = (("gain", "g", "V/V"), ("tau_sum_s", "τm+τf", "s"), ("tau_product_s2", "τm·τf", "s²"))
+_ESTIMATES = (
+    ("gain", "gain", "V/V"),
+    ("tau_sum_s", "τm+τf", "s"),
+    ("tau_product_s2", "τm·τf", "s²"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,21 +79,27 @@ def screen(record: DemoRecord, around: ViewContext, size: tuple[int, int]) -> La
         size: Width and height of the terminal in characters.
     """
     width, height = size
-    hints = list(_hints(record, around, tall=height >= TALL))
+    header, hints = _header(record, around, width), list(_hints(record, around, size))
     events = 6 if height >= TALL else 3
-    fixed = 2 + FIGURES_ROWS + events + len(hints)
+    fixed = len(header) + FIGURES_ROWS + events + len(hints)
     layout = Layout()
     layout.split_column(
-        Layout(_header(record, around), size=2),
+        Layout(lines(header), size=len(header)),
         Layout(_plot_panel(record, around, (width, height - fixed))),
         Layout(_figures(record, around, wide=width >= WIDE), size=FIGURES_ROWS),
         Layout(_events(record, events), size=events),
-        Layout(Text("\n").join(hints), size=len(hints)),
+        Layout(lines(hints), size=len(hints)),
     )
     return layout
 
 
-def _header(record: DemoRecord, around: ViewContext) -> Text:
+def _header(record: DemoRecord, around: ViewContext, width: int) -> list[Text]:
+    """The state of the drive, and a caption of at most two lines."""
+    caption = wrap(_caption(record, around), max(20, width - 2))[:2]
+    return [_status(record, around), *(Text(f" {line}", "italic") for line in caption or [""])]
+
+
+def _status(record: DemoRecord, around: ViewContext) -> Text:
     state = record.state
     name = state.state if state else "starting"
     style = STATE_STYLES.get(name, "bold yellow")
@@ -97,12 +109,12 @@ def _header(record: DemoRecord, around: ViewContext) -> Text:
     line.append(f"   {_elapsed(record, around)}", DIM)
     if not record.connected:
         line.append("   broker not heard", "bold red")
-    return cut(Text("\n").join([line, Text(f" {_caption(record, around)}", "italic")]))
+    return line
 
 
 def _caption(record: DemoRecord, around: ViewContext) -> str:
     if around.subject is None and record.state is not None and record.state.trip is not None:
-        return f"The drive is safe. adaptdrive reset {DRIVE}, then enable {DRIVE}, starts it again."
+        return f"The drive is off and safe. What to do: {remedy(record.state.trip)}."
     return record.caption
 
 
@@ -166,9 +178,11 @@ def _drive(record: DemoRecord, *, wide: bool) -> Table:
     table.add_row("reference", f"{number(load.reference if load else math.nan, 3)} V")
     voltage = known(drive.boost_voltage_V) if drive else math.nan
     asked = load.boost_reference_V if load else math.nan
-    table.add_row("V_c / v_bst", f"{number(asked, 0)} / {number(voltage, 0)} V")
+    table.add_row(
+        "boost asked/is" if wide else "boost", f"{number(asked, 0)} / {number(voltage, 0)} V"
+    )
     table.add_row("late p50/p99/max, ms" if wide else "late, ms", _lateness(record.lateness))
-    table.add_row("missed/held", _losses(record, wide=wide))
+    table.add_row("ticks missed/held" if wide else "missed/held", _losses(record, wide=wide))
     return table
 
 
@@ -195,16 +209,16 @@ def _losses(record: DemoRecord, *, wide: bool) -> str:
 
 def _estimates(record: DemoRecord, *, wide: bool) -> Table:
     table = rows("l", "r", "r", "r")
-    table.add_row("", "learned", "truth", "error", style="bold")
+    table.add_row("", "learned" if wide else "found", "truth", "error", style="bold")
+    disks = str(record.truth.disks) if record.truth else "–"
+    table.add_row("disks", figure(_learned_disks(record)), disks, "")
     truth = record.truth.parameters if record.truth else {}
     estimates = record.load.estimates if record.load else {}
     for name, symbol, unit in _ESTIMATES:
         found = estimates.get(name)
         value, real = known(found.value) if found else math.nan, truth.get(name, math.nan)
-        label = f"{symbol} [{unit}]" if wide else symbol
-        table.add_row(Text(label), figure(value), figure(real), percent(value / real - 1.0))
-    disks = str(record.truth.disks) if record.truth else "–"
-    table.add_row("disks", figure(_learned_disks(record)), disks, "")
+        label = Text(f"{symbol} {unit}")
+        table.add_row(label, figure(value), figure(real), percent(value / real - 1.0))
     return table
 
 
@@ -236,21 +250,34 @@ def _events(record: DemoRecord, rows: int) -> Text:
     return event_lines(lines)
 
 
-def _hints(record: DemoRecord, around: ViewContext, *, tall: bool) -> Iterator[Text]:
+def _hints(record: DemoRecord, around: ViewContext, size: tuple[int, int]) -> Iterator[Text]:
     if around.subject is not None:
-        yield from (cut(Text(f" {line}", DIM)) for line in around.subject.foot)
+        yield from (Text(f" {line}", DIM) for line in around.subject.foot)
         return
+    tall = size[1] >= TALL
     if around.panel:
-        yield cut(Text.assemble((" panel  ", DIM), around.panel, ("   log in without a name", DIM)))
-    yield cut(Text(f" bus {around.bus}   broker {around.broker}   Ctrl-C ends", DIM))
-    other = "fixed" if record.state and record.state.mode == "adaptive" else "adaptive"
-    call = f"{around.program} mode {DRIVE} {other} --broker {around.broker}"
-    yield cut(Text.assemble((" try  ", DIM), call))
-    if not tall:
-        return
-    program = f"{around.program}-sim"
-    yield cut(Text(f"      {program} disturb {DRIVE} add-disk --broker {around.broker}"))
+        yield Text.assemble((" panel  ", DIM), around.panel)
+        end = "" if tall else "       Ctrl-C ends"
+        yield Text(f"        open it in a browser; log in without a name{end}", DIM)
+    if tall or not around.panel:
+        yield Text(f" bus {around.bus}   broker {around.broker}   Ctrl-C ends", DIM)
+    yield Text.assemble((" try    ", DIM), f"{around.program} {_call(record, around)}")
+    if tall:
+        yield from (Text(f"        {line}") for line in _more_calls(around))
+
+
+def _call(record: DemoRecord, around: ViewContext) -> str:
+    """The command that is of use now."""
+    state = record.state
+    if state is not None and state.trip is not None:
+        return f"reset {DRIVE} --broker {around.broker}, then enable"
+    other = "fixed" if state is not None and state.mode == "adaptive" else "adaptive"
+    return f"mode {DRIVE} {other} --broker {around.broker}"
+
+
+def _more_calls(around: ViewContext) -> Iterator[str]:
+    yield f"{around.program}-sim disturb {DRIVE} add-disk --broker {around.broker}"
     host, _, port = around.broker.rpartition(":")
     message = '{"id": "1", "value": 3.1}'
     topic = f"adaptdrive/{DRIVE}/command/setpoint"
-    yield cut(Text(f"      mosquitto_pub -h {host} -p {port} -t {topic} -m '{message}'"))
+    yield f"mosquitto_pub -h {host} -p {port} -t {topic} -m '{message}'"

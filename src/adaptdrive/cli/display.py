@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
 from adaptdrive.operation.client import DriveStatus, printable
+from adaptdrive.operation.estimate_names import quantity_and_unit
+from adaptdrive.runtime.trips import remedy
+
+_FRACTION = re.compile(r"\.\d+(?=Z)")
+_AROUND_TRIP = (("cause is still there: ", ""), ("tripped (", "); reset first"))
 
 
 def describe(drive: str, status: DriveStatus) -> str:
@@ -27,7 +33,7 @@ def describe(drive: str, status: DriveStatus) -> str:
 
 
 def site_table(site: Mapping[str, DriveStatus]) -> str:
-    """Return a table with a row for each drive; a tripped drive comes first.
+    """Return a table with a row for each drive, a tripped drive first, and the remedies below it.
 
     Args:
         site: What is known of each drive, by its name.
@@ -36,7 +42,27 @@ def site_table(site: Mapping[str, DriveStatus]) -> str:
     ordered = sorted(site, key=lambda name: (not (site[name].state or {}).get("trip"), name))
     rows = [heads, *(_site_row(name, site[name]) for name in ordered)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(heads))]
-    return "\n".join(_columns(row, widths) for row in rows)
+    lines = [_columns(row, widths) for row in rows]
+    advice = ((name, _advice(site[name].state or {})) for name in ordered)
+    lines += [f"{name}: what to do: {printable(text)}" for name, text in advice if text]
+    return "\n".join(lines)
+
+
+def _advice(state: dict[str, Any]) -> str:
+    """Return the remedy of the trip in force, empty where there is none."""
+    last = state.get("last_trip") or {}
+    return str(last.get("remedy") or "") if state.get("trip") else ""
+
+
+def refusal_advice(reason: str) -> str:
+    """Return the remedy of the trip that a refusal names, empty where it names none.
+
+    Args:
+        reason: Reason in the reply.
+    """
+    for before, after in _AROUND_TRIP:
+        reason = reason.removeprefix(before).removesuffix(after)
+    return remedy(reason)
 
 
 def _columns(row: tuple[str, ...], widths: list[int]) -> str:
@@ -54,7 +80,7 @@ def _site_row(name: str, status: DriveStatus) -> tuple[str, ...]:
         _number(output, unit) if online and output is not None else "-",
         _setpoint(state, unit) if state else "-",
         str(state.get("controller") or "-"),
-        str(state.get("since") or "-"),
+        _moment(state.get("since")),
         str(state.get("trip") or ""),
     )
 
@@ -62,11 +88,11 @@ def _site_row(name: str, status: DriveStatus) -> tuple[str, ...]:
 def _state(state: dict[str, Any], unit: str, *, live: bool) -> list[str]:
     since = state.get("since") or state.get("time")
     rows = [
-        ("state" if live else "last state", f"{state.get('state')}, since {since}"),
+        ("state" if live else "last state", f"{state.get('state')}, since {_moment(since)}"),
         *_trip(state),
         ("controller", _controller(state)),
         ("set-point", _setpoint(state, unit)),
-        ("pole", _number(state.get("pole"))),
+        ("pole", f"{_number(state.get('pole'))} per slow period"),
         ("clock", str(state.get("clock"))),
     ]
     return [_row(name, text) for name, text in rows]
@@ -75,23 +101,23 @@ def _state(state: dict[str, Any], unit: str, *, live: bool) -> list[str]:
 def _trip(state: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the latched trip with its remedy, or the last one of this run of the daemon."""
     last = state.get("last_trip") or {}
+    if not last and not state.get("trip"):
+        return []
+    row = ("last trip", f"{_moment(last.get('time'))}: {last.get('text')}")
     if state.get("trip"):
-        remedy = last.get("remedy")
-        return [("trip", str(state["trip"]))] + ([("remedy", str(remedy))] if remedy else [])
-    return [("last trip", f"{last.get('time')}: {last.get('text')}")] if last else []
+        row = ("trip", str(state["trip"]))
+    return [row, *([("remedy", str(last["remedy"]))] if last.get("remedy") else [])]
 
 
 def _load(load: dict[str, Any], unit: str) -> list[str]:
-    estimates = ", ".join(
-        f"{name} {_number(estimate.get('value'))} ± {_number(estimate.get('std'))}"
-        for name, estimate in (load.get("estimates") or {}).items()
-    )
+    found = load.get("estimates") or {}
+    estimates = ", ".join(_estimate(name, one, found) for name, one in found.items())
     voltages = (
         f"asked {_number(load.get('boost_reference_V'), 'V')}, "
         f"applied {_number(load.get('applied_V'), 'V')}"
     )
     return [
-        _row("slow step", f"{load.get('k')} at {load.get('time')}"),
+        _row("slow step", f"{load.get('k')} at {_moment(load.get('time'))}"),
         _row("reference", _number(load.get("reference"), unit)),
         _row("boost", voltages),
         _row("estimates", estimates or "none"),
@@ -103,7 +129,7 @@ def _drive(drive: dict[str, Any], unit: str) -> list[str]:
         _row(str(drive.get("output_name") or "output"), _number(drive.get("output"), unit)),
         _row("boost now", _number(drive.get("boost_voltage_V"), "V")),
         _row("load power", _number(drive.get("load_power_W"), "W")),
-        _row("age", _number(drive.get("age_s"), "s")),
+        _row("age", _milliseconds(drive.get("age_s"))),
         _row("ticks", f"{drive.get('ticks')}, missed {drive.get('missed')}"),
     ]
 
@@ -123,10 +149,27 @@ def _setpoint(state: dict[str, Any], unit: str) -> str:
     )
 
 
+def _estimate(name: str, estimate: dict[str, Any], names: Mapping[str, Any]) -> str:
+    """Return an estimate with its standard deviation and its unit."""
+    quantity, unit = quantity_and_unit(name, names)
+    spread = estimate.get("std")
+    doubt = f" ± {spread:.2g}" if isinstance(spread, int | float) else ""
+    return f"{quantity} {_number(estimate.get('value'))}{doubt} {unit}".rstrip()
+
+
+def _moment(time: object) -> str:
+    """Return a time to the second."""
+    return _FRACTION.sub("", str(time)) if time else "-"
+
+
+def _milliseconds(time_s: object) -> str:
+    return f"{1e3 * time_s:.1f} ms" if isinstance(time_s, int | float) else "unknown"
+
+
 def _number(value: object, unit: str = "") -> str:
     if not isinstance(value, int | float):
         return "unknown"
-    return f"{value:.6g} {unit}".rstrip()
+    return f"{value:.5g} {unit}".rstrip()
 
 
 def _row(name: str, text: str) -> str:

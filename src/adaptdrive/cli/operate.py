@@ -14,7 +14,7 @@ from typing import Literal
 from msgspec.structs import asdict as asdict_of
 
 from adaptdrive.cli.contact import Contact, DriveName
-from adaptdrive.cli.display import describe
+from adaptdrive.cli.display import describe, refusal_advice
 from adaptdrive.operation.client import NoAnswerError, read_status, send_command
 from adaptdrive.operation.messages import ONLINE
 
@@ -173,6 +173,8 @@ def _ask(drive: str, verb: str, value: object, contact: Contact, **fields: objec
         print(f"{drive}: {verb} accepted, {reply.state}")
         return ACCEPTED
     print(f"adaptdrive: {drive} refused {verb}: {reply.reason}", file=sys.stderr)
+    if advice := refusal_advice(reply.reason):
+        print(f"adaptdrive: what to do: {advice}", file=sys.stderr)
     return REFUSED
 
 

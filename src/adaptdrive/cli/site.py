@@ -30,8 +30,11 @@ def list_drives(*, contact: Contact = _HERE) -> int:
         return no_answer(problem)
     if contact.as_json:
         print(json.dumps({name: asdict(status) for name, status in found.items()}, indent=2))
-    else:
+    elif found:
         print(site_table(found))
+    else:
+        broker = contact.settings
+        print(f"adaptdrive: no drive is on {broker.host}:{broker.port}", file=sys.stderr)
     return ACCEPTED if found else NO_ANSWER
 
 

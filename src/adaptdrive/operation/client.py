@@ -297,7 +297,8 @@ async def _conversation(broker: Mqtt, drive: str) -> AsyncIterator[Client]:
             yield client
     except TimeoutError as problem:
         _pass_on_cancellation(problem)
-        raise NoAnswerError(drive, f"no answer by way of {broker.host}:{broker.port}") from problem
+        silence = f"no answer by way of {broker.host}:{broker.port}; see `adaptdrive list`"
+        raise NoAnswerError(drive, silence) from problem
     except (MqttError, OSError) as problem:
         _pass_on_cancellation(problem)
         raise NoAnswerError(drive, f"broker {broker.host}:{broker.port}: {problem}") from problem

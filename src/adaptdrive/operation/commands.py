@@ -49,6 +49,9 @@ VERBS = tuple(REQUESTS)
 STOP = Disable.verb
 """The verb that is carried out at its arrival, whatever its payload is."""
 
+PING = "ping"
+"""The verb that changes nothing: its answer shows that the sender may command the drive."""
+
 
 class Payload:
     """The payload of a command as it came, read as far as it can be.
@@ -181,4 +184,8 @@ _LEVELS = ("low", "high", "period_s")
 _AS_SENT: dict[object, object] = {Waveform | None: _Waveform | Literal["off"] | None}
 """Shapes of fields in the payload, where they differ from those of the request."""
 
-_FORMS: dict[str, type[msgspec.Struct]] = {verb: _form(kind) for verb, kind in REQUESTS.items()}
+_PING = msgspec.defstruct(PING, [], bases=(_Plain,), frozen=True, kw_only=True)
+_FORMS: dict[str, type[msgspec.Struct]] = {
+    PING: _PING,
+    **{verb: _form(kind) for verb, kind in REQUESTS.items()},
+}

@@ -17,7 +17,7 @@ import msgspec
 from adaptdrive.control.columns import Column, columns_of
 from adaptdrive.control.signals import Estimate, Measurement
 from adaptdrive.operation import simulator
-from adaptdrive.operation.commands import VERBS, payload_type
+from adaptdrive.operation.commands import PING, VERBS, payload_type
 from adaptdrive.operation.history import KEYS
 from adaptdrive.operation.messages import MEASURED, Reply, Standing
 from adaptdrive.operation.profile import Profile
@@ -95,7 +95,7 @@ def topics() -> tuple[Topic, ...]:
         Topic(of.ask_history, "a request for the history; any payload", Any, sent=False),
         *(
             Topic(of.command(verb), f"the command {verb}", payload_type(verb), sent=False)
-            for verb in VERBS
+            for verb in (*VERBS, PING)
         ),
     )
 

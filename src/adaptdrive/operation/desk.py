@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from adaptdrive.errors import AdaptdriveError, RefusedError
 from adaptdrive.operation.clock import WallClock
-from adaptdrive.operation.commands import LONGEST_ID, STOP, Payload
+from adaptdrive.operation.commands import LONGEST_ID, PING, STOP, Payload
 from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.messages import Reply
 from adaptdrive.operation.pace import LogRation
@@ -30,8 +30,6 @@ OVERTAKEN = "a disable arrived after this command and before it was carried out"
 RETAINED = "retained commands are not carried out; publish without retain"
 UNREADABLE = "id: not readable; give each command an id of 1 to 128 characters"
 LONGEST_REASON = 500
-PING = "ping"
-"""The verb that changes nothing: its answer shows that the sender may command the drive."""
 
 
 @dataclass(frozen=True, slots=True)

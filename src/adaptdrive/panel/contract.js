@@ -87,12 +87,14 @@ const Contract = (() => {
     return { ask: `${ROOT}/${drive}/ask/history`, answer: `${ROOT}/${drive}/history` };
   }
 
-  /** The name of an estimate without its unit, and the unit as it is written.
-   * @param {string} name */
-  function named(name) {
+  /** The name of an estimate without its unit, and the unit as it is written; that of an offset is
+   * the unit of the load's input. @param {string} name @param {string[]} names of all estimates */
+  function named(name, names) {
+    if (name === "gain") return { text: name, unit: "V/V" };
+    if (name === "input_offset") return { text: "input offset", unit: names.includes("resistance_K_per_W") ? "W" : "V" };
     const match = /^(.+)_((?:s|V|A|W|K|S|J|F|Ohm|rad)\d?(?:_per_(?:s|V|A|W|K)\d?)?)$/.exec(name);
     if (!match) return { text: name, unit: "" };
-    return { text: match[1], unit: match[2].replace("_per_", "/").replace("2", "²").replace("Ohm", "Ω") };
+    return { text: match[1].replaceAll("_", " "), unit: match[2].replace("_per_", "/").replace("2", "²").replace("Ohm", "Ω") };
   }
 
   return { SUBSCRIPTIONS, place, read, command, disturb, history, named };

@@ -91,8 +91,8 @@ const DrivePage = (() => {
       marginRow("load power", fast?.load_power_W, state?.limits?.power_W, "W"),
       ["controller in force", state?.controller ?? "–", state?.reason || `asked for: ${state?.mode ?? "–"}`],
       ["estimate", load ? (load.accepted ? "accepted" : "refused") : "–", load?.reason ?? ""],
-      ...Object.entries(load?.estimates ?? {}).map(([name, one]) => estimateRow(name, one)),
-      ["pole", Dom.number(state?.pole), limitText(state?.limits?.pole, "")],
+      ...Object.entries(load?.estimates ?? {}).map(([name, one], _, all) => estimateRow(name, one, all.map(([each]) => each))),
+      ["pole", Dom.number(state?.pole), `per slow period; ${limitText(state?.limits?.pole, "")}`],
       ["lateness of a tick", milliseconds(lateness?.p99), lateness ? `99 %; longest ${milliseconds(lateness.max)}` : ""],
       ["ticks", Dom.number(fast?.ticks, "", 9), fast ? `${Dom.number(fast.missed)} missed, ${Dom.number(fast.held)} held` : ""],
       ["refused frames", fast ? String(refused(fast.bus)) : "–", fast ? `of ${fast.bus.received ?? 0}` : ""],
@@ -113,9 +113,9 @@ const DrivePage = (() => {
     return [`${name} to trip`, Dom.number(left, unit, 3), limitText(limits, unit).replace("limits ", "within "), near ? "near" : ""];
   }
 
-  /** @param {string} name @param {Estimate} one */
-  function estimateRow(name, one) {
-    const { text, unit } = Contract.named(name);
+  /** @param {string} name @param {Estimate} one @param {string[]} names */
+  function estimateRow(name, one, names) {
+    const { text, unit } = Contract.named(name, names);
     const doubt = one.std == null ? "uncertainty unknown" : `± ${Dom.number(2 * one.std, unit, 2)} (2 σ)`;
     return [text, Dom.number(one.value, unit), doubt];
   }
@@ -129,12 +129,12 @@ const DrivePage = (() => {
   function drawRows(list, rows) {
     while (list.children.length > rows.length) list.lastElementChild?.remove();
     rows.forEach(([name, value, remark, mark], i) => {
-      if (!list.children[i]) list.append(Dom.make("div", {}, Dom.make("dt"), Dom.make("dd"), Dom.make("small")));
-      const [dt, dd, small] = list.children[i].children;
+      if (!list.children[i]) list.append(Dom.make("div", {}, Dom.make("dt"), Dom.make("dd"), Dom.make("dd")));
+      const [dt, dd, beside] = list.children[i].children;
       Dom.say(dt, name);
       Dom.say(dd, value);
       Dom.mark(dd, "data-mark", mark ?? "");
-      Dom.say(small, remark);
+      Dom.say(beside, remark);
     });
   }
 
@@ -152,7 +152,7 @@ const DrivePage = (() => {
   /** @param {State|null} state */
   function wave(state) {
     const own = state?.waveform;
-    return own ? `${own.shape} ${Dom.number(own.low)} to ${Dom.number(own.high)}, ${Dom.number(own.period_s, "s")}` : limitText(state?.limits?.setpoint, "");
+    return own ? `${own.shape} ${Dom.number(own.low)} to ${Dom.number(own.high, state?.output?.unit)}, period ${Dom.number(own.period_s, "s")}` : limitText(state?.limits?.setpoint, state?.output?.unit ?? "");
   }
 
   /** @param {[number|null, number|null]|undefined} range @param {string} unit */

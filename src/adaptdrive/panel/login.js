@@ -19,7 +19,9 @@ const Login = (() => {
         Dom.mark(problem, "data-kind", "refused");
         Dom.say(problem, `the broker refuses: ${error instanceof Error ? error.message : error}`);
       }
-    } }, Dom.make("h1", {}, "adaptdrive"), broker.row, user.row, password.row, Dom.make("button", { type: "submit" }, "Log in"), problem);
+    } }, Dom.make("h1", {}, "adaptdrive"), broker.row, user.row, password.row,
+    Dom.make("p.hint", {}, "On a broker without users, such as that of the demonstration, leave user and password empty."),
+    Dom.make("button", { type: "submit" }, "Log in"), problem);
     parent.append(form);
     Link.watch(() => { if (!Link.online && Link.problem && form.isConnected) Dom.say(problem, Link.problem); });
     (user.field.value ? password : user).field.focus();

@@ -49,6 +49,7 @@ const Plots = (() => {
       series: [{ label: "time" }, ...lines.map(series)],
       bands,
     }, lines.map(() => []).concat([[]]), frame);
+    frame.querySelector(".u-legend")?.setAttribute("role", "presentation"); // a table without data
     const resize = new ResizeObserver(() => {
       chart.setSize({ width: Math.max(200, frame.clientWidth), height: HEIGHT });
     });
@@ -96,7 +97,7 @@ const Plots = (() => {
     function drawEstimate(name, rows, time) {
       let own = estimates.get(name);
       if (!own) {
-        const { text, unit } = Contract.named(name);
+        const { text, unit } = Contract.named(name, Object.keys(drive.load?.estimates ?? {}));
         own = plot(parent, `estimate: ${text}${unit ? `, ${unit}` : ""}, ± 2 σ`, [
           { label: "high", colour: "--series-1", band: true },
           { label: "low", colour: "--series-1", band: true },

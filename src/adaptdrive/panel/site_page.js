@@ -56,12 +56,17 @@ const SitePage = (() => {
       Dom.measured(drive.fast?.output ?? drive.load?.output, drive.unit),
       state?.waveform ? `${state.waveform.shape} wave` : Dom.number(state?.setpoint, drive.unit),
       state ? (state.controller === state.mode ? state.controller : `${state.controller} (asked for ${state.mode})`) : "–",
-      (state?.since ?? state?.time ?? "").replace("T", " ").slice(0, 19),
+      since(state?.since ?? state?.time ?? ""),
       drive.ageText,
     ];
     texts.forEach((text, i) => Dom.say(cells[i], text));
     Dom.mark(cells[0], "data-state", shown);
     row.classList.toggle("stale", !drive.live);
+  }
+
+  /** A time to the second. @param {string} time */
+  function since(time) {
+    return time ? `${time.replace("T", " ").slice(0, 19)} UTC` : "–";
   }
 
   return { open };

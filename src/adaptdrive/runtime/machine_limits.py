@@ -81,7 +81,7 @@ class MachineLimits:
     def require_period(self, what: str, value: float) -> None:
         """Refuse a period of a waveform, in s, that is too short."""
         if not value >= self.period_min_s:
-            raise RefusedError(f"{what} = {value:g} is below {self.period_min_s:g}")
+            raise RefusedError(f"{what} = {value:g} s is below {self.period_min_s:g} s")
 
     def require_pole(self, value: float) -> None:
         """Refuse a closed-loop pole that is too fast or too slow."""

@@ -71,7 +71,7 @@ class SetSetpoint(Request):
 
 @dataclass(frozen=True, slots=True)
 class SetWaveform(Request):
-    """Follow a periodic set-point, or hold the present one (None)."""
+    """Follow a periodic set-point, or hold the present one (`off`)."""
 
     verb = "waveform"
     value: Waveform | None

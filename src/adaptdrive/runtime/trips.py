@@ -322,9 +322,9 @@ TRIPS = (
 
 
 def remedy(text: str) -> str:
-    """Return the steps that remove the cause of a trip, empty for an unknown cause.
+    """Return the steps that remove the cause of a trip as plain text, empty for an unknown cause.
 
     Args:
         text: Text of the trip.
     """
-    return next((trip.remedy for trip in TRIPS if re.search(trip.sign, text)), "")
+    return next((trip.remedy for trip in TRIPS if re.search(trip.sign, text)), "").replace("`", "")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from rich.box import ROUNDED
 from rich.panel import Panel
@@ -51,6 +51,11 @@ def cut(line: Text) -> Text:
     return line
 
 
+def lines(texts: Iterable[Text]) -> Text:
+    """Return texts below each other, each of which is cut where the terminal is too narrow."""
+    return cut(Text("\n").join(texts))
+
+
 def boxed(title: str | Text, content: Table | Text, rows: int | None = None, pad: int = 1) -> Panel:
     """Return a frame with a title, as high as its content or as so many rows."""
     return Panel(
@@ -70,6 +75,6 @@ def event_line(time: str, kind: str, detail: str, severity: str) -> Text:
     return Text.assemble((f" {time} ", DIM), (f"{kind:<11} ", "bold"), (detail, style))
 
 
-def event_lines(lines: Sequence[Text]) -> Text:
+def event_lines(events: Sequence[Text]) -> Text:
     """Return the lines of events, or that there were none."""
-    return Text("\n").join(map(cut, lines)) if lines else Text(" no events yet", DIM)
+    return lines(events) if events else Text(" no events yet", DIM)

@@ -18,10 +18,10 @@ from adaptdrive.watch.tables import (
     DIM,
     STATE_STYLES,
     boxed,
-    cut,
     event_line,
     event_lines,
     figure,
+    lines,
     rows,
 )
 
@@ -46,11 +46,11 @@ def screen(record: WatchRecord, size: tuple[int, int]) -> Layout:
     fixed = len(header) + FIGURES_ROWS + events + len(footer)
     layout = Layout()
     layout.split_column(
-        Layout(Text("\n").join(map(cut, header)), size=len(header)),
+        Layout(lines(header), size=len(header)),
         Layout(_plot_panel(record, (width, height - fixed))),
         Layout(_figures(record), size=FIGURES_ROWS),
         Layout(_events(record, events), size=events),
-        Layout(Text("\n").join(map(cut, footer)), size=len(footer)),
+        Layout(lines(footer), size=len(footer)),
     )
     return layout
 
@@ -142,7 +142,7 @@ def _health(record: WatchRecord) -> Table:
 
 
 def _events(record: WatchRecord, count: int) -> Text:
-    lines = [
+    shown = [
         event_line(
             printable(event.get("time"))[11:19],
             printable(event.get("kind")),
@@ -151,15 +151,15 @@ def _events(record: WatchRecord, count: int) -> Text:
         )
         for event in list(record.events)[-count:]
     ]
-    return event_lines(lines)
+    return event_lines(shown)
 
 
 def _footer(record: WatchRecord) -> tuple[Text, ...]:
-    lines = Text(f" {printable(record.answer)}", "bold"), Text(f" {KEYS}", DIM)
+    own = Text(f" {printable(record.answer)}", "bold"), Text(f" {KEYS}", DIM)
     offered = "   ".join(
         f"{number} {printable(one.get('text'))}" for number, one in enumerate(record.features, 1)
     )
-    return (*lines, Text(f" simulated plant: {offered}", DIM)) if offered else lines
+    return (*own, Text(f" simulated plant: {offered}", DIM)) if offered else own
 
 
 def _text(value: object) -> Text:
