@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -170,7 +171,8 @@ class Rig:
         self._noise = NOISE_SHARE * top
         self._quantum = 1.25 * top / 2**BITS
         self._random = random
-        self._late = [draw.load.output] * (draw.delay_steps + 1)
+        self._late = deque([draw.load.output] * (draw.delay_steps + 1), draw.delay_steps + 1)
+        self._share = -math.expm1(-draw.step_s / LAG_S)
 
     def sample(self, voltage_V: float) -> tuple[float, float, float]:
         """Run until the next message: its time, boost voltage and output."""
@@ -194,18 +196,23 @@ class Rig:
         return (self.lowest - self.rest) / move, (self.highest - self.rest) / move
 
     def _step(self, wanted_V: float, step_s: float) -> None:
-        draw, way_V = self.draw, SLEW_V_PER_S * step_s
-        self.slewed_V += min(max(wanted_V - self.slewed_V, -way_V), way_V)
-        self.voltage_V += (self.slewed_V - self.voltage_V) * -math.expm1(-step_s / LAG_S)
+        draw, load = self.draw, self.draw.load
+        if wanted_V != self.slewed_V:
+            way_V = SLEW_V_PER_S * step_s
+            self.slewed_V += min(max(wanted_V - self.slewed_V, -way_V), way_V)
+        self.voltage_V += (self.slewed_V - self.voltage_V) * self._share
         source_V = draw.ratio * self.voltage_V
-        if source_V > draw.load.emf_V:
-            draw.load.drive(source_V, draw.droop_Ohm, step_s)
+        if source_V > load.emf_V:
+            load.drive(source_V, draw.droop_Ohm, step_s)
         else:
-            draw.load.coast(step_s)
+            load.coast(step_s)
         self.time_s += step_s
-        self.highest = max(self.highest, draw.load.output)
-        self.lowest = min(self.lowest, draw.load.output)
-        self._late = [*self._late[1:], draw.load.output]
+        output = load.output
+        if output > self.highest:
+            self.highest = output
+        elif output < self.lowest:
+            self.lowest = output
+        self._late.append(output)
 
 
 def finish(found: LoadExperiment, rig: Rig) -> None:

@@ -13,8 +13,12 @@ from adaptdrive.commission.evaluate import evaluate
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.prediction import Prediction, predict, rest_voltage
 from adaptdrive.commission.proposal import Proposal, propose
+from adaptdrive.commission.samples import Samples
 from adaptdrive.control.design import compensator_gains, discrete_model
+from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.pole_placement import closed_loop_polynomial
+from adaptdrive.identification.excerpt import Excerpt
+from adaptdrive.identification.identify import identify
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetSetpoint
 from adaptdrive_sim.experiments.examples import FOLDER
@@ -22,6 +26,8 @@ from adaptdrive_sim.plants.coupling import CouplingParameters
 from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World, WorldParameters
 from tests.commission.draws import KINDS, Draw, Rig, finish
+from tests.identification.plants import open_loop, random_voltage
+from tests.wire.rig import EXAMPLES
 
 RAISED_V = 40.0
 """Distance from the lowest V_c: a torque takes the rest below what the model reaches."""
@@ -111,3 +117,37 @@ def test_the_proposed_configuration_has_the_identified_load(kind: str) -> None:
     assert proposal.margins.gain >= 2.0
     assert prediction.quality.overshoot < 0.1
     assert prediction.quality.unsettled == 0
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_bounds_are_those_that_the_slow_period_suits(seed: int) -> None:
+    draw, proposal, _, _ = proposed("motor", seed)
+    section = proposal.configuration.supervisor
+    periods = draw.truth["tau_sum_s"] / proposal.configuration.load.period_s
+    assert 0.1 <= section.ratio_min <= 0.5
+    assert 4.0 <= section.ratio_max <= 10.0
+    assert section.ratio_min * periods == pytest.approx(4.0, rel=0.2)
+    assert section.ratio_max * periods == pytest.approx(120.0, rel=0.2)
+    assert "supervisor.ratio_max" in proposal.values
+
+
+@pytest.mark.parametrize(("noise", "named"), [(0.002, True), (0.05, False)])
+def test_the_step_of_a_coarse_sensor_is_proposed(noise: float, named: bool) -> None:
+    random, samples = np.random.default_rng(0), Samples()
+    for number in range(2000):
+        output = 2.0 + 0.1 * np.sin(0.005 * number) + noise * random.standard_normal()
+        samples.append(0.1 * number, 200.0, 0.02 * round(output / 0.02))
+    assert samples.coarseness() == pytest.approx(0.02 if named else 0.0)
+
+
+@pytest.mark.parametrize(("line_Hz", "period_s"), [(60, 0.3), (50, 0.48)])
+def test_the_slow_period_of_a_polled_drive_is_whole_polls(line_Hz: int, period_s: float) -> None:
+    truth = motor_load(0.0085, 0.9, 0.35)
+    volts = random_voltage(np.random.default_rng(1), 3000)
+    record = Excerpt(volts, open_loop(truth, volts, 0.1), 0.1)
+    file = EXAMPLES / "motor-modbus-tcp.toml"
+    text = file.read_text(encoding="utf-8").replace("period_s = 1.0 ", "period_s = 1.2 ")
+    text = text.replace("line_frequency_Hz = 60", f"line_frequency_Hz = {line_Hz}")
+    found = propose(identify([record], truth, delays=(0,)), text.replace("0.35 ", "0.5 "), file)
+    assert found.configuration.load.period_s == pytest.approx(period_s, rel=1e-9)
+    assert len(str(found.values["load.period_s"])) <= 6

@@ -126,13 +126,16 @@ def test_an_input_that_nobody_measures_is_an_offset() -> None:
     assert found.input_offset.std < 5.0
 
 
-def test_the_rising_voltage_of_a_battery_is_no_dynamics() -> None:
+@pytest.mark.parametrize("bent", [0.0, 0.1])
+def test_the_rising_voltage_of_a_battery_is_no_dynamics(bent: float) -> None:
+    """The curve of charge to voltage is straight, or bent in its middle."""
     truth = battery_load(0.25, 1.2, 0.4, 30.0)
     random = np.random.default_rng(10)
     volts = 300.0 + 0.2 * (random_voltage(random, 2000) - 300.0)
     output = np.zeros(2000)
     for _ in range(40):  # the charge depends on the current, which depends on the charge
-        rise_V = 2e-3 * np.cumsum(output) * PERIOD_s
+        charge = np.cumsum(output) * PERIOD_s + 1e-9
+        rise_V = 2e-3 * (charge + bent * charge[-1] * np.sin(np.pi * charge / charge[-1]))
         output = open_loop(truth, volts + 60.0 - rise_V / 0.25, PERIOD_s, offset=-300.0)
     noisy = output + 0.01 * random.normal(size=2000)
     structure = battery_load(0.25, 9.0, 9.0, 9.0, charging())

@@ -18,6 +18,9 @@ _SMOOTH_SHARE = 0.02
 _NOISE_SHARE = 0.05
 """Time between two looks at the noise, as a share of the shortest wait."""
 
+_LOOK_SHARE = 0.005
+"""Time between two looks at the band, as a share of the shortest wait: a quarter of a mean."""
+
 
 class ExperimentCourse:
     """State that the phases of an experiment share.
@@ -40,6 +43,7 @@ class ExperimentCourse:
         self.time_s = 0.0
         self._noise = 0.0
         self._noise_known_s = -math.inf
+        self._looked_s = -math.inf
 
     def append(self, time_s: float, boost_voltage_V: float, output: float) -> None:
         """Add a sample.
@@ -58,6 +62,13 @@ class ExperimentCourse:
         while self.time_s < until_s:
             yield True
             self.look_at_output()
+
+    def look_is_due(self) -> bool:
+        """Return whether the band is to be looked at: not with each of many samples."""
+        if self.time_s < self._looked_s + _LOOK_SHARE * self.target.patience_s:
+            return False
+        self._looked_s = self.time_s
+        return True
 
     def look_at_output(self) -> None:
         """Make sure that the output is within its range.

@@ -33,6 +33,8 @@ _START_S = 60.0
 
 _POLL_S = 0.3
 
+_ENERGISED = frozenset({"starting", "running"})
+
 
 @dataclass(frozen=True, slots=True)
 class FastReading:
@@ -163,7 +165,7 @@ class Guide:
             state = await self._state()
             if state["state"] == "running" and (coasting or not state.get("coasting")):
                 return
-            if state["state"] not in {"starting", "running"}:
+            if state["state"] not in _ENERGISED:
                 raise CommissionError(await self._end())
             if time.monotonic() > end_s:
                 raise CommissionError(f"{self._drive} is not running {_START_S:g} s after enable")
@@ -171,9 +173,7 @@ class Guide:
 
     async def _end(self) -> str:
         """Return why the drive is off."""
-        state = await self._state()
-        why = state.get("trip") or "disabled by another operator"
-        return f"{self._drive} is {state.get('state')}: {why}"
+        return _end(self._drive, await self._state())
 
     async def _leave(self, mode: str) -> None:
         """Bring the drive into its safe state, and its mode back."""
@@ -191,8 +191,17 @@ class Guide:
         reply = await send_command(
             self._broker, self._drive, verb, value, self._timeout_s, **fields
         )
-        if not reply.accepted:
-            raise CommissionError(f"{self._drive} refused {verb}: {reply.reason}")
+        if reply.accepted:
+            return
+        state = await self._state()
+        if verb == "voltage" and state.get("state") not in _ENERGISED:
+            raise CommissionError(_end(self._drive, state))
+        raise CommissionError(f"{self._drive} refused {verb}: {reply.reason}")
+
+
+def _end(drive: str, state: dict[str, Any]) -> str:
+    why = state.get("trip") or "disabled by another operator"
+    return f"{drive} is {state.get('state')}: {why}"
 
 
 def _reading(content: dict[str, Any]) -> FastReading:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.commission.margins import Margins, margins_of
+from adaptdrive.config.load import LoadName
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.load import to_input
 from adaptdrive.control.signals import Estimate
@@ -19,12 +20,26 @@ from adaptdrive.recording.what_if import reconfigured
 _PERIODS = {"motor": 20.0, "bath": 10.0, "battery": 20.0}
 """Slow periods in the sum of the time constants."""
 
+_FEWEST_PERIODS = {"motor": 4.0, "bath": 2.0, "battery": 4.0}
+"""Least sum of the time constants, in slow periods, with which the estimates serve."""
+
+_MOST_PERIODS = {"motor": 120.0, "bath": 60.0, "battery": 120.0}
+"""Largest sum of the time constants, in slow periods, with which the estimates serve."""
+
+_RATIO_MIN = (0.1, 0.5)
+_RATIO_MAX = (4.0, 10.0)
+"""Range in which a bound of the estimates over the model is proposed."""
+
 _FILTER_SHARE = 0.5
 """λ time constant over the sum of the time constants."""
 
 _ROUND = (1.0, 2.0, 5.0, 10.0)
 _SHORTEST_PERIOD_S = 0.1
 _LONGEST_PERIOD_S = 3600.0
+_FEWEST_READINGS = 3
+_FEWEST_LATENCIES = 2
+"""Shortest slow period, in readings of the drive, and in its dead times from sample to effect."""
+
 _SAMPLED_SHARE = 0.75
 """Longest part of a slow period over which the output is averaged."""
 
@@ -55,13 +70,16 @@ class Proposal:
     margins: Margins
 
 
-def propose(identified: IdentifiedLoad, text: str, source: Path) -> Proposal:
+def propose(
+    identified: IdentifiedLoad, text: str, source: Path, resolution: float = 0.0
+) -> Proposal:
     """Return settings for an identified load.
 
     Args:
         identified: The load.
         text: The present configuration.
         source: Its file, for messages.
+        resolution: Smallest step of the output, where its noise is smaller; else 0.
 
     Raises:
         ConfigurationError: The proposed settings are not valid together with the others.
@@ -70,6 +88,9 @@ def propose(identified: IdentifiedLoad, text: str, source: Path) -> Proposal:
     present = reconfigured(text, source, ())
     model = proposed_model(identified, present.load)
     values = _pace(identified, present)
+    values |= _bounds(identified, present.load.type, float(values["load.period_s"]))
+    if resolution > 0.0:
+        values["load.resolution"] = _rounded(resolution)
     values |= {f"load.model.{name}": _rounded(one.value) for name, one in model.items()}
     for pole in _POLES:
         if not present.load.pole_min <= pole <= present.load.pole_max:
@@ -88,14 +109,38 @@ def propose(identified: IdentifiedLoad, text: str, source: Path) -> Proposal:
 def _pace(identified: IdentifiedLoad, present: Configuration) -> dict[str, float | int]:
     """Return slow period, samples and λ time constant for the pace of the load."""
     total_s = identified.denominator[-2] / identified.denominator[-1]
-    wanted_s = max(total_s / _PERIODS[present.load.type], _SHORTEST_PERIOD_S)
-    period_s = min(_nice(wanted_s), _LONGEST_PERIOD_S)
+    period_s = _period_s(total_s / _PERIODS[present.load.type], present)
     ticks = round(2.0 * present.drive.line_frequency_Hz * period_s)
     samples = min(present.load.samples, math.floor(_SAMPLED_SHARE * ticks))
     return {
         "load.period_s": period_s,
         "load.samples": max(1, samples),
         "estimator.tau_lambda_s": _rounded(_FILTER_SHARE * total_s, 2),
+    }
+
+
+def _period_s(wanted_s: float, present: Configuration) -> float:
+    """Return a slow period near a time that is whole readings of the drive, and enough of them."""
+    reading = present.bus.ticks_per_reading
+    reading_s = 0.5 * reading / present.drive.line_frequency_Hz
+    latencies = math.ceil(_FEWEST_LATENCIES * present.load.latency_ticks / reading)
+    fewest = max(_FEWEST_READINGS, latencies)
+    shortest_s = max(fewest * reading_s, _SHORTEST_PERIOD_S)
+    period_s = min(_nice(max(wanted_s, shortest_s)), _LONGEST_PERIOD_S)
+    readings = max(round(period_s / reading_s), fewest)
+    whole_s = _rounded(readings * reading_s, 9)
+    return period_s if math.isclose(whole_s, period_s, rel_tol=1e-6) else whole_s
+
+
+def _bounds(identified: IdentifiedLoad, kind: LoadName, period_s: float) -> dict[str, float]:
+    """Return the bounds of the estimates over the model: what the slow period suits."""
+    periods = identified.denominator[-2] / identified.denominator[-1] / period_s
+    ends = {
+        "supervisor.ratio_min": (_FEWEST_PERIODS[kind] / periods, _RATIO_MIN),
+        "supervisor.ratio_max": (_MOST_PERIODS[kind] / periods, _RATIO_MAX),
+    }
+    return {
+        key: _rounded(min(max(ratio, low), high), 2) for key, (ratio, (low, high)) in ends.items()
     }
 
 

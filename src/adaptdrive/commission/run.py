@@ -93,7 +93,7 @@ async def commission(
         raise CommissionError("the experiment is not complete")
     load = build_load(configuration)
     identified = evaluate(experiment, load)
-    proposal = propose(identified, text, wanted.path)
+    proposal = propose(identified, text, wanted.path, experiment.record.coarseness())
     rest_V = rest_voltage(outcome.low_V, outcome.high_V, load)
     prediction = predict(identified, proposal.configuration, rest_V, target.move)
     return Commissioned(sensor, outcome, identified, proposal, prediction, configuration)

@@ -63,3 +63,10 @@ class Samples:
         """Return the smallest difference of two outputs in a row, 0 where all are the same."""
         steps = (abs(b - a) for a, b in itertools.pairwise(self.outputs))
         return min((step for step in steps if step > 0.0), default=0.0)
+
+    def coarseness(self) -> float:
+        """Return the resolution where it is larger than the noise, else 0."""
+        if not self.outputs:
+            return 0.0
+        resolution = self.resolution()
+        return resolution if resolution > self.noise(-math.inf, self.times_s[-1]) else 0.0

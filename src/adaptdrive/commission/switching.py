@@ -69,6 +69,8 @@ class Switching:
         until_s = course.time_s + duration_s
         while course.time_s < until_s:
             yield True
+            if not course.look_is_due():
+                continue
             self._look_at_band()
             if course.target.onset is None and self._bounds.heads_for_edge():
                 self._back_off()
@@ -84,8 +86,9 @@ class Switching:
     def _look_at_band(self) -> None:
         course, target, rest = self._course, self._course.target, self._outcome.rest
         share = _BAND if target.onset is None else _DRIFTING_BAND
-        low = rest - course.margin(share)
-        high = rest + target.move + course.margin(_BAND)
+        noise = course.margin(0.0)
+        low = rest - share * target.move - noise
+        high = rest + (1.0 + _BAND) * target.move + noise
         output = course.recent(course.smooth_s)
         if not low <= output <= high:
             raise CommissionError(

@@ -27,6 +27,9 @@ from adaptdrive.identification.response import responses
 
 Array = NDArray[np.float64]
 
+CHARGE_DEGREE = 4
+"""Degree of the polynomial by which a battery's own voltage follows its charge: its curve bends."""
+
 _STEP = 1e-5
 """Step of the logarithms in a difference quotient."""
 
@@ -42,8 +45,9 @@ class Problem:
         parts: The data.
         order: m.
         powers: The i of the numerator's terms b_i s^(m-i).
-        drift: The numerator with which the charge ∫y dt of a battery acts on its current; its
-            factor is fitted, its shape is not, as s ∫y dt would explain any y. Empty for none.
+        drift: The numerator with which the charge ∫y dt of a battery and its powers act on its
+            current; their factors are fitted, its shape is not, as s ∫y dt would explain any y.
+            Empty for none.
         noise: 1, A_1 ... A_n of the noise model.
     """
 
@@ -55,8 +59,8 @@ class Problem:
 
     @property
     def shared(self) -> int:
-        """Number of columns that all parts share: the numerator's, the charge's, the constant."""
-        return len(self.powers) + (1 if self.drift else 0) + 1
+        """Number of columns that all parts share: the numerator's, the charges', the constant."""
+        return len(self.powers) + (CHARGE_DEGREE if self.drift else 0) + 1
 
     @property
     def targets(self) -> Array:
@@ -105,7 +109,9 @@ def columns(problem: Problem, logarithms: Array) -> Array:
         rows = slice(row, row + len(part.outputs))
         made[rows, : len(problem.powers)] = filters.of(part.inputs, problem.powers)
         if problem.drift:
-            made[rows, shared - 2] = filters.of(part.charge, problem.powers) @ problem.drift
+            for degree in range(1, CHARGE_DEGREE + 1):
+                acting = filters.of(part.charge**degree, problem.powers) @ problem.drift
+                made[rows, len(problem.powers) + degree - 1] = acting
         made[rows, shared - 1] = 1.0
         first = shared + order * number
         made[rows, first : first + order] = filters.free(len(part.outputs))
@@ -138,12 +144,22 @@ def solve(problem: Problem, logarithms: Array) -> Solution:
     """Return the best linear parameters for a denominator."""
     matrix = columns(problem, logarithms)
     rows, targets = whitened(problem, matrix), whitened(problem, problem.targets)
+    weights, condition = weighed(rows, targets)
+    return Solution(logarithms, weights, matrix @ weights, targets - rows @ weights, condition)
+
+
+def weighed(rows: Array, targets: Array) -> tuple[Array, float]:
+    """Return the factors of columns by least squares, and the condition of the columns.
+
+    Args:
+        rows: A column for each factor; they are brought to one length.
+        targets: What the columns explain together.
+    """
     lengths = np.linalg.norm(rows, axis=0)
     lengths[lengths == 0.0] = 1.0
     scaled, _, _, values = np.linalg.lstsq(rows / lengths, targets, rcond=1e-14)
-    weights = scaled / lengths
     condition = float(values[0] / values[-1]) if values[-1] > 0.0 else np.inf
-    return Solution(logarithms, weights, matrix @ weights, targets - rows @ weights, condition)
+    return scaled / lengths, condition
 
 
 def limits(problem: Problem) -> tuple[Array, Array]:

@@ -19,6 +19,7 @@ from adaptdrive.identification.fit import (
     jacobian,
     refine,
     split,
+    weighed,
     whitened,
 )
 from adaptdrive.identification.whiteness import ljung_box
@@ -217,15 +218,17 @@ def _fit(targets: Array, residuals: Array) -> float:
 
 
 def _cross_fit(problem: Problem, solution: Solution) -> float:
-    """Return how well a fit to the first part of the data simulates the rest."""
+    """Return how well a fit to the first part of the data simulates the rest.
+
+    A battery's own voltage at another charge is not predicted: it is fitted to the rest.
+    """
     trained, tested = _halves(problem)
     fitted = refine(trained, solution.logarithms)
-    shared = fitted.weights[: problem.shared]
+    kept = len(problem.powers) if problem.drift else problem.shared
     matrix = columns(tested, fitted.logarithms)
-    forced = matrix[:, : problem.shared] @ shared
-    rest = tested.targets - forced
-    free = matrix[:, problem.shared :]
-    initial = np.linalg.lstsq(whitened(tested, free), whitened(tested, rest))[0]
+    rest = tested.targets - matrix[:, :kept] @ fitted.weights[:kept]
+    free = matrix[:, kept:]
+    initial, _ = weighed(whitened(tested, free), whitened(tested, rest))
     return _fit(tested.targets, rest - free @ initial)
 
 
