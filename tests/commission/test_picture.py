@@ -6,8 +6,8 @@ import io
 
 from rich.console import Console
 
+from adaptdrive.commission.exchange import FastReading
 from adaptdrive.commission.experiment import LoadExperiment
-from adaptdrive.commission.guide import FastReading
 from adaptdrive.commission.picture import Picture, screen
 from tests.commission.test_experiment import SAMPLE_S, TARGET, lag
 

@@ -10,14 +10,13 @@ import math
 import time
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import aclosing, suppress
-from dataclasses import dataclass
-from datetime import datetime
 from typing import Any
 
+from adaptdrive.commission.exchange import FastReading, WantedVoltage, reading_of
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.samples import Samples
 from adaptdrive.config.services import Mqtt
-from adaptdrive.errors import AdaptdriveError, CommissionError
+from adaptdrive.errors import AdaptdriveError, CommissionError, first_error
 from adaptdrive.operation.client import NoAnswerError, read_status, send_command, telemetry
 from adaptdrive.operation.messages import ONLINE
 
@@ -34,23 +33,6 @@ _START_S = 60.0
 _POLL_S = 0.3
 
 _ENERGISED = frozenset({"starting", "running"})
-
-
-@dataclass(frozen=True, slots=True)
-class FastReading:
-    """One message of the fast loop.
-
-    Attributes:
-        time_s: Its time, in seconds of the wall clock.
-        boost_voltage_V: v_bst.
-        output: The regulated quantity.
-        bridge: Whether the load is commanded on.
-    """
-
-    time_s: float
-    boost_voltage_V: float
-    output: float
-    bridge: bool
 
 
 class Guide:
@@ -119,18 +101,44 @@ class Guide:
     async def _follow(
         self, experiment: LoadExperiment, show: Callable[[FastReading, float], None]
     ) -> None:
-        sent_V, sent_s = math.nan, -math.inf
+        """Run the experiment; the voltage is asked for beside it, so that no reading waits."""
+        wanted = WantedVoltage(experiment.voltage_V)
+        try:
+            async with asyncio.TaskGroup() as group:
+                asking = group.create_task(self._keep_asking(wanted))
+                await self._feed(experiment, wanted, show)
+                asking.cancel()
+        except BaseExceptionGroup as problems:
+            known, others = problems.split(AdaptdriveError)
+            if known is None or others is not None:
+                raise
+            raise first_error(known) from None
+
+    async def _feed(
+        self,
+        experiment: LoadExperiment,
+        wanted: WantedVoltage,
+        show: Callable[[FastReading, float], None],
+    ) -> None:
+        """Take readings until the experiment is complete."""
         async with aclosing(self._readings()) as readings:
             async for one in readings:
                 if not one.bridge:
                     raise CommissionError(await self._end())
                 voltage_V = experiment.take(one.time_s, one.boost_voltage_V, one.output)
+                wanted.change(voltage_V)
                 show(one, voltage_V)
                 if experiment.done:
                     return
-                if voltage_V != sent_V or time.monotonic() - sent_s >= _REFRESH_S:
-                    await self._ask("voltage", voltage_V, hold_s=HOLD_S)
-                    sent_V, sent_s = voltage_V, time.monotonic()
+
+    async def _keep_asking(self, wanted: WantedVoltage) -> None:
+        """Ask for the last voltage whenever it changes, and before its time is over."""
+        while True:
+            wanted.changed.clear()
+            await self._ask("voltage", wanted.voltage_V, hold_s=HOLD_S)
+            with suppress(TimeoutError):
+                async with asyncio.timeout(_REFRESH_S):
+                    await wanted.changed.wait()
 
     async def _readings(self) -> AsyncGenerator[FastReading, None]:
         """Yield one reading for each message, in the order of their times."""
@@ -139,7 +147,7 @@ class Guide:
             while True:
                 name, content = await self._next(messages)
                 if name == "drive" and content.get("output") is not None:
-                    heard_s, reading = time.monotonic(), _reading(content)
+                    heard_s, reading = time.monotonic(), reading_of(content)
                     if reading.time_s > last_s:
                         last_s = reading.time_s
                         yield reading
@@ -202,12 +210,3 @@ class Guide:
 def _end(drive: str, state: dict[str, Any]) -> str:
     why = state.get("trip") or "disabled by another operator"
     return f"{drive} is {state.get('state')}: {why}"
-
-
-def _reading(content: dict[str, Any]) -> FastReading:
-    return FastReading(
-        time_s=datetime.fromisoformat(content["time"]).timestamp(),
-        boost_voltage_V=float(content["boost_voltage_V"]),
-        output=float(content["output"]),
-        bridge=bool(content["command"]["bridge"]),
-    )

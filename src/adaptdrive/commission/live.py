@@ -8,8 +8,9 @@ import sys
 from rich.console import Console
 from rich.live import Live
 
+from adaptdrive.commission.exchange import FastReading
 from adaptdrive.commission.experiment import LoadExperiment
-from adaptdrive.commission.guide import FastReading, Guide
+from adaptdrive.commission.guide import Guide
 from adaptdrive.commission.phases import Phase
 from adaptdrive.commission.picture import Picture, screen
 from adaptdrive.errors import CommissionError

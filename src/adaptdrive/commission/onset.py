@@ -9,6 +9,9 @@ from adaptdrive.errors import CommissionError
 _FLOWING = 3.0
 """Current that can be lowered again, in movements."""
 
+_BEHIND = 1.5
+"""Distance from the voltage that was asked for, in steps, at which the next step waits."""
+
 _WAIT_SHARE = 0.02
 """Wait after each step, as a share of the shortest wait for a response."""
 
@@ -33,5 +36,15 @@ def find_onset(course: ExperimentCourse) -> Steps[float]:
         course.voltage_V = voltage_V
         course.progress = (voltage_V - target.low_V) / (target.high_V - target.low_V)
         course.look_at_terminals(voltage_V, course.recent(wait_s))
+        yield from _arrive(course, voltage_V)
         yield from course.wait(wait_s)
     return voltage_V
+
+
+def _arrive(course: ExperimentCourse, voltage_V: float) -> Steps[None]:
+    """Wait until the drive has come near a voltage; a command takes its time to reach it."""
+    nearly_V = voltage_V - _BEHIND * course.target.onset_step_V
+    until_s = course.time_s + course.target.patience_s
+    while course.record.voltages_V[-1] < nearly_V and course.time_s < until_s:
+        yield True
+        course.look_at_output()
