@@ -34,6 +34,9 @@ _BACK = 0.1
 _LONGEST_RETURN = 20
 """Rests after which another rest than before is believed; at its peak an output rests too."""
 
+_ARRIVED = 0.9
+"""Share of a step of V_c after which the current of a battery is looked at."""
+
 _LONGEST_CLIMB = 40
 _SLOWEST_SLEW_V_PER_S = 50.0
 
@@ -125,7 +128,9 @@ class Climb:
         moved = self._rest.output - self._before
         if target.onset is None:
             return moved
-        ready_s = began_s + abs(voltage_V - before_V) / _SLOWEST_SLEW_V_PER_S
+        slewed_s = began_s + abs(voltage_V - before_V) / _SLOWEST_SLEW_V_PER_S
+        nearly_V = before_V + _ARRIVED * (voltage_V - before_V)
+        ready_s = max(slewed_s, course.record.reached_s(nearly_V, began_s))
         jump = course.record.mean(ready_s, ready_s + 5.0 * course.smooth_s)
         return max(moved, jump - self._before)
 

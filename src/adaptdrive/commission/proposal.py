@@ -26,7 +26,7 @@ _FEWEST_PERIODS = {"motor": 4.0, "bath": 2.0, "battery": 4.0}
 _MOST_PERIODS = {"motor": 120.0, "bath": 60.0, "battery": 120.0}
 """Largest sum of the time constants, in slow periods, with which the estimates serve."""
 
-_RATIO_MIN = (0.1, 0.5)
+_RATIO_MIN = (0.1, 0.3)
 _RATIO_MAX = (4.0, 10.0)
 """Range in which a bound of the estimates over the model is proposed."""
 

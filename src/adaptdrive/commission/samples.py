@@ -44,6 +44,13 @@ class Samples:
         first, last = bisect.bisect(self.times_s, from_s), bisect.bisect(self.times_s, to_s)
         return (self.sums[last] - self.sums[first]) / (last - first) if last > first else math.nan
 
+    def reached_s(self, voltage_V: float, from_s: float) -> float:
+        """Return when the boost voltage first reached a value after a time; that time if never."""
+        for number in range(bisect.bisect(self.times_s, from_s), len(self.times_s)):
+            if self.voltages_V[number] >= voltage_V:
+                return self.times_s[number]
+        return from_s
+
     def noise(self, from_s: float, to_s: float) -> float:
         """Return the standard deviation of the noise of one sample, from the differences.
 
