@@ -29,10 +29,15 @@ def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture
 def state(tmp_path: Path) -> Path:
+    """A state directory with a session that lacks three ticks at its end."""
+    return recorded(tmp_path, Dropped(ticks=3))
+
+
+def recorded(tmp_path: Path, dropped: Dropped) -> Path:
     directory = create_session(NewSession(tmp_path / "sessions", INFO, ""))
     event = EventRow(INFO.started, 7, "trip", "alarm", "over-voltage: 431 V", 1.0, 1)
     ticks = make_batch([make_tick(number) for number in range(1000)])
-    last = Batch(0, {}, [], [event], Dropped(ticks=3), last=True)
+    last = Batch(0, {}, [], [event], dropped, last=True)
     record_messages(directory, Header(INFO, ""), ticks, last)
     return tmp_path
 
@@ -49,7 +54,8 @@ def test_a_session_is_shown(state: Path) -> None:
     assert "last tick     1970-01-01T00:00:58.325000+00:00" in answer.stdout
 
 
-def test_a_whole_session_passes_and_a_damaged_one_fails(state: Path) -> None:
+def test_a_whole_session_passes_and_a_damaged_one_fails(tmp_path: Path) -> None:
+    state = recorded(tmp_path, Dropped())
     assert run(state, "sessions", "verify", NAME).returncode == 0
     path = state / "sessions" / NAME / "ticks-0001.parquet"
     content = bytearray(path.read_bytes())
@@ -58,6 +64,12 @@ def test_a_whole_session_passes_and_a_damaged_one_fails(state: Path) -> None:
     answer = run(state, "sessions", "verify", NAME)
     assert answer.returncode == 1
     assert "ticks-0001.parquet" in answer.stderr
+
+
+def test_ticks_lost_at_the_end_are_missing_in_whichever_session(state: Path) -> None:
+    answer = run(state, "sessions", "verify")
+    assert answer.returncode == 1
+    assert answer.stdout == f"{NAME}: 1000 ticks; 3 ticks are missing\n"
 
 
 def test_missing_ticks_are_counted(state: Path) -> None:
@@ -99,7 +111,7 @@ def test_sessions_and_events_are_read_by_programs(state: Path) -> None:
     assert listed[0]["info"]["dropped"]["ticks"] == 3
     assert json.loads(run(state, "sessions", "show", NAME, "--json").stdout) == listed[0]
     verdict = json.loads(run(state, "sessions", "verify", NAME, "--json").stdout)[NAME]
-    assert (verdict["whole"], verdict["rows"]["ticks"]) == (True, 1000)
+    assert (verdict["whole"], verdict["rows"]["ticks"]) == (False, 1000)
     events = json.loads(run(state, "events", "--json").stdout)
     assert [(one["kind"], one["detail"]) for one in events] == [("trip", "over-voltage: 431 V")]
 

@@ -95,7 +95,8 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
     """Read all of some sessions and hold every page against its checksum.
 
     Args:
-        sessions: Folders of sessions, or names in the folder of sessions.
+        sessions: Folders of sessions, or names in the folder of sessions; all of that folder
+            when left out.
         directory: Folder of the sessions.
         as_json: Print JSON.
 
@@ -103,11 +104,12 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
         0 when nothing is damaged and no tick is missing, else 1.
     """
     from adaptdrive.recording.reader import read_session  # noqa: PLC0415 - see above
+    from adaptdrive.recording.session import session_directories  # noqa: PLC0415
     from adaptdrive.recording.verify import verify as verify_session  # noqa: PLC0415
 
     status = 0
     verdicts: dict[str, object] = {}
-    for name in sessions:
+    for name in sessions or [path.name for path in session_directories(_folder(directory))]:
         verdict = verify_session(read_session(_find(name, directory)))
         status = status if verdict.whole else 1
         if as_json:

@@ -20,7 +20,8 @@ class Verification:
 
     Attributes:
         rows: Rows that can be read, by table.
-        missing_ticks: Ticks that the running numbers show to be missing.
+        missing_ticks: Ticks that the running numbers show to be missing, or that the recorder
+            has counted as lost: those at the end have no running number.
         problems: What is damaged, in words.
     """
 
@@ -53,6 +54,7 @@ def verify(session: Session) -> Verification:
                     expected = sequence[-1].as_py() + 1
         except RecordingError as problem:
             problems.append(f"{segment.path.name}: {problem.problem}")
+    missing = max(missing, session.info.dropped.ticks)
     return Verification(rows, missing, tuple(problems))
 
 
