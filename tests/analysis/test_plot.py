@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import re
 import struct
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -12,9 +13,12 @@ import numpy as np
 import pytest
 
 from adaptdrive.analysis.curves import find_window, read_curves
+from adaptdrive.analysis.figure import draw_session
 from adaptdrive.analysis.plot import plot
+from adaptdrive.control.signals import Mode
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.what_if import reconfigured
 from tests.analysis.conftest import SECONDS
 
 
@@ -82,3 +86,13 @@ def test_the_report_needs_nothing_but_itself(session_path: Path, tmp_path: Path)
     assert "stale: 54 ms" in page.text
     assert "ann@bench" in page.text
     assert re.search(r"not recorded\s*0 ticks", page.text)
+
+
+def test_a_session_with_a_manual_phase_is_drawn(session_path: Path, tmp_path: Path) -> None:
+    """Each source of V_c has a colour."""
+    session = read_session(session_path)
+    curves = read_curves(session, find_window(session, None, None))
+    for mode in Mode:
+        slow = curves.slow | {"controller": np.full(len(curves.slow_s), mode.value)}
+        configuration = reconfigured(session.config_text, tmp_path / "config.toml", ())
+        assert draw_session(session, configuration, replace(curves, slow=slow))

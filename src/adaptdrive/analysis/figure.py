@@ -27,6 +27,7 @@ _MOST_CHANGES = 100
 
 _SHADES = {
     "adaptive": style.ADAPTIVE["color"],
+    "manual": style.DIRECT["color"],
     "fixed": style.FIXED["color"],
     "accepted": "#4c8b57",
     "not accepted": "0.85",
@@ -158,10 +159,10 @@ def _draw_strip(axes: Axes, curves: Curves, scale_s: float) -> None:
     axes.set_yticks([0.5, 1.5], [name for name, _ in rows])
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(0.0, 2.0)
-    for what in ("adaptive", "fixed", "accepted", "not accepted"):
+    for what in ("adaptive", "fixed", "manual", "accepted", "not accepted"):
         axes.fill_between([], [], color=_SHADES[what], label=what, linewidth=0)
     axes.set_title("In force")
-    style.legend_above(axes, columns=4)
+    style.legend_above(axes, columns=5)
 
 
 def _runs(values: list[str], breaks: NDArray[np.int64]) -> Iterator[tuple[int, int, str]]:
