@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive import __version__
-from adaptdrive.cli import operate
+from adaptdrive.cli import main, operate
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
@@ -326,3 +326,19 @@ async def test_a_broker_that_cannot_be_looked_up_is_refused(host: str) -> None:
     outcome = await adaptdrive("disable", "bench", "--broker", host)
     assert "host name" in outcome.errors
     assert outcome.status == 2
+
+
+@pytest.mark.parametrize(
+    ("mistyped", "meant"),
+    [
+        ("comission", "commission"),
+        ("setpiont", "setpoint"),
+        ("lsit", "list"),
+        ("voltge", "voltage"),
+    ],
+)
+def test_an_unknown_command_gets_the_nearest_known_one(
+    mistyped: str, meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([mistyped, "motor", "3"]) == 2
+    assert f"(did you mean {meant!r}?)" in capsys.readouterr().err

@@ -25,6 +25,8 @@ class Motor:
     speed: float = 0.0
     tachometer_V: float = 0.0
     current_A: float = 0.0
+    inertia_kgm2: float = INERTIA_kgm2
+    filter_s: float = FILTER_s
 
     @classmethod
     def at(cls, tachometer_V: float) -> Motor:
@@ -44,8 +46,8 @@ class Motor:
             self.current_A = max(0.0, (armature_V - emf_V) / RESISTANCE_Ohm)  # a diode blocks
             friction_Nm = VISCOUS_Nms * self.speed + COULOMB_Nm * math.tanh(self.speed)
             torque_Nm = CONSTANT_Vs * self.current_A - friction_Nm
-            self.speed = max(0.0, self.speed + step_s * torque_Nm / INERTIA_kgm2)
+            self.speed = max(0.0, self.speed + step_s * torque_Nm / self.inertia_kgm2)
             error_V = TACHOMETER_Vs * self.speed - self.tachometer_V
-            self.tachometer_V += step_s * error_V / FILTER_s
+            self.tachometer_V += step_s * error_V / self.filter_s
             energy_J += armature_V * self.current_A * step_s
         return energy_J / seconds

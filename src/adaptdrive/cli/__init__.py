@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from adaptdrive.config.proposals import nearest  # noqa: PLC0415 - no command needs it
 
         words = " ".join(problem.unused_tokens or ())
-        hint = nearest(words.split(" ")[0], [*_COMMANDS, "sessions"])
+        hint = nearest(words.split(" ")[0], [*_COMMANDS, *REQUESTS, "list", "sessions"])
         return _complain(f"unknown command {words!r}{hint}; see adaptdrive --help", UNUSABLE)
     except CycloptsError as problem:
         return _complain(" ".join(str(problem).split()), UNUSABLE)
