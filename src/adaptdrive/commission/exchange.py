@@ -1,4 +1,4 @@
-"""What an experiment exchanges with a running drive: readings and the voltage that it wants."""
+"""Readings and the wanted voltage: the exchange of an experiment with a running drive."""
 
 from __future__ import annotations
 
