@@ -117,7 +117,7 @@ const Controls = (() => {
   function simulated(drive, answer) {
     const buttons = drive.features.map(({ text, request }) => Dom.make("button", {
       type: "button", onclick: () => report(answer, text, () => Link.disturb(drive.name, request)),
-    }, text));
+    }, text.replaceAll(/(\d) (?=\S)/g, "$1\u00a0"))); // a number stays with its unit
     const heading = Dom.make("h2", {}, "Simulated plant");
     return Dom.make("div.simulated", { hidden: buttons.length === 0 }, heading, Dom.make("div.row", {}, ...buttons));
   }

@@ -31,7 +31,8 @@ const Plots = (() => {
   /** As many digits as tell two marks of an axis apart.
    * @param {any} _ @param {number[]} marks @param {number} __ @param {number} ___ @param {number} step */
   function digits(_, marks, __, ___, step) {
-    const places = Math.min(9, Math.max(0, Math.ceil(-Math.log10(step) - 1e-9)));
+    let places = 0; // as many as the step has: 0.25 needs two
+    while (places < 9 && Math.abs(step * 10 ** places - Math.round(step * 10 ** places)) > 1e-6) places += 1;
     return marks.map((mark) => mark.toFixed(places));
   }
 
@@ -78,7 +79,7 @@ const Plots = (() => {
       { label: "applied", colour: "--series-1" },
     ]);
     const strip = Dom.make("canvas.strip", { "aria-label": "controller in force and verdict over time" });
-    parent.append(Dom.make("figure.plot", {}, Dom.make("figcaption", {}, "controller in force: adaptive blue, fixed grey; red below where the estimate is refused"), strip));
+    parent.append(Dom.make("figure.plot", {}, Dom.make("figcaption", {}, "controller in force: adaptive blue, fixed grey; amber below where the estimate is refused"), strip));
     /** @type {Map<string, ReturnType<typeof plot>>} */ const estimates = new Map();
     let drawn = -1;
 
@@ -136,7 +137,7 @@ const Plots = (() => {
     if (!pen || time.length < 2) return;
     const from = time[0];
     const scale = width / (time[time.length - 1] - from);
-    const colours = { adaptive: colour("--series-1"), fixed: colour("--line"), refused: colour("--alarm") };
+    const colours = { adaptive: colour("--series-1"), fixed: colour("--line"), refused: colour("--warn") };
     for (let i = 1; i < rows.length; i += 1) {
       const x = (time[i - 1] - from) * scale;
       const w = Math.ceil((time[i] - time[i - 1]) * scale) + 1;
