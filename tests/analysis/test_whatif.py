@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -13,12 +14,16 @@ from adaptdrive.analysis.steps import quality_of
 from adaptdrive.analysis.whatif import Comparison, what_if
 from adaptdrive.analysis.whatif_report import as_text
 from adaptdrive.cli import main
+from adaptdrive.control.signals import Mode
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.recording.batches import Header
 from adaptdrive.recording.session import NewSession, create_session
 from tests.app.test_replay import EXAMPLE, PRIOR, lived
 from tests.closed_loop.bench import STEP
 from tests.recording.material import INFO, make_batch, record_messages
+
+RATE = 120
+"""Ticks in a second."""
 
 
 @pytest.fixture(scope="module")
@@ -91,3 +96,19 @@ def test_quality_is_that_of_a_known_response() -> None:
     settled_s = time_s[np.flatnonzero(np.abs(response - 1.0) > 0.05)[-1] + 1]
     assert found.settling_s == pytest.approx(settled_s)
     assert (found.steps, found.unsettled) == (1, 0)
+
+
+def test_a_longer_part_set_by_hand_is_not_the_loop(tmp_path: Path) -> None:
+    ticks, slow = lived(PRIOR, 260)
+    controlled = ticks[: 100 * RATE]
+    by_hand = [
+        replace(one, order=replace(one.order, mode=Mode.MANUAL, manual_V=300.0))
+        for one in ticks[110 * RATE :]
+    ]
+    text = EXAMPLE.read_text(encoding="utf-8")
+    directory = create_session(NewSession(tmp_path, INFO, text))
+    batch = make_batch([*controlled, *by_hand], slow, last=True)
+    record_messages(directory, Header(INFO, text), batch)
+    found = what_if(directory, [])
+    assert found.recorded.time_s[-1] <= 100.0
+    assert "of the session, its longest part" in as_text(found)

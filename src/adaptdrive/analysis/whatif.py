@@ -88,7 +88,7 @@ def what_if(
     if changed.load.type != found.configuration.load.type:
         flaw = Flaw("load.type", f"the session shows a {found.configuration.load.type}")
         raise ConfigurationError(source, [flaw])
-    part = max(found.stretches, key=lambda one: len(one.columns["output"]))
+    part = max(found.stretches, key=_controlled)
     # From its enabling on: what the controller has learnt at the first second used is unknown.
     runs = read_stretches(found.session, None, end_s)
     run = [one for one in runs if one.begin_s <= part.begin_s][-1]
@@ -106,6 +106,12 @@ def what_if(
         changed=_simulated(found, run, changed, begin_s),
         idle=tuple(idle),
     )
+
+
+def _controlled(stretch: Stretch) -> tuple[int, int]:
+    """Return how many samples a controller determined, and how many there are."""
+    by_hand = np.count_nonzero(stretch.modes == tuple(Mode).index(Mode.MANUAL))
+    return len(stretch.modes) - int(by_hand), len(stretch.modes)
 
 
 def _acting(configuration: Configuration) -> tuple[object, ...]:

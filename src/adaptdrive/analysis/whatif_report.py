@@ -28,7 +28,11 @@ def as_text(comparison: Comparison) -> str:
         texts = ("-" if math.isnan(value) else f"{value:.4g}" for value in values)
         label = f"{name} {quantity.replace('y', unit)}".rstrip()
         rows.append(f"{label:<28}" + "".join(f"{text:>12}" for text in texts))
-    rows.append(f"{comparison.recorded.quality.steps} steps of the set-point")
+    time_s = comparison.recorded.time_s
+    rows.append(
+        f"{comparison.recorded.quality.steps} steps of the set-point, between "
+        f"{time_s[0]:.0f} s and {time_s[-1]:.0f} s of the session, its longest part without a gap"
+    )
     rows += (
         [f"the changed loop trips: {comparison.changed.fault}"] if comparison.changed.fault else []
     )
