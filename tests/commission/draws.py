@@ -162,13 +162,13 @@ def configuration_text(name: str, reference_max: float, **changes: dict[str, flo
 class Rig:
     """A load behind a drive that follows V_c with the slew and the lag of the daemon's loop."""
 
-    def __init__(self, draw: Draw, random: Random) -> None:
+    def __init__(self, draw: Draw, random: Random, noise_share: float = NOISE_SHARE) -> None:
         self.draw = draw
         self.time_s = 0.0
         self.voltage_V = self.slewed_V = 170.0
         self.rest = self.highest = self.lowest = math.nan
         top = draw.configuration.load.reference_max
-        self._noise = NOISE_SHARE * top
+        self._noise = noise_share * top
         self._quantum = 1.25 * top / 2**BITS
         self._random = random
         self._late = deque([draw.load.output] * (draw.delay_steps + 1), draw.delay_steps + 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -166,3 +167,19 @@ def test_a_full_battery_is_refused() -> None:
     rig, experiment = Rig(draw, random), LoadExperiment(replace(draw.target, onset=full))
     with pytest.raises(CommissionError, match=r"is too full for the experiment"):
         finish(experiment, rig)
+
+
+@pytest.mark.parametrize("seed", [2, 5, 6])
+def test_a_drive_that_follows_late_moves_a_battery_no_further(seed: int) -> None:
+    """Each voltage is in force half a second after it was asked for; the wait is short."""
+    random = np.random.default_rng([seed, 15])
+    draw = KINDS["battery"](random)
+    experiment = LoadExperiment(replace(draw.target, patience_s=4.0))
+    rig = Rig(draw, random, noise_share=0.001)
+    asked = deque([draw.target.low_V] * 5)
+    while not experiment.done:
+        asked.append(experiment.voltage_V)
+        experiment.take(*rig.sample(asked.popleft()))
+        if math.isnan(rig.rest) and experiment.phase is Phase.CLIMB:
+            rig.begin()
+    assert rig.movement[1] < 1.05
