@@ -8,7 +8,8 @@ import pytest
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.link.bus import _check_on_the_bus, describe_bus, frame_key, open_bus
+from adaptdrive.hardware.link.bus import _check_on_the_bus, describe_bus, open_bus
+from adaptdrive.hardware.link.codec import frame_key
 from tests.hardware.bench import motor_bus
 from tests.support import has_can
 

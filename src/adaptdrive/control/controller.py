@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Final
 
 from adaptdrive.control import fast_half as fast
 from adaptdrive.control.charging import is_complete
@@ -35,6 +36,11 @@ from adaptdrive.control.watch import Fallback
 
 _UNRESPONSIVE = "no response: input at its limit for long, and the output has not moved"
 _CYCLING = "limit cycle: the fixed controller drives V_c from limit to limit"
+
+# found at once by compiled code
+_OFF: Final[Stage] = Stage.OFF
+_RUN: Final[Stage] = Stage.RUN
+_MANUAL: Final[Mode] = Mode.MANUAL
 
 
 class Controller:
@@ -77,13 +83,13 @@ class Controller:
         """
         if order.stage is not self._stage:
             self._enter(order.stage, measurement)
-        if order.stage is Stage.OFF:
+        if order.stage is _OFF:
             return SAFE_COMMAND
-        if order.stage is Stage.RUN:
-            if order.mode is Mode.MANUAL:
+        if order.stage is _RUN:
+            if order.mode is _MANUAL:
                 fast.set_by_hand(self._fast, self._settings.stage, order.manual_V)
             self._run_filters(measurement, order)
-        bridge = order.stage is Stage.RUN or self._settings.stage.boost_needs_bridge
+        bridge = order.stage is _RUN or self._settings.stage.boost_needs_bridge
         return self._drive(measurement, bridge)
 
     def take_snapshot(self) -> Snapshot | None:

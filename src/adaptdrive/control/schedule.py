@@ -7,9 +7,11 @@ its delivery when it comes later. When a run ends, what was decided for it is vo
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Final, Protocol
 
 from adaptdrive.control.signals import Command, Decision, Measurement, Order, Snapshot, Stage
+
+_RUN: Final[Stage] = Stage.RUN  # found at once by compiled code
 
 
 class TwoRate(Protocol):
@@ -53,7 +55,7 @@ class Schedule:
     def tick(self, measurement: Measurement, order: Order) -> Command:
         """Apply what is due, then run the fast half."""
         self.applied_k = -1
-        if order.stage is not Stage.RUN:
+        if order.stage is not _RUN:
             self._run_tick = self._due = None
         elif self._run_tick is None:
             self._run_tick = measurement.tick

@@ -9,15 +9,18 @@ because the next tick brings a fresher command.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Final, Protocol
 
 from adaptdrive.control.signals import Command
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, init=False)
 class Reading:
     """One complete set of drive quantities.
+
+    It has a constructor of its own: that of a frozen dataclass takes ten times as long where this
+    module is compiled, and one runs in every half cycle. `Final` keeps it from being changed.
 
     Attributes:
         arrival_s: Arrival of the clocking frame, monotonic clock.
@@ -38,19 +41,49 @@ class Reading:
         bridge_s: Arrival of the frame with the report of the bridge, None where that is `oldest_s`.
     """
 
-    arrival_s: float
-    oldest_s: float
-    counter: int | None
-    boost_voltage_V: float
-    line_voltage_V: float
-    load_power_W: float
-    output: float
-    fault: int
-    bridge: bool
-    other: Mapping[str, float] = field(default_factory=dict)
-    slack_s: float = 0.0
-    fault_name: str = ""
-    bridge_s: float | None = None
+    arrival_s: Final[float]
+    oldest_s: Final[float]
+    counter: Final[int | None]
+    boost_voltage_V: Final[float]
+    line_voltage_V: Final[float]
+    load_power_W: Final[float]
+    output: Final[float]
+    fault: Final[int]
+    bridge: Final[bool]
+    other: Final[Mapping[str, float]]
+    slack_s: Final[float]
+    fault_name: Final[str]
+    bridge_s: Final[float | None]
+
+    def __init__(  # noqa: PLR0913, PLR0917 - one argument for each field
+        self,
+        arrival_s: float,
+        oldest_s: float,
+        counter: int | None,
+        boost_voltage_V: float,
+        line_voltage_V: float,
+        load_power_W: float,
+        output: float,
+        fault: int,
+        bridge: bool,
+        other: Mapping[str, float] | None = None,
+        slack_s: float = 0.0,
+        fault_name: str = "",
+        bridge_s: float | None = None,
+    ) -> None:
+        self.arrival_s = arrival_s
+        self.oldest_s = oldest_s
+        self.counter = counter
+        self.boost_voltage_V = boost_voltage_V
+        self.line_voltage_V = line_voltage_V
+        self.load_power_W = load_power_W
+        self.output = output
+        self.fault = fault
+        self.bridge = bridge
+        self.other = {} if other is None else other
+        self.slack_s = slack_s
+        self.fault_name = fault_name
+        self.bridge_s = bridge_s
 
     @property
     def bridge_reported_s(self) -> float:

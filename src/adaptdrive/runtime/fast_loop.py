@@ -11,6 +11,7 @@ loop, the watchdog, the books and the report) comes after it.
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from adaptdrive.control.schedule import Schedule, TwoRate
 from adaptdrive.control.signals import (
@@ -32,6 +33,8 @@ from adaptdrive.runtime.reports import StopWord, TickReport
 from adaptdrive.runtime.statistics import TimeWindow
 from adaptdrive.runtime.stop_watch import StopWatch
 from adaptdrive.runtime.stopping import Stopping
+
+_RUN: Final[Stage] = Stage.RUN  # found at once by compiled code
 
 
 class FastLoop:
@@ -241,7 +244,7 @@ class FastLoop:
         if not machine.energised:
             interlocks.look(now_s)
             return
-        running, bridge = machine.stage is Stage.RUN, self.command.bridge
+        running, bridge = machine.stage is _RUN, self.command.bridge
         cause = interlocks.running_cause(self._port, reading, now_s, running=running, bridge=bridge)
         if cause is not None:
             machine.latch(cause)
@@ -293,7 +296,7 @@ class FastLoop:
             and last.manual_V == manual_V
         ):
             return last
-        if stage is not Stage.RUN:
+        if stage is not _RUN:
             self._surroundings.run_ended()
         self._order = Order(stage, reference, machine.mode, machine.pole, manual_V)
         return self._order

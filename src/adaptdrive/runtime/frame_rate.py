@@ -13,7 +13,6 @@ the first survives jitter, the second lost frames.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 
 _SHORTEST_TICKS = 60
 """Half cycles from which a rate is judged: 0.5 s on a 60 Hz line."""
@@ -32,13 +31,15 @@ _THIN_SHARE = 0.9
 """Share of readings that came only after a stand-in tick, for which the drive sends too seldom."""
 
 
-@dataclass(frozen=True, slots=True)
 class _Mark:
     """Counts up to one reading: its time, half cycles, and late readings."""
 
-    arrival_s: float
-    ticks: int
-    thin: int
+    __slots__ = ("arrival_s", "thin", "ticks")
+
+    def __init__(self, arrival_s: float, ticks: int, thin: int) -> None:
+        self.arrival_s = arrival_s
+        self.ticks = ticks
+        self.thin = thin
 
 
 class FrameRate:

@@ -4,10 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from adaptdrive.hardware.dbc.mapping import OTHER, CanMapping, CanSource, StatusFrame
 from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.port import Reading
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """One value of a message: its signal, its quantity, and what makes the one of the other."""
+
+    signal: str
+    quantity: str
+    scale: float
+    offset: float
+    slack_s: float
 
 
 class StatusAssembly:
@@ -21,6 +33,7 @@ class StatusAssembly:
         self._statuses = mapping.statuses
         self._bridge_on = mapping.bridge_on
         self._sources = [source for status in mapping.statuses for source in status.sources]
+        self._parts = {status.codec.name: _parts(status) for status in mapping.statuses}
         names = [source.quantity for source in self._sources]
         self._others = {name: name.removeprefix(OTHER) for name in names if name.startswith(OTHER)}
         self._values: dict[str, float] = {}
@@ -49,12 +62,11 @@ class StatusAssembly:
             arrival_s: Arrival by the monotonic clock.
         """
         values, dues = self._values, self._dues
-        for source in status.sources:
-            value = found.get(source.signal.name)
+        for part in self._parts[status.codec.name]:
+            value = found.get(part.signal)
             if value is not None:
-                quantity, slack_s = source.quantity, source.slack_s
-                values[quantity] = value * source.scale + source.offset
-                dues[quantity] = arrival_s + slack_s, slack_s
+                values[part.quantity] = value * part.scale + part.offset
+                dues[part.quantity] = arrival_s + part.slack_s, part.slack_s
         self.faults.see(values.get("fault"))
 
     def reading(self, arrival_s: float, *, bridge_sent: bool) -> Reading | None:
@@ -104,3 +116,11 @@ class StatusAssembly:
         """Arrival of a quantity's newest value, None where the drive does not give it."""
         due = self._dues.get(quantity)
         return None if due is None else due[0] - due[1]
+
+
+def _parts(status: StatusFrame) -> list[_Part]:
+    """Return what is taken from a message."""
+    return [
+        _Part(one.signal.name, one.quantity, one.scale, one.offset, one.slack_s)
+        for one in status.sources
+    ]

@@ -13,6 +13,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from typing import Final
 
 import can
 
@@ -23,12 +24,14 @@ from adaptdrive.hardware.dbc.mapping import CanMapping, StatusFrame
 from adaptdrive.hardware.dbc.orders import CommandFrame
 from adaptdrive.hardware.dbc.refusals import Refusals
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
-from adaptdrive.hardware.link.bus import as_received, describe_bus, frame_key
-from adaptdrive.hardware.link.codec import MessageCodec
+from adaptdrive.hardware.link.bus import as_received, describe_bus
+from adaptdrive.hardware.link.codec import MessageCodec, frame_key
 from adaptdrive.hardware.link.connection import CanConnection
 from adaptdrive.hardware.link.integrity import FrameVerdict
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 from adaptdrive.hardware.rival import Rival
+
+_GOOD: Final[FrameVerdict] = FrameVerdict.GOOD  # found at once by compiled code
 
 
 class CanPort:
@@ -126,7 +129,8 @@ class CanPort:
             ValueError: A value is not finite, or its signal cannot hold it; nothing is sent.
         """
         frames = [self._frame(order, command) for order in self._mapping.orders]
-        if command != SAFE_COMMAND:
+        safe = not command.bridge and command == SAFE_COMMAND
+        if not safe:
             self._safe_s = math.inf
         taken = 0
         for frame in frames:
@@ -134,7 +138,7 @@ class CanPort:
         if taken < len(frames):
             return False
         self._bridge_sent = command.bridge
-        if command == SAFE_COMMAND and self._safe_s == math.inf:
+        if safe and self._safe_s == math.inf:
             self._safe_s = self._clock()
         return True
 
@@ -205,7 +209,7 @@ class CanPort:
         decoded = status.codec.decode(bytes(frame.data))
         if decoded.lost:
             self._counts["counter_lost"] += decoded.lost
-        if decoded.verdict is not FrameVerdict.GOOD:
+        if decoded.verdict is not _GOOD:
             # a counter that leapt is in `counter_lost` already, with the length of its leap
             if decoded.verdict is not FrameVerdict.COUNTER_LOST:
                 self._counts[decoded.verdict] += 1

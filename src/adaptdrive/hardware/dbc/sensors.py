@@ -20,8 +20,8 @@ from adaptdrive.errors import BusError, ConfigurationError
 from adaptdrive.hardware.backoff import BusBackoff
 from adaptdrive.hardware.dbc.database import SignalCatalogue, load_database
 from adaptdrive.hardware.link.arrival import ArrivalClock
-from adaptdrive.hardware.link.bus import channel_flaws, describe_bus, frame_key, open_bus
-from adaptdrive.hardware.link.codec import MessageCodec
+from adaptdrive.hardware.link.bus import channel_flaws, describe_bus, open_bus
+from adaptdrive.hardware.link.codec import MessageCodec, frame_key
 from adaptdrive.hardware.link.integrity import FrameVerdict
 from adaptdrive.hardware.link.reader import read_frames
 from adaptdrive.hardware.port import PortStatistics, SensorListener

@@ -82,11 +82,6 @@ def as_received(config: CanLink, frame: can.Message) -> Callable[[], can.Message
     return lambda: parse(datagram, 0.0)
 
 
-def frame_key(frame_id: int, *, extended: bool) -> int:
-    """One number for a frame id: an extended id never equals a standard one."""
-    return frame_id | socket.CAN_EFF_FLAG if extended else frame_id
-
-
 def _has_fd(config: CanLink) -> bool:
     """Return whether the bus carries CAN FD frames; CANopen's are classic."""
     return isinstance(config, CanBus) and config.fd

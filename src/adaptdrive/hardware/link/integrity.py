@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import StrEnum
-from typing import Literal, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 from adaptdrive.config.bus import Crc, FrameIntegrity
 from adaptdrive.hardware.link.crc import crc_function
@@ -48,6 +48,8 @@ class Span(NamedTuple):
 
     def read(self, data: bytes) -> int:
         """The checksum that a frame holds."""
+        if self.length == 1:
+            return data[self.first]
         return int.from_bytes(data[self.first : self.end], self.order)
 
     def write(self, data: bytes, checksum: int) -> bytes:
@@ -114,6 +116,9 @@ class FrameVerdict(StrEnum):
     OUT_OF_RANGE = "out_of_range"
 
 
+_GOOD: Final[FrameVerdict] = FrameVerdict.GOOD  # found at once by compiled code
+
+
 class AliveCounter:
     """Follows the alive counter of one message.
 
@@ -137,12 +142,12 @@ class AliveCounter:
         """
         if self._last is None:
             self._last = value
-            return FrameVerdict.GOOD, 0
+            return _GOOD, 0
         jump = (value - self._last) % self._modulus
         if jump == 0:
             return FrameVerdict.COUNTER_STUCK, 0
         self._last = value
-        verdict = FrameVerdict.GOOD if jump <= self._max_jump else FrameVerdict.COUNTER_LOST
+        verdict = _GOOD if jump <= self._max_jump else FrameVerdict.COUNTER_LOST
         return verdict, jump - 1
 
     def reset(self) -> None:
