@@ -44,7 +44,7 @@ def _in_turn(part: str, rounds: int, path: Path, output: Path) -> Runs:
     runs: Runs = {}
     for _ in range(rounds):
         for build in BUILDS:
-            for row in _measured(part, build, path, output):
+            for row in measured(part, build, path, output):
                 places = runs.setdefault((row["name"], row["against"]), {})
                 places.setdefault(build, []).append(row)
     return runs
@@ -65,11 +65,24 @@ def unpacked(folder: Path) -> Path:
     return folder / "wheel"
 
 
-def _measured(part: str, build: str, path: Path, output: Path) -> list[dict[str, Any]]:
-    """Run a part of the benchmarks with a build."""
-    command = [sys.executable, "-m", "tests.benchmarks", "--quick", "--only", part]
+def measured(
+    part: str, build: str, path: Path, output: Path, *, quick: bool = True
+) -> list[dict[str, Any]]:
+    """Run a part of the benchmarks with a build, and return its rows.
+
+    Args:
+        part: One of the parts of `make bench`.
+        build: One of `BUILDS`.
+        path: Folder of the unpacked wheel.
+        output: File that the part writes; it is removed.
+        quick: Whether to measure for seconds instead of minutes.
+
+    Raises:
+        RuntimeError: It failed, or ran with the other build.
+    """
+    command = [sys.executable, "-m", "tests.benchmarks", "--only", part]
     done = subprocess.run(
-        [*command, "--output", output],
+        [*command, *(["--quick"] if quick else []), "--output", output],
         check=False,
         capture_output=True,
         text=True,

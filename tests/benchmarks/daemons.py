@@ -18,8 +18,9 @@ from tests.benchmarks.site import Running, await_broker, broker, enable, runs, s
 from tests.benchmarks.tools import PRIORITY, bus_ports, cpu_s, process
 from tests.support import children, resident_MiB
 
-WANTED = 16
+WANTED = 24
 COUNTS = (8, 16, 24)
+LONG_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -43,19 +44,21 @@ class Census:
 
 def rows(extent: Extent) -> Iterator[Row]:
     """All rows of this file."""
-    seconds = 10.0 if extent.quick else 15.0
     counts = COUNTS[:-1] if extent.quick else COUNTS
-    held = 0
+    held, missed = 0, ""
     for count in counts:
+        seconds = 10.0 if extent.quick else (LONG_S if count == WANTED else 15.0)
         census = measure(count, seconds, recording=False)
         note = f"{census.missed} missed or stand-in ticks in {seconds:.0f} s"
         note += f"; {census.late} half cycles were played late"
         yield Row(f"CPU share of each of {count} daemons", census.cpu_share, "%", note=note)
+        missed = note
         if not census.missed:
             held = count
     target = f"at least {WANTED}"
     met = held >= WANTED
-    note = f"on {os.cpu_count()} CPUs, without recorders; of {', '.join(map(str, counts))} tried"
+    tried = ", ".join(map(str, counts))
+    note = f"on {os.cpu_count()} CPUs, without recorders; of {tried} tried, the last: {missed}"
     yield Row(
         "daemons at 120 Hz without a missed tick", held, "", target=target, met=met, note=note
     )

@@ -6,6 +6,7 @@ runs at its highest rate and the recorder records throughout.
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import sys
@@ -24,7 +25,7 @@ from tests.support import Process, children
 
 HOG = "while True: pass"
 COMMANDS_PER_S = 1000
-LIMIT_US = 2000.0
+LIMIT_US = 1000.0
 TELEMETRY = {"mqtt.telemetry_Hz": "10.0", "recording.flush_s": "0.5"}
 
 
@@ -35,13 +36,15 @@ def rows(extent: Extent) -> Iterator[Row]:
     for name in ("nothing else", "disk stalled", "broker stalled", "commands", "hog", "all"):
         times, peer = _under(name, seconds)
         answered = [one for one in times if one >= 0.0] or [float("nan")]
-        quiet = quiet or answered
         missing = len(times) - len(answered)
-        found, held = quantile(answered, 0.999), quantile(quiet, 0.999)
+        late = [one if one >= 0.0 else math.inf for one in times]
+        quiet = quiet or late
+        found, held = quantile(late, 0.999), quantile(quiet, 0.999)
         note = f"{len(times)} half cycles, {missing} without an answer in 6 ms, "
         note += f"p50 {quantile(answered, 0.5):.0f}, max {max(answered):.0f} us; "
         note += f"cyclictest beside it p99.9 {quantile(peer, 0.999):.0f}, max {max(peer):.0f} us"
-        limit, met = f"below {LIMIT_US:.0f} us", found < LIMIT_US and not missing
+        limit = f"below {LIMIT_US:.0f} us, or cyclictest's"
+        met = found < LIMIT_US or found <= quantile(peer, 0.999)
         label = f"turn-around p99.9 under load: {_NAMES[name]}"
         yield Row(label, found, "us", held, "the same without load", limit, met, note)
 

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 
 from can.interfaces.udp_multicast.utils import pack_message
 
@@ -28,6 +29,7 @@ from adaptdrive.runtime.collector import IdleCollector
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.latency import LatencyDetector, WatchedLoop
 from adaptdrive.runtime.reports import TickReport
+from adaptdrive.runtime.statistics import TimeWindow
 from tests.benchmarks import compute
 from tests.benchmarks.rows import Extent, Row
 from tests.benchmarks.tools import GROUP, bus_ports
@@ -45,7 +47,7 @@ Job = Callable[[], object]
 
 def rows(_: Extent) -> Iterator[Row]:
     """All rows of this file; each is the cost of one half cycle."""
-    for stations in (_bus(), _wake_up(), _tick(), _reports(), _after()):
+    for stations in (_bus(), _wake_up(), _tick(), _books(), _recorder(), _telemetry(), _after()):
         for name, spent_us in stations:
             yield Row(f"half cycle: {name}", spent_us, "us")
 
@@ -146,29 +148,49 @@ def _report() -> TickReport:
     return kept[0]
 
 
-def _reports() -> Iterator[tuple[str, float]]:
-    """Hand-over to recorder and broker, of which only a share falls on one half cycle."""
+def _books() -> Iterator[tuple[str, float]]:
+    """Statistics and report, which are part of the tick, and come after its command."""
+    report = _report()
+    windows = [TimeWindow() for _ in range(3)]
+
+    def count() -> None:
+        for window in windows:
+            window.add(12.5)
+
+    yield "of the tick: three times counted", least_us(count)
+    found = report.measurement, report.order, report.applied_k, report.command
+    yield "of the tick: its report", least_us(lambda: TickReport(1, *found, 1.0, 2.0, 3.0, 4.0))
+
+
+def _recorder() -> Iterator[tuple[str, float]]:
+    """Hand-over to the recorder, one by one and in slices."""
     hub, report = Hub(), _report()
     queue = hub.subscribe(TickReport, size=CALLS)
     yield "tick handed to the recorder", least_us(lambda: hub.publish(report), queue.drain)
-    reports = [report] * SLICE
-    table = TickTable()
-    yield "tick turned into columns", least_us(lambda: table.extend(reports), calls=10) / SLICE
+    for count in (SLICE, 1):
+        reports, table = [report] * count, TickTable()
+        spent_us = least_us(partial(table.extend, reports), calls=10)
+        yield f"tick turned into columns, {count} at once", spent_us / count
+
+
+def _telemetry() -> Iterator[tuple[str, float]]:
+    """A report for the broker: in every half cycle, ten times a second and once a second."""
     loop, quiet = compute.running_loop(lambda _: None)
-    count, statistics, now = compute.WARM_UP, PortStatistics(), datetime.now(UTC)
+    number, statistics, now = compute.WARM_UP, PortStatistics(), datetime.now(UTC)
     output = Output("speed", "V")
 
-    def prepare() -> None:
-        nonlocal count
-        for _ in range(PER_REPORT):
-            compute.feed(loop, quiet, count, bridge=True)
-            count += 1
+    def prepare(count: int) -> None:
+        nonlocal number
+        for _ in range(count):
+            compute.feed(loop, quiet, number, bridge=True)
+            number += 1
 
     def publish() -> None:
         encode(drive_message(drive_report(loop, statistics, (), quiet.time_s), now, output))
 
-    name = f"telemetry every {PER_REPORT} half cycles: quantiles, message, JSON"
-    yield name, least_us(publish, prepare, calls=1) / PER_REPORT
+    for count in (1, PER_REPORT, 120):
+        spent_us = least_us(publish, partial(prepare, count), calls=1) / count
+        yield f"telemetry every {count} half cycles: quantiles, message, JSON", spent_us
 
 
 def _after() -> Iterator[tuple[str, float]]:
