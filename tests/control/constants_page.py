@@ -43,7 +43,17 @@ _UNITS = {
     "_LOST_PERIODS": "periods",
     "WINDOW": "periods",
     "ROOM": "periods",
-    "_PRIOR_SAMPLES": "samples",
+    "PRIOR_SAMPLES": "samples",
+    "_SUDDEN": "log odds",
+    "_BEATEN": "log odds",
+    "_LIFE": "periods",
+    "_TRAINED": "σ²",
+    "_SHOWN": "1",
+    "_CLEAR": "σ",
+    "_FRESH": "periods",
+    "_JUDGED": "periods",
+    "_SPREAD": "1",
+    "_ROUNDED": "periods",
     "_EARLIEST": "periods",
     "_DECIDED": "log odds",
     "_PROOF": "log odds",
@@ -53,6 +63,7 @@ _UNITS = {
     "_LOAD_MEMORY": "periods",
     "_DAMPING": "1",
     "_FLOOR": "scale²",
+    "NOISE_FLOOR": "scale²",
     "SURE": "1",
     "MARGIN_RADIUS": "pole per period",
     "STABLE_RADIUS": "pole per period",
@@ -115,7 +126,7 @@ _NUMERICAL = {
 }
 """Limits of rounding and series, and constants of mathematics: nothing to choose."""
 
-_NAMES = {"NOTHING", "DISTURBANCE", "LOAD", "BOTH"}
+_NAMES = {"NOTHING", "DISTURBANCE", "LOAD", "BOTH", "ANEW"}
 """Numbers of the explanations."""
 
 
@@ -159,7 +170,8 @@ def _of_module(path: Path) -> Iterator[Constant]:
 
 def _is_number(value: ast.expr) -> bool:
     """Say whether an expression has numbers in it and nothing but arithmetic around them."""
-    kinds = (ast.Constant, ast.BinOp, ast.Name, ast.operator, ast.expr_context)
+    shapes = (ast.Constant, ast.BinOp, ast.UnaryOp, ast.Name)
+    kinds = (*shapes, ast.operator, ast.unaryop, ast.expr_context)
     parts = list(ast.walk(value))
     numbers = [one for one in parts if isinstance(one, ast.Constant)]
     return (

@@ -152,7 +152,8 @@ class Stand:
 
 def _trace(run: Run, periods: int) -> Array:
     """Return a run in the columns of `compiled.bench`."""
-    trace = np.full((periods, bench.VALUES + len(deployed().load.names)), np.nan)
+    names = deployed().load.names
+    trace = np.full((periods, bench.VALUES + 2 * len(names)), np.nan)
     rows = trace[: len(run.decisions)]
     rows[:, bench.OUTPUT] = run.outputs
     rows[:, bench.MEASURED] = [one.output for one in run.snapshots]
@@ -164,6 +165,7 @@ def _trace(run: Run, periods: int) -> Array:
     rows[:, bench.FALLBACK] = run.fallbacks
     rows[:, bench.INNOVATION] = [one.innovation for one in run.decisions]
     rows[:, bench.HANDOVER_V] = [one.handover_step_V for one in run.decisions]
-    for i, name in enumerate(deployed().load.names, bench.VALUES):
+    for i, name in enumerate(names, bench.VALUES):
         rows[:, i] = [one.estimates[name].value for one in run.decisions]
+        rows[:, i + len(names)] = [one.estimates[name].std for one in run.decisions]
     return trace

@@ -86,8 +86,8 @@ def is_unstable(scenario: Scenario, errors: Array) -> bool:
 def _supervision(stand: Stand, trace: Array) -> Row:
     in_force = trace[:, bench.ADAPTIVE] > 0.0
     verdicts = trace[:, bench.VERDICT]
-    estimates = trace[-1, bench.VALUES :]
     truth = stand.truth_of(stand.scenario.inertias[-1])
+    estimates = trace[-1, bench.VALUES : bench.VALUES + len(truth)]
     row: Row = {
         "adaptive_share": float(np.mean(in_force)),
         "accepted_share": float(np.mean(trace[:, bench.ACCEPTED] > 0.0)),

@@ -7,6 +7,7 @@ plant.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from adaptdrive.control import fast_half as fast
 from adaptdrive.control.discretise import held_model
 from adaptdrive.control.load import Load, to_input, to_voltage
 from adaptdrive.control.pole_placement import desired_polynomial
-from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.control.settings import ControllerSettings, Learning
 from adaptdrive.control.signals import Measurement
 from adaptdrive.control.slow_half import slow_step
 from adaptdrive.control.slow_state import SlowSample, SlowState
@@ -102,7 +103,7 @@ def run(
                 trace[k, OUTPUT] = plant.output
                 sample.reference = references[k]
                 decided_V = decide(settings, load, state, bank, slow, measurement, sample)
-                note(trace[k], slow, sample, decided_V, load)
+                note(trace[k], slow, sample, decided_V, settings.learning, load)
                 if slow.unresponsive or slow.cycling:
                     return CONTROL_FAULT
             scale_S = fast.drive(state, stage, measurement)[0]
@@ -152,6 +153,7 @@ def note(
     slow: SlowState,
     sample: SlowSample,
     decided_V: float,
+    learning: Learning,
     load: Load,
 ) -> None:
     """Keep what happened in a slow period."""
@@ -164,8 +166,18 @@ def note(
     row[INNOVATION] = slow.estimator.innovation
     row[HANDOVER_V] = slow.handover_step
     row[FALLBACK] = slow.watch.fallback
-    for i in range(len(slow.values)):
+    count = len(slow.values)
+    deviations = shown_deviations(learning, load, slow)
+    for i in range(count):
         row[VALUES + i] = slow.values[i]
+        row[VALUES + count + i] = deviations[i]
+
+
+def shown_deviations(learning: Learning, load: Load, slow: SlowState) -> Vector:
+    """Return the standard deviations that a decision shows; NaN where there is no estimate."""
+    if not math.isfinite(slow.values[0]):
+        return [math.nan] * len(slow.values)
+    return learning.method.shown_deviations(slow.estimator, learning, load, slow.values)
 
 
 def follow_ideal(

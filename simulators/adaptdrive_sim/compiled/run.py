@@ -27,7 +27,8 @@ def run_compiled(controller: Controller, world: World, course: Course) -> tuple[
     """Run a controller that was started on a plant at rest.
 
     Returns:
-        What happened, a row of `bench` columns for each slow period, and the interlock that ended
+        What happened, a row of `bench` columns for each slow period (the last ones are parameters
+        and their shown deviations), and the interlock that ended
         it or 0.
     """
     settings, load, *states = _parts(controller)
@@ -36,7 +37,7 @@ def run_compiled(controller: Controller, world: World, course: Course) -> tuple[
     wire = course.wire or perfect_wire(float(course.references[0]))
     changing = (*states, world, wire, measurement, sample)
     objects = [_constant(settings), _constant(load), *map(Memory, changing)]
-    trace = np.full((len(course.references), bench.VALUES + len(load.names)), np.nan)
+    trace = np.full((len(course.references), bench.VALUES + 2 * len(load.names)), np.nan)
     function: Any = compiled_modules()[bench.__name__].run
     cause = function(
         *objects,

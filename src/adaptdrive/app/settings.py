@@ -166,6 +166,8 @@ def _learning(configuration: Configuration) -> Learning:
         known_filter_s=_known_filter_s(configuration),
         bias=estimator.bias or battery,
         initial_state=estimator.initial_state and not battery,
+        resolution=configuration.load.resolution,
+        samples=configuration.load.samples,
     )
 
 

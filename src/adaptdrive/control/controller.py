@@ -268,7 +268,9 @@ class Controller:
         state, load, learning = self._slow, self._load, self._settings.learning
         deviations = [math.nan] * len(load.names)
         if math.isfinite(state.values[0]):
-            deviations = learning.method.deviations(state.estimator, learning, load, state.values)
+            deviations = learning.method.shown_deviations(
+                state.estimator, learning, load, state.values
+            )
         estimates = {
             name: Estimate(value, deviation)
             for name, value, deviation in zip(load.names, state.values, deviations, strict=True)

@@ -80,6 +80,12 @@ class DirectMethod:
         """Return NaN for each physical parameter."""
         return [math.nan] * len(values)
 
+    def shown_deviations(
+        self, state: EstimatorState, learning: Learning, load: Load, values: Vector
+    ) -> Vector:
+        """Return NaN for each physical parameter."""
+        return [math.nan] * len(values)
+
     def input_offset(self, theta: Vector, learning: Learning, load: Load) -> float:
         """Return the constant input with the effect of the estimated bias; NaN without one."""
         if not learning.bias:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 from adaptdrive.control import rivals as riv
 from adaptdrive.control import rls
+from adaptdrive.control.challenger import Challenger
+from adaptdrive.control.hypotheses import new_branch
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import filtered_model
 from adaptdrive.control.settings import Learning
@@ -42,7 +44,9 @@ class EstimatorState:
         surprise: Detector of abrupt changes.
         alarm_period: Slow period of the last alarm.
         lost_periods: Slow periods in a row in which no load can have such an estimate.
+        unseen_periods: Slow periods since a sample that would have shown another load.
         rivals: Explanations of an alarm.
+        challenger: A second estimate, learnt anew since an alarm.
     """
 
     theta: Vector
@@ -51,6 +55,7 @@ class EstimatorState:
     regressor: Vector
     surprise: Surprise
     rivals: riv.Rivals
+    challenger: Challenger
     residual_power: float = 0.0
     residual_weight: float = 0.0
     innovation: float = math.nan
@@ -61,6 +66,7 @@ class EstimatorState:
     origin_s: float = 0.0
     alarm_period: int = -riv.WINDOW
     lost_periods: int = 0
+    unseen_periods: int = 0
 
 
 def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:
@@ -73,6 +79,7 @@ def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:
         [0.0] * count,
         Surprise(),
         riv.new_rivals(count),
+        Challenger(new_branch(count)),
     )
     rls.reset(state.theta, state.upper, state.diagonal, learning.initial_covariance)
     learning.method.begin(state, learning, load)
@@ -102,6 +109,7 @@ def begin_anew(state: EstimatorState, learning: Learning, load: Load) -> None:
     state.lost_periods = 0
     state.surprise.sum = 0.0
     state.rivals.samples = 0
+    state.challenger.samples = 0
     hold_estimate(state)
     riv.drop_anchor(state.rivals, state.regressor, state.elapsed_s)
 
@@ -232,11 +240,34 @@ def parameter_deviations(
         values: The parameters at θ.
     """
     noise = residual_noise(state)
-    count = len(state.theta)
+    return deviations_of(state.theta, state.upper, state.diagonal, noise, learning, load, values)
+
+
+def deviations_of(
+    theta: Vector,
+    upper: Vector,
+    diagonal: Vector,
+    noise: float,
+    learning: Learning,
+    load: Load,
+    values: Vector,
+) -> Vector:
+    """Standard deviations of the physical parameters at any θ and P, to first order.
+
+    Args:
+        theta: θ.
+        upper: U.
+        diagonal: D.
+        noise: σ of the innovations, scaled.
+        learning: Scales.
+        load: Names and meaning of the parameters.
+        values: The parameters at θ.
+    """
+    count = len(theta)
     jacobian = [0.0] * (len(values) * count)
     for j in range(count):
-        step = 1e-6 * max(1.0, abs(state.theta[j]))
-        moved = list(state.theta)
+        step = 1e-6 * max(1.0, abs(theta[j]))
+        moved = list(theta)
         moved[j] += step
         numerator, denominator = filtered_model(moved, learning, load)
         if not abs(denominator[load.order]) > _TINY:
@@ -247,5 +278,5 @@ def parameter_deviations(
     deviations = [0.0] * len(values)
     for i in range(len(values)):
         row = jacobian[i * count : (i + 1) * count]
-        deviations[i] = rls.standard_deviation(row, state.upper, state.diagonal, noise)
+        deviations[i] = rls.standard_deviation(row, upper, diagonal, noise)
     return deviations

@@ -6,6 +6,7 @@ until one has won.
 
 from __future__ import annotations
 
+from adaptdrive.control import challenger as chal
 from adaptdrive.control import rivals as riv
 from adaptdrive.control.estimator import (
     EstimatorState,
@@ -14,8 +15,9 @@ from adaptdrive.control.estimator import (
     remember_residual,
     take_in,
 )
-from adaptdrive.control.hypotheses import LOAD, NOTHING
+from adaptdrive.control.hypotheses import BOTH, LOAD, NOTHING
 from adaptdrive.control.load import Load
+from adaptdrive.control.regression import fill_initial_state
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.surprise import is_surprising
 from adaptdrive.control.vectors import copy_into
@@ -43,6 +45,7 @@ def learn_and_explain(
         _split(state, learning, load, target)
     else:
         _mark(state, target)
+        _challenge(state, learning, load, target)
 
 
 def _explain(state: EstimatorState, learning: Learning, load: Load, target: float) -> bool:
@@ -77,8 +80,11 @@ def _split(state: EstimatorState, learning: Learning, load: Load, target: float)
     state.alarm_period = state.periods
     riv.settle(state.rivals)
     riv.keep_sample(state.rivals, state.regressor, target, state.elapsed_s, riv.ROOM)
+    begun = _challenge_anew(state, learning, load, target)
     riv.split(state.rivals, learning, load, state.surprise.power)
     _publish(state, learning)
+    if not begun:
+        _challenge(state, learning, load, target)
 
 
 def _mark(state: EstimatorState, target: float) -> None:
@@ -96,6 +102,7 @@ def _settle(state: EstimatorState) -> None:
     power = riv.posterior_power(rivals)
     if rivals.kind >= LOAD:
         state.surprise.power = power
+        chal.recount(state.challenger)
     elif rivals.kind == NOTHING:
         state.surprise.power = min(power, _LOUDER * state.surprise.power)
     state.residual_power = state.surprise.power * state.residual_weight
@@ -114,3 +121,47 @@ def _publish(state: EstimatorState, learning: Learning) -> None:
     state.idle_periods = 0
     riv.copy_estimate(state.rivals.now, best)
     remember_residual(state, learning, best.excitation, best.innovation)
+
+
+def _challenge_anew(state: EstimatorState, learning: Learning, load: Load, target: float) -> bool:
+    """Start a challenger at an alarm, unless there is one that expected what surprised."""
+    challenger, rivals = state.challenger, state.rivals
+    regressor, time_s = state.regressor, state.elapsed_s
+    if not chal.is_surprised(challenger, learning, load, regressor, target, time_s):
+        return False
+    riv.prepare(rivals, state.surprise.power)
+    chal.begin(challenger, rivals, learning, load)
+    return True
+
+
+def _challenge(state: EstimatorState, learning: Learning, load: Load, target: float) -> None:
+    """Let the challenger predict the sample too; a challenger that has won is the estimate."""
+    challenger = state.challenger
+    if challenger.samples == 0:
+        return
+    innovation = state.innovation / learning.output_scale
+    regressor, time_s = state.regressor, state.elapsed_s
+    chal.follow(challenger, learning, load, regressor, target, time_s, state.excitation, innovation)
+    fill_initial_state(regressor, learning, load, time_s - state.origin_s)
+    learning_load = state.rivals.samples > 0 and state.rivals.kind >= LOAD
+    if not learning_load and chal.has_won(challenger, learning, load):
+        _take_over(state)
+
+
+def _take_over(state: EstimatorState) -> None:
+    """Make the challenger the estimate; the comparison that is under way ends."""
+    challenger, rivals = state.challenger, state.rivals
+    copy_into(state.theta, challenger.branch.theta)
+    copy_into(state.upper, challenger.branch.upper)
+    copy_into(state.diagonal, challenger.branch.diagonal)
+    state.origin_s = challenger.branch.origin_s
+    power = chal.posterior_power(challenger)
+    state.surprise.power = power
+    state.surprise.sum = 0.0
+    state.surprise.alarms += 1
+    state.residual_power = power * state.residual_weight
+    rivals.kind = BOTH
+    rivals.samples = 0
+    challenger.samples = 0
+    hold_estimate(state)
+    riv.drop_anchor(rivals, state.regressor, state.elapsed_s)

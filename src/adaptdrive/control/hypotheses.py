@@ -28,6 +28,7 @@ NOTHING = 0
 DISTURBANCE = 1
 LOAD = 2
 BOTH = 3
+ANEW = 4
 
 _DISTURBANCE_SHARE = 0.1
 """Deviation of a disturbance, of the input's scale: 30 V of 300 V."""
@@ -87,6 +88,11 @@ class Anchor:
     gap_s: float = 0.0
 
 
+def new_branch(count: int) -> Branch:
+    """Return an explanation for θ of a length."""
+    return Branch([0.0] * count, [0.0] * (count * count), [0.0] * count)
+
+
 def restart_past(branch: Branch, learning: Learning, load: Load, time_s: float) -> None:
     """Count the functions of the initial state from another time; θ and P follow.
 
@@ -132,7 +138,7 @@ def widen(branch: Branch, kind: int, learning: Learning, load: Load, anchor: Anc
 
     Args:
         branch: P is overwritten.
-        kind: NOTHING, DISTURBANCE, LOAD or BOTH.
+        kind: NOTHING, DISTURBANCE, LOAD, BOTH, or ANEW for both and the state of the load.
         learning: Scales.
         load: Order and structure.
         anchor: The last sample before the change.
@@ -150,7 +156,7 @@ def widen(branch: Branch, kind: int, learning: Learning, load: Load, anchor: Anc
         _open(branch, direction, _DISTURBANCE_SHARE * abs(gains), learning, load, anchor)
     if kind != DISTURBANCE:
         _widen_load(branch, learning, load, anchor)
-    if kind == BOTH:
+    if kind >= BOTH:
         direction = [0.0] * size
         for i in range(order, last + 1):
             direction[i] = branch.theta[i]
@@ -158,25 +164,40 @@ def widen(branch: Branch, kind: int, learning: Learning, load: Load, anchor: Anc
             direction[size - 1] = branch.theta[size - 1]
         _open(branch, direction, _GAIN_SHARE, learning, load, anchor)
     _blur(branch, _DISTURBANCE_SHARE * abs(gains), learning, load, anchor)
+    if kind == ANEW:
+        _free_state(branch, learning, load, anchor)
 
 
 def _widen_load(branch: Branch, learning: Learning, load: Load, anchor: Anchor) -> None:
     """Other dynamics with the same dc gain and the same offset of the input."""
-    order, size = fitted_order(learning, load), len(branch.theta)
+    for i in range(fitted_order(learning, load) + len(load.input_powers) - 1):
+        direction = load_direction(branch.theta, i, learning, load)
+        _open(branch, direction, _LOAD_SPREAD, learning, load, anchor)
+
+
+def load_direction(theta: Vector, index: int, learning: Learning, load: Load) -> Vector:
+    """Return a direction of θ that leaves the dc gain and the offset of the input as they are.
+
+    Args:
+        theta: θ.
+        index: Of the coefficient that changes by 1: one of α, or of β but the last.
+        learning: Scales.
+        load: Order and structure.
+    """
+    order, size = fitted_order(learning, load), len(theta)
     last = order + len(load.input_powers) - 1
+    direction = [0.0] * size
+    direction[index] = 1.0
+    if index >= order:
+        direction[last] = -1.0
+        return direction
+    direction[last] = dc_gain(theta, learning, load)
     below = 1.0
     for i in range(order):
-        below += branch.theta[i]
-    for i in range(last):
-        direction = [0.0] * size
-        direction[i] = 1.0
-        if i >= order:
-            direction[last] = -1.0
-        else:
-            direction[last] = dc_gain(branch.theta, learning, load)
-            if learning.bias and abs(below) > _TINY:
-                direction[size - 1] = branch.theta[size - 1] / below
-        _open(branch, direction, _LOAD_SPREAD, learning, load, anchor)
+        below += theta[i]
+    if learning.bias and abs(below) > _TINY:
+        direction[size - 1] = theta[size - 1] / below
+    return direction
 
 
 def _open(
@@ -205,4 +226,14 @@ def _blur(branch: Branch, spread: float, learning: Learning, load: Load, anchor:
         direction = [0.0] * len(branch.theta)
         direction[first + i] = 1.0
         variance = share * share * spread * spread / anchor.power
+        rls.widen(branch.upper, branch.diagonal, direction, variance)
+
+
+def _free_state(branch: Branch, learning: Learning, load: Load, anchor: Anchor) -> None:
+    """Let the state of the load jump: a disk that lands at rest takes half the speed away."""
+    first = fitted_order(learning, load) + len(load.input_powers)
+    for i in range(initial_state_count(learning, load)):
+        direction = [0.0] * len(branch.theta)
+        direction[first + i] = 1.0
+        variance = _LOAD_SPREAD * _LOAD_SPREAD / anchor.power
         rls.widen(branch.upper, branch.diagonal, direction, variance)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from adaptdrive.control import regression as reg
+from adaptdrive.control.doubt import doubted_deviations, note_age
 from adaptdrive.control.estimator import EstimatorState, parameter_deviations, take_in
 from adaptdrive.control.explanation import learn_and_explain
 from adaptdrive.control.load import Load
@@ -72,6 +73,7 @@ class LambdaMethod:
         """Update θ and P; an abrupt change is explained where `alert` is set."""
         if learning.alert:
             learn_and_explain(state, learning, load, target, innovation)
+            note_age(state, learning, load)
         else:
             take_in(state, learning, target, innovation, directional=False)
 
@@ -88,6 +90,12 @@ class LambdaMethod:
     ) -> Vector:
         """Return the standard deviations of the physical parameters, to first order."""
         return parameter_deviations(state, learning, load, values)
+
+    def shown_deviations(
+        self, state: EstimatorState, learning: Learning, load: Load, values: Vector
+    ) -> Vector:
+        """Return the same, with what the load may have become since the samples showed it."""
+        return doubted_deviations(state, learning, load, values)
 
     def input_offset(self, theta: Vector, learning: Learning, load: Load) -> float:
         """Return the constant input with the effect of the estimated bias; NaN without one."""

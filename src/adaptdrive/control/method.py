@@ -66,5 +66,10 @@ class Method(Protocol):
     ) -> Vector:
         """Return the standard deviations of the physical parameters; NaN where unknown."""
 
+    def shown_deviations(
+        self, state: EstimatorState, learning: Learning, load: Load, values: Vector
+    ) -> Vector:
+        """Return the same, as an operator may rely on it: the load may have changed since."""
+
     def input_offset(self, theta: Vector, learning: Learning, load: Load) -> float:
         """Return the constant input with the effect of the estimated bias; NaN without one."""

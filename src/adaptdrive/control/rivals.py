@@ -25,6 +25,7 @@ from adaptdrive.control.hypotheses import (
     NOTHING,
     Anchor,
     Branch,
+    new_branch,
     restart_past,
     widen,
 )
@@ -39,7 +40,7 @@ WINDOW = 20
 ROOM = 11
 """Samples that can be kept: ten that may be the first after a change, and the one that shows it."""
 
-_PRIOR_SAMPLES = 4.0
+PRIOR_SAMPLES = 4.0
 """Weight of σ0²: as little as leaves the likelihood finite variance."""
 
 _EARLIEST = 10
@@ -112,12 +113,12 @@ class Rivals:
 def new_rivals(count: int) -> Rivals:
     """Explanations for θ of a length."""
     return Rivals(
-        now=_new_branch(count),
-        calm=_new_branch(count),
-        nothing=_new_branch(count),
-        disturbance=_new_branch(count),
-        load=_new_branch(count),
-        both=_new_branch(count),
+        now=new_branch(count),
+        calm=new_branch(count),
+        nothing=new_branch(count),
+        disturbance=new_branch(count),
+        load=new_branch(count),
+        both=new_branch(count),
         anchor=Anchor([0.0] * count, [0.0] * count),
         lowered=[0.0] * count,
         regressors=[0.0] * (ROOM * count),
@@ -165,6 +166,17 @@ def keep_sample(rivals: Rivals, regressor: Vector, target: float, time_s: float,
     return True
 
 
+def prepare(rivals: Rivals, power: float) -> None:
+    """Note at the anchor what is known of a change at an alarm.
+
+    Args:
+        rivals: Overwritten.
+        power: σ0².
+    """
+    rivals.anchor.power = power
+    rivals.anchor.gap_s = rivals.times_s[0] - rivals.anchor.time_s
+
+
 def split(rivals: Rivals, learning: Learning, load: Load, power: float) -> None:
     """After an alarm: go back to the anchor, and start every explanation from there.
 
@@ -174,8 +186,7 @@ def split(rivals: Rivals, learning: Learning, load: Load, power: float) -> None:
         load: Order and structure.
         power: σ0².
     """
-    rivals.anchor.power = power
-    rivals.anchor.gap_s = rivals.times_s[0] - rivals.anchor.time_s
+    prepare(rivals, power)
     for kind in range(NOTHING, BOTH + 1):
         _begin(rivals, branch_of(rivals, kind), kind, learning, load)
     count = len(rivals.calm.theta)
@@ -234,8 +245,8 @@ def _take_in(
     share = forgetting / (forgetting + branch.excitation)
     branch.squares += branch.innovation * branch.innovation * share
     branch.logs += math.log(1.0 + branch.excitation / forgetting)
-    weight = _PRIOR_SAMPLES + rivals.samples
-    mean = (_PRIOR_SAMPLES * power + branch.squares) / power
+    weight = PRIOR_SAMPLES + rivals.samples
+    mean = (PRIOR_SAMPLES * power + branch.squares) / power
     branch.score = -0.5 * (branch.logs + weight * math.log(mean / weight)) - _rarity(rivals, kind)
     rls.update_along(
         branch.theta, branch.upper, branch.diagonal, regressor, target, learning.forgetting
@@ -293,7 +304,7 @@ def is_settled(rivals: Rivals, learning: Learning, load: Load) -> bool:
     best = _likeliest(rivals)
     if rivals.samples < _EARLIEST or (rivals.samples < WINDOW and not is_clear(rivals)):
         return False
-    if best >= LOAD and not _is_possible(branch_of(rivals, best).theta, learning, load):
+    if best >= LOAD and not is_possible(branch_of(rivals, best).theta, learning, load):
         if rivals.samples < 2 * WINDOW:
             return False
         best = DISTURBANCE if rivals.disturbance.score > rivals.nothing.score else NOTHING
@@ -313,11 +324,11 @@ def settle(rivals: Rivals) -> None:
 def posterior_power(rivals: Rivals) -> float:
     """Return σ² as the explanation in `kind` leaves it."""
     squares = branch_of(rivals, rivals.kind).squares
-    weight = _PRIOR_SAMPLES + rivals.samples
-    return max(_FLOOR, (_PRIOR_SAMPLES * rivals.anchor.power + squares) / weight)
+    weight = PRIOR_SAMPLES + rivals.samples
+    return max(_FLOOR, (PRIOR_SAMPLES * rivals.anchor.power + squares) / weight)
 
 
-def _is_possible(theta: Vector, learning: Learning, load: Load) -> bool:
+def is_possible(theta: Vector, learning: Learning, load: Load) -> bool:
     """Return whether such a load can exist: it stores and loses, so it neither grows nor swings."""
     _, denominator = filtered_model(theta, learning, load)
     for coefficient in denominator:

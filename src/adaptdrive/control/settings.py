@@ -85,6 +85,8 @@ class Learning:
         known_filter_s: Time constant of a known filter of the output; 0 where none is known.
         bias: Whether a constant is estimated too: a load torque, an EMF, an offset of a sensor.
         initial_state: Whether what is left of the time before the start is estimated too.
+        resolution: Smallest step of the measured output, 0 where none is known.
+        samples: Fast samples averaged for a slow one.
     """
 
     method: Method
@@ -102,6 +104,8 @@ class Learning:
     known_filter_s: float = 0.0
     bias: bool = False
     initial_state: bool = False
+    resolution: float = 0.0
+    samples: int = 1
 
 
 @dataclass(frozen=True, slots=True)

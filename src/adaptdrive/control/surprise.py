@@ -31,7 +31,7 @@ THRESHOLD = 9.0
 SETTLE_SAMPLES = 20
 """Samples in which σ² is that of the second differences and no alarm is given."""
 
-_FLOOR = 1.0e-8
+NOISE_FLOOR = 1.0e-8
 """Least variance: a ten-thousandth of the scale, squared, for rounding and model error."""
 
 _FAST_RATE = 0.3
@@ -76,10 +76,10 @@ def is_surprising(state: Surprise, squared: float) -> bool:
     """
     state.samples += 1
     if state.samples <= SETTLE_SAMPLES:
-        state.power = max(_FLOOR, state.noise)
+        state.power = max(NOISE_FLOOR, state.noise)
         return False
     ratio = squared / state.power
-    state.power = max(_FLOOR, _moved(state.power, squared, _SLOW_RATE))
+    state.power = max(NOISE_FLOOR, _moved(state.power, squared, _SLOW_RATE))
     state.sum = max(0.0, state.sum + min(ratio, LARGEST) - DRIFT)
     if state.sum <= THRESHOLD:
         return False
@@ -100,7 +100,7 @@ def watch_noise(state: Surprise, innovation: float) -> None:
     squared = bend * bend / 6.0  # a power would raise where it overflows
     state.last, state.slope = innovation, slope
     rate = _FAST_RATE if state.samples <= SETTLE_SAMPLES else _SLOW_RATE
-    state.noise = max(_FLOOR, _moved(max(_FLOOR, state.noise), squared, rate))
+    state.noise = max(NOISE_FLOOR, _moved(max(NOISE_FLOOR, state.noise), squared, rate))
 
 
 def _moved(power: float, squared: float, rate: float) -> float:

@@ -1,0 +1,105 @@
+"""Doubt: what the load may have become since the samples last showed it.
+
+P tells how well the samples have determined a load that stays as it is. It may have changed since:
+at rest any dynamics predict the same output, an alarm takes samples to be explained, and what
+explains it best for the moment may be wrong. While that is so, the standard deviations that are
+shown are those of P opened up for another load (`hypotheses`): the load is known as it was, and the
+loop goes on with the gains that it has.
+"""
+
+from __future__ import annotations
+
+import math
+
+from adaptdrive.control import challenger as chal
+from adaptdrive.control.estimator import EstimatorState, deviations_of, residual_noise
+from adaptdrive.control.hypotheses import load_direction
+from adaptdrive.control.load import Load
+from adaptdrive.control.regression import fitted_order
+from adaptdrive.control.rls import predict, widen
+from adaptdrive.control.settings import Learning
+from adaptdrive.control.surprise import NOISE_FLOOR
+from adaptdrive.control.vectors import Vector
+
+_SHOWN = 0.1
+"""Change of α that a sample must show: a quarter of what a second disk does."""
+
+_CLEAR = 3.0
+"""Standard deviations of the innovations by which it shows."""
+
+_FRESH = 5
+"""Slow periods for which it is believed that nothing has changed since."""
+
+_SPREAD = 1.0
+"""Deviation of α of a load that may be another: two more disks move it by 0.7."""
+
+_ROUNDED = 60.0
+"""Slow samples with the same rounding error: at rest the same, for as long as P remembers."""
+
+_JUDGED = 10
+"""Samples after which a challenger has been heard."""
+
+
+def note_age(state: EstimatorState, learning: Learning, load: Load) -> None:
+    """Count the slow periods since a sample that would have shown another load.
+
+    Args:
+        state: r; the count is overwritten.
+        learning: Scales.
+        load: Order and structure.
+    """
+    state.unseen_periods += 1
+    noise = math.sqrt(state.surprise.power)
+    for i in range(fitted_order(learning, load)):
+        direction = load_direction(state.theta, i, learning, load)
+        if abs(predict(direction, state.regressor)) * _SHOWN > _CLEAR * noise:
+            state.unseen_periods = 0
+
+
+def is_doubtful(state: EstimatorState) -> bool:
+    """Return whether the load may be another than the estimate."""
+    if state.unseen_periods > _FRESH or state.surprise.sum > 0.0 or state.rivals.samples > 0:
+        return True
+    challenger = state.challenger
+    if challenger.samples == 0:
+        return False
+    return challenger.judged < _JUDGED or chal.lead(challenger) > 0.0
+
+
+def rounding_power(state: EstimatorState, learning: Learning) -> float:
+    """Return the mean square of the rounding error that noise leaves in a slow sample, scaled.
+
+    Rounding to steps of q errs by q²/12 without noise. Noise of a deviation σ before it spreads the
+    samples over several steps, whose mean errs less, by exp(-4 π² σ²/q²) (B. Widrow and I. Kollár,
+    Quantization Noise, 2008, chapter 4).
+
+    Args:
+        state: Mean square of the noise of a slow sample.
+        learning: Resolution, scale and samples.
+    """
+    step = learning.resolution / learning.output_scale
+    if not step > 0.0:
+        return 0.0
+    fast = (state.surprise.noise - NOISE_FLOOR) * learning.samples
+    return step * step / 12.0 * math.exp(-4.0 * math.pi * math.pi * fast / (step * step))
+
+
+def doubted_deviations(
+    state: EstimatorState, learning: Learning, load: Load, values: Vector
+) -> Vector:
+    """Return the standard deviations to be shown: wider while the load may be another.
+
+    Args:
+        state: θ and P.
+        learning: Scales.
+        load: Names and meaning of the parameters.
+        values: The parameters at θ.
+    """
+    upper, diagonal, noise = list(state.upper), list(state.diagonal), residual_noise(state)
+    noise = math.sqrt(noise * noise + NOISE_FLOOR + _ROUNDED * rounding_power(state, learning))
+    if learning.alert and noise > 0.0 and is_doubtful(state):
+        spread = _SPREAD / noise
+        for i in range(fitted_order(learning, load)):
+            direction = load_direction(state.theta, i, learning, load)
+            widen(upper, diagonal, direction, spread * spread)
+    return deviations_of(state.theta, upper, diagonal, noise, learning, load, values)

@@ -1,0 +1,27 @@
+"""Shown intervals hold what they claim, on runs that nothing was tuned to."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.campaign.calibration import coverage
+
+SEEDS = range(31_001, 31_041)
+LEAST = {
+    "before a change": 0.90,
+    "20–40 s": 0.70,
+    "40–60 s": 0.85,
+    "60–120 s": 0.90,
+    "later": 0.90,
+    "all": 0.90,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("trusted", [False, True])
+def test_shown_intervals_hold_the_truth_after_changes(*, trusted: bool) -> None:
+    found = coverage("standard.toml", SEEDS, trusted=trusted)
+    for phase, least in LEAST.items():
+        *shares, samples = found[phase]
+        assert samples > 500, phase
+        assert min(shares) >= least, (phase, shares)

@@ -1,0 +1,132 @@
+"""The challenger: what was changed and misjudged at an alarm is found by predicting, later."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adaptdrive.control import estimator as est
+from adaptdrive.control import fast_half as fast
+from adaptdrive.control import regression as reg
+from adaptdrive.control.doubt import is_doubtful, rounding_power
+from adaptdrive.control.settings import Learning
+from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from tests.closed_loop.bench import MOTOR, SCALED_LEARNING, TICKS, TICK_s
+from tests.control.systems import Array
+
+LEARNING = replace(
+    SCALED_LEARNING,
+    forgetting=0.985,
+    initial_covariance=1e8,
+    bias=True,
+    alert=True,
+    initial_state=True,
+    settle_periods=30,
+)
+TURNS, DROOP_Ohm = 0.25, 1.0
+CHANGE_s, REST_s = 330, 420
+TRUTH = {1: (0.011, 21.7, 117.0), 3: (0.011, 45.1, 351.0)}
+Row = tuple[int, list[float], list[float], bool]
+
+
+def course(
+    *, dropped: bool, seconds: int = 520, disks: int = 3, noise: float = 2e-4
+) -> tuple[Array, Array]:
+    """Voltage and output of a motor under a square wave, at last at rest; its disks change."""
+    motor = Motor(MotorParameters(dropped_at_rest=dropped))
+    motor.settle(TURNS * 280.0, DROOP_Ohm)
+    random = np.random.default_rng(12)
+    voltages, outputs = [280.0], [motor.output]
+    for n in range(seconds * TICKS):
+        second = n // TICKS
+        if n == CHANGE_s * TICKS:
+            motor.resize(float(disks), 0.0)
+        voltage = 280.0 + (12.0 if min(second, REST_s) // 60 % 2 else 0.0)
+        motor.drive(TURNS * voltage, DROOP_Ohm, TICK_s)
+        voltages.append(voltage)
+        outputs.append(motor.output)
+    return np.array(voltages), np.array(outputs) + noise * random.normal(size=len(outputs))
+
+
+def learn(voltages: Array, outputs: Array, learning: Learning = LEARNING) -> list[Row]:
+    """Learn a course; second, values, shown deviations and doubt of each slow period."""
+    state = est.new_estimator(learning, MOTOR, 2)
+    learning.method.begin(state, learning, MOTOR)
+    bank = fast.new_filter_bank(
+        MOTOR, TICK_s, learning.tau_lambda_s, float(outputs[0]), float(voltages[0])
+    )
+    rows = []
+    for n in range(1, len(voltages)):
+        fast.filter_sample(bank, float(outputs[n]), float(voltages[n]), 1)
+        if (n - 1) % TICKS >= TICKS - 90:
+            fast.accumulate(bank)
+        if n % TICKS == 0:
+            rows.append(_learn_slow(state, learning, fast.take_means(bank), n // TICKS))
+    return rows
+
+
+def _learn_slow(
+    state: est.EstimatorState, learning: Learning, means: list[float], second: int
+) -> Row:
+    y, *rest = means
+    state.elapsed_s += 1.0
+    reg.fill_filtered_regressor(state.regressor, learning, MOTOR, rest[:2], rest[2:])
+    elapsed_s = state.elapsed_s - state.origin_s
+    reg.fill_initial_state(state.regressor, learning, MOTOR, elapsed_s)
+    lowered = state.rivals.lowered
+    reg.fill_lowered_regressor(lowered, learning, MOTOR, y, rest[:2], rest[2:])
+    est.learn(state, learning, MOTOR, y, usable=True)
+    values = MOTOR.physical(*reg.filtered_model(state.theta, learning, MOTOR))
+    shown = learning.method.shown_deviations(state, learning, MOTOR, values)
+    return second, values, shown, is_doubtful(state)
+
+
+def worst(row: Row, disks: int) -> float:
+    """The largest relative error of a row."""
+    return float(np.max(np.abs(np.array(row[1]) / TRUTH[disks] - 1.0)))
+
+
+def holds(row: Row, disks: int) -> bool:
+    """Whether every shown interval of a row holds the truth."""
+    errors = np.abs(np.array(row[1]) - TRUTH[disks])
+    return bool(np.all(errors <= 1.96 * np.array(row[2])))
+
+
+def test_a_disk_that_takes_speed_away_is_found_within_one_cycle() -> None:
+    rows = learn(*course(dropped=True))
+    assert worst(rows[CHANGE_s - 1], 1) < 0.02
+    assert worst(rows[CHANGE_s + 119], 3) < 0.05
+
+
+@pytest.mark.parametrize("dropped", [True, False])
+def test_the_shown_intervals_hold_the_new_load_while_it_is_not_known(*, dropped: bool) -> None:
+    rows = learn(*course(dropped=dropped))
+    after = [holds(row, 3) for row in rows if CHANGE_s + 10 < row[0] < CHANGE_s + 120]
+    assert np.mean(after) > 0.9
+
+
+def test_at_rest_the_load_that_was_learnt_is_in_doubt_and_a_movement_ends_that() -> None:
+    rows = learn(*course(dropped=False, disks=1))
+    resting, moving = rows[-1], rows[370]
+    assert resting[3]
+    assert not moving[3]
+    assert resting[2][1] > 0.5 * resting[1][1]
+    assert moving[2][1] < 0.05 * moving[1][1]
+    assert resting[2][0] < 0.05 * resting[1][0]  # the gain shows at rest
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.2, 0.4])
+def test_noise_takes_the_rounding_error_out_of_a_mean(ratio: float) -> None:
+    """Against samples that are rounded, at every place between two steps."""
+    step, samples = 0.005, 90
+    learning = replace(LEARNING, resolution=step, samples=samples)
+    state = est.new_estimator(learning, MOTOR, 2)
+    state.surprise.noise = 1e-8 + (ratio * step / learning.output_scale) ** 2 / samples
+    random = np.random.default_rng(5)
+    places = np.linspace(-0.5, 0.5, 200)[:, None] * step
+    noisy = places + ratio * step * random.normal(size=(200, 40_000))
+    errors = (np.round(noisy / step) * step).mean(axis=1) - places[:, 0]
+    claimed = np.sqrt(rounding_power(state, learning)) * learning.output_scale
+    assert claimed == pytest.approx(float(np.sqrt(np.mean(errors**2))), rel=0.3)
