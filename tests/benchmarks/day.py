@@ -66,11 +66,13 @@ class Growth:
         if early:
             self._early = self._most
 
-    def row(self, name: str, note: str) -> Row:
-        """Return the row."""
+    def row(self, name: str, note: str, *, judged: bool) -> Row:
+        """Return the row; a short run, whose first part closed no segment, is not judged."""
         target = f"at most {GROWTH_MiB:g} MiB more than early"
         met = self._most - self._early <= GROWTH_MiB
-        return Row(name, self._most, "MiB", self._early, "early", target, met, note)
+        return Row(
+            name, self._most, "MiB", self._early, "early", target, met if judged else None, note
+        )
 
 
 def rows(extent: Extent) -> Iterator[Row]:
@@ -99,9 +101,14 @@ def _recorded(folder: Path, batches: list[Batch], hours: int) -> Iterator[Row]:
         passed_s = time.monotonic() - began_s
     if recorder is not None:
         note = f"{hours} h at {hours * 3600 / passed_s:.0f} times real time"
-        yield recorder.row("largest memory of the recorder", f"{note}, first quarter of them")
-    note = f"{passed_s / 60.0:.1f} min, the first {SETTLED_s:g} s of them"
-    yield daemon.row("largest memory of a daemon in real time", note)
+        yield recorder.row(
+            "largest memory of the recorder",
+            f"{note}, early: the first quarter",
+            judged=hours == HOURS,
+        )
+    note = f"{passed_s / 60.0:.1f} min, early: the first {SETTLED_s:g} s"
+    judged = passed_s > 2.0 * SETTLED_s
+    yield daemon.row("largest memory of a daemon in real time", note, judged=judged)
 
 
 def _segment_s(folder: Path, batches: list[Batch]) -> float:
