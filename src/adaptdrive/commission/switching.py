@@ -15,6 +15,9 @@ _BAND = 0.5
 _DRIFTING_BAND = 2.5
 """The same below the current of a battery, which falls while it is charged."""
 
+_DRIFTING_LEAST = 3.0
+"""Its bound whatever the noise: a mean below it ends the test."""
+
 _CLOCKS = (5.0, 15.0)
 """Clocks of the slow and of the fast sequence in the time to rest."""
 
@@ -85,9 +88,11 @@ class Switching:
 
     def _look_at_band(self) -> None:
         course, target, rest = self._course, self._course.target, self._outcome.rest
-        share = _BAND if target.onset is None else _DRIFTING_BAND
         noise = course.margin(0.0)
-        low = rest - share * target.move - noise
+        fall = _BAND * target.move + noise
+        if target.onset is not None:
+            fall = min(_DRIFTING_BAND * target.move + noise, _DRIFTING_LEAST * target.move)
+        low = rest - fall
         high = rest + (1.0 + _BAND) * target.move + noise
         output = course.recent(course.smooth_s)
         if not low <= output <= high:
