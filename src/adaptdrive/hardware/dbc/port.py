@@ -12,8 +12,9 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
-from typing import Final
+from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from functools import partial
+from typing import Any, Final
 
 import can
 
@@ -103,7 +104,7 @@ class CanPort:
         """Additional time for the report of the bridge, None for a drive that never reports it."""
         return self._assembly.bridge_slack_s
 
-    async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
+    def run(self, listener: Listener, opened: Callable[[], None]) -> Coroutine[Any, Any, None]:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
 
         Args:
@@ -114,7 +115,7 @@ class CanPort:
             BusError: The bus cannot be opened at the first attempt.
         """
         ids = [] if self._hears_all else [*self._statuses, *self._commands]
-        await self._connection.run(ids, self._serve, listener, opened)
+        return self._connection.run(ids, self._serve, listener, opened)
 
     def send(self, command: Command) -> bool:
         """Send one command now.
@@ -241,16 +242,11 @@ class CanPort:
             data=order.encode(command),
         )
 
-    async def _serve(self, announce: Callable[[], None]) -> str:
+    def _serve(self, announce: Callable[[], None]) -> Awaitable[str]:
         """Use the open bus until it is lost; return the reason."""
         self._newest, self._safe_s = None, math.inf
         self._assembly.forget()
-        try:
-            announce()
-            return await self._connection.read()
-        except Exception:
-            self.send(SAFE_COMMAND)  # the last frame, whatever has gone wrong
-            raise
+        return self._connection.read_after(announce, partial(self.send, SAFE_COMMAND))
 
 
 def _made_up(config: CanBus, mapping: CanMapping) -> Iterator[Callable[[], can.Message]]:

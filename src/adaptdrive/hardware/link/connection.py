@@ -82,6 +82,20 @@ class CanConnection:
             bus = await self._reopen(ids, backoff)
             problem = await self._use(bus, serve, self._return)
 
+    async def read_after(self, announce: Callable[[], None], farewell: Callable[[], object]) -> str:
+        """Announce that the bus is in use, and read it until it is lost; return the reason.
+
+        Args:
+            announce: Called first.
+            farewell: Sends the last frame when an error ends the reading.
+        """
+        try:
+            announce()
+            return await self.read()
+        except Exception:
+            farewell()
+            raise
+
     async def read(self) -> str:
         """Hand every frame to the user until the bus is lost; return the reason."""
         if self.bus is None:
