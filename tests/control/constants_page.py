@@ -30,6 +30,7 @@ _UNITS = {
     "_NEAR_LIMIT": "1",
     "_END_PERIODS": "periods",
     "_IDLE_PERIODS": "periods",
+    "_LARGEST": "scale",
     "_PRIOR_VARIANCE": "σ²",
     "SETTLED_SAMPLES": "periods",
     "_LOUDER": "1",

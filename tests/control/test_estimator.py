@@ -240,6 +240,7 @@ def after_stream(values: list[float]) -> est.EstimatorState:
 
 @given(st.lists(st.floats(), min_size=4, max_size=40))
 @example([0.0, 136277456.0, 0.0, 1.0, 0.0, 1.7437623408164464e308])
+@example([0.0, 0.0, 0.0, 1.5e8, 0.0, 0.0, 1.3e154, 0.0, 6.2e279, 0.0, 1.0, 1.7e308, 0.0])
 @example([0.0, 0.0, 1.2097955445810007e45, 4.0274937984114055e99, 0.0, 0.0, 0.0])
 def test_no_stream_of_samples_makes_the_estimate_stop_being_a_number(values: list[float]) -> None:
     after_stream(values)

@@ -20,6 +20,9 @@ from adaptdrive.control.surprise import Surprise, watch_noise
 from adaptdrive.control.vectors import Vector, copy_into
 
 _TINY = 1e-12
+_LARGEST = 1.0e20
+"""Largest scaled entry of a sample, for which 1 is usual: the squares of larger ones overflow P."""
+
 _PRIOR_VARIANCE = 2.0e3
 """Variance of a prior over σ²: a few samples confirm it, some seconds of others correct it."""
 
@@ -150,7 +153,8 @@ def learn(
     state.excitation = rls.excitation(state.upper, state.diagonal, state.regressor)
     innovation = target - rls.predict(state.theta, state.regressor)
     state.innovation = innovation * learning.output_scale
-    if not (math.isfinite(state.excitation) and math.isfinite(innovation * innovation)):
+    usual = abs(innovation) < _LARGEST and _is_credible(state.regressor)
+    if not (usual and math.isfinite(state.excitation)):
         return
     state.idle_periods += 1
     riv.forget_loads(state.rivals)
@@ -158,6 +162,14 @@ def learn(
         return
     watch_noise(state.surprise, innovation)
     learning.method.take_in(state, learning, load, target, innovation)
+
+
+def _is_credible(regressor: Vector) -> bool:
+    """Return whether a sensor can have seen a sample: each entry is a number of a usual size."""
+    for i in range(len(regressor)):
+        if not abs(regressor[i]) < _LARGEST:
+            return False
+    return True
 
 
 def take_in(
