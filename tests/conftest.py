@@ -36,7 +36,7 @@ CALCULATING = {"campaign", "closed_loop", "compiled", "config", "control", "expe
 """Folders whose tests need nothing but a processor, however busy."""
 
 LONG = "system"
-"""Folder of the longest tests: started first, they do not run on when all others have ended."""
+"""Folder of long tests. They and slow ones start first: none runs on when all others have ended."""
 
 KINDS = {"calculating", "waiting", "alone"}
 
@@ -48,7 +48,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if not any(item.get_closest_marker(kind) for kind in KINDS):
             calculating = _folder(item) in CALCULATING
             item.add_marker(pytest.mark.calculating if calculating else pytest.mark.waiting)
-    items.sort(key=lambda item: _folder(item) != LONG)
+    items.sort(key=lambda item: (item.get_closest_marker("slow") is None, _folder(item) != LONG))
 
 
 def _folder(item: pytest.Item) -> str:

@@ -119,6 +119,7 @@ def test_what_was_lost_comes_back(operator: Panel, panel_site: PanelSite) -> Non
     operator.expect_text(".answer", "disable: not sent: no broker")
     site.start_broker()
     expect(operator.page.locator(".notice")).to_be_hidden(timeout=PATIENCE_MS)
+    site.await_availability("online")
     operator.expect_text(".age", "live")
     site.kill(site.daemon)
     operator.expect_state("offline")

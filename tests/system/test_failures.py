@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import signal
+from collections.abc import Iterator
 
 import pytest
 
@@ -47,6 +49,16 @@ def _comes_back_in_standby(site: Site) -> None:
         until(lambda: bus.commands()[-1].bridge, "the bridge is commanded on")
 
 
+@contextlib.contextmanager
+def acting(number: signal.Signals) -> Iterator[None]:
+    """Let programs that start here not inherit that a signal is ignored, as under `nohup`."""
+    before = signal.signal(number, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(number, before)
+
+
 @pytest.mark.parametrize(
     "number", [signal.SIGHUP, signal.SIGQUIT, signal.SIGINT, signal.SIGUSR1, signal.SIGXCPU]
 )
@@ -54,7 +66,8 @@ def test_each_signal_that_ends_leaves_the_bridge_off(
     make_site: MakeSite, number: signal.Signals
 ) -> None:
     site = make_site()
-    site.start("--initial-voltage", "280")
+    with acting(number):
+        site.start("--initial-voltage", "280")
     site.run_drive()
     assert site.daemon is not None
     with BusEar(site.config) as bus:

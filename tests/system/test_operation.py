@@ -136,7 +136,7 @@ def test_the_fast_loop_is_told_at_most_ten_times_a_second(site: Site) -> None:
     [
         ("setpoint", 4.6, "is outside 0…4.5 V"),
         ("setpoint", "fast", "Expected `float`"),
-        ("waveform", SQUARE | {"period_s": 0.1}, "period_s = 0.1 is below"),
+        ("waveform", SQUARE | {"period_s": 0.1}, "period_s = 0.1 s is below"),
         ("pole", 1.2, "is outside"),
         ("mode", "clever", "Invalid enum value"),
         ("explode", None, "unknown verb"),
