@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from adaptdrive.app.paper_design import paper_jacket
+from adaptdrive.config import load_configuration
 from adaptdrive.control.cycling import LONGEST_WAY, TRAVERSES, CyclingState, watch_cycling
 
 BETTER = 5.0
+EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 
 
 def found(
@@ -45,6 +49,13 @@ def test_ways_far_apart_are_none() -> None:
 def test_noise_on_a_load_that_the_model_describes_is_none(better: float) -> None:
     noise = np.random.default_rng(4).uniform(-1.0, 2.0, 5000)
     assert found(np.clip(noise, 0.0, 1.0), better=better) is None
+
+
+def test_the_papers_controller_is_not_watched() -> None:
+    state = CyclingState()
+    step = paper_jacket(load_configuration(EXAMPLES / "motor.toml")).swing_min
+    course = [0.0, 1.0] * TRAVERSES
+    assert not any(watch_cycling(state, position, 1.0, step, BETTER, True) for position in course)
 
 
 def test_another_controller_is_not_watched() -> None:

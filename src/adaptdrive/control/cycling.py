@@ -7,6 +7,7 @@ set-point that rests, and by an estimate that predicts the load far better than 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 TRAVERSES = 40
@@ -54,10 +55,12 @@ def watch_cycling(
         state: Overwritten.
         position: Input in force, 0 at its lowest and 1 at its highest.
         reference: r.
-        reference_step: Smallest change of it that begins the count anew.
+        reference_step: Smallest change of it that begins the count anew; infinite for no watch.
         better: Rms prediction error of the model over that of the estimate.
         fixed: Whether the fixed controller is in force.
     """
+    if math.isinf(reference_step):
+        return False
     if not fixed or abs(reference - state.reference) > reference_step:
         state.side = state.traverses = 0
         state.reference = reference
