@@ -124,8 +124,8 @@ class Jacket:
         blend_periods: Slow periods over which one law hands over to the other.
         saturated_periods: Longest time with the input at a limit and the output on no way to rest.
         error_limit: Error that must not last with a free input, in the unit of the output.
-        swing_min: Smallest peak that counts as a swing, in the unit of the output; infinite: neither
-            swings nor limit cycles are looked for.
+        swing_min: Smallest peak that counts as a swing, in the unit of the output; infinite to look
+            for no swings and no limit cycles.
         response_periods: Longest wait at a limit for the output to move where a model does.
         response_distance: Movement that counts, in the unit of the output.
         gain_slew: Largest share of the way to new gains that is gone in one period.
