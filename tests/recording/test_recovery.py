@@ -194,11 +194,11 @@ def test_an_event_is_in_the_session_before_it_is_in_the_log(
     slow_control.wait()
     os.kill(recorder, signal.SIGKILL if recorder_too else signal.SIGCONT)
     said += log.read().splitlines(keepends=True)
-    told = [json.loads(line)["event"] for line in said if line.endswith(b"\n")]
+    logged = [json.loads(line)["event"] for line in said if line.endswith(b"\n")]
     wait_until(lambda: bool(next_start(sessions)) and not left_spools(sessions))
     recorded_ones = map(read_session, session_directories(sessions))
-    assert len(told) >= 8
-    assert set(told) <= {event.detail for one in recorded_ones for event in one.events}
+    assert len(logged) >= 8
+    assert set(logged) <= {event.detail for one in recorded_ones for event in one.events}
 
 
 def test_a_recorder_whose_pipe_breaks_off_writes_the_rest_from_the_spool(tmp_path: Path) -> None:

@@ -1,9 +1,9 @@
 """Doubt: what the load may have become since the samples last showed it.
 
-P tells how well the samples have determined a load that stays as it is. It may have changed since:
-at rest any dynamics predict the same output, an alarm takes samples to be explained, and what
-explains it best for the moment may be wrong. While that is so, the standard deviations that are
-shown are those of P opened up for another load (`hypotheses`): the load is known as it was, and the
+P shows how well the samples have determined a load that stays as it is. That load may have changed
+since: at rest any dynamics predict the same output, an alarm takes samples to be explained, and
+what explains it best for the moment may be wrong. While that is so, the standard deviations shown
+are those of P opened up for another load (`hypotheses`): the load is known as it was, and the
 loop goes on with the gains that it has.
 """
 

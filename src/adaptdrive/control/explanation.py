@@ -15,7 +15,7 @@ from adaptdrive.control.estimator import (
     remember_residual,
     take_in,
 )
-from adaptdrive.control.hypotheses import BOTH, LOAD, NOTHING
+from adaptdrive.control.hypotheses import BOTH, LOAD, NOTHING, Branch
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import fill_initial_state
 from adaptdrive.control.settings import Learning
@@ -112,15 +112,20 @@ def _settle(state: EstimatorState) -> None:
 def _publish(state: EstimatorState, learning: Learning) -> None:
     """Make the likeliest explanation the estimate."""
     best = riv.branch_of(state.rivals, state.rivals.kind)
-    copy_into(state.theta, best.theta)
-    copy_into(state.upper, best.upper)
-    copy_into(state.diagonal, best.diagonal)
-    state.origin_s = best.origin_s
+    _adopt(state, best)
     state.excitation = best.excitation
     state.innovation = best.innovation * learning.output_scale
     state.idle_periods = 0
     riv.copy_estimate(state.rivals.now, best)
     remember_residual(state, learning, best.excitation, best.innovation)
+
+
+def _adopt(state: EstimatorState, branch: Branch) -> None:
+    """Overwrite θ, P and origin of the estimate by those of an explanation or a challenger."""
+    copy_into(state.theta, branch.theta)
+    copy_into(state.upper, branch.upper)
+    copy_into(state.diagonal, branch.diagonal)
+    state.origin_s = branch.origin_s
 
 
 def _challenge_anew(state: EstimatorState, learning: Learning, load: Load, target: float) -> bool:
@@ -151,10 +156,7 @@ def _challenge(state: EstimatorState, learning: Learning, load: Load, target: fl
 def _take_over(state: EstimatorState) -> None:
     """Make the challenger the estimate; the comparison that is under way ends."""
     challenger, rivals = state.challenger, state.rivals
-    copy_into(state.theta, challenger.branch.theta)
-    copy_into(state.upper, challenger.branch.upper)
-    copy_into(state.diagonal, challenger.branch.diagonal)
-    state.origin_s = challenger.branch.origin_s
+    _adopt(state, challenger.branch)
     power = chal.posterior_power(challenger)
     state.surprise.power = power
     state.surprise.sum = 0.0
