@@ -22,6 +22,12 @@ from adaptdrive_sim.compiled.translate import _translated
 from adaptdrive_sim.compiled.vectors import compiled
 
 
+@pytest.fixture(scope="module", autouse=True)
+def every_copy() -> None:
+    """Make the copies known, whichever of these tests comes first."""
+    compiled_modules()
+
+
 def copy_of(module: Any, name: str) -> Any:
     return getattr(compiled_modules()[module.__name__], name)
 

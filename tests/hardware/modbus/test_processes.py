@@ -21,6 +21,9 @@ from tests.support import Broker, Process, Spawn, prefer
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
 PATIENCE_s = 60.0
+STALE_s = 2.0
+"""Other tests may hold the processors longer than the examples' limit allows a drive."""
+COMMAND_TIMEOUT_s = "3.0"
 HELD_POLLS = 60
 """At 100 ms each."""
 _MAIN = "import sys; from adaptdrive.cli import main; sys.exit(main())"
@@ -68,6 +71,7 @@ def site(request: pytest.FixtureRequest, tmp_path: Path, free_tcp_port: int) -> 
     kind = str(request.param)
     text = (EXAMPLES / f"motor-modbus-{kind}.toml").read_text()
     config = tmp_path / "motor.toml"
+    text = re.sub(r"^stale_s = [0-9.]+", f"stale_s = {STALE_s}", text, flags=re.MULTILINE)
     config.write_text(text.replace("port = 5020", f"port = {free_tcp_port}"))
     log = tmp_path / "process-0.log"
     if kind == "tcp":
@@ -246,7 +250,7 @@ def test_the_daemon_holds_the_motor_and_survives_its_drive(
     site: Site, spawn: Spawn, operator: Operator, tmp_path: Path
 ) -> None:
     name = operator._drive
-    options = ("--initial-voltage", "273", "--command-timeout", "1.0")
+    options = ("--initial-voltage", "273", "--command-timeout", COMMAND_TIMEOUT_s)
     drive = spawn(sys.executable, "-m", "adaptdrive_sim", "device", site.config, *options)
     wait_for(lambda: f"simulated drive {name} on modbus-" in site.log.read_text())
     daemon = start_daemon(site, spawn, tmp_path / "state")
@@ -275,7 +279,7 @@ def test_a_drive_that_dies_trips_the_daemon_and_its_return_lets_it_be_reset(
 ) -> None:
     name = operator._drive
     command = (sys.executable, "-m", "adaptdrive_sim", "device", site.config)
-    drive = spawn(*command, "--initial-voltage", "273", "--command-timeout", "1.0")
+    drive = spawn(*command, "--initial-voltage", "273", "--command-timeout", COMMAND_TIMEOUT_s)
     wait_for(lambda: f"simulated drive {name} on modbus-" in site.log.read_text())
     daemon = start_daemon(site, spawn, tmp_path / "state")
     wait_for(lambda: operator.drive("ticks") > 5)
