@@ -38,10 +38,13 @@ class Verdict:
 def judge(row: Row, name: str, seed: int) -> Verdict | None:
     """Run one course; None when the daemon refuses the load before any fault."""
     course = Course(name, seed)
+    if row.from_start:
+        _put(row, course)
     if not course.begin():
         return None
-    began_s = course.fault_s = course.daemon.now
-    row.put(course)
+    began_s = course.daemon.now
+    if not row.from_start:
+        _put(row, course)
     if row.step:
         course.run(1.0, until_trip=True)
         course.step_setpoint()
@@ -59,6 +62,11 @@ def judge(row: Row, name: str, seed: int) -> Verdict | None:
             enables = course.recovers()
             flaws += [] if enables else [f"does not run again: {course.daemon.trip}"]
     return Verdict(reaction_s, trip, excess, tuple(flaws), enables)
+
+
+def _put(row: Row, course: Course) -> None:
+    course.fault_s = course.daemon.now
+    row.put(course)
 
 
 def _flaws(row: Row, course: Course, reaction_s: float) -> list[str]:

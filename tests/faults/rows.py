@@ -41,6 +41,7 @@ class Row:
         step: Whether the set-point moves after the fault.
         mends: Whether the fault can be ended, so that the drive must run again.
         sticks_on: Whether the load stays on whatever is commanded.
+        from_start: Whether it is there before the drive is enabled.
     """
 
     group: str
@@ -52,6 +53,7 @@ class Row:
     step: bool = True
     mends: bool = True
     sticks_on: bool = False
+    from_start: bool = False
 
 
 def _sensor(read: Callable[[Course, float, float], float]) -> Put:
@@ -65,6 +67,11 @@ def _stuck(course: Course) -> None:
     held = course.drive.world.true_output
     course.sensor = lambda *_: held
     course.sigma = 0.0
+
+
+def _coarse(course: Course) -> None:
+    digit = 0.01 * course.span
+    course.sensor = lambda _, output: round(output / digit) * digit
 
 
 def _late(readings: int) -> Put:
@@ -167,8 +174,8 @@ ROWS: tuple[Row, ...] = (
         {"motor": 1.0, "bath": 1.0, "battery": 10.0}, NO_RESPONSE),
     Row("sensor", "open: reads 0", _sensor(lambda *_: 0.0), EVERY,
         {"motor": 1.0, "bath": 1.0, "battery": 5.0}, NO_RESPONSE),
-    Row("sensor", "last digit of 1 % of the range",
-        _sensor(lambda c, _, y: round(y / (0.01 * c.span)) * 0.01 * c.span)),
+    Row("sensor", "last digit of 1 % of the range, from the start", _coarse, from_start=True),
+    Row("sensor", "last digit becomes 1 % of the range", _coarse, causes=NO_RESPONSE),
     Row("sensor", "scale × 0.8", _sensor(lambda _, __, y: 0.8 * y)),
     Row("sensor", "1 reading late", _late(1)),
     Row("sensor", "3 readings late", _late(3)),

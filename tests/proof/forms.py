@@ -1,0 +1,53 @@
+"""The long forms of the tests, each as a command of the interpreter.
+
+SEEDS, STORIES and INPUTS of the environment make some of them shorter or longer.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """A long form.
+
+    Attributes:
+        name: Names it on the command line and its result.
+        title: Its section of the page.
+        command: Arguments of the interpreter.
+        environment: What makes it long.
+        as_table: Whether its output is Markdown already.
+    """
+
+    name: str
+    title: str
+    command: tuple[str, ...]
+    environment: dict[str, str] = field(default_factory=dict)
+    as_table: bool = False
+
+    @property
+    def shown_command(self) -> str:
+        """What to type to repeat it."""
+        settings = "".join(f"{name}={value} " for name, value in self.environment.items())
+        return f"{settings}python {' '.join(self.command)}"
+
+
+def forms() -> tuple[Form, ...]:
+    """Return all forms, as long as the environment has them."""
+    seeds = os.environ.get("SEEDS", "20")
+    stories = os.environ.get("STORIES", "5000")
+    inputs = os.environ.get("INPUTS", "1000000")
+    energised = ("-m", "pytest", "-q", "tests/faults/test_energised.py", "--timeout", "86400")
+    return (
+        Form("faults", "Faults of sensors, plants, actuators, drives, links and clocks",
+             ("-m", "tests.faults.table", seeds), as_table=True),
+        Form("stories", "Stories that must energise nothing", energised, {"STORIES": stories}),
+        Form("inputs", "Damaged inputs of each decoder", ("-m", "tests.fuzz", inputs)),
+        Form("foreign", "A drive of foreign code", ("-m", "pytest", "-q", "tests/peers")),
+        Form("deceived", "Sensors that lie", ("-m", "tests.closed_loop.deceived", seeds),
+             as_table=True),
+        Form("kills", "Processes killed at random moments",
+             ("-m", "tests.benchmarks", "--only", "kills")),
+    )  # fmt: skip

@@ -1,0 +1,65 @@
+"""The page of the proof, and the table of faults in `docs/reliability.md`, from kept results.
+
+`python -m tests.proof.page docs/proof.md docs/reliability.md` writes both.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from tests.proof.forms import Form, forms
+from tests.proof.results import RESULTS, Result, load
+
+BEGIN, END = "<!-- faults: written by `make docs` -->\n", "<!-- end of faults -->\n"
+INTRODUCTION = """# Proof
+
+The long forms of the tests. `make proof` runs those that have no result of the present commit;
+`python -m tests.proof docs/proof.md FORM` runs one again. The results are in
+`tests/proof/results`, and this page is made from them. SEEDS, STORIES and INPUTS set the length of
+a form. Each section begins with the command that ran.
+[Promises](promises.md) lists what each test holds.
+"""
+
+
+def page(folder: Path = RESULTS) -> str:
+    """Return the page as Markdown."""
+    return "\n".join([INTRODUCTION, *(_section(form, load(form.name, folder)) for form in forms())])
+
+
+def _section(form: Form, result: Result | None) -> str:
+    head = f"## {form.title}\n\n"
+    if result is None:
+        return f"{head}`{form.name}` has not run.\n"
+    verdict = "passed" if result.status == 0 else f"FAILED with status {result.status}"
+    facts = (
+        f"`{result.command}`: {verdict}; {result.day} UTC, commit {result.commit}, "
+        f"{result.processor_min} min of processor time, {result.machine}."
+    )
+    body = result.text if form.as_table else f"```\n{result.text}\n```"
+    return f"{head}{facts}\n\n{body}\n"
+
+
+def with_faults(text: str, folder: Path = RESULTS) -> str:
+    """Return a page with the measured table of faults between its marks.
+
+    Args:
+        text: The page.
+        folder: Where results are kept.
+    """
+    result = load("faults", folder)
+    assert result is not None, "run `python -m tests.proof docs/proof.md faults`"
+    before, rest = text.split(BEGIN)
+    _, after = rest.split(END)
+    facts = f"`{result.command}`, {result.day[:10]}, commit {result.commit}.\n\n"
+    return before + BEGIN + facts + result.text + "\n" + END + after
+
+
+def write(proof: Path, reliability: Path) -> None:
+    """Write both pages."""
+    proof.write_text(page(), encoding="utf-8")
+    reliability.write_text(with_faults(reliability.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write(Path(sys.argv[1]), Path(sys.argv[2]))
