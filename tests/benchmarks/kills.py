@@ -19,7 +19,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -36,7 +36,7 @@ from tests.support import Process, children, stop_process
 from tests.system.site import motor_configuration, until
 
 LONGEST_PAUSE_s = 3.0
-PATIENCE_s = 60.0
+PATIENCE_s = 300.0
 SETTLED_s = 15.0
 """From a start to its last report about earlier sessions, and past the record of a trip."""
 COMMANDS_per_s = 10.0
@@ -83,21 +83,22 @@ class Drive:
     def live(self) -> None:
         """Start the daemon, command it, and kill it and perhaps its recorder before."""
         daemon, log = self._started()
-        if self.deaths:
-            self.deaths[-1] = self._judged(self.deaths[-1], log)
-        with self._operator():
-            if self.chance.random() < 0.5:
+        with _ended(daemon):
+            if self.deaths:
+                self.deaths[-1] = self._judged(self.deaths[-1], log)
+            with self._operator():
+                if self.chance.random() < 0.5:
+                    self._pause()
+                    self._kill("recorder", daemon)
                 self._pause()
-                self._kill("recorder", daemon)
-            self._pause()
-            self._kill(self.chance.choice(("daemon", "both")), daemon)
+                self._kill(self.chance.choice(("daemon", "both")), daemon)
 
     def rest(self) -> None:
         """Start a last time, and end in order."""
         daemon, log = self._started()
-        self.deaths[-1] = self._judged(self.deaths[-1], log)
-        time.sleep(SETTLED_s)
-        stop_process(daemon)
+        with _ended(daemon):
+            self.deaths[-1] = self._judged(self.deaths[-1], log)
+            time.sleep(SETTLED_s)
 
     def events_lost(self) -> Witnessed:
         """Return the events that a witness has and no session."""
@@ -136,6 +137,7 @@ class Drive:
         try:
             until(lambda: len(self._sessions()) > before, "a session begins", PATIENCE_s)
         except AssertionError as problem:
+            stop_process(daemon)
             raise RuntimeError(f"{problem}: {log.read_text(encoding='utf-8')[-2000:]}") from None
         return daemon, log
 
@@ -179,6 +181,15 @@ class Drive:
             entries = [json.loads(line) for line in whole.splitlines() if line.startswith("{")]
             found.update((e["tick"], e["kind"], e["event"]) for e in entries if "kind" in e)
         return found
+
+
+@contextmanager
+def _ended(daemon: Process) -> Iterator[None]:
+    """Leave no daemon behind that writes into a folder which is removed."""
+    try:
+        yield
+    finally:
+        stop_process(daemon)
 
 
 class Operator:

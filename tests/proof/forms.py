@@ -1,6 +1,6 @@
 """The long forms of the tests, each as a command of the interpreter.
 
-SEEDS, STORIES and INPUTS of the environment make some of them shorter or longer.
+SEEDS, STORIES, INPUTS and MUTANTS of the environment make some of them shorter or longer.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ def forms() -> tuple[Form, ...]:
     seeds = os.environ.get("SEEDS", "20")
     stories = os.environ.get("STORIES", "5000")
     inputs = os.environ.get("INPUTS", "1000000")
+    mutants = os.environ.get("MUTANTS", "1000")
     energised = ("-m", "pytest", "-q", "tests/faults/test_energised.py", "--timeout", "86400")
     return (
         Form("faults", "Faults of sensors, plants, actuators, drives, links and clocks",
@@ -50,4 +51,6 @@ def forms() -> tuple[Form, ...]:
              as_table=True),
         Form("kills", "Processes killed at random moments",
              ("-m", "tests.benchmarks", "--only", "kills")),
+        Form("mutants", "Small changes of the code that keeps a drive safe",
+             ("-m", "tests.mutation"), {"MUTANTS": mutants}, as_table=True),
     )  # fmt: skip

@@ -77,3 +77,14 @@ def test_after_a_stop_the_current_rises_from_zero_again() -> None:
     guard.check(SAFE_COMMAND)
     assert guard.check(Command(0.1, 300.0, bridge=True)).current_scale_S == 0.02
     assert guard.limited == 6 - 1
+
+
+def test_a_low_voltage_passes_as_it_is() -> None:
+    command = Command(0.0, 0.5, bridge=True)
+    assert Guard(UNIDIRECTIONAL).check(command) == command
+
+
+def test_a_negative_voltage_becomes_none_and_is_counted() -> None:
+    guard = Guard(UNIDIRECTIONAL)
+    assert guard.check(Command(0.0, -5.0, bridge=True)) == Command(0.0, 0.0, bridge=True)
+    assert guard.limited == 1

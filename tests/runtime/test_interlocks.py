@@ -42,6 +42,27 @@ def test_values_at_their_limits_are_no_cause() -> None:
     assert cause_of(**at_limits) is None
 
 
+def test_an_output_at_its_lowest_is_no_cause() -> None:
+    assert cause_of(output=LIMITS.output_min) is None
+
+
+def test_a_measurement_exactly_as_old_as_the_limit_is_used() -> None:
+    limits = replace(LIMITS, stale_s=0.0625)  # a power of two: its sum and difference are exact
+    assert find_cause(replace(GOOD, oldest_s=NOW_S - 0.0625), NOW_S, limits) is None
+
+
+def test_a_message_that_comes_less_often_may_be_older_by_its_period() -> None:
+    assert cause_of(oldest_s=NOW_S - 0.069, slack_s=0.02) is None
+    cause = cause_of(oldest_s=NOW_S - 2.0, slack_s=0.02)
+    assert cause == "stale: measurement is 2000 ms old, limit 70 ms"
+
+
+def test_an_output_without_a_unit_is_named_without_one() -> None:
+    cause = find_cause(replace(GOOD, output=6.0), NOW_S, replace(LIMITS, output_unit=""))
+    assert cause is not None
+    assert "speed = 6, limit 5: " in cause
+
+
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
