@@ -175,7 +175,8 @@ ROWS: tuple[Row, ...] = (
     Row("sensor", "open: reads 0", _sensor(lambda *_: 0.0), EVERY,
         {"motor": 1.0, "bath": 1.0, "battery": 5.0}, NO_RESPONSE),
     Row("sensor", "last digit of 1 % of the range, from the start", _coarse, from_start=True),
-    Row("sensor", "last digit becomes 1 % of the range", _coarse, causes=NO_RESPONSE),
+    Row("sensor", "last digit becomes 1 % of the range", _coarse,
+        causes=(*NO_RESPONSE, "limit cycle")),
     Row("sensor", "scale × 0.8", _sensor(lambda _, __, y: 0.8 * y)),
     Row("sensor", "1 reading late", _late(1)),
     Row("sensor", "3 readings late", _late(3)),
@@ -210,3 +211,5 @@ ROWS: tuple[Row, ...] = (
     Row("clock", "slow loop stalled", _stalled, ("motor, CAN", "motor, Modbus", *BATTERY),
         {"motor": 5.0, "battery": 45.0}, ("slow loop",)),
 )  # fmt: skip
+
+GROUPS = tuple(dict.fromkeys(row.group for row in ROWS))

@@ -8,6 +8,8 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 
+from tests.faults.rows import GROUPS
+
 
 @dataclass(frozen=True, slots=True)
 class Form:
@@ -42,8 +44,8 @@ def forms() -> tuple[Form, ...]:
     mutants = os.environ.get("MUTANTS", "1000")
     energised = ("-m", "pytest", "-q", "tests/faults/test_energised.py", "--timeout", "86400")
     return (
-        Form("faults", "Faults of sensors, plants, actuators, drives, links and clocks",
-             ("-m", "tests.faults.table", seeds), as_table=True),
+        *(Form(group, f"Faults: {group}", ("-m", "tests.faults.table", seeds, group),
+               as_table=True) for group in GROUPS),
         Form("stories", "Stories that must energise nothing", energised, {"STORIES": stories}),
         Form("inputs", "Damaged inputs of each decoder", ("-m", "tests.fuzz", inputs)),
         Form("foreign", "A drive of foreign code", ("-m", "pytest", "-q", "tests/peers")),

@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from tests.faults.rows import GROUPS
 from tests.proof.forms import Form, forms
 from tests.proof.results import RESULTS, Result, load
 
@@ -47,12 +48,19 @@ def with_faults(text: str, folder: Path = RESULTS) -> str:
         text: The page.
         folder: Where results are kept.
     """
-    result = load("faults", folder)
-    assert result is not None, "run `python -m tests.proof docs/proof.md faults`"
     before, rest = text.split(BEGIN)
     _, after = rest.split(END)
-    facts = f"`{result.command}`, {result.day[:10]}, commit {result.commit}.\n\n"
-    return before + BEGIN + facts + result.text + "\n" + END + after
+    return before + BEGIN + _faults(folder) + END + after
+
+
+def _faults(folder: Path) -> str:
+    """The tables of all groups as one, after what was run."""
+    found = [load(group, folder) for group in GROUPS]
+    results = [result for result in found if result is not None]
+    facts = "; ".join(f"`{one.command}`, {one.day[:10]}, commit {one.commit}" for one in results)
+    tables = [one.text.splitlines() for one in results]
+    body = [line for table in tables for line in table[2:]]
+    return "\n".join([f"Measured with {facts}.", "", *tables[0][:2], *body, ""])
 
 
 def write(proof: Path, reliability: Path) -> None:
