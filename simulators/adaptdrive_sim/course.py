@@ -45,6 +45,11 @@ class Course:
         pole: Closed-loop pole.
         wire: Resolution and delay between drive and controller, None for neither.
         interlocks: What ends the run early.
+        burdens: What the load is disturbed by in each slow period, as its `disturb` takes it:
+            torque in N m, or an inflow relative to that at the start. Empty for nothing.
+        offset: What the sensor of the output shows beside the output.
+        stops: Slow periods in which the drive is off; it precharges in the last of each. Compiled
+            code knows no stops.
     """
 
     references: Array
@@ -55,6 +60,16 @@ class Course:
     pole: float
     wire: Wire | None = None
     interlocks: TripLevels = field(default_factory=TripLevels)
+    burdens: Array = field(default_factory=lambda: np.empty(0))
+    offset: float = 0.0
+    stops: tuple[range, ...] = ()
+
+    def stage(self, k: int) -> Stage:
+        """Return what the drive is to do in a slow period."""
+        stop = next((one for one in self.stops if k in one), None)
+        if stop is None:
+            return Stage.RUN
+        return Stage.PRECHARGE if k == stop[-1] else Stage.OFF
 
 
 @dataclass(slots=True)
@@ -62,6 +77,7 @@ class Run:
     """Record of a run: one entry for each slow period, taken at its first tick.
 
     Attributes:
+        periods: Slow periods in which the drive ran.
         outputs: Output without noise.
         snapshots: What the slow half was given.
         decisions: What it made of that.
@@ -72,6 +88,7 @@ class Run:
         fast_voltage_V: Boost voltage at every tick, where asked for.
     """
 
+    periods: list[int] = field(default_factory=list)
     outputs: list[float] = field(default_factory=list)
     snapshots: list[Snapshot] = field(default_factory=list)
     decisions: list[Decision] = field(default_factory=list)
@@ -83,15 +100,16 @@ class Run:
 
 
 def start_at_rest(controller: Controller, world: World, course: Course, output: float) -> None:
-    """Put a plant at rest at an output, and start a controller on it.
+    """Put a plant at rest where its sensor shows an output, and start a controller on it.
 
     A line with a higher peak than that output needs lets the plant rest above it.
     """
     boost, line = world.boost, world.line
-    needed_V, peak_V = world.boost_voltage_for(output), line.voltage_V * 2.0**0.5
+    rest = output - course.offset
+    needed_V, peak_V = world.boost_voltage_for(rest), line.voltage_V * 2.0**0.5
     world.settle(max(needed_V, peak_V))
     if needed_V < peak_V:
-        output = world.true_output
+        output = world.true_output + course.offset
     at_rest = Measurement(
         -1, line.half_cycle_s, boost.voltage_V, line.voltage_V, boost.mean_load_W, output
     )
@@ -115,10 +133,13 @@ def run_course(
     drive = VirtualDrive(controller, rates.latency_ticks, world, first, course.wire)
     voltage_max_V, output_max = dataclasses.astuple(course.interlocks)
     load: Any = world.load
+    burdens = course.burdens.tolist()
     for k, reference in enumerate(course.references.tolist()):
         if k > 0 and course.sizes[k] != course.sizes[k - 1]:
             load.resize(float(course.sizes[k]), course.over_s)
-        order = Order(Stage.RUN, reference, course.mode, course.pole)
+        if len(burdens) and (k == 0 or burdens[k] != burdens[k - 1]):
+            load.disturb(burdens[k])
+        order = Order(course.stage(k), reference, course.mode, course.pole)
         for n in range(k * ticks, (k + 1) * ticks):
             measurement = drive.measure(n)
             run.interlock = find_cause(measurement, voltage_max_V, output_max)
@@ -129,6 +150,7 @@ def run_course(
                 run.fast_voltage_V.append(measurement.boost_voltage_V)
             command, decided = drive.control(measurement, order)
             if decided:
+                run.periods.append(k)
                 _note(run, drive, controller)
                 if run.decisions[-1].fault:
                     run.interlock = CONTROL_FAULT

@@ -29,7 +29,7 @@ def digests(seeds: range, duration_s: float) -> Iterator[str]:
     campaign = read_campaign(Path("standard.toml")).model_copy(update={"duration_s": duration_s})
     for seed in seeds:
         stand = Stand(draw(campaign, seed))
-        course = stand._course(Mode.ADAPTIVE)
+        course = stand.course(Mode.ADAPTIVE)
         rates = deployed().settings.rates
         run = run_course(*stand._start(course), course, rates, keep_ticks=True)
         digest = hashlib.sha256(run.fast_output.tobytes())

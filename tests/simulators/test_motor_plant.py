@@ -21,7 +21,8 @@ def integrate(
     def slope(_: float, state: list[float]) -> list[float]:
         speed, output, _charge = state
         current = (source_V - own.constant_Vs * speed) / (DROOP_Ohm + own.resistance_Ohm)
-        drive = own.constant_Vs * current - own.friction_Nms * speed - torque_Nm
+        brake = torque_Nm + own.coulomb_Nm + own.drag_Nms2 * speed**2
+        drive = own.constant_Vs * current - own.friction_Nms * speed - brake
         return [
             drive / (own.disk_kgm2 * disks),
             (own.tachometer_Vs * speed - output) / own.filter_s,
@@ -57,6 +58,36 @@ def test_many_short_steps_end_where_one_long_step_ends() -> None:
     long.drive(70.0, DROOP_Ohm, 10.0)
     assert short.speed_rad_s == pytest.approx(long.speed_rad_s, rel=1e-11)
     assert short.output == pytest.approx(long.output, rel=1e-11)
+
+
+def test_dry_friction_and_drag_brake_as_their_equation_says() -> None:
+    own = MotorParameters(coulomb_Nm=0.3, drag_Nms2=2e-5)
+    motor = Motor(own)
+    motor.speed_rad_s, motor.output = 30.0, 0.2
+    for _ in range(1200):
+        motor.drive(70.0, DROOP_Ohm, 1.0 / 120.0)
+    speed, output, _ = integrate(own, 1, 0.0, 70.0, 10.0)
+    assert (motor.speed_rad_s, motor.output) == pytest.approx((speed, output), rel=5e-5)
+
+
+def test_friction_leaves_a_motor_at_rest_where_it_was_settled() -> None:
+    motor = Motor(MotorParameters(coulomb_Nm=0.3, drag_Nms2=2e-5))
+    source_V = motor.source_for(3.0, DROOP_Ohm)
+    motor.settle(source_V, DROOP_Ohm)
+    assert motor.output == pytest.approx(3.0, rel=1e-12)
+    motor.drive(source_V, DROOP_Ohm, 30.0)
+    assert motor.output == pytest.approx(3.0, rel=1e-9)
+
+
+def test_the_gain_under_drag_is_that_of_small_movements() -> None:
+    motor = Motor(MotorParameters(coulomb_Nm=0.3, drag_Nms2=2e-5))
+    motor.settle(70.0, DROOP_Ohm)
+    outputs = []
+    for source_V in (69.9, 70.1):
+        motor.settle(source_V, DROOP_Ohm)
+        outputs.append(motor.output)
+    slope = 0.25 * (outputs[1] - outputs[0]) / 0.2
+    assert motor.model(0.25, DROOP_Ohm)["gain"] == pytest.approx(slope, rel=1e-3)
 
 
 @pytest.mark.parametrize("disks", [1, 2, 3])

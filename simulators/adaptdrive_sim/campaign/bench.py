@@ -90,26 +90,39 @@ class Stand:
         periods = round(scenario.duration_s / own.period_s)
         self.times_s: Array = own.period_s * np.arange(periods, dtype=np.float64)
         self.inertias = scenario.inertias_at(self.times_s)
-        values = [scenario.reference.value(time_s) for time_s in self.times_s.tolist()]
-        self.references = np.array(values)
+        self.references = scenario.references_at(self.times_s)
         ticks = self.times_s.size * own.settings.rates.ticks_per_period
-        self._disturbances = scenario.disturbances(ticks + 1)
+        self._disturbances = scenario.life.offset + scenario.disturbances(ticks + 1)
 
     def run(self, mode: Mode) -> RunOutcome:
-        """Run compiled code."""
-        course = self._course(mode)
+        """Run compiled code, which knows no stops: a run with stops is interpreted."""
+        course = self.course(mode)
+        if course.stops:
+            return self.run_deployed(mode)[0]
         return RunOutcome(*run_compiled(*self._start(course), course))
+
+    def running(self) -> NDArray[np.bool_]:
+        """Return in which slow periods the drive runs and is regulated.
+
+        In the first one after a stop the controller collects what its first decision needs.
+        """
+        found = np.full(self.times_s.size, fill_value=True)
+        for stop in self.scenario.life.stops(deployed().period_s):
+            found[stop.start : stop.stop + 1] = False
+        return found
 
     def run_deployed(self, mode: Mode) -> tuple[RunOutcome, list[Decision]]:
         """Run the deployed controller itself, interpreted."""
-        course = self._course(mode)
+        course = self.course(mode)
         run = run_course(*self._start(course), course, deployed().settings.rates)
         return RunOutcome(_trace(run, len(course.references)), run.interlock), run.decisions
 
     def ideal(self) -> Array:
         """Output of the loop as designed, at each slow instant."""
         own = deployed()
-        models = {inertia: self._true_load(inertia) for inertia in self.scenario.inertias}
+        models = {
+            inertia: self._true_load(inertia) for inertia in np.unique(self.inertias).tolist()
+        }
         numerators = np.array([models[inertia].numerator for inertia in self.inertias.tolist()])
         denominators = np.array([models[one].denominator for one in self.inertias.tolist()])
         follow: Any = compiled_modules()[bench.__name__].follow_ideal
@@ -124,10 +137,14 @@ class Stand:
     def _true_load(self, inertia: float) -> Load:
         motor, coupling = Motor(self.scenario.motor()), CouplingParameters()
         motor.set_inertia(MotorParameters().disk_kgm2 * inertia)
+        reference = self.scenario.reference
+        middle = 0.5 * (reference.low + reference.high) - self.scenario.life.offset
+        motor.speed_rad_s = middle / motor.parameters.tachometer_Vs
         model = motor.model(coupling.ratio, coupling.droop_Ohm)
         return motor_load(model["gain"], model["tau_motor_s"], model["tau_filter_s"])
 
-    def _course(self, mode: Mode) -> Course:
+    def course(self, mode: Mode) -> Course:
+        """Return what happens in the run."""
         return Course(
             self.references,
             self.inertias,
@@ -137,14 +154,20 @@ class Stand:
             deployed().pole,
             self.scenario.wire(),
             deployed().interlocks,
+            self.scenario.life.torques_at(self.times_s),
+            self.scenario.life.offset,
+            self.scenario.life.stops(deployed().period_s),
         )
+
+    def world(self) -> World:
+        """Return the plant as it is at the start."""
+        motor = Motor(self.scenario.motor())
+        motor.resize(float(self.inertias[0]), 0.0)
+        return World(motor, WorldParameters(line=self.scenario.line()))
 
     def _start(self, course: Course) -> tuple[Controller, World]:
         """Everything at rest on the first reference."""
-        own = deployed()
-        motor = Motor(self.scenario.motor())
-        motor.resize(float(course.sizes[0]), 0.0)
-        world = World(motor, WorldParameters(line=self.scenario.line()))
+        own, world = deployed(), self.world()
         controller = Controller(own.settings, own.load)
         start_at_rest(controller, world, course, float(course.references[0]))
         return controller, world
@@ -154,7 +177,7 @@ def _trace(run: Run, periods: int) -> Array:
     """Return a run in the columns of `compiled.bench`."""
     names = deployed().load.names
     trace = np.full((periods, bench.VALUES + 2 * len(names)), np.nan)
-    rows = trace[: len(run.decisions)]
+    rows = np.full((len(run.decisions), trace.shape[1]), np.nan)
     rows[:, bench.OUTPUT] = run.outputs
     rows[:, bench.MEASURED] = [one.output for one in run.snapshots]
     rows[:, bench.REFERENCE_V] = [one.boost_reference_V for one in run.decisions]
@@ -168,4 +191,5 @@ def _trace(run: Run, periods: int) -> Array:
     for i, name in enumerate(names, bench.VALUES):
         rows[:, i] = [one.estimates[name].value for one in run.decisions]
         rows[:, i + len(names)] = [one.estimates[name].std for one in run.decisions]
+    trace[run.periods] = rows
     return trace

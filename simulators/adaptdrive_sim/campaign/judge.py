@@ -38,7 +38,8 @@ def judge(stand: Stand, fixed: RunOutcome, adaptive: RunOutcome) -> Row:
     ideal = stand.ideal()
     row = parameters(stand.scenario)
     for name, outcome in (("fixed", fixed), ("adaptive", adaptive)):
-        errors = (outcome.trace[:, bench.OUTPUT] - ideal) / stand.scenario.step
+        shown = outcome.trace[:, bench.OUTPUT] + stand.scenario.life.offset
+        errors = ((shown - ideal) / stand.scenario.step)[stand.running()]
         row[f"cost_{name}"] = cost(errors)
         row[f"rms_{name}"] = float(np.sqrt(np.mean(errors**2)))
         row[f"largest_{name}"] = float(np.max(np.abs(errors)))
@@ -67,6 +68,13 @@ def parameters(scenario: Scenario) -> Row:
         "line_voltage": scenario.line_voltage,
         "frequency_Hz": scenario.frequency_Hz,
         "output_delay_ticks": scenario.output_delay_ticks,
+        "torque_changes": len(scenario.life.torques_V),
+        "torque_largest_V": scenario.life.largest_torque_V,
+        "restarts": len(scenario.life.stop_times_s),
+        "idle_s": min(scenario.duration_s, sum(scenario.life.idle_s)),
+        "coulomb_V": scenario.life.coulomb_V,
+        "drag_V": scenario.life.drag_V,
+        "offset": scenario.life.offset,
     }
 
 
@@ -80,7 +88,9 @@ def cost(errors: Array) -> float:
 def is_unstable(scenario: Scenario, errors: Array) -> bool:
     """Return whether the last period of the reference is nothing like what was designed."""
     last = errors[-round(scenario.reference.period_s) :]
-    return not float(np.sqrt(np.mean(last**2))) < _UNSTABLE
+    return (
+        not float(np.sqrt(np.mean(last**2))) < _UNSTABLE * scenario.largest_movement / scenario.step
+    )
 
 
 def _supervision(stand: Stand, trace: Array) -> Row:

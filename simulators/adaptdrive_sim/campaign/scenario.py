@@ -8,18 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive_sim.campaign.life import Life, draw_life, moving, volt_Nm
+from adaptdrive_sim.campaign.reach import MIDDLE, NOMINAL_GAIN, reach
 from adaptdrive_sim.campaign.settings import Campaign, LoadRanges, ReferenceRanges
 from adaptdrive_sim.compiled.wire import DELAY_MAX, Wire
 from adaptdrive_sim.line import LineParameters
 from adaptdrive_sim.plants.motor import MotorParameters
 
 Array = NDArray[np.float64]
-
-NOMINAL_REACH = (2.2, 4.4)
-"""Outputs that V_c = 200…400 V holds with the gain of the controller's model, in volts."""
-
-_EDGE = 0.05
-"""Least distance from there to a set-point, as a share: torque and noise need some room."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +40,7 @@ class Scenario:
         voltage_V: Resolution of voltages.
         power_W: Resolution of the load power.
         scale_S: Resolution of the current scale.
+        life: What happens besides.
     """
 
     seed: int
@@ -63,15 +60,26 @@ class Scenario:
     voltage_V: float
     power_W: float
     scale_S: float
+    life: Life
 
     @property
     def step(self) -> float:
         """Height of the reference's step."""
         return self.reference.high - self.reference.low
 
+    @property
+    def largest_movement(self) -> float:
+        """Movement of the output by the reference's step or by the largest load torque."""
+        return max(self.step, NOMINAL_GAIN * self.gain * self.life.largest_torque_V)
+
     def inertias_at(self, times_s: Array) -> Array:
         """Inertia in disks at each time."""
-        return np.array(self.inertias)[np.searchsorted(self.change_times_s, times_s, "right")]
+        return moving(times_s, self.change_times_s, self.inertias, self.life.inertia_ramps_s)
+
+    def references_at(self, times_s: Array) -> Array:
+        """Return the set-point at each time."""
+        read_s = self.life.held_at(times_s).tolist()
+        return np.array([self.reference.value(time_s) for time_s in read_s])
 
     def disturbances(self, count: int) -> Array:
         """Measurement noise of every tick."""
@@ -88,6 +96,8 @@ class Scenario:
         return MotorParameters(
             tachometer_Vs=nominal.tachometer_Vs * self.gain,
             filter_s=nominal.filter_s * self.filter,
+            coulomb_Nm=self.life.coulomb_V * volt_Nm(),
+            drag_Nms2=self.life.drag_V * volt_Nm() * (nominal.tachometer_Vs / MIDDLE) ** 2,
         )
 
     def line(self) -> LineParameters:
@@ -117,7 +127,8 @@ def draw(campaign: Campaign, seed: int) -> Scenario:
     period_s = round(_uniform(generator, reference.period_s))
     line, wire = campaign.line, campaign.wire
     gain, above = _uniform(generator, load.gain), _low_above(reference, seed)
-    low, high = _reachable(reference.low + above, step, gain)
+    life = draw_life(campaign.life, seed, campaign.duration_s, len(times_s))
+    low, high = _reachable(reference.low + above, step, gain, life)
     return Scenario(
         seed=seed,
         duration_s=campaign.duration_s,
@@ -136,6 +147,7 @@ def draw(campaign: Campaign, seed: int) -> Scenario:
         voltage_V=_uniform(generator, wire.voltage_V),
         power_W=_uniform(generator, wire.power_W),
         scale_S=_uniform(generator, wire.scale_S),
+        life=life,
     )
 
 
@@ -144,13 +156,10 @@ def _low_above(reference: ReferenceRanges, seed: int) -> float:
     return _uniform(np.random.default_rng([seed, 2]), reference.low_above)
 
 
-def _reachable(low: float, step: float, gain: float) -> tuple[float, float]:
-    """Move the set-points of a step into what V_c holds, by the drawn gain and by the model's.
-
-    The daemon refuses what the model does not reach, and its output limit lies above that.
-    """
-    least = (1.0 + _EDGE) * max(1.0, gain) * NOMINAL_REACH[0]
-    most = (1.0 - _EDGE) * min(1.0, gain) * NOMINAL_REACH[1]
+def _reachable(low: float, step: float, gain: float, life: Life) -> tuple[float, float]:
+    """Move the set-points of a step into what V_c holds."""
+    brake_V = life.largest_torque_V + life.coulomb_V
+    least, most = reach(gain, brake_V, life.drag_V)
     height = min(step, most - least)
     moved = min(max(low, least), most - height)
     return (low, low + step) if (moved, height) == (low, step) else (moved, moved + height)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import tomllib
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from adaptdrive.errors import AdaptdriveError
+from adaptdrive_sim.campaign.life_settings import LifeRanges
+from adaptdrive_sim.campaign.ranges import CampaignTable, Range, WholeRange, within
+from adaptdrive_sim.campaign.reach import reach
 
 FOLDER = Path(__file__).resolve().parent
 
@@ -24,43 +27,22 @@ class CampaignError(AdaptdriveError):
         super().__init__("\n".join(f"{path}: {problem}" for problem in problems))
 
 
-def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
-    if pair[0] > pair[1]:
-        raise ValueError(f"the lower end {pair[0]:g} is above the upper end {pair[1]:g}")
-    return pair
-
-
-def _within(low: float, high: float) -> AfterValidator:
-    def check(pair: tuple[float, float]) -> tuple[float, float]:
-        if not (low <= pair[0] and pair[1] <= high):
-            raise ValueError(f"must lie within {low:g}…{high:g}")
-        return _ordered(pair)
-
-    return AfterValidator(check)
-
-
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
-
-
-Range = tuple[float, float]
-WholeRange = tuple[int, int]
 ShapeName = Literal["square", "triangle", "sine"]
 
 
-class LoadRanges(_Section):
+class LoadRanges(CampaignTable):
     """The motor: inertia in disks, the rest relative to the settings of the controller."""
 
-    inertia: Annotated[Range, _within(0.2, 10.0)]
-    gain: Annotated[Range, _within(0.56, 1.8)]
-    filter: Annotated[Range, _within(0.5, 2.0)]
+    inertia: Annotated[Range, within(0.2, 10.0)]
+    gain: Annotated[Range, within(0.56, 1.8)]
+    filter: Annotated[Range, within(0.3, 3.0)]
     unchanged: float = Field(ge=0.0, le=1.0)
-    changes: Annotated[WholeRange, _within(1, 20)]
+    changes: Annotated[WholeRange, within(1, 20)]
     change_min: float = Field(ge=1.0, le=10.0)
     quiet_s: float = Field(ge=0.0)
 
 
-class ReferenceRanges(_Section):
+class ReferenceRanges(CampaignTable):
     """The set-point's waveform; it is moved into what V_c can hold with the drawn load.
 
     Attributes:
@@ -68,38 +50,38 @@ class ReferenceRanges(_Section):
     """
 
     low: float = Field(ge=2.0, le=4.0)
-    low_above: Annotated[Range, _within(0.0, 2.0)] = (0.0, 0.0)
-    step: Annotated[Range, _within(1e-3, 1.0)]
-    period_s: Annotated[Range, _within(10.0, 1e4)]
+    low_above: Annotated[Range, within(0.0, 2.0)] = (0.0, 0.0)
+    step: Annotated[Range, within(1e-3, 1.0)]
+    period_s: Annotated[Range, within(10.0, 1e4)]
     shapes: list[ShapeName] = Field(min_length=1)
 
 
-class NoiseRanges(_Section):
+class NoiseRanges(CampaignTable):
     """Measurement noise, as fractions of the step."""
 
-    sigma: Annotated[Range, _within(0.0, 1.0)]
-    spike_share: Annotated[Range, _within(0.0, 1.0)]
+    sigma: Annotated[Range, within(0.0, 1.0)]
+    spike_share: Annotated[Range, within(0.0, 1.0)]
     spike_sigma: float = Field(ge=0.0, le=10.0)
 
 
-class LineRanges(_Section):
+class LineRanges(CampaignTable):
     """The ac line."""
 
-    voltage: Annotated[Range, _within(0.5, 1.1)]
-    frequency_Hz: Annotated[Range, _within(55.0, 65.0)]
+    voltage: Annotated[Range, within(0.5, 1.1)]
+    frequency_Hz: Annotated[Range, within(55.0, 65.0)]
 
 
-class WireRanges(_Section):
+class WireRanges(CampaignTable):
     """Resolution of what is measured and commanded, and the age of the output's samples."""
 
-    output_delay_ticks: Annotated[WholeRange, _within(0, 20)]
-    output_V: Annotated[Range, _within(0.0, 1.0)]
-    voltage_V: Annotated[Range, _within(0.0, 10.0)]
-    power_W: Annotated[Range, _within(0.0, 100.0)]
-    scale_S: Annotated[Range, _within(0.0, 0.01)]
+    output_delay_ticks: Annotated[WholeRange, within(0, 20)]
+    output_V: Annotated[Range, within(0.0, 1.0)]
+    voltage_V: Annotated[Range, within(0.0, 10.0)]
+    power_W: Annotated[Range, within(0.0, 100.0)]
+    scale_S: Annotated[Range, within(0.0, 0.01)]
 
 
-class Campaign(_Section):
+class Campaign(CampaignTable):
     """A whole file."""
 
     runs: int = Field(ge=1, le=10_000_000)
@@ -110,6 +92,19 @@ class Campaign(_Section):
     noise: NoiseRanges
     line: LineRanges
     wire: WireRanges
+    life: LifeRanges = LifeRanges()
+
+    @model_validator(mode="after")
+    def _leave_room(self) -> Self:
+        """Make sure that every drawn motor has set-points that V_c can hold."""
+        life = self.life
+        brake_V = life.torque_V[1] + life.coulomb_V[1]
+        for gain in self.load.gain:
+            least, most = reach(gain, brake_V, life.drag_V[1])
+            if most <= least:
+                taken = f"life takes {brake_V:g} V and a drag of {life.drag_V[1]:g} V"
+                raise ValueError(f"load.gain = {gain:g}: V_c holds no set-point, {taken}")
+        return self
 
 
 def read_campaign(path: Path) -> Campaign:
@@ -134,6 +129,8 @@ def read_campaign(path: Path) -> Campaign:
 
 def _told(error: ErrorDetails) -> str:
     place = ".".join(str(part) for part in error["loc"])
+    if not place:
+        return error["msg"]
     if error["type"] in {"missing", "extra_forbidden"}:
         return f"{place}: {error['msg']}"
     return f"{place} = {error['input']!r}: {error['msg']}"

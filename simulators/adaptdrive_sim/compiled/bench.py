@@ -55,6 +55,7 @@ def run(
     disturbances: Array,
     sizes: Array,
     over_s: float,
+    burdens: Array,
     voltage_max_V: float,
     output_max: float,
     trace: Array,
@@ -75,6 +76,7 @@ def run(
         disturbances: Measurement noise of every tick.
         sizes: Size of the load in each slow period, the first of which it has.
         over_s: How long a change of it takes.
+        burdens: What disturbs it in each slow period; empty for nothing.
         voltage_max_V: Interlock.
         output_max: Interlock.
         trace: What happened, one row for each slow period, overwritten.
@@ -91,6 +93,8 @@ def run(
     for k in range(len(references)):
         if k > 0 and sizes[k] != sizes[k - 1]:
             plant.resize(sizes[k], over_s)
+        if len(burdens) > 0 and (k == 0 or burdens[k] != burdens[k - 1]):
+            plant.disturb(burdens[k])
         for into in range(ticks):
             n = k * ticks + into
             receive(measurement, wire, n, frame)

@@ -45,6 +45,7 @@ def run_compiled(controller: Controller, world: World, course: Course) -> tuple[
         course.disturbances,
         course.sizes,
         course.over_s,
+        course.burdens,
         course.interlocks.boost_voltage_max_V,
         course.interlocks.output_max,
         trace,

@@ -77,6 +77,12 @@ class Bath:
         self._inflow_W_per_K = inflow_L_per_min / 60.0 * HEAT_J_per_kgK
         self._decay_s = math.nan
 
+    def disturb(self, inflow: float) -> None:
+        """Let a multiple of the inflow at the start flow in from now on."""
+        wanted = inflow * self.parameters.inflow_L_per_min
+        self._inflow_W_per_K = wanted / 60.0 * HEAT_J_per_kgK
+        self._decay_s = math.nan
+
     @property
     def resistance_K_per_W(self) -> float:
         """Thermal resistance to the inflow, R."""

@@ -2,11 +2,12 @@
 
 With the shaft speed ω, the source V behind R_d and the load torque T:
 
-    J·dω/dt = K·i − f·ω − T,   i = (V − K·ω)/(R_d + R_f)
+    J·dω/dt = K·i − f·ω − T − T_c − d·ω²,   i = (V − K·ω)/(R_d + R_f)
     τ_f·dy/dt = c·ω − y
 
-Both are linear, so that one step is exact for a source that stays constant over it. The load
-torque is a brake: it opposes forward rotation and can stop the shaft but not turn it back.
+Both are linear but for the drag d, so that one step is exact for a source that stays constant over
+it; the drag is that of the speed at its start. Torque and dry friction T_c are brakes: they oppose
+forward rotation and can stop the shaft but not turn it back.
 """
 
 from __future__ import annotations
@@ -39,6 +40,8 @@ class MotorParameters:
     tachometer_Vs: float = quantity(0.020533, "V s/rad", "tachometer constant, c", 1e-5, 10.0)
     filter_s: float = quantity(10.0, "s", "time constant of the tachometer filter, τ_f", 1e-2, 1e3)
     dropped_at_rest: bool = False
+    coulomb_Nm: float = quantity(0.0, "N m", "dry friction, T_c", 0.0, 100.0)
+    drag_Nms2: float = quantity(0.0, "N m s²/rad²", "quadratic drag, d", 0.0, 1.0)
 
     def __post_init__(self) -> None:
         check_quantities(self)
@@ -111,6 +114,10 @@ class Motor:
         check_range("torque_Nm", torque_Nm, 0.0, TORQUE_MAX_Nm, "N m")
         self._torque_Nm = torque_Nm
 
+    def disturb(self, torque_Nm: float) -> None:
+        """Load the shaft with a torque from now on."""
+        self._torque_Nm = torque_Nm
+
     def drive(self, source_V: float, source_Ohm: float, duration_s: float) -> float:
         """Advance while a constant voltage behind a resistance feeds the armature."""
         step = self._driven
@@ -118,7 +125,7 @@ class Motor:
             self._tune(step, self._damping(source_Ohm), source_Ohm, duration_s)
         constant = self.parameters.constant_Vs
         per_Ohm = 1.0 / (source_Ohm + self.resistance_Ohm)
-        torque_Nm = constant * per_Ohm * source_V - self._torque_Nm
+        torque_Nm = constant * per_Ohm * source_V - self._brake_Nm(self.speed_rad_s)
         return (source_V - constant * self._advance(step, torque_Nm)) * per_Ohm
 
     def coast(self, duration_s: float) -> None:
@@ -126,24 +133,28 @@ class Motor:
         step = self._coasting
         if step.duration_s != duration_s:
             self._tune(step, self.parameters.friction_Nms, math.inf, duration_s)
-        self._advance(step, -self._torque_Nm)
+        self._advance(step, -self._brake_Nm(self.speed_rad_s))
 
     def settle(self, source_V: float, source_Ohm: float) -> None:
         """Put shaft and filter at rest under a constant source."""
         per_Ohm = 1.0 / (source_Ohm + self.resistance_Ohm)
-        torque_Nm = self.parameters.constant_Vs * per_Ohm * source_V - self._torque_Nm
-        self.speed_rad_s = max(0.0, torque_Nm / self._damping(source_Ohm))
+        torque_Nm = self.parameters.constant_Vs * per_Ohm * source_V - self._brake_Nm(0.0)
+        self.speed_rad_s = self._resting_speed(max(0.0, torque_Nm), self._damping(source_Ohm))
         self.output = self.parameters.tachometer_Vs * self.speed_rad_s
 
     def source_for(self, output: float, source_Ohm: float) -> float:
         """Find the source voltage that holds a tachometer voltage."""
         speed_rad_s = output / self.parameters.tachometer_Vs
-        torque_Nm = self._damping(source_Ohm) * speed_rad_s + self._torque_Nm
+        torque_Nm = self._damping(source_Ohm) * speed_rad_s + self._brake_Nm(speed_rad_s)
         return torque_Nm * (source_Ohm + self.resistance_Ohm) / self.parameters.constant_Vs
 
     def model(self, ratio: float, source_Ohm: float) -> dict[str, float]:
-        """Gain and time constants from boost voltage to filtered tachometer voltage."""
-        own, damping = self.parameters, self._damping(source_Ohm)
+        """Gain and time constants from boost voltage to filtered tachometer voltage.
+
+        They are those of small movements about the present speed.
+        """
+        own = self.parameters
+        damping = self._damping(source_Ohm) + 2.0 * own.drag_Nms2 * self.speed_rad_s
         per_Ohm = 1.0 / (source_Ohm + self.resistance_Ohm)
         return {
             "gain": own.tachometer_Vs * ratio * own.constant_Vs * per_Ohm / damping,
@@ -158,6 +169,18 @@ class Motor:
             "speed_rad_s": self.speed_rad_s,
             "torque_Nm": self._torque_Nm,
         }
+
+    def _brake_Nm(self, speed_rad_s: float) -> float:
+        """Return the torque against the rotation besides viscous friction: T + T_c + d·ω²."""
+        own = self.parameters
+        return self._torque_Nm + (own.coulomb_Nm + own.drag_Nms2 * speed_rad_s * speed_rad_s)
+
+    def _resting_speed(self, torque_Nm: float, damping: float) -> float:
+        """Return the speed at which damping and drag take a torque."""
+        drag = self.parameters.drag_Nms2
+        if drag == 0.0:
+            return torque_Nm / damping
+        return 2.0 * torque_Nm / (damping + math.sqrt(damping * damping + 4.0 * drag * torque_Nm))
 
     def _damping(self, source_Ohm: float) -> float:
         """Torque per speed, electrical part included: f + K²/(R_d + R_f)."""

@@ -1,0 +1,182 @@
+"""The life of a motor is drawn, reaches the plant, and leaves other runs as they were."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adaptdrive.control.signals import Mode, Stage
+from adaptdrive_sim.campaign.bench import RunOutcome, Stand, deployed
+from adaptdrive_sim.campaign.judge import judge
+from adaptdrive_sim.campaign.life import Life, draw_life, moving, volt_Nm
+from adaptdrive_sim.campaign.life_settings import LifeRanges
+from adaptdrive_sim.campaign.scenario import Scenario, draw
+from adaptdrive_sim.campaign.settings import FOLDER, CampaignError, read_campaign
+from adaptdrive_sim.compiled import bench
+from adaptdrive_sim.plants.motor import Motor
+
+LIFE = (FOLDER / "life.toml").read_text(encoding="utf-8")
+SEEDS = range(210_001, 210_301)
+
+
+@pytest.fixture(scope="module")
+def drawn() -> list[Scenario]:
+    campaign = read_campaign(Path("life.toml"))
+    return [draw(campaign, seed) for seed in SEEDS]
+
+
+def test_a_life_leaves_every_other_draw_as_it_was() -> None:
+    wide = read_campaign(Path("wide.toml"))
+    eventful = wide.model_copy(update={"life": LifeRanges(torque_changes=(3, 3), torque_V=(1, 2))})
+    before, after = draw(wide, 7), draw(eventful, 7)
+    assert before.life == Life(inertia_ramps_s=(0.0,) * len(before.change_times_s))
+    names = [name for name in Scenario.__slots__ if name != "life"]
+    assert [getattr(before, name) for name in names] == [getattr(after, name) for name in names]
+    assert len(after.life.torques_V) == 3
+
+
+def test_everything_happens_in_some_runs_and_not_in_others(drawn: list[Scenario]) -> None:
+    lives = [scenario.life for scenario in drawn]
+    for happens in (
+        [bool(life.torques_V) for life in lives],
+        [0.0 in life.torque_ramps_s for life in lives],
+        [bool(life.idle_times_s) for life in lives],
+        [np.inf in life.idle_s for life in lives],
+        [bool(life.stop_times_s) for life in lives],
+    ):
+        assert {True, False} == set(happens)
+    assert max(life.largest_torque_V for life in lives) <= 20.0
+    assert min(life.offset for life in lives) < -0.04 < 0.04 < max(life.offset for life in lives)
+
+
+def test_no_set_point_needs_more_than_v_c_has(drawn: list[Scenario]) -> None:
+    for scenario in drawn:
+        stand = Stand(scenario)
+        world = stand.world()
+        motor = world.load
+        assert isinstance(motor, Motor)
+        motor.disturb(volt_Nm() * scenario.life.largest_torque_V)
+        assert world.boost_voltage_for(scenario.reference.high - scenario.life.offset) < 400.0
+
+
+def test_a_movement_takes_its_time_and_the_next_one_ends_it() -> None:
+    times_s = np.arange(8.0)
+    found = moving(times_s, (1.0, 3.0, 6.0), (0.0, 8.0, 2.0, 5.0), (4.0, 1.0, 0.0))
+    assert found.tolist() == [0.0, 0.0, 2.0, 4.0, 2.0, 2.0, 5.0, 5.0]
+
+
+def test_the_reference_stands_still_in_an_idle_phase(drawn: list[Scenario]) -> None:
+    scenario = next(one for one in drawn if 100.0 < sum(one.life.idle_s) < np.inf)
+    start_s, length_s = scenario.life.idle_times_s[0], scenario.life.idle_s[0]
+    within = scenario.references_at(np.arange(start_s, start_s + length_s))
+    assert np.ptp(within) == 0.0
+    constant = next(one for one in drawn if np.inf in one.life.idle_s)
+    assert np.ptp(constant.references_at(np.arange(1320.0))) == 0.0
+
+
+def test_a_run_without_a_life_draws_none() -> None:
+    assert draw_life(LifeRanges(), 5, 1320.0, 0) == Life()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("torque_V = [0.0, 20.0]", "torque_V = [0.0, 90.0]", "life.torque_V = [0.0, 90.0]: "),
+        ("torque_changes = [0, 12]", "torque_changes = [3, 1]", "life.torque_changes = [3, 1]: "),
+        ("sudden = 0.6", "sudden = 1.5", "life.sudden = 1.5: "),
+        ("coulomb_V", "coulomb_Nm", "life.coulomb_Nm: Extra inputs are not permitted"),
+        ("gain = [0.75, 1.35]", "gain = [0.6, 1.35]", "Value error, load.gain = 0.6: V_c holds"),
+        ("off_s = [3.0, 30.0]", "off_s = [0.0, 1.0]", "life.off_s = [0.0, 1.0]: "),
+    ],
+)
+def test_an_error_names_key_and_value(tmp_path: Path, old: str, new: str, told: str) -> None:
+    path = tmp_path / "mine.toml"
+    assert old in LIFE
+    path.write_text(LIFE.replace(old, new), encoding="utf-8")
+    with pytest.raises(CampaignError) as problem:
+        read_campaign(path)
+    assert f"{path}: {told}" in str(problem.value)
+
+
+def eventful(seed: int = 3, **life: object) -> Stand:
+    """A short run of a motor like the model, without noise, whose reference stands still."""
+    standard = read_campaign(Path("standard.toml"))
+    load = standard.load.model_copy(update={"gain": (1.0, 1.0), "inertia": (1.0, 1.0)})
+    noise = standard.noise.model_copy(update={"sigma": (0.0, 0.0), "spike_share": (0.0, 0.0)})
+    ranges = LifeRanges.model_validate({"constant": 1.0, **life})
+    changes = {"load": load, "noise": noise, "life": ranges, "duration_s": 240.0}
+    return Stand(draw(standard.model_copy(update=changes), seed))
+
+
+def held_V(outcome: RunOutcome) -> float:
+    return float(np.mean(outcome.trace[-20:, bench.APPLIED_V]))
+
+
+@pytest.mark.slow
+def test_torque_and_friction_take_the_volts_that_were_drawn() -> None:
+    def held(**life: object) -> float:
+        return held_V(eventful(seed, **life).run(Mode.FIXED))
+
+    step = {"torque_changes": (1, 1), "torque_V": (15.0, 15.0)}
+    early = (eventful(seed, **step).scenario for seed in range(20))
+    seed = next(one.seed for one in early if one.life.torque_times_s[0] < 120.0)
+    plain = held()
+    assert held(**step) - plain == pytest.approx(15.0, abs=0.3)
+    assert held(coulomb_V=(8.0, 8.0)) - plain == pytest.approx(8.0, abs=0.3)
+    speed = eventful(seed).references[0] / 3.3
+    assert held(drag_V=(8.0, 8.0)) - plain == pytest.approx(8.0 * speed**2, abs=0.3)
+
+
+@pytest.mark.slow
+def test_what_the_sensor_shows_is_held_whatever_its_offset() -> None:
+    stand = eventful(offset=(0.04, 0.04))
+    outcome = stand.run(Mode.FIXED)
+    shown = outcome.trace[:, bench.OUTPUT] + 0.04
+    assert np.max(np.abs(shown - stand.references)) < 0.002
+    assert judge(stand, outcome, outcome)["rms_fixed"] < 0.03
+
+
+@pytest.mark.slow
+def test_a_motor_coasts_while_the_drive_is_off_and_is_caught_again() -> None:
+    stand = eventful(restarted=1.0, off_s=(10.0, 10.0))
+    course = stand.course(Mode.ADAPTIVE)
+    (stop,) = course.stops
+    assert [course.stage(k) for k in (stop[0] - 1, stop[0], stop[-1], stop[-1] + 1)] == [
+        *(Stage.RUN, Stage.OFF),
+        *(Stage.PRECHARGE, Stage.RUN),
+    ]
+    outcome, decisions = stand.run_deployed(Mode.ADAPTIVE)
+    assert outcome.interlock == 0
+    assert len(decisions) == np.count_nonzero(stand.running())
+    outputs = outcome.trace[:, bench.OUTPUT]
+    assert np.all(np.isnan(outputs[stop[0] : stop[-1] + 1]))
+    assert outputs[stop[-1] + 2] < 0.9 * stand.references[0]
+    assert outputs[-1] == pytest.approx(stand.references[0], abs=0.01)
+    assert np.isfinite(judge(stand, outcome, outcome)["cost_adaptive"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", [Mode.FIXED, Mode.ADAPTIVE])
+def test_compiled_code_lives_the_same_life(mode: Mode) -> None:
+    campaign = read_campaign(Path("life.toml")).model_copy(update={"duration_s": 600.0})
+    stand = Stand(next(one for s in SEEDS if _is_full(one := draw(campaign, s))))
+    found, (expected, _) = stand.run(mode), stand.run_deployed(mode)
+    assert found.interlock == expected.interlock == 0
+    for column in (bench.ADAPTIVE, bench.ACCEPTED, bench.VERDICT):
+        assert np.array_equal(found.trace[:, column], expected.trace[:, column])
+    np.testing.assert_allclose(found.trace, expected.trace, rtol=1e-6, atol=1e-9)
+
+
+def _is_full(scenario: Scenario) -> bool:
+    life = scenario.life
+    ramped = max(life.inertia_ramps_s, default=0.0) > 0.0
+    return len(life.torques_V) > 4 and ramped and bool(life.idle_s) and not life.stop_times_s
+
+
+def test_standard_and_wide_runs_have_no_life() -> None:
+    for name in ("standard.toml", "wide.toml"):
+        campaign = read_campaign(Path(name))
+        assert campaign.life == LifeRanges()
+    assert deployed().period_s == 1.0
