@@ -111,6 +111,7 @@ _UNITS = {
 }
 
 _NUMERICAL = {
+    "_PASSES",
     "_HALVINGS",
     "_LARGEST_EXPONENT",
     "_LONGEST_REACH",

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import hilbert
 from scipy.signal import lfilter
@@ -119,15 +119,29 @@ def record_of(
     return Record(outputs.tolist(), inputs.tolist(), period_s)
 
 
+RESONANT = System([1.0, 0.0, 0.0, 1.778e-4], [1.0, 0.08435, 0.004743, 1.778e-4])
+"""Each jump of its input passes at once; at 0.05 rad/s next to nothing passes."""
+
+
 @settings(max_examples=15, deadline=None)
 @given(stable_systems((1, 3), direct=True), st.booleans())
+@example(RESONANT, True)
 def test_any_order_with_direct_term_and_constant_is_found(system: System, at_rest: bool) -> None:
     record = record_of(system, 2500, 0.05, offset=0.7)
     found = identify(record, Structure(system.order, direct=True, bias=True, at_rest=at_rest), 4.0)
     for rad_s in (0.0, 0.05, 0.3, 1.0):
         point = 1j * rad_s
         response = np.polyval(found.numerator, point) / np.polyval(found.denominator, point)
-        assert abs(response - system.response(rad_s)) < 0.05 * (1.0 + abs(system.response(rad_s)))
+        assert abs(response - system.response(rad_s)) < 5e-3 * (1.0 + abs(system.response(rad_s)))
+
+
+def test_what_jumps_with_the_input_is_no_ramp_between_two_samples() -> None:
+    record = record_of(RESONANT, 2500, 0.05, offset=0.7)
+    found = identify(record, Structure(3, direct=True, bias=True), 4.0)
+    assert found.numerator[0] == pytest.approx(1.0, abs=1e-5)
+    point = 0.05j
+    response = np.polyval(found.numerator, point) / np.polyval(found.denominator, point)
+    assert abs(response - RESONANT.response(0.05)) < 1e-3
 
 
 def test_a_motor_is_found_with_honest_error_bars() -> None:

@@ -13,6 +13,14 @@ need not begin at rest: whatever the load and the filters remember from before i
 which are m known signals with unknown factors: they are estimated along, and left out of the
 result.
 
+Between two samples y is taken as linear. Where the input acts at once, y jumps by b_0 Δu at a
+sample instead, and the filters must not see a ramp there. What they see too much is
+
+    b_0 (λ^i u, linear between its samples - λ^i u, held)
+
+With b_0 of the last fit this is subtracted and the fit is repeated: each pass takes most of the
+error of b_0 away, about the period over the load's shortest time constants of it remain.
+
 For records and benches, not for the daemon, which must start without the array library it needs
 (`pip install adaptdrive[analysis]`).
 """
@@ -30,6 +38,9 @@ from adaptdrive.control.lambda_filter import advance, chain_decay, ramp_gains, s
 from adaptdrive.control.lambda_transform import from_lambda
 
 Array = NDArray[np.float64]
+
+_PASSES = 4
+"""Fits after the first one where the input acts at once: b_0 no longer changes visibly."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +72,8 @@ class Record:
     """A recorded series at a constant rate.
 
     Attributes:
-        outputs: y, taken as linear between two samples; where the input acts at once, sample fast.
+        outputs: y, linear between two samples but for what the input does at once; taken right
+            after the input of the same sample.
         inputs: u, each held until the next.
         period_s: Time between two samples.
     """
@@ -186,7 +198,20 @@ def identify(
     if len(record.outputs) != len(record.inputs):
         raise ValueError(f"{len(record.outputs)} outputs, but {len(record.inputs)} inputs")
     regressors, targets = _regression(record, structure, tau_lambda_s)
-    fit = least_squares(regressors[::every], targets[::every])
+    found = _found(least_squares(regressors[::every], targets[::every]), structure, tau_lambda_s)
+    if not structure.direct:
+        return found
+    smeared = _smeared(record, structure, tau_lambda_s)
+    for _ in range(_PASSES):
+        mended = regressors.copy()
+        mended[:, : structure.order] += found.numerator[0] * smeared
+        fit = least_squares(mended[::every], targets[::every])
+        found = _found(fit, structure, tau_lambda_s)
+    return found
+
+
+def _found(fit: Fit, structure: Structure, tau_lambda_s: float) -> Identified:
+    """The load of a fit, out of the λ-domain."""
     order, first = structure.order, 0 if structure.direct else 1
     inputs = order + 1 - first
     alpha, beta = np.zeros(order + 1), np.zeros(order + 1)
@@ -200,6 +225,16 @@ def identify(
         bias=float(fit.theta[order + inputs]) if structure.bias else 0.0,
         fit=fit,
     )
+
+
+def _smeared(record: Record, structure: Structure, tau_lambda_s: float) -> Array:
+    """What λ ... λ^m of a signal that jumps with the input show too much, for jumps of Δu."""
+    inputs = np.asarray(record.inputs, float)
+    linear, steps = (
+        _chains(inputs, structure.order, record.period_s, tau_lambda_s, held=held)
+        for held in (False, True)
+    )
+    return linear - steps
 
 
 def _regression(record: Record, structure: Structure, tau_lambda_s: float) -> tuple[Array, Array]:
