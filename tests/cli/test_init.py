@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,10 @@ from adaptdrive.config.bus import CanBus, Signals
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 LOADS = ("motor", "bath", "battery")
 BUSES = ("can", "modbus-tcp", "modbus-rtu", "canopen")
+DESCRIPTIONS = (
+    ("can", "--dbc", "bath.dbc", '"K"', '"°C"'),
+    ("canopen", "--eds", "cia402.eds", "=Tachometer", "=Tachometer °"),
+)
 
 
 def init(*words: str | Path) -> int:
@@ -121,3 +126,63 @@ def test_each_proposal_can_be_changed(tmp_path: Path, monkeypatch: pytest.Monkey
     assert 'boost_voltage_V = "INV_ACT.U_MAINS"' in text
     assert 'line_voltage_V = "INV_ACT.U_DC"' in text
     assert "# load_power_W = " in text
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+@pytest.mark.parametrize("description", DESCRIPTIONS)
+def test_a_description_is_read_in_each_encoding_of_its_editors(
+    description: tuple[str, ...], encoding: str, tmp_path: Path
+) -> None:
+    bus, option, file, old, new = description
+    text = (EXAMPLES / file).read_text(encoding="utf-8").replace(old, new)
+    assert new in text
+    texts = []
+    for name, content in (("plain", text), ("other", text.replace("\n", "\r\n"))):
+        place = tmp_path / name / file
+        place.parent.mkdir()
+        place.write_bytes(content.encode(encoding if name == "other" else "utf-8"))
+        init("bath", "--bus", bus, option, place, "--directory", place.parent)
+        texts.append((place.parent / "bath.toml").read_text().replace(str(place), file))
+    assert texts[1] == texts[0]
+    assert option == "--eds" or 'unit = "degC"' in texts[1]
+
+
+@pytest.mark.parametrize("name", ["", "../x", "a/b", "a b", "mötor", "x" * 300])
+def test_a_name_that_no_drive_can_have_writes_nothing(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "below"
+    assert init("motor", "--bus", "can", "--directory", folder, "--name", name) == 2
+    assert "--name" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_link_to_nothing_and_a_folder_are_not_replaced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "motor.toml").symlink_to(tmp_path / "nothing" / "x")
+    (tmp_path / "adaptdrive.dbc").mkdir()
+    for name in ("motor", "other"):
+        assert init("motor", "--bus", "can", "--directory", tmp_path, "--name", name) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    assert not (tmp_path / "other.toml").exists()
+
+
+def test_no_text_of_a_description_leaves_its_place_in_the_file(tmp_path: Path) -> None:
+    text = (EXAMPLES / "inverter.dbc").read_text()
+    text = text.replace('"rpm"', '"rpm\nevil = 1"').replace('"Run"', '"Ru\\\\n"')
+    database = tmp_path / 'my "drive".dbc'
+    database.write_text(text)
+    init("motor", "--bus", "can", "--dbc", database, "--directory", tmp_path)
+    tables = tomllib.loads((tmp_path / "motor.toml").read_text())
+    assert tables["bus"]["database"] == database.name
+    assert "evil" not in str(tables)
+
+
+def test_the_parser_quotes_a_file_that_is_no_text_in_part(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    database = tmp_path / "binary.dbc"
+    database.write_bytes(b"\xfe" * 100_000)
+    assert init("motor", "--bus", "can", "--dbc", database, "--directory", tmp_path) == 2
+    assert len(capsys.readouterr().err) < 1000

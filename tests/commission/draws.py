@@ -110,6 +110,15 @@ def motor(random: Random) -> Draw:
     )
 
 
+def encoder_motor(random: Random) -> Draw:
+    """A motor whose speed is measured without a filter: its load has a single lag."""
+    draw = motor(random)
+    assert isinstance(draw.load, Motor)
+    load = Motor(dataclasses.replace(draw.load.parameters, filter_s=0.01))
+    load.torque_Nm = draw.load.torque_Nm
+    return dataclasses.replace(draw, load=load)
+
+
 def bath(random: Random) -> Draw:
     nominal = BathParameters()
     size = span(random, 0.2, 5.0)

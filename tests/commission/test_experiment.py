@@ -15,8 +15,8 @@ from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.phases import Phase
 from adaptdrive.commission.target import Target
 from adaptdrive.errors import CommissionError
-from tests.commission.draws import KINDS, Rig, finish
-from tests.commission.trials import BAND, trial
+from tests.commission.draws import KINDS, Rig, encoder_motor, finish
+from tests.commission.trials import BAND, trial, trial_of
 
 SAMPLE_S = 0.1
 TARGET = Target(
@@ -65,6 +65,19 @@ def test_unknown_loads_are_identified_within_the_stated_band(kind: str) -> None:
     loops = [one.loop for one in trials if one.loop is not None]
     assert max(one.pole for one in loops) < 1.0
     assert max(one.error for one in loops) <= 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 2, 3, 6, 9])
+def test_a_motor_without_a_filter_is_identified(seed: int) -> None:
+    """Its second lag is below any noise: only that it is short can be known, and suffices."""
+    random = np.random.default_rng([seed, 15])
+    one = trial_of(encoder_motor(random), random)
+    assert one.refusal == ""
+    assert one.right
+    assert one.loop is not None
+    assert one.loop.pole < 1.0
+    assert one.loop.error <= 0.1
 
 
 @pytest.mark.parametrize("gain", [0.002, 0.01, 0.05])

@@ -10,7 +10,7 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.commission.evaluate import evaluate
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.errors import AdaptdriveError
-from tests.commission.draws import KINDS, Rig, finish
+from tests.commission.draws import KINDS, Draw, Rig, finish
 from tests.commission.loops import Loop, loop_around
 
 CLOSE = 0.05
@@ -52,7 +52,10 @@ class Trial:
 
 def trial(kind: str, seed: int) -> Trial:
     random = np.random.default_rng([seed, 15])
-    draw = KINDS[kind](random)
+    return trial_of(KINDS[kind](random), random)
+
+
+def trial_of(draw: Draw, random: np.random.Generator) -> Trial:
     truth = draw.truth
     found, rig = LoadExperiment(draw.target), Rig(draw, random)
     refusal, errors, sigmas, loop = "", {}, {}, None

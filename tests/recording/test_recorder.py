@@ -2,6 +2,7 @@ import asyncio
 import contextlib
 import os
 import resource
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -261,6 +262,27 @@ async def test_a_full_disk_stops_recording_which_resumes_in_a_new_segment(sessio
     assert "recording goes on in segment" in heard[-1].detail
     assert (bench.directory / "ticks-0001.parquet").exists()
     assert (bench.directory / "ticks-0002.parquet").exists()
+
+
+async def test_a_removed_session_is_told_and_a_new_one_begins(sessions: Path) -> None:
+    async with recording(sessions) as bench:
+        await bench.publish_until(lambda: bench.rows() > 100)
+        shutil.rmtree(sessions)
+        heard: list[Event] = []
+
+        def resumed() -> bool:
+            heard.extend(bench.said())
+            return any("recording goes on in segment" in event.detail for event in heard)
+
+        await bench.publish_until(resumed)
+        first = bench.published
+        await bench.publish(200)
+        await bench.stop()
+    assert "recording has stopped" in heard[0].detail
+    assert heard[0].severity is Severity.ALARM
+    read = bench.session()
+    assert sequences(read)[-200:] == list(range(first, first + 200))
+    assert read.info.ended is Ending.ORDERLY
 
 
 async def test_an_end_with_a_full_disk_is_told_and_counted(sessions: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -29,7 +30,7 @@ _CAN = """\
 type = "can"
 interface = "socketcan"
 channel = "can0"
-database = "{database}"
+database = {database}
 clock = "{clock}"{space}# its arrival is the tick
 clock_ticks = {ticks}{space}# half line cycles from one such message to the next
 """
@@ -42,7 +43,7 @@ _CANOPEN = """\
 type = "canopen"
 interface = "socketcan"
 channel = "can0"
-eds = "{eds}"
+eds = {eds}
 node_id = {node}{space}# of the drive
 own_node_id = 127{space}# of the daemon, whose heartbeat the drive watches
 sync = "daemon"
@@ -62,7 +63,7 @@ def can_part(database: Database, name: str, choices: Choices) -> str:
     used = [database.get_message_by_name(message) for message in messages]
     clock = _clock(used, choices)
     head = _CAN.format(
-        database=name, clock=clock.name if clock else "", ticks=_ticks(clock), space="  "
+        database=_quoted(name), clock=clock.name if clock else "", ticks=_ticks(clock), space="  "
     )
     return "".join([head, *_proofs(used), *_signals(choices)])
 
@@ -75,7 +76,9 @@ def canopen_part(eds: Path, choices: Choices) -> str:
         choices: The chosen objects.
     """
     taken = {name: one for name, one in choices.items() if name not in _OF_THE_PROFILE}
-    return "".join([_CANOPEN.format(eds=eds, node=_NODE_ID, space="  "), *_signals(taken)])
+    return "".join(
+        [_CANOPEN.format(eds=_quoted(str(eds)), node=_NODE_ID, space="  "), *_signals(taken)]
+    )
 
 
 def clock_ticks(part: str) -> int:
@@ -132,10 +135,17 @@ def _line(quantity: str, chosen: Candidate | None) -> str:
         remark = "leave out where the drive has none" if quantity in _OPTIONAL else "needed"
         return f'# {key} = "…"  # nothing like it was found: {remark}\n'
     if quantity.endswith("bridge") and chosen.on:
-        off = f', off = "{chosen.off}"' if chosen.off and quantity == "command.bridge" else ""
-        return f'{key} = {{ signal = "{chosen.reference}", on = "{chosen.on}"{off} }}\n'
+        states = f"on = {_quoted(chosen.on)}"
+        if chosen.off and quantity == "command.bridge":
+            states += f", off = {_quoted(chosen.off)}"
+        return f'{key} = {{ signal = "{chosen.reference}", {states} }}\n'
     about = ", ".join(part for part in (chosen.unit, chosen.range) if part)
     remark = f"  # {about}" if about else ""
     if chosen.unit in _SI_UNITS:
         return f'{key} = "{chosen.reference}"{remark}\n'
-    return f'{key} = {{ signal = "{chosen.reference}", unit = "{chosen.unit}" }}{remark}\n'
+    return f'{key} = {{ signal = "{chosen.reference}", unit = {_quoted(chosen.unit)} }}{remark}\n'
+
+
+def _quoted(text: str) -> str:
+    """Return a text as TOML writes it, whatever its characters are."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
+from pydantic import ValidationError
 
 from adaptdrive.app.described import Choices, can_part, canopen_part, clock_ticks, output_unit
 from adaptdrive.app.starter import BusName, Starter, compose
+from adaptdrive.config.drive import DriveSection
 from adaptdrive.config.load import LoadName
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.proposal import OUTPUTS, QUANTITIES, Candidate, propose
 
 _SHOWN = 3
 _NODE_ID = 1
+_NAME_LENGTH = 64
 
 
 def init(  # noqa: PLR0913 - one parameter for each option
@@ -48,7 +52,7 @@ def init(  # noqa: PLR0913 - one parameter for each option
         0 when the file passes `check`, 2 when something is left to fill in.
     """
     _refuse_misfits(bus, dbc, eds)
-    drive = name or load
+    drive = load if name is None else _refuse_misnamed(name)
     part = _described(load, directory, dbc, eds, ask=sys.stdin.isatty() and not yes)
     starter = compose(
         load, bus, drive, part, stride=clock_ticks(part or ""), output_unit=output_unit(part or "")
@@ -73,6 +77,15 @@ def _refuse_misfits(bus: BusName, dbc: Path | None, eds: Path | None) -> None:
     if eds is not None and bus != "canopen":
         flaw = Flaw(str(eds), f"describes a drive on canopen, not {bus}")
         raise ConfigurationError("--eds", [flaw])
+
+
+def _refuse_misnamed(name: str) -> str:
+    """Return the name of a drive, which becomes a file's name too; refuse what `check` refuses."""
+    try:
+        return DriveSection(name=name).name
+    except ValidationError as problem:
+        flaw = Flaw("name", f"{name!r} is not one to {_NAME_LENGTH} letters, digits, _ and -")
+        raise ConfigurationError("--name", [flaw]) from problem
 
 
 def _described(
@@ -131,17 +144,18 @@ def _confirm(
 def _write(starter: Starter, directory: Path, drive: str) -> Path:
     """Write the files of a configuration; refuse to replace any."""
     path = directory / f"{drive}.toml"
-    files = {path: starter.text.encode()}
-    if starter.description is not None:
-        files[directory / starter.description] = starter.content
-    for file, content in files.items():
-        if file.exists() and (file == path or file.read_bytes() != content):
-            raise ConfigurationError(file, [Flaw("init", "the file exists and is not replaced")])
     try:
+        files = {path: starter.text.encode()}
+        if starter.description is not None:
+            files[directory / starter.description] = starter.content
         directory.mkdir(parents=True, exist_ok=True)
         for file, content in files.items():
+            if os.path.lexists(file) and (file == path or file.read_bytes() != content):
+                flaw = Flaw("init", "the file exists and is not replaced")
+                raise ConfigurationError(file, [flaw])
+        for file, content in files.items():
             file.write_bytes(content)
-    except OSError as problem:
+    except (OSError, UnicodeError) as problem:
         raise ConfigurationError(directory, [Flaw("init", str(problem))]) from problem
     return path
 

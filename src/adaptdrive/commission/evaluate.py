@@ -22,6 +22,9 @@ _MOST_BLOCKS = 4000
 _LARGEST_DEVIATION = 0.5
 """Largest standard deviation of a parameter, relative to it."""
 
+_NEGLIGIBLE_LAG = 0.01
+"""Deviation of the second lag, over the sum of both, that no slow period shows."""
+
 _DELAYS = (0, 1)
 """Dead times in samples: a tenth of a second is longer than any bus takes."""
 
@@ -43,12 +46,24 @@ def evaluate(experiment: LoadExperiment, load: Load) -> IdentifiedLoad:
     excerpt = resampled(experiment.record, outcome.began_s)
     found = identify([excerpt], load, block=_block(outcome, excerpt), delays=_DELAYS)
     for name, one in found.parameters.items():
-        if not (one.value > 0.0 and one.std <= _LARGEST_DEVIATION * one.value):
+        if not (one.value > 0.0 and one.std <= _largest_deviation(name, found)):
             raise CommissionError(
                 f"the test does not determine {name} = {one.value:.4g} ± {one.std:.2g}: ask for a "
                 "larger movement, or a longer wait"
             )
     return found
+
+
+def _largest_deviation(name: str, found: IdentifiedLoad) -> float:
+    """Return the largest standard deviation with which a parameter counts as known.
+
+    The product of two lags vanishes beside their sum where the load has a single one: what
+    matters is then the second lag, which is the product over the sum.
+    """
+    relative = _LARGEST_DEVIATION * found.parameters[name].value
+    if name != "tau_product_s2":
+        return relative
+    return max(relative, _NEGLIGIBLE_LAG * found.parameters["tau_sum_s"].value ** 2)
 
 
 def resampled(record: Samples, from_s: float) -> Excerpt:

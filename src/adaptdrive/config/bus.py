@@ -61,11 +61,13 @@ class Crc(Section):
 class FrameIntegrity(Section):
     """`[bus.integrity.MESSAGE]`: how a message proves that it is alive and whole."""
 
-    counter: str | None = Field(default=None, description="signal with the alive counter")
+    counter: str | None = Field(
+        default=None, min_length=1, description="signal with the alive counter"
+    )
     max_jump: int = Field(
         default=3, ge=1, description="largest accepted advance of the alive counter"
     )
-    checksum: str | None = Field(default=None, description="signal with the checksum")
+    checksum: str | None = Field(default=None, min_length=1, description="signal with the checksum")
     algorithm: Literal["sae-j1850", "autosar-p01", "crc"] = Field(
         default="sae-j1850",
         description="form of the checksum: two of eight bits, or any other that `crc` describes",

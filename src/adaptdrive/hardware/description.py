@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import codecs
 from pathlib import Path
 
 _LARGEST_BYTES = 16 * 1024 * 1024
 """Larger than any maker's file, and small enough to be parsed."""
+
+_LONGEST_PROBLEM = 300
+"""A parser quotes the line at fault, and a file that is no text may be one line."""
 
 
 def read_description(path: Path) -> bytes:
@@ -25,7 +29,28 @@ def read_description(path: Path) -> bytes:
     return path.read_bytes()
 
 
+def description_text(path: Path) -> str:
+    """Return the text of a DBC or EDS file, in whichever encoding its editor wrote it.
+
+    A byte order mark decides; without one it is UTF-8, or else Windows code page 1252.
+
+    Args:
+        path: The file.
+
+    Raises:
+        OSError: As for `read_description`.
+        ValueError: As for `read_description`, or the bytes contradict the byte order mark.
+    """
+    content = read_description(path)
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return content.decode("utf-16")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("cp1252", "replace")
+
+
 def problem_text(problem: Exception) -> str:
-    """Return an error in one line."""
-    text = " ".join(str(problem).split())
-    return text or type(problem).__name__
+    """Return an error in one line of at most 300 characters."""
+    text = " ".join(str(problem).split()) or type(problem).__name__
+    return text if len(text) <= _LONGEST_PROBLEM else text[:_LONGEST_PROBLEM] + "…"

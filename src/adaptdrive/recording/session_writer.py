@@ -99,7 +99,13 @@ class SessionWriter:
             housekeeper.submit(self._prune)
 
     def write(self, batch: Batch) -> None:
-        """Put one batch on disk, events first: they are few and matter most."""
+        """Put one batch on disk, events first: they are few and matter most.
+
+        Raises:
+            OSError: It cannot be written, or the session was removed from its place, where files
+                that are still open would take what nobody can read.
+        """
+        (self.directory / INFO_FILE).stat()
         if time.monotonic() - self._began_s >= self._header.segment_s:
             self._begin_segment()
         if batch.events or batch.commands:

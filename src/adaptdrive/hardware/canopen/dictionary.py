@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import struct
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 
 from canopen.objectdictionary import (
@@ -21,7 +22,7 @@ from canopen.objectdictionary import (
 
 from adaptdrive.config.proposals import nearest
 from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.hardware.description import problem_text, read_description
+from adaptdrive.hardware.description import description_text, problem_text
 
 Address = tuple[int, int]
 Thing = ODVariable | ODRecord | ODArray
@@ -134,11 +135,17 @@ def load_dictionary(
     if path.suffix.lower() not in {".eds", ".dcf"}:
         raise ConfigurationError(source, [Flaw("bus.eds", f"{path} is no .eds and no .dcf file")])
     try:
-        read_description(path)
-        return import_od(str(path), node_id)
+        return import_od(_named_text(path), node_id)
     except Exception as problem:  # the parser's own errors are of many kinds
         flaw = Flaw("bus.eds", f"{path} cannot be used: {problem_text(problem)}")
         raise ConfigurationError(source, [flaw]) from problem
+
+
+def _named_text(path: Path) -> StringIO:
+    """Return the text of a file with its name, from which the parser takes the format."""
+    text = StringIO(description_text(path))
+    text.name = str(path)
+    return text
 
 
 class ObjectCatalogue:

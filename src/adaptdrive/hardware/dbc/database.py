@@ -14,7 +14,7 @@ from cantools.database.can.signal import Signal
 from adaptdrive.config.bus import CanBus, FrameIntegrity
 from adaptdrive.config.proposals import nearest
 from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.hardware.description import problem_text, read_description
+from adaptdrive.hardware.description import description_text, problem_text
 from adaptdrive.hardware.link.codec import (
     CLASSIC_LENGTH,
     MessageCodec,
@@ -47,7 +47,7 @@ def load_database(path: Path, source: Path | str = "configuration", bus: str = "
         ConfigurationError: The file cannot be read or is no DBC.
     """
     try:
-        text = read_description(path).decode("cp1252", "replace")  # as DBC editors write it
+        text = description_text(path)
         _refuse_endless_numbers(text)
         database = cantools.database.load_string(text, database_format="dbc")
     except Exception as problem:  # the parser's own errors are of many kinds

@@ -53,7 +53,7 @@ def proofs(message: Message) -> tuple[str | None, str | None]:
 def _candidate(message: Message, signal: Signal, *, commanded: bool) -> Candidate:
     low, high = signal.minimum, signal.maximum
     limits = "" if low is None or high is None or low == high else f"{low:g}…{high:g}"
-    written = signal.unit or ""
+    written = "".join(one for one in signal.unit or "" if one.isprintable())
     return Candidate(
         reference=f"{message.name}.{signal.name}",
         words=f"{message.name} {signal.name}",

@@ -140,7 +140,8 @@ class ModbusPort:
 
     def explain_age(self) -> str:
         """Return the missing registers of the last poll; every value is as old as its poll."""
-        return f"the polls give no reading: {self._failure or 'no reply has come yet'}"
+        none = "no reply has come since the last reading" if self._raw else "no reply has come yet"
+        return f"the polls give no reading: {self._failure or none}"
 
     def details(self) -> list[str]:
         """The registers of the last poll, raw, and what was refused."""
