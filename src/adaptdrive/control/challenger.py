@@ -19,9 +19,16 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import rls
-from adaptdrive.control.hypotheses import ANEW, Branch, restart_past, widen
+from adaptdrive.control.hypotheses import (
+    ANEW,
+    Branch,
+    count_prediction,
+    predict_sample,
+    restart_past,
+    squared_error,
+    widen,
+)
 from adaptdrive.control.load import Load
-from adaptdrive.control.regression import fill_initial_state
 from adaptdrive.control.rivals import PRIOR_SAMPLES, Rivals, copy_estimate, is_possible
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.surprise import DRIFT
@@ -84,10 +91,9 @@ def begin(challenger: Challenger, rivals: Rivals, learning: Learning, load: Load
     for number in range(rivals.waiting):
         for i in range(count):
             regressor[i] = rivals.regressors[number * count + i]
-        _predict(
-            challenger, learning, load, regressor, rivals.targets[number], rivals.times_s[number]
-        )
-        _learn(challenger, learning, regressor, rivals.targets[number])
+        target, time_s = rivals.targets[number], rivals.times_s[number]
+        predict_sample(challenger.branch, learning, load, regressor, target, time_s)
+        _learn(challenger, learning, regressor, target)
 
 
 def is_surprised(
@@ -110,10 +116,8 @@ def is_surprised(
     """
     if challenger.samples == 0:
         return True
-    _predict(challenger, learning, load, regressor, target, time_s)
-    branch, forgetting = challenger.branch, learning.forgetting
-    share = forgetting / (forgetting + branch.excitation)
-    return branch.innovation * branch.innovation * share > DRIFT * challenger.power
+    predict_sample(challenger.branch, learning, load, regressor, target, time_s)
+    return squared_error(challenger.branch, learning.forgetting) > DRIFT * challenger.power
 
 
 def recount(challenger: Challenger) -> None:
@@ -146,31 +150,15 @@ def follow(
         innovation: ε of the estimate, scaled.
     """
     branch, forgetting = challenger.branch, learning.forgetting
-    _predict(challenger, learning, load, regressor, target, time_s)
+    predict_sample(branch, learning, load, regressor, target, time_s)
     if branch.excitation <= _TRAINED:
         challenger.judged += 1
-        challenger.squares += innovation * innovation * forgetting / (forgetting + excitation)
+        challenger.squares += rls.normalised(excitation, innovation, forgetting)
         challenger.logs += math.log(1.0 + excitation / forgetting)
-        share = forgetting / (forgetting + branch.excitation)
-        branch.squares += branch.innovation * branch.innovation * share
-        branch.logs += math.log(1.0 + branch.excitation / forgetting)
+        count_prediction(branch, forgetting)
     _learn(challenger, learning, regressor, target)
     if challenger.samples > _LIFE or lead(challenger) < _BEATEN:
         challenger.samples = 0
-
-
-def _predict(
-    challenger: Challenger,
-    learning: Learning,
-    load: Load,
-    regressor: Vector,
-    target: float,
-    time_s: float,
-) -> None:
-    branch = challenger.branch
-    fill_initial_state(regressor, learning, load, time_s - branch.origin_s)
-    branch.excitation = rls.excitation(branch.upper, branch.diagonal, regressor)
-    branch.innovation = target - rls.predict(branch.theta, regressor)
 
 
 def _learn(challenger: Challenger, learning: Learning, regressor: Vector, target: float) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from adaptdrive.control import rls
 from adaptdrive.control import supervisor as sup
 from adaptdrive.control.continuous import continuous_model
-from adaptdrive.control.estimator import EstimatorState, normalised, take_in
+from adaptdrive.control.estimator import EstimatorState, take_in
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings, Learning
 from adaptdrive.control.slow_state import SlowSample, SlowState
@@ -135,7 +135,7 @@ def _input_count(parameters: Vector, learning: Learning, load: Load) -> int:
 
 def _open_up(state: EstimatorState, learning: Learning, innovation: float) -> None:
     """After an abrupt change of a load that is learnt directly: forget how sure θ is."""
-    squared = normalised(state.excitation, innovation, learning.forgetting)
+    squared = rls.normalised(state.excitation, innovation, learning.forgetting)
     if not is_surprising(state.surprise, squared):
         return
     rls.open_up(state.upper, state.diagonal, learning.initial_covariance)

@@ -207,7 +207,7 @@ def remember_residual(
     state: EstimatorState, learning: Learning, excitation: float, innovation: float
 ) -> None:
     """Add an innovation to the forgetting sums from which σ follows."""
-    power = normalised(excitation, innovation, learning.forgetting)
+    power = rls.normalised(excitation, innovation, learning.forgetting)
     state.residual_power = learning.forgetting * state.residual_power + power
     state.residual_weight = learning.forgetting * state.residual_weight + 1.0
 
@@ -221,15 +221,10 @@ def hold_estimate(state: EstimatorState) -> None:
     now.origin_s = state.origin_s
 
 
-def normalised(excitation: float, innovation: float, forgetting: float) -> float:
-    """Return ε² without the share that the uncertainty of θ has in it."""
-    return innovation * innovation * forgetting / (forgetting + excitation)
-
-
 def own_residual(state: EstimatorState, learning: Learning) -> float:
     """Squared innovation of the last sample, the estimate's own uncertainty taken out, scaled."""
     innovation = state.innovation / learning.output_scale
-    return normalised(state.excitation, innovation, learning.forgetting)
+    return rls.normalised(state.excitation, innovation, learning.forgetting)
 
 
 def residual_noise(state: EstimatorState) -> float:

@@ -11,13 +11,13 @@ from adaptdrive.control import rivals as riv
 from adaptdrive.control.estimator import (
     EstimatorState,
     hold_estimate,
-    normalised,
     remember_residual,
     take_in,
 )
 from adaptdrive.control.hypotheses import BOTH, LOAD, NOTHING, Branch
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import fill_initial_state
+from adaptdrive.control.rls import normalised
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.surprise import is_surprising
 from adaptdrive.control.vectors import copy_into

@@ -20,7 +20,12 @@ from dataclasses import dataclass
 
 from adaptdrive.control import rls
 from adaptdrive.control.load import Load
-from adaptdrive.control.regression import dc_gain, fitted_order, initial_state_count
+from adaptdrive.control.regression import (
+    dc_gain,
+    fill_initial_state,
+    fitted_order,
+    initial_state_count,
+)
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.vectors import Vector
 
@@ -91,6 +96,35 @@ class Anchor:
 def new_branch(count: int) -> Branch:
     """Return an explanation for θ of a length."""
     return Branch([0.0] * count, [0.0] * (count * count), [0.0] * count)
+
+
+def predict_sample(
+    branch: Branch, learning: Learning, load: Load, regressor: Vector, target: float, time_s: float
+) -> None:
+    """Predict a sample by an explanation, before it is learnt.
+
+    Args:
+        branch: Innovation and excitation are overwritten.
+        learning: τ_λ.
+        load: Order.
+        regressor: r; the functions of the initial state in it are overwritten.
+        target: What r predicts, scaled.
+        time_s: When it was taken.
+    """
+    fill_initial_state(regressor, learning, load, time_s - branch.origin_s)
+    branch.excitation = rls.excitation(branch.upper, branch.diagonal, regressor)
+    branch.innovation = target - rls.predict(branch.theta, regressor)
+
+
+def squared_error(branch: Branch, forgetting: float) -> float:
+    """Return ε² ρ/(ρ + rᵀPr) of the last prediction; with the quotient first, as recorded sessions."""
+    return branch.innovation * branch.innovation * (forgetting / (forgetting + branch.excitation))
+
+
+def count_prediction(branch: Branch, forgetting: float) -> None:
+    """Add the last prediction to the sums by which explanations are compared."""
+    branch.squares += squared_error(branch, forgetting)
+    branch.logs += math.log(1.0 + branch.excitation / forgetting)
 
 
 def restart_past(branch: Branch, learning: Learning, load: Load, time_s: float) -> None:

@@ -25,7 +25,9 @@ from adaptdrive.control.hypotheses import (
     NOTHING,
     Anchor,
     Branch,
+    count_prediction,
     new_branch,
+    predict_sample,
     restart_past,
     widen,
 )
@@ -125,10 +127,6 @@ def new_rivals(count: int) -> Rivals:
         targets=[0.0] * ROOM,
         times_s=[0.0] * ROOM,
     )
-
-
-def _new_branch(count: int) -> Branch:
-    return Branch([0.0] * count, [0.0] * (count * count), [0.0] * count)
 
 
 def forget_loads(rivals: Rivals) -> None:
@@ -238,13 +236,9 @@ def _take_in(
     target: float,
     time_s: float,
 ) -> None:
-    fill_initial_state(regressor, learning, load, time_s - branch.origin_s)
     forgetting, power = learning.forgetting, rivals.anchor.power
-    branch.excitation = rls.excitation(branch.upper, branch.diagonal, regressor)
-    branch.innovation = target - rls.predict(branch.theta, regressor)
-    share = forgetting / (forgetting + branch.excitation)
-    branch.squares += branch.innovation * branch.innovation * share
-    branch.logs += math.log(1.0 + branch.excitation / forgetting)
+    predict_sample(branch, learning, load, regressor, target, time_s)
+    count_prediction(branch, forgetting)
     weight = PRIOR_SAMPLES + rivals.samples
     mean = (PRIOR_SAMPLES * power + branch.squares) / power
     branch.score = -0.5 * (branch.logs + weight * math.log(mean / weight)) - _rarity(rivals, kind)

@@ -87,6 +87,11 @@ def excitation(upper: Vector, diagonal: Vector, regressor: Vector) -> float:
     return result
 
 
+def normalised(excitation: float, innovation: float, forgetting: float) -> float:
+    """Return ε² ρ/(ρ + rᵀPr): ε² without the share that the uncertainty of θ has in it."""
+    return innovation * innovation * forgetting / (forgetting + excitation)
+
+
 def update(
     theta: Vector,
     upper: Vector,
