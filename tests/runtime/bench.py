@@ -23,7 +23,7 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.hardware.port import Reading
-from adaptdrive.runtime.daemon import DaemonSettings
+from adaptdrive.runtime.daemon_settings import DaemonSettings
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.loop_interface import FastLoopSettings
 from adaptdrive.runtime.machine import Machine

@@ -18,7 +18,8 @@ from adaptdrive.app.last_resort import uncaught_errors_end
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Decision, Measurement, Mode, Order
 from adaptdrive.errors import BusError, RefusedError
 from adaptdrive.hardware.port import Listener
-from adaptdrive.runtime.daemon import Daemon, DaemonSettings
+from adaptdrive.runtime.daemon import Daemon
+from adaptdrive.runtime.daemon_settings import DaemonSettings
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import (
     DriveReport,

@@ -22,7 +22,7 @@ from adaptdrive.control.settings import (
     Rates,
 )
 from adaptdrive.control.voltage_loop import LAG_TICKS
-from adaptdrive.runtime.daemon import DaemonSettings
+from adaptdrive.runtime.daemon_settings import DaemonSettings
 from adaptdrive.runtime.guard import CommandLimits
 from adaptdrive.runtime.loop_interface import FastLoopSettings
 from adaptdrive.runtime.machine_limits import MachineLimits

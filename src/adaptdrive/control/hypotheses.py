@@ -117,7 +117,7 @@ def predict_sample(
 
 
 def squared_error(branch: Branch, forgetting: float) -> float:
-    """Return ε² ρ/(ρ + rᵀPr) of the last prediction; with the quotient first, as recorded sessions."""
+    """Return ε² ρ/(ρ + rᵀPr) of the last prediction, the quotient first as in old sessions."""
     return branch.innovation * branch.innovation * (forgetting / (forgetting + branch.excitation))
 
 

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import itertools
-import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 
 from adaptdrive.clock.tick_timer import TickTimer
 from adaptdrive.control.reach import Reach
@@ -17,14 +14,10 @@ from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.accounts import drive_report
 from adaptdrive.runtime.announcer import Announcer
-from adaptdrive.runtime.collector import IdleCollector
+from adaptdrive.runtime.daemon_settings import DaemonSettings
 from adaptdrive.runtime.fast_loop import FastLoop
-from adaptdrive.runtime.frame_watch import DressRehearsal, FrameWatch
 from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.latency import LatencyDetector, WatchedLoop
-from adaptdrive.runtime.loop_interface import FastLoopSettings
 from adaptdrive.runtime.machine import Machine
-from adaptdrive.runtime.machine_limits import MachineLimits
 from adaptdrive.runtime.refused_share import RefusedShares
 from adaptdrive.runtime.reports import (
     DriveReport,
@@ -34,45 +27,11 @@ from adaptdrive.runtime.reports import (
     State,
     TickReport,
 )
-from adaptdrive.runtime.requests import Disable, Request, Reset
+from adaptdrive.runtime.requests import Request, Reset
 from adaptdrive.runtime.slow_loop import SlowLoop
+from adaptdrive.runtime.stop_sender import StopSender
+from adaptdrive.runtime.tick_support import TickSupport
 from adaptdrive.runtime.watchdog import ServiceManager
-
-_FAREWELLS = 3
-"""Safe commands at the end: two of them may be lost."""
-
-_FAREWELL_GAP_S = 0.005
-"""Time between them, so that one disturbance of the bus does not hit all."""
-
-# A flood of stops must not fill the bus: at most one safe command in half a tick is enough.
-_STOP_GAP_S = 0.004
-
-
-@dataclass(frozen=True, slots=True)
-class DaemonSettings:
-    """Settings of the runtime.
-
-    Attributes:
-        machine: Operator's limits.
-        pole: Closed-loop pole at start.
-        fast: The fast loop.
-        report_s: Time between two drive reports.
-        late_us: Lateness from which a tick is reported as an event.
-        spin_s: Busy wait before a frame of the drive is due, and before a deadline of the timer.
-        rehearse_s: How long before a frame of the drive is due a tick is rehearsed, 0 for never.
-        collect_ticks: Ticks between two collections of garbage, 0 to leave that to Python.
-        refused_share: Share of refused frames that trips the drive, 0 for none.
-    """
-
-    machine: MachineLimits
-    pole: float
-    fast: FastLoopSettings
-    report_s: float
-    late_us: float = math.inf
-    spin_s: float = 0.0
-    rehearse_s: float = 0.0
-    collect_ticks: int = 0
-    refused_share: float = 0.0
 
 
 class Daemon:
@@ -120,11 +79,9 @@ class Daemon:
         self._fast = FastLoop(port, controller, self._machine, settings.fast, self)
         self._slow = SlowLoop(controller, self._fast.deliver)
         self._timer: TickTimer | None = None
-        self._expectant: list[DressRehearsal | FrameWatch] = []
-        self._collector = IdleCollector(settings.collect_ticks)
-        self._detector: LatencyDetector | None = None
+        self._support: TickSupport | None = None
         self._failure: asyncio.Future[None] | None = None
-        self._stopped_s = -math.inf
+        self._stopper = StopSender(self._machine, self._fast, clock)
         self._refused = RefusedShares(settings.refused_share)
         self._announcer = Announcer(self._machine, self._fast, hub, manager, recorded)
 
@@ -140,8 +97,7 @@ class Daemon:
         loop = asyncio.get_running_loop()
         self._failure = loop.create_future()
         self._timer = TickTimer(loop, self._on_deadline, self._settings.spin_s)
-        self._detector = self._watch_latency(loop)
-        self._expectant = list(self._get_ready(loop))
+        self._support = self._support_ticks(loop)
         self._hub.publish(self._announcer.published)
         try:
             async with asyncio.TaskGroup() as tasks:
@@ -150,40 +106,25 @@ class Daemon:
                     await self._work(stop)
                 finally:
                     self._announcer.shutting_down = True
-                    await self._say_farewell()
+                    await self._stopper.say_farewell()
                 serving.cancel()
         finally:
             self._timer.close()
-            for one in self._expectant:
-                one.close()
-            self._detector.close()
+            self._support.close()
             self._manager.close()
 
-    def _get_ready(self, loop: asyncio.AbstractEventLoop) -> Iterator[DressRehearsal | FrameWatch]:
-        """Prepare for each frame of a drive that sends cyclically."""
-        settings = self._settings
-        if settings.fast.ticks_per_reading > 1:
-            # the replies of a drive that is polled come through the loop, which must not be kept
-            return
-        if settings.rehearse_s > 0.0:
-            yield DressRehearsal(loop, self._rehearse_tick, settings.rehearse_s)
-        if settings.spin_s > 0.0:
-            yield FrameWatch(loop, self._port.catch_up, settings.spin_s, self._clock)
-
-    def _rehearse_tick(self) -> None:
-        """Run a tick on synthetic frames, and read the bus, which has no frame yet."""
-        self._rehearse()
-        self._port.catch_up()
-
-    def _watch_latency(self, loop: asyncio.AbstractEventLoop) -> LatencyDetector:
-        detector = LatencyDetector(
-            self._settings.late_us,
-            lambda detail: self._announcer.publish_event("latency", Severity.WARNING, detail),
-            self._clock,
-            loop.ring if isinstance(loop, WatchedLoop) else None,
+    def _support_ticks(self, loop: asyncio.AbstractEventLoop) -> TickSupport:
+        return TickSupport(
+            loop,
+            self._settings,
+            self._port,
+            rehearse=self._rehearse,
+            report_late=lambda detail: self._announcer.publish_event(
+                "latency", Severity.WARNING, detail
+            ),
+            is_idle=lambda: not self._machine.energised,
+            clock=self._clock,
         )
-        detector.open()
-        return detector
 
     async def _work(self, stop: asyncio.Event) -> None:
         """Everything that needs the port; it ends before the port does."""
@@ -222,17 +163,6 @@ class Daemon:
         if self._failure is not None:
             await self._failure
 
-    def _stop_driving(self) -> None:
-        """Send only safe commands from now on, and the first one at once."""
-        self._machine.carry_out(Disable(), self._fast.tick, float("nan"), None)
-        self._fast.send_safe()
-
-    async def _say_farewell(self) -> None:
-        """Stop driving, more than once: a frame can be lost."""
-        for _ in range(_FAREWELLS):
-            self._stop_driving()
-            await asyncio.sleep(_FAREWELL_GAP_S)
-
     def trip(self, cause: str) -> None:
         """Trip at once for a cause outside the drive.
 
@@ -249,10 +179,7 @@ class Daemon:
         Returns:
             The state after it.
         """
-        now_s = self._clock()
-        if self._machine.energised or now_s - self._stopped_s >= _STOP_GAP_S:
-            self._stop_driving()
-            self._stopped_s = now_s
+        self._stopper.stop_again()
         self._announcer.publish_state()
         return self._machine.state
 
@@ -287,8 +214,8 @@ class Daemon:
         except Exception as problem:  # noqa: BLE001 - a port that dies of it would close the bus
             self.fail(problem)
             return
-        for one in self._expectant:
-            one.expect(reading.arrival_s + self._fast.reading_period_s)
+        if self._support is not None:
+            self._support.expect(reading.arrival_s + self._fast.reading_period_s)
 
     def on_bus(self, up: bool, detail: str) -> None:
         """The bus was lost or came back."""
@@ -312,14 +239,8 @@ class Daemon:
         self._hub.publish(report)
         if self._machine.state is not self._announcer.published.state:
             self._announcer.publish_state()
-        if self._detector is not None:
-            self._detector.ticked(report.lateness_us, report.tick_us)
-        if self._collector.is_due():
-            asyncio.get_running_loop().call_soon(self._collect)
-
-    def _collect(self) -> None:
-        """Collect garbage now that a tick has ended and the next one is far."""
-        self._collector.collect(idle=not self._machine.energised)
+        if self._support is not None:
+            self._support.ticked(report)
 
     def snapshot_taken(self, snapshot: Snapshot) -> bool:
         """Queue a snapshot for the slow loop."""
@@ -340,7 +261,7 @@ class Daemon:
     def _complete(self) -> None:
         """The load has what it needs: end in the safe state, without a trip."""
         self._announcer.publish_event("complete", Severity.INFO, "charging is complete")
-        self._stop_driving()
+        self._stopper.stop()
 
     def not_stopped(self, detail: str) -> None:
         """Report that the drive has not confirmed its stop in time, for any first cause."""
@@ -379,11 +300,5 @@ class Daemon:
         self._announcer.shutting_down = True
         self._manager.stopping()
         self.stop()
-        end_s = self._clock() + self._fast.stop_limit_s + _FAREWELL_GAP_S
-        for number in itertools.count():
-            self._fast.send_safe()
-            await asyncio.sleep(_FAREWELL_GAP_S)
-            ended = self._machine.state is not State.STOPPING or self._clock() > end_s
-            if ended and number >= _FAREWELLS:
-                break
+        await self._stopper.await_stop()
         self._announcer.publish_state()
