@@ -16,6 +16,7 @@ from adaptdrive.control.signals import Decision, Mode, Order, Snapshot, Stage
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Event, LoadReport, Severity
 from tests.config.documents import parse
+from tests.runtime.bench import until
 
 VALUES = (0.021, 20.0, 90.0)
 CONFIGURATION = parse()
@@ -149,21 +150,19 @@ async def test_it_is_written_on_acceptance_at_most_once_a_minute_and_at_the_end(
     written: list[cp.Values] = []
     keeper = cp.Keeper(written.append, learner, hub, clock)
 
-    async def period(now_s: float, trusted: cp.Values | None) -> None:
+    async def period(now_s: float, trusted: cp.Values | None, *expected: cp.Values) -> None:
         clock.now_s, learner.trusted = now_s, trusted
         hub.publish(report())
         await asyncio.sleep(0.05)
+        await until(lambda: len(written) >= len(expected))
+        assert written == list(expected)
 
     task = asyncio.create_task(keeper.run())
     await period(1.0, None)
-    assert written == []
-    await period(2.0, (1.0,))
-    assert written == [(1.0,)]
-    await period(61.0, (2.0,))
-    assert written == [(1.0,)]
-    await period(62.0, (3.0,))
-    assert written == [(1.0,), (3.0,)]
-    await period(200.0, (3.0,))
+    await period(2.0, (1.0,), (1.0,))
+    await period(61.0, (2.0,), (1.0,))
+    await period(62.0, (3.0,), (1.0,), (3.0,))
+    await period(200.0, (3.0,), (1.0,), (3.0,))
     learner.trusted = (4.0,)
     task.cancel()
     await keeper.save()

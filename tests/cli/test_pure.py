@@ -30,7 +30,7 @@ def show(folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
         check=False,
         capture_output=True,
         text=True,
-        timeout=60.0,
+        timeout=240.0,
         env={**os.environ, "PYTHONPATH": str(folder), **environment},
     )
 

@@ -80,7 +80,6 @@ def response_to_a_disk(bench: Bench) -> tuple[float, float]:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 def test_eight_hours_without_excitation_wind_nothing_up() -> None:
     rested = excited_bench()
     rested.run(600.0, order(LOW, Mode.ADAPTIVE))

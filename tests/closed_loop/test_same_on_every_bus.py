@@ -208,7 +208,6 @@ def expected(load: str, tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
 @pytest.mark.parametrize("bus", ["", "-modbus-tcp", "-modbus-rtu", "-thermocouples", TACHOMETER])
 def test_the_control_result_does_not_depend_on_the_bus(
     load: str, bus: str, expected: Run, tmp_path: Path

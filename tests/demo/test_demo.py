@@ -20,7 +20,7 @@ from tests.support import Broker, Process, Spawn
 
 pytestmark = pytest.mark.slow
 
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 MISSED_TICKS = re.compile(r"only \d+ of \d+ ticks were run")
 
 

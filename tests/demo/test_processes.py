@@ -15,7 +15,7 @@ from adaptdrive_sim.demo import leash
 from adaptdrive_sim.demo.processes import Household, ProcessDiedError
 from tests.support import Spawn
 
-PATIENCE_S = 20.0
+PATIENCE_S = 120.0
 SLEEPER = """
 import pathlib, signal, sys, time
 def end(*_):

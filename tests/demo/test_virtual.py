@@ -97,7 +97,7 @@ def test_braking_returns_the_energy_that_the_motor_gives() -> None:
 
 def run(*words: str) -> tuple[int, dict[str, Any], str]:
     command = [sys.executable, "-m", "adaptdrive_sim", "demo", *words, "--headless"]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=110, check=False)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     lines = ended.stdout.splitlines()
     return ended.returncode, json.loads(lines[0]) if lines else {}, ended.stderr
 

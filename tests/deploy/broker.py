@@ -13,7 +13,7 @@ from tests.support import Process, complete_lines, start_process, stop_process
 SHIPPED = Path(__file__).parents[2] / "deploy" / "mosquitto"
 PEOPLE = ("operator", "viewer")
 DRIVES = ("motor", "bath")
-PATIENCE_S = 20.0
+PATIENCE_S = 120.0
 
 # Commands to the drive `motor`, which everybody hears who is asked to in these tests.
 _FIRST, _LAST = "adaptdrive/motor/command/first", "adaptdrive/motor/command/last"

@@ -21,7 +21,6 @@ SPIKES = Disturbance(0.002, 0.02, 0.1)
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)  # it may have to be compiled first
 @pytest.mark.parametrize(
     ("experiment", "variant", "design", "disturbance"),
     [

@@ -46,7 +46,6 @@ def test_a_change_of_the_load_does_not_show(silent: RunRecord) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
 def test_spikes_stop_mattering() -> None:
     records = runs(Disturbance(0.002, 0.02, 0.1))
     found = [error(record, "three disks") for record in records]
@@ -60,7 +59,6 @@ def test_spikes_stop_mattering() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
 @pytest.mark.parametrize(("noise", "factor"), [(0.02, 1.15), (0.05, 1.40)])
 def test_noise_stops_mattering(noise: float, factor: float) -> None:
     found = [error(record, "three disks") for record in runs(Disturbance(noise))]

@@ -122,7 +122,6 @@ def test_without_noise_the_estimates_end_on_the_truth() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
 def test_under_spikes_lm_rls_is_worth_a_factor_of_1_8() -> None:
     found = outcomes(MOTOR, ("adaptive", "direct_rls"), NOISY)
     ratios = [one.model_error("direct_rls") / one.model_error("adaptive") for one in found]
@@ -130,7 +129,6 @@ def test_under_spikes_lm_rls_is_worth_a_factor_of_1_8() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
 def test_the_papers_claims_hold_for_every_seed() -> None:
     for outcome in outcomes(MOTOR, ("fixed", "adaptive")):
         one, two, three = overshoots(outcome, "fixed")

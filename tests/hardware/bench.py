@@ -26,7 +26,7 @@ EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 MOTOR = load_configuration(EXAMPLES / "motor.toml")
 assert isinstance(MOTOR.bus, CanBus)
 MOTOR_BUS = MOTOR.bus
-_PATIENCE_S = 20.0
+_PATIENCE_S = 120.0
 TIMING = Timing(half_cycle_s=1.0 / 120.0, stale_s=0.05, daemon_holds_voltage=True)
 
 STATUS = {"BoostVoltage": 300.12, "LineVoltage": 120.4, "LoadPower": 431.7, "BridgeOn": 1}

@@ -17,7 +17,7 @@ DRIVE = "adaptdrive/motor"
 AT_ONCE = 50
 """Half of what a daemon keeps of commands that wait."""
 
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 
 
 class Fence:

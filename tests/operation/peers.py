@@ -39,7 +39,7 @@ from adaptdrive.runtime.reports import (
 from adaptdrive.runtime.requests import Disable, Enable, Request, Reset, SetMode, SetSetpoint
 from tests.support import Broker
 
-PATIENCE_S = 20.0
+PATIENCE_S = 120.0
 STANDBY = StateReport(
     state=State.STANDBY,
     mode=Mode.FIXED,

@@ -7,8 +7,9 @@ import gc
 import os
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 from structlog.testing import capture_logs
@@ -19,6 +20,7 @@ from adaptdrive.operation.profile import Profile
 from adaptdrive.operation.service import MqttService, ServiceSurroundings
 from adaptdrive.runtime.requests import Enable
 from tests.operation.peers import PATIENCE_S, RememberingHost
+from tests.runtime.bench import until
 from tests.support import Spawn
 
 
@@ -120,14 +122,21 @@ async def test_a_secret_that_cannot_be_read_is_tried_again(
     service = MqttService(Profile("guarded"), settings, host, host.hub, surroundings)
     with capture_logs() as lines:
         running = asyncio.create_task(service.run())
+        lost = await _first(lines, "broker lost")
         await asyncio.sleep(1.0)
         assert not running.done()
-    assert "spoilt" in next(line["problem"] for line in lines if line["event"] == "broker lost")
+    assert "spoilt" in lost["problem"]
     spoilt.rename(tmp_path / "put aside")
     spoilt.write_text(right)
     assert await _ask_until_answered(guarded)
     running.cancel()
     await asyncio.wait([running])
+
+
+async def _first(lines: Sequence[Mapping[str, Any]], event: str) -> Mapping[str, Any]:
+    """Wait for the first log line of an event."""
+    await until(lambda: any(line["event"] == event for line in lines))
+    return next(line for line in lines if line["event"] == event)
 
 
 @pytest.mark.parametrize(

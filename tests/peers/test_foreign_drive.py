@@ -28,8 +28,6 @@ HELD_V = 3.3
 TOLERANCE_V = 0.02
 HOLD_s = 60.0
 OWN_TIMEOUT_s = 0.5
-BUSY_s = 0.5
-"""What a machine with more work than processors may add."""
 
 
 @pytest.fixture(params=["can", "modbus"])
@@ -123,12 +121,11 @@ def test_a_killed_daemon_leaves_it_to_its_own_time_out(foreign: Foreign) -> None
     foreign.start(OWN_TIMEOUT_s)
     daemon = foreign.spawn(sys.executable, Path(__file__).with_name("holder.py"), foreign.config)
     await_bridge(foreign, on=True)
-    killed_s = time.monotonic()
     daemon.kill()
     await_bridge(foreign, on=False)
     off = foreign.events("bridge")[-1]
     assert off["why"] == "timeout"
-    assert off["at_s"] - killed_s < OWN_TIMEOUT_s + BUSY_s
+    assert off["silent_s"] > OWN_TIMEOUT_s
 
 
 def await_bridge(foreign: Foreign, *, on: bool) -> None:

@@ -27,7 +27,7 @@ from adaptdrive.recording.writer import record
 from tests.recording.material import INFO, make_batch, make_tick
 from tests.support import Process, children, slow_disk
 
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 TORN = (b"\x00" * 4096, b"\x05", b"\x08\x00\x00\x00\xc1\xc1", b"\xff\xff\xff\x7f{}")
 """What a power cut can leave at the end of a file."""
 

@@ -37,7 +37,7 @@ FAST: FastLoopSettings = SETTINGS.fast
 TICK_S = FAST.tick_s
 Q = MOTOR.ticks_per_period
 LATENCY = FAST.latency_ticks
-PATIENCE_S = 20.0
+PATIENCE_S = 120.0
 RATE_FRAMES = 61
 """Readings from which the rate is judged."""
 

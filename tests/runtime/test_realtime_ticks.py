@@ -165,7 +165,6 @@ def test_a_tick_is_rehearsed_from_frames_to_a_command_of_a_drive_that_runs(
 
 @pytest.mark.slow
 @pytest.mark.calculating
-@pytest.mark.timeout(900)
 def test_memory_is_flat_over_an_hour_of_ticks() -> None:
     """What grows with each tick would show, in a process that does nothing else."""
     command = [sys.executable, "-m", "tests.runtime.hour_of_ticks"]

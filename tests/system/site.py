@@ -33,8 +33,8 @@ from tests.support import (
 T = TypeVar("T")
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
-PATIENCE_S = 20.0
-START_PATIENCE_S = 60.0
+PATIENCE_S = 120.0
+START_PATIENCE_S = 240.0
 """Interpreter and numeric libraries of a process, where five others start at the same time."""
 
 PATIENT_DRIVE = ("--command-timeout", "1.0")

@@ -28,7 +28,6 @@ def bidirectional_site(make_site: MakeSite) -> Site:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(180)
 def test_power_returns_to_the_line_within_its_limit_and_nothing_trips(make_site: MakeSite) -> None:
     site = bidirectional_site(make_site)
     site.start("--initial-voltage", "390", *PATIENT_DRIVE)

@@ -43,7 +43,6 @@ def periods_to_adaptive(site: Site) -> int:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(240)
 def test_a_restarted_daemon_needs_a_confirmation_only(make_site: MakeSite) -> None:
     site = make_site(QUICK)
     site.start("--initial-voltage", "280", "--noise", "0.0004")

@@ -16,7 +16,6 @@ WAVE = {"shape": "square", "low": 2.9, "high": 3.2, "period_s": 3.0}
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(180)
 def test_switching_controllers_makes_no_bump(make_site: MakeSite) -> None:
     site = make_site(QUICK)
     site.start("--initial-voltage", "280", *PATIENT_DRIVE)

@@ -30,7 +30,6 @@ WAVE = {"shape": "square", "low": 2.9, "high": 3.2, "period_s": 8.0}
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(180)
 def test_every_estimate_reaches_the_gains_by_the_published_formulas(make_site: MakeSite) -> None:
     site = make_site(PAPER)
     site.start("--initial-voltage", "280", *PATIENT_DRIVE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import pytest
@@ -60,6 +59,5 @@ def test_an_error_in_a_service_leaves_the_drive_safe(
         until(lambda: ear.commands() and ear.commands()[-1].bridge, "the bridge is commanded on")
         flag.touch()
         assert site.daemon.wait(timeout=PATIENCE_S) != 0
-        time.sleep(0.2)
-        assert all(command.safe for command in ear.commands()[-3:])
+        until(lambda: all(one.safe for one in ear.commands()[-3:]), "safe commands at the end")
     assert "made to fail" in site.daemon_log

@@ -19,7 +19,7 @@ def run_daemon(config: Path) -> subprocess.CompletedProcess[str]:
         check=False,
         capture_output=True,
         text=True,
-        timeout=60.0,
+        timeout=240.0,
         cwd=config.parent,
     )
 

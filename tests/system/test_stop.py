@@ -15,7 +15,7 @@ from tests.system.bus_ear import BusEar
 from tests.system.conftest import MakeSite
 from tests.system.site import Site, publish, until
 
-GENEROUS_S = 1.0
+GENEROUS_S = 10.0
 """Far above what is measured (docs/reliability.md): this machine is busy with other tests."""
 
 FLOOD = Path(__file__).parents[1] / "benchmarks" / "flood.py"

@@ -21,7 +21,6 @@ START_UP_S = 90.0
 """A virtual machine on a busy one takes long to import a simulator."""
 
 
-@pytest.mark.timeout(240)
 async def test_it_is_safe_without_its_interface_and_obeys_again_with_it(
     config: CanBus, spawn: Spawn, tmp_path: Path, link: Link
 ) -> None:

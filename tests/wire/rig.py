@@ -27,7 +27,7 @@ from adaptdrive.runtime.requests import Enable, Request, Reset, SetSetpoint
 from adaptdrive.runtime.watchdog import ServiceManager
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
-PATIENCE_s = 20.0
+PATIENCE_s = 120.0
 _TOLD_s = 0.02
 """Time that a new state takes to be told."""
 

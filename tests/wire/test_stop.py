@@ -21,7 +21,7 @@ from tests.wire.test_matrix import note, run_steadily
 from tests.wire.wires import CanWire, PATIENT_s, modbus_wire, motor_text, strung
 
 ANNOUNCED_s = 1.0
-BUSY_s = 0.5
+BUSY_s = 10.0
 """What a machine with more work than processors may add."""
 
 LINKS = pytest.mark.parametrize("link", ["tcp", "rtu"])

@@ -12,7 +12,7 @@ import pytest
 from tests.hardware.canopen.documents import EDS, EXAMPLE
 from tests.support import Spawn
 
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 WITHOUT_CANOPEN = (
     "import sys; sys.modules['canopen'] = None; from adaptdrive.cli import main; sys.exit(main())"
 )
@@ -20,7 +20,7 @@ WITHOUT_CANOPEN = (
 
 def adaptdrive(*words: str | Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "adaptdrive.cli", *words]
-    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=60.0)
+    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=240.0)
 
 
 def changed(folder: Path, *changes: tuple[str, str]) -> Path:
@@ -55,7 +55,7 @@ def test_without_the_package_there_is_one_clear_line(tmp_path: Path, verb: str) 
         check=False,
         capture_output=True,
         text=True,
-        timeout=60.0,
+        timeout=240.0,
         cwd=tmp_path,
     )
     assert outcome.returncode == 2

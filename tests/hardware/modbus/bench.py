@@ -23,7 +23,7 @@ from adaptdrive.hardware.modbus.port import ModbusPort
 from adaptdrive.hardware.port import Reading
 from tests.config.modbus_documents import parse
 
-PATIENCE_s = 20.0
+PATIENCE_s = 120.0
 TIMEOUT_s = 0.04
 RUN = Command(current_scale_S=0.0, boost_reference_V=287.65, bridge=True)
 

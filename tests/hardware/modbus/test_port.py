@@ -180,10 +180,13 @@ async def test_a_link_that_dies_under_an_urgent_command_is_not_hammered(
         while mute.connections == 1:
             await asyncio.sleep(0.005)
             port.send(SAFE_COMMAND)
+        await until(lambda: mute.connections >= 3)
+        known, began_s = mute.connections, time.monotonic()
         await asyncio.sleep(1.0)
+        grown, elapsed_s = mute.connections - known, time.monotonic() - began_s
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
-    assert 3 <= mute.connections <= 6
+    assert grown <= 4.0 * elapsed_s
 
 
 async def test_a_port_that_is_closed_while_it_waits_for_the_drive_opens_no_link(

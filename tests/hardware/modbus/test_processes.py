@@ -20,7 +20,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from tests.support import Broker, Process, Spawn, prefer
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
-PATIENCE_s = 60.0
+PATIENCE_s = 120.0
 STALE_s = 2.0
 """Other tests may hold the processors longer than the examples' limit allows a drive."""
 COMMAND_TIMEOUT_s = "3.0"
