@@ -185,7 +185,7 @@ def from_words(action: str, values: Sequence[float]) -> dict[str, float]:
 
 
 def _whole(value: float) -> float:
-    """An integer where the value is one: fault words are integers on the wire."""
+    """Return an integer where the value is one: fault words are integers on the wire."""
     return int(value) if value.is_integer() else value
 
 

@@ -179,7 +179,7 @@ def _inertias(
 
 
 def _other_inertia(generator: np.random.Generator, load: LoadRanges, present: float) -> float:
-    """An inertia that differs by the least factor, in either direction."""
+    """Return an inertia that differs by the least factor, in either direction."""
     low, high = load.inertia
     below, above = present / load.change_min, present * load.change_min
     room_below, room_above = max(0.0, below - low), max(0.0, high - above)

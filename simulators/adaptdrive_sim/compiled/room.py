@@ -28,7 +28,7 @@ _VECTOR = types.Array(types.float64, 1, "C")
 
 @numba.njit(cache=True, forceinline=True)
 def new_vector(count: int) -> Any:
-    """A vector of so many numbers, whatever they are."""
+    """Return a vector of so many numbers, whatever they are."""
     if count <= _PLACES - _taken():
         return _take(count)
     return np.empty(count, np.float64)

@@ -88,5 +88,5 @@ class Truth(msgspec.Struct, frozen=True):
 
 
 def known(value: float | None) -> float:
-    """A number that may be absent; NaN where it is."""
+    """Return a number that may be absent; NaN where it is."""
     return math.nan if value is None else value

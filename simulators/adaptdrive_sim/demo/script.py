@@ -58,7 +58,7 @@ def acts(mode: ModeChoice, *, disks: bool) -> Iterator[Act]:
 
 
 def _cast(act: Act, offset: int, mode: ModeChoice, *, disks: bool) -> Act:
-    """An act as this demonstration plays it."""
+    """Return an act as this demonstration plays it."""
     alternating = mode == "alternate"
     number = act.disks if disks else 1
     asked = act.mode if alternating else None

@@ -137,7 +137,7 @@ async def perform(settings: DemoSettings, show: Show) -> DemoOutcome:
 
 
 def end_on_signals() -> asyncio.Event:
-    """An event that SIGINT, SIGTERM and SIGHUP set."""
+    """Return an event that SIGINT, SIGTERM and SIGHUP set."""
     asked = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

@@ -63,7 +63,7 @@ def summarise(record: DemoRecord, places: Places, failure: str | None) -> dict[s
 
 
 def one_line(summary: dict[str, Any]) -> str:
-    """A summary as one line of JSON."""
+    """Return a summary as one line of JSON."""
     return msgspec.json.encode(summary).decode()
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 
 def toml_text(document: Mapping[str, Any]) -> str:
-    """A document as TOML.
+    """Return a document as TOML.
 
     Args:
         document: Tables of tables, strings, numbers, switches, and lists of those; all keys are

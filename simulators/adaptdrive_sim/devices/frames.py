@@ -118,7 +118,7 @@ class DriveMessages:
 
 
 def quantities_of(frame: Frame) -> dict[str, float]:
-    """A frame's quantities by name."""
+    """Return a frame's quantities by name."""
     sample = frame.sample
     return {
         "boost_voltage_V": sample.boost_voltage_V,

@@ -75,7 +75,7 @@ def _server(
 
 
 def _sim_device(number: int, registers: Registers) -> SimDevice:
-    """A device as pymodbus serves it: its registers are fetched at each request."""
+    """Return a device as pymodbus serves it: its registers are fetched at each request."""
 
     async def access(  # noqa: PLR0913, PLR0917 - the signature is pymodbus's
         function_code: int,

@@ -43,7 +43,7 @@ def _carry(source: int, sink: int) -> None:
 
 @contextlib.contextmanager
 def _pty() -> Iterator[tuple[int, Path]]:
-    """A pseudo-terminal in raw mode, which stays open while it is unused."""
+    """Return a pseudo-terminal in raw mode, which stays open while it is unused."""
     master, slave = os.openpty()
     try:
         tty.setraw(slave)

@@ -80,7 +80,7 @@ class RegisterImage:
 
 
 def addresses(registers: Iterable[Register], table: str) -> Table:
-    """A table from the first register to the last, filled with 0."""
+    """Return a table from the first register to the last, filled with 0."""
     spans = [(one.address, one.end) for one in registers if one.table == table]
     if not spans:
         return {}

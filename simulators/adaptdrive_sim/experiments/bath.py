@@ -23,7 +23,7 @@ NOMINAL_gal = 0.6
 
 
 def new_bath() -> Bath:
-    """A bath filled to 0.6 gal."""
+    """Return a bath filled to 0.6 gal."""
     return Bath(BathParameters(volume_gal=NOMINAL_gal))
 
 

@@ -130,5 +130,5 @@ class Experiment:
 
 
 def square(low: float, high: float, period_s: float) -> Waveform:
-    """A square wave that starts with its high half."""
+    """Return a square wave that starts with its high half."""
     return Waveform(Shape.SQUARE, low, high, period_s)

@@ -22,12 +22,12 @@ from adaptdrive_sim.plants.motor import Motor, MotorParameters
 
 
 def new_motor() -> Motor:
-    """A motor with one disk, whose speed stays when the inertia changes."""
+    """Return a motor with one disk, whose speed stays when the inertia changes."""
     return Motor(MotorParameters())
 
 
 def new_motor_with_momentum() -> Motor:
-    """A motor with one disk; each further one is at rest when it lands on the shaft."""
+    """Return a motor with one disk; each further one is at rest when it lands on the shaft."""
     return Motor(MotorParameters(dropped_at_rest=True))
 
 

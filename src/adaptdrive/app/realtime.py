@@ -17,7 +17,7 @@ from adaptdrive.runtime.reports import Event, Severity
 
 
 def build_rehearsal(configuration: Configuration, path: Path) -> Rehearsal:
-    """A rehearsal of a drive's ticks, on a port of its own."""
+    """Return a rehearsal of a drive's ticks, on a port of its own."""
     return Rehearsal(configuration, build_port(configuration, time.monotonic, path))
 
 

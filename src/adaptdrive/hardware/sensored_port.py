@@ -141,7 +141,7 @@ class SensoredPort:
             self.sampled()
 
     def completed(self, reading: Reading) -> Reading:
-        """A reading with the values of the sensors and those that are derived.
+        """Return a reading with the values of the sensors and those that are derived.
 
         Args:
             reading: Reading of the drive.

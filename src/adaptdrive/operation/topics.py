@@ -83,7 +83,7 @@ class Topics:
         return topic.removeprefix(self._below("command")).removeprefix("/")
 
     def name(self, topic: str) -> str:
-        """A topic of the drive without the drive."""
+        """Return a topic of the drive without the drive."""
         return topic.removeprefix(self._below(""))
 
     def _below(self, name: str) -> str:

@@ -261,7 +261,7 @@ def command_row(
 
 
 def framed(message: Header | Batch) -> bytes:
-    """A message as it goes through the pipe."""
+    """Return a message as it goes through the pipe."""
     body = msgspec.msgpack.encode(message)
     return len(body).to_bytes(_LENGTH_BYTES, "little") + body
 

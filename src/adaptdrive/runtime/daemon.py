@@ -208,7 +208,7 @@ class Daemon:
         return self._machine.state
 
     def on_reading(self, reading: Reading) -> None:
-        """A reading came in from the port."""
+        """Run the tick of a reading, and prepare for the next one."""
         try:
             self._fast.on_reading(reading)
         except Exception as problem:  # noqa: BLE001 - a port that dies of it would close the bus
@@ -218,7 +218,7 @@ class Daemon:
             self._support.expect(reading.arrival_s + self._fast.reading_period_s)
 
     def on_bus(self, up: bool, detail: str) -> None:
-        """The bus was lost or came back."""
+        """Publish that the bus was lost or came back."""
         self._announcer.report_bus(up=up, detail=detail)
 
     def now_s(self) -> float:
@@ -235,7 +235,7 @@ class Daemon:
         self._manager.feed(now_s)
 
     def ticked(self, report: TickReport) -> None:
-        """A tick is complete."""
+        """Publish a tick that is complete."""
         self._hub.publish(report)
         if self._machine.state is not self._announcer.published.state:
             self._announcer.publish_state()
@@ -268,7 +268,7 @@ class Daemon:
         self._announcer.publish_event("stop", Severity.ALARM, detail)
 
     def run_ended(self) -> None:
-        """Nothing that was decided is valid any more."""
+        """Discard what was decided: it is valid for one run only."""
         self._announcer.decision = None
         self._machine.forget_reach()
         self._slow.forget()

@@ -118,7 +118,7 @@ class FastLoop:
         self._arm(self._surroundings.now_s() + self._half_cycles.reading_period_s)
 
     def on_reading(self, reading: Reading) -> None:
-        """A complete reading came in: run its tick, unless a stand-in already did."""
+        """Run the tick of a complete reading, unless a stand-in already did."""
         half_cycles, arrival_s = self._half_cycles, reading.arrival_s
         tick = half_cycles.place(reading.counter, arrival_s, self.tick)
         self.reading = reading
@@ -128,7 +128,7 @@ class FastLoop:
         self._arm(arrival_s + late_s)
 
     def on_deadline(self, deadline_s: float) -> None:
-        """No frame came in time: run a stand-in tick on the held values.
+        """Run a stand-in tick on the held values: no frame came in time.
 
         A frame that came and could not be looked at yet, because the process did not run, is
         better than a stand-in: it is looked at first.

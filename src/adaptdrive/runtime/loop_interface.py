@@ -69,19 +69,19 @@ class LoopSurroundings(Protocol):
         """Call `on_deadline` at a monotonic time."""
 
     def met_deadline(self, now_s: float) -> None:
-        """A tick was in time."""
+        """Take note of a tick that was in time."""
 
     def ticked(self, report: TickReport) -> None:
-        """A tick is complete."""
+        """Take the report of a complete tick."""
 
     def snapshot_taken(self, snapshot: Snapshot) -> bool:
         """Queue a snapshot for the slow loop; False when it has fallen hopelessly behind."""
 
     def decided(self, snapshot: Snapshot, decision: Decision) -> None:
-        """A decision was taken over."""
+        """Take note of a decision that takes effect."""
 
     def not_stopped(self, detail: str) -> None:
-        """The drive has not confirmed its stop in time."""
+        """Take note of a stop that the drive has not confirmed in time."""
 
     def run_ended(self) -> None:
-        """The drive is no longer running: what was decided for it is void."""
+        """Discard what was decided: the drive is no longer running."""

@@ -44,7 +44,7 @@ class ServiceManager:
         self._notify("STOPPING=1")
 
     def feed(self, now_s: float) -> None:
-        """A tick met its deadline; passed on four times per watchdog period."""
+        """Report a tick that met its deadline, four times per watchdog period."""
         if self._feed_every_s and now_s - self._fed_s >= self._feed_every_s:
             self._fed_s = now_s
             self._notify("WATCHDOG=1")

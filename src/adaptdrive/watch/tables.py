@@ -18,7 +18,7 @@ _SEVERITY_STYLES = {"info": "", "warning": "yellow", "alarm": "bold red"}
 
 
 def rows(*columns: str) -> Table:
-    """A table without lines; `l` and `r` align its columns."""
+    """Return a table without lines; `l` and `r` align its columns."""
     table = Table.grid(expand=True, padding=(0, 1))
     for column in columns:
         table.add_column(justify="right" if column == "r" else "left", no_wrap=True)
@@ -26,22 +26,22 @@ def rows(*columns: str) -> Table:
 
 
 def number(value: float, digits: int) -> str:
-    """A number with so many decimals."""
+    """Return a number with so many decimals."""
     return f"{value:.{digits}f}" if math.isfinite(value) else "–"
 
 
 def figure(value: float) -> str:
-    """A number with three digits."""
+    """Return a number with three digits."""
     return f"{value:#.3g}".rstrip(".") if math.isfinite(value) else "–"
 
 
 def percent(share: float) -> str:
-    """A deviation."""
+    """Return a deviation."""
     return f"{100.0 * share:+.1f}%" if math.isfinite(share) else ""
 
 
 def overshoot(share: float | None) -> str:
-    """An overshoot, which may not have been seen yet."""
+    """Return an overshoot, which may not have been seen yet."""
     return "·" if share is None else f"{100.0 * share:.1f}%"
 
 

@@ -28,7 +28,7 @@ class Assembly:
         return [name for name in self._statuses if name not in self._heard]
 
     def begin(self, sampled_s: float) -> None:
-        """A SYNC has passed: the drive measures now."""
+        """Begin a reading: a SYNC has passed, and the drive measures now."""
         self._heard.clear()
         self._sampled_s = sampled_s
 

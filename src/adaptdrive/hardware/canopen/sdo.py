@@ -60,7 +60,7 @@ class SdoLink(Network):
         self._closed = True
 
     def client(self, bus: CanOpenBus) -> SdoClient:
-        """A client of the drive's SDO server."""
+        """Return a client of the drive's SDO server."""
         client = SdoClient(0x600 + bus.node_id, 0x580 + bus.node_id, ObjectDictionary())
         client.RESPONSE_TIMEOUT = bus.sdo_timeout_s
         client.network = self
@@ -76,7 +76,7 @@ class Server:
         self._name = name
 
     def refuse(self, problem: str) -> BusError:
-        """An error of this drive."""
+        """Return an error of this drive."""
         return BusError(self._name, problem)
 
     def read(self, address: Address) -> bytes:
@@ -91,7 +91,7 @@ class Server:
             raise self._failure("read", address, problem) from problem
 
     def number(self, address: Address) -> int:
-        """An unsigned entry."""
+        """Return an unsigned entry."""
         return int.from_bytes(self.read(address), "little")
 
     def value(self, entry: Entry) -> float:

@@ -122,7 +122,7 @@ def build_orders(
 def resolve(
     catalogue: SignalCatalogue, signal: Signal, given: float | str, place: str
 ) -> float | None:
-    """A value, or the one that a name of the signal's value table stands for."""
+    """Return a value, or the one that a name of the signal's value table stands for."""
     if not isinstance(given, str):
         return given
     names = {str(name): raw for raw, name in (signal.choices or {}).items()}

@@ -91,7 +91,7 @@ class CanPort:
 
     @property
     def complaint(self) -> str | None:
-        """That another sender commands the drive, or a fault that no reading has carried yet."""
+        """Another sender that commands the drive, else a fault that no reading has carried yet."""
         return self._rival.complaint or self._assembly.faults.complaint
 
     @property

@@ -49,7 +49,7 @@ class Refusals:
         refusal.data = data
 
     def accept(self, message: str) -> None:
-        """A good frame of a message has come."""
+        """Note a good frame of a message."""
         for refusal in self._messages.get(message, {}).values():
             refusal.in_a_row = 0
 

@@ -127,7 +127,7 @@ def _below_names(names: Collection[int], end: Raw) -> Raw:
 
 
 def compile_unpack(message: Message, names: Iterable[str]) -> Unpack:
-    """A function from the bytes of a frame to the raw values of some of its signals.
+    """Return a function from the bytes of a frame to the raw values of some of its signals.
 
     Args:
         message: The message; a multiplexed one gives the signals that its frame has.
@@ -146,7 +146,7 @@ def compile_unpack(message: Message, names: Iterable[str]) -> Unpack:
 
 
 def compile_pack(message: Message, idle: Mapping[str, Raw]) -> Pack:
-    """A function from the raw values of some signals of a message to the bytes of its frame.
+    """Return a function from the raw values of some signals of a message to the bytes of its frame.
 
     Args:
         message: The message.
