@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import webbrowser
+from dataclasses import dataclass
 from json import dumps
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,43 +15,51 @@ from cyclopts import Parameter
 from adaptdrive.cli.extra import Extra
 
 
-def plot(  # noqa: PLR0913 - one parameter for each option
-    session: str,
-    /,
-    *,
-    begin: Annotated[float | None, Parameter(name="--from")] = None,
-    end: Annotated[float | None, Parameter(name="--to")] = None,
-    into: Path | None = None,
-    show: Annotated[bool, Parameter(name="--open", negative=())] = False,
-    json: Annotated[bool, Parameter(negative=())] = False,
-) -> int:
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class SessionView:
+    """Part of a session, and the form of what is made of it.
+
+    Attributes:
+        begin: First second used, from the first tick on.
+        end: Last second used.
+        into: Folder for the files; that of the session when left out.
+        show: Open the result.
+        as_json: Print JSON, for programs.
+    """
+
+    begin: Annotated[float | None, Parameter(name="--from")] = None
+    end: Annotated[float | None, Parameter(name="--to")] = None
+    into: Path | None = None
+    show: Annotated[bool, Parameter(name="--open", negative=())] = False
+    as_json: Annotated[bool, Parameter(name="--json", negative=())] = False
+
+    def present(self, text: str, content: object, result: Path) -> int:
+        """Print a text or its content as JSON, and open a file when asked for."""
+        print(dumps(content) if self.as_json else text)
+        if self.show:
+            webbrowser.open(result.absolute().as_uri())
+        return 0
+
+
+_WHOLE = SessionView()
+
+
+def plot(session: str, /, *, view: SessionView = _WHOLE) -> int:
     """Draw a session: a PNG, and a report as one HTML file.
 
     Args:
         session: Folder of the session, or its name below the sessions of this machine.
-        begin: First second shown, from the first tick on.
-        end: Last second shown.
-        into: Folder for figure.png and report.html; that of the session when left out.
-        show: Open the report.
-        json: Print JSON: the paths of the files.
+        view: Part of the session, and the form of the result.
     """
     with Extra("analysis"):
         from adaptdrive.analysis.plot import plot as plot_session  # noqa: PLC0415 - it is large
-    figure, report = plot_session(_find(session), begin, end, into)
+    figure, report = plot_session(_find(session), view.begin, view.end, view.into)
     files = {"figure": str(figure), "report": str(report)}
-    return _present(dumps(files) if json else f"{figure}\n{report}", report, show=show)
+    return view.present(f"{figure}\n{report}", files, report)
 
 
-def identify(  # noqa: PLR0913 - one parameter for each option
-    session: str,
-    /,
-    *,
-    begin: Annotated[float | None, Parameter(name="--from")] = None,
-    end: Annotated[float | None, Parameter(name="--to")] = None,
-    into: Path | None = None,
-    show: Annotated[bool, Parameter(name="--open", negative=())] = False,
-    json: Annotated[bool, Parameter(negative=())] = False,
-) -> int:
+def identify(session: str, /, *, view: SessionView = _WHOLE) -> int:
     """Identify the load from a recorded session, in open or closed loop.
 
     Prints each parameter with its standard deviation beside the last on-line estimate and the
@@ -58,33 +67,25 @@ def identify(  # noqa: PLR0913 - one parameter for each option
 
     Args:
         session: Folder of the session, or its name below the sessions of this machine.
-        begin: First second used, from the first tick on.
-        end: Last second used.
-        into: Folder for load.png; that of the session when left out.
-        show: Open the figure.
-        json: Print JSON, for programs.
+        view: Part of the session, and the form of the result.
     """
     with Extra("analysis"):
         from adaptdrive.analysis import session_load  # noqa: PLC0415 - it is large
         from adaptdrive.analysis.load_figure import draw_load  # noqa: PLC0415
     path = _find(session)
-    found = session_load.identify_session(path, begin, end)
-    figure = (path if into is None else into) / "load.png"
+    found = session_load.identify_session(path, view.begin, view.end)
+    figure = (view.into or path) / "load.png"
     figure.write_bytes(draw_load(found))
     text = f"{session_load.as_text(found)}\n\n{figure}"
-    return _present(dumps(session_load.as_json(found)) if json else text, figure, show=show)
+    return view.present(text, session_load.as_json(found), figure)
 
 
-def whatif(  # noqa: PLR0913 - one parameter for each option
+def whatif(
     session: str,
     /,
     *,
     settings: Annotated[tuple[str, ...], Parameter(name="--set", negative=())] = (),
-    begin: Annotated[float | None, Parameter(name="--from")] = None,
-    end: Annotated[float | None, Parameter(name="--to")] = None,
-    into: Path | None = None,
-    show: Annotated[bool, Parameter(name="--open", negative=())] = False,
-    json: Annotated[bool, Parameter(negative=())] = False,
+    view: SessionView = _WHOLE,
 ) -> int:
     """Run a session again in closed loop, against the load identified from it.
 
@@ -95,24 +96,20 @@ def whatif(  # noqa: PLR0913 - one parameter for each option
     Args:
         session: Folder of the session, or its name below the sessions of this machine.
         settings: KEY=VALUE, such as load.pole=0.8; may be repeated.
-        begin: First second used, from the first tick on.
-        end: Last second used.
-        into: Folder for whatif.png; that of the session when left out.
-        show: Open the figure.
-        json: Print JSON, for programs.
+        view: Part of the session, and the form of the result.
     """
     with Extra("analysis"):
         from adaptdrive.analysis import whatif_report  # noqa: PLC0415 - it is large
         from adaptdrive.analysis.whatif import what_if  # noqa: PLC0415
         from adaptdrive.analysis.whatif_figure import draw_comparison  # noqa: PLC0415
     path = _find(session)
-    found = what_if(path, settings, begin, end)
+    found = what_if(path, settings, view.begin, view.end)
     for one in found.idle:
         print(f"adaptdrive: {one}: has no effect on the loop", file=sys.stderr)
-    figure = (path if into is None else into) / "whatif.png"
+    figure = (view.into or path) / "whatif.png"
     figure.write_bytes(draw_comparison(found, settings))
     text = f"{whatif_report.as_text(found)}\n\n{figure}"
-    return _present(dumps(whatif_report.as_json(found)) if json else text, figure, show=show)
+    return view.present(text, whatif_report.as_json(found), figure)
 
 
 def export(
@@ -137,14 +134,6 @@ def export(
         files = export_session(_find(session), to, Path() if into is None else into)
         paths = [str(path) for path in files]
     print(dumps(paths) if json else "\n".join(paths))
-    return 0
-
-
-def _present(text: str, result: Path, *, show: bool) -> int:
-    """Print a text, and open a file when asked for."""
-    print(text)
-    if show:
-        webbrowser.open(result.absolute().as_uri())
     return 0
 
 
