@@ -58,7 +58,11 @@ def init(  # noqa: PLR0913 - one parameter for each option
         load, bus, drive, part, stride=clock_ticks(part or ""), output_unit=output_unit(part or "")
     )
     path = _write(starter, directory, drive)
-    problem = _check(path)
+    return _name_next_steps(path, _check(path))
+
+
+def _name_next_steps(path: Path, problem: str) -> int:
+    """Print the next commands, or what is to be filled in; return the exit status."""
     print(f"wrote {path}")
     if problem:
         print(f"\nfill in, then run `adaptdrive check {path}`:\n{problem}")
