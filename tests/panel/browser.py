@@ -19,7 +19,7 @@ from tests.support import MosquittoLauncher, free_port
 from tests.system.site import PATIENT_DRIVE, Site
 
 PANEL = Path(__file__).parents[2] / "src" / "adaptdrive" / "panel"
-PATIENCE_MS = 30_000
+PATIENCE_MS = 120_000
 SETTINGS = {
     "interlocks.stale_s": "1.0",
     "supervisor.warm_up_s": "4.0",

@@ -108,7 +108,7 @@ def sessions(tmp_path: Path) -> Path:
 
 @asynccontextmanager
 async def recording(
-    sessions: Path, *, backlog_bytes: int = ROOMY, close_s: float = PATIENCE_S
+    sessions: Path, *, backlog_bytes: int = ROOMY, close_s: float = 4 * PATIENCE_S
 ) -> AsyncIterator[Bench]:
     bench = Bench(sessions, backlog_bytes, close_s)
     async with asyncio.TaskGroup() as group:
@@ -137,7 +137,7 @@ async def test_an_orderly_end_records_every_tick_up_to_the_last(sessions: Path) 
 
 async def test_an_event_is_on_disk_before_the_next_flush(sessions: Path) -> None:
     hub = Hub()
-    pace = WritePace(flush_s=10 * PATIENCE_S)
+    pace = WritePace(flush_s=10 * PATIENCE_S, close_s=4 * PATIENCE_S)
     header = Header(INFO, "", str(sessions))
     recorder = Recorder(header, Feed.of(hub, 1.0), hub.publish, CLOCKS, pace)
     hub.publish(Event("trip", Severity.ALARM, "over-voltage: 431 V", 77))

@@ -534,5 +534,7 @@ async def test_the_service_manager_follows_along(tmp_path: Path) -> None:
         async with daemon_bench(manager) as bench:
             heard = [ear.recv(4096).decode() for _ in range(2)]
             await bench.end()
-            heard.append(ear.recv(4096).decode())
-    assert heard == ["READY=1", "STATUS=loopback: waiting for the drive", "STOPPING=1"]
+            while heard[-1] != "STOPPING=1":
+                heard.append(ear.recv(4096).decode())
+    assert heard[:2] == ["READY=1", "STATUS=loopback: waiting for the drive"]
+    assert all(text.startswith("STATUS=") for text in heard[2:-1])  # of a busy machine

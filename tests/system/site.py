@@ -333,8 +333,20 @@ class Site:
         return self._read("daemon.log")
 
     def session_folder(self, number: int = -1) -> Path:
-        """A recorded session, the last one unless told otherwise."""
-        return sorted((self.folder / "sessions").iterdir())[number]
+        """Return a recorded session, by default the last one; of a daemon that ended, all of it."""
+        if self.daemon is None or self.daemon.poll() is not None:
+            until(lambda: not self._recorders(), "the recorder has written the rest")
+        return sorted((self.folder / "sessions").glob("[!.]*"))[number]
+
+    def _recorders(self) -> list[Path]:
+        """Processes that write the sessions of this site."""
+        mark = os.fsencode(self.folder / "sessions")
+        found = []
+        for words in Path("/proc").glob("[0-9]*/cmdline"):
+            with contextlib.suppress(OSError):
+                if mark in words.read_bytes().split(b"\0"):
+                    found.append(words.parent)
+        return found
 
     def session(self) -> Session:
         """The last recorded session."""

@@ -15,7 +15,7 @@ from tests.support import slow_disk
 from tests.system.bus_ear import BusEar
 from tests.system.conftest import MakeSite
 from tests.system.own_disk import mounted, run_privileged, stalled
-from tests.system.site import PATIENT_DRIVE, until
+from tests.system.site import PATIENT_DRIVE, Site, until
 
 pytestmark = pytest.mark.slow
 
@@ -57,6 +57,10 @@ def read_only(disk: Path) -> Iterator[None]:
         assert run_privileged("chattr", "-R", "-i", disk)
 
 
+def _reported(site: Site, text: str) -> bool:
+    return any(text in heard.content["detail"] for heard in site.ear.on("event"))
+
+
 @pytest.mark.parametrize("fault", [full, read_only, stalled])
 def test_the_drive_runs_on_and_recording_resumes(
     make_site: MakeSite, disk: Path, fault: Fault
@@ -68,6 +72,8 @@ def test_the_drive_runs_on_and_recording_resumes(
     until(lambda: read_session(folder).ticks.num_rows > 120, "ticks are recorded")
     with BusEar(site.config) as bus, fault(disk):
         time.sleep(FAULT_S)
+        if fault is not stalled:
+            until(lambda: _reported(site, "recording has stopped"), "the report of the fault")
         commands = bus.commands()
     assert len(commands) > 60
     assert all(command.bridge for command in commands)

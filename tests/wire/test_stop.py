@@ -130,7 +130,9 @@ async def test_refused_writes_trip_a_running_drive(
         assert stop.startswith("the drive does not stop: it has not taken the safe command ")
         assert after_s < ANNOUNCED_s + BUSY_s
         note(f"stop-refused-{link}", after_s, 0.0)
-        with pytest.raises(RefusedError, match="the drive refuses commands: exception code 3"):
+        complaint = "the drive refuses commands: exception code 3"
+        await until(lambda: (rig.port.complaint or "").startswith(complaint))
+        with pytest.raises(RefusedError, match=complaint):
             await rig.daemon.execute(Reset())
         await wire.heal()
         await rig.ask(Reset())

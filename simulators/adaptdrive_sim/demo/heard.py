@@ -8,9 +8,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Any
 
 import msgspec
 
+from adaptdrive.control.reach import UNKNOWN
 from adaptdrive.runtime import reports
 from adaptdrive.runtime.reports import StateReport
 
@@ -25,9 +27,10 @@ class QuantilesMessage(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StateMessage(StateReport):
-    """From `state`."""
+    """From `state`; the reach is not used here, and null where it is not known."""
 
     time: datetime
+    reach: Any = UNKNOWN
 
 
 class DriveMessage(msgspec.Struct, frozen=True):
