@@ -2,4 +2,21 @@
 
 from __future__ import annotations
 
-REASONS: dict[str, str] = {}
+_SET_BEFORE_USE = "every way into a state that reads it sets it first"
+
+_MACHINE = "runtime.machine:Machine.__init__: "
+_DESK = "operation.desk:Desk.__init__: "
+
+REASONS: dict[str, str] = {
+    f"{_MACHINE}self.manual = self._limits.held(limits.floor_V, 0) -> "
+    "self.manual = self._limits.held(limits.floor_V, 1)": "a V_c that stays has no beginning",
+    f"{_MACHINE}self._coasts = False -> self._coasts = True": _SET_BEFORE_USE,
+    f"{_MACHINE}self._since_tick = 0 -> pass": _SET_BEFORE_USE,
+    f"{_MACHINE}self._since_tick = 0 -> self._since_tick = 1": _SET_BEFORE_USE,
+    f"{_MACHINE}self._precharging = False -> pass": _SET_BEFORE_USE,
+    f"{_MACHINE}self._precharging = False -> self._precharging = True": _SET_BEFORE_USE,
+    f"{_MACHINE}self._waveform_tick = 0 -> pass": _SET_BEFORE_USE,
+    f"{_MACHINE}self._waveform_tick = 0 -> self._waveform_tick = 1": _SET_BEFORE_USE,
+    f"{_DESK}self._tasks = asyncio.TaskGroup() -> pass": "`run` makes the one that is used",
+    f"{_DESK}self._stops = 0 -> self._stops = 1": "numbers of stops are compared, never shown",
+}

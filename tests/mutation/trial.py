@@ -21,7 +21,8 @@ Lines = dict[str, dict[str, list[int]]]
 """Executed lines of each file, by test."""
 
 KILLED, SURVIVED = 1, 0
-WALL_s = 300.0
+WALL_s = 120.0
+"""After which a process hangs."""
 
 
 class Trials:

@@ -75,7 +75,7 @@ def _processor_s() -> float:
 
 def commit() -> str:
     """Return the commit of the checkout; `-changed` marks other differences than of results."""
-    git = ["git", "-C", str(RESULTS)]
+    git = ["git", "-C", str(RESULTS.parent)]
     head = subprocess.check_output([*git, "rev-parse", "--short", "HEAD"], text=True).strip()
     status = [*git, "status", "--porcelain", ":/src", ":/simulators", ":/deploy"]
     return head + ("-changed" if subprocess.check_output(status, text=True) else "")
