@@ -35,7 +35,7 @@ lint: $(installed) ## lint, formatting, types and import layers
 bench: $(installed) ## measure speed and real time; MINUTES=10 looks longer for late ticks
 	$(bin)/python -m tests.benchmarks --minutes $(MINUTES)
 
-proof: $(installed) ## run the long forms of the tests and write docs/proof.md; takes hours
+proof: $(installed) ## run the long forms of the tests and write docs/proof.md and the faults of docs/reliability.md; takes hours
 	$(bin)/python -m tests.proof docs/proof.md
 
 tables: $(installed) ## run the paper's motor experiment with 20 seeds, and write the tables of README and docs/control.md
@@ -48,6 +48,7 @@ docs: $(installed) ## write the pages that are made from the code
 	$(bin)/python -m tests.control.constants_page docs/constants.md
 	$(bin)/python -m tests.runtime.trips_table docs/operation.md
 	$(bin)/python -m adaptdrive.operation.asyncapi docs/mqtt
+	$(bin)/python -m tests.proof.page docs/proof.md docs/reliability.md
 
 wheel: $(installed) ## build the wheel into dist/
 	rm -rf dist

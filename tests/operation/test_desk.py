@@ -290,8 +290,9 @@ async def test_each_answer_is_logged_until_the_ration_is_used_up(office: Office)
 
 
 async def test_an_id_may_have_128_letters(office: Office) -> None:
-    assert (await office.send("enable", {"id": "a" * 128})).accepted
-    assert office.memory.recall("a" * 128) is not None
+    longest = await office.send("enable", {"id": "a" * 128})
+    assert longest.accepted
+    assert office.memory.recall("a" * 128) == longest
     assert not (await office.send("enable", {"id": "b" * 129})).accepted
     assert office.memory.recall("b" * 129) is None
     assert not (await office.send("enable", {"id": ""})).accepted

@@ -1,7 +1,8 @@
 """The long forms of the tests: `python -m tests.proof PAGE [FORM ...]` runs them, writes a page.
 
-Without names it runs each form that has not passed at this commit, so that a run that was broken
-off is continued. A form that fails is on the page too, and makes the run fail.
+The table of faults of a `reliability.md` beside the page is written too. Without names it runs each
+form that has not passed at this commit, so that a run that was broken off is continued. A form that
+fails is on the page too, and makes the run fail.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import sys
 from pathlib import Path
 
 from tests.proof.forms import Form, forms
-from tests.proof.page import page
+from tests.proof.page import write
 from tests.proof.results import commit, load, run, save
 
 
@@ -31,7 +32,7 @@ def main() -> int:
         sys.stderr.write(f"{form.name}: {form.shown_command}\n")
         result = run(form)
         save(result)
-        options.page.write_text(page(), encoding="utf-8")
+        write(options.page, options.page.with_name("reliability.md"))
         failed |= result.status != 0
     return failed
 

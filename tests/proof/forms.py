@@ -1,6 +1,6 @@
 """The long forms of the tests, each as a command of the interpreter.
 
-SEEDS, STORIES, INPUTS and MUTANTS of the environment make some of them shorter or longer.
+SEEDS, STORIES and INPUTS of the environment make some of them shorter or longer.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import os
 from dataclasses import dataclass, field
 
 from tests.faults.rows import GROUPS
+from tests.mutation.targets import TARGETS
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +42,6 @@ def forms() -> tuple[Form, ...]:
     seeds = os.environ.get("SEEDS", "20")
     stories = os.environ.get("STORIES", "5000")
     inputs = os.environ.get("INPUTS", "1000000")
-    mutants = os.environ.get("MUTANTS", "1000")
     energised = ("-m", "pytest", "-q", "tests/faults/test_energised.py", "--timeout", "86400")
     return (
         *(Form(group, f"Faults: {group}", ("-m", "tests.faults.table", seeds, group),
@@ -53,6 +53,7 @@ def forms() -> tuple[Form, ...]:
              as_table=True),
         Form("kills", "Processes killed at random moments",
              ("-m", "tests.benchmarks", "--only", "kills")),
-        Form("mutants", "Small changes of the code that keeps a drive safe",
-             ("-m", "tests.mutation"), {"MUTANTS": mutants}, as_table=True),
+        *(Form(f"mutants-{module.rpartition('.')[2]}", f"Small changes of the code: {module}",
+               ("-m", "tests.mutation", module.removeprefix("adaptdrive.")), as_table=True)
+          for module in TARGETS),
     )  # fmt: skip

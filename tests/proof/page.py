@@ -17,8 +17,8 @@ INTRODUCTION = """# Proof
 
 The long forms of the tests. `make proof` runs those that have no result of the present commit;
 `python -m tests.proof docs/proof.md FORM` runs one again. The results are in
-`tests/proof/results`, and this page is made from them. SEEDS, STORIES, INPUTS and MUTANTS set
-the length of a form. Each section begins with the command that ran.
+`tests/proof/results`, and this page is made from them. SEEDS, STORIES and INPUTS set the length of
+a form, MUTANTS the longest sample of a module. Each section begins with the command that ran.
 [Promises](promises.md) lists what each test holds.
 """
 
@@ -33,9 +33,10 @@ def _section(form: Form, result: Result | None) -> str:
     if result is None:
         return f"{head}`{form.name}` has not run.\n"
     verdict = "passed" if result.status == 0 else f"FAILED with status {result.status}"
+    took = "" if result.processor_min is None else f"{result.processor_min} min of processor time, "
     facts = (
         f"`{result.command}`: {verdict}; {result.day} UTC, commit {result.commit}, "
-        f"{result.processor_min} min of processor time, {result.machine}."
+        f"{took}{result.machine}."
     )
     body = result.text if form.as_table else f"```\n{result.text}\n```"
     return f"{head}{facts}\n\n{body}\n"
@@ -58,15 +59,19 @@ def _faults(folder: Path) -> str:
     found = [load(group, folder) for group in GROUPS]
     results = [result for result in found if result is not None]
     facts = "; ".join(f"`{one.command}`, {one.day[:10]}, commit {one.commit}" for one in results)
+    if not results:
+        return "Not measured yet.\n"
     tables = [one.text.splitlines() for one in results]
     body = [line for table in tables for line in table[2:]]
     return "\n".join([f"Measured with {facts}.", "", *tables[0][:2], *body, ""])
 
 
 def write(proof: Path, reliability: Path) -> None:
-    """Write both pages."""
+    """Write both pages, the second one where it is there."""
     proof.write_text(page(), encoding="utf-8")
-    reliability.write_text(with_faults(reliability.read_text(encoding="utf-8")), encoding="utf-8")
+    if reliability.exists():
+        text = with_faults(reliability.read_text(encoding="utf-8"))
+        reliability.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ class Result:
         day: Date and time of its end, UTC.
         commit: Of the checkout.
         machine: Processors, system, interpreter.
-        processor_min: Processor time, minutes.
+        processor_min: Processor time in minutes, None where it was not measured.
         text: What it printed.
     """
 
@@ -41,7 +41,7 @@ class Result:
     day: str
     commit: str
     machine: str
-    processor_min: float
+    processor_min: float | None
     text: str
 
 
@@ -74,11 +74,11 @@ def _processor_s() -> float:
 
 
 def commit() -> str:
-    """Return the commit of the checkout; `-changed` marks other differences than of results."""
-    git = ["git", "-C", str(RESULTS.parent)]
-    head = subprocess.check_output([*git, "rev-parse", "--short", "HEAD"], text=True).strip()
-    status = [*git, "status", "--porcelain", ":/src", ":/simulators", ":/deploy"]
-    return head + ("-changed" if subprocess.check_output(status, text=True) else "")
+    """Return the commit that changed the measured code last; `-changed` marks what has none yet."""
+    git, measured = ["git", "-C", str(RESULTS.parent)], [":/src", ":/simulators", ":/deploy"]
+    head = subprocess.check_output([*git, "log", "-1", "--format=%h", "--", *measured], text=True)
+    status = subprocess.check_output([*git, "status", "--porcelain", "--", *measured], text=True)
+    return head.strip() + ("-changed" if status else "")
 
 
 def machine() -> str:

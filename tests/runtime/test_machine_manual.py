@@ -32,8 +32,8 @@ def machine_desk(reach: Reach = REACH, *, govern: bool = False) -> Desk:
     return desk
 
 
-def running(output: float = 3.0, **settings: bool) -> Desk:
-    desk = machine_desk(**settings)
+def running(output: float = 3.0, *, govern: bool = False) -> Desk:
+    desk = machine_desk(govern=govern)
     desk.ask(Enable(), output)
     desk.pass_ticks(2)
     return desk
