@@ -50,6 +50,7 @@ class Course:
         offset: What the sensor of the output shows beside the output.
         stops: Slow periods in which the drive is off; it precharges in the last of each. Compiled
             code knows no stops.
+        steady: Whether the reference counts as a constant set-point, which may be probed.
     """
 
     references: Array
@@ -63,6 +64,7 @@ class Course:
     burdens: Array = field(default_factory=lambda: np.empty(0))
     offset: float = 0.0
     stops: tuple[range, ...] = ()
+    steady: bool = False
 
     def stage(self, k: int) -> Stage:
         """Return what the drive is to do in a slow period."""
@@ -139,7 +141,7 @@ def run_course(
             load.resize(float(course.sizes[k]), course.over_s)
         if len(burdens) and (k == 0 or burdens[k] != burdens[k - 1]):
             load.disturb(burdens[k])
-        order = Order(course.stage(k), reference, course.mode, course.pole)
+        order = Order(course.stage(k), reference, course.mode, course.pole, steady=course.steady)
         for n in range(k * ticks, (k + 1) * ticks):
             measurement = drive.measure(n)
             run.interlock = find_cause(measurement, voltage_max_V, output_max)

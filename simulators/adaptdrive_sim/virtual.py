@@ -153,7 +153,9 @@ class OperatedDrive(VirtualDrive):
     def _order(self) -> Order:
         machine = self.machine
         manual_V = machine.manual_V(self.ticks)
-        return Order(machine.stage, self.reference, machine.mode, machine.pole, manual_V)
+        return Order(
+            machine.stage, self.reference, machine.mode, machine.pole, manual_V, machine.steady
+        )
 
     def _obey(self, decision: Decision) -> None:
         """Trip or stop where a decision demands it, and take over what V_c can hold."""

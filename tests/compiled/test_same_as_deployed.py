@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.settings import Probing
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.bench import Stand
+from adaptdrive_sim.campaign.bench import Stand, deployed
 from adaptdrive_sim.campaign.scenario import draw
 from adaptdrive_sim.campaign.settings import Campaign, read_campaign
 from adaptdrive_sim.compiled import bench
+from adaptdrive_sim.compiled.run import run_compiled
+from adaptdrive_sim.course import Course, run_course, start_at_rest
+from adaptdrive_sim.plants.motor import Motor
+from adaptdrive_sim.world import World
 
 DECISIONS = [bench.ADAPTIVE, bench.ACCEPTED, bench.VERDICT]
 
@@ -38,6 +45,38 @@ def test_a_short_run_is_the_same_with_the_fixed_controller() -> None:
 
 def test_a_short_run_is_the_same_with_the_adaptive_controller() -> None:
     compare(4, Mode.ADAPTIVE, duration_s=240.0)
+
+
+def probed(stand: Stand) -> tuple[Controller, World, Course]:
+    """A controller that probes a load at rest, of which nothing is known."""
+    random, own = np.random.default_rng(5), deployed()
+    periods = 240
+    course = Course(
+        references=np.full(periods, 3.0),
+        sizes=np.ones(periods),
+        over_s=0.0,
+        disturbances=4e-4 * random.standard_normal(periods * 120 + 1),
+        mode=Mode.ADAPTIVE,
+        pole=own.pole,
+        steady=True,
+    )
+    world = World(Motor(stand.scenario.motor()))
+    probing = Probing(amplitude=0.09, stale_periods=100, lowest=0.0, highest=4.5)
+    controller = Controller(replace(own.settings, probing=probing), own.load)
+    start_at_rest(controller, world, course, 3.0)
+    return controller, world, course
+
+
+def test_a_probe_is_the_same() -> None:
+    stand = Stand(draw(read_campaign(Path("standard.toml")), 1))
+    found, cause = run_compiled(*probed(stand))
+    controller, world, course = probed(stand)
+    expected = run_course(controller, world, course, deployed().settings.rates)
+    assert cause == 0
+    shifts = [one.probe for one in expected.decisions]
+    assert np.nanmax(shifts) == pytest.approx(0.09)
+    voltages = [one.boost_reference_V for one in expected.decisions]
+    np.testing.assert_allclose(found[:, bench.REFERENCE_V], voltages, atol=1e-6)
 
 
 @pytest.mark.slow

@@ -30,6 +30,8 @@ _UNITS = {
     "_NEAR_LIMIT": "1",
     "_END_PERIODS": "periods",
     "_IDLE_PERIODS": "periods",
+    "HALF_DELAYS": "1",
+    "EXCURSIONS": "1",
     "_LARGEST": "scale",
     "_PRIOR_VARIANCE": "σ²",
     "SETTLED_SAMPLES": "periods",

@@ -80,4 +80,5 @@ def _sample(settings: ControllerSettings, load: Load, course: Course) -> SlowSam
         pole=course.pole,
         low=to_input(stage.boost_reference_min_V, gain, exponent),
         high=to_input(stage.boost_reference_max_V, gain, exponent),
+        steady=course.steady,
     )

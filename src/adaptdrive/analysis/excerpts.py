@@ -27,6 +27,7 @@ _COLUMNS = (
     "load_power_W",
     "pole",
     "manual_V",
+    "steady",
     "tick_period_s",
 )
 _LONGEST_GAP = 5
@@ -44,8 +45,8 @@ class Stretch:
         begin_s: Time of its first sample since the first tick of the session.
         period_s: Time between two samples.
         samples_per_period: Samples in a slow period; the first sample begins one.
-        columns: Values of `boost_voltage_V`, `output`, `reference`, `load_power_W`, `pole` and
-            `manual_V`.
+        columns: Values of `boost_voltage_V`, `output`, `reference`, `load_power_W`, `pole`,
+            `manual_V` and `steady`.
         modes: Mode asked for at each sample, as its place in `Mode`.
     """
 

@@ -140,10 +140,12 @@ def _simulated(
     if configuration.load.pole != found.configuration.load.pole:
         poles = np.full(len(poles), configuration.load.pole)
     reference, modes = stretch.columns["reference"], tuple(Mode)
+    steady = np.nan_to_num(stretch.columns["steady"]) > 0.5
 
     def order(number: int) -> Order:
         mode, pole = modes[stretch.modes[number]], float(poles[number])
-        return Order(Stage.RUN, float(reference[number]), mode, pole, float(by_hand_V[number]))
+        asked, hand_V = float(reference[number]), float(by_hand_V[number])
+        return Order(Stage.RUN, asked, mode, pole, hand_V, bool(steady[number]))
 
     record = run_loop(
         configuration,

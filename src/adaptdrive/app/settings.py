@@ -19,6 +19,7 @@ from adaptdrive.control.settings import (
     Jacket,
     Learning,
     PowerStage,
+    Probing,
     Rates,
 )
 from adaptdrive.control.voltage_loop import LAG_TICKS
@@ -70,6 +71,7 @@ def controller_settings(configuration: Configuration) -> ControllerSettings:
         ),
         learning=_learning(configuration) if exact else paper_learning(configuration),
         jacket=_jacket(configuration) if exact else paper_jacket(configuration),
+        probing=_probing(configuration),
     )
 
 
@@ -209,6 +211,19 @@ def _jacket(configuration: Configuration) -> Jacket:
         response_distance=supervisor.response_distance * reference_range,
         noise_max=_noise_max(configuration),
         noise_min=load.resolution / math.sqrt(12.0),
+    )
+
+
+def _probing(configuration: Configuration) -> Probing:
+    """Return limits of the probing, which needs an estimate of physical parameters."""
+    load = configuration.load
+    able = load.design == "exact" and METHODS[configuration.estimator.method].physical
+    reference_range = load.reference_max - load.reference_min
+    return Probing(
+        amplitude=load.probe_share * reference_range if able else 0.0,
+        stale_periods=_periods(configuration, load.probe_s),
+        lowest=load.reference_min,
+        highest=load.reference_max,
     )
 
 

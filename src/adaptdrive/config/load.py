@@ -70,6 +70,19 @@ class LoadSection(Section):
         description="move a set-point that V_c cannot hold to the nearest one that it can, and say "
         "so; otherwise refuse it",
     )
+    probe_share: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=0.1,
+        description="largest distance by which a constant set-point is moved to learn a load that "
+        "is not known, as a share of the set-point range, while adaptive is asked for; a charging "
+        "current is lowered only; 0: the set-point is never moved (`exact` and `lm-rls` only)",
+    )
+    probe_s: Annotated[PositiveFloat, Field(le=1e6)] = Field(
+        default=300.0,
+        description="time without a movement of the output after which the load counts as not "
+        "known, and least time between two probes",
+    )
     output_name: str = Field(default="output", description="name of the output for people")
     output_unit: str = Field(default="", description="unit of the output for people")
 

@@ -123,6 +123,7 @@ class Controller:
             complete=self._load.charging is not None and is_complete(state.charge),
             reach_low=self._reach.low,
             reach_high=self._reach.high,
+            probe=state.probe.shift if state.probe.age_periods > 0 else math.nan,
         )
 
     def _note_reach(self) -> None:
@@ -262,6 +263,9 @@ class Controller:
             high=to_input(stage.boost_reference_max_V, gain, exponent),
             manual=snapshot.order.mode is Mode.MANUAL,
             held=to_input(snapshot.held_V, gain, exponent),
+            steady=snapshot.order.steady,
+            lowest=self._reach.low if self._reach.is_known else -math.inf,
+            highest=self._reach.high if self._reach.is_known else math.inf,
         )
 
     def _estimates(self) -> dict[str, Estimate]:

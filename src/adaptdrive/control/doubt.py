@@ -58,7 +58,12 @@ def note_age(state: EstimatorState, learning: Learning, load: Load) -> None:
 
 def is_doubtful(state: EstimatorState) -> bool:
     """Return whether the load may be another than the estimate."""
-    if state.unseen_periods > _FRESH or state.surprise.sum > 0.0 or state.rivals.samples > 0:
+    return state.unseen_periods > _FRESH or is_contested(state)
+
+
+def is_contested(state: EstimatorState) -> bool:
+    """Return whether the latest samples speak for another load than the estimate."""
+    if state.surprise.sum > 0.0 or state.rivals.samples > 0:
         return True
     challenger = state.challenger
     if challenger.samples == 0:

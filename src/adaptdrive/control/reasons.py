@@ -35,7 +35,7 @@ _FALLBACKS = {
 
 
 def reason(state: SlowState, jacket: Jacket, load: Load, mode: Mode) -> str:
-    """Return why the adaptive law is not in force, empty where it is.
+    """Return why the adaptive law is not in force and whether the load is probed, else nothing.
 
     Args:
         state: The slow half.
@@ -43,6 +43,15 @@ def reason(state: SlowState, jacket: Jacket, load: Load, mode: Mode) -> str:
         load: Names of the parameters.
         mode: Mode that is asked for.
     """
+    why = _why(state, jacket, load, mode)
+    if state.probe.age_periods == 0:
+        return why
+    probes = f"probing: the set-point is moved by {state.probe.shift:+.3g} to learn the load"
+    return f"{why}; {probes}" if why else probes
+
+
+def _why(state: SlowState, jacket: Jacket, load: Load, mode: Mode) -> str:
+    """Return why the adaptive law is not in force, empty where it is."""
     if state.watch.fallback != Fallback.NONE:
         return f"{_FALLBACKS[Fallback(state.watch.fallback)]}; ask for adaptive again"
     verdict = Verdict(state.supervisor.verdict)

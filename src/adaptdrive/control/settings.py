@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from adaptdrive.control.method import Method
 from adaptdrive.control.voltage_loop import LAG_TICKS
@@ -159,6 +159,23 @@ class Jacket:
 
 
 @dataclass(frozen=True, slots=True)
+class Probing:
+    """Limits of the probing.
+
+    Attributes:
+        amplitude: Largest distance from the set-point, in the unit of the output; 0 for no probing.
+        stale_periods: Slow periods after which information is old, and least pause between probes.
+        lowest: Lowest set-point.
+        highest: Highest set-point.
+    """
+
+    amplitude: float = 0.0
+    stale_periods: int = 0
+    lowest: float = -math.inf
+    highest: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
 class ControllerSettings:
     """Everything but the load itself.
 
@@ -168,6 +185,7 @@ class ControllerSettings:
         rates: The two rates.
         learning: The estimator.
         jacket: The supervisor.
+        probing: The probing, off by default.
     """
 
     exact: bool
@@ -175,3 +193,4 @@ class ControllerSettings:
     rates: Rates
     learning: Learning
     jacket: Jacket
+    probing: Probing = field(default_factory=Probing)

@@ -59,6 +59,9 @@ class Order:
     manual_V: Annotated[float, Quantity("V", "V_c asked for in mode manual, 0 in every other")] = (
         0.0
     )
+    steady: Annotated[
+        bool, Quantity("", "true while the set-point is constant, so that it may be probed")
+    ] = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,4 +171,8 @@ class Decision:
     ] = math.nan
     reach_high: Annotated[
         float, Quantity("y", "output at rest at the highest V_c: the highest that can be held")
+    ] = math.nan
+    probe: Annotated[
+        float,
+        Quantity("y", "shift of the set-point while the load is probed, unknown while it is not"),
     ] = math.nan

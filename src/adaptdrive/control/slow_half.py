@@ -16,6 +16,7 @@ from adaptdrive.control.compensator import control_law, lead_reference
 from adaptdrive.control.cycling import watch_cycling
 from adaptdrive.control.design import compensator_gains, discrete_model, reference_lead
 from adaptdrive.control.load import Load
+from adaptdrive.control.probing import probe
 from adaptdrive.control.redesign import adapt
 from adaptdrive.control.reference_filter import condition_reference, filter_reference
 from adaptdrive.control.rest import distance_from_rest, nominal_gain
@@ -51,7 +52,8 @@ def slow_step(
     jacket = settings.jacket
     _design_fixed(settings, load, state, sample)
     adapt(settings, load, state, sample)
-    reference = _governed_reference(load, state, sample)
+    governed = _governed_reference(load, state, sample)
+    reference = probe(settings.probing, load, state, sample, governed)
     _look_at_loop(settings, load, state, sample, reference)
     led = lead_reference(reference, state.reference, reference_lead(settings))
     state.reference = reference
@@ -150,8 +152,9 @@ def _look_for_cycle(jacket: Jacket, state: SlowState, sample: SlowSample) -> Non
     position = (state.inputs[0] - sample.low) / span if span > 0.0 else 0.5
     better = sup.better_than_nominal(state.supervisor)
     fixed = not (state.adaptive or sample.manual)
+    reference = sample.reference + state.probe.shift
     state.cycling = watch_cycling(
-        state.cycles, position, sample.reference, jacket.swing_min, better, fixed
+        state.cycles, position, reference, jacket.swing_min, better, fixed
     )
 
 

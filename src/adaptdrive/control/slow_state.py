@@ -18,6 +18,25 @@ from adaptdrive.control.watch import WatchState
 
 
 @dataclass(slots=True)
+class ProbeState:
+    """State of the probing.
+
+    Attributes:
+        age_periods: Slow periods of the present probe, 0 without one.
+        rest_periods: Slow periods in a row at rest on the same constant set-point.
+        pause_periods: Slow periods until the next probe may begin.
+        reference: Set-point of the last slow period, not moved.
+        shift: How far it is moved.
+    """
+
+    age_periods: int = 0
+    rest_periods: int = 0
+    pause_periods: int = 0
+    reference: float = math.nan
+    shift: float = 0.0
+
+
+@dataclass(slots=True)
 class SlowState:
     """State of the slow half between periods.
 
@@ -52,6 +71,7 @@ class SlowState:
         watch: The watch over the adaptive law.
         unresponsive: Whether the load has stopped to answer.
         cycles: The watch over the fixed law.
+        probe: The probing.
         cycling: Whether the fixed law is in a limit cycle.
     """
 
@@ -74,6 +94,7 @@ class SlowState:
     deviations: Vector
     watch: WatchState
     cycles: CyclingState
+    probe: ProbeState
     model_a: Vector
     model_b: Vector
     trusted_a: Vector
@@ -107,6 +128,9 @@ class SlowSample:
         high: Highest input.
         manual: True when the operator sets the input.
         held: Input in force that the operator has set in the elapsed period, NaN for none.
+        steady: Whether r is a constant set-point.
+        lowest: Lowest output that V_c can hold.
+        highest: Highest output that V_c can hold.
     """
 
     period_s: float
@@ -123,6 +147,9 @@ class SlowSample:
     high: float
     manual: bool = False
     held: float = math.nan
+    steady: bool = False
+    lowest: float = -math.inf
+    highest: float = math.inf
 
 
 def new_slow_state(
@@ -155,6 +182,7 @@ def new_slow_state(
         deviations=[math.nan] * len(nominal),
         watch=WatchState(fast=resting, slow=resting),
         cycles=CyclingState(),
+        probe=ProbeState(),
         model_a=[1.0] + [0.0] * load.order,
         model_b=[0.0] * (taps + 1),
         trusted_a=[1.0] + [0.0] * load.order,

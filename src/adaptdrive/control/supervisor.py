@@ -176,7 +176,7 @@ def take_verdict(
     state.verdict = verdict
     if verdict != Verdict.TRUSTED:
         contradicted = in_force and state.good_periods > 0
-        if contradicted or not _is_doubt(verdict):
+        if contradicted or not is_doubt(verdict):
             state.refused_periods += 1
         state.good_periods = 0
         if state.refused_periods > jacket.patience_periods:
@@ -201,7 +201,7 @@ def is_impossible(verdict: int) -> bool:
     return verdict == Verdict.NOT_FINITE or verdict == Verdict.UNSTABLE_LOAD  # noqa: PLR1714
 
 
-def _is_doubt(verdict: int) -> bool:
+def is_doubt(verdict: int) -> bool:
     """Check whether the estimate is not wrong, but not known well enough."""
     if verdict == Verdict.UNCERTAIN or verdict == Verdict.FRAGILE:  # noqa: PLR1714 - compiled
         return True

@@ -31,11 +31,12 @@ def state_report(machine: Machine, decision: Decision | None, stop: StopWord) ->
     controller = _source(machine.mode, decision)
     waiting = machine.mode is Mode.ADAPTIVE and controller is Mode.FIXED
     reason = "not running" if decision is None else decision.reason
+    probing = decision is not None and not math.isnan(decision.probe) and machine.energised
     return StateReport(
         state=machine.state,
         mode=machine.mode,
         controller=controller,
-        reason=machine.obstacle or (reason if waiting else ""),
+        reason=machine.obstacle or (reason if waiting or probing else ""),
         enabled=machine.energised,
         setpoint=machine.setpoint,
         waveform=machine.waveform,

@@ -286,7 +286,7 @@ class FastLoop:
         """The order of this tick; a new object only when something changed."""
         machine, last = self._machine, self._order
         stage, reference = machine.stage, machine.reference(tick)
-        manual_V = machine.manual_V(tick)
+        manual_V, steady = machine.manual_V(tick), machine.steady
         if (
             last is not None
             and last.stage is stage
@@ -294,11 +294,12 @@ class FastLoop:
             and last.mode is machine.mode
             and last.pole == machine.pole
             and last.manual_V == manual_V
+            and last.steady is steady
         ):
             return last
         if stage is not _RUN:
             self._surroundings.run_ended()
-        self._order = Order(stage, reference, machine.mode, machine.pole, manual_V)
+        self._order = Order(stage, reference, machine.mode, machine.pole, manual_V, steady)
         return self._order
 
     def _report(

@@ -109,6 +109,11 @@ class Machine:
             return _OFF if self._coasts else _RUN
         return _PRECHARGE if self.state is _STARTING and self._precharging else _OFF
 
+    @property
+    def steady(self) -> bool:
+        """True while the set-point is constant and a controller follows it."""
+        return self.waveform is None and self.mode is not _MANUAL
+
     def reference(self, tick: int) -> float:
         """The set-point at a tick; governed to the edge of what V_c can hold where that is set."""
         asked = self._asked(tick)

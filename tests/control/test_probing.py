@@ -1,0 +1,185 @@
+"""Probing: bounds, ends, and how long it may last."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptdrive.control.charging import Charging
+from adaptdrive.control.loads.battery import battery_load
+from adaptdrive.control.probing import EXCURSIONS, half_periods, probe
+from adaptdrive.control.settings import Probing
+from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
+from adaptdrive.control.supervisor import Verdict
+from adaptdrive.control.watch import Fallback
+from tests.closed_loop.bench import EXACT, LOW, MOTOR
+
+PROBING = Probing(amplitude=0.09, stale_periods=300, lowest=0.0, highest=4.5)
+ASKED = SlowSample(
+    period_s=1.0,
+    output=LOW,
+    output_filtered=[LOW, LOW],
+    input_filtered=[270.0, 270.0, 270.0],
+    applied=270.0,
+    followed=True,
+    held_share=0.0,
+    reference=LOW,
+    adaptive=True,
+    pole=0.7,
+    low=200.0,
+    high=400.0,
+    steady=True,
+)
+HALF = half_periods(2, 0.7)
+
+
+def unknown_load() -> SlowState:
+    """A slow half that never gets to know its load."""
+    state = new_slow_state(EXACT, MOTOR, LOW, 270.0)
+    state.supervisor.verdict = Verdict.UNCERTAIN
+    return state
+
+
+def shifts(state: SlowState, periods: int, sample: SlowSample = ASKED) -> list[float]:
+    reference = sample.reference
+    return [probe(PROBING, MOTOR, state, sample, reference) - reference for _ in range(periods)]
+
+
+def probing() -> SlowState:
+    """A slow half in the middle of its first excursion."""
+    state = unknown_load()
+    assert shifts(state, HALF + 5)[-1] == pytest.approx(PROBING.amplitude)
+    return state
+
+
+def test_the_times_follow_from_the_response_asked_for() -> None:
+    delay = sum(0.7**k for k in range(1, 200))
+    assert half_periods(2, 0.7) == pytest.approx(2.0 * 4.0 * delay, abs=0.5)
+    assert half_periods(1, 0.8) == 16
+
+
+def test_it_goes_to_either_side_and_rests_between() -> None:
+    found = shifts(unknown_load(), 6 * HALF + 1)
+    levels = [found[HALF + 2 + (i * HALF) : HALF + 1 + (i + 1) * HALF] for i in range(4)]
+    for level, wanted in zip(levels, (0.09, 0.0, -0.09, 0.0), strict=True):
+        assert level == pytest.approx([wanted] * len(level))
+
+
+def test_a_load_that_is_not_found_is_not_probed_for_ever() -> None:
+    found = shifts(unknown_load(), 5_000)
+    moved = sum(shift != 0.0 for shift in found)
+    period = EXCURSIONS * 2 * HALF + PROBING.stale_periods
+    assert 0 < moved <= EXCURSIONS * HALF * math.ceil(5_000 / period)
+
+
+def test_a_known_load_ends_it_after_one_excursion() -> None:
+    state = probing()
+    state.supervisor.verdict = Verdict.TRUSTED
+    state.estimator.unseen_periods = 0
+    found = shifts(state, 1000)
+    assert sum(shift > 0.0 for shift in found) < HALF
+    assert not any(shift < 0.0 for shift in found)
+
+
+def test_a_known_load_is_asked_again_once_it_is_old() -> None:
+    state = unknown_load()
+    state.supervisor.verdict = Verdict.TRUSTED
+    state.estimator.unseen_periods = PROBING.stale_periods
+    assert not any(shifts(state, 5 * HALF))
+    state.estimator.unseen_periods += 1
+    assert any(shifts(state, 5 * HALF))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        replace(ASKED, adaptive=False),
+        replace(ASKED, adaptive=False, manual=True),
+        replace(ASKED, steady=False),
+        replace(ASKED, reference=3.1),
+    ],
+    ids=["fixed", "manual", "waveform", "another set-point"],
+)
+def test_another_request_ends_it_at_once(other: SlowSample) -> None:
+    state = probing()
+    assert not any(shifts(state, PROBING.stale_periods, other))
+    assert state.probe.age_periods == 0
+
+
+def test_a_limit_ends_it_at_once() -> None:
+    state = probing()
+    state.saturated = True
+    assert not any(shifts(state, 1000))
+
+
+def test_a_latched_fallback_ends_it_at_once() -> None:
+    state = probing()
+    state.watch.fallback = Fallback.ERROR
+    assert not any(shifts(state, 1000))
+
+
+def test_an_output_that_is_not_at_rest_is_not_probed() -> None:
+    assert not any(shifts(unknown_load(), 1000, replace(ASKED, output=LOW + 0.1)))
+
+
+def test_a_charging_current_is_lowered_only() -> None:
+    load = battery_load(0.25, 0.25, 0.2, 60.0, Charging(0.25, 0.05, 0.2, 82.0, 1.0))
+    state = unknown_load()
+    found = [probe(PROBING, load, state, ASKED, LOW) - LOW for _ in range(1000)]
+    assert min(found) == pytest.approx(-PROBING.amplitude)
+    assert max(found) == 0.0
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked for during some slow periods."""
+
+    periods: int
+    reference: float
+    output: float
+    adaptive: bool
+    steady: bool
+    saturated: bool
+    lowest: float
+    highest: float
+
+
+REQUESTS = st.builds(
+    Request,
+    periods=st.integers(1, 100),
+    reference=st.floats(0.0, 4.5),
+    output=st.floats(-0.1, 0.1),
+    adaptive=st.sampled_from([True, True, True, False]),
+    steady=st.sampled_from([True, True, True, False]),
+    saturated=st.sampled_from([False, False, False, True]),
+    lowest=st.floats(0.0, 3.0),
+    highest=st.floats(1.5, 5.0),
+)
+
+
+@given(st.lists(REQUESTS, min_size=1, max_size=8))
+def test_it_leaves_no_bound_and_fights_nobody(requests: list[Request]) -> None:
+    state = unknown_load()
+    for one in requests:
+        sample = replace(
+            ASKED,
+            reference=one.reference,
+            output=one.reference + one.output,
+            adaptive=one.adaptive,
+            steady=one.steady,
+            lowest=one.lowest,
+            highest=one.highest,
+        )
+        state.saturated = one.saturated
+        for _ in range(one.periods):
+            moved = probe(PROBING, MOTOR, state, sample, one.reference)
+            assert abs(moved - one.reference) <= PROBING.amplitude * (1.0 + 1e-9)
+            if moved != one.reference:
+                assert max(0.0, one.lowest) <= moved <= min(4.5, one.highest)
+                assert one.adaptive
+                assert one.steady
+                assert not one.saturated
