@@ -135,7 +135,8 @@ class Judged:
 
     Attributes:
         known: For each change, whether every shown parameter was right 40 s later.
-        worst: For each change, relative error and shown deviations of the worst parameter then.
+        worst: For each change, the parameter with the largest error then, one that is not right
+            first: name, relative error, error in shown deviations.
         in_force: For each change, whether adaptive was in force again one cycle later.
         fell_back: Whether it left force after that, until the next change.
         reasons: Reasons shown at 40 s, and where it fell back.
@@ -162,7 +163,6 @@ def run(drawn: Drawn, changes: dict[str, dict[str, Any]] | None = None) -> tuple
     """Let the daemon's controller hold the motor through both changes, and judge it."""
     motor = ForeignMotor()
     world = _world(motor, drawn.seed)
-    # the last word is the caller's
     drive = started("motor", world, Mode.ADAPTIVE, {"load.model": drawn.model} | (changes or {}))
     drive.carry_out(SetSetpoint(LOW))
     wait(drive, 20.0)
@@ -216,7 +216,7 @@ def _judge(rows: Rows, drawn: Drawn) -> Judged:
         at = int(np.searchsorted(times, change_s + JUDGED_S))
         errors = _errors(rows.estimates[at], truth(size))
         judged.known.append(all(_is_right(*error) for error in errors.values()))
-        worst = max(errors, key=lambda name: min(errors[name][0] / WITHIN, errors[name][1] / 2.0))
+        worst = max(errors, key=lambda name: _severity(*errors[name]))
         judged.worst.append((worst, *errors[worst]))
         later = slice(*np.searchsorted(times, [change_s + CYCLE_S, end_s]))
         judged.in_force.append(rows.adaptive[later.start])
@@ -240,3 +240,8 @@ def _errors(
 
 def _is_right(relative: float, deviations: float) -> bool:
     return relative <= WITHIN or deviations <= DEVIATIONS
+
+
+def _severity(relative: float, deviations: float) -> tuple[bool, float]:
+    """Return how bad an error is: one that is not right first, then the largest."""
+    return not _is_right(relative, deviations), relative

@@ -135,7 +135,7 @@ def test_a_charging_current_is_lowered_only() -> None:
 
 
 @dataclass(frozen=True)
-class Request:
+class Asking:
     """What is asked for during some slow periods."""
 
     periods: int
@@ -149,7 +149,7 @@ class Request:
 
 
 REQUESTS = st.builds(
-    Request,
+    Asking,
     periods=st.integers(1, 100),
     reference=st.floats(0.0, 4.5),
     output=st.floats(-0.1, 0.1),
@@ -162,7 +162,7 @@ REQUESTS = st.builds(
 
 
 @given(st.lists(REQUESTS, min_size=1, max_size=8))
-def test_it_leaves_no_bound_and_fights_nobody(requests: list[Request]) -> None:
+def test_it_leaves_no_bound_and_fights_nobody(requests: list[Asking]) -> None:
     state = unknown_load()
     for one in requests:
         sample = replace(

@@ -301,12 +301,13 @@ async def test_telemetry_is_json_with_name_and_unit_of_the_output(bench: Bench) 
     assert (load.qos, drive.qos) == (0, 0)
     assert list(load.content) == [
         *("time", "k", "tick", "period_s", "stage", "reference", "mode", "pole", "manual_V"),
+        "steady",
         "output",
         *("output_filtered", "input_filtered", "applied_V", "followed", "held_ticks"),
         "held_V",
         *("boost_reference_V", "controller", "accepted", "reason", "estimates", "gains"),
         *("innovation", "excitation", "handover_step_V", "pole_in_force", "fault", "complete"),
-        *("reach_low", "reach_high", "monotonic_s", "output_name", "output_unit"),
+        *("reach_low", "reach_high", "probe", "monotonic_s", "output_name", "output_unit"),
     ]
     assert (load.content["output_name"], load.content["output_unit"]) == ("speed", "V")
     assert drive.content["sensors"] == {
