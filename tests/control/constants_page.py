@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.control.constants_effects import CHANGES, Effects, cells, head, read_effects
+
 SOURCE = Path(__file__).parents[2] / "src" / "adaptdrive"
 
 _HEAD = """\
@@ -193,14 +195,25 @@ def _text_of(node: ast.stmt) -> str:
             return ""
 
 
-def page() -> str:
-    """The whole page."""
-    rows = [
-        f"| `{one.name}` | {one.value} | {_UNITS[one.name]} | `{one.module}` | {one.reason} |"
-        for one in constants()
-    ]
-    table = ["| constant | value | unit | module | reason |", "|---|---|---|---|---|", *rows]
-    return "\n".join([_HEAD, *table, ""])
+def page(effects: Effects | None = None) -> str:
+    """Return the whole page.
+
+    Args:
+        effects: What it does to change the constants; what was measured last when left out.
+    """
+    found = read_effects() if effects is None else effects
+    names = ["constant", "value", "unit", "module", "reason", *(CHANGES if found else ())]
+    rows = [_line(names), "|" + "---|" * len(names), *(_row(one, found) for one in constants())]
+    return "\n".join([_HEAD, *([head(found)] if found else []), *rows, ""])
+
+
+def _row(one: Constant, effects: Effects) -> str:
+    known = [f"`{one.name}`", one.value, _UNITS[one.name], f"`{one.module}`", one.reason]
+    return _line([*known, *(cells(effects, one.module, one.name, one.value) if effects else ())])
+
+
+def _line(parts: list[str]) -> str:
+    return f"| {' | '.join(parts)} |"
 
 
 def units() -> set[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tests.control.constants_effects import COLUMNS, read_effects
 from tests.control.constants_page import constants, page, units
 
 PAGE = Path(__file__).parents[2] / "docs" / "constants.md"
@@ -19,3 +20,26 @@ def test_every_constant_has_a_reason() -> None:
 
 def test_the_page_is_current() -> None:
     assert PAGE.read_text(encoding="utf-8") == page(), "run `make docs`"
+
+
+def test_the_page_shows_the_effect_of_the_present_value_alone(tmp_path: Path) -> None:
+    path = tmp_path / "constants.tsv"
+    usual = ("", "", "", "", "", "1", "1", "2", "0", "0")
+    gain = ("control/charging.py", "TAPER_GAIN", "0.05")
+    rows = [
+        usual,
+        (*gain, "halved", "0.025", "1.2345", "0.98", "3", "0", "17"),
+        (*gain[:2], "0.07", "doubled", "0.14", "9", "9", "9", "9", "9"),
+        ("control/cycling.py", "TRAVERSES", "40", "halved", "20", "1", "1", "2", "0", "0"),
+    ]
+    lines = ["\t".join(row) for row in (COLUMNS, *rows)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    shown = page(read_effects(path)).splitlines()
+    (charging,) = (line for line in shown if "`TAPER_GAIN`" in line)
+    (cycling,) = (line for line in shown if "`TRAVERSES`" in line)
+    assert charging.endswith("| 1.23 / 0.98, 3 worse |  |")
+    assert cycling.endswith("| same |  |")
+
+
+def test_without_a_measurement_the_page_has_no_such_columns(tmp_path: Path) -> None:
+    assert "halved" not in page(read_effects(tmp_path / "none.tsv"))

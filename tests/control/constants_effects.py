@@ -1,0 +1,69 @@
+"""Read what it does to the campaigns to halve and to double each constant.
+
+`python -m tests.benchmarks.constants tests/control/constants.tsv` measures it.
+"""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+PATH = Path(__file__).with_name("constants.tsv")
+
+SEEDS = {"standard.toml": range(95_001, 95_031), "wide.toml": range(96_001, 96_031)}
+"""Runs of each campaign."""
+
+CHANGES = ("halved", "doubled")
+UNCHANGED = ()
+COLUMNS = (
+    *("module", "name", "value", "change", "changed"),
+    *("standard_cost", "wide_cost", "worse", "lost", "differ"),
+)
+
+Row = dict[str, str]
+Effects = dict[tuple[str, ...], Row]
+
+_HEAD = """\
+The last two columns: {runs} are run again with half and with twice the constant (of poles and of
+ratios next to 1: of the distance from 1). They show the sum of the costs of the adaptive controller
+over that with the constant as it is, standard / wide; *worse*: the runs that cost over 5 % more
+than the fixed controller, where these are not {worse}; *lost*: those that are unstable or
+tripped, where these are not {lost}. *Same*: no run changes in any bit, as where the campaigns never
+need the constant. An empty cell: not measured with this value.
+"""
+
+
+def read_effects(path: Path = PATH) -> Effects:
+    """Return what was measured, by module, name, value and change; nothing without a file."""
+    if not path.exists():
+        return {}
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file, delimiter="\t"))
+    names = ("module", "name", "value", "change")
+    return {tuple(row[name] for name in names if row[name]): row for row in rows}
+
+
+def head(effects: Effects) -> str:
+    """Return the text above the table."""
+    runs = " and ".join(
+        f"{len(seeds)} of `{name}` (seeds {seeds.start} to {seeds.stop - 1})"
+        for name, seeds in SEEDS.items()
+    )
+    usual = effects[UNCHANGED]
+    return _HEAD.format(runs=runs, worse=usual["worse"], lost=usual["lost"])
+
+
+def cells(effects: Effects, module: str, name: str, value: str) -> list[str]:
+    """Return the cells of a constant."""
+    found = [effects.get((module, name, value, change)) for change in CHANGES]
+    return ["" if row is None else _told(row, effects[UNCHANGED]) for row in found]
+
+
+def _told(row: Row, usual: Row) -> str:
+    if row["standard_cost"] == "cannot run":
+        return "cannot run"
+    if row["differ"] == "0":
+        return "same"
+    costs = f"{float(row['standard_cost']):.2f} / {float(row['wide_cost']):.2f}"
+    counts = [f"{row[one]} {one}" for one in ("worse", "lost") if row[one] != usual[one]]
+    return ", ".join([costs, *counts])
