@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -59,3 +61,12 @@ def record_messages(directory: Path, header: Header, *batches: Batch) -> list[Ne
     header = msgspec.structs.replace(header, directory=str(directory))
     record(io.BytesIO(framed(header) + b"".join(map(framed, batches))), told.append)
     return told
+
+
+def fill(disk: Path) -> None:
+    """Leave no room on a disk."""
+    descriptor = os.open(disk / "fill", os.O_CREAT | os.O_WRONLY | os.O_APPEND)
+    with contextlib.suppress(OSError):
+        while True:
+            os.write(descriptor, bytes(4096))
+    os.close(descriptor)

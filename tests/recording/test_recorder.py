@@ -22,7 +22,7 @@ from adaptdrive.recording.recorder import EVENT_KIND, Clocks, Feed, Recorder, Wr
 from adaptdrive.recording.session import Dropped, Ending, read_info, session_directories
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Event, Severity
-from tests.recording.material import INFO, make_tick
+from tests.recording.material import INFO, fill, make_tick
 
 NOW = datetime(2026, 11, 21, 1, 30, tzinfo=UTC)
 CLOCKS = Clocks(lambda: NOW, time.monotonic)
@@ -476,12 +476,3 @@ async def test_a_trip_fits_on_a_full_disk(small_disk: Path) -> None:
         await bench.stop()
     (trip,) = bench.directory.glob("trip-*")
     assert len(sequences(read_session(trip))) > 100
-
-
-def fill(disk: Path) -> None:
-    """Leave no room on a disk."""
-    descriptor = os.open(disk / "fill", os.O_CREAT | os.O_WRONLY | os.O_APPEND)
-    with contextlib.suppress(OSError):
-        while True:
-            os.write(descriptor, bytes(4096))
-    os.close(descriptor)

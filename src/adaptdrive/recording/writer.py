@@ -19,6 +19,7 @@ from typing import BinaryIO
 import msgspec
 import pyarrow as pa
 
+from adaptdrive.recording import reserve
 from adaptdrive.recording.batches import STOPPED, UNBEGUN, Batch, Header, News, read_frames
 from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
 from adaptdrive.recording.recovery import left_batches, recover
@@ -49,6 +50,7 @@ class PatientWriter:
         self._send = send
         self._pause_s = pause_s
         self._writer: SessionWriter | None = None
+        self._was_full = False
         self._housekeeper = Housekeeper(lambda detail: self._report(Severity.WARNING, detail))
         self._parent = os.getppid()
         self._housekeeper.submit(self._recover)
@@ -59,7 +61,8 @@ class PatientWriter:
         Raises:
             OSError: The control process is gone, and the disk has failed for long.
         """
-        self._insist(lambda writer: writer.write(batch))
+        self._insist(lambda writer: self._write(writer, batch))
+        self._was_full = False
         self._send(News(written=batch.number))
         if batch.last:
             self.close(Ending.ORDERLY, batch.dropped)
@@ -79,6 +82,12 @@ class PatientWriter:
     def _recover(self) -> None:
         own = spool_path(Path(self._header.sessions), self._header.info)
         recover(own, self._report, self._housekeeper)
+
+    def _write(self, writer: SessionWriter, batch: Batch) -> None:
+        if self._was_full and batch.tick_rows:
+            # what the record of a trip has just released is not for ticks
+            reserve.set_aside(writer.directory.parent)
+        writer.write(batch)
 
     def _insist(self, act: Callable[[SessionWriter], None]) -> None:
         pause_s, waited_s = self._pause_s, 0.0
@@ -110,6 +119,7 @@ class PatientWriter:
 
     def _give_up(self, problem: Exception, waited_s: float) -> None:
         """Leave the files as they are; end when the control process has ended."""
+        self._was_full |= reserve.is_full(problem)
         if self._writer is not None:
             self._writer.abandon()
             self._writer = None
