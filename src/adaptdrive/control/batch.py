@@ -228,7 +228,7 @@ def _found(fit: Fit, structure: Structure, tau_lambda_s: float) -> Identified:
 
 
 def _smeared(record: Record, structure: Structure, tau_lambda_s: float) -> Array:
-    """What λ ... λ^m of a signal that jumps with the input show too much, for jumps of Δu."""
+    """Return the excess in λ ... λ^m of an output that jumps with the input, for jumps of Δu."""
     inputs = np.asarray(record.inputs, float)
     linear, steps = (
         _chains(inputs, structure.order, record.period_s, tau_lambda_s, held=held)
