@@ -59,9 +59,9 @@ def test_in_watts_of_a_bath() -> None:
     assert controller_settings(configuration).jacket.noise_max == pytest.approx(expected_W)
 
 
-def test_a_step_of_the_sensor_is_a_noise_of_its_own() -> None:
-    jacket = controller_settings(parse(load__resolution="0.012")).jacket
-    assert jacket.noise_min == pytest.approx(0.012 / math.sqrt(12.0))
+def test_the_resolution_is_found_where_none_is_configured() -> None:
+    assert controller_settings(parse()).learning.resolution == 0.0
+    assert controller_settings(parse(load__resolution="0.012")).learning.resolution == 0.012
 
 
 STRICT = {

@@ -34,9 +34,9 @@ def test_noise_shakes_the_voltage_no_more_than_configured() -> None:
 
 
 def test_a_coarse_sensor_does_not_make_the_loop_hunt() -> None:
+    """Whether its resolution is configured or has to be found (0.068 where it is neither)."""
     motion = Motion(quantum=0.01)
-    known = motion.run(Mode.ADAPTIVE, changes={"load": {"resolution": 0.01}})
-    assert known.in_force(LEARNT_s) >= 0.95
-    assert known.model_error(3, LEARNT_s) <= 0.035
-    unknown = motion.run(Mode.ADAPTIVE, changes={"load": {"resolution": 0.0}})
-    assert unknown.model_error(3, LEARNT_s) >= 1.5 * known.model_error(3, LEARNT_s)
+    for resolution in (0.01, 0.0):
+        rows = motion.run(Mode.ADAPTIVE, changes={"load": {"resolution": resolution}})
+        assert rows.in_force(LEARNT_s) >= 0.95
+        assert rows.model_error(3, LEARNT_s) <= 0.035

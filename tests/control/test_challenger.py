@@ -10,7 +10,7 @@ import pytest
 from adaptdrive.control import estimator as est
 from adaptdrive.control import fast_half as fast
 from adaptdrive.control import regression as reg
-from adaptdrive.control.doubt import is_doubtful, rounding_power
+from adaptdrive.control.doubt import is_doubtful
 from adaptdrive.control.settings import Learning
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING, TICKS, TICK_s
@@ -115,18 +115,3 @@ def test_at_rest_the_load_that_was_learnt_is_in_doubt_and_a_movement_ends_that()
     assert resting[2][1] > 0.5 * resting[1][1]
     assert moving[2][1] < 0.05 * moving[1][1]
     assert resting[2][0] < 0.05 * resting[1][0]  # the gain shows at rest
-
-
-@pytest.mark.parametrize("ratio", [0.0, 0.2, 0.4])
-def test_noise_takes_the_rounding_error_out_of_a_mean(ratio: float) -> None:
-    """Against samples that are rounded, at every place between two steps."""
-    step, samples = 0.005, 90
-    learning = replace(LEARNING, resolution=step, samples=samples)
-    state = est.new_estimator(learning, MOTOR, 2)
-    state.surprise.noise = 1e-8 + (ratio * step / learning.output_scale) ** 2 / samples
-    random = np.random.default_rng(5)
-    places = np.linspace(-0.5, 0.5, 200)[:, None] * step
-    noisy = places + ratio * step * random.normal(size=(200, 40_000))
-    errors = (np.round(noisy / step) * step).mean(axis=1) - places[:, 0]
-    claimed = np.sqrt(rounding_power(state, learning)) * learning.output_scale
-    assert claimed == pytest.approx(float(np.sqrt(np.mean(errors**2))), rel=0.3)

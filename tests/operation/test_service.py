@@ -304,7 +304,7 @@ async def test_telemetry_is_json_with_name_and_unit_of_the_output(bench: Bench) 
         "steady",
         "output",
         *("output_filtered", "input_filtered", "applied_V", "followed", "held_ticks"),
-        "held_V",
+        *("held_V", "resolution", "rounding"),
         *("boost_reference_V", "controller", "accepted", "reason", "estimates", "gains"),
         *("innovation", "excitation", "handover_step_V", "pole_in_force", "fault", "complete"),
         *("reach_low", "reach_high", "probe", "monotonic_s", "output_name", "output_unit"),

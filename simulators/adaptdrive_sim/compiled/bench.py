@@ -140,6 +140,7 @@ def decide(
     rates, order = settings.rates, load.order
     means = fast.take_means(bank)
     applied_V, followed, held = fast.close_period(state, settings)
+    sample.rounding = fast.take_rounding(settings, bank)[1]
     fast.tune_filters(bank, measurement.tick_period_s, settings.learning.tau_lambda_s)
     sample.period_s = rates.ticks_per_period * measurement.tick_period_s
     sample.output = means[0]

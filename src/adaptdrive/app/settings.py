@@ -169,7 +169,6 @@ def _learning(configuration: Configuration) -> Learning:
         bias=estimator.bias or battery,
         initial_state=estimator.initial_state and not battery,
         resolution=configuration.load.resolution,
-        samples=configuration.load.samples,
     )
 
 
@@ -210,7 +209,6 @@ def _jacket(configuration: Configuration) -> Jacket:
         response_periods=_periods(configuration, supervisor.response_s),
         response_distance=supervisor.response_distance * reference_range,
         noise_max=_noise_max(configuration),
-        noise_min=load.resolution / math.sqrt(12.0),
     )
 
 

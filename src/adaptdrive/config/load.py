@@ -51,8 +51,8 @@ class LoadSection(Section):
     resolution: NonNegativeFloat = Field(
         default=0.0,
         description="smallest step of the measured output, in its unit, such as 0.0049 of 10 bits "
-        "over 5 V; counts as noise for `noise_V` and in the deviations of the estimates (`exact` "
-        "and `lm-rls` only)",
+        "over 5 V; what rounding to it errs counts as noise for `noise_V` and in the deviations of "
+        "the estimates; 0: found in the samples (`exact` and `lm-rls` only)",
     )
     noise_V: NonNegativeFloat | None = Field(
         default=None,

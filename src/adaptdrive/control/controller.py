@@ -191,7 +191,9 @@ class Controller:
                 self._fast.boost_reference_V = limits.boost_reference_min_V
                 self._fast.error_sum = initial_sum(limits.boost_reference_min_V)
             at_rest = voltage if fed else self._resting_voltage(output, voltage)
+            grid = self._bank.grid  # the sensor is the same in every run
             self._bank = self._new_bank(measurement.tick_period_s, output, at_rest)
+            self._bank.grid = grid
             self._slow = new_slow_state(self._settings, self._load, output, voltage)
             self._reach = nominal_reach(self._load, limits)
             if self._prior is not None:
@@ -225,6 +227,7 @@ class Controller:
         held_V = self._fast.boost_reference_V if self._fast.by_hand else math.nan
         means = fast.take_means(self._bank)
         applied_V, followed, held = fast.close_period(self._fast, self._settings)
+        resolution, rounding = fast.take_rounding(self._settings, self._bank)
         fast.tune_filters(self._bank, measurement.tick_period_s, learning.tau_lambda_s)
         return Snapshot(
             k=k,
@@ -238,6 +241,8 @@ class Controller:
             followed=followed,
             held_ticks=held,
             held_V=held_V,
+            resolution=resolution,
+            rounding=rounding,
         )
 
     def _drive(self, measurement: Measurement, bridge: bool) -> Command:
@@ -266,6 +271,7 @@ class Controller:
             steady=snapshot.order.steady,
             lowest=self._reach.low if self._reach.is_known else -math.inf,
             highest=self._reach.high if self._reach.is_known else math.inf,
+            rounding=snapshot.rounding,
         )
 
     def _estimates(self) -> dict[str, Estimate]:

@@ -71,24 +71,6 @@ def is_contested(state: EstimatorState) -> bool:
     return challenger.judged < _JUDGED or chal.lead(challenger) > 0.0
 
 
-def rounding_power(state: EstimatorState, learning: Learning) -> float:
-    """Return the mean square of the rounding error that noise leaves in a slow sample, scaled.
-
-    Rounding to steps of q errs by q²/12 without noise. Noise of a deviation σ before it spreads the
-    samples over several steps, whose mean errs less, by exp(-4 π² σ²/q²) (B. Widrow and I. Kollár,
-    Quantization Noise, 2008, chapter 4).
-
-    Args:
-        state: Mean square of the noise of a slow sample.
-        learning: Resolution, scale and samples.
-    """
-    step = learning.resolution / learning.output_scale
-    if not step > 0.0:
-        return 0.0
-    fast = (state.surprise.noise - NOISE_FLOOR) * learning.samples
-    return step * step / 12.0 * math.exp(-4.0 * math.pi * math.pi * fast / (step * step))
-
-
 def doubted_deviations(
     state: EstimatorState, learning: Learning, load: Load, values: Vector
 ) -> Vector:
@@ -101,7 +83,7 @@ def doubted_deviations(
         values: The parameters at θ.
     """
     upper, diagonal, noise = list(state.upper), list(state.diagonal), residual_noise(state)
-    noise = math.sqrt(noise * noise + NOISE_FLOOR + _ROUNDED * rounding_power(state, learning))
+    noise = math.sqrt(noise * noise + NOISE_FLOOR + _ROUNDED * state.rounding * state.rounding)
     if learning.alert and noise > 0.0 and is_doubtful(state):
         spread = _SPREAD / noise
         for i in range(fitted_order(learning, load)):

@@ -48,6 +48,7 @@ class EstimatorState:
         alarm_period: Slow period of the last alarm.
         lost_periods: Slow periods in a row in which no load can have such an estimate.
         unseen_periods: Slow periods since a sample that would have shown another load.
+        rounding: Standard deviation of the rounding error of a sample, scaled.
         rivals: Explanations of an alarm.
         challenger: A second estimate, learnt anew since an alarm.
     """
@@ -70,6 +71,7 @@ class EstimatorState:
     alarm_period: int = -riv.WINDOW
     lost_periods: int = 0
     unseen_periods: int = 0
+    rounding: float = 0.0
 
 
 def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:

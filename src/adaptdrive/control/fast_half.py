@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from adaptdrive.control import voltage_loop
 from adaptdrive.control.lambda_filter import advance, chain_decay, ramp_gains, step_gains
 from adaptdrive.control.load import Load, to_input
+from adaptdrive.control.rounding import Grid, close_share, note_sample, rounding_error, step_found
 from adaptdrive.control.screen import WIDE, Screen, pass_sample
 from adaptdrive.control.settings import ControllerSettings, PowerStage
 from adaptdrive.control.signals import Measurement
@@ -37,6 +38,7 @@ class FilterBank:
         sums: Sums over the window: y, λy ... λ^m y, u, λu ... λ^m u.
         count: Samples in `sums`.
         screen: What stands in front of the output's chain.
+        grid: What is known of the resolution of the output.
     """
 
     decay: Vector
@@ -49,6 +51,7 @@ class FilterBank:
     sums: Vector
     count: int
     screen: Screen
+    grid: Grid
 
 
 @dataclass(slots=True)
@@ -104,6 +107,7 @@ def new_filter_bank(
         sums=[0.0] * (2 * order + 2),
         count=0,
         screen=Screen(output, 0.0, WIDE * max(abs(output), abs(expected))),
+        grid=Grid(output),
     )
     tune_filters(bank, tick_period_s, tau_lambda_s)
     return bank
@@ -141,6 +145,7 @@ def take_in(
     elapsed = tick - state.tick
     if elapsed > 0:
         output = measurement.output
+        note_sample(bank.grid, output, settings.learning.output_scale)
         if rates.clip > 0.0:
             output = pass_sample(bank.screen, output, rates.clip)
         filter_sample(bank, output, load_input, min(elapsed, rates.ticks_per_period))
@@ -187,6 +192,23 @@ def take_means(bank: FilterBank) -> Vector:
         bank.sums[i] = 0.0
     bank.count = 0
     return means
+
+
+def take_rounding(settings: ControllerSettings, bank: FilterBank) -> tuple[float, float]:
+    """Return step and rounding error of the output at the end of a slow period, in its unit.
+
+    Args:
+        settings: A resolution that is configured counts instead of what the samples show.
+        bank: Overwritten: its count of changes begins again.
+    """
+    learning, grid = settings.learning, bank.grid
+    close_share(grid, settings.rates.ticks_per_period)
+    if not settings.exact:
+        return 0.0, 0.0
+    step = learning.resolution
+    if not step > 0.0:
+        step = step_found(grid, learning.output_scale)
+    return step, rounding_error(step, grid.share)
 
 
 def drive(state: FastState, stage: PowerStage, measurement: Measurement) -> tuple[float, float]:

@@ -80,8 +80,9 @@ def _output_noise(settings: ControllerSettings, state: SlowState) -> float:
     """
     if not settings.learning.method.physical:
         return 0.0
-    seen = math.sqrt(state.estimator.surprise.noise) * settings.learning.output_scale
-    return max(seen, settings.jacket.noise_min)
+    estimator = state.estimator
+    seen = math.sqrt(estimator.surprise.noise)
+    return max(seen, estimator.rounding) * settings.learning.output_scale
 
 
 def _redesign(

@@ -85,8 +85,7 @@ class Learning:
         known_filter_s: Time constant of a known filter of the output; 0 where none is known.
         bias: Whether a constant is estimated too: a load torque, an EMF, an offset of a sensor.
         initial_state: Whether what is left of the time before the start is estimated too.
-        resolution: Smallest step of the measured output, 0 where none is known.
-        samples: Fast samples averaged for a slow one.
+        resolution: Smallest step of the measured output, 0 to find it in the samples.
     """
 
     method: Method
@@ -105,7 +104,6 @@ class Learning:
     bias: bool = False
     initial_state: bool = False
     resolution: float = 0.0
-    samples: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +129,6 @@ class Jacket:
         gain_slew: Largest share of the way to new gains that is gone in one period.
         noise_max: Largest standard deviation of the input that noise of the output may cause, in
             the unit of the input.
-        noise_min: Least standard deviation of the noise of the output, in its unit.
         confirm_periods: The same after a start from estimates that an earlier run had trusted.
         confidence: Standard deviations by which the estimate may be wrong without new gains
             becoming unstable; with 0 the last trusted model is not tried either.
@@ -155,7 +152,6 @@ class Jacket:
     confidence: float = 0.0
     gain_slew: float = 1.0
     noise_max: float = 0.0
-    noise_min: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -111,6 +111,12 @@ class Snapshot:
         float,
         Quantity("V", "V_c in force where the operator set it in the elapsed period, else unknown"),
     ] = math.nan
+    resolution: Annotated[
+        float, Quantity("y", "step of the sensor: as configured, else as found; 0 for none")
+    ] = 0.0
+    rounding: Annotated[
+        float, Quantity("y", "standard deviation of the rounding error of a slow sample")
+    ] = 0.0
 
 
 @dataclass(frozen=True, slots=True)

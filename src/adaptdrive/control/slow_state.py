@@ -131,6 +131,7 @@ class SlowSample:
         steady: Whether r is a constant set-point.
         lowest: Lowest output that V_c can hold.
         highest: Highest output that V_c can hold.
+        rounding: Standard deviation of the rounding error of the output.
     """
 
     period_s: float
@@ -150,6 +151,7 @@ class SlowSample:
     steady: bool = False
     lowest: float = -math.inf
     highest: float = math.inf
+    rounding: float = 0.0
 
 
 def new_slow_state(

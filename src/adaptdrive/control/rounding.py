@@ -1,0 +1,135 @@
+"""The resolution of the sensor, found in its own samples, and the rounding error that it leaves.
+
+The differences of the samples of a rounded output are whole multiples of one step q. Each
+difference d > 0 of two successive samples is compared with the multiples of a candidate:
+
+    k = round(d / q)      agrees: k >= 1 and |d / q - k| <= tolerance      else: k q - d remains
+
+A candidate counts once enough differences agreed. One with which several do not agree is replaced
+by what remained of the last, as in Euclid's algorithm; below the finest step that matters the
+search begins again. A candidate outlives single samples beside the steps. Samples that are not
+rounded, or to steps far below the noise that is always counted with, give no step.
+
+Rounding errs by q/√12 while the output stands still. Noise of a deviation σ before it spreads the
+samples over several steps, whose mean errs less, by exp(-2 π² σ²/q²) (B. Widrow and I. Kollár,
+Quantization Noise, 2008, chapter 4). σ shows in the share p of the samples that differ from the
+one before: two samples differ by 2 σ/√π on average, which is p q as long as p is small. The result
+is at most a sixth of q/√12 too large.
+
+    rounding error = q/√12 exp(-π³ p²/2)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+FINEST = 1.0e-4
+"""Smallest step that is looked for: its rounding error is below the least noise of a sample."""
+
+COARSEST = 0.05
+"""Largest step that is believed: such a sensor shows twenty values up to the scale."""
+
+TOLERANCE = 0.02
+"""Distance from a multiple, in steps: more than single precision leaves of the finest step."""
+
+_FOUND = 12
+"""Differences that must agree: less than a chance of 1e-16 without steps."""
+
+_SURE = 20
+"""Differences that are counted: five more that do not agree end a step."""
+
+_MISS = 4
+"""Weight of a difference that does not agree: by chance one of 25 does."""
+
+_LARGEST_MULTIPLE = 1.0e6
+"""Steps in a difference: more is no movement of a load."""
+
+_MEMORY = 60.0
+"""Slow periods over which the share of changes is a mean: half a cycle of the reference."""
+
+
+@dataclass(slots=True)
+class Grid:
+    """State of the search for the step of a sensor.
+
+    Attributes:
+        last: Last sample.
+        candidate: Step that is being tried, in the unit of the output; 0 for none.
+        score: Differences that agreed with it, less those that did not.
+        changes: Samples of the slow period so far that differ from the one before.
+        share: p, over the slow periods so far.
+        periods: Slow periods in it, up to its memory.
+    """
+
+    last: float
+    candidate: float = 0.0
+    score: int = 0
+    changes: int = 0
+    share: float = 0.0
+    periods: float = 0.0
+
+
+def note_sample(grid: Grid, sample: float, scale: float) -> None:
+    """Compare a raw sample with the one before it.
+
+    Args:
+        grid: Overwritten.
+        sample: y as the sensor gave it.
+        scale: Output of order one.
+    """
+    if sample == grid.last:
+        return
+    difference = abs(sample - grid.last)
+    grid.last = sample
+    grid.changes += 1
+    finest = FINEST * scale
+    if not grid.candidate > 0.0:
+        grid.candidate = difference if finest <= difference < 1.0 / FINEST * scale else 0.0
+        return
+    ratio = difference / grid.candidate
+    if not ratio < _LARGEST_MULTIPLE:
+        return
+    multiple = math.floor(ratio + 0.5)
+    rest = abs(ratio - multiple)
+    if multiple >= 1 and rest <= TOLERANCE:
+        grid.score = min(grid.score + 1, _SURE)
+        return
+    grid.score -= _MISS
+    if grid.score < 0:
+        remains = rest * grid.candidate
+        grid.candidate, grid.score = (remains if remains >= finest else 0.0), 0
+
+
+def step_found(grid: Grid, scale: float) -> float:
+    """Return the step of the sensor in the unit of the output, 0 while none is known.
+
+    Args:
+        grid: What the samples showed.
+        scale: Output of order one.
+    """
+    if grid.score < _FOUND or grid.candidate > COARSEST * scale:
+        return 0.0
+    return grid.candidate
+
+
+def close_share(grid: Grid, ticks: int) -> None:
+    """Take the changes of a slow period into their share.
+
+    Args:
+        grid: Overwritten.
+        ticks: Samples of the period.
+    """
+    grid.periods = min(grid.periods + 1.0, _MEMORY)
+    grid.share += (min(1.0, grid.changes / ticks) - grid.share) / grid.periods
+    grid.changes = 0
+
+
+def rounding_error(step: float, share: float) -> float:
+    """Return the standard deviation of the rounding error of a slow sample.
+
+    Args:
+        step: q, in the unit of the output.
+        share: p.
+    """
+    return step / math.sqrt(12.0) * math.exp(-0.5 * math.pi**3 * share * share)
