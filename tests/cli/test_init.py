@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import tomllib
 from pathlib import Path
@@ -19,6 +20,13 @@ DESCRIPTIONS = (
     ("can", "--dbc", "bath.dbc", '"K"', '"°C"'),
     ("canopen", "--eds", "cia402.eds", "=Tachometer", "=Tachometer °"),
 )
+
+
+class Terminal(io.StringIO):
+    """Input that somebody types."""
+
+    def isatty(self) -> bool:
+        return True
 
 
 def init(*words: str | Path) -> int:
@@ -126,6 +134,16 @@ def test_each_proposal_can_be_changed(tmp_path: Path, monkeypatch: pytest.Monkey
     assert 'boost_voltage_V = "INV_ACT.U_MAINS"' in text
     assert 'line_voltage_V = "INV_ACT.U_DC"' in text
     assert "# load_power_W = " in text
+
+
+def test_an_end_of_the_input_is_one_clear_error_and_writes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", Terminal(""))
+    database = EXAMPLES / "inverter.dbc"
+    assert init("motor", "--bus", "can", "--dbc", database, "--directory", tmp_path) == 2
+    assert "the input ended before an answer; nothing is written" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])

@@ -395,6 +395,7 @@ def test_a_set_point_at_a_limit_is_taken(running: Desk, value: float) -> None:
     [
         (-0.1, 3.0, 60.0, "waveform low = -0.1 V is outside"),
         (3.0, 4.6, 60.0, "waveform high = 4.6 V is outside"),
+        (3.0, 4.5000001, 60.0, "waveform high = 4.5000001 V is outside 0…4.5 V"),
         (3.0, math.nan, 60.0, "waveform high = nan V is outside"),
         (3.0, 3.2, 3.9, "waveform period_s = 3.9 s is below 4 s"),
         (3.0, 3.2, math.nan, "waveform period_s = nan s is below 4 s"),

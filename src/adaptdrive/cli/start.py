@@ -138,11 +138,21 @@ def _confirm(
         print(f"  {number}  {one.reference}  {one.unit}  {one.range}".rstrip())
     usual = "1" if proposed else "0"
     while True:
-        answer = input(f"a number, a signal by its name, or 0 for none [{usual}]: ").strip()
+        answer = _answer(f"a number, a signal by its name, or 0 for none [{usual}]: ", quantity)
         if (answer or usual) == "0":
             return None
         if (answer or usual) in choices:
             return choices[answer or usual]
+
+
+def _answer(question: str, quantity: str) -> str:
+    """Return what the user types; refuse an input that ends, before anything is written."""
+    try:
+        return input(question).strip()
+    except EOFError as problem:
+        print()
+        flaw = Flaw(quantity, "the input ended before an answer; nothing is written")
+        raise ConfigurationError("init", [flaw]) from problem
 
 
 def _write(starter: Starter, directory: Path, drive: str) -> Path:

@@ -63,7 +63,7 @@ class MachineLimits:
         """
         if not (math.isfinite(value) and self.reference_min <= value <= self.reference_max):
             raise RefusedError(
-                f"{what} = {value:g} {self.unit} is outside "
+                f"{what} = {value:.12g} {self.unit} is outside "
                 f"{self.reference_min:g}…{self.reference_max:g} {self.unit}"
             )
 
@@ -74,25 +74,27 @@ class MachineLimits:
         """
         if not (self.govern or reach.holds(value)):
             raise RefusedError(
-                f"{what} = {value:g} {self.unit} is outside {reach.low:g}…{reach.high:g} "
+                f"{what} = {value:.12g} {self.unit} is outside {reach.low:g}…{reach.high:g} "
                 f"{self.unit}, which V_c can hold"
             )
 
     def require_period(self, what: str, value: float) -> None:
         """Refuse a period of a waveform, in s, that is too short."""
         if not value >= self.period_min_s:
-            raise RefusedError(f"{what} = {value:g} s is below {self.period_min_s:g} s")
+            raise RefusedError(f"{what} = {value:.12g} s is below {self.period_min_s:g} s")
 
     def require_pole(self, value: float) -> None:
         """Refuse a closed-loop pole that is too fast or too slow."""
         if not self.pole_min <= value <= self.pole_max:
-            raise RefusedError(f"pole = {value:g} is outside {self.pole_min:g}…{self.pole_max:g}")
+            raise RefusedError(
+                f"pole = {value:.12g} is outside {self.pole_min:g}…{self.pole_max:g}"
+            )
 
     def require_voltage(self, value: float, hold_s: float | None) -> None:
         """Refuse a V_c, in V, or a time to hold it, in s, that is out of range."""
         if not self.floor_V <= value <= self.ceiling_V:
             raise RefusedError(
-                f"voltage = {value:g} V is outside {self.floor_V:g}…{self.ceiling_V:g} V"
+                f"voltage = {value:.12g} V is outside {self.floor_V:g}…{self.ceiling_V:g} V"
             )
         if hold_s is not None and not 0.0 < hold_s <= _LONGEST_HOLD_S:
             raise RefusedError(
