@@ -36,7 +36,11 @@ CALCULATING = {"campaign", "closed_loop", "compiled", "config", "control", "expe
 """Folders whose tests need nothing but a processor, however busy."""
 
 LONG = "system"
-"""Folder of long tests. They and slow ones start first: none runs on when all others have ended."""
+"""Folder of long tests.
+
+They, slow ones, and before all those with a time limit of their own start first: none runs on when
+all others have ended.
+"""
 
 KINDS = {"calculating", "waiting", "alone"}
 
@@ -48,7 +52,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if not any(item.get_closest_marker(kind) for kind in KINDS):
             calculating = _folder(item) in CALCULATING
             item.add_marker(pytest.mark.calculating if calculating else pytest.mark.waiting)
-    items.sort(key=lambda item: (item.get_closest_marker("slow") is None, _folder(item) != LONG))
+    items.sort(key=_turn)
+
+
+def _turn(item: pytest.Item) -> tuple[bool, bool, bool]:
+    """Return when a test has its turn: the smallest first."""
+    longest = item.get_closest_marker("timeout") is not None
+    return item.get_closest_marker("slow") is None, not longest, _folder(item) != LONG
 
 
 def _folder(item: pytest.Item) -> str:
