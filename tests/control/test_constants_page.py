@@ -30,7 +30,7 @@ def test_the_page_shows_the_effect_of_the_present_value_alone(tmp_path: Path) ->
         usual,
         (*gain, "halved", "0.025", "1.2345", "0.98", "3", "0", "17"),
         (*gain[:2], "0.07", "doubled", "0.14", "9", "9", "9", "9", "9"),
-        ("control/cycling.py", "TRAVERSES", "40", "halved", "20", "1", "1", "2", "0", "0"),
+        ("control/cycling.py", "TRAVERSES", "60", "halved", "30", "1", "1", "2", "0", "0"),
     ]
     lines = ["\t".join(row) for row in (COLUMNS, *rows)]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")

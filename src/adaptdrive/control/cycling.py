@@ -2,7 +2,9 @@
 
 A fixed controller on a load far from its model can drive the input from one limit to the other for
 ever. Noise does that too, and so do set-points that change; a limit cycle differs from them by a
-set-point that rests, and by an estimate that predicts the load far better than the model.
+set-point that rests, and by an estimate that predicts the movements of the load far better than the
+model. A constant error of the model does not count: the integrator removes it, and noise that moves
+the input from limit to limit would otherwise trip a healthy drive whose model is a little wrong.
 """
 
 from __future__ import annotations
@@ -10,9 +12,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-TRAVERSES = 40
-"""Ways of the input from one limit to the other that are a limit cycle: twenty of its periods, in
-which the adaptive controller has taken over where its estimate is within its bounds."""
+TRAVERSES = 60
+"""Ways of the input from one limit to the other that are a limit cycle: thirty of its periods, in
+which the adaptive controller has taken over where its estimate is within its bounds, and the mean
+errors have forgotten the last step of the set-point."""
 
 LONGEST_WAY = 60
 """Slow periods after which a way from limit to limit belongs to no cycle."""
@@ -56,7 +59,7 @@ def watch_cycling(
         position: Input in force, 0 at its lowest and 1 at its highest.
         reference: r.
         reference_step: Smallest change of it that begins the count anew; infinite for no watch.
-        better: Rms prediction error of the model over that of the estimate.
+        better: Rms prediction error of the model, its mean left out, over that of the estimate.
         fixed: Whether the fixed controller is in force.
     """
     if math.isinf(reference_step):

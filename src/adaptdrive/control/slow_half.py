@@ -93,7 +93,7 @@ def _take_sample(
     if learning.method.physical:
         fixed = target / learning.output_scale - predict(state.nominal_theta, estimator.regressor)
         own = est.own_residual(estimator, learning)
-        sup.compare_residuals(state.supervisor, own, fixed * fixed)
+        sup.compare_residuals(state.supervisor, own, fixed)
     shift_in(state.outputs, sample.output)
 
 
@@ -151,7 +151,7 @@ def _look_for_cycle(jacket: Jacket, state: SlowState, sample: SlowSample) -> Non
     """Look for a limit cycle under the fixed controller."""
     span = sample.high - sample.low
     position = (state.inputs[0] - sample.low) / span if span > 0.0 else 0.5
-    better = sup.better_than_nominal(state.supervisor)
+    better = sup.moves_better_than_nominal(state.supervisor)
     fixed = not (state.adaptive or sample.manual)
     reference = sample.reference + state.probe.shift
     state.cycling = watch_cycling(

@@ -64,6 +64,7 @@ class SupervisorState:
         good_periods: Accepted estimates in a row.
         own_power: Slow mean square of the estimate's own innovations, scaled.
         fixed_power: The same of the nominal model.
+        fixed_mean: Slow mean of the nominal model's innovations, scaled.
     """
 
     verdict: int = Verdict.WARMING_UP
@@ -73,6 +74,7 @@ class SupervisorState:
     good_periods: int = 0
     own_power: float = 0.0
     fixed_power: float = 0.0
+    fixed_mean: float = 0.0
 
 
 def judge_model(numerator: Vector, denominator: Vector) -> int:
@@ -121,10 +123,11 @@ def compare_residuals(state: SupervisorState, own: float, fixed: float) -> None:
     Args:
         state: Overwritten.
         own: Squared innovation of the estimate, its own uncertainty taken out, scaled.
-        fixed: Squared innovation of the nominal model, scaled.
+        fixed: Innovation of the nominal model, scaled.
     """
     state.own_power += _RESIDUAL_RATE * (own - state.own_power)
-    state.fixed_power += _RESIDUAL_RATE * (fixed - state.fixed_power)
+    state.fixed_power += _RESIDUAL_RATE * (fixed * fixed - state.fixed_power)
+    state.fixed_mean += _RESIDUAL_RATE * (fixed - state.fixed_mean)
 
 
 def judge_residual(state: SupervisorState, jacket: Jacket) -> int:
@@ -140,6 +143,18 @@ def better_than_nominal(state: SupervisorState) -> float:
     if not state.fixed_power > _RESIDUAL_FLOOR:
         return 1.0
     return math.sqrt(state.fixed_power / max(state.own_power, _RESIDUAL_FLOOR))
+
+
+def moves_better_than_nominal(state: SupervisorState) -> float:
+    """Return the same for movements alone: a constant error of the nominal model does not count.
+
+    The integrator of the fixed controller removes a constant error, which a wrong gain or a load
+    torque causes; wrong dynamics remain.
+    """
+    moving = state.fixed_power - state.fixed_mean * state.fixed_mean
+    if not moving > _RESIDUAL_FLOOR:
+        return 1.0
+    return math.sqrt(moving / max(state.own_power, _RESIDUAL_FLOOR))
 
 
 def judge_load(a: Vector) -> int:
