@@ -277,8 +277,8 @@ TRIPS = (
     Trip(
         r"^limit cycle: ",
         "limit cycle: the fixed controller drives V_c from limit to limit",
-        "at a constant set-point V_c went forty times from one limit to the other, and the "
-        "estimate predicts the load three times better than `load.model`",
+        "at a constant set-point V_c went sixty times from one limit to the other, and the "
+        "estimate predicts the movements of the load three times better than `load.model`",
         "`adaptdrive commission`: the load is not the one of `[load.model]`",
     ),
     Trip(
