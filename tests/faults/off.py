@@ -20,6 +20,9 @@ RATE_READINGS = 60
 OFF_COMMANDS = 34
 """Commands in a row after which a bridge that stays off is a drive that has stopped."""
 
+OFF_s = OFF_COMMANDS / 120.0
+"""Shortest time that they take: a faster line gives a drive no less time to close its bridge."""
+
 UNDECIDED_COMMANDS = 540
 """Commands in a row after which a slow loop that decides nothing has been missed."""
 
@@ -37,6 +40,7 @@ class MustBeOff:
         ran_s: When the daemon last sent a command.
         stalled: Whether the slow loop decides nothing.
         refused: Commands in a row with the bridge on to a drive that reports it off.
+        refused_from_s: When the first of them was sent.
         undecided: Commands in a row with the bridge on that a stalled slow loop has not seen.
     """
 
@@ -48,6 +52,7 @@ class MustBeOff:
     ran_s: float = math.inf
     stalled: bool = False
     refused: int = 0
+    refused_from_s: float = math.inf
     undecided: int = 0
 
     def cause(self, now_s: float) -> str | None:
@@ -80,6 +85,8 @@ class MustBeOff:
             assert self.enabled, f"energised although {self.why_not}: {command}"
             assert self.readings >= RATE_READINGS, "energised before the rate was judged"
         reported = self.reading is not None and self.reading.bridge
+        if not self.refused:
+            self.refused_from_s = now_s
         self.refused = self.refused + 1 if command.bridge and not reported else 0
         self.undecided = self.undecided + 1 if command.bridge and self.stalled else 0
 
@@ -91,7 +98,7 @@ class MustBeOff:
             return "the daemon did not run"
         if self.undecided > UNDECIDED_COMMANDS:
             return "the slow loop is behind"
-        if self.refused > OFF_COMMANDS:
+        if self.refused > OFF_COMMANDS and now_s - self.refused_from_s > OFF_s:
             return "the drive has stopped by itself"
         return None
 
