@@ -81,7 +81,7 @@ def test_a_run_without_a_life_draws_none() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "flaw"),
     [
         ("torque_V = [0.0, 20.0]", "torque_V = [0.0, 90.0]", "life.torque_V = [0.0, 90.0]: "),
         ("torque_changes = [0, 12]", "torque_changes = [3, 1]", "life.torque_changes = [3, 1]: "),
@@ -91,13 +91,13 @@ def test_a_run_without_a_life_draws_none() -> None:
         ("off_s = [3.0, 30.0]", "off_s = [0.0, 1.0]", "life.off_s = [0.0, 1.0]: "),
     ],
 )
-def test_an_error_names_key_and_value(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_an_error_names_key_and_value(tmp_path: Path, old: str, new: str, flaw: str) -> None:
     path = tmp_path / "mine.toml"
     assert old in LIFE
     path.write_text(LIFE.replace(old, new), encoding="utf-8")
     with pytest.raises(CampaignError) as problem:
         read_campaign(path)
-    assert f"{path}: {told}" in str(problem.value)
+    assert f"{path}: {flaw}" in str(problem.value)
 
 
 def eventful(seed: int = 3, **life: object) -> Stand:

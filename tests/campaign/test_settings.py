@@ -18,7 +18,7 @@ def test_the_campaign_that_comes_along_covers_what_it_promises() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "flaw"),
     [
         ("runs = 2000", "runs = 0", "runs = 0: "),
         ("inertia = [1.0, 4.0]", "inertia = [4.0, 1.0]", "load.inertia = [4.0, 1.0]: "),
@@ -28,13 +28,13 @@ def test_the_campaign_that_comes_along_covers_what_it_promises() -> None:
         ('"sine"]', '"saw"]', "reference.shapes.4 = 'saw': "),
     ],
 )
-def test_an_error_names_key_and_value(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_an_error_names_key_and_value(tmp_path: Path, old: str, new: str, flaw: str) -> None:
     path = tmp_path / "mine.toml"
     assert old in STANDARD
     path.write_text(STANDARD.replace(old, new), encoding="utf-8")
     with pytest.raises(CampaignError) as problem:
         read_campaign(path)
-    assert f"{path}: {told}" in str(problem.value)
+    assert f"{path}: {flaw}" in str(problem.value)
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:

@@ -65,10 +65,10 @@ def judge(module: str, tests: Sequence[str], longest: int) -> Score:
             _try(mutant, trials, str(file), score)
 
     words = [*tests, "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
-    with contextlib.redirect_stdout(io.StringIO()) as told:
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
         status = pytest.main(words, plugins=[Trials([str(file)], work)])
     if status not in (0, 5):
-        raise RuntimeError(told.getvalue()[-2000:])
+        raise RuntimeError(printed.getvalue()[-2000:])
     return score
 
 

@@ -24,7 +24,7 @@ from tests.operation.test_stores import Time, remembering
 
 @dataclass
 class RefusingHost:
-    """A drive that notes what it is asked, refuses when told to, and takes as long as told."""
+    """A drive that notes each request, and refuses or delays it where a test sets that."""
 
     refusal: str = ""
     state: State = State.STANDBY

@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,6 +18,8 @@ from adaptdrive.recording.batches import Batch, Header, News, TickTable, framed,
 from adaptdrive.recording.session import Dropped, SessionInfo
 from adaptdrive.recording.writer import record
 from adaptdrive.runtime.reports import LoadReport, TickReport
+
+PATIENCE_S = 120.0
 
 INFO = SessionInfo(
     drive="motor",
@@ -70,3 +73,11 @@ def fill(disk: Path) -> None:
         while True:
             os.write(descriptor, bytes(4096))
     os.close(descriptor)
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    """Wait for what another thread or process does."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)

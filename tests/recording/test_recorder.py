@@ -22,7 +22,7 @@ from adaptdrive.recording.recorder import EVENT_KIND, Clocks, Feed, Recorder, Wr
 from adaptdrive.recording.session import Dropped, Ending, read_info, session_directories
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Event, Severity
-from tests.recording.material import INFO, fill, make_tick
+from tests.recording.material import INFO, fill, make_tick, wait_until
 
 NOW = datetime(2026, 11, 21, 1, 30, tzinfo=UTC)
 CLOCKS = Clocks(lambda: NOW, time.monotonic)
@@ -363,13 +363,6 @@ def test_a_session_whose_control_process_is_killed_closes_itself(tmp_path: Path)
     assert read.info.ended is Ending.CUT
     assert read.ticks.num_rows >= written
     assert sequences(read) == list(range(read.ticks.num_rows))
-
-
-def wait_until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
 
 
 def rows(directory: Path) -> int:

@@ -9,9 +9,8 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -24,7 +23,7 @@ from adaptdrive.recording.repair import repair
 from adaptdrive.recording.session import Ending, SessionLock, read_info, session_directories
 from adaptdrive.recording.spool import Spool, left_spools, spool_path
 from adaptdrive.recording.writer import record
-from tests.recording.material import INFO, make_batch, make_tick
+from tests.recording.material import INFO, make_batch, make_tick, wait_until
 from tests.support import Process, children, slow_disk
 
 PATIENCE_S = 120.0
@@ -61,13 +60,6 @@ def started(sessions: Path, log: int, **environment: str) -> Iterator[Process]:
     with process:
         yield process
         process.kill()
-
-
-def wait_until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
 
 
 def kill(control: Process, recorder: int, sessions: Path) -> None:

@@ -4,23 +4,14 @@ from __future__ import annotations
 
 import shutil
 import threading
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 from adaptdrive.recording import reserve
 from adaptdrive.recording.batches import Header, News
 from adaptdrive.recording.writer import PatientWriter
-from tests.recording.material import INFO, fill, make_batch, make_tick
+from tests.recording.material import INFO, fill, make_batch, make_tick, wait_until
 
 PATIENCE_S = 60.0
-
-
-def wait_until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 def test_a_recorder_leaves_the_released_reserve_to_the_record_of_a_trip(small_disk: Path) -> None:

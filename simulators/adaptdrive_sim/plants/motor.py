@@ -112,7 +112,7 @@ class Motor:
     @torque_Nm.setter
     def torque_Nm(self, torque_Nm: float) -> None:
         check_range("torque_Nm", torque_Nm, 0.0, TORQUE_MAX_Nm, "N m")
-        self._torque_Nm = torque_Nm
+        self.disturb(torque_Nm)
 
     def disturb(self, torque_Nm: float) -> None:
         """Load the shaft with a torque from now on."""

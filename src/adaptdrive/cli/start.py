@@ -20,7 +20,6 @@ from adaptdrive.hardware.proposal import OUTPUTS, QUANTITIES, Candidate, propose
 
 _SHOWN = 3
 _NODE_ID = 1
-_NAME_LENGTH = 64
 
 
 def init(  # noqa: PLR0913 - one parameter for each option
@@ -88,7 +87,7 @@ def _refuse_misnamed(name: str) -> str:
     try:
         return DriveSection(name=name).name
     except ValidationError as problem:
-        flaw = Flaw("name", f"{name!r} is not one to {_NAME_LENGTH} letters, digits, _ and -")
+        flaw = Flaw("name", f"{name!r}: {problem.errors()[0]['msg']}")
         raise ConfigurationError("--name", [flaw]) from problem
 
 

@@ -140,21 +140,23 @@ def judge_residual(state: SupervisorState, jacket: Jacket) -> int:
 
 def better_than_nominal(state: SupervisorState) -> float:
     """Return rms errors of the nominal model over those of the estimate; 1 where both are small."""
-    if not state.fixed_power > _RESIDUAL_FLOOR:
-        return 1.0
-    return math.sqrt(state.fixed_power / max(state.own_power, _RESIDUAL_FLOOR))
+    return _over_own_errors(state, state.fixed_power)
 
 
 def moves_better_than_nominal(state: SupervisorState) -> float:
-    """Return the same for movements alone: a constant error of the nominal model does not count.
+    """Return the ratio of `better_than_nominal` without the mean error of the nominal model.
 
     The integrator of the fixed controller removes a constant error, which a wrong gain or a load
     torque causes; wrong dynamics remain.
     """
-    moving = state.fixed_power - state.fixed_mean * state.fixed_mean
-    if not moving > _RESIDUAL_FLOOR:
+    return _over_own_errors(state, state.fixed_power - state.fixed_mean * state.fixed_mean)
+
+
+def _over_own_errors(state: SupervisorState, power: float) -> float:
+    """Return an rms error over that of the estimate from its square; 1 where it is small."""
+    if not power > _RESIDUAL_FLOOR:
         return 1.0
-    return math.sqrt(moving / max(state.own_power, _RESIDUAL_FLOOR))
+    return math.sqrt(power / max(state.own_power, _RESIDUAL_FLOOR))
 
 
 def judge_load(a: Vector) -> int:

@@ -12,16 +12,8 @@ _LONGEST_PROBLEM = 300
 """A parser quotes the line at fault, and a file that is no text may be one line."""
 
 
-def read_description(path: Path) -> bytes:
-    """Return the content of a DBC or EDS file.
-
-    Args:
-        path: The file.
-
-    Raises:
-        OSError: It cannot be read, is no regular file, or is too large.
-        ValueError: No file can have such a name.
-    """
+def _content(path: Path) -> bytes:
+    """Return the bytes of a regular file of a size that can be parsed."""
     if not path.is_file():  # a pipe or a terminal would be waited for
         raise OSError("there is no such file" if not path.exists() else "it is no regular file")
     if path.stat().st_size > _LARGEST_BYTES:
@@ -38,10 +30,10 @@ def description_text(path: Path) -> str:
         path: The file.
 
     Raises:
-        OSError: As for `read_description`.
-        ValueError: As for `read_description`, or the bytes contradict the byte order mark.
+        OSError: It cannot be read, is no regular file, or is too large.
+        ValueError: No file can have such a name, or the bytes contradict the byte order mark.
     """
-    content = read_description(path)
+    content = _content(path)
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return content.decode("utf-16")
     try:
