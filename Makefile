@@ -10,7 +10,7 @@ bin := $(venv)/bin
 # The stamp's name follows the content of both files: an unchanged checkout never reinstalls.
 installed := $(venv)/.installed-$(firstword $(shell cat pyproject.toml constraints.txt | cksum))
 
-.PHONY: help demo test quick lint bench proof tables docs wheel compiled deb constraints clean
+.PHONY: help demo test quick lint bench proof branches tables docs wheel compiled deb constraints clean
 
 help:
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 20
@@ -37,6 +37,9 @@ bench: $(installed) ## measure speed and real time; MINUTES=10 looks longer for 
 
 proof: $(installed) ## run the long forms of the tests and write docs/proof.md and the faults of docs/reliability.md; takes hours
 	$(bin)/python -m tests.proof docs/proof.md
+
+branches: $(installed) ## list the lines and branches of the supervised modules that their own tests leave out
+	$(bin)/python -m tests.branches
 
 tables: $(installed) ## run the paper's motor experiment with 20 seeds, and write the tables of README and docs/control.md
 	nice $(bin)/python -m tests.benchmarks.paper_tables $(SEED)

@@ -9,7 +9,7 @@ _COMPARED = "numbers of stops are compared with each other, and never shown"
 _MACHINE = "runtime.machine:Machine.__init__: "
 _DESK = "operation.desk:Desk.__init__: "
 
-REASONS: dict[str, str] = {
+RUNTIME: dict[str, str] = {
     f"{_MACHINE}self.manual = self._limits.held(limits.floor_V, 0) -> "
     "self.manual = self._limits.held(limits.floor_V, 1)": "a V_c that stays has no beginning",
     f"{_MACHINE}self._coasts = False -> self._coasts = True": _SET_BEFORE_USE,
@@ -19,7 +19,14 @@ REASONS: dict[str, str] = {
     f"{_MACHINE}self._precharging = False -> self._precharging = True": _SET_BEFORE_USE,
     f"{_MACHINE}self._waveform_tick = 0 -> pass": _SET_BEFORE_USE,
     f"{_MACHINE}self._waveform_tick = 0 -> self._waveform_tick = 1": _SET_BEFORE_USE,
+}
+
+OPERATION: dict[str, str] = {
     f"{_DESK}self._tasks = asyncio.TaskGroup() -> pass": "`run` makes the one that is used",
     f"{_DESK}self._stops = 0 -> self._stops = 1": _COMPARED,
     "operation.desk:Desk.receive: self._stops += 1 -> self._stops += 2": _COMPARED,
 }
+
+CONTROL: dict[str, str] = {}
+
+REASONS = RUNTIME | OPERATION | CONTROL

@@ -56,4 +56,7 @@ def forms() -> tuple[Form, ...]:
         *(Form(f"mutants-{module.rpartition('.')[2]}", f"Small changes of the code: {module}",
                ("-m", "tests.mutation", module.removeprefix("adaptdrive.")), as_table=True)
           for module in TARGETS),
+        *(Form(f"branches-{package}", f"Lines and branches: {package}",
+               ("-m", "tests.branches", package), as_table=True)
+          for package in ("runtime", "operation", "control")),
     )  # fmt: skip
