@@ -7,7 +7,6 @@ _SET_BEFORE_USE = "every way into a state that reads it sets it first"
 _COMPARED = "numbers of stops are compared with each other, and never shown"
 
 _MACHINE = "runtime.machine:Machine.__init__: "
-_DESK = "operation.desk:Desk.__init__: "
 
 RUNTIME: dict[str, str] = {
     f"{_MACHINE}self.manual = self._limits.held(limits.floor_V, 0) -> "
@@ -22,8 +21,7 @@ RUNTIME: dict[str, str] = {
 }
 
 OPERATION: dict[str, str] = {
-    f"{_DESK}self._tasks = asyncio.TaskGroup() -> pass": "`run` makes the one that is used",
-    f"{_DESK}self._stops = 0 -> self._stops = 1": _COMPARED,
+    "operation.desk:Desk.__init__: self._stops = 0 -> self._stops = 1": _COMPARED,
     "operation.desk:Desk.receive: self._stops += 1 -> self._stops += 2": _COMPARED,
 }
 

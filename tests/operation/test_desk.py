@@ -13,13 +13,20 @@ import pytest
 from structlog.testing import capture_logs
 
 from adaptdrive.errors import RefusedError
-from adaptdrive.operation.desk import INTERRUPTED, OVERTAKEN, RETAINED, Desk
+from adaptdrive.operation import memory as memory_module
+from adaptdrive.operation.desk import (
+    INTERRUPTED,
+    OVERTAKEN,
+    RETAINED,
+    Desk,
+    OperatorCommand,
+)
 from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.messages import Reply
 from adaptdrive.operation.pace import LogRation
 from adaptdrive.runtime.reports import CommandReport, State
 from adaptdrive.runtime.requests import Request
-from tests.operation.test_stores import Time, remembering
+from tests.operation.test_stores import Time, open_journal, remembering
 
 
 @dataclass
@@ -63,6 +70,9 @@ class Office:
     reports: list[CommandReport]
     kept: list[int]
 
+    def receive(self, verb: str, identity: str) -> OperatorCommand:
+        return self.desk.receive(verb, json.dumps({"id": identity}).encode(), retained=False)
+
     async def send(
         self, verb: str, raw: bytes | dict[str, object], *, retained: bool = False
     ) -> Reply:
@@ -70,19 +80,56 @@ class Office:
         return await self.desk.answer(self.desk.receive(verb, raw, retained=retained))
 
 
-@pytest.fixture
-async def office(tmp_path: Path) -> AsyncIterator[Office]:
-    host, time, reports, kept = RefusingHost(), Time(), list[CommandReport](), list[int]()
+def open_office(memory: ReplyMemory, time: Time) -> Office:
+    host, reports, kept = RefusingHost(), list[CommandReport](), list[int]()
     host.free.set()
 
     async def keep() -> None:
         kept.append(len(reports))
 
+    ration = LogRation(lambda: time.running_s, lines=20)
+    desk = Desk(host, memory, lambda: host.state, lambda: time.wall, ration,
+                report=reports.append, kept=keep)  # fmt: skip
+    return Office(desk, host, memory, time, reports, kept)
+
+
+@pytest.fixture
+async def office(tmp_path: Path) -> AsyncIterator[Office]:
+    time = Time()
     async with remembering(tmp_path / "replies.sqlite3", time) as memory:
-        ration = LogRation(lambda: time.running_s, lines=20)
-        desk = Desk(host, memory, lambda: host.state, lambda: time.wall, ration,
-                    report=reports.append, kept=keep)  # fmt: skip
-        yield Office(desk, host, memory, time, reports, kept)
+        yield open_office(memory, time)
+
+
+@dataclass
+class SlowDisk:
+    """Writes what waits for it when the test lets it."""
+
+    waiting: list[asyncio.Event] = field(default_factory=list)
+
+    async def written(self) -> None:
+        gate = asyncio.Event()
+        self.waiting.append(gate)
+        await gate.wait()
+
+    async def write(self) -> None:
+        """Let the one that waits go on as far as it can; fails where none waits."""
+        (gate,) = self.waiting
+        self.waiting.clear()
+        gate.set()
+        await settle()
+
+
+@pytest.fixture
+def disk(office: Office, monkeypatch: pytest.MonkeyPatch) -> SlowDisk:
+    slow = SlowDisk()
+    monkeypatch.setattr(office.memory, "written", slow.written)
+    return slow
+
+
+async def settle() -> None:
+    """Let every task go on until it waits for something."""
+    for _ in range(20):
+        await asyncio.sleep(0)
 
 
 async def test_a_command_acts_once_and_each_repeat_hears_the_first_reply(office: Office) -> None:
@@ -299,3 +346,65 @@ async def test_an_id_may_have_128_letters(office: Office) -> None:
     assert office.memory.recall("") is None
     assert (await office.send("disable", {"id": "b" * 129})).accepted
     assert office.memory.recall("b" * 129) is None
+
+
+async def test_a_number_is_no_id_although_its_digits_are_known(office: Office) -> None:
+    first = await office.send("enable", {"id": "7"})
+    for verb in ("enable", "reset"):
+        reply = await office.send(verb, {"id": 7})
+        assert (reply.id, reply.accepted) == (7, False)
+        assert "Expected `str`, got `int`" in reply.reason
+    assert office.memory.recall("7") == first
+
+
+async def test_a_drive_acts_after_its_doubt_is_on_disk_and_replies_after_its_reply_is(
+    office: Office, disk: SlowDisk
+) -> None:
+    answer = asyncio.create_task(office.desk.answer(office.receive("enable", "a")))
+    await settle()
+    doubt = office.memory.recall("a")
+    assert doubt is not None
+    assert (doubt.reason, office.host.done) == (INTERRUPTED, [])
+    await disk.write()
+    assert (office.host.done, answer.done()) == (["enable"], False)
+    await disk.write()
+    assert (await answer).accepted
+
+
+async def test_a_stop_that_comes_while_the_disk_writes_is_obeyed(
+    office: Office, disk: SlowDisk
+) -> None:
+    answer = asyncio.create_task(office.desk.answer(office.receive("enable", "a")))
+    await settle()
+    office.receive("disable", "s")
+    await disk.write()
+    assert (await answer).reason == OVERTAKEN
+    assert office.host.done == ["disable"]
+
+
+async def test_a_hundred_overtaken_commands_wait_for_no_disk(
+    office: Office, disk: SlowDisk
+) -> None:
+    overtaken = [office.receive("enable", f"id {number}") for number in range(100)]
+    office.receive("disable", "s")
+    replies = [await office.desk.answer(command) for command in overtaken]
+    assert {reply.reason for reply in replies} == {OVERTAKEN}
+    assert disk.waiting == []
+
+
+async def test_a_command_right_after_a_restart_waits_for_the_replies_of_the_last_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(memory_module, "PATIENCE_S", 600.0)
+    path, time = tmp_path / "replies.sqlite3", Time()
+    async with remembering(path, time) as memory:
+        first = await open_office(memory, time).send("enable", {"id": "a"})
+    async with open_journal(path) as journal:
+        memory = ReplyMemory(journal, lambda: time.wall, lambda: time.running_s)
+        office = open_office(memory, time)
+        answer = asyncio.create_task(office.send("enable", {"id": "a"}))
+        await settle()
+        await memory.load()
+        memory.begin()
+        assert await answer == first
+        assert office.host.done == []

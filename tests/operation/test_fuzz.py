@@ -23,6 +23,7 @@ from adaptdrive.operation.journal import Journal
 from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.messages import encode
 from adaptdrive.operation.pace import LogRation
+from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, Request, SetMode
@@ -137,8 +138,9 @@ def desk_of(host: VirtualHost, folder: Path) -> Desk:
     clock: Callable[[], float] = lambda: 0.0  # noqa: E731
     memory = ReplyMemory(Journal(folder / "none"), lambda: NOW, clock)
     memory.begin()
-    ration = LogRation(clock, lines=0)
-    return Desk(host, memory, lambda: host.machine.state, lambda: NOW, ration)
+    hub, ration = Hub(), LogRation(clock, lines=0)
+    return Desk(host, memory, lambda: host.machine.state, lambda: NOW, ration,
+                report=hub.publish, kept=hub.kept)  # fmt: skip
 
 
 @pytest.mark.parametrize("state", [State.STANDBY, State.RUNNING])

@@ -23,6 +23,7 @@ from adaptdrive.operation.messages import LastTrip, Reply
 from adaptdrive.operation.outbox import Outbox
 from adaptdrive.operation.pace import LogRation
 from adaptdrive.operation.trip_memory import TripMemory
+from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Request
 
@@ -304,8 +305,9 @@ class DyingHost:
 
 
 def dying_desk(memory: ReplyMemory, time: Time) -> Desk:
-    ration = LogRation(lambda: time.running_s)
-    return Desk(DyingHost(), memory, lambda: None, lambda: time.wall, ration)
+    hub, ration = Hub(), LogRation(lambda: time.running_s)
+    return Desk(DyingHost(), memory, lambda: None, lambda: time.wall, ration,
+                report=hub.publish, kept=hub.kept)  # fmt: skip
 
 
 async def test_a_command_cut_short_by_a_crash_does_not_act_a_second_time(path: Path) -> None:

@@ -67,8 +67,8 @@ class Desk:
         wall: WallClock,
         ration: LogRation,
         *,
-        report: Callable[[CommandReport], None] = lambda _report: None,
-        kept: Keep | None = None,
+        report: Callable[[CommandReport], None],
+        kept: Keep,
     ) -> None:
         """Prepare to answer.
 
@@ -88,7 +88,6 @@ class Desk:
         self._present_state = present_state
         self._wall = wall
         self._ration = ration
-        self._tasks = asyncio.TaskGroup()
         self._turn = asyncio.Lock()
         self._stops = 0
         self._log = structlog.get_logger()
@@ -129,8 +128,7 @@ class Desk:
             async with self._turn:
                 await self._memory.ready()
                 reply = self._repeated(command, payload) or await self._decide(command, payload)
-        if self._kept is not None:
-            await self._kept()
+        await self._kept()
         self._log_reply(reply)
         return reply
 
@@ -193,19 +191,20 @@ class Desk:
 
     def _repeated(self, command: OperatorCommand, payload: Payload) -> Reply | None:
         """Return the reply to a command whose id is known, None for a new one."""
-        known = self._memory.recall(str(payload.id)) if _memorable(payload.id) else None
         flaw = self._other_verb(command, payload)
-        if known is None or flaw is None:
-            return known
-        return self._refused(command, payload, flaw)
+        return self._recall(payload) if flaw is None else self._refused(command, payload, flaw)
 
     def _other_verb(self, command: OperatorCommand, payload: Payload) -> str | None:
-        known = self._memory.recall(str(payload.id)) if _memorable(payload.id) else None
+        known = self._recall(payload)
         if known is None or known.verb == command.verb:
             return None
         return _clean(
             f"id {payload.id!r} was used by {known.verb!r}; give each command an id of its own"
         )
+
+    def _recall(self, payload: Payload) -> Reply | None:
+        """Return the reply to the first command with this id; only text identifies one."""
+        return self._memory.recall(str(payload.id)) if _memorable(payload.id) else None
 
     async def _decide(self, command: OperatorCommand, payload: Payload) -> Reply:
         reply = _refusal(command, payload)
