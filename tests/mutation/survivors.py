@@ -8,7 +8,15 @@ _COMPARED = "numbers of stops are compared with each other, and never shown"
 
 _MACHINE = "runtime.machine:Machine.__init__: "
 
+_TOGETHER = "a tick sets both, and both are None before the first: the test is for the types"
+
+_LOOP = "runtime.fast_loop:FastLoop."
+
 RUNTIME: dict[str, str] = {
+    f"{_LOOP}__init__: self._wanted = SAFE_COMMAND -> pass": _SET_BEFORE_USE,
+    f"{_LOOP}__init__: self._deadline_s = math.inf -> pass": _SET_BEFORE_USE,
+    f"{_LOOP}_report: if self.measurement is None or self._order is None: -> "
+    "if self.measurement is None and self._order is None:": _TOGETHER,
     f"{_MACHINE}self.manual = self._limits.held(limits.floor_V, 0) -> "
     "self.manual = self._limits.held(limits.floor_V, 1)": "a V_c that stays has no beginning",
     f"{_MACHINE}self._coasts = False -> self._coasts = True": _SET_BEFORE_USE,

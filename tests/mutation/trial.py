@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import resource
+import signal
 import sys
 import tempfile
 import time
@@ -95,6 +96,9 @@ class Trials:
         put()
         for number, item in enumerate(items):
             following = items[number + 1] if number + 1 < len(items) else None
+            # the signal ends the process: a test that has become endless has noticed
+            usual_s = self._took_s.get(item.nodeid, 0.0)
+            signal.setitimer(signal.ITIMER_VIRTUAL, 3.0 + 10.0 * usual_s)
             item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
             if self._failed:
                 return KILLED

@@ -170,11 +170,10 @@ class FastLoop:
             self._surroundings.decided(snapshot, decision)
 
     def send_safe(self) -> None:
-        """Send the safe command now, outside any tick."""
+        """Send the safe command now, outside any tick, to a drive that is commanded off."""
         self.command = self._guard.check(SAFE_COMMAND)
         self._port.send(self.command)
-        if self._machine.commanded_off:
-            self._stopping.judge(self._port, self.reading, self._surroundings.now_s())
+        self._stopping.judge(self._port, self.reading, self._surroundings.now_s())
 
     @property
     def stop(self) -> StopWord:
@@ -275,11 +274,12 @@ class FastLoop:
 
     def _overslept(self) -> bool:
         """Return whether this tick was kept from running for so long that its command is void."""
-        if not self._machine.energised:
-            return False
-        cause = self._interlocks.gap_cause(self._surroundings.now_s())
+        machine = self._machine
+        cause = (
+            self._interlocks.gap_cause(self._surroundings.now_s()) if machine.energised else None
+        )
         if cause is not None:
-            self._machine.latch(cause)
+            machine.latch(cause)
         return cause is not None
 
     def _current_order(self, tick: int) -> Order:
