@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import shutil
 import signal
 import sys
 from collections.abc import Iterator
@@ -241,6 +242,22 @@ async def test_without_a_journal_commands_are_carried_out(
         event = await ear.until(lambda message: message.content["kind"] == "journal")
         assert "unkept.operation.sqlite3" in event.content["detail"]
     assert bench.host.asked == [SetSetpoint(1.0), Disable()]
+
+
+async def test_a_state_folder_deleted_during_the_run_is_reported(
+    mosquitto: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("adaptdrive.operation.archive.JOURNAL_RETRY_S", 0.1)
+    folder = tmp_path / "state"
+    async with (
+        listening(mosquitto, "adaptdrive/deleted/event") as ear,
+        serving(mosquitto, "deleted", folder) as bench,
+    ):
+        assert (await ask(bench, "setpoint", '{"id": "a", "value": 1}'))["accepted"]
+        shutil.rmtree(folder)
+        event = await ear.until(lambda message: message.content["kind"] == "journal")
+        assert "deleted.operation.sqlite3: the file was deleted" in event.content["detail"]
+        assert (await ask(bench, "disable", '{"id": "b"}'))["accepted"]
 
 
 async def test_a_journal_that_never_opens_delays_no_stop(

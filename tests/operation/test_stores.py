@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import os
 import random
+import shutil
 import sqlite3
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -250,6 +251,22 @@ async def test_a_failing_disk_is_logged_once_and_then_caught_up(path: Path) -> N
     async with remembering(path, Time()) as memory:
         assert memory.recall("before") is not None
         assert memory.recall("id-49") is not None
+
+
+async def test_a_state_folder_deleted_during_the_run_is_named_and_made_anew(path: Path) -> None:
+    async with remembering(path, Time()) as memory:
+        await memory.keep("a", _reply("a"))
+        journal = memory._journal
+        assert not await journal.open()
+        assert journal.problem == ""
+        shutil.rmtree(path.parent)
+        assert not await journal.open()
+        assert "deleted" in journal.problem
+        assert await journal.open()
+        assert journal.problem == ""
+        memory.rewrite()
+    async with remembering(path, Time()) as memory:
+        assert memory.recall("a") == _reply("a")
 
 
 async def test_rows_that_cannot_be_read_cost_only_themselves(path: Path) -> None:

@@ -2,7 +2,8 @@
 
 What is kept here is also held in memory by its owner: the file serves restarts. Statements that are
 posted while the file cannot be used are discarded; when it can be used again, its owners write all
-that they hold. A file is replaced only when SQLite reports it damaged.
+that they hold. A file is replaced only when SQLite reports it damaged, and made anew when it was
+deleted: SQLite itself goes on writing into a file that nobody can open any more.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ _SCHEMA = (
 )
 _DAMAGED = (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT)
 _PRIMARY_CODE = 0xFF  # the low byte of an extended result code
+_DELETED = "the file was deleted, or another one has taken its place"
 
 
 class Journal:
@@ -58,14 +60,18 @@ class Journal:
         self.path = path
         self._executor = ThreadPoolExecutor(1, "journal", initializer=start_thread)
         self._database: sqlite3.Connection | None = None
+        self._inode: tuple[int, int] | None = None
         self._pending: deque[Statement] = deque(maxlen=LARGEST_BACKLOG)
         self._log = structlog.get_logger().bind(journal=str(path))
 
     async def open(self) -> bool:
         """Open the file, or make it; a damaged one is put aside.
 
+        An open file that was deleted is closed: the next call makes a new one.
+
         Returns:
-            Whether it was opened now; False when it is open already, or cannot be.
+            Whether it was opened now; False when it is open already, was deleted, or cannot be
+            opened.
         """
         return await asyncio.wrap_future(self._executor.submit(self._open))
 
@@ -130,6 +136,8 @@ class Journal:
 
     def _open(self) -> bool:
         if self._database is not None:
+            if _inode(self.path) != self._inode:
+                self._fail(_DELETED)
             return False
         try:
             self._database = self._connect()
@@ -139,6 +147,7 @@ class Journal:
             self._report(str(problem))
         if self._database is None:
             return False
+        self._inode = _inode(self.path)
         if self.problem:
             self._log.info("journal in use")
         self.problem = ""
@@ -214,6 +223,15 @@ def _check(database: sqlite3.Connection) -> None:
 def _is_damage(problem: sqlite3.Error) -> bool:
     code = getattr(problem, "sqlite_errorcode", sqlite3.SQLITE_OK)
     return code & _PRIMARY_CODE in _DAMAGED
+
+
+def _inode(path: Path) -> tuple[int, int] | None:
+    """Return device and number of a file, None where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def _require_file(path: Path) -> None:
