@@ -68,7 +68,7 @@ def test_unknown_loads_are_identified_within_the_stated_band(kind: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 2, 3, 6, 9])
+@pytest.mark.parametrize("seed", [0, 1, 3, 4, 5, 8])
 def test_a_motor_without_a_filter_is_identified(seed: int) -> None:
     """Its second lag is below any noise: only that it is short can be known, and suffices."""
     random = np.random.default_rng([seed, 15])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -112,10 +112,13 @@ def result_of(load: Load, choice: Choice, sample_s: float) -> IdentifiedLoad:
         sample_s: Time between two samples, the unit of the dead time.
     """
     problem, solution = choice.problem, choice.solution
-    covariance, variance = _covariance(choice)
-    values, spread = _mapped(lambda fitted: _physical(problem, load, fitted), solution, covariance)
+    covariance, variance = _covariance(problem, solution)
+    odds = _odds(choice, variance)
+    values, spread = _mapped(
+        lambda fitted: _physical(problem, load, fitted), solution, covariance, odds
+    )
     offset, offset_spread = _mapped(
-        lambda fitted: _input_offset(problem, fitted), solution, covariance
+        lambda fitted: _input_offset(problem, fitted), solution, covariance, odds
     )
     numerator, denominator = _model(problem, _fitted(solution))
     errors = split(problem, solution.errors, lost=len(problem.noise) - 1)
@@ -144,12 +147,8 @@ def result_of(load: Load, choice: Choice, sample_s: float) -> IdentifiedLoad:
     )
 
 
-def _covariance(choice: Choice) -> tuple[Array, float]:
-    """Return the covariance of log a_1 ... log a_m and the linear parameters, and that of e.
-
-    Dead times that explain the data nearly as well count by their likelihood.
-    """
-    problem, solution = choice.problem, choice.solution
+def _covariance(problem: Problem, solution: Solution) -> tuple[Array, float]:
+    """Return the covariance of log a_1 ... log a_m and the linear parameters, and that of e."""
     slopes = jacobian(problem, solution)
     kept = problem.order + len(solution.weights)
     freedom = max(1, len(solution.errors) - slopes.shape[1])
@@ -158,18 +157,14 @@ def _covariance(choice: Choice) -> tuple[Array, float]:
     lengths[lengths == 0.0] = 1.0
     inverse = np.linalg.pinv(slopes / lengths, rcond=1e-14)
     covariance = variance * (inverse @ inverse.T / np.outer(lengths, lengths))[:kept, :kept]
-    return covariance + _between(choice, variance), variance
+    return covariance, variance
 
 
-def _between(choice: Choice, variance: float) -> Array:
-    """Return the covariance that the choice of the dead time adds."""
-    found = [one for one in choice.solutions.values() if one is not choice.solution]
-    rises = np.array([one.loss - choice.solution.loss for one in found])
-    odds = np.exp(-0.5 * rises / variance)
-    ways = np.array([_fitted(one) - _fitted(choice.solution) for one in found])
-    if not len(ways):
-        return np.zeros((1, 1))
-    return np.asarray(ways.T @ (ways * odds[:, None]) / (1.0 + odds.sum()))
+def _odds(choice: Choice, variance: float) -> list[tuple[float, Solution]]:
+    """Return the probability of each other dead time by its likelihood, and its fit."""
+    others = [one for one in choice.solutions.values() if one is not choice.solution]
+    odds = [math.exp(-0.5 * (one.loss - choice.solution.loss) / variance) for one in others]
+    return [(each / (1.0 + sum(odds)), one) for each, one in zip(odds, others, strict=True)]
 
 
 def _fitted(solution: Solution) -> Array:
@@ -177,9 +172,16 @@ def _fitted(solution: Solution) -> Array:
 
 
 def _mapped(
-    function: Callable[[Array], Array], solution: Solution, covariance: Array
+    function: Callable[[Array], Array],
+    solution: Solution,
+    covariance: Array,
+    odds: Sequence[tuple[float, Solution]],
 ) -> tuple[Array, Array]:
-    """Return a function of the fitted parameters, and its covariance to first order."""
+    """Return a function of the fitted parameters, and its covariance.
+
+    That of the fit is to first order. The other dead times count with the values that they give:
+    where a lag is shorter than a block, their denominators lie too far apart for a first order.
+    """
     fitted = _fitted(solution)
     logarithms, weights = np.ones(len(solution.logarithms)), np.abs(solution.weights)
     steps = _STEP * np.concatenate((logarithms, np.where(weights == 0.0, 1.0, weights)))
@@ -189,7 +191,11 @@ def _mapped(
             for step in np.diag(steps)
         ]
     )
-    return function(fitted), slopes @ covariance @ slopes.T
+    here, spread = function(fitted), slopes @ covariance @ slopes.T
+    for probability, other in odds:
+        way = function(_fitted(other)) - here
+        spread = spread + probability * np.outer(way, way)
+    return here, spread
 
 
 def _model(problem: Problem, fitted: Array) -> tuple[Array, Array]:
