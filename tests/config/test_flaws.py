@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tomllib
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -224,6 +226,35 @@ def test_only_a_motor_learnt_by_the_lambda_method_can_have_a_known_filter() -> N
 )
 def test_a_broker_host_that_cannot_be_looked_up_is_refused(host: str) -> None:
     assert set(flaws(mqtt__host=f'"{host}"')) == {"mqtt.host"}
+
+
+@pytest.mark.parametrize("letter", ["\\u0000", "\\u001b", "\\n", "\\u0085", "\\u2028", "\\u007f"])
+@pytest.mark.parametrize(
+    "place", ["load.output_name", "load.output_unit", "mqtt.username", "bus.clock", "drive.name"]
+)
+def test_a_text_with_a_control_character_is_refused_with_value_and_place(
+    place: str, letter: str
+) -> None:
+    found = flaws(**change(place, f'"spe{letter}ed"'))
+    assert set(found) == {place}
+    shown = repr(tomllib.loads(f'a = "spe{letter}ed"')["a"])
+    assert f"without control characters (it is {shown})" in found[place]
+
+
+def test_a_key_with_a_control_character_is_refused() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        parse(**{"simulation.parameters": '{ "fric\\u001btion" = 1.0 }'})
+    (flaw,) = caught.value.flaws
+    assert flaw.place == "simulation.parameters.fric\x1btion"
+    assert str(flaw).startswith(r"simulation.parameters.fric\x1btion: the key must be one line")
+
+
+@pytest.mark.parametrize(
+    "text", ["Drehzahl", "Скорость", "速度", "speed of fan 2", "µm/s²", "°C", ""]
+)
+def test_names_and_units_of_any_language_pass(text: str) -> None:
+    assert parse(load__output_name=f'"{text}"').load.output_name == text
+    assert parse(load__output_unit=f'"{text}"').load.output_unit == text
 
 
 @pytest.mark.parametrize(

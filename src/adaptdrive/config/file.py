@@ -15,7 +15,7 @@ from adaptdrive.config.load import LOAD_TYPES
 from adaptdrive.config.proposals import key_proposal
 from adaptdrive.config.root import Configuration, consistency_flaws
 from adaptdrive.config.section import INCONSISTENT, Section
-from adaptdrive.config.tables import number_flaws, shortened, valid_sections, without
+from adaptdrive.config.tables import shortened, valid_sections, value_flaws, without
 from adaptdrive.errors import ConfigurationError, Flaw
 
 _TYPES = {"load": LOAD_TYPES, "bus": BUS_TYPES, "sensor_bus": BUS_TYPES}
@@ -105,13 +105,13 @@ def _tables(text: str, source: Path) -> dict[str, Any]:
 
 
 def _examine(tables: dict[str, Any], source: Path) -> Findings:
-    absurd = list(number_flaws(tables))
+    absurd = list(value_flaws(tables))
     if not absurd:
         return _examine_values(tables, source)
     found = _examine_values(without(tables, [flaw.keys for flaw in absurd]), source)
-    numbers = {".".join(map(str, one.keys)): one.message for one in absurd}
-    flaws = [Flaw(place, message) for place, message in numbers.items()]
-    flaws += [flaw for flaw in found.flaws if flaw.place not in numbers]
+    values = {".".join(map(str, one.keys)): one.message for one in absurd}
+    flaws = [Flaw(place, message) for place, message in values.items()]
+    flaws += [flaw for flaw in found.flaws if flaw.place not in values]
     touched = {str(one.keys[0]) for one in absurd}
     return replace(found, sound=found.sound - touched, flaws=tuple(flaws))
 

@@ -20,6 +20,7 @@ _INTRODUCTION = """\
 
 One TOML file describes one drive. Numbers are in SI units; a unit that could be mistaken is part
 of the key. Every error in a file is listed with its place, and an unknown key is an error.
+Texts and keys are single lines without control characters.
 
 Sections that a file must have: {required}. The others have defaults throughout.
 `make docs` writes this page from the models in `src/adaptdrive/config`.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import unicodedata
 from collections.abc import Iterable, Iterator
 from typing import Annotated, Any, NamedTuple
 
@@ -16,6 +17,8 @@ _LARGEST = 1e12
 _INTEGER_BITS = 64
 _LONGEST_TEXT = 80
 _DEEPEST = 20
+_CONTROLS = frozenset({"Cc", "Zl", "Zp"})
+"""Unicode's categories of control characters and of the separators of lines and paragraphs."""
 
 Keys = tuple[int | str, ...]
 
@@ -27,8 +30,8 @@ class Absurd(NamedTuple):
     message: str
 
 
-def number_flaws(value: object, keys: Keys = ()) -> Iterator[Absurd]:
-    """Find numbers that are none: not finite, or of a size that nothing has.
+def value_flaws(value: object, keys: Keys = ()) -> Iterator[Absurd]:
+    """Find numbers that nothing has, and texts and keys that no screen, log or topic can show.
 
     Args:
         value: A table, a list or a value of the file.
@@ -38,11 +41,24 @@ def number_flaws(value: object, keys: Keys = ()) -> Iterator[Absurd]:
         yield Absurd(keys, f"more than {_DEEPEST} tables lie in each other")
     elif isinstance(value, dict):
         for key, one in value.items():
-            yield from number_flaws(one, (*keys, key))
+            yield from _text_flaws(key, "the key", (*keys, key)) or value_flaws(one, (*keys, key))
     elif isinstance(value, list):
         for number, one in enumerate(value):
-            yield from number_flaws(one, (*keys, number))
-    elif isinstance(value, float) and not math.isfinite(value):
+            yield from value_flaws(one, (*keys, number))
+    elif isinstance(value, str):
+        yield from _text_flaws(value, "the text", keys)
+    else:
+        yield from _number_flaws(value, keys)
+
+
+def _text_flaws(text: str, what: str, keys: Keys) -> list[Absurd]:
+    controls = [one for one in text if unicodedata.category(one) in _CONTROLS]
+    problem = f"{what} must be one line without control characters (it is {shortened(repr(text))})"
+    return [Absurd(keys, problem)] if controls else []
+
+
+def _number_flaws(value: object, keys: Keys) -> Iterator[Absurd]:
+    if isinstance(value, float) and not math.isfinite(value):
         yield Absurd(keys, f"must be a finite number (it is {value})")
     elif isinstance(value, float) and value and not 1.0 / _LARGEST <= abs(value) <= _LARGEST:
         problem = f"its size must be from {1.0 / _LARGEST:g} to {_LARGEST:g}, in SI units"
