@@ -47,3 +47,50 @@ def test_a_small_set_point_just_below_the_limit_is_not_the_end() -> None:
 
 def test_the_terminal_voltage_is_what_the_droop_leaves() -> None:
     assert terminal_voltage(LIMITS, 280.0, 10.0) == 60.0
+
+
+def test_the_current_falls_by_a_twentieth_of_what_the_resistance_asks_for() -> None:
+    state = ChargeState(10.0)
+    assert taper(LIMITS, state, 20.0, 58.4, 10.0) == pytest.approx(10.0 - 0.05 * 0.4 / 0.2)
+    assert taper(LIMITS, state, 20.0, 57.6, 10.0) == pytest.approx(10.0)
+    assert taper(LIMITS, state, 9.0, 57.6, 10.0) == 9.0
+    assert taper(LIMITS, state, 9.0, 1000.0, 10.0) == 0.0
+
+
+def ending(terminal_V: float, current_A: float, allowed_A: float, setpoint_A: float = 10.0) -> int:
+    """Periods of the end after one at a terminal voltage, with what it allows then."""
+    state = ChargeState(allowed_A - 0.05 * (58.0 - terminal_V) / 0.2, ending_periods=4)
+    taper(LIMITS, state, setpoint_A, terminal_V, current_A)
+    assert state.current_A == pytest.approx(min(max(allowed_A, 0.0), setpoint_A))
+    return state.ending_periods
+
+
+@pytest.mark.parametrize(
+    ("terminal_V", "current_A", "allowed_A", "expected"),
+    [
+        (58.0, 0.9, 0.9, 5),
+        (0.99 * 58.0, 0.9, 0.9, 5),  # the taper never reaches all of it
+        (0.989 * 58.0, 0.9, 0.9, 0),
+        (58.0, 1.0, 0.9, 0),
+        (58.0, 0.9, 1.0, 0),
+        (58.0, 0.99, 0.99, 5),
+        (70.0, -3.0, -2.0, 5),
+    ],
+)
+def test_the_end_is_near_the_voltage_with_both_currents_below_the_last(
+    terminal_V: float, current_A: float, allowed_A: float, expected: int
+) -> None:
+    assert ending(terminal_V, current_A, allowed_A) == expected
+
+
+def test_a_set_point_that_is_all_that_is_allowed_is_not_the_end() -> None:
+    assert ending(58.0, 0.5, 0.5, setpoint_A=0.5) == 0
+    assert ending(58.0, 0.5, 0.5, setpoint_A=0.51) == 5
+
+
+def test_ten_periods_at_the_end_are_full() -> None:
+    state, seen = ChargeState(0.5), []
+    for _ in range(12):
+        taper(LIMITS, state, 10.0, 58.0, 0.5)
+        seen.append(is_complete(state))
+    assert seen == [False] * 9 + [True] * 3

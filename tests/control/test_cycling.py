@@ -10,9 +10,13 @@ import pytest
 
 from adaptdrive.app.paper_design import paper_jacket
 from adaptdrive.config import load_configuration
-from adaptdrive.control.cycling import LONGEST_WAY, TRAVERSES, CyclingState, watch_cycling
+from adaptdrive.control.cycling import CyclingState, watch_cycling
 
 BETTER = 5.0
+WAYS = 60
+LONGEST = 60
+"""Slow periods."""
+
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 
 
@@ -33,8 +37,8 @@ def found(
 
 @pytest.mark.parametrize("half", [1, 5, 40])
 def test_an_input_that_goes_from_limit_to_limit_is_found(half: int) -> None:
-    course = ([0.0] * half + [1.0] * half) * TRAVERSES
-    assert found(course) == TRAVERSES * half
+    course = ([0.0] * half + [1.0] * half) * WAYS
+    assert found(course) == WAYS * half
 
 
 def test_a_cycle_that_does_not_reach_the_limits_is_none() -> None:
@@ -42,7 +46,47 @@ def test_a_cycle_that_does_not_reach_the_limits_is_none() -> None:
 
 
 def test_ways_far_apart_are_none() -> None:
-    assert found(([0.0] + [0.5] * LONGEST_WAY + [1.0] + [0.5] * LONGEST_WAY) * 100) is None
+    assert found(([0.0] + [0.5] * LONGEST + [1.0] + [0.5] * LONGEST) * 100) is None
+    shorter = [0.5] * (LONGEST - 1)
+    assert found(([0.0, *shorter, 1.0, *shorter]) * 100) == WAYS * LONGEST
+
+
+def test_a_pause_begins_the_count_anew() -> None:
+    course = [0.0, 1.0] * 20 + [0.5] * (LONGEST + 1) + [0.0, 1.0] * 100
+    assert found(course) == 40 + LONGEST + 1 + WAYS
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "cycles"),
+    [(0.1, 0.9, True), (0.101, 0.9, False), (0.1, 0.899, False), (-0.5, 1.5, True)],
+)
+def test_a_tenth_of_the_range_from_a_limit_is_at_the_limit(
+    low: float, high: float, cycles: bool
+) -> None:
+    assert (found([low, high] * 200) is not None) is cycles
+
+
+@pytest.mark.parametrize(("better", "cycles"), [(3.0, False), (3.01, True)])
+def test_an_estimate_must_predict_three_times_better(better: float, cycles: bool) -> None:
+    assert (found([0.0, 1.0] * 200, better=better) is not None) is cycles
+
+
+@pytest.mark.parametrize(("step", "cycles"), [(0.01, True), (0.011, False)])
+def test_a_set_point_that_trembles_by_less_than_its_step_rests(step: float, cycles: bool) -> None:
+    state = CyclingState(reference=1.0)
+    seen = [
+        watch_cycling(state, float(k % 2), 1.0 + (k % 2) * step, 0.01 + 1e-9, BETTER, fixed=True)
+        for k in range(200)
+    ]
+    assert any(seen) is cycles
+
+
+def test_the_adaptive_controller_begins_the_count_anew() -> None:
+    state = CyclingState()
+    fixed = [True] * 50 + [False] + [True] * 200
+    seen = [watch_cycling(state, float(k % 2), 1.0, 0.01, BETTER, f) for k, f in enumerate(fixed)]
+    # at the period of the other controller the input arrives at a limit already
+    assert seen.index(True) == 50 + WAYS
 
 
 @pytest.mark.parametrize("better", [1.0, 2.9])
@@ -54,8 +98,9 @@ def test_noise_on_a_load_that_the_model_describes_is_none(better: float) -> None
 def test_the_papers_controller_is_not_watched() -> None:
     state = CyclingState()
     step = paper_jacket(load_configuration(EXAMPLES / "motor.toml")).swing_min
-    course = [0.0, 1.0] * TRAVERSES
-    assert not any(watch_cycling(state, position, 1.0, step, BETTER, True) for position in course)
+    course = [0.0, 1.0] * WAYS
+    seen = [watch_cycling(state, position, 1.0, step, BETTER, True) for position in course]
+    assert seen == [False] * len(course)
 
 
 def test_another_controller_is_not_watched() -> None:

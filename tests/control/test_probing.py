@@ -134,6 +134,70 @@ def test_a_charging_current_is_lowered_only() -> None:
     assert max(found) == 0.0
 
 
+def test_without_an_amplitude_nothing_is_probed_nor_counted() -> None:
+    state = unknown_load()
+    off = replace(PROBING, amplitude=0.0)
+    assert [probe(off, MOTOR, state, ASKED, LOW) for _ in range(5 * HALF)] == [LOW] * (5 * HALF)
+    assert state.probe.age_periods == 0
+
+
+def test_the_course_is_known_to_the_period() -> None:
+    """At rest on the same set-point for half an excursion after the first look, then moved."""
+    found = shifts(unknown_load(), 500)
+    excursion = [0.09] * HALF + [0.0] * HALF + [-0.09] * HALF + [0.0] * HALF
+    course = [0.0] * (HALF + 1) + excursion * 2
+    assert found[: len(course)] == pytest.approx(course)
+    pause = found[len(course) :]
+    assert pause[: PROBING.stale_periods] == [0.0] * PROBING.stale_periods
+    assert any(pause)
+
+
+def test_a_load_that_is_known_in_the_middle_of_an_excursion_is_brought_back_first() -> None:
+    state = probing()
+    state.supervisor.verdict = Verdict.TRUSTED
+    found = shifts(state, 5 * HALF)
+    left = HALF - 4
+    assert found == pytest.approx([0.09] * left + [0.0] * (5 * HALF - left))
+    assert state.probe.pause_periods == PROBING.stale_periods - (3 * HALF + 3)
+
+
+@pytest.mark.parametrize("contest", ["sum", "unseen", "verdict"])
+def test_an_estimate_that_is_contested_or_unseen_does_not_end_it(contest: str) -> None:
+    state = probing()
+    state.supervisor.verdict = Verdict.TRUSTED
+    if contest == "sum":
+        state.estimator.surprise.sum = 1.0
+    elif contest == "unseen":
+        state.estimator.unseen_periods = 2 * HALF
+    else:
+        state.supervisor.verdict = Verdict.SETTLING
+    assert min(shifts(state, 3 * HALF)) == pytest.approx(-0.09)
+
+
+@pytest.mark.parametrize(
+    ("lowest", "highest", "levels"),
+    [
+        (0.0, LOW + 0.08, {-0.09, 0.0}),
+        (LOW - 0.08, 9.0, {0.09, 0.0}),
+        (LOW - 0.08, LOW + 0.08, {0.0}),
+        (LOW - 0.09, LOW + 0.09, {-0.09, 0.0, 0.09}),
+    ],
+)
+def test_it_goes_where_there_is_room(lowest: float, highest: float, levels: set[float]) -> None:
+    for limits in (
+        (replace(PROBING, lowest=lowest, highest=highest), ASKED),
+        (PROBING, replace(ASKED, lowest=lowest, highest=highest)),
+    ):
+        state = unknown_load()
+        found = {probe(limits[0], MOTOR, state, limits[1], LOW) for _ in range(8 * HALF)}
+        assert {round(level - LOW, 9) for level in found} == levels
+
+
+@pytest.mark.parametrize(("off", "rests"), [(0.0899, True), (-0.0899, True), (-0.0901, False)])
+def test_an_output_within_the_amplitude_rests(off: float, rests: bool) -> None:
+    assert any(shifts(unknown_load(), 5 * HALF, replace(ASKED, output=LOW + off))) is rests
+
+
 @dataclass(frozen=True)
 class Asking:
     """What is asked for during some slow periods."""

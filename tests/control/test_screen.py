@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.control.screen import WIDE, Screen, pass_sample
-from tests.control.systems import Array
+from tests.control.systems import Array, matrix_of
 
 CLIP = 4.0
 
@@ -65,3 +65,59 @@ def test_what_passes_lies_between_the_prediction_and_the_sample(samples: list[fl
         rounding = 1e-9 * (1.0 + abs(sample) + abs(predicted))
         assert min(predicted, sample) - rounding <= passed <= max(predicted, sample) + rounding
         assert abs(passed - predicted) <= limit + rounding
+
+
+def predicted_next(state: Array, sample: float = 0.0) -> Array:
+    """Level and slope after a sample that is not clipped."""
+    screen = Screen(float(state[0]), float(state[1]), 1e9)
+    assert pass_sample(screen, sample, CLIP) == pytest.approx(sample)
+    return np.array([screen.level, screen.slope])
+
+
+def test_the_tracker_is_damped_by_the_root_of_a_half() -> None:
+    """The relation of Benedict and Bordner, IRE Trans. Automatic Control 7, 1962."""
+    poles = np.log(np.linalg.eigvals(matrix_of(predicted_next, 2)))
+    assert -np.cos(np.angle(poles)) == pytest.approx([0.707, 0.707], abs=0.002)
+
+
+def test_the_tracker_follows_a_step_within_about_ten_samples_and_a_ramp_without_a_lag() -> None:
+    state, levels = np.zeros(2), []
+    for _ in range(400):
+        state = predicted_next(state, 1.0)
+        levels.append(state[0])
+    assert int(np.argmax(np.array(levels) > 0.63)) == pytest.approx(8, abs=2)
+    assert levels[-1] == pytest.approx(1.0)
+    for k in range(400):
+        state = predicted_next(state, 1.0 + 0.5 * k)
+    assert state == pytest.approx([1.0 + 0.5 * 399, 0.5])
+
+
+def test_the_deviation_is_a_mean_over_fifty_samples() -> None:
+    screen = Screen(3.0, 0.0, 1.0)
+    for _ in range(50):
+        pass_sample(screen, 3.0, CLIP)
+    assert screen.deviation == pytest.approx(np.exp(-1.0), rel=0.02)
+
+
+def test_one_spike_widens_the_screen_no_more_than_twice_the_clip() -> None:
+    """γ (2 c s - s) of a sample far beyond; γ (|e| - s) of one within."""
+    for spike, expected in ((1e6, 0.02 * (2.0 * CLIP - 1.0)), (5.0, 0.02 * (5.0 - 1.0))):
+        screen = Screen(3.0, 0.0, 1.0)
+        passed = pass_sample(screen, 3.0 + spike, CLIP)
+        assert passed == pytest.approx(3.0 + CLIP)
+        assert screen.deviation - 1.0 == pytest.approx(expected)
+        assert screen.clipped == 1
+
+
+def test_the_first_second_is_as_wide_as_a_hundredth_of_the_output() -> None:
+    samples = 3.0 + np.array([1.0, -1.0] * 60) * 0.01 * 3.0
+    _, screen = screened(samples)
+    assert screen.clipped == 0
+    assert Screen(3.0, 0.0, WIDE * 3.0).deviation == pytest.approx(0.03)
+
+
+def test_a_noiseless_output_does_not_close_the_screen() -> None:
+    screen = Screen(3.0, 0.0, 1.0)
+    for _ in range(5000):
+        pass_sample(screen, 3.0, CLIP)
+    assert screen.deviation == 1e-9

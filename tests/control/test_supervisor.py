@@ -13,11 +13,18 @@ from adaptdrive.control.settings import Jacket
 from adaptdrive.control.supervisor import (
     SupervisorState,
     Verdict,
+    better_than_nominal,
+    compare_residuals,
+    is_doubt,
+    is_impossible,
     judge_bounds,
+    judge_certainty,
     judge_damping,
     judge_load,
     judge_loop,
     judge_model,
+    judge_residual,
+    moves_better_than_nominal,
     take_verdict,
 )
 
@@ -170,3 +177,124 @@ def test_trust_needs_warm_up_and_a_trusted_estimate_within_patience(
         assert accepted == (verdict == Verdict.TRUSTED and periods > JACKET.warm_up_periods)
         assert not state.trusted or Verdict.TRUSTED in recent
         assert not state.trusted or periods > JACKET.warm_up_periods
+
+
+SURE = replace(JACKET, deviation_max=0.1)
+CRITICAL = replace(JACKET, residual_margin=1.5)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("index", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("share", "expected"),
+    [(0.1, Verdict.TRUSTED), (0.1001, Verdict.UNCERTAIN), (math.nan, Verdict.UNCERTAIN)],
+)
+def test_the_parameter_that_is_not_known_well_enough_is_named(
+    sign: float, index: int, share: float, expected: Verdict
+) -> None:
+    values = [sign * value for value in NOMINAL]
+    deviations = [0.01 * value for value in NOMINAL]
+    deviations[index] = share * NOMINAL[index]
+    state = SupervisorState(culprit=7)
+    assert judge_certainty(values, deviations, SURE, state) == expected
+    assert state.culprit == (7 if expected == Verdict.TRUSTED else index)
+
+
+def test_without_a_limit_nothing_is_uncertain() -> None:
+    unknown = [math.nan] * 3
+    assert judge_certainty(NOMINAL, unknown, JACKET, SupervisorState()) == Verdict.TRUSTED
+
+
+def compared(own: list[float], fixed: list[float]) -> SupervisorState:
+    """A supervisor that has seen innovations of the estimate and of the nominal model."""
+    state = SupervisorState()
+    for one, other in zip(own, fixed, strict=True):
+        compare_residuals(state, one * one, other)
+    return state
+
+
+def test_residuals_are_means_over_about_twenty_periods() -> None:
+    random = np.random.default_rng(6)
+    own, fixed = random.normal(size=(2, 300))
+    state = compared(own.tolist(), (fixed + 0.4).tolist())
+    weights = 0.05 * 0.95 ** np.arange(300)[::-1]
+    assert np.sum(weights * np.arange(300)[::-1]) == pytest.approx(19.0, abs=0.01)
+    assert state.own_power == pytest.approx(weights @ own**2)
+    assert state.fixed_power == pytest.approx(weights @ (fixed + 0.4) ** 2)
+    assert state.fixed_mean == pytest.approx(weights @ (fixed + 0.4))
+
+
+@pytest.mark.parametrize(("ratio", "worse"), [(1.49, False), (1.51, True)])
+def test_an_estimate_that_predicts_worse_than_the_nominal_model_is_refused(
+    ratio: float, worse: bool
+) -> None:
+    state = compared([0.1 * ratio] * 400, [0.1] * 400)
+    expected = Verdict.WORSE_THAN_FIXED if worse else Verdict.TRUSTED
+    assert judge_residual(state, CRITICAL) == expected
+    assert judge_residual(state, JACKET) == Verdict.TRUSTED
+
+
+@pytest.mark.parametrize(("error", "worse"), [(0.00099, False), (0.00101, True)])
+def test_errors_below_a_thousandth_of_the_scale_are_noise(error: float, worse: bool) -> None:
+    state = compared([error] * 500, [0.0] * 500)
+    expected = Verdict.WORSE_THAN_FIXED if worse else Verdict.TRUSTED
+    assert judge_residual(state, CRITICAL) == expected
+    assert better_than_nominal(compared([0.0] * 500, [error] * 500)) == pytest.approx(
+        1.01 if worse else 1.0, abs=1e-4
+    )
+
+
+@pytest.mark.parametrize("constant", [0.0, 0.3])
+def test_a_constant_error_of_the_nominal_model_counts_for_its_estimate_not_its_moves(
+    constant: float,
+) -> None:
+    """Rms errors of a swing of amplitude 0.2 with and without a constant, over those of 0.02."""
+    swing = 0.2 * np.sin(np.arange(2000) * 2.0 * math.pi / 4.0)
+    state = compared((0.1 * swing).tolist(), (swing + constant).tolist())
+    whole = math.sqrt(0.02 + constant**2) / math.sqrt(2e-4)
+    assert better_than_nominal(state) == pytest.approx(whole, rel=0.05)
+    assert moves_better_than_nominal(state) == pytest.approx(10.0, rel=0.05)
+
+
+def test_a_constant_error_alone_moves_nothing() -> None:
+    assert moves_better_than_nominal(compared([0.0] * 500, [0.3] * 500)) == 1.0
+
+
+def test_an_estimate_without_errors_is_as_good_as_the_least_one_that_counts() -> None:
+    state = compared([0.0] * 500, [0.5] * 500)
+    assert better_than_nominal(state) == pytest.approx(0.5 / 1e-3, rel=1e-6)
+
+
+def test_doubt_counts_once_it_has_come_up_under_gains_in_force() -> None:
+    """Doubt without a good estimate before it is lack of excitation, as long as it lasts."""
+    state = SupervisorState(verdict=Verdict.TRUSTED, trusted=True, good_periods=1)
+    for _ in range(100):
+        take_verdict(state, Verdict.UNCERTAIN, JACKET, 100, in_force=True)
+    assert state.refused_periods == 1
+    assert state.trusted
+
+
+def test_estimates_must_be_good_for_a_while_before_the_first_goes_live() -> None:
+    careful, state = replace(JACKET, dwell_periods=3), SupervisorState()
+    course = [Verdict.TRUSTED] * 2 + [Verdict.AT_ODDS] + [Verdict.TRUSTED] * 4
+    found = [take_verdict(state, verdict, careful, 200, in_force=False) for verdict in course]
+    assert found == [False] * 5 + [True] * 2
+    take_verdict(state, Verdict.FRAGILE, careful, 200, in_force=False)
+    assert not take_verdict(state, Verdict.TRUSTED, careful, 200, in_force=False)
+    assert state.verdict == Verdict.SETTLING
+    assert state.trusted
+
+
+def test_each_verdict_is_doubt_or_impossible_or_neither() -> None:
+    doubts = {Verdict.UNCERTAIN, Verdict.FRAGILE, Verdict.UNDERDAMPED}
+    impossible = {
+        Verdict.OUT_OF_BOUNDS,
+        Verdict.UNDERDAMPED,
+        Verdict.NOT_FINITE,
+        Verdict.UNSTABLE_LOAD,
+    }
+    assert {verdict for verdict in Verdict if is_doubt(verdict)} == doubts
+    assert {verdict for verdict in Verdict if is_impossible(verdict)} == impossible
+    for verdict in Verdict:
+        assert isinstance(is_doubt(verdict), bool)
+        assert isinstance(is_impossible(verdict), bool)

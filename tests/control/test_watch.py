@@ -66,6 +66,20 @@ def test_an_output_on_its_way_to_rest_may_take_long() -> None:
     assert not any(look(state, rest=distance, saturated=True) for distance in course)
 
 
+@pytest.mark.parametrize(("after", "expected"), [(0.9, 240), (0.8999, 241)])
+def test_a_tenth_of_the_way_to_rest_begins_the_wait_anew(after: float, expected: int) -> None:
+    state = WatchState()
+    course = [1.0] + [after] * 300
+    assert first([look(state, rest=distance, saturated=True) for distance in course]) == expected
+
+
+def test_a_moment_off_the_limit_begins_the_wait_anew() -> None:
+    state = WatchState()
+    course = [True] * 200 + [False] + [True] * 300
+    reasons = [look(state, rest=1.0, saturated=limited) for limited in course]
+    assert first(reasons) == 201 + 240
+
+
 def test_an_output_that_leaves_its_rest_falls_back() -> None:
     state = WatchState()
     reasons = [look(state, rest=0.1 + 0.01 * k, saturated=True) for k in range(300)]
@@ -96,12 +110,75 @@ def test_a_small_error_or_a_limit_is_no_trouble(error: float, saturated: bool) -
     assert not any(look(state, error=error, saturated=saturated) for _ in range(300))
 
 
+def test_a_moment_without_the_error_begins_the_wait_anew() -> None:
+    state = WatchState()
+    course = [0.5] * 30 + [0.1] + [0.5] * 40
+    assert first([look(state, error=error) for error in course]) == 31 + 33
+
+
+@pytest.mark.parametrize("pole", [0.75, 0.5])
+def test_an_error_may_last_ten_time_constants(pole: float) -> None:
+    state = WatchState()
+    reasons = [watch_loop(state, JACKET, 0.5, 0.5, 0.0, pole, 0.0, False) for _ in range(60)]
+    assert first(reasons) == round(10.0 / (1.0 - pole))
+
+
+def test_the_shortest_wait_is_one_period() -> None:
+    hasty, state = replace(JACKET, saturated_periods=1, response_periods=1), WatchState()
+    assert first([look(state, rest=1.0, saturated=True, jacket=hasty) for _ in range(9)]) == 1
+    state = WatchState()
+    found = [watch_response(state, hasty, 90.0, LAG, 0.0, saturated=True) for _ in range(9)]
+    assert found == [False] + [True] * 8
+
+
 @pytest.mark.parametrize(("growth", "expected"), [(1.2, Fallback.OSCILLATING), (1.0, 0)])
 def test_swings_fall_back_only_if_they_grow(growth: float, expected: int) -> None:
     state = WatchState()
     jacket = replace(JACKET, error_limit=0.0)
     reasons = [look(state, error=0.06 * (-growth) ** k, jacket=jacket) for k in range(12)]
     assert reasons[-1] == expected
+
+
+@pytest.mark.parametrize(("peak", "expected"), [(0.05, 6), (0.049, 7)])
+def test_six_growing_swings_from_the_smallest_peak_on_fall_back(peak: float, expected: int) -> None:
+    state = WatchState()
+    reasons = [look(state, error=peak * (-1.2) ** k) for k in range(12)]
+    assert first(reasons) == expected
+    assert reasons[expected] == Fallback.OSCILLATING
+
+
+def test_a_swing_that_does_not_grow_begins_the_count_anew() -> None:
+    state, peaks = WatchState(), [0.06 * 1.2**k for k in (0, 1, 2, 3, 4, 4, 5, 6, 7, 8, 9, 10)]
+    reasons = [look(state, error=peak * (-1.0) ** k) for k, peak in enumerate(peaks)]
+    assert first(reasons) is None
+
+
+def test_an_error_of_nothing_between_two_of_one_sign_is_no_swing() -> None:
+    state, jacket = WatchState(), replace(JACKET, error_limit=0.0)
+    course = [0.06 * 1.2**k * (k % 2) for k in range(40)]
+    assert not any(look(state, error=error, jacket=jacket) for error in course)
+
+
+def test_a_peak_is_the_largest_error_of_its_side() -> None:
+    """Each side lasts three periods; the peaks grow, the last errors of the sides do not."""
+    state = WatchState()
+    course = [0.06 * share * (-1.2) ** k for k in range(10) for share in (0.5, 1.0, 0.001)]
+    reasons = [look(state, error=error) for error in course]
+    assert first(reasons) == 18
+
+
+def test_errors_that_grow_on_one_side_are_no_swings() -> None:
+    state, jacket = WatchState(), replace(JACKET, error_limit=0.0)
+    course = [0.06 * 1.2**k * (1.0 + k % 2) for k in range(20)]
+    assert not any(look(state, error=error, jacket=jacket) for error in course)
+
+
+def test_without_limits_nothing_is_watched_but_the_measurements() -> None:
+    off = replace(JACKET, saturated_periods=0, error_limit=0.0, swing_min=math.inf)
+    state = WatchState()
+    course = [9.0 * (-1.2) ** k for k in range(50)]
+    assert not any(look(state, error=e, rest=e, saturated=True, jacket=off) for e in course)
+    assert not any(look(WatchState(), error=9.0, jacket=off) for _ in range(50))
 
 
 def test_swings_below_the_smallest_peak_do_not_count() -> None:
@@ -127,6 +204,33 @@ def test_a_fallback_stays_until_adaptive_is_asked_for_anew() -> None:
     assert state.fallback == Fallback.NONE
 
 
+def test_asking_for_adaptive_anew_forgets_what_the_watch_has_counted() -> None:
+    state = WatchState(error_periods=30, swings=5)
+    latch_fallback(state, Fallback.ERROR, asked=True)
+    assert (state.fallback, state.error_periods, state.swings) == (Fallback.NONE, 0, 0)
+    state.error_periods, state.swings = 30, 5
+    latch_fallback(state, Fallback.ERROR, asked=True)
+    latch_fallback(state, Fallback.BLIND, asked=True)
+    assert (state.fallback, state.error_periods, state.swings) == (Fallback.ERROR, 30, 5)
+
+
+def test_without_adaptive_nothing_is_latched() -> None:
+    state = WatchState()
+    latch_fallback(state, Fallback.ERROR, asked=False)
+    assert state.fallback == Fallback.NONE
+
+
+@pytest.mark.parametrize("lag_periods", [0.0, 0.5, 20.0])
+def test_both_lags_follow_the_input_as_such_loads_do(lag_periods: float) -> None:
+    state = WatchState(fast=1.0, slow=1.0)
+    for k in range(1, 30):
+        watch_response(state, JACKET, 4.0, lag_periods, 1.0, saturated=False)
+        for found, ratio in ((state.fast, 0.2), (state.slow, 6.0)):
+            lag = ratio * lag_periods
+            left = math.exp(-k / lag) if lag else 0.0
+            assert found == pytest.approx(4.0 - 3.0 * left)
+
+
 def response(
     lag_s: float,
     gain: float,
@@ -148,6 +252,39 @@ def response(
 
 def test_a_dead_sensor_trips_after_the_waiting_time() -> None:
     assert response(LAG, 1.0, 3.0, 4.4, dead=True) == 120
+
+
+def test_a_moment_off_the_limit_begins_the_wait_for_a_response_anew() -> None:
+    state = WatchState(fast=3.0, slow=3.0)
+    trips = [
+        watch_response(state, JACKET, 4.4 + 0.1 * k, LAG, 3.0, saturated=k != 100)
+        for k in range(222)
+    ]
+    assert trips == [False] * 221 + [True]
+
+
+@pytest.mark.parametrize(("moved", "trips"), [(0.0499, True), (0.05, False), (-0.05, False)])
+def test_a_movement_of_the_response_distance_is_an_answer(moved: float, trips: bool) -> None:
+    """Measured from where the output was when the input came to its limit."""
+    state = WatchState(fast=0.0, slow=0.0)
+    outputs = [0.0, moved, *[0.0] * 300]
+    found = [watch_response(state, JACKET, 4.4, LAG, y, saturated=True) for y in outputs]
+    assert found == [False] * 120 + [trips] * 182
+
+
+def test_no_response_is_waited_for_without_a_time() -> None:
+    off, state = replace(JACKET, response_periods=0), WatchState(fast=0.0, slow=0.0)
+    assert not any(watch_response(state, off, 4.4, LAG, 0.0, saturated=True) for _ in range(999))
+
+
+@pytest.mark.parametrize(("step", "trips"), [(0.3205, False), (0.3215, True)])
+def test_the_smallest_load_must_move_by_the_response_distance(step: float, trips: bool) -> None:
+    """A fifth of the way of the faster lag, of 4 periods, after the first period at the limit."""
+    assert (0.2 * step * math.exp(-1.0 / 4.0) > 0.05) is trips
+    state = WatchState(fast=3.0, slow=3.0)
+    for _ in range(5000):
+        found = watch_response(state, JACKET, 3.0 + step, LAG, 3.0, saturated=True)
+    assert found is trips
 
 
 @given(st.floats(0.2, 6.0), st.floats(0.2, 6.0), st.floats(2.2, 4.4), st.sampled_from([2.2, 4.4]))

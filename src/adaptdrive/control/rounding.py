@@ -37,7 +37,7 @@ _FOUND = 12
 """Differences that must agree: less than a chance of 1e-16 without steps."""
 
 _SURE = 20
-"""Differences that are counted: five more that do not agree end a step."""
+"""Differences that are counted: six that do not agree end a step."""
 
 _MISS = 4
 """Weight of a difference that does not agree: by chance one of 25 does."""

@@ -1,0 +1,136 @@
+"""What operators read where the adaptive law is not in force: each reason with its figures."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+
+import pytest
+
+from adaptdrive.control.loads.battery import battery_load
+from adaptdrive.control.reasons import reason
+from adaptdrive.control.signals import Mode
+from adaptdrive.control.slow_state import SlowState, new_slow_state
+from adaptdrive.control.supervisor import Verdict
+from adaptdrive.control.watch import Fallback
+from tests.closed_loop.bench import EXACT, MOTOR
+
+JACKET = replace(EXACT.jacket, deviation_max=0.1)
+GAIN, SUM_s, PRODUCT_s2 = 0, 1, 2
+
+
+def judged(verdict: Verdict, culprit: int = GAIN) -> SlowState:
+    """A slow half whose estimate got a verdict."""
+    state = new_slow_state(EXACT, MOTOR, 3.0, 3.0 / 0.011)
+    state.supervisor.verdict, state.supervisor.culprit = verdict, culprit
+    state.values = list(state.nominal)
+    state.deviations = [0.01 * value for value in state.nominal]
+    return state
+
+
+def said(state: SlowState, mode: Mode = Mode.ADAPTIVE) -> str:
+    return reason(state, JACKET, MOTOR, mode)
+
+
+def test_a_trusted_estimate_needs_no_reason_but_another_mode_that_was_asked_for() -> None:
+    state = judged(Verdict.TRUSTED)
+    assert said(state) == ""
+    assert said(state, Mode.FIXED) == "mode fixed asked for"
+    assert said(state, Mode.MANUAL) == "mode manual asked for"
+
+
+def test_each_verdict_and_each_fallback_has_words_of_its_own() -> None:
+    texts = [said(judged(verdict)) for verdict in Verdict if verdict is not Verdict.TRUSTED]
+    for fallback in Fallback:
+        state = judged(Verdict.TRUSTED)
+        state.watch.fallback = fallback
+        texts.append(said(state))
+        assert texts[-1].endswith("ask for adaptive again") == (fallback is not Fallback.NONE)
+    assert len(set(texts)) == len(texts)
+    assert texts.count("") == 1
+
+
+def test_the_warm_up_is_named_with_its_length() -> None:
+    assert said(judged(Verdict.WARMING_UP)) == "warming up: needs 90 slow periods"
+
+
+def test_a_probe_is_named_beside_the_reason() -> None:
+    state = judged(Verdict.SETTLING)
+    without = said(state)
+    state.probe.age_periods, state.probe.shift = 1, -0.0912
+    probes = "probing: the set-point is moved by -0.0912 to learn the load"
+    assert said(state) == f"{without}; {probes}"
+    state.supervisor.verdict = Verdict.TRUSTED
+    assert said(state) == probes
+
+
+def test_what_is_uncertain_is_named_with_its_deviation_in_percent() -> None:
+    state = judged(Verdict.UNCERTAIN, PRODUCT_s2)
+    state.values[PRODUCT_s2], state.deviations[PRODUCT_s2] = -200.0, 31.0
+    expected = "estimate tau_product_s2 is uncertain: ±15.5 %, limit 10 %"
+    assert said(state) == expected
+    state.estimator.idle_periods = 60
+    assert said(state) == expected
+    state.estimator.idle_periods = 61
+    assert said(state) == "not identifiable now: nothing excites tau_product_s2"
+
+
+@pytest.mark.parametrize("deviation", [math.nan, math.inf])
+def test_a_deviation_that_is_not_known_is_no_figure(deviation: float) -> None:
+    state = judged(Verdict.UNCERTAIN, SUM_s)
+    state.deviations[SUM_s] = deviation
+    assert said(state) == "how sure estimate tau_sum_s is, is not known yet"
+
+
+def out_of_bounds(culprit: int, ratio: float, better: float = 100.0) -> str:
+    """The reason of an estimate that predicts so many times better than the nominal model."""
+    state = judged(Verdict.OUT_OF_BOUNDS, culprit)
+    state.values[culprit] *= ratio
+    state.supervisor.own_power = 1e-4
+    state.supervisor.fixed_power = 1e-4 * better * better
+    return said(state)
+
+
+def test_bounds_are_those_of_the_nominal_parameter() -> None:
+    text = out_of_bounds(SUM_s, 10.0, better=1.0)
+    assert text == "estimate tau_sum_s = 217 outside 4.34…173.6"
+
+
+@pytest.mark.parametrize(
+    ("culprit", "ratio", "contrast"),
+    [
+        (GAIN, 12.0, "12 times larger in gain"),
+        (GAIN, 0.125, "8 times smaller in gain"),
+        (SUM_s, 9.0, "9 times slower"),
+        (SUM_s, 0.1, "10 times faster"),
+        (PRODUCT_s2, 16.0, "4 times slower"),
+        (PRODUCT_s2, 1.0 / 25.0, "5 times faster"),
+    ],
+)
+def test_a_load_that_is_another_than_configured_is_described(
+    culprit: int, ratio: float, contrast: str
+) -> None:
+    text = out_of_bounds(culprit, ratio)
+    assert f"but predicts 1e+02 times better than [load.model]: the load is {contrast}" in text
+    assert text.endswith("than [load.model]; run adaptdrive commission")
+
+
+@pytest.mark.parametrize(("better", "described"), [(2.99, False), (3.0, False), (3.01, True)])
+def test_a_load_is_described_only_by_an_estimate_that_predicts_far_better(
+    better: float, described: bool
+) -> None:
+    assert ("commission" in out_of_bounds(GAIN, 12.0, better)) is described
+
+
+@pytest.mark.parametrize("ratio", [-1.0, 0.0, math.inf, math.nan])
+def test_a_load_that_cannot_be_is_not_described(ratio: float) -> None:
+    assert re.fullmatch(r"estimate gain = \S+ outside 0\.0022…0\.088", out_of_bounds(GAIN, ratio))
+
+
+def test_the_names_are_those_of_the_load() -> None:
+    load = battery_load(0.25, 0.3, 0.05, 60.0)
+    state = new_slow_state(EXACT, load, 3.0, 280.0)
+    state.supervisor.verdict = Verdict.UNCERTAIN
+    state.values, state.deviations = [1.0, 1.0, 60.0], [0.2, 0.1, 0.1]
+    assert "direct_S is uncertain: ±20 %" in reason(state, JACKET, load, Mode.ADAPTIVE)

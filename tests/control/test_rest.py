@@ -1,0 +1,138 @@
+"""Where a load rests, and what V_c can hold: dc gains of scipy, and laws of Ohm."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import cont2discrete, dlsim
+
+from adaptdrive.control.charging import Charging
+from adaptdrive.control.load import Load
+from adaptdrive.control.loads.bath import bath_load
+from adaptdrive.control.loads.battery import battery_load
+from adaptdrive.control.reach import UNKNOWN, Reach, estimated_reach, nominal_reach
+from adaptdrive.control.rest import believed_offset, distance_from_rest, nominal_gain
+from adaptdrive.control.slow_state import SlowState, new_slow_state
+from tests.closed_loop.bench import EXACT, MOTOR, STAGE
+from tests.control.systems import System, motor_system, polynomials
+
+REST_V = 3.0 / 0.011
+BATH = bath_load(0.021, 200.0, 0.25, 1.0, 7.87)
+CHARGED = battery_load(0.25, 0.3, 0.05, 60.0, Charging(0.25, 0.05, 0.25, 58.0, 1.0))
+BIASED = replace(EXACT.learning, bias=True, alert=True)
+
+
+def state_with(load: Load, offset: float = 0.0) -> SlowState:
+    """A slow half whose estimate has an offset of the input."""
+    state = new_slow_state(replace(EXACT, learning=BIASED), load, 3.0, REST_V)
+    theta, first = state.estimator.theta, load.order
+    gain = sum(theta[first : first + len(load.input_powers)])
+    theta[-1] = gain * offset / BIASED.input_scale
+    return state
+
+
+def trusts(state: SlowState, gain: float) -> None:
+    """Let the last trusted model be a motor of another gain, as scipy holds its input."""
+    held = polynomials(cont2discrete(motor_system(2, gain).state_space(), 1.0, "zoh"))
+    state.trusted_a, state.trusted_b = (part.tolist() for part in held)
+    state.supervisor.trusted = True
+
+
+@pytest.mark.parametrize("load", [MOTOR, BATH, CHARGED], ids=["motor", "bath", "battery"])
+def test_the_nominal_gain_is_where_a_step_ends(load: Load) -> None:
+    system = System(list(load.numerator), list(load.denominator)).state_space()
+    _, response, _ = dlsim(cont2discrete(system, 20.0, "zoh"), [[1.0]] * 2000)
+    assert nominal_gain(load) == pytest.approx(float(response[-1, 0]), rel=1e-6)
+
+
+@given(st.floats(-60.0, 60.0), st.floats(-1.0, 8.0))
+def test_it_is_the_distance_to_the_nearest_of_all_places_of_rest(
+    offset: float, output: float
+) -> None:
+    state = state_with(MOTOR, offset)
+    state.inputs[0] = 250.0
+    places = [0.011 * 250.0, 0.011 * (250.0 + offset)]
+    expected = min(abs(output - place) for place in places)
+    found = distance_from_rest(BIASED, MOTOR, state, output)
+    assert found == pytest.approx(expected, abs=1e-9)
+    trusts(state, 0.02)
+    state.supervisor.trusted = False
+    assert distance_from_rest(BIASED, MOTOR, state, output) == found
+    state.supervisor.trusted = True
+    places += [0.02 * 250.0, 0.02 * (250.0 + offset)]
+    expected = min(abs(output - place) for place in places)
+    assert distance_from_rest(BIASED, MOTOR, state, output) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_battery_takes_no_current_below_its_own_voltage() -> None:
+    """200 V at a turns ratio of 0.25 are 50 V, and its EMF is 54 V."""
+    state = state_with(CHARGED, -54.0 / 0.25)
+    state.inputs[0] = 200.0
+    assert distance_from_rest(BIASED, CHARGED, state, 0.0) == pytest.approx(0.0, abs=1e-9)
+    assert distance_from_rest(BIASED, CHARGED, state, 0.5) == pytest.approx(0.5)
+    state.inputs[0] = 220.0
+    amperes = (55.0 - 54.0) / (0.3 + 0.05)
+    assert distance_from_rest(BIASED, CHARGED, state, 0.0) == pytest.approx(amperes)
+    state.inputs[0] = -10.0
+    assert distance_from_rest(BIASED, CHARGED, state, 0.0) == 0.0
+
+
+def test_an_offset_that_is_not_estimated_or_no_number_is_none() -> None:
+    state = state_with(MOTOR, 40.0)
+    assert believed_offset(BIASED, MOTOR, state) == pytest.approx(40.0)
+    assert believed_offset(replace(BIASED, bias=False), MOTOR, state) == 0.0
+    state.estimator.theta[-1] = math.inf
+    assert believed_offset(BIASED, MOTOR, state) == 0.0
+
+
+def test_the_nominal_reach_is_the_gain_times_both_limits() -> None:
+    assert nominal_reach(MOTOR, STAGE) == Reach(2.2, 4.4)
+    watts = [(0.25 * volts / (1.0 + 7.87)) ** 2 * 7.87 for volts in (200.0, 400.0)]
+    found = nominal_reach(BATH, STAGE)
+    assert found.low == pytest.approx(0.021 * watts[0], rel=5e-3)
+    assert found.high == pytest.approx(0.021 * watts[1], rel=5e-3)
+    assert nominal_reach(CHARGED, STAGE) == UNKNOWN
+    assert not UNKNOWN.is_known
+
+
+def test_the_estimated_reach_has_the_trusted_gain_and_the_offset() -> None:
+    state = state_with(MOTOR, -40.0)
+    trusts(state, 0.02)
+    assert estimated_reach(BIASED, MOTOR, STAGE, state) == Reach(3.2, 7.2)
+
+
+def test_a_battery_reaches_from_nothing_to_what_its_resistance_lets_through() -> None:
+    state = state_with(CHARGED, -54.0 / 0.25)
+    gain = 0.25 / 0.35
+    state.trusted_a, state.trusted_b = [1.0, 0.0], [0.0, gain]
+    found = estimated_reach(BIASED, CHARGED, STAGE, state)
+    assert found.low == 0.0
+    assert found.high == pytest.approx((100.0 - 54.0) / 0.35, rel=5e-3)
+
+
+def test_what_is_shown_has_three_digits() -> None:
+    stage = replace(STAGE, boost_reference_min_V=201.23, boost_reference_max_V=398.76)
+    assert nominal_reach(MOTOR, stage) == Reach(2.21, 4.39)
+
+
+@given(st.floats(-5.0, 5.0), st.floats(0.0, 5.0), st.floats(-20.0, 20.0))
+def test_the_nearest_within_reach_is_held_and_moves_only_what_is_not(
+    low: float, width: float, value: float
+) -> None:
+    reach = Reach(low, low + width)
+    nearest = reach.nearest(value)
+    assert reach.is_known
+    assert reach.holds(nearest)
+    assert reach.holds(value) == (nearest == value)
+    assert reach.holds(low)
+    assert reach.holds(low + width)
+    assert abs(nearest - value) <= min(abs(low - value), abs(low + width - value))
+
+
+@pytest.mark.parametrize("reach", [Reach(math.nan, 3.0), Reach(1.0, math.nan), UNKNOWN])
+def test_half_a_reach_is_not_known(reach: Reach) -> None:
+    assert not reach.is_known
+    assert UNKNOWN.holds(1e9)
+    assert UNKNOWN.nearest(7.0) == 7.0
