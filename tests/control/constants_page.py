@@ -84,7 +84,6 @@ _UNITS = {
     "_RESIDUAL_RATE": "1/period",
     "_RESIDUAL_FLOOR": "scale²",
     "DRIFT": "σ²",
-    "LARGEST": "σ²",
     "THRESHOLD": "σ²",
     "SETTLE_SAMPLES": "periods",
     "_FAST_RATE": "1/period",

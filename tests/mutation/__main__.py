@@ -1,9 +1,9 @@
-"""Do the tests notice small changes of the code? `python -m tests.mutation [MODULE ...]`.
+"""Do the tests notice small changes of the code? `python -m tests.mutation [MODULE|PART ...]`.
 
-For each module of `targets.py` its tests are collected once. Each mutant then lives in a process
-of its own, in which the tests run that execute the changed lines. What survives is listed, with
-its reason where `survivors.py` has one. MUTANTS bounds the number for each module; a sample of a
-fixed seed is taken.
+For each module of `targets.py`, or of a part of the controller that is named there, its tests are
+collected once. Each mutant then lives in a process of its own, in which the tests run that execute
+the changed lines. What survives is listed, with its reason where `survivors.py` has one. MUTANTS
+bounds the number for each module; a sample of a fixed seed is taken.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import pytest
 from tests.mutation.live import put
 from tests.mutation.mutants import Mutant, mutants
 from tests.mutation.survivors import REASONS
-from tests.mutation.targets import TARGETS
+from tests.mutation.targets import PARTS, TARGETS
 from tests.mutation.trial import Trials
 
 SEED = 20261122
@@ -101,12 +101,15 @@ def main() -> int:
     """Try modules and print a table; 1 when one has less than nine in ten killed."""
     os.environ["CI"] = "1"  # hypothesis draws the same examples for each mutant
     longest = int(os.environ.get("MUTANTS", "1000000"))
-    chosen = [f"adaptdrive.{name}" for name in sys.argv[1:]] or list(TARGETS)
+    names = [PARTS.get(name, (f"adaptdrive.{name}",)) for name in sys.argv[1:]] or [TARGETS]
+    chosen = [module for part in names for module in part]
     scores = []
     for module in chosen:
         scores.append(judge(module, TARGETS[module], longest))
         sys.stderr.write(f"{scores[-1].line}\n")
     lines = [HEAD, "|---|---|---|---|---|---|---|", *(score.line for score in scores)]
+    if any(score.tried < score.total for score in scores):
+        lines[:0] = [f"At most {longest} mutants of each module, drawn with seed {SEED}.", ""]
     left = [f"* `{name}`" for score in scores for name in score.survivors]
     sys.stdout.write("\n".join([*lines, "", *(["Survivors:", "", *left] if left else [])]) + "\n")
     return int(any(10 * len(s.survivors) > s.tried - s.explained for s in scores))

@@ -35,8 +35,80 @@ OPERATION: dict[str, tuple[str, ...]] = {
     "adaptdrive.operation.desk": ("tests/operation/test_desk.py",),
 }
 
-CONTROL: dict[str, tuple[str, ...]] = {
-    "adaptdrive.control.schedule": ("tests/control/test_schedule.py", *_LOOP),
+
+def _control(tests: dict[str, str]) -> dict[str, tuple[str, ...]]:
+    """Return modules of the controller with the files of their tests."""
+    return {
+        f"adaptdrive.control.{module}": tuple(f"tests/control/{name}.py" for name in names.split())
+        for module, names in tests.items()
+    }
+
+
+SUPERVISION = _control({
+    "watch": "test_watch",
+    "cycling": "test_cycling",
+    "surprise": "test_surprise",
+    "screen": "test_screen",
+    "rounding": "test_rounding",
+    "probing": "test_probing",
+    "charging": "test_charging",
+    "supervisor": "test_supervisor",
+    "robustness": "test_robustness",
+    "noise_limit": "test_noise_limit",
+    "reference_filter": "test_reference_filter",
+    "rest": "test_rest",
+    "reach": "test_rest",
+    "reasons": "test_reasons",
+    "redesign": "test_slow_half test_robustness test_prior",
+    "doubt": "test_challenger",
+})  # fmt: skip
+
+LEARNING = _control({
+    "lambda_transform": "test_lambda_transform",
+    "lambda_filter": "test_lambda_filter",
+    "rls": "test_rls test_hypotheses",
+    "regression": "test_estimator test_hypotheses",
+    "hypotheses": "test_hypotheses",
+    "rivals": "test_challenger",
+    "challenger": "test_challenger",
+    "explanation": "test_challenger",
+    "estimator": "test_estimator test_prior",
+    "lambda_method": "test_estimator test_methods",
+    "direct_method": "test_estimator test_methods",
+    "batch": "test_batch",
+})  # fmt: skip
+
+DESIGN = _control({
+    "vectors": "test_vectors",
+    "discretise": "test_discretise",
+    "continuous": "test_continuous",
+    "pole_placement": "test_pole_placement",
+    "compensator": "test_compensator",
+    "design": "test_design",
+    "impulse_hold": "test_impulse_hold",
+    "voltage_loop": "test_voltage_loop",
+    "waveform": "test_waveform",
+    "load": "test_load",
+    "loads.motor": "loads/test_motor test_robustness",
+    "loads.bath": "loads/test_bath test_robustness",
+    "loads.battery": "loads/test_battery test_robustness",
+})  # fmt: skip
+
+HALVES = _control({
+    "fast_half": "test_fast_half test_rounding",
+    "slow_half": "test_slow_half test_robustness test_probing",
+    "slow_state": "test_slow_half test_probing",
+    "controller": "test_controller test_schedule",
+}) | {"adaptdrive.control.schedule": ("tests/control/test_schedule.py", *_LOOP)}  # fmt: skip
+
+PARTS = {
+    "supervision": SUPERVISION,
+    "learning": LEARNING,
+    "design": DESIGN,
+    "halves": HALVES,
 }
+"""Parts of the controller, of each of whose modules a sample of mutants is tried."""
+
+CONTROL = SUPERVISION | LEARNING | DESIGN | HALVES
 
 TARGETS = RUNTIME | OPERATION | CONTROL

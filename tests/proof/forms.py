@@ -1,6 +1,6 @@
 """The long forms of the tests, each as a command of the interpreter.
 
-SEEDS, STORIES and INPUTS of the environment make some of them shorter or longer.
+SEEDS, STORIES, INPUTS and MUTANTS of the environment make some of them shorter or longer.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import os
 from dataclasses import dataclass, field
 
 from tests.faults.rows import GROUPS
-from tests.mutation.targets import TARGETS
+from tests.mutation.targets import OPERATION, PARTS, RUNTIME
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +42,7 @@ def forms() -> tuple[Form, ...]:
     seeds = os.environ.get("SEEDS", "20")
     stories = os.environ.get("STORIES", "5000")
     inputs = os.environ.get("INPUTS", "1000000")
+    mutants = os.environ.get("MUTANTS", "25")
     energised = ("-m", "pytest", "-q", "tests/faults/test_energised.py", "--timeout", "86400")
     return (
         *(Form(group, f"Faults: {group}", ("-m", "tests.faults.table", seeds, group),
@@ -55,7 +56,10 @@ def forms() -> tuple[Form, ...]:
              ("-m", "tests.benchmarks", "--only", "kills")),
         *(Form(f"mutants-{module.rpartition('.')[2]}", f"Small changes of the code: {module}",
                ("-m", "tests.mutation", module.removeprefix("adaptdrive.")), as_table=True)
-          for module in TARGETS),
+          for module in RUNTIME | OPERATION),
+        *(Form(f"mutants-{part}", f"Small changes of the code: control, {part}",
+               ("-m", "tests.mutation", part), {"MUTANTS": mutants}, as_table=True)
+          for part in PARTS),
         *(Form(f"branches-{package}", f"Lines and branches: {package}",
                ("-m", "tests.branches", package), as_table=True)
           for package in ("runtime", "operation", "control")),

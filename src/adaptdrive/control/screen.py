@@ -19,8 +19,8 @@ ALPHA = 0.1
 """Gain on the level: it follows a change within about 10 samples."""
 
 BETA = ALPHA * ALPHA / (2.0 - ALPHA)
-"""Gain on the slope: the tracker is damped by 0.71 then (T. R. Benedict and G. W. Bordner, IRE Trans.
-Automatic Control 7, 1962)."""
+"""Gain on the slope: the tracker is damped by 0.71 then (T. R. Benedict and G. W. Bordner, IRE
+Transactions on Automatic Control 7, 1962)."""
 
 GAMMA = 0.02
 """Rate of the mean deviation: a mean over about 50 samples."""

@@ -3,7 +3,7 @@
 The normalised innovation z² = ε² ρ / ((ρ + rᵀPr) σ²) of a settled estimate is about 1. A one-sided
 cumulative sum (E. S. Page, Biometrika 41, 1954, doi:10.1093/biomet/41.1-2.100)
 
-    S <- max(0, S + min(z², z²_max) - drift)          alarm when S > threshold
+    S <- max(0, S + z² - drift)          alarm when S > threshold, S = 0 after it
 
 stays at 0 then, and reaches the threshold within a few samples of a change. The last sample at
 which it was 0 is Page's estimate of the change. σ² follows the median of z² σ², which is 0.455 of
@@ -21,9 +21,6 @@ from dataclasses import dataclass
 
 DRIFT = 3.0
 """Subtracted from each z²: the sum rises only while z² is larger than three times its mean."""
-
-LARGEST = 20.0
-"""Largest z² that counts: one sample adds at most 17 to the sum."""
 
 THRESHOLD = 9.0
 """One z² above 12, or several smaller ones in a row: rare with noise alone."""
@@ -80,7 +77,7 @@ def is_surprising(state: Surprise, squared: float) -> bool:
         return False
     ratio = squared / state.power
     state.power = max(NOISE_FLOOR, _moved(state.power, squared, _SLOW_RATE))
-    state.sum = max(0.0, state.sum + min(ratio, LARGEST) - DRIFT)
+    state.sum = max(0.0, state.sum + ratio - DRIFT)
     if state.sum <= THRESHOLD:
         return False
     state.sum = 0.0
