@@ -204,6 +204,24 @@ async def test_damage_below_a_sound_header_is_noticed(path: Path) -> None:
     assert path.with_name(path.name + ".damaged").exists()
 
 
+def _spoil_schema(path: Path) -> None:
+    """Damage a word which SQLite quotes in a message that Python then cannot decode."""
+    content = path.read_bytes()
+    assert b"TABLE event" in content
+    path.write_bytes(content.replace(b"TABLE event", b"TABL\xad event"))
+
+
+async def test_damage_that_makes_an_error_no_text_is_damage(path: Path) -> None:
+    async with remembering(path, Time()) as memory:
+        await memory.keep("b", _reply("b"))
+    _spoil_schema(path)
+    async with remembering(path, Time()) as memory:
+        await memory.keep("a", _reply("a"))
+    async with remembering(path, Time()) as memory:
+        assert memory.recall("a") == _reply("a")
+    assert path.with_name(path.name + ".damaged").exists()
+
+
 async def test_a_file_that_is_in_use_is_kept_and_tried_again(path: Path) -> None:
     async with remembering(path, Time()) as memory:
         await memory.keep("a", _reply("a"))

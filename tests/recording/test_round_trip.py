@@ -1,12 +1,15 @@
 import io
 import math
+import sqlite3
 import struct
 import tempfile
+from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -205,5 +208,20 @@ def test_a_damaged_parquet_file_is_an_error_that_names_it(tmp_path: Path) -> Non
 def test_a_damaged_event_log_is_an_error_that_names_it(tmp_path: Path) -> None:
     record_messages(tmp_path, Header(INFO, ""), make_batch([], last=True))
     (tmp_path / "events.sqlite").write_bytes(b"not a database at all" * 100)
+    with pytest.raises(RecordingError, match=r"events\.sqlite"):
+        read_session(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    ["time = 'noon'", "detail = x'ad'", "tick = 'many'", "kind = CAST(x'ad' AS TEXT)"],
+)
+def test_a_damaged_event_is_an_error_that_names_its_log(tmp_path: Path, damage: str) -> None:
+    event = EventRow(INFO.started, 7, "trip", "error", "stale", 1.0, 1)
+    batch = msgspec.structs.replace(make_batch([], last=True), events=[event])
+    record_messages(tmp_path, Header(INFO, ""), batch)
+    assert read_session(tmp_path).events[0].detail == "stale"
+    with closing(sqlite3.connect(tmp_path / "events.sqlite")) as log, log:
+        log.execute(f"UPDATE events SET {damage}")
     with pytest.raises(RecordingError, match=r"events\.sqlite"):
         read_session(tmp_path)

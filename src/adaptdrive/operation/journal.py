@@ -37,6 +37,8 @@ _SCHEMA = (
     "COMMIT",
 )
 _DAMAGED = (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT)
+_UNUSABLE = (sqlite3.Error, UnicodeDecodeError)
+"""What a statement raises; SQLite's message about a damaged name is no text."""
 _PRIMARY_CODE = 0xFF  # the low byte of an extended result code
 _DELETED = "the file was deleted, or another one has taken its place"
 
@@ -108,7 +110,7 @@ class Journal:
         if self._database is not None:
             try:
                 return self._database.execute(query).fetchall()
-            except sqlite3.Error as problem:
+            except _UNUSABLE as problem:
                 self._fail(str(problem))
         return []
 
@@ -125,7 +127,7 @@ class Journal:
             for statement, parameters in statements:
                 self._database.execute(statement, parameters)
             self._database.execute("COMMIT")
-        except sqlite3.Error as problem:
+        except _UNUSABLE as problem:
             self._fail(str(problem))
 
     def _taken(self) -> Iterator[Statement]:
@@ -177,9 +179,7 @@ class Journal:
         database = sqlite3.connect(self.path, timeout=1.0, isolation_level=None)
         database.text_factory = _text
         try:
-            for statement in _SCHEMA:
-                database.execute(statement)
-            _check(database)
+            _prepare(database)
         except sqlite3.Error as problem:
             if _is_damage(problem):
                 self._put_aside(problem)  # before SQLite deletes the log of what was not merged
@@ -212,6 +212,15 @@ class _DamageError(sqlite3.DatabaseError):
     """SQLite's own check has found damage."""
 
     sqlite_errorcode = sqlite3.SQLITE_CORRUPT
+
+
+def _prepare(database: sqlite3.Connection) -> None:
+    try:
+        for statement in _SCHEMA:
+            database.execute(statement)
+        _check(database)
+    except UnicodeDecodeError as problem:
+        raise _DamageError(f"damaged: {problem}") from problem
 
 
 def _check(database: sqlite3.Connection) -> None:

@@ -6,14 +6,17 @@ import contextlib
 import math
 import os
 import sqlite3
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import closing
-from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+import msgspec
 
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import CommandRow, EventRow
+
+T = TypeVar("T", EventRow, CommandRow)
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS events (
@@ -113,18 +116,7 @@ def read_events(path: Path) -> tuple[EventRow, ...]:
     Raises:
         RecordingError: The log is damaged.
     """
-    return tuple(
-        EventRow(
-            time=datetime.fromisoformat(row["time"]),
-            tick=row["tick"],
-            kind=row["kind"],
-            severity=row["severity"],
-            detail=row["detail"],
-            monotonic_s=_float(row.get("monotonic_s")),
-            number=row["id"],
-        )
-        for row in _rows(path, "events")
-    )
+    return _read(path, "events", EventRow, {"number": "id"})
 
 
 def read_commands(path: Path) -> tuple[CommandRow, ...]:
@@ -133,20 +125,35 @@ def read_commands(path: Path) -> tuple[CommandRow, ...]:
     Raises:
         RecordingError: The log is damaged.
     """
-    return tuple(
-        CommandRow(
-            time=datetime.fromisoformat(row["time"]),
-            monotonic_s=_float(row["monotonic_s"]),
-            id=row["command_id"],
-            verb=row["verb"],
-            value=row["value"],
-            user=row["user"],
-            accepted=bool(row["accepted"]),
-            reason=row["reason"],
-            number=row["id"],
-        )
-        for row in _rows(path, "commands")
-    )
+    return _read(path, "commands", CommandRow, {"number": "id", "id": "command_id"})
+
+
+def _read(path: Path, table: str, kind: type[T], columns: Mapping[str, str]) -> tuple[T, ...]:
+    """Return the rows of a table as values, each of the type that it was recorded with.
+
+    Args:
+        path: The log.
+        table: Name of the table.
+        kind: Type of the rows.
+        columns: Name of a field's column, where it is another one.
+
+    Raises:
+        RecordingError: The log is damaged.
+    """
+    names = {field: columns.get(field, field) for field in kind.__struct_fields__}
+    try:
+        return tuple(msgspec.convert(_given(row, names), kind) for row in _rows(path, table))
+    except (msgspec.ValidationError, UnicodeDecodeError, OverflowError) as problem:
+        raise RecordingError(path, f"damaged {table}: {problem}") from problem
+
+
+def _given(row: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
+    """Return a row by the fields of its type; one that an older format lacks stays out."""
+    found = {field: row[name] for field, name in names.items() if name in row}
+    found["monotonic_s"] = _float(found.get("monotonic_s"))
+    if "accepted" in found:
+        found["accepted"] = bool(found["accepted"])
+    return found
 
 
 def _rows(path: Path, table: str) -> list[dict[str, Any]]:

@@ -83,14 +83,16 @@ class StreamReader:
             yield batch
 
     def _opened(self, source: pa.NativeFile) -> ipc.RecordBatchStreamReader | None:
-        """The opened stream, None when it breaks off before its first batch."""
+        """The opened stream, None when it breaks off before its first batch, or its names do."""
         if source.size() == 0:
             return None
         try:
-            return ipc.open_stream(source)
-        except (pa.ArrowException, OSError):
+            stream = ipc.open_stream(source)
+            _ = stream.schema.names  # read now: those of a damaged one may be no text
+        except (pa.ArrowException, OSError, UnicodeDecodeError):
             self.torn = True
             return None
+        return stream
 
 
 def convert(stream: Path, target: Path) -> None:

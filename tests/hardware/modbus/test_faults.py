@@ -176,6 +176,20 @@ async def test_a_drive_that_does_not_answer_is_reported_and_its_return_too(
         assert up[0] is True
 
 
+@pytest.mark.parametrize("kind", ["tcp", "rtu"])
+async def test_a_reply_that_cannot_be_decoded_raises_nothing_in_the_event_loop(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    raised: list[object] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, found: raised.append(found))
+    async with watched(kind, tmp_path, free_tcp_port) as one:
+        one.peer.answer = lambda _: b"\x80\x02"
+        await until(lambda: one.port.statistics.timeouts >= 2)
+        HEALTHY(one.peer)
+        await one.hears(3)
+    assert raised == []
+
+
 async def test_an_exception_is_named(tmp_path: Path, free_tcp_port: int) -> None:
     async with watched("tcp", tmp_path, free_tcp_port) as one:
         one.peer.answer = exception

@@ -7,12 +7,14 @@ import termios
 from collections.abc import Callable
 
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
+from pymodbus.pdu import ModbusPDU
 
 from adaptdrive.config.modbus import ModbusLink, RtuLink, TcpLink
 from adaptdrive.errors import BusError
 
 Client = AsyncModbusTcpClient | AsyncModbusSerialClient
 Trace = Callable[[bool, bytes], bytes]
+Decode = Callable[[bytes, int, int], tuple[int, ModbusPDU | None]]
 
 _CONNECT_S = 1.0
 """Longest time to connect: a gateway may be slower to accept than a drive is to answer."""
@@ -33,9 +35,7 @@ async def open_client(config: TcpLink | RtuLink, trace: Trace) -> Client:
     Raises:
         BusError: There is no connection.
     """
-    # a reply that is missing is counted; a line in the log each time would wear out the disk
-    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
-    client = _client(config, trace)
+    client = unconnected_client(config, trace)
     try:
         connected = await client.connect()
     except termios.error as problem:
@@ -48,6 +48,36 @@ async def open_client(config: TcpLink | RtuLink, trace: Trace) -> Client:
         raise BusError(describe_bus(config), _why_not(config))
     client.ctx.comm_params.timeout_connect = config.timeout_s  # of replies too, from now on
     return client
+
+
+def unconnected_client(config: TcpLink | RtuLink, trace: Trace) -> Client:
+    """Return a client of a link, which is not connected yet.
+
+    Args:
+        config: Which link.
+        trace: Sees every packet.
+    """
+    # a reply that is missing is counted; a line in the log each time would wear out the disk
+    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
+    client = _client(config, trace)
+    framer = client.ctx.framer
+    vars(framer)["handleFrame"] = _without_errors(framer.handleFrame)
+    return client
+
+
+def _without_errors(decode: Decode) -> Decode:
+    """Return a decoder for which bytes that it cannot decode are noise, and no reply.
+
+    pymodbus raises for them where the event loop calls it: that would end the daemon.
+    """
+
+    def decoded(data: bytes, device_id: int, transaction: int) -> tuple[int, ModbusPDU | None]:
+        try:
+            return decode(data, device_id, transaction)
+        except Exception:  # noqa: BLE001 - of many kinds, by what the bytes are
+            return len(data), None
+
+    return decoded
 
 
 def _client(config: TcpLink | RtuLink, trace: Trace) -> Client:

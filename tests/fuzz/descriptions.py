@@ -1,0 +1,137 @@
+"""Decoders of what a user or a maker wrote: configurations, commands, DBCs, EDS files."""
+
+from __future__ import annotations
+
+import json
+
+from canopen.objectdictionary import ODVariable
+
+from adaptdrive.config.file import parse_configuration
+from adaptdrive.errors import ConfigurationError, RefusedError
+from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, load_dictionary
+from adaptdrive.hardware.canopen.pdo import codec, pack, transmit_channel
+from adaptdrive.hardware.dbc.database import SignalCatalogue, load_database
+from adaptdrive.hardware.dbc.proposal import candidates, proofs
+from adaptdrive.operation.commands import VERBS, Payload
+from tests.fuzz.target import EXAMPLES, Target, damaged_file
+
+NODE = 5
+
+
+def toml(data: bytes) -> object:
+    """Read a configuration."""
+    return parse_configuration(data.decode("utf-8", "replace"), EXAMPLES / "fuzzed.toml")
+
+
+def mqtt(data: bytes) -> object:
+    """Read a command; the first byte chooses its verb."""
+    payload = Payload(data[1:])
+    json.dumps([payload.id, payload.value, payload.user])
+    return payload.request(VERBS[data[0] % len(VERBS)] if data else "")
+
+
+def dbc(data: bytes) -> object:
+    """Read a DBC, and look at each of its signals."""
+    database = load_database(damaged_file("fuzzed.dbc", data))
+    catalogue = SignalCatalogue(database, fd=True)
+    for message in database.messages:
+        proofs(message)
+        for signal in message.signals:
+            catalogue.signal(f"{message.name}.{signal.name}", "signals.output")
+    return list(candidates(database))
+
+
+def eds(data: bytes) -> object:
+    """Read an EDS, and pack each of its entries into a frame."""
+    dictionary = load_dictionary(damaged_file("fuzzed.eds", data), NODE)
+    catalogue, found = ObjectCatalogue(dictionary), []
+    for thing in dictionary.values():
+        for variable in [thing] if isinstance(thing, ODVariable) else thing.values():
+            entry = catalogue.at((variable.index, variable.subindex))
+            found += [entry] if entry is not None else []
+    packed = pack("TPDO", [transmit_channel(1, NODE)], found[:2])
+    return catalogue.identity, [codec(pdo) for pdo in packed or []]
+
+
+def _texts(*names: str) -> tuple[bytes, ...]:
+    return tuple((EXAMPLES / name).read_bytes() for name in names)
+
+
+_COMMANDS = (
+    b'0{"id":"a","value":3.3}',
+    b'1{"id":"b","value":{"shape":"square","low":3,"high":3.2,"period_s":20}}',
+    b'4{"id":"c","value":300,"hold_s":2,"user":"x","expires":"2026-01-01T00:00:00Z"}',
+    b'5{"id":"d"}',
+)
+_EDS = b"""[FileInfo]
+FileName=a.eds
+[DeviceInfo]
+VendorNumber=0x123
+ProductNumber=7
+[MandatoryObjects]
+SupportedObjects=2
+1=0x1000
+2=0x1018
+[1000]
+ParameterName=Device type
+ObjectType=0x7
+DataType=0x0007
+AccessType=ro
+DefaultValue=0x20192
+[1018]
+ParameterName=Identity
+ObjectType=0x9
+SubNumber=2
+[1018sub0]
+ParameterName=Count
+ObjectType=0x7
+DataType=0x0005
+AccessType=ro
+[1018sub1]
+ParameterName=Vendor
+ObjectType=0x7
+DataType=0x0007
+AccessType=ro
+LowLimit=$NODEID+1
+[OptionalObjects]
+SupportedObjects=2
+1=0x6041
+2=0x2001
+[6041]
+ParameterName=Statusword
+ObjectType=0x7
+DataType=0x0006
+AccessType=ro
+PDOMapping=1
+[2001]
+ParameterName=Speed
+ObjectType=0x7
+DataType=0x0008
+AccessType=rw
+LowLimit=-10
+HighLimit=1e3
+PDOMapping=1
+"""
+_DBC = b"""VERSION ""
+BU_: A
+BO_ 100 Status: 8 A
+ SG_ Volts : 0|16@1+ (0.01,0) [0|600] "V" A
+ SG_ Speed : 23|16@0- (0.1,-5) [-3000|3000] "rpm" A
+ SG_ Mode M : 32|4@1+ (1,0) [0|0] "" A
+ SG_ Deep m1 : 40|8@1+ (1,0) [0|0] "" A
+CM_ SG_ 100 Volts "boost";
+BA_DEF_ SG_ "GenSigStartValue" INT 0 100;
+BA_DEF_DEF_ "GenSigStartValue" 1;
+BA_ "GenSigStartValue" SG_ 100 Volts 7;
+VAL_ 100 Mode 0 "off" 1 "on";
+SIG_VALTYPE_ 100 Speed : 0;
+"""
+
+DESCRIPTIONS: dict[str, Target] = {
+    "toml": Target(
+        toml, (ConfigurationError,), _texts("motor.toml", "bath-modbus-tcp.toml"), 60, 0.1
+    ),
+    "mqtt": Target(mqtt, (RefusedError,), _COMMANDS, 4000),
+    "dbc": Target(dbc, (ConfigurationError,), (*_texts("inverter.dbc"), _DBC, _DBC), 60, 0.1),
+    "eds": Target(eds, (ConfigurationError,), (_EDS, *_texts("cia402.eds"), _EDS), 60, 0.1),
+}

@@ -1,0 +1,79 @@
+"""Replies on Modbus as pymodbus and the link take them: any bytes, and any function in a frame."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import struct
+from collections import Counter
+
+from crccheck.crc import CrcModbus
+
+from adaptdrive.config import load_configuration
+from adaptdrive.config.modbus import RtuLink, TcpLink
+from adaptdrive.hardware.modbus.blocks import Block
+from adaptdrive.hardware.modbus.bus import Client, unconnected_client
+from adaptdrive.hardware.modbus.capacity import Exchange
+from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
+from tests.fuzz.target import EXAMPLES, Target
+
+_EXCHANGE = Exchange(read=Block("input", 0, 2))
+_TRANSACTION = 7
+_LOOP = asyncio.new_event_loop()
+"""Makes futures; it never runs but to make the clients."""
+
+
+@functools.cache
+def _link(name: str) -> tuple[Client, ModbusConnection]:
+    config = load_configuration(EXAMPLES / name).bus
+    assert isinstance(config, TcpLink | RtuLink)
+
+    async def made() -> tuple[Client, ModbusConnection]:
+        connection = ModbusConnection(config, Counter(), lambda: 0.0)
+        return unconnected_client(config, connection._trace), connection
+
+    return _LOOP.run_until_complete(made())
+
+
+def tcp(data: bytes) -> object:
+    """Take bytes from a TCP connection; half of them are framed as the reply to the request."""
+    if data[:1] < b"\x80":
+        pdu = data[1:]
+        data = b"_" + struct.pack(">HHHB", _TRANSACTION, 0, len(pdu) + 1, 1) + pdu
+    return _taken("motor-modbus-tcp.toml", data[1:])
+
+
+def rtu(data: bytes) -> object:
+    """Take bytes from a serial line; half of them have the device id and the right checksum."""
+    if data[:1] < b"\x80":
+        message = b"\x01" + data[1:]
+        data = b"_" + message + CrcModbus.calc(message).to_bytes(2, "little")
+    return _taken("motor-modbus-rtu.toml", data[1:])
+
+
+def _taken(name: str, data: bytes) -> object:
+    client, connection = _link(name)
+    manager = client.ctx
+    manager.recv_buffer = b""
+    manager.request_dev_id, manager.request_transaction_id = 1, _TRANSACTION
+    connection._transaction = _TRANSACTION.to_bytes(2, "big")
+    manager.response_future = _LOOP.create_future()
+    for piece in (data[:5], data[5:]):
+        if piece:
+            manager.datagram_received(piece, None)
+    if not manager.response_future.done():
+        return None
+    return connection._checked(manager.response_future.result(), _EXCHANGE)
+
+
+def _pdus() -> tuple[bytes, ...]:
+    """Each function that the specification has, with four bytes and with none."""
+    some = [bytes((0, function, 4, 1, 2, 3, 4)) for function in range(1, 0x2C)]
+    none = [bytes((0, function)) for function in (3, 4, 16, 23, 0x2B, 0x80, 0x84)]
+    return (*some, *none, b"\x00\x2b\x0e\x01\x01\0\0\1\0\3abc", b"\xff\0\7\0\0\0\7\1\4\4abcd")
+
+
+REPLIES: dict[str, Target] = {
+    "modbus-tcp": Target(tcp, (ExchangeError,), _pdus(), 4000),
+    "modbus-rtu": Target(rtu, (ExchangeError,), _pdus(), 4000),
+}
