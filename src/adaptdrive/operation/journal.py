@@ -38,7 +38,7 @@ _SCHEMA = (
 )
 _DAMAGED = (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT)
 _UNUSABLE = (sqlite3.Error, UnicodeDecodeError)
-"""What a statement raises; SQLite's message about a damaged name is no text."""
+"""Errors of a statement: SQLite's message about a damaged name is no text."""
 _PRIMARY_CODE = 0xFF  # the low byte of an extended result code
 _DELETED = "the file was deleted, or another one has taken its place"
 
