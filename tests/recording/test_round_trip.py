@@ -33,6 +33,7 @@ from adaptdrive.recording.batches import (
     framed,
     read_frames,
 )
+from adaptdrive.recording.event_log import read_events
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.rows import recorded_ticks
 from adaptdrive.recording.session import Dropped, Ending
@@ -205,11 +206,13 @@ def test_a_damaged_parquet_file_is_an_error_that_names_it(tmp_path: Path) -> Non
         _ = read_session(tmp_path).ticks
 
 
-def test_a_damaged_event_log_is_an_error_that_names_it(tmp_path: Path) -> None:
-    record_messages(tmp_path, Header(INFO, ""), make_batch([], last=True))
+def test_a_damaged_event_log_is_named_and_leaves_the_ticks(tmp_path: Path) -> None:
+    record_messages(tmp_path, Header(INFO, ""), make_batch([make_tick(0)], last=True))
+    assert read_session(tmp_path).damage == ""
     (tmp_path / "events.sqlite").write_bytes(b"not a database at all" * 100)
-    with pytest.raises(RecordingError, match=r"events\.sqlite"):
-        read_session(tmp_path)
+    session = read_session(tmp_path)
+    assert "events.sqlite" in session.damage
+    assert session.ticks.num_rows == 1
 
 
 @pytest.mark.parametrize(
@@ -223,5 +226,6 @@ def test_a_damaged_event_is_an_error_that_names_its_log(tmp_path: Path, damage: 
     assert read_session(tmp_path).events[0].detail == "stale"
     with closing(sqlite3.connect(tmp_path / "events.sqlite")) as log, log:
         log.execute(f"UPDATE events SET {damage}")
+    assert "events.sqlite: damaged events" in read_session(tmp_path).damage
     with pytest.raises(RecordingError, match=r"events\.sqlite"):
-        read_session(tmp_path)
+        read_events(tmp_path / "events.sqlite")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ def session_frames(path: Path, frames: str) -> dict[str, Any]:
         frames: `polars` or `pandas`.
     """
     session = read_session(path)
+    if session.damage:
+        warnings.warn(session.damage, stacklevel=3)
     tables = {name: _table(session, name) for name in TABLES}
     units = {
         field.name: unit

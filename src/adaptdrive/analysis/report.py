@@ -61,6 +61,7 @@ def _facts(session: Session, curves: Curves) -> str:
         ("ended", info.ended.value),
         ("not recorded", str(info.dropped)),
         ("adaptdrive", info.version),
+        *((("damaged", session.damage),) if session.damage else ()),
     ]
     return _table(("", ""), [(row, "") for row in rows])
 

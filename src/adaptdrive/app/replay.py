@@ -47,6 +47,8 @@ def replay(name: str, settings: Sequence[str] = (), *, as_json: bool = False) ->
         prior = None  # the settings ask for another kind of load
     controller = Controller(controller_settings(configuration), load, prior)
     report = run_again(session, controller)
+    if session.damage:
+        sys.stderr.write(f"adaptdrive: {session.damage}\n")
     for setting in settings:
         if not _acts(session.config_text, path / "config.toml", setting):
             sys.stderr.write(f"adaptdrive: {setting}: {_WITHOUT_EFFECT}\n")

@@ -138,9 +138,15 @@ def export(
 
 
 def _find(name: str) -> Path:
-    from adaptdrive.recording.session import (  # noqa: PLC0415 - `--help` reads no recordings
+    """Return the folder of a session; a damaged event log of it is reported on stderr."""
+    from adaptdrive.recording.event_log import read_log  # noqa: PLC0415 - `--help` reads none
+    from adaptdrive.recording.session import (  # noqa: PLC0415
+        EVENTS_FILE,
         find_session,
         sessions_directory,
     )
 
-    return find_session(name, sessions_directory(None, os.environ))
+    path = find_session(name, sessions_directory(None, os.environ))
+    if damage := read_log(path / EVENTS_FILE).damage:
+        print(f"adaptdrive: {damage}", file=sys.stderr)
+    return path

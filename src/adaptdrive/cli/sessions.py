@@ -68,6 +68,7 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
 
     found = read_session(_find(session, directory))
     info, last = found.info, last_tick_time(found.path)
+    unread = "damaged" if found.damage else ""
     rows = [
         ("session", str(found.path)),
         ("drive", info.drive),
@@ -77,11 +78,13 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
         ("ended", info.ended.value),
         ("not recorded", str(info.dropped)),
         ("segments", str(max((one.number for one in segments(found.path)), default=0))),
-        ("events", str(len(found.events))),
-        ("commands", str(len(found.commands))),
+        ("events", unread or str(len(found.events))),
+        ("commands", unread or str(len(found.commands))),
         ("trips", ", ".join(_trips(found.path)) or "none"),
         ("size", f"{_size(found.path) / 1e6:.1f} MB"),
     ]
+    if found.damage:
+        print(f"adaptdrive: {found.damage}", file=sys.stderr)
     if as_json:
         _print_json(_facts(found.path, info))
         return 0

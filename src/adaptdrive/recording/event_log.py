@@ -8,6 +8,7 @@ import os
 import sqlite3
 from collections.abc import Iterable, Mapping
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -108,6 +109,29 @@ def tidy(path: Path) -> None:
     """
     if any(path.with_name(path.name + suffix).exists() for suffix in ("-wal", "-journal")):
         EventLog(path).close()
+
+
+@dataclass(frozen=True, slots=True)
+class LogContents:
+    """Contents of a log, as far as they can be read.
+
+    Attributes:
+        events: Events in their order.
+        commands: Operator commands in their order.
+        damage: Path of the log and what is wrong with it; empty for a sound one.
+    """
+
+    events: tuple[EventRow, ...] = ()
+    commands: tuple[CommandRow, ...] = ()
+    damage: str = ""
+
+
+def read_log(path: Path) -> LogContents:
+    """Return the events and commands of a log; of a damaged one, what is wrong with it."""
+    try:
+        return LogContents(read_events(path), read_commands(path))
+    except RecordingError as problem:
+        return LogContents(damage=f"{problem}; its events and commands cannot be read")
 
 
 def read_events(path: Path) -> tuple[EventRow, ...]:

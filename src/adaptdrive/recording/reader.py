@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import CommandRow, EventRow
-from adaptdrive.recording.event_log import read_commands, read_events
+from adaptdrive.recording.event_log import read_log
 from adaptdrive.recording.segments import Segment, segments
 from adaptdrive.recording.session import (
     CONFIG_FILE,
@@ -36,6 +36,7 @@ class Session:
         config_text: The configuration it ran with, as TOML.
         events: Events in their order.
         commands: Operator commands in their order.
+        damage: Why `events` and `commands` are empty although there were some; empty otherwise.
     """
 
     path: Path
@@ -43,6 +44,7 @@ class Session:
     config_text: str
     events: tuple[EventRow, ...]
     commands: tuple[CommandRow, ...]
+    damage: str = ""
 
     @cached_property
     def ticks(self) -> pa.Table:
@@ -129,18 +131,22 @@ def _last(batches: Iterator[pa.RecordBatch]) -> pa.RecordBatch | None:
 def read_session(path: Path) -> Session:
     """Read a session that has ended in any way, or is still being written.
 
+    A damaged event log leaves the tables readable: `Session.damage` names it.
+
     Args:
         path: Directory of the session.
 
     Raises:
-        RecordingError: There is no session, or it is damaged.
+        RecordingError: There is no session, or its facts or configuration are damaged.
     """
+    log = read_log(path / EVENTS_FILE)
     return Session(
         path=path,
         info=read_info(path),
         config_text=_read_text(path / CONFIG_FILE),
-        events=read_events(path / EVENTS_FILE),
-        commands=read_commands(path / EVENTS_FILE),
+        events=log.events,
+        commands=log.commands,
+        damage=log.damage,
     )
 
 

@@ -1,0 +1,97 @@
+"""A session whose event log is damaged: its ticks are used, and the damage is named."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.app.replay import replay
+from adaptdrive.cli import analysis
+from adaptdrive.cli.analysis import SessionView
+from adaptdrive.cli.sessions import events, show, verify
+from adaptdrive.errors import RecordingError
+from adaptdrive.lab import load_session
+from adaptdrive.recording.reader import read_session
+
+LOG = "events.sqlite"
+
+
+def _garbage(path: Path) -> None:
+    path.write_bytes(b"not a database at all" * 100)
+
+
+def _spoilt_page(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[4096:8192] = b"\xff" * 4096
+    path.write_bytes(content)
+
+
+def _spoilt_row(path: Path) -> None:
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("UPDATE events SET time = 'no time'")
+
+
+@pytest.fixture(params=[_garbage, _spoilt_page, _spoilt_row])
+def damaged(request: pytest.FixtureRequest, session_path: Path, tmp_path: Path) -> Path:
+    damage: Callable[[Path], None] = request.param
+    path = tmp_path / session_path.name
+    shutil.copytree(session_path, path)
+    damage(path / LOG)
+    return path
+
+
+def test_its_ticks_are_drawn_and_exported(
+    damaged: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    into = damaged.parent / "out"
+    into.mkdir()
+    work: list[Callable[[], int]] = [
+        lambda: analysis.plot(str(damaged), view=SessionView(into=into)),
+        lambda: analysis.export(str(damaged), to="csv", into=into),
+        lambda: show(str(damaged)),
+    ]
+    for one in work:
+        assert one() == 0
+        assert str(damaged / LOG) in capsys.readouterr().err
+    assert LOG in (into / "report.html").read_text(encoding="utf-8")
+    exported = (into / f"{damaged.name}_ticks.csv").read_text(encoding="utf-8")
+    assert exported.count("\n") == read_session(damaged).ticks.num_rows + 1
+
+
+def test_its_replay_is_that_of_the_sound_session(
+    damaged: Path, session_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, sound = replay(str(session_path)), capsys.readouterr()
+    assert replay(str(damaged)) == status
+    again = capsys.readouterr()
+    assert "replayed 6000 ticks" in again.out
+    assert again.out == sound.out
+    assert str(damaged / LOG) in again.err
+    assert not sound.err
+
+
+def test_its_tables_come_with_a_warning(damaged: Path) -> None:
+    with pytest.warns(UserWarning, match=r"events\.sqlite"):
+        tables = load_session(damaged, "pandas")
+    assert len(tables.ticks) == read_session(damaged).ticks.num_rows
+    assert len(tables.events) == 0
+
+
+def test_its_events_themselves_are_an_error(damaged: Path) -> None:
+    with pytest.raises(RecordingError, match=r"events\.sqlite"):
+        events(str(damaged))
+
+
+def test_it_does_not_verify(
+    session_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / session_path.name
+    shutil.copytree(session_path, path)
+    _garbage(path / LOG)
+    assert verify(str(path)) == 1
+    assert LOG in capsys.readouterr().err
