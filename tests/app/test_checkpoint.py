@@ -12,13 +12,15 @@ from adaptdrive.app import checkpoint as cp
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
-from adaptdrive.control.signals import Decision, Mode, Order, Snapshot, Stage
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.signals import Decision, Measurement, Mode, Order, Snapshot, Stage
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Event, LoadReport, Severity
 from tests.config.documents import parse
 from tests.runtime.bench import until
 
 VALUES = (0.021, 20.0, 90.0)
+RESOLUTION = 0.0049
 CONFIGURATION = parse()
 LOAD = build_load(CONFIGURATION)
 SETTINGS = controller_settings(CONFIGURATION)
@@ -27,6 +29,13 @@ SETTINGS = controller_settings(CONFIGURATION)
 def recall(
     path: Path, configuration: Configuration = CONFIGURATION
 ) -> tuple[cp.Values | None, Event | None]:
+    learnt, event = recall_all(path, configuration)
+    return None if learnt is None else learnt.values, event
+
+
+def recall_all(
+    path: Path, configuration: Configuration = CONFIGURATION
+) -> tuple[cp.Learnt | None, Event | None]:
     settings, load = controller_settings(configuration), build_load(configuration)
     return cp.recall(path, configuration, settings, load)
 
@@ -34,7 +43,8 @@ def recall(
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     path = cp.checkpoint_path(tmp_path, "bench")
-    cp.write_checkpoint(path, cp.configuration_key(CONFIGURATION), LOAD.names, VALUES)
+    key = cp.configuration_key(CONFIGURATION)
+    cp.write_checkpoint(path, key, LOAD.names, cp.Learnt(VALUES, RESOLUTION))
     return path
 
 
@@ -45,6 +55,32 @@ def test_what_was_written_is_read_to_the_last_bit(path: Path) -> None:
     assert event.severity is Severity.INFO
     assert "gain 0.021" in event.detail
     assert list(path.parent.iterdir()) == [path]
+    assert recall_all(path)[0] == cp.Learnt(VALUES, RESOLUTION)
+
+
+def test_a_file_of_an_older_version_has_no_resolution_and_is_used(path: Path) -> None:
+    content = json.loads(path.read_bytes())
+    del content["resolution"]
+    path.write_text(json.dumps(content))
+    assert recall_all(path)[0] == cp.Learnt(VALUES)
+
+
+def test_a_sensor_without_steps_leaves_the_file_as_older_versions_know_it(path: Path) -> None:
+    key = cp.configuration_key(CONFIGURATION)
+    cp.write_checkpoint(path, key, LOAD.names, cp.Learnt(VALUES))
+    assert set(json.loads(path.read_bytes())) == {"key", "saved", "estimates", "format"}
+
+
+@pytest.mark.parametrize("resolution", [-0.01, "1e400"])
+def test_a_resolution_that_cannot_be_is_ignored_with_its_file(
+    path: Path, resolution: float | str
+) -> None:
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace(str(RESOLUTION), str(resolution)), encoding="utf-8")
+    learnt, event = recall_all(path)
+    assert learnt is None
+    assert event is not None
+    assert event.severity is Severity.WARNING
 
 
 def test_without_a_file_there_is_nothing_to_tell(tmp_path: Path) -> None:
@@ -119,7 +155,7 @@ def test_a_write_that_is_cut_short_leaves_the_old_file(
 
     monkeypatch.setattr(os, "fsync", fail)
     with pytest.raises(OSError, match="No space"):
-        cp.write_checkpoint(path, "key", LOAD.names, (1.0, 2.0, 3.0))
+        cp.write_checkpoint(path, "key", LOAD.names, cp.Learnt((1.0, 2.0, 3.0)))
     assert recall(path)[0] == VALUES
 
 
@@ -128,6 +164,7 @@ class Learner:
 
     def __init__(self) -> None:
         self.trusted: cp.Values | None = None
+        self.resolution = 0.0
 
 
 class Clock:
@@ -148,7 +185,7 @@ def report() -> LoadReport:
 async def test_it_is_written_on_acceptance_at_most_once_a_minute_and_at_the_end() -> None:
     hub, clock, learner = Hub(), Clock(), Learner()
     written: list[cp.Values] = []
-    keeper = cp.Keeper(written.append, learner, hub, clock)
+    keeper = cp.Keeper(lambda learnt: written.append(learnt.values), learner, hub, clock)
 
     async def period(now_s: float, trusted: cp.Values | None, *expected: cp.Values) -> None:
         clock.now_s, learner.trusted = now_s, trusted
@@ -168,13 +205,16 @@ async def test_it_is_written_on_acceptance_at_most_once_a_minute_and_at_the_end(
     await keeper.save()
     await keeper.save()
     assert written == [(1.0,), (3.0,), (4.0,)]
+    learner.resolution = RESOLUTION
+    await keeper.save()
+    assert written == [(1.0,), (3.0,), (4.0,), (4.0,)]
 
 
 async def test_a_full_disk_is_told_once_and_stops_nothing() -> None:
     hub, clock, learner = Hub(), Clock(), Learner()
     events = hub.subscribe(Event, size=10)
 
-    def refuse(_: cp.Values) -> None:
+    def refuse(_: cp.Learnt) -> None:
         raise OSError(28, "No space left on device")
 
     keeper = cp.Keeper(refuse, learner, hub, clock)
@@ -185,3 +225,31 @@ async def test_a_full_disk_is_told_once_and_stops_nothing() -> None:
     assert isinstance(event, Event)
     assert event.severity is Severity.WARNING
     assert "No space left" in event.detail
+
+
+def test_a_restarted_daemon_knows_the_resolution_of_its_sensor_from_the_first_period(
+    tmp_path: Path,
+) -> None:
+    """Through the file, on a tachometer of 10 mV: the run before found it."""
+    step, path = 0.01, cp.checkpoint_path(tmp_path, "bench")
+    first = Controller(SETTINGS, LOAD, VALUES)
+    assert rested(first, [2.0 + 0.01 * n for n in range(40)])[0].resolution == 0.0
+    assert first.resolution == pytest.approx(step, rel=0.01)
+    key = cp.configuration_key(CONFIGURATION)
+    cp.write_checkpoint(path, key, LOAD.names, cp.Learnt(VALUES, first.resolution))
+    learnt, _ = recall_all(path)
+    assert learnt is not None
+    again = cp.controller_from(SETTINGS, LOAD, learnt)
+    snapshots = rested(again, [2.0] * 40)
+    assert {one.resolution for one in snapshots} == {first.resolution}
+    assert snapshots[0].rounding == pytest.approx(step / math.sqrt(12.0), rel=0.01)
+
+
+def rested(controller: Controller, outputs: list[float]) -> list[Snapshot]:
+    """Snapshots of a controller whose sensor shows each of these outputs for ten ticks."""
+    shown, found = Order(Stage.RUN, 2.0, Mode.FIXED, 0.7), []
+    for n in range(10 * len(outputs)):
+        sample = Measurement(n, 1.0 / 120.0, 200.0, 120.0, 0.0, outputs[n // 10])
+        controller.tick(sample, shown)
+        found.append(controller.take_snapshot())
+    return [one for one in found if one is not None]

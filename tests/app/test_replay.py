@@ -1,5 +1,6 @@
 """A session that started from a checkpoint replays from it, bit for bit."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import msgspec
 import pytest
 
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.replay import replay
+from adaptdrive.app.replay import controller_at_start, replay
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import load_configuration
 from adaptdrive.control.controller import Controller
@@ -25,14 +26,17 @@ SECONDS = 50
 
 
 def lived(
-    prior: tuple[float, ...] | None, seconds: int = SECONDS
+    prior: tuple[float, ...] | None, seconds: int = SECONDS, resolution: float = 0.0
 ) -> tuple[list[TickReport], list[LoadReport]]:
-    """Ticks and slow periods of a run that ends under adaptive control."""
+    """Ticks and slow periods of a run that ends under adaptive control.
+
+    With a resolution, which an earlier run has found, the tachometer is rounded to it.
+    """
     configuration = load_configuration(EXAMPLE)
     bench = Bench(noise=NoiseParameters(sigma=0.002 * STEP), seed=3)
     bench.motor.disks = 3
     settings = controller_settings(configuration)
-    controller = Controller(settings, build_load(configuration), prior)
+    controller = Controller(settings, build_load(configuration), prior, resolution)
     ticks: list[TickReport] = []
     slow: list[LoadReport] = []
     due = -1
@@ -43,6 +47,9 @@ def lived(
             controller.apply(slow[-1].decision)
         bench.n = n
         sample = bench.measurement()
+        if resolution:
+            output = round(sample.output / resolution) * resolution
+            sample = dataclasses.replace(sample, output=output)
         command = controller.tick(sample, wanted)
         ticks.append(TickReport(n, sample, wanted, applied, command, 0.0, 0.0))
         if (snapshot := controller.take_snapshot()) is not None:
@@ -73,6 +80,23 @@ def test_the_prior_is_part_of_the_record(
     assert not report["bit_equal"]
     assert report["ticks"] == len(ticks)
     assert report["first_command"]["tick"] >= 0
+
+
+def test_so_is_the_resolution_that_an_earlier_run_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    step = 0.01
+    text = EXAMPLE.read_text(encoding="utf-8")
+    info = msgspec.structs.replace(INFO, prior=PRIOR, resolution=step)
+    directory = create_session(NewSession(tmp_path, info, text))
+    ticks, slow = lived(PRIOR, 10, step)
+    assert all(one.snapshot.resolution == step for one in slow)
+    record_messages(directory, Header(info, text), make_batch(ticks, slow, last=True))
+    assert read_info(directory).resolution == step
+    assert replay(str(directory)) == 0, capsys.readouterr().out
+    assert controller_at_start(read_info(directory), load_configuration(EXAMPLE)).resolution == step
+    older = msgspec.structs.replace(info, resolution=0.0)
+    assert controller_at_start(older, load_configuration(EXAMPLE)).resolution == 0.0
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ import structlog
 
 from adaptdrive.app.checkpoint import (
     CheckpointError,
+    Learnt,
     configuration_key,
     read_checkpoint,
     write_checkpoint,
@@ -158,7 +159,7 @@ def _checkpoint() -> bytes:
     key, load, _ = _motor()
     values = load.physical(list(load.numerator), list(load.denominator))
     path = scratch() / "checkpoint.good"
-    write_checkpoint(path, key, load.names, tuple(values))
+    write_checkpoint(path, key, load.names, Learnt(tuple(values), 0.0049))
     return path.read_bytes()
 
 

@@ -1,4 +1,4 @@
-"""The checkpoint: trusted estimates that survive a restart.
+"""The checkpoint: trusted estimates, and the resolution of the sensor, that survive a restart.
 
 One small JSON file beside the other state of a drive, replaced as a whole. It counts only for the
 configuration that it was made with, of which it carries a hash; anything else is left alone, with
@@ -10,7 +10,9 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
+import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Protocol
@@ -20,6 +22,7 @@ import msgspec
 from adaptdrive.app.state_file import replace_regular
 from adaptdrive.config import Configuration
 from adaptdrive.config.regular_file import read_regular
+from adaptdrive.control.controller import Controller
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.errors import AdaptdriveError
@@ -45,6 +48,23 @@ class EstimateSource(Protocol):
     def trusted(self) -> Values | None:
         """The last trusted estimates, None before there are any."""
 
+    @property
+    def resolution(self) -> float:
+        """The step of the output that was found in its samples, 0 for none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Learnt:
+    """Estimates and resolution that a run hands on to the next.
+
+    Attributes:
+        values: Physical parameters in the order of `Load.names`.
+        resolution: Step of the output, in its unit; 0 where none was found.
+    """
+
+    values: Values
+    resolution: float = 0.0
+
 
 class CheckpointError(AdaptdriveError):
     """A checkpoint cannot be used."""
@@ -55,7 +75,7 @@ class CheckpointError(AdaptdriveError):
         super().__init__(f"{path}: {problem}")
 
 
-class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Contents of a checkpoint file.
 
     Attributes:
@@ -63,12 +83,14 @@ class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         saved: When, UTC.
         estimates: Physical parameters by name.
         format: Version of this layout.
+        resolution: Step of the output; left out where none was found, and by older versions.
     """
 
     key: str
     saved: datetime
     estimates: dict[str, float]
     format: int
+    resolution: float = 0.0
 
 
 class _CheckpointFormat(msgspec.Struct):
@@ -92,19 +114,19 @@ def is_kept(settings: ControllerSettings) -> bool:
     return settings.exact and settings.learning.method.physical
 
 
-def write_checkpoint(path: Path, key: str, names: tuple[str, ...], values: Values) -> None:
+def write_checkpoint(path: Path, key: str, names: tuple[str, ...], learnt: Learnt) -> None:
     """Replace the checkpoint, so that a reader sees the old one or the new one, whole.
 
     Raises:
         OSError: The disk refuses.
     """
-    estimates = dict(zip(names, values, strict=True))
-    checkpoint = Checkpoint(key, datetime.now(UTC), estimates, FORMAT)
+    estimates = dict(zip(names, learnt.values, strict=True))
+    checkpoint = Checkpoint(key, datetime.now(UTC), estimates, FORMAT, learnt.resolution)
     replace_regular(path, msgspec.json.format(msgspec.json.encode(checkpoint), indent=2) + b"\n")
 
 
-def read_checkpoint(path: Path, key: str, load: Load, jacket: Jacket) -> Values | None:
-    """Trusted estimates of an earlier run.
+def read_checkpoint(path: Path, key: str, load: Load, jacket: Jacket) -> Learnt | None:
+    """Return what an earlier run has learnt.
 
     Args:
         path: The file.
@@ -113,7 +135,7 @@ def read_checkpoint(path: Path, key: str, load: Load, jacket: Jacket) -> Values 
         jacket: Bounds that they must be within.
 
     Returns:
-        Physical parameters in the order of `Load.names`; None where there is no file.
+        Its trusted estimates and the resolution that it found; None where there is no file.
 
     Raises:
         CheckpointError: There is one that must not be used.
@@ -134,7 +156,9 @@ def read_checkpoint(path: Path, key: str, load: Load, jacket: Jacket) -> Values 
     for name, value, usual in zip(load.names, values, nominal, strict=True):
         if not jacket.ratio_min <= value / usual <= jacket.ratio_max:
             raise CheckpointError(path, f"{name} = {value:.4g} is out of bounds")
-    return values
+    if not 0.0 <= checkpoint.resolution < math.inf:
+        raise CheckpointError(path, f"resolution = {checkpoint.resolution:.4g} is out of bounds")
+    return Learnt(values, checkpoint.resolution)
 
 
 def _decode(path: Path, text: bytes) -> Checkpoint:
@@ -149,8 +173,8 @@ def _decode(path: Path, text: bytes) -> Checkpoint:
 
 def recall(
     path: Path, configuration: Configuration, settings: ControllerSettings, load: Load
-) -> tuple[Values | None, Event | None]:
-    """Return the estimates to start from, and the event that reports them.
+) -> tuple[Learnt | None, Event | None]:
+    """Return what to start from, and the event that reports it.
 
     Args:
         path: The checkpoint.
@@ -161,15 +185,28 @@ def recall(
     if not is_kept(settings):
         return None, None
     try:
-        values = read_checkpoint(path, configuration_key(configuration), load, settings.jacket)
+        learnt = read_checkpoint(path, configuration_key(configuration), load, settings.jacket)
     except CheckpointError as problem:
         return None, _event(Severity.WARNING, f"checkpoint not used: {problem}")
-    if values is None:
+    if learnt is None:
         return None, None
-    known = ", ".join(f"{n} {v:.4g}" for n, v in zip(load.names, values, strict=True))
+    known = ", ".join(f"{n} {v:.4g}" for n, v in zip(load.names, learnt.values, strict=True))
     confirm = settings.jacket.confirm_periods
     detail = f"start from trusted estimates: {known}; to be confirmed for {confirm} slow periods"
-    return values, _event(Severity.INFO, detail)
+    return learnt, _event(Severity.INFO, detail)
+
+
+def controller_from(settings: ControllerSettings, load: Load, learnt: Learnt | None) -> Controller:
+    """Return a controller at rest that begins with what an earlier run has learnt.
+
+    Args:
+        settings: Of the controller.
+        load: Its load.
+        learnt: None for nothing.
+    """
+    if learnt is None:
+        return Controller(settings, load)
+    return Controller(settings, load, learnt.values, learnt.resolution)
 
 
 def _event(severity: Severity, detail: str) -> Event:
@@ -181,7 +218,7 @@ class Keeper:
 
     def __init__(
         self,
-        write: Callable[[Values], None],
+        write: Callable[[Learnt], None],
         source: EstimateSource,
         hub: Hub,
         clock: Callable[[], float],
@@ -202,7 +239,7 @@ class Keeper:
         self._clock = clock
         self._every_s = every_s
         self._reports = hub.subscribe(LoadReport, size=_REPORTS_HELD)
-        self._written: Values | None = None
+        self._written: Learnt | None = None
         self._next_s = clock()
         self._failed = False
 
@@ -214,18 +251,21 @@ class Keeper:
                 await self.save()
 
     async def save(self) -> None:
-        """Write the trusted estimates now, if they are new."""
+        """Write the trusted estimates and the resolution now, if they are new."""
         values = self._source.trusted
-        if values is None or values == self._written:
+        if values is None:
+            return
+        learnt = Learnt(values, self._source.resolution)
+        if learnt == self._written:
             return
         self._next_s = self._clock() + self._every_s
         try:
             async with asyncio.timeout(PATIENCE_S):
-                await asyncio.to_thread(self._write, values)
+                await asyncio.to_thread(self._write, learnt)
         except OSError as problem:
             self._report_once(problem)
         else:
-            self._written, self._failed = values, False
+            self._written, self._failed = learnt, False
 
     def _report_once(self, problem: OSError) -> None:
         if not self._failed:

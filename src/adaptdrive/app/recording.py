@@ -8,7 +8,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 
 from adaptdrive import __version__
-from adaptdrive.app.checkpoint import Values
+from adaptdrive.app.checkpoint import Learnt
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import SignalSource
 from adaptdrive.config.units import si_unit
@@ -22,7 +22,7 @@ def build_recorder(
     configuration: Configuration,
     text: str,
     hub: Hub,
-    prior: Values | None,
+    learnt: Learnt | None,
     start_thread: Callable[[], None],
 ) -> Recorder | None:
     """Build the recorder; nothing touches the disk before it runs.
@@ -31,7 +31,7 @@ def build_recorder(
         configuration: The drive.
         text: Its configuration, as TOML.
         hub: Where reports come from.
-        prior: Estimates of an earlier run that its controller starts from.
+        learnt: What its controller starts from, of an earlier run.
         start_thread: What a thread does first.
 
     Returns:
@@ -42,7 +42,7 @@ def build_recorder(
         return None
     size = recording.keep_MB
     header = Header(
-        info=_info(configuration, prior),
+        info=_info(configuration, learnt),
         config_text=text,
         sessions=str(sessions_directory(recording.directory, os.environ).absolute()),
         sensors=sensor_columns(configuration),
@@ -82,7 +82,7 @@ UNITS = {"V", "A", "W", "K", "S", "s", "Hz", "rad", "m", "kg", "N", "Pa", "C"}
 """Units that a name may end with; values of sensors are in SI."""
 
 
-def _info(configuration: Configuration, prior: Values | None) -> SessionInfo:
+def _info(configuration: Configuration, learnt: Learnt | None) -> SessionInfo:
     return SessionInfo(
         drive=configuration.drive.name,
         version=__version__,
@@ -90,6 +90,7 @@ def _info(configuration: Configuration, prior: Values | None) -> SessionInfo:
         ticks_per_period=configuration.ticks_per_period,
         latency_ticks=configuration.load.latency_ticks,
         line_frequency_Hz=configuration.drive.line_frequency_Hz,
-        prior=prior,
+        prior=None if learnt is None else learnt.values,
+        resolution=0.0 if learnt is None else learnt.resolution,
         output_unit=configuration.load.output_unit,
     )

@@ -20,7 +20,7 @@ from adaptdrive.errors import ConfigurationError
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.replay import replay as run_again
 from adaptdrive.recording.replay_report import ReplayReport
-from adaptdrive.recording.session import find_session, sessions_directory
+from adaptdrive.recording.session import SessionInfo, find_session, sessions_directory
 from adaptdrive.recording.what_if import reconfigured
 
 
@@ -42,11 +42,7 @@ def replay(name: str, settings: Sequence[str] = (), *, as_json: bool = False) ->
     path = find_session(name, sessions_directory(None, os.environ))
     session = read_session(path)
     configuration = reconfigured(session.config_text, path / "config.toml", settings)
-    load, prior = build_load(configuration), session.info.prior
-    if prior is not None and len(prior) != len(load.names):
-        prior = None  # the settings ask for another kind of load
-    controller = Controller(controller_settings(configuration), load, prior)
-    report = run_again(session, controller)
+    report = run_again(session, controller_at_start(session.info, configuration))
     if session.damage:
         sys.stderr.write(f"adaptdrive: {session.damage}\n")
     for setting in settings:
@@ -54,6 +50,19 @@ def replay(name: str, settings: Sequence[str] = (), *, as_json: bool = False) ->
             sys.stderr.write(f"adaptdrive: {setting}: {_WITHOUT_EFFECT}\n")
     sys.stdout.write(f"{_as_json(report) if as_json else report}\n")
     return 0 if report.exact or settings else 1
+
+
+def controller_at_start(info: SessionInfo, configuration: Configuration) -> Controller:
+    """Return a controller that begins with what the recorded one had learnt before.
+
+    Args:
+        info: Of the session.
+        configuration: Of the controller, which may ask for another kind of load.
+    """
+    load, prior = build_load(configuration), info.prior
+    if prior is not None and len(prior) != len(load.names):
+        prior = None
+    return Controller(controller_settings(configuration), load, prior, info.resolution)
 
 
 def _as_json(report: ReplayReport) -> str:

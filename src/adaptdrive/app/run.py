@@ -20,6 +20,7 @@ from adaptdrive.app.checkpoint import (
     Keeper,
     checkpoint_path,
     configuration_key,
+    controller_from,
     is_kept,
     recall,
     write_checkpoint,
@@ -172,10 +173,10 @@ def _build(
     settings, load = controller_settings(configuration), build_load(configuration)
     state = state_directory(os.environ.get("STATE_DIRECTORY", ""))
     checkpoint = checkpoint_path(state, configuration.drive.name)
-    prior, recalled = recall(checkpoint, configuration, settings, load)
-    controller = Controller(settings, load, prior)
+    learnt, recalled = recall(checkpoint, configuration, settings, load)
+    controller = controller_from(settings, load, learnt)
     rehearsal = build_rehearsal(configuration, path)
-    recorder = build_recorder(configuration, text, hub, prior, start_thread)
+    recorder = build_recorder(configuration, text, hub, learnt, start_thread)
     if recorder is not None:
         hub.keep_with(recorder.keep)
         publish_samples(port, hub.publish, time.monotonic)
@@ -269,5 +270,5 @@ def state_event(directory: Path) -> Event | None:
 def _keeper(configuration: Configuration, path: Path, controller: Controller, hub: Hub) -> Keeper:
     key, names = configuration_key(configuration), build_load(configuration).names
     return Keeper(
-        lambda values: write_checkpoint(path, key, names, values), controller, hub, time.monotonic
+        lambda learnt: write_checkpoint(path, key, names, learnt), controller, hub, time.monotonic
     )

@@ -17,6 +17,7 @@ from adaptdrive.control.estimator import start_from
 from adaptdrive.control.load import Load, to_input, to_voltage
 from adaptdrive.control.reach import estimated_reach, nominal_reach
 from adaptdrive.control.reasons import reason
+from adaptdrive.control.rounding import remembered_grid, step_found
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import (
     SAFE_COMMAND,
@@ -47,7 +48,11 @@ class Controller:
     """Both halves of the controller of one drive and one load."""
 
     def __init__(
-        self, settings: ControllerSettings, load: Load, prior: tuple[float, ...] | None = None
+        self,
+        settings: ControllerSettings,
+        load: Load,
+        prior: tuple[float, ...] | None = None,
+        resolution: float = 0.0,
     ) -> None:
         """Build a controller at rest.
 
@@ -57,6 +62,7 @@ class Controller:
             prior: Physical parameters that an earlier run had trusted, in the order of
                 `Load.names`: each run starts from them, or from those that a run before it had
                 trusted. A method whose θ is not physical ignores them.
+            resolution: Step of the output that an earlier run has found in its samples, 0 for none.
         """
         self._prior = prior if settings.learning.method.physical else None
         self._settings = settings if self._prior is None else _confirming(settings)
@@ -67,6 +73,7 @@ class Controller:
         self._stage = Stage.OFF
         self._fast = fast.FastState(tick=0, boost_reference_V=0.0, error_sum=0.0)
         self._bank = self._new_bank(settings.rates.nominal_tick_s, 0.0, 0.0)
+        self._bank.grid = remembered_grid(resolution)
         self._slow = new_slow_state(settings, load, 0.0, 0.0)
         self._reach = nominal_reach(load, settings.stage)
         self._snapshot: Snapshot | None = None
@@ -141,6 +148,11 @@ class Controller:
     def trusted(self) -> tuple[float, ...] | None:
         """The physical parameters that were trusted last; None before there are any."""
         return self._trusted
+
+    @property
+    def resolution(self) -> float:
+        """The step of the output that was found in its samples; 0 while none is known."""
+        return step_found(self._bank.grid, self._settings.learning.output_scale)
 
     def apply(self, decision: Decision) -> None:
         """Let a decision take effect from the next tick on.

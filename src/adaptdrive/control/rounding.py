@@ -54,7 +54,7 @@ class Grid:
     """State of the search for the step of a sensor.
 
     Attributes:
-        last: Last sample.
+        last: Last sample; NaN where only the step is known.
         candidate: Step that is being tried, in the unit of the output; 0 for none.
         score: Differences that agreed with it, less those that did not.
         changes: Samples of the slow period so far that differ from the one before.
@@ -68,6 +68,11 @@ class Grid:
     changes: int = 0
     share: float = 0.0
     periods: float = 0.0
+
+
+def remembered_grid(step: float) -> Grid:
+    """Return a search that begins with the step that an earlier run has found, 0 for none."""
+    return Grid(math.nan, step, _SURE) if step > 0.0 else Grid(0.0)
 
 
 def note_sample(grid: Grid, sample: float, scale: float) -> None:

@@ -80,6 +80,7 @@ class SessionInfo(msgspec.Struct, frozen=True):
         histograms: Counts of the times of its ticks by bin, up to the last segment that is closed.
         output_unit: Unit of the regulated quantity.
         segments: Number of the last segment that the histograms include.
+        resolution: Step of the output that an earlier run had found, 0 for none.
         format: Version of the layout of the files.
     """
 
@@ -95,6 +96,7 @@ class SessionInfo(msgspec.Struct, frozen=True):
     histograms: dict[str, tuple[int, ...]] = {}
     output_unit: str = ""
     segments: int = 0
+    resolution: float = 0.0
     format: int = FORMAT
 
 
