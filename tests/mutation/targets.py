@@ -16,7 +16,12 @@ _MACHINE = (
     "tests/runtime/test_machine_properties.py",
 )
 _STOP = ("tests/runtime/test_stop_watch.py",)
-_RATE = ("tests/runtime/test_half_cycles.py", "tests/runtime/test_frame_rate.py")
+_RATE = (
+    "tests/runtime/test_frame_rate_bounds.py",
+    "tests/runtime/test_half_cycles.py",
+    "tests/runtime/test_frame_rate.py",
+    "tests/runtime/test_polled_drive.py",
+)
 
 RUNTIME: dict[str, tuple[str, ...]] = {
     "adaptdrive.runtime.interlocks": ("tests/runtime/test_interlocks.py", *_LOOP),

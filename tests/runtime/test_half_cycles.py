@@ -114,3 +114,53 @@ def test_the_measured_half_cycle_stays_near_the_nominal_one(gaps_s: list[float])
         time_s += gap_s
         latest = max(latest, base.place(half_cycle, time_s, latest))
     assert abs(base.tick_period_s / TICK_S - 1.0) <= 0.02
+
+
+EXACT_S = 2.0**-7
+"""A half cycle whose multiples are exact."""
+
+
+@pytest.mark.parametrize(("leap", "tick"), [(4, 4), (5, 1), (-1, 1)])
+def test_a_counter_three_half_cycles_ahead_of_time_is_believed(leap: int, tick: int) -> None:
+    base = HalfCycles(256, EXACT_S)
+    first = base.place(10, 1.0, -1)
+    assert base.place((10 + leap) % 256, 1.0 + EXACT_S, first) == first + tick
+
+
+@pytest.mark.parametrize(("late", "tick"), [(0.5, 1), (1.74, 1), (1.75, 2), (2.74, 2)])
+def test_without_a_counter_a_frame_may_be_three_quarters_late(late: float, tick: int) -> None:
+    base = HalfCycles(None, EXACT_S)
+    first = base.place(None, 1.0, -1)
+    assert base.place(None, 1.0 + late * EXACT_S, first) == first + tick
+
+
+@pytest.mark.parametrize(("factor", "measured"), [(1.019, True), (1.021, False), (0.981, True)])
+def test_a_half_cycle_is_measured_after_half_a_second_and_believed_within_two_percent(
+    factor: float, *, measured: bool
+) -> None:
+    base, latest = HalfCycles(65536, EXACT_S), -1
+    for count in range(60):
+        latest = base.place(count, 64.0 + count * factor * EXACT_S, latest)
+    assert base.tick_period_s == EXACT_S
+    base.place(60, 64.0 + 60 * factor * EXACT_S, latest)
+    expected_s = factor * EXACT_S if measured else EXACT_S
+    assert base.tick_period_s == pytest.approx(expected_s, rel=1e-9)
+
+
+def test_the_half_cycle_is_that_of_the_last_1200() -> None:
+    base, latest, time_s, found = HalfCycles(65536, EXACT_S), -1, 64.0, []
+    for count in range(3601):
+        time_s += EXACT_S * (1.01 if count <= 1800 else 1.0)
+        latest = base.place(count, time_s, latest)
+        found.append(base.tick_period_s)
+    settled = [count for count, period_s in enumerate(found) if period_s == EXACT_S]
+    assert settled[60] == 1800 + 1200
+
+
+def test_a_restarted_drive_is_measured_anew() -> None:
+    base, latest = HalfCycles(65536, EXACT_S), -1
+    for count in range(61):
+        latest = base.place(count, 64.0 + count * 1.01 * EXACT_S, latest)
+    for count in range(61):
+        latest = base.place(count, 96.0 + count * 0.99 * EXACT_S, latest)
+    assert base.tick_period_s == pytest.approx(0.99 * EXACT_S, rel=1e-9)

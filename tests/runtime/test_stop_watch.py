@@ -113,6 +113,16 @@ async def test_a_bridge_switched_on_by_others_is_an_alarm() -> None:
         )
 
 
+async def test_one_reading_that_is_looked_at_again_and_again_is_one_flicker() -> None:
+    async with fast_bench() as bench:
+        bench.frames(20)
+        bench.frame(bridge=True)
+        bench.wait(4 * TICK_S)
+        assert (bench.state(), bench.loop.stop) == (State.STANDBY, StopWord.CONFIRMED)
+        bench.frame(bridge=True)
+        assert bench.state() is State.TRIPPED
+
+
 async def test_a_drive_found_on_at_start_must_stop() -> None:
     async with fast_bench() as bench:
         bench.wait(10.0)

@@ -33,9 +33,7 @@ class BridgeWatch:
         self._off_s: float | None = None
         self._been_on = False
 
-    def find_cause(
-        self, reading: Reading | None, *, commanded: bool, unwatched_s: float
-    ) -> str | None:
+    def find_cause(self, reading: Reading, *, commanded: bool, unwatched_s: float) -> str | None:
         """Return the cause of a trip, None for none.
 
         Only reports of the drive count: one that has fallen silent is stale, not off. A bridge that
@@ -47,8 +45,8 @@ class BridgeWatch:
             commanded: Whether the last command had the bridge on.
             unwatched_s: Time since the last look.
         """
-        if reading is None or reading.bridge or not commanded:
-            self._off_s, self._been_on = None, commanded and reading is not None
+        if reading.bridge or not commanded:
+            self._off_s, self._been_on = None, commanded
             return None
         reported_s = reading.bridge_reported_s
         if self._off_s is None:

@@ -70,14 +70,12 @@ class InterlockBoard:
             bridge: Whether the last command had the bridge on.
         """
         unwatched_s = self.look(now_s)
-        return (
-            self._gap_cause(unwatched_s)
-            or self.standing_cause(port, reading, now_s)
-            or self._bridge.find_cause(
-                reading, commanded=bridge and running, unwatched_s=unwatched_s
-            )
-            or self._implausible(reading, running=running)
-        )
+        cause = self._gap_cause(unwatched_s) or self.standing_cause(port, reading, now_s)
+        if cause is not None or reading is None:  # without a reading there is always a cause
+            return cause
+        return self._bridge.find_cause(
+            reading, commanded=bridge and running, unwatched_s=unwatched_s
+        ) or self._implausible(reading, running=running)
 
     def gap_cause(self, now_s: float) -> str | None:
         """Return the cause of a trip when this process did not run for long until now."""
@@ -92,12 +90,12 @@ class InterlockBoard:
             "[realtime]"
         )
 
-    def _implausible(self, reading: Reading | None, *, running: bool) -> str | None:
+    def _implausible(self, reading: Reading, *, running: bool) -> str | None:
         """Return why the output cannot be that of the load, although its sensor goes on."""
         cause: str | None = None
         for watch in self._watches:
-            if not running:
-                watch.forget()
-            elif reading is not None:
+            if running:
                 cause = cause or watch.find_cause(reading)
+            else:
+                watch.forget()
         return cause
