@@ -114,9 +114,9 @@ def test_a_decision_of_an_earlier_run_is_refused() -> None:
     bench = Bench()
     (snapshot,) = bench.run(10, 11)
     bench.run(11, 12, Stage.OFF)
-    assert not bench.schedule.deliver(snapshot, make_decision(snapshot.k))
+    assert bench.schedule.deliver(snapshot, make_decision(snapshot.k)) is False
     bench.run(12, 13)
-    assert not bench.schedule.deliver(snapshot, make_decision(snapshot.k))
+    assert bench.schedule.deliver(snapshot, make_decision(snapshot.k)) is False
 
 
 def test_the_tick_of_effect_names_its_decision() -> None:
@@ -128,3 +128,10 @@ def test_the_tick_of_effect_names_its_decision() -> None:
         bench.run(tick, tick + 1)
         named.append(bench.schedule.applied_k)
     assert named == [-1, 1, -1, -1]
+
+
+def test_what_is_decided_at_once_is_returned() -> None:
+    bench = Bench()
+    assert bench.schedule.applied_k == -1
+    (snapshot,) = bench.run(10, 11)
+    assert bench.schedule.decide(snapshot) == make_decision(1)

@@ -6,17 +6,30 @@ _SET_BEFORE_USE = "every way into a state that reads it sets it first"
 
 _COMPARED = "numbers of stops are compared with each other, and never shown"
 
-_MACHINE = "runtime.machine:Machine.__init__: "
-
 _TOGETHER = "a tick sets both, and both are None before the first: the test is for the types"
 
+_DIFFERENCES = "only the differences of these counts are used"
+
+_NEGATIVE = "only its sign is read before the first frame"
+
+_BOUND = "a share of half cycles that equals the bound to the last digit may be judged either way"
+
+_BEYOND = "any number beyond 32,768 us, where the last bin begins"
+
+_UNLIMITED = "the time of a voltage without `hold_s` is never compared"
+
+_VOLTAGE = (
+    "start_V=self.manual.value(tick), target_V=value, since_tick=tick, hold_s=hold_s, hold_ticks="
+)
+_HOLD = " if hold_s is None else math.ceil(hold_s / limits.tick_s))"
+_MACHINE = "runtime.machine:Machine.__init__: "
 _LOOP = "runtime.fast_loop:FastLoop."
+_CYCLES = "runtime.half_cycles:HalfCycles."
+_RATE = "runtime.frame_rate:FrameRate."
+_MARK = f"{_RATE}add: self._marks.append(_Mark(arrival_s, 0, 0)) -> self._marks.append(_Mark"
+_FITS = f"{_RATE}_problem: fits = "
 
 RUNTIME: dict[str, str] = {
-    f"{_LOOP}__init__: self._wanted = SAFE_COMMAND -> pass": _SET_BEFORE_USE,
-    f"{_LOOP}__init__: self._deadline_s = math.inf -> pass": _SET_BEFORE_USE,
-    f"{_LOOP}_report: if self.measurement is None or self._order is None: -> "
-    "if self.measurement is None and self._order is None:": _TOGETHER,
     f"{_MACHINE}self.manual = self._limits.held(limits.floor_V, 0) -> "
     "self.manual = self._limits.held(limits.floor_V, 1)": "a V_c that stays has no beginning",
     f"{_MACHINE}self._coasts = False -> self._coasts = True": _SET_BEFORE_USE,
@@ -26,6 +39,28 @@ RUNTIME: dict[str, str] = {
     f"{_MACHINE}self._precharging = False -> self._precharging = True": _SET_BEFORE_USE,
     f"{_MACHINE}self._waveform_tick = 0 -> pass": _SET_BEFORE_USE,
     f"{_MACHINE}self._waveform_tick = 0 -> self._waveform_tick = 1": _SET_BEFORE_USE,
+    "runtime.machine:Machine.set_voltage: self.manual = replace(self.manual, "
+    f"{_VOLTAGE}0{_HOLD} -> self.manual = replace(self.manual, {_VOLTAGE}1{_HOLD}": _UNLIMITED,
+    f"{_LOOP}__init__: self._wanted = SAFE_COMMAND -> pass": _SET_BEFORE_USE,
+    f"{_LOOP}__init__: self._deadline_s = math.inf -> pass": _SET_BEFORE_USE,
+    f"{_LOOP}_report: if self.measurement is None or self._order is None: -> "
+    "if self.measurement is None and self._order is None:": _TOGETHER,
+    f"{_CYCLES}__init__: self._arrival_s = 0.0 -> pass": _SET_BEFORE_USE,
+    f"{_CYCLES}__init__: self._arrival_s = 0.0 -> self._arrival_s = 1.0": _SET_BEFORE_USE,
+    f"{_CYCLES}__init__: self._frame_tick = -1 -> self._frame_tick = -2": _NEGATIVE,
+    f"{_CYCLES}_measure: if abs(period_s / self._nominal_s - 1.0) <= _PERIOD_TOLERANCE: -> "
+    "if abs(period_s / self._nominal_s - 1.0) < _PERIOD_TOLERANCE:": _BOUND,
+    f"{_RATE}__init__: self._wrong = 0 -> pass": _SET_BEFORE_USE,
+    f"{_RATE}__init__: self._wrong = 0 -> self._wrong = 1": _SET_BEFORE_USE,
+    f"{_MARK}(arrival_s, 1, 0))": _DIFFERENCES,
+    f"{_MARK}(arrival_s, 0, 1))": _DIFFERENCES,
+    f"{_FITS}abs(share - 1.0) <= tolerance -> fits = abs(share - 1.0) < tolerance": _BOUND,
+    f"{_FITS}fits or abs(frames - 1.0) <= tolerance -> fits = fits or abs(frames - 1.0) < "
+    "tolerance": _BOUND,
+    f"{_RATE}_problem: return self._text(share, frames, by_frames=abs(frames - 1.0) > tolerance) "
+    "-> return self._text(share, frames, by_frames=abs(frames - 1.0) >= tolerance)": _BOUND,
+    "runtime.statistics:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 1000000001.0": _BEYOND,
+    "runtime.statistics:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 2000000000.0": _BEYOND,
 }
 
 OPERATION: dict[str, str] = {

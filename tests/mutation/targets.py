@@ -15,7 +15,7 @@ _MACHINE = (
     "tests/runtime/test_machine_manual.py",
     "tests/runtime/test_machine_properties.py",
 )
-_STOP = ("tests/runtime/test_stop_watch.py",)
+_STOP = ("tests/runtime/test_stop_verdicts.py", "tests/runtime/test_stop_watch.py")
 _RATE = (
     "tests/runtime/test_frame_rate_bounds.py",
     "tests/runtime/test_half_cycles.py",
@@ -28,7 +28,7 @@ RUNTIME: dict[str, tuple[str, ...]] = {
     "adaptdrive.runtime.guard": ("tests/runtime/test_guard.py", *_LOOP),
     "adaptdrive.runtime.machine": (*_MACHINE, "tests/runtime/test_coasting.py"),
     "adaptdrive.runtime.fast_loop": (*_LOOP, *_LOOP_MORE, *_STOP),
-    "adaptdrive.runtime.interlock_board": (*_LOOP, *_LOOP_MORE),
+    "adaptdrive.runtime.interlock_board": ("tests/runtime/test_interlock_board.py", *_LOOP),
     "adaptdrive.runtime.half_cycles": (*_RATE, "tests/runtime/test_fast_loop.py"),
     "adaptdrive.runtime.frame_rate": _RATE,
     "adaptdrive.runtime.stop_watch": _STOP,

@@ -164,3 +164,18 @@ def test_a_restarted_drive_is_measured_anew() -> None:
     for count in range(61):
         latest = base.place(count, 96.0 + count * 0.99 * EXACT_S, latest)
     assert base.tick_period_s == pytest.approx(0.99 * EXACT_S, rel=1e-9)
+
+
+def test_a_drive_that_sends_every_second_half_cycle_is_not_measured() -> None:
+    base, latest = HalfCycles(None, EXACT_S, 2), -1
+    for number in range(200):
+        latest = base.place(None, 64.0 + number * 2.01 * EXACT_S, latest)
+    assert base.tick_period_s == EXACT_S
+
+
+@pytest.mark.parametrize("stands_in", [False, True])
+def test_only_frames_after_a_stand_in_come_too_seldom(*, stands_in: bool) -> None:
+    base, latest = HalfCycles(256, EXACT_S), -1
+    for number in range(200):
+        latest = base.place(2 * number % 256, 64.0 + 2 * number * EXACT_S, latest + stands_in)
+    assert (base.rate.cause is None) is not stands_in

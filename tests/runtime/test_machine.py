@@ -13,7 +13,7 @@ from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.machine import Machine
-from adaptdrive.runtime.machine_limits import MachineLimits
+from adaptdrive.runtime.machine_limits import FLOOR_REACHED, MachineLimits
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import (
     Disable,
@@ -446,3 +446,25 @@ def test_mode_and_pole_are_taken_in_any_state(request: pytest.FixtureRequest, na
 @pytest.mark.parametrize("value", [0.49, 0.99, 1.0, -0.7, math.nan, math.inf])
 def test_a_pole_out_of_range_is_refused(running: Desk, value: float) -> None:
     running.refuses(SetPole(value), "is outside 0.5…0.98")
+
+
+@pytest.mark.parametrize(
+    ("voltage_V", "state"),
+    [
+        (FLOOR_REACHED * LIMITS.floor_V, State.RUNNING),
+        (math.nextafter(FLOOR_REACHED * LIMITS.floor_V, 0.0), State.STARTING),
+    ],
+)
+def test_it_runs_from_the_floor_on(starting: Desk, voltage_V: float, state: State) -> None:
+    starting.pass_ticks(5, boost_voltage_V=voltage_V)
+    assert starting.state() is state
+
+
+def test_a_drive_that_coasted_until_its_trip_has_to_confirm_its_stop() -> None:
+    desk = _desk(REACH)
+    desk.machine.confirm_stop()
+    desk.ask(Enable(), output=0.0)
+    assert desk.machine.coasting
+    desk.machine.latch(FAULT)
+    desk.ask(Reset())
+    assert desk.state() is State.STOPPING

@@ -72,3 +72,15 @@ def test_times_that_are_no_times_never_stop_a_tick() -> None:
     for time_us in (-3.0, math.nan, math.inf, -math.inf):
         window.add(time_us)
     assert (window.histogram[0], window.histogram[-1], sum(window.histogram)) == (3, 1, 4)
+
+
+def test_the_last_of_seventeen_bins_begins_at_32768_us() -> None:
+    window = TimeWindow()
+    for time_us in (32_767.0, 32_768.0, 1e12):
+        window.add(time_us)
+    assert window.histogram == (0,) * 15 + (1, 2)
+
+
+def test_between_two_reports_4096_times_are_kept() -> None:
+    for others, longest in ((4095, 50.0), (4096, 1.0)):
+        assert quantiles([50.0] + [1.0] * others).max == longest

@@ -113,6 +113,20 @@ async def test_a_bridge_switched_on_by_others_is_an_alarm() -> None:
         )
 
 
+async def test_after_another_source_switched_it_on_a_reset_awaits_the_drives_word() -> None:
+    async with fast_bench() as bench:
+        bench.frames(20)
+        said_s = bench.around.now
+        for _ in range(2):
+            bench.frame(bridge=True)
+        assert bench.state() is State.TRIPPED
+        bench.frame(bridge=False, bridge_s=said_s)
+        bench.ask(Reset())
+        assert bench.state() is State.STOPPING
+        bench.frame(bridge=False)
+        assert bench.state() is State.STANDBY
+
+
 async def test_one_reading_that_is_looked_at_again_and_again_is_one_flicker() -> None:
     async with fast_bench() as bench:
         bench.frames(20)
@@ -127,8 +141,10 @@ async def test_a_drive_found_on_at_start_must_stop() -> None:
     async with fast_bench() as bench:
         bench.wait(10.0)
         assert bench.state() is State.STANDBY
-        bench.frame(bridge=True)
-        assert bench.state() is State.STOPPING
+        assert bench.loop.stop is StopWord.AWAITED
+        for _ in range(STOP_TICKS - 2):
+            bench.frame(bridge=True)
+            assert bench.state() is State.STOPPING
         bench.frame(bridge=False)
         assert bench.state() is State.STANDBY
 

@@ -45,7 +45,6 @@ class StopWatch:
     def release(self) -> None:
         """Note that the drive is energised: the next stop begins anew."""
         self._commanded_s, self._confirmed = math.inf, False
-        self._on.clear()
 
     def command(self, now_s: float) -> None:
         """Note that the drive is commanded off; the first time since its release counts."""
@@ -85,7 +84,6 @@ class StopWatch:
     def doubt(self, now_s: float) -> None:
         """Wait for a confirmation again."""
         self._confirmed, self._commanded_s = False, now_s
-        self._on.clear()
 
     def why_not(self, reading: Reading | None, safe_s: float, now_s: float) -> str:
         """Return why the stop is not confirmed, and the likeliest remedy."""

@@ -1,0 +1,117 @@
+"""Which interlock is evaluated when, with watches that note how they are called."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import pytest
+
+from adaptdrive.hardware.port import Reading
+from adaptdrive.runtime.interlock_board import InterlockBoard
+from adaptdrive.runtime.interlocks import Limits
+from tests.loopback_port import LoopbackPort
+from tests.runtime.bench import CALM
+
+TICK_S = 2.0**-7
+"""A half cycle whose multiples are exact."""
+
+START_S = 64.0
+LIMITS = Limits(stale_s=0.0625, boost_voltage_max_V=430.0, output_max=5.0, output_unit="V")
+PORT = LoopbackPort(lambda _: None)
+
+
+@dataclass
+class NotedWatch:
+    """Gives the cause that a test sets."""
+
+    cause: str | None = None
+    seen: list[float] = field(default_factory=list)
+    forgotten: int = 0
+
+    def build(self) -> NotedWatch:
+        return self
+
+    def forget(self) -> None:
+        self.forgotten += 1
+
+    def find_cause(self, reading: Reading) -> str | None:
+        self.seen.append(reading.output)
+        return self.cause
+
+
+def board(*watches: NotedWatch, ticks_per_reading: int = 1) -> InterlockBoard:
+    """A board without a rate, that has been looked at once."""
+    builds = tuple(one.build for one in watches)
+    built = InterlockBoard(LIMITS, builds, None, TICK_S, ticks_per_reading)
+    built.look(START_S)
+    return built
+
+
+def cause_of(
+    of: InterlockBoard, now_s: float, *, running: bool = True, bridge: bool = False,
+    **changes: object,
+) -> str | None:  # fmt: skip
+    reading = replace(CALM, arrival_s=now_s, oldest_s=now_s, **changes)  # type: ignore[arg-type]
+    return of.running_cause(PORT, reading, now_s, running=running, bridge=bridge)
+
+
+@pytest.mark.parametrize(("ticks_per_reading", "limit_ticks"), [(1, 8), (60, 120)])
+def test_a_gap_may_last_as_long_as_a_reading_is_fresh_and_two_readings_take(
+    ticks_per_reading: int, limit_ticks: int
+) -> None:
+    limit_s = limit_ticks * TICK_S
+    of = board(ticks_per_reading=ticks_per_reading)
+    assert of.gap_cause(START_S + limit_s) is None
+    assert cause_of(of, START_S + limit_s) is None
+    again_s = START_S + 2.0 * limit_s + TICK_S
+    told = (
+        f"overslept: the daemon did not run for {1e3 * (limit_s + TICK_S):.0f} ms, "
+        f"limit {1e3 * limit_s:g} ms: "
+    )
+    assert (of.gap_cause(again_s) or "").startswith(told)
+    assert (cause_of(of, again_s) or "").startswith(told)
+    assert cause_of(of, again_s + limit_s) is None
+
+
+def test_nothing_was_overslept_before_the_first_look() -> None:
+    of = InterlockBoard(LIMITS, (), None, TICK_S, 1)
+    assert cause_of(of, START_S) is None
+
+
+def test_the_first_watch_that_finds_something_is_named() -> None:
+    calm, first, second = NotedWatch(), NotedWatch("first"), NotedWatch("second")
+    assert cause_of(board(calm, first, second), START_S, output=2.5) == "first"
+    assert calm.seen == first.seen == [2.5]
+
+
+def test_while_a_drive_starts_its_watches_forget() -> None:
+    watches = NotedWatch("first"), NotedWatch("second")
+    assert cause_of(board(*watches), START_S, running=False) is None
+    assert [(one.seen, one.forgotten) for one in watches] == [([], 1), ([], 1)]
+
+
+def test_a_watch_is_asked_when_nothing_else_trips_and_forgets_nothing_in_a_run() -> None:
+    watch = NotedWatch("stuck")
+    of = board(watch)
+    assert (cause_of(of, START_S, output=6.0) or "").startswith("output above its limit: ")
+    assert watch.seen == []
+    assert cause_of(of, START_S) == "stuck"
+    assert watch.forgotten == 0
+
+
+def test_without_a_reading_a_drive_is_not_energised() -> None:
+    cause = board().running_cause(PORT, None, START_S, running=True, bridge=True)
+    assert cause == "stale: no measurement yet"
+
+
+@pytest.mark.parametrize("running", [False, True])
+@pytest.mark.parametrize("bridge", [False, True])
+def test_a_bridge_has_to_be_on_where_it_was_commanded_in_a_run(
+    *, running: bool, bridge: bool
+) -> None:
+    of, causes = board(), []
+    for number in range(60):
+        now_s = START_S + number * TICK_S
+        causes.append(cause_of(of, now_s, running=running, bridge=bridge))
+    stopped = "drive stopped: its bridge is off although it was commanded on"
+    assert causes[-1] == (stopped if running and bridge else None)

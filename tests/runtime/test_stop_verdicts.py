@@ -1,0 +1,77 @@
+"""The verdict on a stop from what the drive reports, moment by moment, in exact times."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from adaptdrive.runtime.stop_watch import Stop, StopWatch
+from tests.runtime.bench import CALM
+
+READING_S = 2.0**-7
+LIMIT_S = 0.5
+STOP_S = 64.0
+
+
+class Watched:
+    """A stop at 64 s, and the readings after it."""
+
+    def __init__(self, slack_s: float | None = 0.0) -> None:
+        self.watch = StopWatch(LIMIT_S, READING_S, slack_s)
+        self.watch.command(STOP_S)
+
+    def judge(self, after_s: float, *, bridge: bool, safe_s: float = -math.inf) -> Stop:
+        now_s = STOP_S + after_s
+        reading = replace(CALM, arrival_s=now_s, oldest_s=now_s, bridge=bridge)
+        return self.watch.judge(reading, safe_s, now_s)
+
+
+def test_a_stop_may_last_as_long_as_its_limit() -> None:
+    watched = Watched()
+    assert watched.judge(LIMIT_S, bridge=True) is Stop.AWAITED
+    assert watched.judge(LIMIT_S + READING_S, bridge=True) is Stop.OVERDUE
+
+
+def test_a_report_that_comes_later_has_longer() -> None:
+    watched = Watched(slack_s=0.25)
+    assert watched.judge(0.75, bridge=True) is Stop.AWAITED
+    assert watched.judge(0.75 + READING_S, bridge=True) is Stop.OVERDUE
+
+
+def test_a_drive_without_a_word_has_stopped_when_it_has_taken_the_command() -> None:
+    watched = Watched(slack_s=None)
+    assert watched.judge(0.1, bridge=True, safe_s=math.inf) is Stop.AWAITED
+    assert watched.judge(0.2, bridge=True, safe_s=STOP_S) is Stop.CONFIRMED
+
+
+def test_two_flickers_with_the_bridge_off_between_them_deny_nothing() -> None:
+    watched = Watched()
+    for number in range(10):
+        assert watched.judge(number + 1.0, bridge=False) is Stop.CONFIRMED
+        assert watched.judge(number + 1.5, bridge=True) is Stop.CONFIRMED
+
+
+def test_a_denied_stop_begins_anew() -> None:
+    watched = Watched()
+    watched.judge(1.0, bridge=False)
+    verdicts = [watched.judge(2.0 + 0.25 * number, bridge=True) for number in range(5)]
+    assert verdicts == [Stop.CONFIRMED, Stop.DENIED, Stop.AWAITED, Stop.AWAITED, Stop.OVERDUE]
+    assert watched.judge(4.0, bridge=False) is Stop.CONFIRMED
+
+
+def test_a_drive_that_was_energised_confirms_its_next_stop_anew() -> None:
+    watched = Watched()
+    watched.judge(1.0, bridge=False)
+    watched.judge(1.5, bridge=True)
+    watched.watch.release()
+    watched.watch.command(STOP_S + 2.0)
+    assert watched.judge(2.25, bridge=True) is Stop.AWAITED
+    assert watched.judge(2.5, bridge=False) is Stop.CONFIRMED
+    assert watched.judge(3.0, bridge=True) is Stop.CONFIRMED
+    assert watched.judge(3.5, bridge=True) is Stop.DENIED
+
+
+def test_the_reason_names_the_time_since_the_stop() -> None:
+    watched = Watched()
+    why = watched.watch.why_not(None, math.inf, STOP_S + 2.0)
+    assert why.startswith("it has not taken the safe command 2000 ms after the stop; ")
