@@ -9,8 +9,10 @@ from scipy.signal import cont2discrete, dlsim, lfilter
 from adaptdrive.control.design import (
     compensator_gains,
     discrete_model,
+    kept_factor,
     loop_delay_ticks,
     past_inputs,
+    reference_lead,
     window_ticks,
 )
 from adaptdrive.control.discretise import impulse_invariant_pair
@@ -54,6 +56,21 @@ def test_the_delay_counts_latency_lag_and_half_a_sample() -> None:
     assert loop_delay_ticks(SINGLE.rates) == 2 + 9
     assert window_ticks(RATES) == 60.0
     assert window_ticks(SINGLE.rates) == 0.0
+
+
+def test_a_decision_takes_effect_after_latency_and_lag_which_the_paper_leaves_out() -> None:
+    assert reference_lead(EXACT) == reference_lead(SINGLE) == pytest.approx((2 + 9) / 120)
+    assert reference_lead(PAPER) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("zero", "kept"), [(0.9, True), (0.71, True), (0.69, False), (1.5, False), (-0.9, False)]
+)
+def test_a_zero_between_the_pole_and_one_is_cancelled(zero: float, kept: bool) -> None:
+    for gain in (0.2, -0.2):
+        b = [0.0, *(gain * np.poly([zero, 0.1])).tolist()]
+        expected = [1.0, -zero] if kept else [1.0]
+        assert kept_factor(b, 0.7) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("settings", [EXACT, SINGLE, PAPER])

@@ -15,6 +15,7 @@ from adaptdrive.control.noise_limit import (
     impulse_norm,
     noise_gain,
     quiet_loop,
+    slowed_loop,
 )
 from tests.closed_loop.bench import EXACT, MOTOR
 from tests.control.systems import distance, motor_system
@@ -81,7 +82,12 @@ def test_observer_poles_come_first() -> None:
     asked = noise_gain(a, b, asked_loop(b, MOTOR.order, POLE))
     found = np.roots(quiet_loop(a, b, MOTOR.order, POLE, 1.0, asked / 2.0))
     assert np.sort(np.abs(found))[1:] == pytest.approx([POLE] * 4, abs=2e-3)
-    assert 0.3 < np.min(np.abs(found)) < OBSERVER_POLE
+    slowness = float(np.min(np.abs(found))) / 0.8
+    assert 0.3 < slowness < 1.0
+    free = len(found) - 2 * MOTOR.order
+    for faster, within in ((0.0, True), (0.041, False)):
+        loop = slowed_loop([1.0], MOTOR.order, free, POLE, slowness - faster)
+        assert (noise_gain(a, b, loop) <= asked / 2.0) is within
 
 
 @pytest.mark.parametrize("noise", [1e3, np.inf, np.nan])

@@ -97,6 +97,22 @@ def test_after_a_limit_the_output_arrives_as_soon_as_in_the_loop_that_was_asked_
     assert arrival <= 1.1 * earliest
 
 
+@pytest.mark.parametrize("slowness", [0.0, 1.0, 2.0])
+def test_the_course_after_a_limit_is_the_one_that_asks_for_no_more(slowness: float) -> None:
+    state = designed(slowness)
+    asked = filter_reference(state, FAR)
+    course = list(state.course)
+    condition_reference(state, -40.0, 0.0)
+    assert state.course == course
+    condition_reference(state, -40.0, 5e3)
+    assert np.dot(state.loop, state.course) / sum(state.loop) == pytest.approx(asked - 40.0 / 5e3)
+
+
+def test_a_new_filter_has_room_for_every_pole_and_has_been_nowhere() -> None:
+    state = new_reference_filter(2, 5)
+    assert (state.asked, state.loop, state.course) == ([0.0] * 5, [0.0] * 8, [0.0] * 8)
+
+
 def test_a_reference_that_is_not_a_number_leaves_no_trace() -> None:
     state = designed(1.0)
     assert math.isnan(filter_reference(state, math.nan))

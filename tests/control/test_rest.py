@@ -12,6 +12,7 @@ from adaptdrive.control.charging import Charging
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.battery import battery_load
+from adaptdrive.control.methods import METHODS
 from adaptdrive.control.reach import UNKNOWN, Reach, estimated_reach, nominal_reach
 from adaptdrive.control.rest import believed_offset, distance_from_rest, nominal_gain
 from adaptdrive.control.slow_state import SlowState, new_slow_state
@@ -75,6 +76,8 @@ def test_a_battery_takes_no_current_below_its_own_voltage() -> None:
     state.inputs[0] = 220.0
     amperes = (55.0 - 54.0) / (0.3 + 0.05)
     assert distance_from_rest(BIASED, CHARGED, state, 0.0) == pytest.approx(amperes)
+    state.inputs[0] = 1.0
+    assert distance_from_rest(BIASED, CHARGED, state, 0.25 / 0.35) == pytest.approx(0.0)
     state.inputs[0] = -10.0
     assert distance_from_rest(BIASED, CHARGED, state, 0.0) == 0.0
 
@@ -83,6 +86,7 @@ def test_an_offset_that_is_not_estimated_or_no_number_is_none() -> None:
     state = state_with(MOTOR, 40.0)
     assert believed_offset(BIASED, MOTOR, state) == pytest.approx(40.0)
     assert believed_offset(replace(BIASED, bias=False), MOTOR, state) == 0.0
+    assert believed_offset(replace(BIASED, method=METHODS["rls"]), MOTOR, state) == 0.0
     state.estimator.theta[-1] = math.inf
     assert believed_offset(BIASED, MOTOR, state) == 0.0
 

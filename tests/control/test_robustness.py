@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from adaptdrive.control.design import compensator_gains, discrete_model
@@ -79,6 +79,49 @@ def test_gains_that_a_likely_load_would_make_unstable_do_not() -> None:
     assert not stands_uncertainty(BOLD, MOTOR, gains, values, [0.0, 0.0, 80.0], 1.0)
     off = replace(BOLD, jacket=replace(BOLD.jacket, confidence=0.0))
     assert stands_uncertainty(off, MOTOR, gains, values, [0.0, 0.0, 80.0], 1.0)
+    shaky = motor_gains(300.0, 0.3)
+    assert radius(shaky, values) > 1.0
+    assert stands_uncertainty(off, MOTOR, shaky, values, [9.0, 9.0, 80.0], 1.0)
+
+
+def radius(gains: list[float], values: list[float]) -> float:
+    """Largest pole of the loop of some gains with a motor, by numpy."""
+    a, b = discrete_model(BOLD, MOTOR, *MOTOR.realise(values), 1.0)
+    forward, back = np.convolve(a, [1.0, *gains[: len(b) - 1]]), np.convolve(b, gains[len(b) - 1 :])
+    length = max(len(forward), len(back))
+    padded = [np.pad(one, (0, length - len(one))) for one in (forward, back)]
+    return float(np.abs(np.roots(padded[0] + padded[1])).max())
+
+
+@given(
+    st.lists(decades(0.004, 0.9), min_size=3, max_size=3),
+    st.floats(0.3, 0.9),
+    st.sampled_from([1.0, 2.0, 3.0]),
+)
+def test_each_parameter_that_is_not_sure_is_tried_up_and_down(
+    shares: list[float], pole: float, confidence: float
+) -> None:
+    values, gains = [0.011, 33.4, 234.0], motor_gains(23.4, pole)
+    radii = []
+    for index, share in enumerate(shares):
+        for moved in (share, -share) if share > 0.03 else ():
+            vertex = list(values)
+            vertex[index] *= max(1.0 + confidence * moved, 0.05)
+            radii.append(radius(gains, vertex))
+    worst = max(radii, default=0.0)
+    assume(abs(worst - 0.995) > 1e-6)
+    settings = replace(BOLD, jacket=replace(BOLD.jacket, confidence=confidence))
+    deviations = [value * share for value, share in zip(values, shares, strict=True)]
+    found = stands_uncertainty(settings, MOTOR, gains, values, deviations, 1.0)
+    assert found is (worst < 0.995)
+
+
+@pytest.mark.parametrize(("share", "stands"), [(0.0299, True), (0.0301, False)])
+def test_what_is_known_to_three_percent_is_not_tried(share: float, stands: bool) -> None:
+    values, wary = [0.011, 33.4, 234.0], replace(BOLD.jacket, confidence=25.0)
+    deviations, settings = [0.0, 0.0, share * 234.0], replace(BOLD, jacket=wary)
+    found = stands_uncertainty(settings, MOTOR, motor_gains(23.4, 0.4), values, deviations, 1.0)
+    assert found is stands
 
 
 def test_what_is_unknown_is_not_tried() -> None:

@@ -6,6 +6,10 @@ _SET_BEFORE_USE = "every way into a state that reads it sets it first"
 
 _COMPARED = "numbers of stops are compared with each other, and never shown"
 
+_OVERWRITTEN = "each entry is set before it is read"
+
+_NOT_READ = "the entry beyond the last one is never read"
+
 _TOGETHER = "a tick sets both, and both are None before the first: the test is for the types"
 
 _DIFFERENCES = "only the differences of these counts are used"
@@ -68,6 +72,14 @@ OPERATION: dict[str, str] = {
     "operation.desk:Desk.receive: self._stops += 1 -> self._stops += 2": _COMPARED,
 }
 
-CONTROL: dict[str, str] = {}
+CONTROL: dict[str, str] = {
+    "control.pole_placement:closed_loop_polynomial: result = [0.0] * length -> "
+    "result = [1.0] * length": _OVERWRITTEN,
+    "control.noise_limit:impulse_norm: a, b = (list(denominator), [0.0] * (degree + 1)) -> "
+    "a, b = (list(denominator), [0.0] * (degree + 2))": _NOT_READ,
+    "control.noise_limit:_reduce: last = [0.0] * (k + 1) -> last = [0.0] * (k + 2)": _NOT_READ,
+    "control.supervisor:_over_own_errors: if not power > _RESIDUAL_FLOOR: -> "
+    "if not power >= _RESIDUAL_FLOOR:": "a power of just the floor gives 1 either way",
+}
 
 REASONS = RUNTIME | OPERATION | CONTROL

@@ -65,7 +65,7 @@ SUPERVISION = _control({
     "reach": "test_rest",
     "reasons": "test_reasons",
     "redesign": "test_slow_half test_robustness test_prior",
-    "doubt": "test_challenger",
+    "doubt": "test_explanation test_challenger",
 })  # fmt: skip
 
 LEARNING = _control({
@@ -74,9 +74,9 @@ LEARNING = _control({
     "rls": "test_rls test_hypotheses",
     "regression": "test_estimator test_hypotheses",
     "hypotheses": "test_hypotheses",
-    "rivals": "test_challenger",
-    "challenger": "test_challenger",
-    "explanation": "test_challenger",
+    "rivals": "test_rivals",
+    "challenger": "test_rivals",
+    "explanation": "test_explanation test_challenger",
     "estimator": "test_estimator test_prior",
     "lambda_method": "test_estimator test_methods",
     "direct_method": "test_estimator test_methods",

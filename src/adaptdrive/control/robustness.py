@@ -76,11 +76,5 @@ def closes_stably(gains: Vector, a: Vector, b: Vector, order: int, radius: float
         radius: Of the circle about 0.
     """
     taps = len(gains) - order - 1
-    r = [1.0] * (taps + 1)
-    for i in range(taps):
-        r[i + 1] = gains[i]
-    s = [0.0] * (order + 1)
-    for i in range(order + 1):
-        s[i] = gains[taps + i]
-    polynomial = closed_loop_polynomial(a, b, r, s)
+    polynomial = closed_loop_polynomial(a, b, [1.0, *gains[:taps]], gains[taps:])
     return all_finite(polynomial) and is_stable(polynomial, radius)

@@ -1,0 +1,278 @@
+"""What the λ-method makes of an alarm: courses of a motor by scipy, filtered by scipy."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+from adaptdrive.control import doubt, rls
+from adaptdrive.control import estimator as est
+from adaptdrive.control import regression as reg
+from adaptdrive.control.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING
+from tests.closed_loop.bench import MOTOR, SCALED_LEARNING
+from tests.control.systems import Array
+
+LEARNING = replace(
+    SCALED_LEARNING,
+    forgetting=0.985,
+    initial_covariance=1e8,
+    bias=True,
+    alert=True,
+    initial_state=True,
+    settle_periods=5,
+)
+STEP_s, TAU_s, STEPS = 0.02, 10.0, 50
+CHANGE_s, END_s = 200, 320
+NOISE = 3e-4
+
+
+def motion(disks: float) -> tuple[list[list[float]], list[list[float]], list[list[float]], float]:
+    tau_s = 11.7 * disks
+    return [[-1.0 / tau_s, 0.0], [0.1, -0.1]], [[0.011 / tau_s], [0.0]], [[0.0, 1.0]], 0.0
+
+
+def course(disks: tuple[float, float], offsets_V: tuple[float, float]) -> tuple[Array, Array]:
+    """Voltage and output under a square wave; inertia and torque jump in the middle."""
+    time_s = np.arange(END_s * STEPS) * STEP_s
+    voltages = 280.0 + 12.0 * (time_s // 30 % 2)
+    outputs, state = np.empty_like(voltages), np.full(2, 0.011 * (280.0 + offsets_V[0]))
+    middle = CHANGE_s * STEPS
+    for part, piece in enumerate((slice(0, middle + 1), slice(middle, None))):
+        elapsed_s = time_s[piece] - time_s[piece][0]
+        driven = voltages[piece] + offsets_V[part]
+        system = motion(disks[part])
+        _, outputs[piece], states = lsim(system, driven, elapsed_s, state, interp=False)
+        state = states[-1]
+    return np.asarray(voltages), outputs
+
+
+def lagged(signal: Array, *, held: bool) -> Array:
+    """A signal after the λ filter, from rest."""
+    time_s = np.arange(len(signal)) * STEP_s
+    _, rising, _ = lsim(([1.0], [TAU_s, 1.0]), signal - signal[0], time_s, interp=not held)
+    return np.asarray(signal[0] + rising)
+
+
+@dataclass
+class Seen:
+    """What was seen of the estimator in each slow period."""
+
+    state: est.EstimatorState
+    values: list[list[float]] = field(default_factory=list)
+    shown: list[list[float]] = field(default_factory=list)
+    doubtful: list[bool] = field(default_factory=list)
+    kinds: list[int] = field(default_factory=list)
+    alarms: list[int] = field(default_factory=list)
+    thetas: list[list[float]] = field(default_factory=list)
+
+
+def learn(voltages: Array, outputs: Array, spike: float = 0.0) -> Seen:
+    noisy = outputs + 0.0
+    y1, u1 = lagged(outputs, held=False), lagged(voltages, held=True)
+    y2, u2 = lagged(y1, held=False), lagged(u1, held=False)
+    random = np.random.default_rng(4)
+    seen = Seen(est.new_estimator(LEARNING, MOTOR, 2))
+    for second in range(1, END_s):
+        n = second * STEPS
+        output = float(noisy[n] + NOISE * random.normal())
+        output += spike if second == CHANGE_s else 0.0
+        u = float(voltages[n - 1])
+        learn_second(seen, output, [float(y1[n]), float(y2[n])], [u, float(u1[n]), float(u2[n])])
+    return seen
+
+
+def learn_second(seen: Seen, output: float, y: list[float], u: list[float]) -> None:
+    state = seen.state
+    state.elapsed_s += 1.0
+    reg.fill_filtered_regressor(state.regressor, LEARNING, MOTOR, y, u)
+    reg.fill_initial_state(state.regressor, LEARNING, MOTOR, state.elapsed_s - state.origin_s)
+    reg.fill_lowered_regressor(state.rivals.lowered, LEARNING, MOTOR, output, y, u)
+    est.learn(state, LEARNING, MOTOR, output, usable=True)
+    values = MOTOR.physical(*reg.filtered_model(state.theta, LEARNING, MOTOR))
+    seen.values.append(values)
+    seen.shown.append(LEARNING.method.shown_deviations(state, LEARNING, MOTOR, values))
+    seen.doubtful.append(doubt.is_doubtful(state))
+    seen.kinds.append(state.rivals.kind)
+    seen.alarms.append(state.surprise.alarms)
+    seen.thetas.append(list(state.theta))
+
+
+def truth(disks: float) -> Array:
+    return np.array([0.011, 11.7 * disks + 10.0, 117.0 * disks])
+
+
+def error(values: list[float], disks: float) -> float:
+    return float(np.max(np.abs(np.array(values) / truth(disks) - 1.0)))
+
+
+@pytest.fixture
+def other_load() -> Seen:
+    return learn(*course((1.0, 2.5), (0.0, 0.0)))
+
+
+@pytest.fixture
+def torque() -> Seen:
+    return learn(*course((2.0, 2.0), (0.0, -25.0)))
+
+
+@pytest.fixture
+def spike() -> Seen:
+    return learn(*course((2.0, 2.0), (0.0, 0.0)), spike=0.02)
+
+
+def test_another_load_is_noticed_named_and_learnt(other_load: Seen) -> None:
+    assert error(other_load.values[CHANGE_s - 2], 1.0) < 0.05
+    assert other_load.alarms[CHANGE_s - 2] == 0
+    assert other_load.alarms[CHANGE_s + 30] >= 1
+    assert other_load.kinds[CHANGE_s + 60] in {LOAD, BOTH}
+    assert error(other_load.values[-1], 2.5) < 0.05
+
+
+def test_a_torque_is_noticed_and_leaves_the_load_as_it_was(torque: Seen) -> None:
+    assert torque.alarms[CHANGE_s - 2] == 0
+    assert torque.alarms[CHANGE_s + 30] >= 1
+    assert torque.kinds[CHANGE_s + 60] == DISTURBANCE
+    assert max(error(values, 2.0) for values in torque.values[CHANGE_s:]) < 0.1
+    offset_V = reg.input_offset(torque.state.theta, LEARNING, MOTOR)
+    assert offset_V == pytest.approx(-25.0, rel=0.1)
+
+
+def test_a_spike_is_an_alarm_of_nothing_and_is_hardly_learnt(spike: Seen) -> None:
+    assert spike.alarms[CHANGE_s - 2] == 0
+    assert spike.alarms[CHANGE_s] >= 1
+    assert spike.kinds[CHANGE_s + 40] == NOTHING
+    assert spike.state.rivals.samples == 0
+    assert error(spike.values[-1], 2.0) < 0.05
+
+
+@pytest.mark.parametrize("name", ["other_load", "torque", "spike"])
+def test_the_variance_is_that_of_the_noise_again_in_the_end(
+    name: str, request: pytest.FixtureRequest
+) -> None:
+    seen: Seen = request.getfixturevalue(name)
+    noise = (NOISE / LEARNING.output_scale) ** 2
+    assert 0.3 * noise < seen.state.surprise.power < 5.0 * noise
+    assert est.residual_noise(seen.state) ** 2 < 20.0 * noise
+
+
+def test_while_it_is_explained_the_load_is_in_doubt_and_shown_so(other_load: Seen) -> None:
+    assert all(other_load.doubtful[CHANGE_s + 2 : CHANGE_s + 10])
+    after = range(CHANGE_s + 3, CHANGE_s + 110)
+    held = [
+        np.abs(np.array(other_load.values[k]) - truth(2.5)) <= 3.0 * np.array(other_load.shown[k])
+        for k in after
+    ]
+    assert np.mean(held) > 0.9
+
+
+# doubt
+
+
+def settled() -> est.EstimatorState:
+    """An estimate of the nominal motor whose last sample moved a lot."""
+    state = est.new_estimator(LEARNING, MOTOR, 2)
+    state.surprise.power = 1e-6
+    reg.fill_filtered_regressor(state.regressor, LEARNING, MOTOR, [3.0, 2.9], [280.0, 290.0, 300.0])
+    rls.open_up(state.upper, state.diagonal, 1e-3)
+    state.residual_power, state.residual_weight = 30.0 * 1e-6, 36.0
+    return state
+
+
+def shown_by(state: est.EstimatorState, index: int) -> float:
+    """How much a change of an α by 0.1, with the same dc gain, would move the sample."""
+    below = 1.0 + state.theta[0] + state.theta[1]
+    moved = list(state.theta)
+    moved[index] += 0.1
+    moved[2] += 0.1 * state.theta[2] / below
+    moved[5] += 0.1 * state.theta[5] / below
+    return abs(float(np.dot(np.array(moved) - state.theta, state.regressor)))
+
+
+def test_information_is_as_old_as_the_last_sample_that_would_have_shown_another_load() -> None:
+    for factor, expected in ((1.01, 5), (0.99, 0)):
+        state = settled()
+        state.unseen_periods = 4
+        largest = max(shown_by(state, 0), shown_by(state, 1))
+        state.surprise.power = (factor * largest / 3.0) ** 2
+        doubt.note_age(state, LEARNING, MOTOR)
+        assert state.unseen_periods == expected
+
+
+@pytest.mark.parametrize(("unseen", "doubtful"), [(5, False), (6, True)])
+def test_five_periods_may_pass_unseen(unseen: int, doubtful: bool) -> None:
+    state = settled()
+    state.unseen_periods = unseen
+    assert doubt.is_doubtful(state) is doubtful
+    assert doubt.is_contested(state) is False
+
+
+def test_the_latest_samples_contest_the_estimate() -> None:
+    for change in ("sum", "rivals"):
+        state = settled()
+        if change == "sum":
+            state.surprise.sum = 0.1
+        else:
+            state.rivals.samples = 1
+        assert doubt.is_contested(state) is True
+        assert doubt.is_doubtful(state) is True
+
+
+@pytest.mark.parametrize(
+    ("judged", "logs", "contested"), [(9, -2.0, True), (10, -2.0, False), (10, 0.1, True)]
+)
+def test_a_challenger_contests_it_until_it_was_heard_and_while_it_leads(
+    judged: int, logs: float, contested: bool
+) -> None:
+    state = settled()
+    state.challenger.samples, state.challenger.judged = 20, judged
+    state.challenger.power, state.challenger.logs = 1e-6, logs
+    assert doubt.is_contested(state) is contested
+    state.challenger.samples = 0
+    assert doubt.is_contested(state) is False
+
+
+def deviations(state: est.EstimatorState, alert: bool = True) -> list[float]:
+    learning = replace(LEARNING, alert=alert)
+    return doubt.doubted_deviations(state, learning, MOTOR, list(truth(1.0)))
+
+
+def propagated(state: est.EstimatorState, covariance: Array, noise: float) -> Array:
+    """√(Jᵀ P J) σ, with the derivatives of the parameters by numpy."""
+    jacobian = np.empty((3, 6))
+    for j in range(6):
+        moved = [list(state.theta), list(state.theta)]
+        moved[0][j] += 1e-5
+        moved[1][j] -= 1e-5
+        values = [MOTOR.physical(*reg.filtered_model(one, LEARNING, MOTOR)) for one in moved]
+        jacobian[:, j] = (np.array(values[0]) - values[1]) / 2e-5
+    return np.asarray(noise * np.sqrt(np.diag(jacobian @ covariance @ jacobian.T)))
+
+
+def test_shown_deviations_are_those_of_p_with_noise_floor_and_rounding() -> None:
+    state = settled()
+    state.rounding = 2e-3
+    noise = math.sqrt(30.0 * 1e-6 / (36.0 - 6.0) + 1e-8 + 60.0 * 4e-6)
+    expected = propagated(state, 1e-3 * np.eye(6), noise)
+    assert deviations(state) == pytest.approx(expected, rel=1e-3)
+
+
+def test_in_doubt_they_are_those_of_a_load_whose_alphas_may_be_others_by_one() -> None:
+    """With the same dc gain and the same offset of the input."""
+    state = settled()
+    state.theta[5] = 0.03
+    noise, below = math.sqrt(1e-6 + 1e-8), 1.0 + state.theta[0] + state.theta[1]
+    covariance = 1e-3 * np.eye(6)
+    for index in (0, 1):
+        v = np.zeros(6)
+        v[index], v[2], v[5] = 1.0, state.theta[2] / below, state.theta[5] / below
+        covariance += np.outer(v, v) / noise**2
+    state.unseen_periods = 6
+    assert deviations(state) == pytest.approx(propagated(state, covariance, noise), rel=1e-3)
+    plain = propagated(state, 1e-3 * np.eye(6), noise)
+    assert deviations(state, alert=False) == pytest.approx(plain, rel=1e-3)
+    state.residual_weight = 1.0
+    assert all(math.isnan(value) for value in deviations(state))
