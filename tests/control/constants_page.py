@@ -35,6 +35,8 @@ _UNITS = {
     "HALF_DELAYS": "1",
     "EXCURSIONS": "1",
     "_LARGEST": "scale",
+    "_EMF_NOISE": "σ",
+    "_EMF_BEND": "σ",
     "_PRIOR_VARIANCE": "σ²",
     "SETTLED_SAMPLES": "periods",
     "_LOUDER": "1",

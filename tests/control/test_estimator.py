@@ -117,7 +117,9 @@ def test_a_constant_disturbance_biases_the_estimate_unless_a_constant_is_estimat
         assert error < tolerance
         assert bias or error > 0.03
         if bias:
-            assert reg.input_offset(state.theta, learning, MOTOR) == pytest.approx(-20.0, rel=0.02)
+            assert reg.input_offset(state.theta, learning, MOTOR, 0.0) == pytest.approx(
+                -20.0, rel=0.02
+            )
 
 
 def held_motor(count: int, noise: float) -> tuple[Array, Array, Array, Array]:
@@ -347,7 +349,7 @@ def test_an_unmodelled_voltage_is_told_from_the_load_behind_a_known_filter() -> 
     voltages, outputs = simulate(2, 300)
     state = learn_filtered(KNOWN, voltages + 20.0, outputs, 1)
     assert physical(state, KNOWN)[0] == pytest.approx(0.011, rel=2e-3)
-    assert reg.input_offset(state.theta, KNOWN, MOTOR) == pytest.approx(-20.0, rel=0.02)
+    assert reg.input_offset(state.theta, KNOWN, MOTOR, 0.0) == pytest.approx(-20.0, rel=0.02)
 
 
 @pytest.mark.parametrize(("filter_s", "sign"), [(12.0, -1.0), (8.0, 1.0)])

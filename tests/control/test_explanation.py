@@ -137,7 +137,7 @@ def test_a_torque_is_noticed_and_leaves_the_load_as_it_was(torque: Seen) -> None
     assert torque.alarms[CHANGE_s + 30] >= 1
     assert torque.kinds[CHANGE_s + 60] == DISTURBANCE
     assert max(error(values, 2.0) for values in torque.values[CHANGE_s:]) < 0.1
-    offset_V = reg.input_offset(torque.state.theta, LEARNING, MOTOR)
+    offset_V = reg.input_offset(torque.state.theta, LEARNING, MOTOR, 0.0)
     assert offset_V == pytest.approx(-25.0, rel=0.1)
 
 

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.control.charging import Charging
+from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.probing import EXCURSIONS, half_periods, probe
 from adaptdrive.control.settings import Probing
@@ -34,7 +35,7 @@ ASKED = SlowSample(
     high=400.0,
     steady=True,
 )
-HALF = half_periods(2, 0.7)
+HALF = half_periods(MOTOR, 0.7, 1.0)
 
 
 def unknown_load() -> SlowState:
@@ -58,8 +59,9 @@ def probing() -> SlowState:
 
 def test_the_times_follow_from_the_response_asked_for() -> None:
     delay = sum(0.7**k for k in range(1, 200))
-    assert half_periods(2, 0.7) == pytest.approx(2.0 * 4.0 * delay, abs=0.5)
-    assert half_periods(1, 0.8) == 16
+    assert half_periods(MOTOR, 0.7, 1.0) == pytest.approx(2.0 * 4.0 * delay, abs=0.5)
+    bath = bath_load(0.02, 80.0, 0.25, 1.0, 7.87)
+    assert half_periods(bath, 0.8, 20.0) == 16
 
 
 def test_it_goes_to_either_side_and_rests_between() -> None:
@@ -130,7 +132,7 @@ def test_a_charging_current_is_lowered_only() -> None:
     load = battery_load(0.25, 0.25, 0.2, 60.0, Charging(0.25, 0.05, 0.2, 82.0, 1.0))
     state = unknown_load()
     found = [probe(PROBING, load, state, ASKED, LOW) - LOW for _ in range(1000)]
-    assert min(found) == pytest.approx(-PROBING.amplitude)
+    assert min(found) == pytest.approx(-PROBING.amplitude * LOW)
     assert max(found) == 0.0
 
 
@@ -196,6 +198,35 @@ def test_it_goes_where_there_is_room(lowest: float, highest: float, levels: set[
 @pytest.mark.parametrize(("off", "rests"), [(0.0899, True), (-0.0899, True), (-0.0901, False)])
 def test_an_output_within_the_amplitude_rests(off: float, rests: bool) -> None:
     assert any(shifts(unknown_load(), 5 * HALF, replace(ASKED, output=LOW + off))) is rests
+
+
+def test_a_charging_current_stays_at_each_level_for_the_time_constant_of_the_battery() -> None:
+    load = battery_load(0.25, 1.2, 0.4, 30.0, Charging(0.25, 1.0, 0.2, 82.0, 1.0))
+    assert half_periods(load, 0.7, 1.0) == round(30.0 * 1.2 / 1.6)
+    assert half_periods(load, 0.98, 1.0) == 196
+    found = [probe(PROBING, load, state, ASKED, LOW) - LOW for state in [unknown_load()] * 200]
+    first = next(i for i, shift in enumerate(found) if shift)
+    assert sum(shift < 0.0 for shift in found[first : first + 44]) == 22
+
+
+def test_a_current_that_the_voltage_limit_lowers_gets_no_ripple() -> None:
+    load = battery_load(0.25, 1.2, 0.4, 30.0, Charging(0.25, 1.0, 0.2, 82.0, 1.0))
+    state = unknown_load()
+    for _ in range(60):
+        probe(PROBING, load, state, ASKED, LOW)
+    assert state.probe.age_periods > 0
+    lowered = LOW
+    for _ in range(600):
+        lowered *= 0.999
+        assert probe(PROBING, load, state, ASKED, lowered) == lowered
+
+
+def test_nothing_is_moved_before_anything_is_learnt() -> None:
+    settling, state = replace(PROBING, settle_periods=100), unknown_load()
+    for _ in range(500):
+        assert probe(settling, MOTOR, state, ASKED, LOW) == LOW
+    state.estimator.periods = 100
+    assert any(probe(settling, MOTOR, state, ASKED, LOW) != LOW for _ in range(100))
 
 
 @dataclass(frozen=True)

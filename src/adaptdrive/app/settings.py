@@ -167,8 +167,9 @@ def _learning(configuration: Configuration) -> Learning:
         covariance_max=0.0 if directional else estimator.covariance_max,
         known_filter_s=_known_filter_s(configuration),
         bias=estimator.bias or battery,
-        initial_state=estimator.initial_state and not battery,
+        initial_state=estimator.initial_state,
         resolution=configuration.load.resolution,
+        charge=battery and method.physical,
     )
 
 
@@ -216,10 +217,12 @@ def _probing(configuration: Configuration) -> Probing:
     """Return limits of the probing, which needs an estimate of physical parameters."""
     load = configuration.load
     able = load.design == "exact" and METHODS[configuration.estimator.method].physical
-    reference_range = load.reference_max - load.reference_min
+    charging = isinstance(load, BatterySection)
+    scale = 1.0 if charging else load.reference_max - load.reference_min
     return Probing(
-        amplitude=load.probe_share * reference_range if able else 0.0,
+        amplitude=load.probe_share * scale if able else 0.0,
         stale_periods=_periods(configuration, load.probe_s),
+        settle_periods=_periods(configuration, configuration.estimator.settle_s),
         lowest=load.reference_min,
         highest=load.reference_max,
     )

@@ -76,7 +76,8 @@ class LoadSection(Section):
         le=0.1,
         description="largest distance by which a constant set-point is moved to learn a load that "
         "is not known, as a share of the set-point range, while adaptive is asked for; a charging "
-        "current is lowered only; 0: the set-point is never moved (`exact` and `lm-rls` only)",
+        "current is lowered only, by a share of itself; 0: the set-point is never moved (`exact` "
+        "and `lm-rls` only)",
     )
     probe_s: Annotated[PositiveFloat, Field(le=1e6)] = Field(
         default=300.0,
@@ -243,7 +244,7 @@ class Estimator(Section):
     initial_state: bool = Field(
         default=True,
         description="estimate the initial state too, such as the speed of a motor that still "
-        "turns (`exact` and `lm-rls` only); not for a battery",
+        "turns (`exact` and `lm-rls` only)",
     )
     known_filter: bool = Field(
         default=False,

@@ -298,7 +298,7 @@ class Controller:
             for name, value, deviation in zip(load.names, state.values, deviations, strict=True)
         }
         if learning.bias:
-            offset = learning.method.input_offset(state.estimator.theta, learning, load)
+            offset = learning.method.input_offset(state.estimator, learning, load)
             estimates["input_offset"] = Estimate(offset, math.nan)
         return estimates
 

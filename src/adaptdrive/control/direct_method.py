@@ -86,10 +86,11 @@ class DirectMethod:
         """Return NaN for each physical parameter."""
         return [math.nan] * len(values)
 
-    def input_offset(self, theta: Vector, learning: Learning, load: Load) -> float:
+    def input_offset(self, state: EstimatorState, learning: Learning, load: Load) -> float:
         """Return the constant input with the effect of the estimated bias; NaN without one."""
         if not learning.bias:
             return math.nan
+        theta = state.theta
         last = len(theta) - 1
         gain = total(theta[load.order : last])
         return theta[last] / gain * learning.input_scale if gain else math.nan

@@ -23,6 +23,12 @@ _TINY = 1e-12
 _LARGEST = 1.0e20
 """Largest scaled entry of a sample, for which 1 is usual: the squares of larger ones overflow P."""
 
+_EMF_NOISE = 0.2
+"""Random walk of an EMF in each slow period, in σ of a sample: its charge is no more exact."""
+
+_EMF_BEND = 0.1
+"""Random walk of its rise, in σ, for a charge of τ_λ times the output's scale."""
+
 _PRIOR_VARIANCE = 2.0e3
 """Variance of a prior over σ²: a few samples confirm it, some seconds of others correct it."""
 
@@ -43,6 +49,7 @@ class EstimatorState:
         periods: Slow periods since start.
         idle_periods: Slow periods since the last sample that taught something.
         elapsed_s: Time since start.
+        charge: Integral of the output since start over τ_λ, scaled.
         origin_s: Since when the functions of the initial state are counted.
         surprise: Detector of abrupt changes.
         alarm_period: Slow period of the last alarm.
@@ -67,6 +74,7 @@ class EstimatorState:
     periods: int = 0
     idle_periods: int = 0
     elapsed_s: float = 0.0
+    charge: float = 0.0
     origin_s: float = 0.0
     alarm_period: int = -riv.WINDOW
     lost_periods: int = 0
@@ -203,6 +211,30 @@ def take_in(
         information = (1.0 - learning.forgetting) / learning.covariance_max
         rls.bound(state.upper, state.diagonal, information)
     remember_residual(state, learning, state.excitation, innovation)
+
+
+def let_emf_wander(state: EstimatorState, learning: Learning) -> None:
+    """Let a slow period pass for an EMF that rises with the charge, at a rate that changes slowly.
+
+    At a constant current only the EMF moves: without this, what a straight line misses of its
+    course would be mistaken for dynamics.
+
+    Args:
+        state: P is overwritten.
+        learning: Whether a charge is learnt.
+    """
+    if not learning.charge:
+        return
+    _wander(state, 0.0, _EMF_NOISE)
+    _wander(state, _EMF_BEND, -_EMF_BEND * state.charge)
+
+
+def _wander(state: EstimatorState, rise: float, bias: float) -> None:
+    """Widen P along a change of the rise with the charge and of the bias."""
+    size = len(state.theta)
+    direction = [0.0] * size
+    direction[size - 2], direction[size - 1] = rise, bias
+    rls.widen(state.upper, state.diagonal, direction, 1.0)
 
 
 def remember_residual(

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from adaptdrive.control import rls
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import (
+    charge_index,
     dc_gain,
     fill_initial_state,
     fitted_order,
@@ -194,8 +195,7 @@ def widen(branch: Branch, kind: int, learning: Learning, load: Load, anchor: Anc
         direction = [0.0] * size
         for i in range(order, last + 1):
             direction[i] = branch.theta[i]
-        if learning.bias:
-            direction[size - 1] = branch.theta[size - 1]
+        _carry_offset(direction, branch.theta, 1.0, learning)
         _open(branch, direction, _GAIN_SHARE, learning, load, anchor)
     _blur(branch, _DISTURBANCE_SHARE * abs(gains), learning, load, anchor)
     if kind == ANEW:
@@ -229,9 +229,19 @@ def load_direction(theta: Vector, index: int, learning: Learning, load: Load) ->
     below = 1.0
     for i in range(order):
         below += theta[i]
-    if learning.bias and abs(below) > _TINY:
-        direction[size - 1] = theta[size - 1] / below
+    if abs(below) > _TINY:
+        _carry_offset(direction, theta, below, learning)
     return direction
+
+
+def _carry_offset(direction: Vector, theta: Vector, divisor: float, learning: Learning) -> None:
+    """Let what acts beside the input move with the gain: bias and charge, over a divisor."""
+    size = len(theta)
+    if learning.bias:
+        direction[size - 1] = theta[size - 1] / divisor
+    if learning.charge:
+        index = charge_index(learning, size)
+        direction[index] = theta[index] / divisor
 
 
 def _open(

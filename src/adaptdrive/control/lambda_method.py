@@ -9,7 +9,12 @@ from dataclasses import dataclass
 
 from adaptdrive.control import regression as reg
 from adaptdrive.control.doubt import doubted_deviations, note_age
-from adaptdrive.control.estimator import EstimatorState, parameter_deviations, take_in
+from adaptdrive.control.estimator import (
+    EstimatorState,
+    let_emf_wander,
+    parameter_deviations,
+    take_in,
+)
 from adaptdrive.control.explanation import learn_and_explain
 from adaptdrive.control.load import Load
 from adaptdrive.control.redesign import judge_physical
@@ -56,7 +61,11 @@ class LambdaMethod:
         elapsed_s = estimator.elapsed_s - estimator.origin_s
         reg.fill_filtered_regressor(estimator.regressor, learning, load, y, u)
         reg.fill_initial_state(estimator.regressor, learning, load, elapsed_s)
-        reg.fill_lowered_regressor(estimator.rivals.lowered, learning, load, sample.output, y, u)
+        reg.fill_charge(estimator.regressor, learning, estimator.charge)
+        let_emf_wander(estimator, learning)
+        lowered, output = estimator.rivals.lowered, sample.output
+        reg.fill_lowered_regressor(lowered, learning, load, output, y, u)
+        reg.fill_charge(lowered, learning, estimator.charge + output / learning.output_scale)
 
     def target(self, learning: Learning, sample: SlowSample) -> float:
         """Return y[k], or w[k] with a known filter of the output."""
@@ -97,6 +106,6 @@ class LambdaMethod:
         """Return the same, with what the load may have become since the samples showed it."""
         return doubted_deviations(state, learning, load, values)
 
-    def input_offset(self, theta: Vector, learning: Learning, load: Load) -> float:
-        """Return the constant input with the effect of the estimated bias; NaN without one."""
-        return reg.input_offset(theta, learning, load)
+    def input_offset(self, state: EstimatorState, learning: Learning, load: Load) -> float:
+        """Return the constant input with the effect of bias and charge; NaN without a bias."""
+        return reg.input_offset(state.theta, learning, load, state.charge)

@@ -71,5 +71,5 @@ class Method(Protocol):
     ) -> Vector:
         """Return the same, as an operator may rely on it: the load may have changed since."""
 
-    def input_offset(self, theta: Vector, learning: Learning, load: Load) -> float:
-        """Return the constant input with the effect of the estimated bias; NaN without one."""
+    def input_offset(self, state: EstimatorState, learning: Learning, load: Load) -> float:
+        """Return the constant input with the effect of what is no dynamics; NaN without a bias."""

@@ -7,10 +7,12 @@ set-point is moved by a small share of its range, to either side in turn:
     r + A, r, r - A, r, ...         each for twice the delay of the response that is asked for
 
 only while adaptive is asked for and the output rests on a constant set-point, and only within what
-V_c can hold: where there is no room on one side, to the other; a charger never asks for more than
-was asked for. It ends when the load is known, and at once when the operator asks for anything else,
-the input reaches a limit, or the fixed controller has taken over for good. It never lasts longer
-than four excursions, and `stale_periods` must pass before the next one.
+V_c can hold: where there is no room on one side, to the other. A charger never asks for more than
+was asked for: its current gets a ripple of a share of itself, downwards, each level for the time
+constant of the nominal battery, and none while the voltage limit lowers it. A probe ends when the
+load is known, and at once when the operator asks for anything else, the input reaches a limit, or
+the fixed controller has taken over for good. It never lasts longer than four excursions, and
+`stale_periods` must pass before the next one.
 """
 
 from __future__ import annotations
@@ -29,14 +31,19 @@ EXCURSIONS = 4
 """Longest probe: a load that four excursions do not show is hidden by noise."""
 
 
-def half_periods(order: int, pole: float) -> int:
+def half_periods(load: Load, pole: float, period_s: float) -> int:
     """Return the time at each level of an excursion, in slow periods.
 
     Args:
-        order: Order m of the load.
+        load: Its order m; of a battery the time constant too, which the current must last to show.
         pole: Pole that is asked for; the response has 2m of it.
+        period_s: T_k.
     """
-    return round(HALF_DELAYS * 2.0 * order * pole / (1.0 - pole))
+    half = round(HALF_DELAYS * 2.0 * load.order * pole / (1.0 - pole))
+    if load.charging is None:
+        return half
+    lag_s = load.denominator[load.order - 1] / load.denominator[load.order]
+    return max(half, round(lag_s / period_s))
 
 
 def probe(
@@ -53,16 +60,22 @@ def probe(
     """
     if not probing.amplitude > 0.0:
         return reference
-    own, half = state.probe, half_periods(load.order, sample.pole)
-    free = _is_free(state, sample, reference)
-    _count(own, free, abs(reference - sample.output) <= probing.amplitude)
+    own, half = state.probe, half_periods(load, sample.pole, sample.period_s)
+    free = _is_free(probing, state, sample, reference)
+    amplitude = _amplitude(probing, load, reference)
+    _count(own, free, abs(reference - sample.output) <= amplitude)
     if own.age_periods > 0:
         _go_on(probing, own, free, half, _is_known(state, 2 * half))
     elif own.pause_periods == 0 and own.rest_periods > half and is_wanted(probing, state):
         own.age_periods = 1
     own.reference = reference
-    own.shift = _shift(probing, load, own, sample, half)
+    own.shift = _shift(probing, load, own, sample, half, amplitude)
     return reference + own.shift
+
+
+def _amplitude(probing: Probing, load: Load, reference: float) -> float:
+    """Return the largest distance from a set-point."""
+    return probing.amplitude if load.charging is None else probing.amplitude * reference
 
 
 def is_wanted(probing: Probing, state: SlowState) -> bool:
@@ -76,9 +89,10 @@ def is_wanted(probing: Probing, state: SlowState) -> bool:
     return old or is_doubt(state.supervisor.verdict)
 
 
-def _is_free(state: SlowState, sample: SlowSample, reference: float) -> bool:
-    """Return whether nobody else moves the set-point, and nothing holds the input."""
+def _is_free(probing: Probing, state: SlowState, sample: SlowSample, reference: float) -> bool:
+    """Return whether the estimator learns, nobody else moves the set-point or holds the input."""
     asked = sample.adaptive and sample.steady and not sample.manual
+    asked = asked and state.estimator.periods >= probing.settle_periods
     same = reference == sample.reference and reference == state.probe.reference
     return asked and same and not state.saturated and state.watch.fallback == Fallback.NONE
 
@@ -106,16 +120,23 @@ def _go_on(probing: Probing, own: ProbeState, free: bool, half: int, known: bool
         own.age_periods += 1
 
 
-def _shift(probing: Probing, load: Load, own: ProbeState, sample: SlowSample, half: int) -> float:
+def _shift(
+    probing: Probing,
+    load: Load,
+    own: ProbeState,
+    sample: SlowSample,
+    half: int,
+    amplitude: float,
+) -> float:
     """Return how far the set-point is moved in this slow period; 0 where there is no room."""
     if own.age_periods == 0 or (own.age_periods - 1) % (2 * half) >= half:
         return 0.0
-    up = load.charging is None and _has_room(probing, sample, own.reference + probing.amplitude)
-    down = _has_room(probing, sample, own.reference - probing.amplitude)
+    up = load.charging is None and _has_room(probing, sample, own.reference + amplitude)
+    down = _has_room(probing, sample, own.reference - amplitude)
     upwards = (own.age_periods - 1) // (2 * half) % 2 == 0
     if up and (upwards or not down):
-        return probing.amplitude
-    return -probing.amplitude if down else 0.0
+        return amplitude
+    return -amplitude if down else 0.0
 
 
 def _has_room(probing: Probing, sample: SlowSample, level: float) -> bool:

@@ -27,6 +27,11 @@ polynomial in s of lower degree than D, and the λ filters make of that, whateve
 Where the initial state is to be learnt, these functions of time join the regressor, and γ joins θ
 (before the bias). Otherwise the rest of an earlier movement is mistaken for dynamics: with a motor
 that was off for five seconds, gain and time constants come out four times too large, and sure.
+
+The EMF of a battery rises with its charge q = ∫ y dt, E = E_0 + s q. That is s q at the input, and
+behind the filters β_0 q + β_1 λq = (β_0 + β_1) q - β_1 τ_λ λy. The last term changes α_1 by a
+thousandth or less, so that one more regressor q/τ_λ (before the bias) holds the rise. Without it
+the rise is mistaken for dynamics: a dc admittance of a third of the true one, then a negative one.
 """
 
 from __future__ import annotations
@@ -45,7 +50,13 @@ _TINY = 1e-12
 def filtered_count(learning: Learning, load: Load) -> int:
     """Return the length of θ of the λ-method."""
     first = fitted_order(learning, load) + len(load.input_powers)
-    return first + initial_state_count(learning, load) + (1 if learning.bias else 0)
+    first += initial_state_count(learning, load)
+    return first + (1 if learning.charge else 0) + (1 if learning.bias else 0)
+
+
+def charge_index(learning: Learning, size: int) -> int:
+    """Return the place of the charge in θ of a length; only where a charge is learnt."""
+    return size - 2 if learning.bias else size - 1
 
 
 def knows_filter(learning: Learning) -> bool:
@@ -138,6 +149,18 @@ def fill_initial_state(regressor: Vector, learning: Learning, load: Load, elapse
         value *= ratio
 
 
+def fill_charge(regressor: Vector, learning: Learning, charge: float) -> None:
+    """The part of r that stands for the charge, where one is learnt.
+
+    Args:
+        regressor: r of the λ-method, overwritten.
+        learning: Whether it is learnt.
+        charge: q/τ_λ, scaled as the output.
+    """
+    if learning.charge:
+        regressor[charge_index(learning, len(regressor))] = charge
+
+
 def fill_lowered_regressor(
     lowered: Vector,
     learning: Learning,
@@ -219,11 +242,21 @@ def filtered_model(theta: Vector, learning: Learning, load: Load) -> tuple[Vecto
     return numerator, denominator
 
 
-def input_offset(theta: Vector, learning: Learning, load: Load) -> float:
-    """The constant input that would have the effect of the estimated bias; NaN without one."""
+def input_offset(theta: Vector, learning: Learning, load: Load, charge: float) -> float:
+    """The constant input with the effect of the estimated bias and charge; NaN without a bias.
+
+    Args:
+        theta: θ.
+        learning: What is learnt, and scales.
+        load: Order and structure.
+        charge: q/τ_λ, scaled.
+    """
     if not learning.bias:
         return math.nan
+    shift = theta[len(theta) - 1]
+    if learning.charge:
+        shift += theta[charge_index(learning, len(theta))] * charge
     gain, order = 0.0, fitted_order(learning, load)
     for i in range(len(load.input_powers)):
         gain += theta[order + i]
-    return theta[len(theta) - 1] / gain * learning.input_scale if gain else math.nan
+    return shift / gain * learning.input_scale if gain else math.nan

@@ -45,7 +45,7 @@ def believed_offset(learning: Learning, load: Load, state: SlowState) -> float:
     """
     if not (learning.method.physical and learning.bias):
         return 0.0
-    estimated = learning.method.input_offset(state.estimator.theta, learning, load)
+    estimated = learning.method.input_offset(state.estimator, learning, load)
     return estimated if math.isfinite(estimated) else 0.0
 
 

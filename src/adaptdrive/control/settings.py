@@ -86,6 +86,8 @@ class Learning:
         bias: Whether a constant is estimated too: a load torque, an EMF, an offset of a sensor.
         initial_state: Whether what is left of the time before the start is estimated too.
         resolution: Smallest step of the measured output, 0 to find it in the samples.
+        charge: Whether a disturbance in proportion to the integral of the output is estimated too:
+            the EMF of a battery rises with its charge.
     """
 
     method: Method
@@ -104,6 +106,7 @@ class Learning:
     bias: bool = False
     initial_state: bool = False
     resolution: float = 0.0
+    charge: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,14 +162,17 @@ class Probing:
     """Limits of the probing.
 
     Attributes:
-        amplitude: Largest distance from the set-point, in the unit of the output; 0 for no probing.
+        amplitude: Largest distance from the set-point, in the unit of the output, or as a share of
+            a charging current; 0 for no probing.
         stale_periods: Slow periods after which information is old, and least pause between probes.
+        settle_periods: Slow periods after the start in which nothing is learnt.
         lowest: Lowest set-point.
         highest: Highest set-point.
     """
 
     amplitude: float = 0.0
     stale_periods: int = 0
+    settle_periods: int = 0
     lowest: float = -math.inf
     highest: float = math.inf
 

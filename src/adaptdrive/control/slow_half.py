@@ -84,6 +84,8 @@ def _take_sample(
 ) -> None:
     learning, estimator = settings.learning, state.estimator
     estimator.elapsed_s += sample.period_s
+    charged = sample.output / learning.output_scale * sample.period_s
+    estimator.charge += charged / learning.tau_lambda_s
     estimator.rounding = sample.rounding / learning.output_scale
     learning.method.fill_regressor(state, learning, load, sample)
     moved = abs(sample.output - state.outputs[0]) >= learning.dead_band
