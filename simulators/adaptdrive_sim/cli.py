@@ -156,13 +156,13 @@ def campaign(  # noqa: PLR0913 - one parameter for each option
     runs: int | None = None,
     only: int | None = None,
 ) -> None:
-    """Run thousands of randomised motors, each with the fixed and the adaptive controller.
+    """Run thousands of randomised motors or baths, each with the fixed and the adaptive controller.
 
     Writes results.parquet (one row for each run) and plots, and prints what fraction was worse
     than fixed, what broke, and how to repeat it. The status is 0 when it ran, whatever was found.
 
     Args:
-        file: What to draw from; campaign/standard.toml comes along.
+        file: What to draw from; standard.toml, wide.toml, life.toml and bath.toml come along.
         output: Folder for the results; made when it is not there.
         scheduler: Address of a Dask scheduler, HOST:PORT; this machine when left out.
         processes: Processes on this machine; one for each processor when left out.

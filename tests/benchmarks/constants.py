@@ -17,7 +17,8 @@ from pathlib import Path
 from adaptdrive.control.signals import Mode
 from adaptdrive.errors import AdaptdriveError
 from adaptdrive_sim.campaign import bench
-from adaptdrive_sim.campaign.judge import WORSE, Row, judge
+from adaptdrive_sim.campaign.drawn import Row, RunOutcome
+from adaptdrive_sim.campaign.judge import WORSE, judge
 from adaptdrive_sim.campaign.scenario import draw
 from adaptdrive_sim.campaign.settings import read_campaign
 from adaptdrive_sim.compiled import run
@@ -25,7 +26,7 @@ from tests.benchmarks.dials import DIALS, Dial, Number, install, turn
 from tests.control.constants_effects import CHANGES, COLUMNS, SEEDS
 
 Stands = dict[str, list[bench.Stand]]
-Fixed = dict[int, bench.RunOutcome]
+Fixed = dict[int, RunOutcome]
 
 LAYOUT = {"ROOM"}
 """Constants that are lengths of vectors: each value would have to be compiled again."""

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from adaptdrive.control.signals import Mode, Stage
-from adaptdrive_sim.campaign.bench import RunOutcome, Stand, deployed
+from adaptdrive_sim.campaign.bench import Stand, deployed
+from adaptdrive_sim.campaign.drawn import RunOutcome
 from adaptdrive_sim.campaign.judge import judge
 from adaptdrive_sim.campaign.life import Life, draw_life, moving, volt_Nm
 from adaptdrive_sim.campaign.life_settings import LifeRanges

@@ -129,3 +129,29 @@ def test_an_impossible_level_is_refused(volume_gal: float, over_s: float) -> Non
 def test_a_parameter_out_of_range_is_refused_by_name() -> None:
     with pytest.raises(ParameterError, match=r"BathParameters\.heater_Ohm = -1\.0"):
         BathParameters(heater_Ohm=-1.0)
+
+
+def test_with_an_inflow_that_drifts_the_bath_obeys_the_balance_of_heat() -> None:
+    """In absolute temperatures, with the drift written out: 2 K/h, turning after 600 s."""
+    drift_K_s, inflow_W_K = 2.0 / 3600.0, INFLOW_kg_s * HEAT_J_per_kgK
+    heater_W = 7.87 * (75.0 / 8.87) ** 2
+
+    def slope(time_s: float, state: list[float]) -> list[float]:
+        inflow_K = 290.0 + drift_K_s * abs((time_s + 600.0) % 1200.0 - 600.0)
+        supply_W = heater_W - inflow_W_K * (state[0] - inflow_K)
+        return [supply_W / (0.6 * GALLON_kg * HEAT_J_per_kgK)]
+
+    last = solve_ivp(slope, (0.0, 1500.0), [295.0], rtol=1e-10, atol=1e-9, max_step=5.0).y[0, -1]
+    bath = Bath(BathParameters(drift_K_per_h=2.0, turn_s=600.0))
+    bath.output = 5.0
+    for _ in range(15_000):
+        bath.drive(75.0, DROOP_Ohm, 0.1)
+    assert bath.output == pytest.approx(float(last) - 290.0, abs=1e-3)
+    assert bath.inflow_shift_K == pytest.approx(300.0 * drift_K_s, abs=1e-4)
+
+
+def test_a_heater_that_ages_draws_less_current_from_the_same_voltage() -> None:
+    bath = Bath(BathParameters(ageing_per_h=0.1))
+    for _ in range(7200):
+        bath.drive(75.0, DROOP_Ohm, 1.0)
+    assert bath.drive(75.0, DROOP_Ohm, 1.0) == pytest.approx(75.0 / (7.87 * 1.2 + DROOP_Ohm))

@@ -1,1 +1,1 @@
-"""Campaigns: thousands of randomised runs of the motor, fixed and adaptive side by side."""
+"""Campaigns: thousands of randomised runs of a motor or a bath, fixed and adaptive side by side."""

@@ -7,75 +7,43 @@ that.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.supervisor import Verdict
-from adaptdrive_sim.campaign.bench import RunOutcome, Stand
-from adaptdrive_sim.campaign.scenario import Scenario, draw
-from adaptdrive_sim.campaign.settings import Campaign
+from adaptdrive_sim.campaign.drawn import DrawnRun, Row, RunOutcome
+from adaptdrive_sim.campaign.kinds import AnyCampaign, stand_of
 from adaptdrive_sim.compiled import bench
 
 Array = NDArray[np.float64]
-Row = dict[str, Any]
 
 FLOOR = 0.005
 WORSE = 1.05
 _UNSTABLE = 0.5
 
 
-def run_seed(campaign: Campaign, seed: int) -> Row:
+def run_seed(campaign: AnyCampaign, seed: int) -> Row:
     """Run one scenario with both controllers and judge them."""
-    stand = Stand(draw(campaign, seed))
+    stand = stand_of(campaign, seed)
     return judge(stand, stand.run(Mode.FIXED), stand.run(Mode.ADAPTIVE))
 
 
-def judge(stand: Stand, fixed: RunOutcome, adaptive: RunOutcome) -> Row:
+def judge(stand: DrawnRun, fixed: RunOutcome, adaptive: RunOutcome) -> Row:
     """One row of the results."""
     ideal = stand.ideal()
-    row = parameters(stand.scenario)
+    row = stand.columns()
     for name, outcome in (("fixed", fixed), ("adaptive", adaptive)):
-        shown = outcome.trace[:, bench.OUTPUT] + stand.scenario.life.offset
-        errors = ((shown - ideal) / stand.scenario.step)[stand.running()]
+        shown = outcome.trace[:, bench.OUTPUT] + stand.offset
+        errors = ((shown - ideal) / stand.step)[stand.running()]
         row[f"cost_{name}"] = cost(errors)
         row[f"rms_{name}"] = float(np.sqrt(np.mean(errors**2)))
         row[f"largest_{name}"] = float(np.max(np.abs(errors)))
-        row[f"unstable_{name}"] = is_unstable(stand.scenario, errors)
+        row[f"unstable_{name}"] = is_unstable(stand, errors)
         row[f"interlock_{name}"] = outcome.interlock
     row["ratio"] = row["cost_adaptive"] / row["cost_fixed"]
     row |= _supervision(stand, adaptive.trace)
     return row
-
-
-def parameters(scenario: Scenario) -> Row:
-    """Return the drawn values as columns."""
-    return {
-        "seed": scenario.seed,
-        "inertia_first": scenario.inertias[0],
-        "inertia_last": scenario.inertias[-1],
-        "inertia_largest": max(scenario.inertias),
-        "changes": len(scenario.change_times_s),
-        "gain": scenario.gain,
-        "filter": scenario.filter,
-        "shape": scenario.reference.shape.value,
-        "step": scenario.step,
-        "period_s": scenario.reference.period_s,
-        "sigma": scenario.sigma / scenario.step,
-        "spike_share": scenario.spike_share,
-        "line_voltage": scenario.line_voltage,
-        "frequency_Hz": scenario.frequency_Hz,
-        "output_delay_ticks": scenario.output_delay_ticks,
-        "torque_changes": len(scenario.life.torques_V),
-        "torque_largest_V": scenario.life.largest_torque_V,
-        "restarts": len(scenario.life.stop_times_s),
-        "idle_s": min(scenario.duration_s, sum(scenario.life.idle_s)),
-        "coulomb_V": scenario.life.coulomb_V,
-        "drag_V": scenario.life.drag_V,
-        "offset": scenario.life.offset,
-    }
 
 
 def cost(errors: Array) -> float:
@@ -85,18 +53,16 @@ def cost(errors: Array) -> float:
     return float(np.mean(errors**2)) + FLOOR**2
 
 
-def is_unstable(scenario: Scenario, errors: Array) -> bool:
+def is_unstable(stand: DrawnRun, errors: Array) -> bool:
     """Return whether the last period of the reference is nothing like what was designed."""
-    last = errors[-round(scenario.reference.period_s) :]
-    return (
-        not float(np.sqrt(np.mean(last**2))) < _UNSTABLE * scenario.largest_movement / scenario.step
-    )
+    last = errors[-stand.cycle_periods :]
+    return not float(np.sqrt(np.mean(last**2))) < _UNSTABLE * stand.largest_movement / stand.step
 
 
-def _supervision(stand: Stand, trace: Array) -> Row:
+def _supervision(stand: DrawnRun, trace: Array) -> Row:
     in_force = trace[:, bench.ADAPTIVE] > 0.0
     verdicts = trace[:, bench.VERDICT]
-    truth = stand.truth_of(stand.scenario.inertias[-1])
+    truth = stand.truth_at(stand.times_s.size - 1)
     estimates = trace[-1, bench.VALUES : bench.VALUES + len(truth)]
     row: Row = {
         "adaptive_share": float(np.mean(in_force)),

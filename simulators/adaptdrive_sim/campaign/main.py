@@ -9,11 +9,12 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-from adaptdrive_sim.campaign.judge import Row, run_seed
+from adaptdrive_sim.campaign.drawn import Row
+from adaptdrive_sim.campaign.judge import run_seed
+from adaptdrive_sim.campaign.kinds import AnyCampaign, read_any_campaign
 from adaptdrive_sim.campaign.pool import run_all, workers
 from adaptdrive_sim.campaign.repeat import repeat
 from adaptdrive_sim.campaign.report import print_results, write_results
-from adaptdrive_sim.campaign.settings import Campaign, read_campaign
 
 _WARM_UPS = 64
 
@@ -30,7 +31,7 @@ def run_campaign(
         processes: Processes of this machine; one for each processor when left out.
         runs: How many runs instead of the file's number.
     """
-    campaign = read_campaign(path)
+    campaign = read_any_campaign(path)
     if runs is not None:
         campaign = campaign.model_copy(update={"runs": runs})
     output.mkdir(parents=True, exist_ok=True)
@@ -50,15 +51,17 @@ def run_campaign(
 def repeat_run(path: Path, seed: int, output: Path) -> None:
     """Run one seed again on the deployed controller, and record it."""
     output.mkdir(parents=True, exist_ok=True)
-    repeat(read_campaign(path), seed, output, Console())
+    repeat(read_any_campaign(path), seed, output, Console())
 
 
-def _warm_up(campaign: Campaign) -> None:
+def _warm_up(campaign: AnyCampaign) -> None:
     """Load what was compiled: starting up is no part of a campaign's speed."""
     run_seed(campaign, campaign.seed)
 
 
-def _with_progress(campaign: Campaign, batches: Iterator[list[Row]], console: Console) -> list[Row]:
+def _with_progress(
+    campaign: AnyCampaign, batches: Iterator[list[Row]], console: Console
+) -> list[Row]:
     """Collect batches; the bar is shown on a terminal only."""
     columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     rows: list[Row] = []

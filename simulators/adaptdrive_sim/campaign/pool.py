@@ -9,8 +9,9 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_complet
 from contextlib import contextmanager
 
 from adaptdrive.errors import AdaptdriveError
-from adaptdrive_sim.campaign.judge import Row, run_seed
-from adaptdrive_sim.campaign.settings import Campaign
+from adaptdrive_sim.campaign.drawn import Row
+from adaptdrive_sim.campaign.judge import run_seed
+from adaptdrive_sim.campaign.kinds import AnyCampaign
 
 _BATCH = 10
 
@@ -24,12 +25,12 @@ class ClusterError(AdaptdriveError):
         super().__init__(f"scheduler {address}: {reason}")
 
 
-def run_batch(campaign: Campaign, seeds: range) -> list[Row]:
+def run_batch(campaign: AnyCampaign, seeds: range) -> list[Row]:
     """Run some seeds, one after the other; this is what a worker is sent."""
     return [run_seed(campaign, seed) for seed in seeds]
 
 
-def run_all(campaign: Campaign, executor: Executor) -> Iterator[list[Row]]:
+def run_all(campaign: AnyCampaign, executor: Executor) -> Iterator[list[Row]]:
     """Run every seed of a campaign; batches arrive in the order in which they are ready."""
     end = campaign.seed + campaign.runs
     firsts = range(campaign.seed, end, _BATCH)

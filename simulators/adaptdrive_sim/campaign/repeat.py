@@ -12,35 +12,35 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from adaptdrive.control.signals import Decision, Mode
-from adaptdrive_sim.campaign.bench import RunOutcome, Stand
+from adaptdrive_sim.campaign.drawn import DrawnRun, RunOutcome
 from adaptdrive_sim.campaign.judge import judge
-from adaptdrive_sim.campaign.scenario import draw
-from adaptdrive_sim.campaign.settings import Campaign
+from adaptdrive_sim.campaign.kinds import AnyCampaign, stand_of
 from adaptdrive_sim.compiled import bench
 
 Array = NDArray[np.float64]
 
 
-def repeat(campaign: Campaign, seed: int, output: Path, console: Console) -> None:
+def repeat(campaign: AnyCampaign, seed: int, output: Path, console: Console) -> None:
     """Run one seed with both controllers, interpreted; write run-SEED.parquet and run-SEED.png."""
-    stand = Stand(draw(campaign, seed))
+    stand = stand_of(campaign, seed)
     fixed, _ = stand.run_deployed(Mode.FIXED)
     adaptive, decisions = stand.run_deployed(Mode.ADAPTIVE)
     pq.write_table(_table(stand, fixed, adaptive, decisions), output / f"run-{seed}.parquet")
     picture(stand, fixed, adaptive).savefig(output / f"run-{seed}.png", dpi=120)
     for name, value in judge(stand, fixed, adaptive).items():
         console.print(f"{name:26} {value}")
-    console.print(f"changes at {stand.scenario.change_times_s} s to {stand.scenario.inertias}")
+    name, sizes = stand.size
+    console.print(f"{name} changes at {stand.change_times_s} s, at last to {sizes[-1]:.4g}")
     console.print(f"recorded: {output / f'run-{seed}.parquet'}, {output / f'run-{seed}.png'}")
 
 
 def _table(
-    stand: Stand, fixed: RunOutcome, adaptive: RunOutcome, decisions: list[Decision]
+    stand: DrawnRun, fixed: RunOutcome, adaptive: RunOutcome, decisions: list[Decision]
 ) -> pa.Table:
     columns: dict[str, Array | list[str]] = {
         "time_s": stand.times_s,
         "reference": stand.references,
-        "inertia": stand.inertias,
+        stand.size[0]: stand.size[1],
         "ideal": stand.ideal(),
         "output_fixed": fixed.trace[:, bench.OUTPUT],
         "boost_reference_fixed_V": fixed.trace[:, bench.REFERENCE_V],
@@ -59,7 +59,7 @@ def _table(
     return pa.table(columns)
 
 
-def picture(stand: Stand, fixed: RunOutcome, adaptive: RunOutcome) -> Figure:
+def picture(stand: DrawnRun, fixed: RunOutcome, adaptive: RunOutcome) -> Figure:
     """Output, boost voltage and estimates of one run."""
     figure = Figure(figsize=(11, 8), layout="constrained")
     top, middle, bottom = figure.subplots(3, 1, sharex=True)
@@ -72,8 +72,8 @@ def picture(stand: Stand, fixed: RunOutcome, adaptive: RunOutcome) -> Figure:
         top.plot(times_s, outcome.trace[:, bench.OUTPUT], color=colour, lw=1.0, label=name)
         voltage_V = outcome.trace[:, bench.REFERENCE_V]
         middle.plot(times_s, voltage_V, color=colour, lw=1.0, label=name)
-    truth = np.array([stand.truth_of(inertia) for inertia in stand.inertias.tolist()])
-    for i, name in enumerate(("g", "τ_m + τ_f", "τ_m τ_f")):
+    truth = np.array([stand.truth_at(k) for k in range(times_s.size)])
+    for i, name in enumerate(stand.own.load.names):
         estimates = adaptive.trace[:, bench.VALUES + i] / truth[:, i]
         bottom.plot(times_s, estimates, lw=1.0, label=name)
     bottom.fill_between(
@@ -85,11 +85,11 @@ def picture(stand: Stand, fixed: RunOutcome, adaptive: RunOutcome) -> Figure:
         color="tab:green",
         label="adaptive in force",
     )
-    top.set(ylabel="output, V", title=f"seed {stand.scenario.seed}")
+    top.set(ylabel="output, V", title=f"seed {stand.seed}")
     middle.set(ylabel="V_c, V")
     bottom.set(xlabel="time, s", ylabel="estimate over truth", ylim=(0.0, 2.5))
     for axes in (top, middle, bottom):
-        for time_s in stand.scenario.change_times_s:
+        for time_s in stand.change_times_s:
             axes.axvline(time_s, color="k", lw=0.6, ls=":")
         axes.grid(visible=True, alpha=0.3)
         axes.legend(loc="upper right")

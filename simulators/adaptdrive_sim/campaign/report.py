@@ -13,10 +13,31 @@ from rich.console import Console
 from rich.table import Table
 
 from adaptdrive.analysis import style
-from adaptdrive_sim.campaign.judge import WORSE, Row
+from adaptdrive_sim.campaign.drawn import Row
+from adaptdrive_sim.campaign.judge import WORSE
 from adaptdrive_sim.campaign.verdict import CampaignClaim, Failure, claims, failures
 
 _SHOWN = 20
+
+_INFLUENCES: tuple[dict[str, str], ...] = (
+    {
+        "inertia_largest": "largest inertia, disks",
+        "sigma": "noise σ, fraction of the step",
+        "gain": "gain, relative",
+        "filter": "τ_f, relative",
+        "step": "step, V",
+        "period_s": "period of the reference, s",
+    },
+    {
+        "volume_largest_gal": "largest volume, US gal",
+        "sigma_K": "noise σ, K",
+        "resistance": "heater resistance, relative",
+        "drift_K_per_h": "drift of the inflow, K/h",
+        "step": "step, K",
+        "period_s": "period of the reference, s",
+    },
+)
+"""Six drawn values of a motor, and of a bath."""
 
 
 def write_results(rows: list[Row], output: Path) -> None:
@@ -107,15 +128,8 @@ def costs(rows: list[Row]) -> Figure:
 
 
 def influences(rows: list[Row]) -> Figure:
-    """Plot the cost ratio over each drawn value."""
-    names = {
-        "inertia_largest": "largest inertia, disks",
-        "sigma": "noise σ, fraction of the step",
-        "gain": "gain, relative",
-        "filter": "τ_f, relative",
-        "step": "step, V",
-        "period_s": "period of the reference, s",
-    }
+    """Plot the cost ratio over the drawn values that matter most."""
+    names = next(one for one in _INFLUENCES if set(one) <= set(rows[0]))
     figure = Figure(figsize=(style.WIDTH_in, 4.6), layout="constrained")
     ratios = [row["ratio"] for row in rows]
     shapes = sorted({row["shape"] for row in rows})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +100,33 @@ class Scenario:
             coulomb_Nm=self.life.coulomb_V * volt_Nm(),
             drag_Nms2=self.life.drag_V * volt_Nm() * (nominal.tachometer_Vs / MIDDLE) ** 2,
         )
+
+    def columns(self) -> dict[str, Any]:
+        """Return the drawn values as columns of the results."""
+        return {
+            "seed": self.seed,
+            "inertia_first": self.inertias[0],
+            "inertia_last": self.inertias[-1],
+            "inertia_largest": max(self.inertias),
+            "changes": len(self.change_times_s),
+            "gain": self.gain,
+            "filter": self.filter,
+            "shape": self.reference.shape.value,
+            "step": self.step,
+            "period_s": self.reference.period_s,
+            "sigma": self.sigma / self.step,
+            "spike_share": self.spike_share,
+            "line_voltage": self.line_voltage,
+            "frequency_Hz": self.frequency_Hz,
+            "output_delay_ticks": self.output_delay_ticks,
+            "torque_changes": len(self.life.torques_V),
+            "torque_largest_V": self.life.largest_torque_V,
+            "restarts": len(self.life.stop_times_s),
+            "idle_s": min(self.duration_s, sum(self.life.idle_s)),
+            "coulomb_V": self.life.coulomb_V,
+            "drag_V": self.life.drag_V,
+            "offset": self.life.offset,
+        }
 
     def line(self) -> LineParameters:
         """The true line."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
@@ -26,6 +27,8 @@ class CampaignError(AdaptdriveError):
         self.problems = problems
         super().__init__("\n".join(f"{path}: {problem}" for problem in problems))
 
+
+FileOfAnyType = TypeVar("FileOfAnyType", bound=CampaignTable)
 
 ShapeName = Literal["square", "triangle", "sine"]
 
@@ -84,6 +87,7 @@ class WireRanges(CampaignTable):
 class Campaign(CampaignTable):
     """A whole file."""
 
+    type: Literal["motor"] = "motor"
     runs: int = Field(ge=1, le=10_000_000)
     seed: int = Field(ge=0)
     duration_s: float = Field(ge=120.0, le=1e6)
@@ -108,7 +112,20 @@ class Campaign(CampaignTable):
 
 
 def read_campaign(path: Path) -> Campaign:
+    """Read a file of motors.
+
+    Raises:
+        CampaignError: It cannot be read, or a value is not allowed.
+    """
+    return read_campaign_of(path, {"motor": Campaign})
+
+
+def read_campaign_of(path: Path, types: Mapping[str, type[FileOfAnyType]]) -> FileOfAnyType:
     """Read a file; a bare name that is no file is looked up among those that come along.
+
+    Args:
+        path: The file.
+        types: The contents that its key `type` may name; without the key it is of motors.
 
     Raises:
         CampaignError: It cannot be read, or a value is not allowed.
@@ -118,13 +135,22 @@ def read_campaign(path: Path) -> Campaign:
     try:
         # strict validation takes arrays for tuples from JSON only
         tables = tomllib.loads(found.read_text(encoding="utf-8"))
-        return Campaign.model_validate_json(json.dumps(tables))
+        return _kind(path, tables, types).model_validate_json(json.dumps(tables))
     except OSError as problem:
         raise CampaignError(path, [problem.strerror or str(problem)]) from problem
     except tomllib.TOMLDecodeError as problem:
         raise CampaignError(path, [str(problem)]) from problem
     except ValidationError as problem:
         raise CampaignError(path, [_told(error) for error in problem.errors()]) from problem
+
+
+def _kind(
+    path: Path, tables: dict[str, Any], types: Mapping[str, type[FileOfAnyType]]
+) -> type[FileOfAnyType]:
+    named = tables.get("type", "motor")
+    if named not in types:
+        raise CampaignError(path, [f"type = {named!r}: must be one of {', '.join(types)}"])
+    return types[named]
 
 
 def _told(error: ErrorDetails) -> str:

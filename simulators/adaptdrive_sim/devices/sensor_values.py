@@ -66,7 +66,8 @@ def check_names(names: Iterable[tuple[str, str]], known: Mapping[str, float], so
 def _values_of_load(load: SimulatedLoad, output: float) -> dict[str, float]:
     if isinstance(load, Bath):
         inflow_K = load.inflow_K
-        return {"inflow_temperature": inflow_K, "bath_temperature": inflow_K + output}
+        inflow_now_K = inflow_K + load.inflow_shift_K
+        return {"inflow_temperature": inflow_now_K, "bath_temperature": inflow_K + output}
     if isinstance(load, Motor):
         return {"tachometer_voltage": output}
     return {}

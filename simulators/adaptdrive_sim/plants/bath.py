@@ -7,6 +7,9 @@ With T the temperature above that of the inflow, m the mass in the bath and q th
 This also holds while the level moves: what flows in is at the datum temperature and what flows
 out is at T, so that the outflow, whatever it is, changes the heat in the bath and its mass alike.
 With m linear in time the excess over p·R falls by (m0/m1)^(1/(R·c·dm/dt)), which is exact.
+
+Where the temperature of the inflow drifts, by s(t) from that at the start, T stays the temperature
+above that at the start, and rests at p·R + s. The resistance of a heater that ages rises steadily.
 """
 
 from __future__ import annotations
@@ -33,6 +36,13 @@ class BathParameters:
     volume_gal: float = quantity(
         0.6, "US gal", "volume at the start", VOLUME_MIN_gal, VOLUME_MAX_gal
     )
+    drift_K_per_h: float = quantity(
+        0.0, "K/h", "drift of the inflow's temperature at the start", -100.0, 100.0
+    )
+    turn_s: float = quantity(3600.0, "s", "time after which this drift turns", 1.0, 1e7)
+    ageing_per_h: float = quantity(
+        0.0, "1/h", "rise of the heater's resistance by ageing, as a share", 0.0, 10.0
+    )
 
     def __post_init__(self) -> None:
         check_quantities(self)
@@ -42,8 +52,9 @@ class Bath:
     """Heater and water behind the coupling.
 
     Attributes:
-        output: Temperature above that of the inflow.
-        inflow_K: Temperature of the inflow.
+        output: Temperature above that of the inflow at the start.
+        inflow_K: Temperature of the inflow at the start.
+        inflow_shift_K: Temperature of the inflow above that.
         heater_W: Mean power of the heater over the last step.
     """
 
@@ -53,6 +64,7 @@ class Bath:
         self.resistance_Ohm = parameters.heater_Ohm
         self.output = 0.0
         self.inflow_K = INFLOW_K
+        self.inflow_shift_K = 0.0
         self.heater_W = 0.0
         self._mass_kg = parameters.volume_gal * GALLON_kg
         self._target_kg = self._mass_kg
@@ -60,6 +72,9 @@ class Bath:
         self._inflow_W_per_K = parameters.inflow_L_per_min / 60.0 * HEAT_J_per_kgK
         self._decay_s = math.nan
         self._decay = math.nan
+        self._drift_K_per_s = parameters.drift_K_per_h / 3600.0
+        self._turns_in_s = parameters.turn_s
+        self._ageing_Ohm_per_s = parameters.heater_Ohm * parameters.ageing_per_h / 3600.0
 
     @property
     def volume_gal(self) -> float:
@@ -152,7 +167,7 @@ class Bath:
         }
 
     def _warm(self, duration_s: float) -> None:
-        rest = self.heater_W * self.resistance_K_per_W
+        rest = self.heater_W * self.resistance_K_per_W + self.inflow_shift_K
         if self._filling_kg_s != 0.0:
             decay = self._fill_step(duration_s)
         elif self._decay_s == duration_s:
@@ -161,6 +176,17 @@ class Bath:
             decay = self._decay = self._steady_decay(duration_s)
             self._decay_s = duration_s
         self.output = rest + (self.output - rest) * decay
+        if self._drift_K_per_s != 0.0 or self._ageing_Ohm_per_s != 0.0:
+            self._grow_older(duration_s)
+
+    def _grow_older(self, duration_s: float) -> None:
+        """Let the inflow's temperature drift, and the heater age."""
+        self.resistance_Ohm += self._ageing_Ohm_per_s * duration_s
+        self.inflow_shift_K += self._drift_K_per_s * duration_s
+        self._turns_in_s -= duration_s
+        if self._turns_in_s <= 0.0:
+            self._drift_K_per_s = -self._drift_K_per_s
+            self._turns_in_s += self.parameters.turn_s
 
     def _steady_decay(self, duration_s: float) -> float:
         """Return the remaining fraction of a temperature excess after a time at constant volume."""

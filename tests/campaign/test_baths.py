@@ -1,0 +1,133 @@
+"""Baths are drawn, run from start to end, and are judged as motors are."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from adaptdrive.control.signals import Mode
+from adaptdrive_sim.campaign.bath_bench import BathStand
+from adaptdrive_sim.campaign.bath_scenario import BathScenario, draw_bath
+from adaptdrive_sim.campaign.bath_settings import BathCampaign
+from adaptdrive_sim.campaign.judge import run_seed
+from adaptdrive_sim.campaign.kinds import read_any_campaign
+from adaptdrive_sim.campaign.main import run_campaign
+from adaptdrive_sim.campaign.settings import FOLDER, Campaign, CampaignError
+from adaptdrive_sim.compiled import bench
+from adaptdrive_sim.plants.bath import Bath
+
+BATHS = (FOLDER / "bath.toml").read_text(encoding="utf-8")
+SEEDS = range(510_001, 510_301)
+
+
+def campaign(**changes: float) -> BathCampaign:
+    found = read_any_campaign(Path("bath.toml"))
+    assert isinstance(found, BathCampaign)
+    return found.model_copy(update=changes)
+
+
+@pytest.fixture(scope="module")
+def drawn() -> list[BathScenario]:
+    return [draw_bath(campaign(), seed) for seed in SEEDS]
+
+
+def test_everything_happens_in_some_runs_and_not_in_others(drawn: list[BathScenario]) -> None:
+    for happens in (
+        [bool(one.fill_times_s) for one in drawn],
+        [bool(one.inflow_times_s) for one in drawn],
+        [one.drift_K_per_h > 0.0 for one in drawn],
+        [one.constant for one in drawn],
+    ):
+        assert {True, False} == set(happens)
+    assert min(one.offset_K for one in drawn) < -0.4 < 0.4 < max(one.offset_K for one in drawn)
+    assert max(abs(one.drift_K_per_h) for one in drawn) <= 1.0
+
+
+def test_no_set_point_needs_more_than_v_c_has(drawn: list[BathScenario]) -> None:
+    """At the worst moment: the inflow at its coldest or warmest, the heater old or new."""
+    for scenario in drawn:
+        bath = BathStand(scenario).world().load
+        assert isinstance(bath, Bath)
+        shift_K = abs(scenario.drift_K_per_h) * scenario.turn_s / 3600.0
+        for share in scenario.inflows:
+            bath.disturb(share / scenario.inflows[0])
+            low, high = scenario.reference.low, scenario.reference.high
+            most = bath.source_for(high - scenario.offset_K + shift_K, 1.0) / 0.25
+            least = bath.source_for(low - scenario.offset_K - shift_K, 1.0) / 0.25
+            assert 200.0 < least < most < 400.0
+
+
+def test_the_true_volume_is_the_one_that_the_model_is_told(drawn: list[BathScenario]) -> None:
+    """Over a whole run of fills: the plant itself, moved as the course asks."""
+    scenario = next(one for one in drawn if len(one.fill_times_s) > 1)
+    stand = BathStand(scenario)
+    bath, course = stand.world().load, stand.course(Mode.FIXED)
+    assert isinstance(bath, Bath)
+    found = []
+    for k, size in enumerate(course.sizes.tolist()):
+        if k > 0 and size != course.sizes[k - 1]:
+            bath.resize(size, course.over_s)
+        found.append(bath.volume_gal)
+        bath.coast(stand.own.period_s)
+    slip = np.abs(np.diff(stand.volumes_gal)).max()
+    np.testing.assert_allclose(found, stand.volumes_gal, atol=slip + 1e-9)
+
+
+def test_the_truth_of_the_reference_bath_is_its_configured_model() -> None:
+    scenario = draw_bath(campaign(), 1)
+    stand = BathStand(scenario)
+    stand.volumes_gal, stand.inflows = np.array([0.6]), np.array([1.0])
+    object.__setattr__(scenario, "resistance", 1.0)
+    assert stand.truth_at(0) == pytest.approx([0.02104, 200.0], rel=2e-3)
+
+
+@pytest.mark.slow
+def test_a_campaign_of_baths_leaves_a_row_for_each_seed_and_pictures(tmp_path: Path) -> None:
+    path = tmp_path / "short.toml"
+    path.write_text(BATHS.replace("duration_s = 10800.0", "duration_s = 4800.0"), encoding="utf-8")
+    rows = run_campaign(path, tmp_path, scheduler=None, processes=1, runs=2)
+    assert [row["seed"] for row in rows] == [500_001, 500_002]
+    assert all(math.isfinite(row["ratio"]) for row in rows)
+    table = pq.read_table(tmp_path / "results.parquet").to_pylist()
+    assert [row["ratio"] for row in table] == [row["ratio"] for row in rows]
+    assert (tmp_path / "influences.png").stat().st_size > 10_000
+    again = run_seed(read_any_campaign(path), 500_002)
+    assert again["cost_adaptive"] == rows[1]["cost_adaptive"]
+
+
+@pytest.mark.slow
+def test_compiled_and_deployed_controllers_hold_a_bath_alike() -> None:
+    stand = BathStand(draw_bath(campaign(duration_s=2400.0), 510_007))
+    compiled, (deployed, _) = stand.run(Mode.ADAPTIVE), stand.run_deployed(Mode.ADAPTIVE)
+    assert compiled.interlock == deployed.interlock == 0
+    for column in (bench.OUTPUT, bench.REFERENCE_V):
+        expected = deployed.trace[:, column]
+        np.testing.assert_allclose(compiled.trace[:, column], expected, rtol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "flaw"),
+    [
+        ("volume_gal = [0.3, 1.8]", "volume_gal = [0.3, 90.0]", "water.volume_gal = [0.3, 90.0]: "),
+        ("spike_K = 0.5", "spike_V = 0.5", "sensor.spike_"),
+        ("inflow = [0.8, 1.25]", "inflow = [0.3, 3.0]", "V_c holds no set-point"),
+        ('type = "bath"', 'type = "kettle"', "type = 'kettle': must be one of motor, bath"),
+    ],
+)
+def test_an_error_in_a_file_of_baths_names_key_and_value(
+    tmp_path: Path, old: str, new: str, flaw: str
+) -> None:
+    path = tmp_path / "mine.toml"
+    assert old in BATHS
+    path.write_text(BATHS.replace(old, new), encoding="utf-8")
+    with pytest.raises(CampaignError) as problem:
+        read_any_campaign(path)
+    assert flaw in str(problem.value)
+
+
+def test_a_file_without_a_type_is_of_motors() -> None:
+    assert isinstance(read_any_campaign(Path("standard.toml")), Campaign)
