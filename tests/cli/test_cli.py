@@ -222,6 +222,12 @@ async def test_a_bad_configuration_ends_with_2_and_every_flaw(tmp_path: Path) ->
     assert any("realtime.late_fraction" in line for line in lines)
 
 
+async def test_a_configuration_without_an_end_ends_with_2() -> None:
+    outcome = await adaptdrive("check", "/dev/zero")
+    assert outcome.status == 2
+    assert "more than" in outcome.errors
+
+
 async def test_a_check_for_programs_lists_limits_and_flaws(tmp_path: Path) -> None:
     outcome = await adaptdrive("check", "--json", str(EXAMPLE))
     report = json.loads(outcome.output)
@@ -304,6 +310,25 @@ async def test_an_interrupted_command_is_quiet(mosquitto: Broker) -> None:
     process.send_signal(signal.SIGINT)
     output, errors = await process.communicate()
     assert (process.returncode, output, errors) == (130, b"", b"")
+
+
+@pytest.mark.parametrize(
+    ("redirections", "status", "errors"),
+    [
+        ("| true; exit ${PIPESTATUS[0]}", 0, ""),
+        (">&-", 0, ""),
+        ("<&- >&- 2>&-", 0, ""),
+        (">/dev/full", 1, "adaptdrive: [Errno 28] No space left on device\n"),
+    ],
+)
+def test_output_that_nobody_takes_gives_no_traceback_and_no_false_status(
+    tmp_path: Path, redirections: str, status: int, errors: str
+) -> None:
+    command = f"{sys.executable} -m adaptdrive.cli sessions list --json --directory {tmp_path}"
+    words = ["bash", "-c", f"{command} {redirections}"]
+    buffered = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
+    done = subprocess.run(words, capture_output=True, text=True, check=False, env=buffered)
+    assert (done.returncode, done.stderr) == (status, errors)
 
 
 def test_a_reader_that_has_had_enough_is_no_error_to_complain_about() -> None:

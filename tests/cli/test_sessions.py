@@ -82,9 +82,28 @@ def test_missing_ticks_are_counted(state: Path) -> None:
 
 
 def test_old_sessions_are_pruned_on_request(state: Path) -> None:
-    assert run(state, "sessions", "prune", "--keep-days", "1e6").stdout == ""
+    kept = run(state, "sessions", "prune", "--keep-days", "1e6")
+    assert (kept.returncode, kept.stdout, kept.stderr) == (0, "", "")
     assert f"session {NAME} removed" in run(state, "sessions", "prune", "--keep-MB", "0.001").stdout
     assert run(state, "sessions", "list").stdout == ""
+
+
+@pytest.mark.parametrize("limit", ["nan", "inf", "0", "-5"])
+@pytest.mark.parametrize("option", ["--keep-days", "--keep-MB"])
+def test_a_limit_that_is_none_removes_nothing(state: Path, option: str, limit: str) -> None:
+    answer = run(state, "sessions", "prune", f"{option}={limit}")
+    assert answer.returncode == 2
+    (line,) = answer.stderr.splitlines()
+    assert option in line
+    assert (state / "sessions" / NAME).is_dir()
+
+
+def test_a_folder_that_cannot_be_made_is_one_line(state: Path) -> None:
+    (state / "file").touch()
+    answer = run(state, "export", NAME, "--to", "csv", "--into", str(state / "file" / "below"))
+    assert answer.returncode == 1
+    (line,) = answer.stderr.splitlines()
+    assert str(state / "file") in line
 
 
 def test_what_is_pruned_is_listed_for_programs(state: Path) -> None:

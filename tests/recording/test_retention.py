@@ -71,6 +71,15 @@ def test_without_limits_everything_is_kept(tmp_path: Path) -> None:
     assert names(tmp_path) == [directory.name]
 
 
+@pytest.mark.parametrize("days", [1e6, 1e300])
+def test_a_limit_of_more_days_than_a_calendar_has_removes_nothing(
+    tmp_path: Path, days: float
+) -> None:
+    directory = recorded(tmp_path, 3000.0)
+    assert list(prune(tmp_path, Keep(days=days), NOW)) == []
+    assert names(tmp_path) == [directory.name]
+
+
 @pytest.fixture
 def lost(tmp_path: Path) -> Path:
     directory = recorded(tmp_path, 2.0)

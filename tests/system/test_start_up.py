@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -9,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.cli import FAILED, UNUSABLE
-from tests.support import has_can
-from tests.system.site import motor_configuration
+from tests.support import has_can, stop_process
+from tests.system.site import START_PATIENCE_S, motor_configuration, until
 
 
 def run_daemon(config: Path) -> subprocess.CompletedProcess[str]:
@@ -62,3 +63,25 @@ def test_a_bus_that_the_kernel_lacks_is_one_line(tmp_path: Path) -> None:
         "adaptdrive: socketcan can0: this kernel has no AF_CAN; use udp_multicast"
     ]
     assert "Traceback" not in run.stderr
+
+
+def test_a_configuration_from_a_pipe_is_the_one_that_is_recorded(
+    tmp_path: Path, free_udp_port: int
+) -> None:
+    text = motor_configuration(1, free_udp_port, {})
+    daemon = subprocess.Popen(
+        [sys.executable, "-m", "adaptdrive.cli", "run", "/dev/stdin"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        cwd=tmp_path,
+        env=os.environ | {"STATE_DIRECTORY": str(tmp_path)},
+    )
+    try:
+        assert daemon.stdin is not None
+        daemon.stdin.write(text.encode())
+        daemon.stdin.close()
+        until(lambda: list(tmp_path.glob("sessions/*/config.toml")), "a session", START_PATIENCE_S)
+    finally:
+        stop_process(daemon)
+    (recorded,) = tmp_path.glob("sessions/*/config.toml")
+    assert recorded.read_text(encoding="utf-8") == text

@@ -11,7 +11,7 @@ from adaptdrive.app.plausible import implausible
 from adaptdrive.app.ports import build_port
 from adaptdrive.app.sensors import build_sensor_port
 from adaptdrive.config import Configuration
-from adaptdrive.config.file import Findings, find_flaws
+from adaptdrive.config.file import Findings, find_flaws, read_text
 from adaptdrive.config.modbus import ModbusBus, ModbusLink
 from adaptdrive.errors import ConfigurationError, Flaw
 
@@ -27,7 +27,20 @@ def load_examined(path: Path) -> Configuration:
     Raises:
         ConfigurationError: There are flaws; those of every kind are listed.
     """
-    findings = find_flaws(path)
+    return examine_text(read_text(path), path)
+
+
+def examine_text(text: str, path: Path) -> Configuration:
+    """Hold the text of a configuration against its DBC, EDS or register map.
+
+    Args:
+        text: The text.
+        path: The file that it came from.
+
+    Raises:
+        ConfigurationError: There are flaws; those of every kind are listed.
+    """
+    findings = find_flaws(text, path)
     known = {flaw.place for flaw in findings.flaws}
     described = [flaw for flaw in _description_flaws(findings, path) if flaw.place not in known]
     flaws = [*findings.flaws, *described]

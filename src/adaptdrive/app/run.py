@@ -25,7 +25,7 @@ from adaptdrive.app.checkpoint import (
     recall,
     write_checkpoint,
 )
-from adaptdrive.app.examine import load_examined
+from adaptdrive.app.examine import examine_text
 from adaptdrive.app.last_resort import uncaught_errors_end
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.lock import lock_names, locked, send_visitors_away
@@ -39,6 +39,7 @@ from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.app.state_file import directory_flaw
 from adaptdrive.app.warm_up import Rehearsal
 from adaptdrive.config import Configuration
+from adaptdrive.config.file import read_text
 from adaptdrive.control.controller import Controller
 from adaptdrive.errors import AdaptdriveError, first_error
 from adaptdrive.hardware.port import Port
@@ -87,8 +88,8 @@ def run(path: Path) -> int:
         AdaptdriveError: The configuration or the bus cannot be used, or another daemon of this
             machine controls the drive.
     """
-    configuration = load_examined(path)
-    text = path.read_text(encoding="utf-8")
+    text = read_text(path)
+    configuration = examine_text(text, path)
     start_thread = helper_thread(configuration.realtime.priority)
     try:
         with (

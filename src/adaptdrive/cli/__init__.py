@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from collections.abc import Sequence
@@ -9,12 +10,15 @@ from collections.abc import Sequence
 from cyclopts import App, CycloptsError, UnknownCommandError
 
 from adaptdrive import __version__
+from adaptdrive.cli.standard_files import open_standard_files
 from adaptdrive.errors import AdaptdriveError, ConfigurationError
 from adaptdrive.runtime.requests import REQUESTS, Request
 
 FAILED = 1
 UNUSABLE = 2
 INTERRUPTED = 130
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 _COMMANDS = {
     "init": ("start", "Write a first configuration for a load and a bus."),
@@ -49,9 +53,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit status: 0 done or accepted, 1 failed or refused, 2 unusable arguments or
         configuration, 3 no answer, 4 the end of a session is not recorded, 130 interrupted.
     """
+    open_standard_files()
     try:
         outcome = _app()(arguments)
-        sys.stdout.flush()
     except UnknownCommandError as problem:
         from adaptdrive.config.proposals import nearest  # noqa: PLC0415 - no command needs it
 
@@ -65,15 +69,39 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(str(problem), UNUSABLE if unusable else FAILED)
     except KeyboardInterrupt:
         return INTERRUPTED
-    except BrokenPipeError:
-        return _close_quietly()
-    return outcome if isinstance(outcome, int) else 0
+    except OSError as problem:
+        return _unwritten(problem, FAILED)
+    return _flush(outcome if isinstance(outcome, int) else 0)
 
 
-def _close_quietly() -> int:
-    """Discard output whose reader has ended, which would be an error at the exit of Python."""
+def _flush(status: int) -> int:
+    """Return the status of a command once its output is written.
+
+    A reader that has ended changes no status: the drive did what the status says.
+    """
+    try:
+        sys.stdout.flush()
+    except OSError as problem:
+        return _unwritten(problem, status)
+    return status
+
+
+def _unwritten(problem: OSError, status: int) -> int:
+    """Return the status of a command that could not write its output or reach a file.
+
+    What is neither is an internal error and raised again.
+    """
+    if isinstance(problem, BrokenPipeError):
+        return _discard_output(status)
+    if problem.errno not in _FULL and problem.filename is None:
+        raise problem
+    return _complain(str(problem), _discard_output(status or FAILED))
+
+
+def _discard_output(status: int) -> int:
+    """Discard output that nothing takes, which would be an error at the exit of Python."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return FAILED
+    return status
 
 
 def _version() -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import webbrowser
@@ -13,6 +14,14 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from adaptdrive.cli.extra import Extra
+
+
+def _check_second(_type: object, second: float | None) -> None:
+    if second is not None and not math.isfinite(second):
+        raise ValueError("A second of a session is a finite number.")
+
+
+Second = Annotated[float | None, Parameter(validator=_check_second)]
 
 
 @Parameter(name="*")
@@ -28,8 +37,8 @@ class SessionView:
         as_json: Print JSON, for programs.
     """
 
-    begin: Annotated[float | None, Parameter(name="--from")] = None
-    end: Annotated[float | None, Parameter(name="--to")] = None
+    begin: Annotated[Second, Parameter(name="--from")] = None
+    end: Annotated[Second, Parameter(name="--to")] = None
     into: Path | None = None
     show: Annotated[bool, Parameter(name="--open", negative=())] = False
     as_json: Annotated[bool, Parameter(name="--json", negative=())] = False

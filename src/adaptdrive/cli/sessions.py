@@ -13,6 +13,15 @@ from cyclopts import App, Parameter
 
 app = App(name="sessions")
 
+_LARGEST_LIMIT = 1e12
+
+
+def _check_limit(_type: object, limit: float | None) -> None:
+    if limit is not None and not 0.0 < limit <= _LARGEST_LIMIT:
+        raise ValueError(f"A limit is a number above 0 and at most {_LARGEST_LIMIT:g}.")
+
+
+Limit = Annotated[float | None, Parameter(validator=_check_limit)]
 Folder = Annotated[Path | None, Parameter(name="--directory")]
 Json = Annotated[bool, Parameter(name="--json", negative=())]
 
@@ -131,8 +140,8 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
 @app.command
 def prune(
     *,
-    keep_days: Annotated[float | None, Parameter(name="--keep-days")] = None,
-    keep_MB: Annotated[float | None, Parameter(name="--keep-MB")] = None,
+    keep_days: Annotated[Limit, Parameter(name="--keep-days")] = None,
+    keep_MB: Annotated[Limit, Parameter(name="--keep-MB")] = None,
     directory: Folder = None,
     as_json: Json = False,
 ) -> int:

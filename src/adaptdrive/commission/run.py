@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from adaptdrive.app.examine import load_examined
+from adaptdrive.app.examine import examine_text, load_examined
 from adaptdrive.app.loads import build_load
 from adaptdrive.commission.evaluate import evaluate
 from adaptdrive.commission.experiment import LoadExperiment
@@ -18,6 +18,7 @@ from adaptdrive.commission.proposal import propose
 from adaptdrive.commission.report import Commissioned, as_text, draw
 from adaptdrive.commission.sensor import judge_sensor
 from adaptdrive.commission.target import build_target
+from adaptdrive.config.file import read_text
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import CommissionError
 
@@ -80,8 +81,8 @@ async def commission(
     Raises:
         AdaptdriveError: The drive refused or tripped, or the load cannot be identified.
     """
-    text = wanted.path.read_text(encoding="utf-8")
-    configuration = load_examined(wanted.path)
+    text = read_text(wanted.path)
+    configuration = examine_text(text, wanted.path)
     target = build_target(configuration, wanted.move_share, wanted.patience_s)
     guide = Guide(broker, drive, timeout_s)
     standby = await guide.watch_standby(wanted.standby_s)
@@ -108,5 +109,5 @@ def write(path: Path, commissioned: Commissioned) -> Path:
     Raises:
         ConfigurationError: The file cannot be written.
     """
-    text = path.read_text(encoding="utf-8")
+    text = read_text(path)
     return write_values(path, with_values(text, commissioned.proposal.values))

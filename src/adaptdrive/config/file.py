@@ -23,6 +23,8 @@ _BUS_PATHS = {"can": ("database",), "canopen": ("eds",), "modbus-rtu": ("device"
 _MESSAGES = {"extra_forbidden": "Unknown key", "union_tag_not_found": "Field required"}
 _UNKNOWN = "extra_forbidden"
 _ALL = frozenset(Configuration.model_fields)
+_LONGEST = 1_000_000
+"""Fifty times the longest example; a device or a pipe may never end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,23 +56,39 @@ def load_configuration(path: Path) -> Configuration:
     Raises:
         ConfigurationError: The file cannot be read, or holds flaws; all of them are listed.
     """
-    return _whole(find_flaws(path), path)
+    return parse_configuration(read_text(path), path)
 
 
-def find_flaws(path: Path) -> Findings:
-    """Read one TOML file, and go on behind its flaws.
+def read_text(path: Path) -> str:
+    """Return the text of a configuration file, which may be a pipe that can be read only once.
 
     Args:
         path: The file.
 
     Raises:
-        ConfigurationError: The file cannot be read, or is no TOML.
+        ConfigurationError: The file cannot be read, is no text or has too many characters.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open(encoding="utf-8") as file:
+            text = file.read(_LONGEST + 1)
     except (OSError, ValueError) as problem:
         raise ConfigurationError(path, [Flaw("file", str(problem))]) from problem
-    return _examine(_tables(text, path), path)
+    if len(text) > _LONGEST:
+        raise ConfigurationError(path, [Flaw("file", f"it has more than {_LONGEST} characters")])
+    return text
+
+
+def find_flaws(text: str, source: Path) -> Findings:
+    """Examine the text of a configuration, and go on behind its flaws.
+
+    Args:
+        text: The text.
+        source: The file that it came from.
+
+    Raises:
+        ConfigurationError: The text is no TOML.
+    """
+    return _examine(_tables(text, source), source)
 
 
 def parse_configuration(text: str, source: Path) -> Configuration:

@@ -49,3 +49,5 @@ class Housekeeper:
                 job()
             except ERRORS as problem:
                 self._warn(str(problem))
+            except Exception as problem:  # noqa: BLE001 - reported; the other jobs need the thread
+                self._warn(f"internal error: {problem!r}")

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
-from datetime import datetime, timedelta
+from datetime import datetime
 from pathlib import Path
 
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import Keep
 from adaptdrive.recording.segments import segments
 from adaptdrive.recording.session import SessionLock, read_info, session_directories
+
+_DAY_S = 86_400.0
 
 
 def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None) -> Iterator[str]:
@@ -70,7 +72,9 @@ def _too_old(directory: Path, keep: Keep, now: datetime) -> bool:
         started = read_info(directory).started
     except RecordingError:  # not known what it is: left for a person to look at
         return False
-    return started < now - timedelta(days=keep.days)
+    return (
+        now - started
+    ).total_seconds() > keep.days * _DAY_S  # any number of days, without an end
 
 
 def _size(directory: Path) -> int:

@@ -1,0 +1,34 @@
+"""Standard input, output and error of a process that was started without some of them."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Literal, TextIO
+
+_INPUT, _OUTPUT, _ERRORS = range(3)
+
+
+def open_standard_files() -> None:
+    """Open the null device in place of each standard file that is closed.
+
+    Otherwise a bus or a database would get that number, and what other code prints would end in it.
+    """
+    for number in (_INPUT, _OUTPUT, _ERRORS):
+        if not _is_open(number):
+            os.open(os.devnull, os.O_RDWR)  # the kernel gives the lowest free number
+    sys.stdin = sys.stdin or _stream(_INPUT, "r")
+    sys.stdout = sys.stdout or _stream(_OUTPUT, "w")
+    sys.stderr = sys.stderr or _stream(_ERRORS, "w")
+
+
+def _is_open(number: int) -> bool:
+    try:
+        os.fstat(number)
+    except OSError:
+        return False
+    return True
+
+
+def _stream(number: int, mode: Literal["r", "w"]) -> TextIO:
+    return open(number, mode, encoding="utf-8", closefd=False)

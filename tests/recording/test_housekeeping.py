@@ -1,0 +1,29 @@
+"""Jobs beside the recording: one that fails is reported, and the others are done."""
+
+import pytest
+
+from adaptdrive.errors import RecordingError
+from adaptdrive.recording.housekeeping import Housekeeper
+
+
+@pytest.mark.parametrize(
+    ("problem", "told"),
+    [
+        (RecordingError("one", "damaged"), "one: damaged"),
+        (OverflowError("out of range"), "internal error: OverflowError('out of range')"),
+    ],
+)
+def test_a_job_that_fails_is_told_and_those_behind_it_are_done(
+    problem: Exception, told: str
+) -> None:
+    warnings: list[str] = []
+    done: list[str] = []
+
+    def fail() -> None:
+        raise problem
+
+    housekeeper = Housekeeper(warnings.append)
+    housekeeper.submit(fail)
+    housekeeper.submit(lambda: done.append("closed"))
+    housekeeper.finish()
+    assert (warnings, done) == ([told], ["closed"])
