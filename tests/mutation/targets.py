@@ -27,13 +27,17 @@ RUNTIME: dict[str, tuple[str, ...]] = {
     "adaptdrive.runtime.interlocks": ("tests/runtime/test_interlocks.py", *_LOOP),
     "adaptdrive.runtime.guard": ("tests/runtime/test_guard.py", *_LOOP),
     "adaptdrive.runtime.machine": (*_MACHINE, "tests/runtime/test_coasting.py"),
+    "adaptdrive.runtime.machine_limits": ("tests/runtime/test_machine_limits.py",),
+    "adaptdrive.runtime.manual": ("tests/runtime/test_machine_limits.py",),
     "adaptdrive.runtime.fast_loop": (*_LOOP, *_LOOP_MORE, *_STOP),
     "adaptdrive.runtime.interlock_board": ("tests/runtime/test_interlock_board.py", *_LOOP),
+    "adaptdrive.runtime.bridge_watch": ("tests/runtime/test_bridge_watch.py",),
     "adaptdrive.runtime.half_cycles": (*_RATE, "tests/runtime/test_fast_loop.py"),
     "adaptdrive.runtime.frame_rate": _RATE,
     "adaptdrive.runtime.stop_watch": _STOP,
     "adaptdrive.runtime.stopping": _STOP,
     "adaptdrive.runtime.statistics": ("tests/runtime/test_statistics.py",),
+    "adaptdrive.control.schedule": ("tests/control/test_schedule.py", *_LOOP),  # the loop's order
 }
 
 OPERATION: dict[str, tuple[str, ...]] = {
@@ -104,7 +108,7 @@ HALVES = _control({
     "slow_half": "test_slow_half test_robustness test_probing",
     "slow_state": "test_slow_half test_probing",
     "controller": "test_controller test_schedule",
-}) | {"adaptdrive.control.schedule": ("tests/control/test_schedule.py", *_LOOP)}  # fmt: skip
+})  # fmt: skip
 
 PARTS = {
     "supervision": SUPERVISION,

@@ -1,0 +1,65 @@
+"""When a bridge that is off although it was commanded on is a stop, in exact times."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from adaptdrive.runtime.bridge_watch import BridgeWatch
+from tests.runtime.bench import CALM
+
+TICK_S = 2.0**-7
+STOPPED = "drive stopped: its bridge is off although it was commanded on"
+
+
+class Seen:
+    """A drive whose bridge is looked at."""
+
+    def __init__(self, ticks_per_reading: int = 1) -> None:
+        self._watch = BridgeWatch(TICK_S, ticks_per_reading)
+
+    def look(
+        self, ticks: float, *, bridge: bool, commanded: bool = True, unwatched: float = 1.0
+    ) -> bool:
+        """Return whether it has stopped, some half cycles after 64 s."""
+        time_s = 64.0 + ticks * TICK_S
+        reading = replace(CALM, arrival_s=time_s, oldest_s=time_s, bridge=bridge)
+        found = self._watch.find_cause(reading, commanded=commanded, unwatched_s=unwatched * TICK_S)
+        assert found in (None, STOPPED)
+        return found is not None
+
+
+@pytest.mark.parametrize(("ticks_per_reading", "last"), [(1, 29), (10, 20), (60, 120)])
+def test_a_bridge_has_thirty_half_cycles_and_three_readings(
+    ticks_per_reading: int, last: int
+) -> None:
+    seen = Seen(ticks_per_reading)
+    assert not seen.look(0.0, bridge=False)
+    assert not seen.look(last, bridge=False)
+    assert seen.look(last + 1.5e-6 / TICK_S, bridge=False)
+
+
+def test_a_bridge_that_comes_on_or_need_not_be_on_begins_anew() -> None:
+    for bridge, commanded in ((True, True), (False, False)):
+        seen = Seen()
+        seen.look(0.0, bridge=False)
+        seen.look(20.0, bridge=bridge, commanded=commanded)
+        assert not seen.look(40.0, bridge=False)
+        assert not seen.look(69.0, bridge=False)
+        assert seen.look(70.0, bridge=False)
+
+
+@pytest.mark.parametrize(("unwatched", "stopped"), [(3.0, False), (3.1, True)])
+def test_a_bridge_that_went_off_unwatched_is_a_stop(unwatched: float, *, stopped: bool) -> None:
+    seen = Seen()
+    seen.look(0.0, bridge=True)
+    assert seen.look(10.0, bridge=False, unwatched=unwatched) is stopped
+
+
+@pytest.mark.parametrize("commanded", [False, True])
+def test_a_bridge_that_was_never_on_for_this_daemon_has_its_time(*, commanded: bool) -> None:
+    seen = Seen()
+    if not commanded:
+        seen.look(-1.0, bridge=True, commanded=False)
+    assert not seen.look(0.0, bridge=False, unwatched=100.0)
