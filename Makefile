@@ -41,6 +41,10 @@ proof: $(installed) ## run the long forms of the tests and write docs/proof.md a
 branches: $(installed) ## list the lines and branches of the supervised modules that their own tests leave out
 	$(bin)/python -m tests.branches
 
+soak: export MINUTES = 120
+soak: $(installed) ## let a drive live for DAYS=7 of virtual time and MINUTES=120 of real time, and write docs/proof.md
+	$(bin)/python -m tests.proof docs/proof.md soak-virtual soak-real
+
 tables: $(installed) ## run the paper's motor experiment with 20 seeds, and write the tables of README and docs/control.md
 	nice $(bin)/python -m tests.benchmarks.paper_tables $(SEED)
 

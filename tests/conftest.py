@@ -32,7 +32,16 @@ settings.load_profile("adaptdrive")
 # Drives of the same name on several workers, or beside the suite, are not the same drive.
 os.environ[NAMESPACE] = f"tests-{os.getpid()}"
 
-CALCULATING = {"campaign", "closed_loop", "compiled", "config", "control", "experiments", "faults"}
+CALCULATING = {
+    "campaign",
+    "closed_loop",
+    "compiled",
+    "config",
+    "control",
+    "experiments",
+    "faults",
+    "soak",
+}
 """Folders whose tests need nothing but a processor, however busy."""
 
 LONG = "system"

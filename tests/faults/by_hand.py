@@ -83,6 +83,7 @@ class DaemonByHand:
     Attributes:
         now: The time that the daemon reads, in s.
         port: Its bus.
+        hub: Where it publishes its reports.
         revise: What becomes of each decision of the slow loop.
     """
 
@@ -101,7 +102,7 @@ class DaemonByHand:
         modulus = 65536 if configuration.signals.counter is not None else None
         self.now = now
         self.port = QueuedPort(commanded, modulus)
-        hub = Hub()
+        self.hub = hub = Hub()
         self._reports = hub.subscribe(Event, LoadReport, size=100_000)
         self.daemon = Daemon(
             port=self.port,

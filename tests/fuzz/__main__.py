@@ -29,7 +29,7 @@ HANG_s = 10.0
 RETRIES = 2
 LONGEST = 1 << 14
 LENGTH_BYTES = 4
-SHOWN = 3000
+SHOWN = 2000
 GUIDE = "atheris"
 
 
@@ -59,7 +59,7 @@ def _in_process(name: str, runs: int) -> int:
         verdict = "passed" if done.returncode == 0 else f"FAILED with status {done.returncode}"
         sys.stdout.write(f"{name}: {runs} inputs, {kind}, {took_s:.0f} s: {verdict}\n")
         if done.returncode:
-            sys.stdout.write((done.stdout + done.stderr)[-SHOWN:])
+            sys.stdout.write(done.stdout[-SHOWN:] + done.stderr[-SHOWN:])
             sys.stdout.write(f"\nthe last input: {_kept(Path(last.name))!r}\n")
         sys.stdout.flush()
     return int(done.returncode != 0)

@@ -43,6 +43,8 @@ def forms() -> tuple[Form, ...]:
     stories = os.environ.get("STORIES", "5000")
     inputs = os.environ.get("INPUTS", "1000000")
     mutants = os.environ.get("MUTANTS", "25")
+    days, minutes = os.environ.get("DAYS", "7"), os.environ.get("MINUTES", "120")
+    at_most = ("--at-most", os.environ["AT_MOST"]) if "AT_MOST" in os.environ else ()
     energised = ("-m", "pytest", "-q", "tests/faults/test_energised.py", "--timeout", "86400")
     return (
         *(Form(group, f"Faults: {group}", ("-m", "tests.faults.table", seeds, group),
@@ -54,6 +56,10 @@ def forms() -> tuple[Form, ...]:
              as_table=True),
         Form("kills", "Processes killed at random moments",
              ("-m", "tests.benchmarks", "--only", "kills")),
+        Form("soak-virtual", "Days of operators and faults in virtual time",
+             ("-m", "tests.soak", "virtual", days, *at_most), as_table=True),
+        Form("soak-real", "A site in real time at 120 Hz",
+             ("-m", "tests.soak", "real", minutes), as_table=True),
         *(Form(f"mutants-{module.rpartition('.')[2]}", f"Small changes of the code: {module}",
                ("-m", "tests.mutation", module.removeprefix("adaptdrive.")), as_table=True)
           for module in RUNTIME | OPERATION),

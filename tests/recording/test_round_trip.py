@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import pyarrow as pa
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from pyarrow import parquet as pq
 
 from adaptdrive.control.signals import (
     Command,
@@ -203,6 +205,15 @@ def test_a_damaged_parquet_file_is_an_error_that_names_it(tmp_path: Path) -> Non
     record_messages(tmp_path, Header(INFO, ""), make_batch([make_tick(0)], last=True))
     (tmp_path / "ticks-0001.parquet").write_bytes(b"PAR1 but not really")
     with pytest.raises(RecordingError, match=r"ticks-0001\.parquet"):
+        _ = read_session(tmp_path).ticks
+
+
+@pytest.mark.parametrize("names", [["sequence"], ["sequence", "sequence"]])
+def test_a_damaged_column_is_an_error_that_names_its_file(tmp_path: Path, names: list[str]) -> None:
+    record_messages(tmp_path, Header(INFO, ""), make_batch([make_tick(0)], last=True))
+    columns = [pa.array([{"a": 1}], pa.struct([("a", pa.int64())]))] * len(names)
+    pq.write_table(pa.Table.from_arrays(columns, names), tmp_path / "ticks-0001.parquet")
+    with pytest.raises(RecordingError, match=r"ticks-0001\.parquet: a column is damaged"):
         _ = read_session(tmp_path).ticks
 
 

@@ -117,7 +117,11 @@ def _conformed(segment: Segment, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
     for batch in segment.batches(schema.names):
         if not set(batch.schema.names) & set(schema.names):
             raise RecordingError(segment.path, "its columns are not those known here")
-        yield conform(batch, schema)
+        try:
+            conformed = conform(batch, schema)
+        except (pa.ArrowException, KeyError) as problem:  # of another type, or there twice
+            raise RecordingError(segment.path, f"a column is damaged: {problem}") from problem
+        yield conformed
 
 
 def _filled(segment: Segment, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
