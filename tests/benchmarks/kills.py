@@ -185,11 +185,13 @@ class Drive:
 
 @contextmanager
 def _ended(daemon: Process) -> Iterator[None]:
-    """Leave no daemon behind that writes into a folder which is removed."""
+    """Leave neither daemon nor recorder behind that writes into a folder which is removed."""
     try:
         yield
     finally:
+        recorders = [one for one in children(daemon.pid) if _records(one)]
         stop_process(daemon)
+        until(lambda: not any(map(_records, recorders)), "the recorder ends", PATIENCE_s)
 
 
 class Operator:
@@ -233,7 +235,7 @@ class Operator:
 
 def rows(extent: Extent) -> Iterator[Row]:
     """All rows of this file."""
-    kills = 12 if extent.quick else 200
+    kills = 12 if extent.quick else int(os.environ.get("KILLS", "200"))
     with TemporaryDirectory() as name:
         yield from _judged(run(Path(name), kills, seed=int(time.time())))
 

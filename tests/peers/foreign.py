@@ -23,6 +23,8 @@ _CHANGES = {
     "can": {"udp_port = 43113": "udp_port = {port}", "stale_s = 0.05 ": "stale_s = 0.3 "},
     "modbus": {"port = 5020": "port = {port}", "stale_s = 0.35 ": "stale_s = 1.0 "},
 }
+SLAVES = {"can": "can", "modbus": "modbus", "pymodbustcp": "modbus"}
+"""Bus of each program that is a drive."""
 _FILES = {"can": "motor.toml", "modbus": "motor-modbus-tcp.toml"}
 _SOCKETS = {"can": socket.SOCK_DGRAM, "modbus": socket.SOCK_STREAM}
 
@@ -41,6 +43,7 @@ class Foreign:
     """The drive's process, its description for the daemon, and its log.
 
     Attributes:
+        slave: Which program it is.
         bus: `can` or `modbus`.
         port: Where it is reached.
         folder: Holds the configuration, and the logs of all processes.
@@ -48,6 +51,7 @@ class Foreign:
         process: The drive that was started last.
     """
 
+    slave: str
     bus: str
     port: int
     folder: Path
@@ -55,9 +59,10 @@ class Foreign:
     process: Process | None = None
 
     @classmethod
-    def build(cls, bus: str, folder: Path, spawn: Spawn) -> Foreign:
-        """Describe a drive."""
-        drive = cls(bus, free_port(_SOCKETS[bus]), folder, spawn)
+    def build(cls, slave: str, folder: Path, spawn: Spawn) -> Foreign:
+        """Describe a drive; its slave is one of `SLAVES`."""
+        bus = SLAVES[slave]
+        drive = cls(slave, bus, free_port(_SOCKETS[bus]), folder, spawn)
         drive.config.write_text(configuration(bus, drive.port))
         return drive
 
@@ -76,7 +81,7 @@ class Foreign:
         if self.bus == "can":
             words.insert(0, str(EXAMPLES / "adaptdrive.dbc"))
         known = len(self.events("ready"))
-        program = Path(__file__).with_name(f"{self.bus}_drive.py")
+        program = Path(__file__).with_name(f"{self.slave}_drive.py")
         self.process = self.spawn(sys.executable, program, *words)
         deadline_s = time.monotonic() + _START_s
         while len(self.events("ready")) == known:

@@ -10,6 +10,7 @@ import signal
 import sys
 import time
 from collections.abc import AsyncIterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,7 @@ from adaptdrive.config import load_configuration
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
-from tests.peers.foreign import Foreign
+from tests.peers.foreign import SLAVES, Foreign
 from tests.support import Spawn
 from tests.wire.rig import Rig, rigged, until
 
@@ -30,9 +31,11 @@ HOLD_s = 60.0
 OWN_TIMEOUT_s = 0.5
 
 
-@pytest.fixture(params=["can", "modbus"])
+@pytest.fixture(params=SLAVES)
 def foreign(request: pytest.FixtureRequest, tmp_path: Path, spawn: Spawn) -> Foreign:
-    """A drive on each bus."""
+    """A drive on each bus; on Modbus also one that answers by a library that is not pymodbus."""
+    if request.param == "pymodbustcp" and find_spec("pyModbusTCP") is None:
+        pytest.skip("pyModbusTCP is not installed")
     return Foreign.build(request.param, tmp_path, spawn)
 
 

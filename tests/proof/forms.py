@@ -1,6 +1,7 @@
 """The long forms of the tests, each as a command of the interpreter.
 
-SEEDS, STORIES, INPUTS and MUTANTS of the environment make some of them shorter or longer.
+SEEDS, STORIES, INPUTS, MUTANTS, KILLS, DAYS and MINUTES of the environment make some of them
+shorter or longer; AT_MOST is the real time in minutes after which the virtual days end.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ def forms() -> tuple[Form, ...]:
     inputs = os.environ.get("INPUTS", "1000000")
     mutants = os.environ.get("MUTANTS", "25")
     days, minutes = os.environ.get("DAYS", "7"), os.environ.get("MINUTES", "120")
+    kills = os.environ.get("KILLS", "200")
     at_most = ("--at-most", os.environ["AT_MOST"]) if "AT_MOST" in os.environ else ()
     energised = ("-m", "pytest", "-q", "tests/faults/test_energised.py", "--timeout", "86400")
     return (
@@ -55,7 +57,7 @@ def forms() -> tuple[Form, ...]:
         Form("deceived", "Sensors that lie", ("-m", "tests.closed_loop.deceived", seeds),
              as_table=True),
         Form("kills", "Processes killed at random moments",
-             ("-m", "tests.benchmarks", "--only", "kills")),
+             ("-m", "tests.benchmarks", "--only", "kills"), {"KILLS": kills}),
         Form("soak-virtual", "Days of operators and faults in virtual time",
              ("-m", "tests.soak", "virtual", days, *at_most), as_table=True),
         Form("soak-real", "A site in real time at 120 Hz",

@@ -17,9 +17,9 @@ INTRODUCTION = """# Proof
 
 The long forms of the tests. `make proof` runs those that have no result of the present commit;
 `python -m tests.proof docs/proof.md FORM` runs one again. The results are in
-`tests/proof/results`, and this page is made from them. SEEDS, STORIES, INPUTS, DAYS and MINUTES set
-the length of a form, MUTANTS the longest sample of a module. Each section begins with the command
-that ran.
+`tests/proof/results`, and this page is made from them. SEEDS, STORIES, INPUTS, KILLS, DAYS and
+MINUTES set the length of a form, MUTANTS the longest sample of a module. Each section begins with
+the command that ran.
 [Promises](promises.md) lists what each test holds.
 """
 

@@ -6,9 +6,11 @@ Prints a report as Markdown; the status is 1 where something grows, is lost or d
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import tracemalloc
 
+from adaptdrive.app.lock import NAMESPACE
 from tests.soak.real import soak as soak_real
 from tests.soak.virtual import soak as soak_virtual
 
@@ -24,6 +26,7 @@ def main() -> int:
     options = parser.parse_args()
     if options.trace:
         tracemalloc.start()
+    os.environ[NAMESPACE] = f"soak-{os.getpid()}"  # a daemon of another run is not this one
     if options.form == "real":
         lines, good = soak_real(options.length, options.seed)
     else:

@@ -7,6 +7,8 @@ each process must stay flat, and the session must hold all that the panel heard.
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -100,9 +102,10 @@ def _pid(process: Process | None) -> int:
 
 def _flaws(site: Site, panel: Watcher) -> Iterator[str]:
     """Yield what the record lacks, and what of it does not replay."""
-    replayed = site.replay()
+    command = [sys.executable, "-m", "adaptdrive.cli", "replay", str(site.session_folder())]
+    replayed = subprocess.run(command, check=False, capture_output=True, text=True)
     if replayed.returncode:
-        yield f"the replay is not exact: {replayed.stdout[-500:]}"
+        yield f"the replay is not exact: {replayed.stdout[-500:]} {replayed.stderr[-500:]}"
     session: Session = site.session()
     if session.info.ended is not Ending.ORDERLY or session.info.dropped != Dropped():
         yield f"the session ended {session.info.ended}, dropped {session.info.dropped}"

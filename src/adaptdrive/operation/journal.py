@@ -37,8 +37,9 @@ _SCHEMA = (
     "COMMIT",
 )
 _DAMAGED = (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT)
-_UNUSABLE = (sqlite3.Error, UnicodeDecodeError)
-"""Errors of a statement: SQLite's message about a damaged name is no text."""
+_UNUSABLE = (sqlite3.Error, UnicodeDecodeError, MemoryError)
+"""Errors of a statement: SQLite's message about a damaged name is no text, and it may ask for more
+memory than there is for what a damaged file says."""
 _PRIMARY_CODE = 0xFF  # the low byte of an extended result code
 _DELETED = "the file was deleted, or another one has taken its place"
 
@@ -221,6 +222,8 @@ def _prepare(database: sqlite3.Connection) -> None:
         _check(database)
     except UnicodeDecodeError as problem:
         raise _DamageError(f"damaged: {problem}") from problem
+    except MemoryError as problem:  # of a damaged file, or of a full machine: it is not replaced
+        raise sqlite3.OperationalError("it takes more memory than there is") from problem
 
 
 def _check(database: sqlite3.Connection) -> None:

@@ -167,7 +167,7 @@ def _read(path: Path, table: str, kind: type[T], columns: Mapping[str, str]) -> 
     names = {field: columns.get(field, field) for field in kind.__struct_fields__}
     try:
         return tuple(msgspec.convert(_given(row, names), kind) for row in _rows(path, table))
-    except (msgspec.ValidationError, UnicodeDecodeError, OverflowError) as problem:
+    except (msgspec.ValidationError, UnicodeDecodeError, OverflowError, MemoryError) as problem:
         raise RecordingError(path, f"damaged {table}: {problem}") from problem
 
 
