@@ -16,7 +16,7 @@ from typing import Any
 from adaptdrive.app.lock import NAMESPACE
 from adaptdrive.cli.panel import panel_address
 from adaptdrive.config.services import Mqtt
-from adaptdrive.errors import AdaptdriveError, RecordingError
+from adaptdrive.errors import AdaptdriveError, RecordingError, first_error
 from adaptdrive.operation.client import NoAnswerError, read_status
 from adaptdrive.operation.messages import ONLINE
 from adaptdrive.recording.session import Ending, read_info
@@ -124,7 +124,7 @@ async def perform(settings: DemoSettings, show: Show) -> DemoOutcome:
             await _start(household, settings, scene)
             await _play(household, settings, scene, record, show, asked)
         except* AdaptdriveError as problems:
-            failure = _first(problems)
+            failure = first_error(problems)
             await asyncio.sleep(AFTERMATH_s)
     await _session_closed(scene.workspace)
     places = Places(
@@ -268,11 +268,3 @@ async def _session_closed(workspace: Workspace) -> None:
                 if read_info(session).ended is not Ending.OPEN:
                     return
                 await asyncio.sleep(_LOOK_s)
-
-
-def _first(problems: BaseExceptionGroup[AdaptdriveError]) -> AdaptdriveError:
-    problem: BaseException = problems
-    while isinstance(problem, BaseExceptionGroup):
-        problem = problem.exceptions[0]
-    assert isinstance(problem, AdaptdriveError)  # noqa: S101 - the group holds nothing else
-    return problem

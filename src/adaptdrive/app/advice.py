@@ -8,7 +8,6 @@ import os
 from collections.abc import Iterator
 
 from adaptdrive.app.loads import build_load, total_lag_s
-from adaptdrive.app.paper_design import PAPER_FORGETTING, PAPER_METHOD
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BathSection, BatterySection
@@ -49,10 +48,10 @@ def _paper(configuration: Configuration) -> Iterator[Flaw]:
     load, estimator = configuration.load, configuration.estimator
     if load.design != "paper":
         return
-    method = PAPER_METHOD.get(load.type, estimator.method)
+    method = load.traits.paper_method or estimator.method
     if estimator.method != method:
         yield Flaw("estimator.method", f"{estimator.method!r}: the paper has {method!r} here")
-    forgetting = PAPER_FORGETTING[load.type]
+    forgetting = load.traits.paper_forgetting
     if estimator.forgetting not in (None, forgetting):
         text = f"{estimator.forgetting:g}: the paper has {forgetting:g}; leave the key out for it"
         yield Flaw("estimator.forgetting", text)

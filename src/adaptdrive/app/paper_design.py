@@ -16,12 +16,6 @@ from adaptdrive.control.settings import Jacket, Learning
 PAPER_COVARIANCE = 1.0e4
 """P[0] of the paper."""
 
-PAPER_FORGETTING = {"motor": 0.97, "bath": 0.99, "battery": 0.985}
-"""ρ of the paper for the motor and the bath; it gives none for a battery."""
-
-PAPER_METHOD = {"motor": "lm-rls", "bath": "rls"}
-"""Estimator of the paper's experiments."""
-
 _FOREVER = 10**9
 """Slow periods: 30 years of 1 s."""
 
@@ -31,7 +25,7 @@ def paper_learning(configuration: Configuration) -> Learning:
     estimator, load = configuration.estimator, configuration.load
     return Learning(
         method=METHODS[estimator.method],
-        forgetting=estimator.forgetting or PAPER_FORGETTING[load.type],
+        forgetting=estimator.forgetting or load.traits.paper_forgetting,
         tau_lambda_s=estimator.tau_lambda_s,
         dead_band=estimator.dead_band,
         initial_covariance=estimator.initial_covariance or PAPER_COVARIANCE,

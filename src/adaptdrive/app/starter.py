@@ -7,6 +7,7 @@ configurations that no example shows; every one of them passes `check` as it sta
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
@@ -17,11 +18,6 @@ from adaptdrive.config.load import LoadName
 BusName = Literal["can", "modbus-tcp", "modbus-rtu", "canopen"]
 
 _POLLED = ("modbus-tcp", "modbus-rtu")
-_DATABASES: Mapping[LoadName, str] = {
-    "motor": "adaptdrive.dbc",
-    "bath": "bath.dbc",
-    "battery": "battery.dbc",
-}
 _EDS = "cia402.eds"
 _POLL_TICKS = 12  # as in the examples of polled drives
 _CURRENT_REGISTERS: Mapping[str, str] = {
@@ -88,7 +84,9 @@ def compose(  # noqa: PLR0913 - what the user and the drive's own description sa
 
 
 def _description(load: LoadName, bus: BusName) -> str:
-    return _EDS if bus == "canopen" else _DATABASES[load]
+    if bus == "canopen":
+        return _EDS
+    return str(tomllib.loads(_example(f"{load}.toml"))["bus"]["database"])
 
 
 def _read(file: str) -> bytes:

@@ -16,7 +16,7 @@ from adaptdrive.app.starter import BusName, Starter, compose
 from adaptdrive.config.drive import DriveSection
 from adaptdrive.config.load import LoadName
 from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.hardware.proposal import OUTPUTS, QUANTITIES, Candidate, propose
+from adaptdrive.hardware.proposal import NO_PROPOSAL, OUTPUTS, QUANTITIES, Candidate, propose
 
 _SHOWN = 3
 _NODE_ID = 1
@@ -117,7 +117,7 @@ def _place(file: Path, directory: Path) -> str:
 
 def _choose(load: LoadName, found: Iterable[Candidate], *, ask: bool) -> Choices:
     known = list(found)
-    wanted = {"output": OUTPUTS[load], **QUANTITIES}
+    wanted = {"output": OUTPUTS.get(load, NO_PROPOSAL), **QUANTITIES}
     return {
         quantity: _confirm(quantity, propose(one, known), known, ask=ask)
         for quantity, one in wanted.items()

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import sys
-
-from rich.console import Console
-from rich.live import Live
 
 from adaptdrive.commission.exchange import FastReading
 from adaptdrive.commission.experiment import LoadExperiment
@@ -15,8 +13,7 @@ from adaptdrive.commission.phases import Phase
 from adaptdrive.commission.picture import Picture, screen
 from adaptdrive.errors import CommissionError
 from adaptdrive.watch.keys import QUIT, pressed_keys
-
-_REFRESH_S = 0.25
+from adaptdrive.watch.view import draw
 
 
 async def carry_out(guide: Guide, experiment: LoadExperiment, picture: Picture) -> None:
@@ -41,7 +38,7 @@ async def _with_picture(guide: Guide, experiment: LoadExperiment, picture: Pictu
         picture.take(experiment, reading, voltage_V)
 
     work = asyncio.create_task(guide.carry_out(experiment, show))
-    drawing = asyncio.create_task(_draw(picture))
+    drawing = asyncio.create_task(draw(functools.partial(screen, picture)))
     pressed = asyncio.Event()
 
     def on_key(key: str) -> None:
@@ -59,14 +56,6 @@ async def _with_picture(guide: Guide, experiment: LoadExperiment, picture: Pictu
     finally:
         drawing.cancel()
         await asyncio.wait([drawing])
-
-
-async def _draw(picture: Picture) -> None:
-    console = Console()
-    with Live(console=console, screen=True, auto_refresh=False) as live:
-        while True:
-            live.update(screen(picture, (console.size.width, console.size.height)), refresh=True)
-            await asyncio.sleep(_REFRESH_S)
 
 
 class PhaseLines:

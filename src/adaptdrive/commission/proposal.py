@@ -8,7 +8,7 @@ from pathlib import Path
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.commission.margins import Margins, margins_of
-from adaptdrive.config.load import LoadName
+from adaptdrive.config.load import LoadTraits
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.load import to_input
 from adaptdrive.control.signals import Estimate
@@ -16,15 +16,6 @@ from adaptdrive.errors import CommissionError
 from adaptdrive.identification.proposal import proposed_model
 from adaptdrive.identification.result import IdentifiedLoad
 from adaptdrive.recording.what_if import reconfigured
-
-_PERIODS = {"motor": 20.0, "bath": 10.0, "battery": 20.0}
-"""Slow periods in the sum of the time constants."""
-
-_FEWEST_PERIODS = {"motor": 4.0, "bath": 2.0, "battery": 4.0}
-"""Least sum of the time constants, in slow periods, with which the estimates serve."""
-
-_MOST_PERIODS = {"motor": 120.0, "bath": 60.0, "battery": 120.0}
-"""Largest sum of the time constants, in slow periods, with which the estimates serve."""
 
 _RATIO_MIN = (0.1, 0.3)
 _RATIO_MAX = (4.0, 10.0)
@@ -88,7 +79,7 @@ def propose(
     present = reconfigured(text, source, ())
     model = proposed_model(identified, present.load)
     values = _pace(identified, present)
-    values |= _bounds(identified, present.load.type, float(values["load.period_s"]))
+    values |= _bounds(identified, present.load.traits, float(values["load.period_s"]))
     if resolution > 0.0:
         values["load.resolution"] = _rounded(resolution)
     values |= {f"load.model.{name}": _rounded(one.value) for name, one in model.items()}
@@ -109,7 +100,7 @@ def propose(
 def _pace(identified: IdentifiedLoad, present: Configuration) -> dict[str, float | int]:
     """Return slow period, samples and λ time constant for the pace of the load."""
     total_s = identified.denominator[-2] / identified.denominator[-1]
-    period_s = _period_s(total_s / _PERIODS[present.load.type], present)
+    period_s = _period_s(total_s / present.load.traits.lag_periods, present)
     ticks = round(2.0 * present.drive.line_frequency_Hz * period_s)
     samples = min(present.load.samples, math.floor(_SAMPLED_SHARE * ticks))
     return {
@@ -132,12 +123,12 @@ def _period_s(wanted_s: float, present: Configuration) -> float:
     return period_s if math.isclose(whole_s, period_s, rel_tol=1e-6) else whole_s
 
 
-def _bounds(identified: IdentifiedLoad, kind: LoadName, period_s: float) -> dict[str, float]:
+def _bounds(identified: IdentifiedLoad, traits: LoadTraits, period_s: float) -> dict[str, float]:
     """Return the bounds of the estimates over the model: what the slow period suits."""
     periods = identified.denominator[-2] / identified.denominator[-1] / period_s
     ends = {
-        "supervisor.ratio_min": (_FEWEST_PERIODS[kind] / periods, _RATIO_MIN),
-        "supervisor.ratio_max": (_MOST_PERIODS[kind] / periods, _RATIO_MAX),
+        "supervisor.ratio_min": (traits.lag_periods_min / periods, _RATIO_MIN),
+        "supervisor.ratio_max": (traits.lag_periods_max / periods, _RATIO_MAX),
     }
     return {
         key: _rounded(min(max(ratio, low), high), 2) for key, (ratio, (low, high)) in ends.items()

@@ -9,7 +9,6 @@ from adaptdrive.config.load import BatterySection
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.load import to_input, to_voltage
 
-_PATIENCE_S = {"motor": 60.0, "bath": 600.0, "battery": 60.0}
 """Shortest wait for a load of the kind to respond."""
 
 _ONSET_SHARE = 0.5
@@ -111,7 +110,7 @@ def build_target(
         first_gain=span / (ends[1] - ends[0]),
         input_gain=load.input_gain,
         input_exponent=load.input_exponent,
-        patience_s=_PATIENCE_S[section.type] if patience_s is None else patience_s,
+        patience_s=section.traits.patience_s if patience_s is None else patience_s,
         name=section.output_name,
         unit=section.output_unit,
         onset=_onset(configuration),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self, get_args
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal, Self, get_args
 
 from pydantic import Field, model_validator
 
@@ -21,8 +22,31 @@ LOAD_TYPES: tuple[str, ...] = get_args(LoadName)
 Period = Annotated[PositiveFloat, Field(le=3600.0)]
 
 
+@dataclass(frozen=True, slots=True)
+class LoadTraits:
+    """Numbers of a kind of load that no key of its section holds.
+
+    Attributes:
+        patience_s: Time for which commissioning waits until the output rests.
+        lag_periods: Slow periods in the sum of the time constants that commissioning proposes.
+        lag_periods_min: Least sum, in slow periods, with which the estimates serve.
+        lag_periods_max: Largest sum, likewise.
+        paper_forgetting: ρ of the paper, or of the `exact` design where the paper has no such load.
+        paper_method: Estimator of the paper's experiment; None where it has none.
+    """
+
+    patience_s: float = 60.0
+    lag_periods: float = 20.0
+    lag_periods_min: float = 4.0
+    lag_periods_max: float = 120.0
+    paper_forgetting: float = 0.985
+    paper_method: str | None = None
+
+
 class LoadSection(Section):
     """Keys of `[load]` for every type of load."""
+
+    traits: ClassVar[LoadTraits] = LoadTraits()
 
     period_s: Period = Field(
         default=1.0, description="slow period T_k, a whole number of half line cycles"
@@ -113,6 +137,8 @@ class MotorModel(Section):
 class MotorSection(LoadSection):
     """`[load]` with `type = "motor"`."""
 
+    traits: ClassVar[LoadTraits] = LoadTraits(paper_forgetting=0.97, paper_method="lm-rls")
+
     type: Literal["motor"] = Field(description="kind of load")
     output_name: str = Field(default="speed", description="name of the output for people")
     output_unit: str = Field(default="V", description="unit of the output for people")
@@ -136,6 +162,15 @@ class BathModel(Section):
 
 class BathSection(LoadSection):
     """`[load]` with `type = "bath"`."""
+
+    traits: ClassVar[LoadTraits] = LoadTraits(
+        patience_s=600.0,
+        lag_periods=10.0,
+        lag_periods_min=2.0,
+        lag_periods_max=60.0,
+        paper_forgetting=0.99,
+        paper_method="rls",
+    )
 
     type: Literal["bath"] = Field(description="kind of load")
     period_s: Period = Field(

@@ -94,6 +94,9 @@ QUANTITIES: Mapping[str, Wanted] = {
     ),
 }
 
+NO_PROPOSAL = Wanted((), (), ())
+"""Fits no candidate: the output of a load that `OUTPUTS` does not describe is left to its user."""
+
 OUTPUTS: Mapping[str, Wanted] = {
     "motor": Wanted(("speed", "tach", "rpm", "n", "act", "omega"), (), ("rpm", "rad/s", "V", "Hz")),
     "bath": Wanted(("temp", "bath", "water", "t"), ("heatsink", "igbt"), ("K", "degC", "degF")),

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptdrive.config.load import AnyLoad, BathSection, BatterySection, MotorSection
+from adaptdrive.config.load import AnyLoad, BatterySection, MotorSection
 from adaptdrive.control.signals import Estimate
 from adaptdrive.identification.result import IdentifiedLoad
 
@@ -23,15 +23,16 @@ def proposed_model(identified: IdentifiedLoad, section: AnyLoad) -> dict[str, Es
     Args:
         identified: The load.
         section: `[load]`, whose model gives the dc/dc stage and says which time constant of a
-            motor is the filter's: the nearer one.
+            motor is the filter's: the nearer one. A load whose parameters are the keys of its
+            model needs nothing here.
     """
     match section:
         case MotorSection(model=model):
             return _motor(identified, model.tau_motor_s, model.tau_filter_s)
-        case BathSection():
-            return dict(identified.parameters)
         case BatterySection(model=model):
             return _battery(identified, model.turns_ratio, model.droop_Ohm)
+        case _:
+            return dict(identified.parameters)
 
 
 def _motor(

@@ -97,21 +97,27 @@ class MqttService:
         self._intake = Intake(
             hub, self._board, outbox, history, wall=surroundings.wall, output=profile.output
         )
-        self._desk = Desk(
-            host,
+        self._desk = self._build_desk(hub)
+        self._link = self._build_link(settings, drive)
+
+    def _build_desk(self, hub: Hub) -> Desk:
+        return Desk(
+            self._host,
             self._archive.replies,
             lambda: self._board.state,
-            surroundings.wall,
-            LogRation(surroundings.monotonic),
+            self._around.wall,
+            LogRation(self._around.monotonic),
             report=hub.publish,
             kept=hub.kept,
         )
-        self._link = BrokerLink(
+
+    def _build_link(self, settings: Mqtt, drive: str) -> BrokerLink:
+        return BrokerLink(
             settings,
-            ClientName(f"adaptdrive-{drive}", surroundings.monotonic, self._meet_rival),
+            ClientName(f"adaptdrive-{drive}", self._around.monotonic, self._meet_rival),
             Will(self._topics.availability, OFFLINE, qos=1, retain=True),
-            BrokerBackoff(surroundings.uniform),
-            surroundings.monotonic,
+            BrokerBackoff(self._around.uniform),
+            self._around.monotonic,
         )
 
     async def run(self) -> None:

@@ -18,6 +18,8 @@ _SHORTEST_TICKS = 60
 """Half cycles from which a rate is judged: 0.5 s on a 60 Hz line."""
 
 _LEAST_READINGS = 10
+"""Readings from which a rate is judged: of fewer, one that comes late moves it by a tenth."""
+
 _WINDOWS = 4
 """Window over which the rate is measured, in multiples of the shortest: 2 s on a 60 Hz line."""
 

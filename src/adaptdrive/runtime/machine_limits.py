@@ -10,6 +10,7 @@ from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.manual import ManualVoltage
 
 _LONGEST_HOLD_S = 86_400.0
+"""A day, as for the times of supervision in the configuration; no limit at all has its own word."""
 
 FLOOR_REACHED = 0.99
 """Share of the floor of v_bst that ends `starting`: ripple and measurement differ by 1 %."""

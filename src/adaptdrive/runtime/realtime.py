@@ -22,6 +22,7 @@ _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _CAP_IPC_LOCK = 14
 _CPU_LATENCY = Path("/dev/cpu_dma_latency")
 _PYTHONS_SWITCH_S = 5e-3
+"""Default of `sys.setswitchinterval`."""
 _SWITCH_S = 2e-4  # another thread of the process keeps a tick waiting no longer than this
 
 

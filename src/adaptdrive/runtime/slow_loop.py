@@ -9,6 +9,7 @@ from typing import Protocol
 from adaptdrive.control.signals import Decision, Snapshot
 
 _WAITING_AT_MOST = 3
+"""Snapshots that may wait for a decision; the drive trips at the next one."""
 
 
 class Decider(Protocol):

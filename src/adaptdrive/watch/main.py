@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import time
-
-from rich.console import Console
-from rich.live import Live
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.client import NoAnswerError, disturb, follow, send_command
@@ -14,9 +12,8 @@ from adaptdrive.operation.messages import Reply
 from adaptdrive.operation.simulator import DeviceReply
 from adaptdrive.watch.keys import QUIT, KeyCommand, KeyReader, pressed_keys
 from adaptdrive.watch.record import WatchRecord
-from adaptdrive.watch.view import screen
+from adaptdrive.watch.view import draw, screen
 
-_REFRESH_S = 0.25
 _RETRY_S = 2.0
 
 
@@ -39,7 +36,8 @@ async def watch(broker: Mqtt, drive: str, timeout_s: float) -> None:
             sending.add(task)
             task.add_done_callback(sending.discard)
 
-    tasks = [asyncio.create_task(_follow(broker, record)), asyncio.create_task(_draw(record))]
+    services = (_follow(broker, record), draw(functools.partial(screen, record)))
+    tasks = [asyncio.create_task(service) for service in services]
     try:
         with pressed_keys(on_key):
             await ended.wait()
@@ -60,14 +58,6 @@ async def _follow(broker: Mqtt, record: WatchRecord) -> None:
             record.problem = problem.problem
         record.availability = "unknown"
         await asyncio.sleep(_RETRY_S)
-
-
-async def _draw(record: WatchRecord) -> None:
-    console = Console()
-    with Live(console=console, screen=True, auto_refresh=False) as live:
-        while True:
-            live.update(screen(record, (console.size.width, console.size.height)), refresh=True)
-            await asyncio.sleep(_REFRESH_S)
 
 
 async def _send(broker: Mqtt, record: WatchRecord, command: KeyCommand, timeout_s: float) -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, NoReturn
 
+from rich.console import Console
 from rich.layout import Layout
+from rich.live import Live
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
@@ -29,7 +32,21 @@ KEYS = "s STOP   e e enable   r reset   f fixed   a adaptive   m manual   + - se
 FIGURES_ROWS = 8
 _SHORTEST_WINDOW_S, _LONGEST_WINDOW_S = 30.0, 600.0
 _EVENTS, _TALL = 6, 32
+_REFRESH_S = 0.25
 _REFUSED = ("wrong_length", "wrong_checksum", "counter_stuck", "out_of_range", "exceptions")
+
+
+async def draw(screen_of: Callable[[tuple[int, int]], Layout]) -> NoReturn:
+    """Fill the terminal four times a second, until cancelled.
+
+    Args:
+        screen_of: Returns the screen for a terminal of some width and height, in characters.
+    """
+    console = Console()
+    with Live(console=console, screen=True, auto_refresh=False) as live:
+        while True:
+            live.update(screen_of((console.size.width, console.size.height)), refresh=True)
+            await asyncio.sleep(_REFRESH_S)
 
 
 def screen(record: WatchRecord, size: tuple[int, int]) -> Layout:

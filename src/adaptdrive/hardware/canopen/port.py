@@ -43,6 +43,7 @@ _FAULT_RESET_S = 1.0
 """Longest wait for a drive to leave its fault."""
 
 _LOOK_S = 0.005
+"""Time between two looks whether the fault is gone: short beside the longest wait."""
 
 
 class CanOpenPort:

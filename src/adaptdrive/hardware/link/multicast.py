@@ -24,6 +24,8 @@ _IP_MULTICAST_ALL = 49
 """Linux: whether a socket receives groups that other sockets of the machine have joined."""
 
 _LARGEST = 4096
+"""Bytes of a datagram that are read: many times a packed CAN FD frame, whose data are 64 bytes."""
+
 _TIMESPEC = struct.Struct("@ll")
 _ANCILLARY = socket.CMSG_SPACE(_TIMESPEC.size)
 
