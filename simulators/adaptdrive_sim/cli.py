@@ -156,22 +156,32 @@ def campaign(  # noqa: PLR0913 - one parameter for each option
     runs: int | None = None,
     only: int | None = None,
 ) -> None:
-    """Run thousands of randomised motors or baths, each with the fixed and the adaptive controller.
+    """Run thousands of randomised motors, baths or batteries, each with fixed and adaptive control.
 
     Writes results.parquet (one row for each run) and plots, and prints what fraction was worse
     than fixed, what broke, and how to repeat it. The status is 0 when it ran, whatever was found.
 
     Args:
-        file: What to draw from; standard.toml, wide.toml, life.toml and bath.toml come along.
+        file: What to draw from; standard.toml, wide.toml, life.toml, bath.toml and
+            battery.toml come along.
         output: Folder for the results; made when it is not there.
         scheduler: Address of a Dask scheduler, HOST:PORT; this machine when left out.
         processes: Processes on this machine; one for each processor when left out.
         runs: Number of runs instead of the file's.
         only: Seed of one run to repeat on the deployed controller itself, recorded and drawn.
     """
+    from adaptdrive_sim.campaign.battery_main import (  # noqa: PLC0415
+        is_of_batteries,
+        repeat_battery,
+        run_batteries,
+    )
     from adaptdrive_sim.campaign.main import repeat_run, run_campaign  # noqa: PLC0415
 
-    if only is not None:
+    if is_of_batteries(file) and only is not None:
+        repeat_battery(file, only, output)
+    elif is_of_batteries(file):
+        run_batteries(file, output, scheduler=scheduler, processes=processes, runs=runs)
+    elif only is not None:
         repeat_run(file, only, output)
     else:
         run_campaign(file, output, scheduler=scheduler, processes=processes, runs=runs)

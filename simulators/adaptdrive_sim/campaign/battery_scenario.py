@@ -1,0 +1,171 @@
+"""One run of a campaign of batteries: everything it depends on is drawn from its seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptdrive.config.file import validate_configuration
+from adaptdrive.config.root import Configuration
+from adaptdrive_sim.campaign.battery_settings import BatteryCampaign
+from adaptdrive_sim.experiments.examples import FOLDER, example_tables
+from adaptdrive_sim.line import LineParameters
+from adaptdrive_sim.noise import NoiseParameters
+from adaptdrive_sim.plants.battery import BatteryParameters
+from adaptdrive_sim.plants.coupling import CouplingParameters
+from adaptdrive_sim.world import WorldParameters
+
+EXAMPLE_V = 82.0
+EXAMPLE_A = 14.0
+"""The example's charger, of which every other one has the power."""
+
+CELL_FULL_V = 4.10
+_AGES = (0.4, 0.6)
+_LOWERED = (0.7, 0.85)
+
+
+@dataclass(frozen=True, slots=True)
+class BatteryScenario:
+    """Drawn values of a run; the resistances and times are relative to the model.
+
+    Attributes:
+        seed: It was drawn from this.
+        duration_s: Length.
+        cells: In series.
+        rate_per_h: Largest current over the capacity.
+        charge: At the start.
+        series: Series resistance.
+        relaxation: Resistance of the relaxation element.
+        relaxation_s: Its time constant.
+        second: Resistance of the second element, relative to the first.
+        second_s: Its time constant in s.
+        growth: Factor by which the series resistance grows, 1 for none.
+        share: Current over the largest one.
+        lowered: The lowered current over that.
+        ripple: `load.probe_share`.
+        noise: Of each sample, over the largest current.
+        line_voltage: Relative line voltage.
+        frequency_Hz: Of the line.
+    """
+
+    seed: int
+    duration_s: float
+    cells: int
+    rate_per_h: float
+    charge: float
+    series: float
+    relaxation: float
+    relaxation_s: float
+    second: float
+    second_s: float
+    growth: float
+    share: float
+    lowered: float
+    ripple: float
+    noise: float
+    line_voltage: float
+    frequency_Hz: float
+
+    @property
+    def scale(self) -> float:
+        """Voltage over that of the example; its resistances grow with the square."""
+        return CELL_FULL_V * self.cells / EXAMPLE_V
+
+    @property
+    def largest_A(self) -> float:
+        """The charger's largest current."""
+        return EXAMPLE_A / self.scale
+
+    @property
+    def current_A(self) -> float:
+        """The set-point at the start."""
+        return self.share * self.largest_A
+
+    @property
+    def step_A(self) -> float:
+        """By how much it is lowered."""
+        return (1.0 - self.lowered) * self.current_A
+
+    def setpoint_at(self, time_s: float) -> float:
+        """Return the current that is asked for."""
+        first, last = (share * self.duration_s for share in _LOWERED)
+        return self.current_A - (self.step_A if first <= time_s < last else 0.0)
+
+    def series_at(self, time_s: float) -> float:
+        """Return the series resistance over that at the start."""
+        first, last = (share * self.duration_s for share in _AGES)
+        grown = min(max((time_s - first) / (last - first), 0.0), 1.0)
+        return 1.0 + (self.growth - 1.0) * grown
+
+    def battery(self) -> BatteryParameters:
+        """The true battery at the start."""
+        nominal, ohms = BatteryParameters(), self.scale**2
+        relaxation_Ohm = nominal.relaxation_Ohm * ohms * self.relaxation
+        return BatteryParameters(
+            cells=self.cells,
+            capacity_Ah=self.largest_A / self.rate_per_h,
+            charge=self.charge,
+            series_Ohm=nominal.series_Ohm * ohms * self.series,
+            relaxation_Ohm=relaxation_Ohm,
+            relaxation_s=nominal.relaxation_s * self.relaxation_s,
+            relaxation_2_Ohm=relaxation_Ohm * self.second,
+            relaxation_2_s=self.second_s,
+        )
+
+    def world(self) -> WorldParameters:
+        """The true drive, line and sensor."""
+        nominal, volts = CouplingParameters(), LineParameters().voltage_V
+        return WorldParameters(
+            line=LineParameters(
+                voltage_V=volts * self.line_voltage, frequency_Hz=self.frequency_Hz
+            ),
+            coupling=CouplingParameters(
+                ratio=nominal.ratio * self.scale, droop_Ohm=nominal.droop_Ohm * self.scale**2
+            ),
+            noise=NoiseParameters(sigma=self.noise * self.largest_A),
+            seed=self.seed,
+        )
+
+    def configuration(self) -> Configuration:
+        """The daemon's: the example's for this voltage, with its model of the battery."""
+        tables, ohms = example_tables("battery.toml"), self.scale**2
+        load, model = tables["load"], tables["load"]["model"]
+        load |= {"reference_max": self.largest_A, "probe_share": self.ripple}
+        model["turns_ratio"] *= self.scale
+        for name in ("droop_Ohm", "internal_Ohm", "relaxation_Ohm"):
+            model[name] *= ohms
+        load["charge"]["voltage_max_V"] = CELL_FULL_V * self.cells
+        load["charge"]["end_current_A"] /= self.scale
+        tables["interlocks"]["output_max"] /= self.scale
+        return validate_configuration(tables, FOLDER / "battery.toml")
+
+
+def draw_battery(campaign: BatteryCampaign, seed: int) -> BatteryScenario:
+    """Return the run of a campaign that a seed stands for."""
+    generator = np.random.default_rng([seed, 4])
+
+    def drawn(ends: tuple[float, float]) -> float:
+        return float(generator.uniform(*ends))
+
+    own, current = campaign.battery, campaign.current
+    low, high = np.log(own.full_V)
+    return BatteryScenario(
+        seed=seed,
+        duration_s=campaign.duration_s,
+        cells=max(3, round(float(np.exp(drawn((low, high)))) / CELL_FULL_V)),
+        rate_per_h=drawn(own.rate_per_h),
+        charge=drawn(own.charge),
+        series=drawn(own.series),
+        relaxation=drawn(own.relaxation),
+        relaxation_s=drawn(own.relaxation_s),
+        second=drawn(own.second),
+        second_s=drawn(own.second_s),
+        growth=drawn(own.growth) if generator.random() < own.aged else 1.0,
+        share=drawn(current.share),
+        lowered=drawn(current.lowered),
+        ripple=drawn(current.ripple),
+        noise=drawn(current.noise),
+        line_voltage=drawn(campaign.line.voltage),
+        frequency_Hz=drawn(campaign.line.frequency_Hz),
+    )

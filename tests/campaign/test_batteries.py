@@ -1,0 +1,118 @@
+"""Batteries in a campaign: drawn, charged by the daemon's machine, judged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from adaptdrive.control.signals import Mode
+from adaptdrive_sim.campaign.battery_bench import ideal_current, judge_batteries, run_battery
+from adaptdrive_sim.campaign.battery_main import (
+    is_of_batteries,
+    read_battery_campaign,
+    repeat_battery,
+    run_batteries,
+)
+from adaptdrive_sim.campaign.battery_scenario import BatteryScenario, draw_battery
+from adaptdrive_sim.campaign.settings import FOLDER, CampaignError
+
+SHIPPED = Path("battery.toml")
+TEXT = (FOLDER / SHIPPED).read_text(encoding="utf-8")
+SEEDS = range(310_001, 310_201)
+
+
+def scenarios() -> list[BatteryScenario]:
+    campaign = read_battery_campaign(SHIPPED)
+    return [draw_battery(campaign, seed) for seed in SEEDS]
+
+
+def test_every_voltage_is_drawn_and_some_batteries_age() -> None:
+    drawn = scenarios()
+    full_V = np.array([4.1 * one.cells for one in drawn])
+    assert full_V.min() < 20.0
+    assert 300.0 < full_V.max() < 404.0
+    assert np.median(full_V) == pytest.approx(70.0, rel=0.3)
+    assert {True, False} == {one.growth > 1.0 for one in drawn}
+
+
+def test_every_charger_has_the_power_and_the_reach_of_the_example() -> None:
+    for one in scenarios():
+        configuration = one.configuration()
+        assert one.largest_A * 4.1 * one.cells == pytest.approx(14.0 * 82.0)
+        coupling = one.world().coupling
+        needed_V = 4.1 * one.cells + one.largest_A * coupling.droop_Ohm
+        assert 0.9 * 400.0 * coupling.ratio < needed_V < 400.0 * coupling.ratio
+        assert configuration.load.reference_max == one.largest_A
+
+
+def test_the_ideal_current_settles_without_overshoot() -> None:
+    references = np.repeat([10.0, 8.0], [5, 60])
+    found = ideal_current(references, 0.7)
+    assert found[:6] == pytest.approx(10.0)
+    assert found[6:9] == pytest.approx(8.0 + 2.0 * 0.7 ** np.arange(1, 4))
+    assert found[-1] == pytest.approx(8.0)
+
+
+@pytest.mark.slow
+def test_the_resistance_grows_in_the_plant() -> None:
+    scenario = next(one for one in scenarios() if one.growth > 1.5 and one.charge < 0.4)
+    assert scenario.series_at(0.0) == 1.0
+    assert scenario.series_at(scenario.duration_s) == pytest.approx(scenario.growth)
+    run = run_battery(scenario, Mode.FIXED)
+    assert not run.trip
+    times_s, volts = np.array(run.time_s), np.array(run.terminal_V)
+    before, after = (
+        float(np.mean(volts[np.abs(times_s - share * scenario.duration_s) < 5.0]))
+        for share in (0.39, 0.61)
+    )
+    series_Ohm = scenario.battery().series_Ohm
+    assert after - before > 0.9 * scenario.current_A * series_Ohm * (scenario.growth - 1.0)
+
+
+@pytest.mark.slow
+def test_a_row_says_what_happened_and_the_same_seed_says_the_same() -> None:
+    campaign = read_battery_campaign(SHIPPED)
+    row = judge_batteries(campaign, 310_002)
+    assert row == judge_batteries(campaign, 310_002)
+    assert row["interlock_fixed"] == row["interlock_adaptive"] == 0
+    assert 0.0 < row["rms_fixed"] < 0.1
+    assert row["ripple_found"] < row["ripple"] + 0.01
+
+
+@pytest.mark.slow
+def test_a_campaign_is_written_and_a_run_is_repeated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert is_of_batteries(SHIPPED)
+    assert not is_of_batteries(Path("standard.toml"))
+    path = tmp_path / "mine.toml"
+    path.write_text(TEXT.replace("duration_s = 360.0", "duration_s = 300.0"), encoding="utf-8")
+    rows = run_batteries(path, tmp_path, scheduler=None, processes=1, runs=2)
+    assert pq.read_table(tmp_path / "results.parquet").to_pylist() == rows
+    repeat_battery(path, rows[0]["seed"], tmp_path)
+    recorded = pq.read_table(tmp_path / f"run-{rows[0]['seed']}.parquet").to_pylist()
+    assert {row["mode"] for row in recorded} == {"fixed", "adaptive"}
+    assert "2 runs, each fixed and adaptive" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "flaw"),
+    [
+        ("full_V = [12.0, 400.0]", "full_V = [5.0, 400.0]", "battery.full_V = [5.0, 400.0]: "),
+        ("growth = [1.2, 2.0]", "growth = [0.5, 2.0]", "battery.growth = [0.5, 2.0]: "),
+        ("aged = 0.5", "aged = 1.5", "battery.aged = 1.5: "),
+        ("runs = 300", "runs = 0", "runs = 0: "),
+    ],
+)
+def test_an_error_in_a_file_names_key_and_value(
+    tmp_path: Path, old: str, new: str, flaw: str
+) -> None:
+    path = tmp_path / "mine.toml"
+    assert old in TEXT
+    path.write_text(TEXT.replace(old, new), encoding="utf-8")
+    with pytest.raises(CampaignError) as problem:
+        read_battery_campaign(path)
+    assert f"{path}: {flaw}" in str(problem.value)
