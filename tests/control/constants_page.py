@@ -63,6 +63,7 @@ _UNITS = {
     "_ROUNDED": "periods",
     "_EARLIEST": "periods",
     "_DECIDED": "log odds",
+    "_UNSURE": "1",
     "_PROOF": "log odds",
     "_LOAD_RARER": "log odds",
     "_BOTH_RARER": "log odds",

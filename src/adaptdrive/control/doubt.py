@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 
 from adaptdrive.control import challenger as chal
-from adaptdrive.control.estimator import EstimatorState, deviations_of, residual_noise
+from adaptdrive.control.certainty import deviations_of
+from adaptdrive.control.estimator import EstimatorState, residual_noise
 from adaptdrive.control.hypotheses import load_direction
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import fitted_order

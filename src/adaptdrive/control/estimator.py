@@ -11,15 +11,14 @@ from dataclasses import dataclass
 
 from adaptdrive.control import rivals as riv
 from adaptdrive.control import rls
+from adaptdrive.control.certainty import deviations_of
 from adaptdrive.control.challenger import Challenger
 from adaptdrive.control.hypotheses import new_branch
 from adaptdrive.control.load import Load
-from adaptdrive.control.regression import filtered_model
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.surprise import Surprise, watch_noise
 from adaptdrive.control.vectors import Vector, copy_into
 
-_TINY = 1e-12
 _LARGEST = 1.0e20
 """Largest scaled entry of a sample, for which 1 is usual: the squares of larger ones overflow P."""
 
@@ -282,42 +281,3 @@ def parameter_deviations(
     """
     noise = residual_noise(state)
     return deviations_of(state.theta, state.upper, state.diagonal, noise, learning, load, values)
-
-
-def deviations_of(
-    theta: Vector,
-    upper: Vector,
-    diagonal: Vector,
-    noise: float,
-    learning: Learning,
-    load: Load,
-    values: Vector,
-) -> Vector:
-    """Standard deviations of the physical parameters at any θ and P, to first order.
-
-    Args:
-        theta: θ.
-        upper: U.
-        diagonal: D.
-        noise: σ of the innovations, scaled.
-        learning: Scales.
-        load: Names and meaning of the parameters.
-        values: The parameters at θ.
-    """
-    count = len(theta)
-    jacobian = [0.0] * (len(values) * count)
-    for j in range(count):
-        step = 1e-6 * max(1.0, abs(theta[j]))
-        moved = list(theta)
-        moved[j] += step
-        numerator, denominator = filtered_model(moved, learning, load)
-        if not abs(denominator[load.order]) > _TINY:
-            return [math.nan] * len(values)
-        shifted = load.physical(numerator, denominator)
-        for i in range(len(values)):
-            jacobian[i * count + j] = (shifted[i] - values[i]) / step
-    deviations = [0.0] * len(values)
-    for i in range(len(values)):
-        row = jacobian[i * count : (i + 1) * count]
-        deviations[i] = rls.standard_deviation(row, upper, diagonal, noise)
-    return deviations

@@ -18,6 +18,7 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import rls
+from adaptdrive.control.certainty import is_sure
 from adaptdrive.control.hypotheses import (
     BOTH,
     DISTURBANCE,
@@ -302,10 +303,17 @@ def is_settled(rivals: Rivals, learning: Learning, load: Load) -> bool:
         if rivals.samples < 2 * WINDOW:
             return False
         best = DISTURBANCE if rivals.disturbance.score > rivals.nothing.score else NOTHING
+    if best >= LOAD and not is_clear(rivals) and not _is_sure(rivals, best, learning, load):
+        best = DISTURBANCE
     if branch_of(rivals, best).score - rivals.nothing.score < _PROOF:
         best = NOTHING
     rivals.kind = best
     return True
+
+
+def _is_sure(rivals: Rivals, kind: int, learning: Learning, load: Load) -> bool:
+    branch, power = branch_of(rivals, kind), rivals.anchor.power
+    return is_sure(branch.theta, branch.upper, branch.diagonal, power, learning, load)
 
 
 def settle(rivals: Rivals) -> None:
