@@ -10,6 +10,8 @@ _OVERWRITTEN = "each entry is set before it is read"
 
 _NOT_READ = "the entry beyond the last one is never read"
 
+_RETURNED = "a distance of 0 has returned before"
+
 _TOGETHER = "a tick sets both, and both are None before the first: the test is for the types"
 
 _DIFFERENCES = "only the differences of these counts are used"
@@ -34,6 +36,10 @@ _MARK = f"{_RATE}add: self._marks.append(_Mark(arrival_s, 0, 0)) -> self._marks.
 _FITS = f"{_RATE}_problem: fits = "
 
 RUNTIME: dict[str, str] = {
+    "runtime.manual:ManualVoltage.value: if abs(distance_V) <= way_V: -> "
+    "if abs(distance_V) < way_V:": "a way of just the distance ends at the target too",
+    "runtime.manual:ManualVoltage.value: return self.start_V + (way_V if distance_V > 0.0 else "
+    "-way_V) -> return self.start_V + (way_V if distance_V >= 0.0 else -way_V)": _RETURNED,
     f"{_MACHINE}self.manual = self._limits.held(limits.floor_V, 0) -> "
     "self.manual = self._limits.held(limits.floor_V, 1)": "a V_c that stays has no beginning",
     f"{_MACHINE}self._coasts = False -> self._coasts = True": _SET_BEFORE_USE,

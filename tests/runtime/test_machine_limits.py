@@ -98,6 +98,8 @@ def test_a_voltage_moves_by_its_slope_and_stops_at_its_target(sign: float) -> No
     moving = ManualVoltage(300.0, 300.0 + 1.5 * sign, since_tick=10, slew_V=0.5)
     way = [sign * (moving.value(tick) - 300.0) for tick in range(8, 16)]
     assert way == [0.0, 0.0, 0.0, 0.5, 1.0, 1.5, 1.5, 1.5]
+    short = ManualVoltage(300.0, 300.0 + 0.75 * sign, since_tick=10, slew_V=0.5)
+    assert [sign * (short.value(tick) - 300.0) for tick in (11, 12)] == [0.5, 0.75]
 
 
 def test_a_voltage_with_a_time_expires_after_it() -> None:
