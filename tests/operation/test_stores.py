@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
+from adaptdrive.operation.archive import Archive
 from adaptdrive.operation.desk import INTERRUPTED, Desk
 from adaptdrive.operation.journal import Journal
 from adaptdrive.operation.memory import LIFETIME_S, ReplyMemory
@@ -25,7 +26,7 @@ from adaptdrive.operation.outbox import Outbox
 from adaptdrive.operation.pace import LogRation
 from adaptdrive.operation.trip_memory import TripMemory
 from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.reports import Severity, State
 from adaptdrive.runtime.requests import Request
 
 HOUR_S = 3600.0
@@ -169,6 +170,21 @@ async def test_a_damaged_file_is_put_aside_and_replaced(path: Path) -> None:
     async with remembering(path, Time()) as memory:
         assert memory.recall("a") == _reply("a")
     assert path.with_name(path.name + ".damaged").exists()
+
+
+async def test_a_damaged_file_is_told_as_an_event(path: Path) -> None:
+    _garbage(path)
+    told: list[tuple[str, Severity, str]] = []
+    archive = Archive(Journal(path), wall, lambda: 0.0)
+    recalled = asyncio.Event()
+    keeping = asyncio.create_task(archive.run(lambda *event: told.append(event), recalled.set))
+    await recalled.wait()
+    keeping.cancel()
+    await asyncio.wait([keeping])
+    await archive.close()
+    ((kind, severity, detail),) = told
+    assert (kind, severity) == ("journal", Severity.WARNING)
+    assert f"{path.name}.damaged" in detail
 
 
 def _spoil_second_page(path: Path) -> None:

@@ -53,7 +53,8 @@ class Archive:
         while True:
             if await self._journal.open():
                 if not loaded:
-                    self._complain(report, await self._load())
+                    unread = await self._load()
+                    self._complain(report, self._journal.put_aside or unread)
                     recalled()
                 loaded = True
                 self._rewrite()

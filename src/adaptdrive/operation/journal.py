@@ -50,6 +50,7 @@ class Journal:
     Attributes:
         path: The file.
         problem: Why the file cannot be used; empty while it can, and before it was opened.
+        put_aside: What was damaged and put aside; empty where nothing was.
     """
 
     def __init__(self, path: Path, start_thread: Callable[[], None] = lambda: None) -> None:
@@ -60,6 +61,7 @@ class Journal:
             start_thread: What the thread does first.
         """
         self.problem = ""
+        self.put_aside = ""
         self.path = path
         self._executor = ThreadPoolExecutor(1, "journal", initializer=start_thread)
         self._database: sqlite3.Connection | None = None
@@ -168,6 +170,7 @@ class Journal:
 
     def _put_aside(self, problem: sqlite3.Error) -> None:
         self._log.error("journal put aside", problem=str(problem))
+        self.put_aside = f"{problem}: it is kept as {self.path.name}.damaged, and not used"
         name = self.path.name
         for suffix in ("-wal", "-shm", ""):
             with suppress(OSError):
