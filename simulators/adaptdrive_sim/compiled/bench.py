@@ -85,16 +85,12 @@ def run(
         0, or the interlock that ended the run.
     """
     rates, stage = settings.rates, settings.stage
-    plant: Any = world.load
     ticks, latency = rates.ticks_per_period, rates.latency_ticks
     decided_V = state.boost_reference_V
     scale_S = world.current_scale_S
     frame = world.step_disturbed(scale_S, True, disturbances[0])
     for k in range(len(references)):
-        if k > 0 and sizes[k] != sizes[k - 1]:
-            plant.resize(sizes[k], over_s)
-        if len(burdens) > 0 and (k == 0 or burdens[k] != burdens[k - 1]):
-            plant.disturb(burdens[k])
+        change_plant(world.load, k, sizes, over_s, burdens)
         for into in range(ticks):
             n = k * ticks + into
             receive(measurement, wire, n, frame)
@@ -104,7 +100,7 @@ def run(
             if into == latency:
                 state.boost_reference_V = decided_V
             if fast.take_in(settings, load, state, bank, measurement):
-                trace[k, OUTPUT] = plant.output
+                trace[k, OUTPUT] = world.load.output
                 sample.reference = references[k]
                 decided_V = decide(settings, load, state, bank, slow, measurement, sample)
                 note(trace[k], slow, sample, decided_V, settings.learning, load)
@@ -114,6 +110,14 @@ def run(
             scale_S = rounded(scale_S, wire.scale_quantum_S)
             frame = world.step_disturbed(scale_S, True, disturbances[n + 1])
     return 0
+
+
+def change_plant(plant: Any, k: int, sizes: Array, over_s: float, burdens: Array) -> None:
+    """Change the size of the load and what disturbs it, where slow period k has other ones."""
+    if k > 0 and sizes[k] != sizes[k - 1]:
+        plant.resize(sizes[k], over_s)
+    if len(burdens) > 0 and (k == 0 or burdens[k] != burdens[k - 1]):
+        plant.disturb(burdens[k])
 
 
 def receive(measurement: Any, wire: Wire, tick: int, frame: Sample) -> None:

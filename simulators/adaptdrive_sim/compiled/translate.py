@@ -30,7 +30,7 @@ _HELPERS = "adaptdrive_sim.compiled.vectors"
 _HEADER = f"""from __future__ import annotations
 import numpy as _np
 from {_HELPERS} import compiled as _compiled
-from {_HELPERS} import copied as _copied, filled as _filled, joined as _joined, vector as _vector
+from {_HELPERS} import copied as _copied, filled as _filled, joined as _joined
 """
 
 
@@ -165,7 +165,7 @@ class _Body(ast.NodeTransformer):
     def _part(self, part: list[ast.expr]) -> ast.expr:
         if isinstance(part[0], ast.Starred):
             return _call("_copied", self.visit(part[0].value))
-        return _call("_vector", ast.Tuple([self.visit(one) for one in part], ast.Load()))
+        return _call("_copied", ast.Tuple([self.visit(one) for one in part], ast.Load()))
 
     def visit_ListComp(self, node: ast.ListComp) -> ast.AST:
         function = ast.Attribute(ast.Name("_np", ast.Load()), "array", ast.Load())

@@ -22,17 +22,8 @@ def filled(value: float, count: int) -> Any:
 
 
 @compiled
-def vector(values: Any) -> Any:
-    """`[a, b, c]` of a tuple."""
-    result = new_vector(len(values))
-    for i in range(len(values)):
-        result[i] = values[i]
-    return result
-
-
-@compiled
 def copied(values: Any) -> Any:
-    """`list(values)`, `values[a:b]`."""
+    """`list(values)`, `values[a:b]`, and `[a, b, c]` of a tuple."""
     result = new_vector(len(values))
     for i in range(len(values)):
         result[i] = values[i]

@@ -89,13 +89,14 @@ class Bath:
     @inflow_L_per_min.setter
     def inflow_L_per_min(self, inflow_L_per_min: float) -> None:
         check_range("inflow_L_per_min", inflow_L_per_min, 0.01, 100.0, "L/min")
-        self._inflow_W_per_K = inflow_L_per_min / 60.0 * HEAT_J_per_kgK
-        self._decay_s = math.nan
+        self._let_in(inflow_L_per_min)
 
     def disturb(self, inflow: float) -> None:
         """Let a multiple of the inflow at the start flow in from now on."""
-        wanted = inflow * self.parameters.inflow_L_per_min
-        self._inflow_W_per_K = wanted / 60.0 * HEAT_J_per_kgK
+        self._let_in(inflow * self.parameters.inflow_L_per_min)
+
+    def _let_in(self, inflow_L_per_min: float) -> None:
+        self._inflow_W_per_K = inflow_L_per_min / 60.0 * HEAT_J_per_kgK
         self._decay_s = math.nan
 
     @property
