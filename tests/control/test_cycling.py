@@ -71,11 +71,11 @@ def test_an_estimate_must_predict_three_times_better(better: float, cycles: bool
     assert (found([0.0, 1.0] * 200, better=better) is not None) is cycles
 
 
-@pytest.mark.parametrize(("step", "cycles"), [(0.01, True), (0.011, False)])
+@pytest.mark.parametrize(("step", "cycles"), [(0.0078125, True), (0.0079, False)])
 def test_a_set_point_that_trembles_by_less_than_its_step_rests(step: float, cycles: bool) -> None:
     state = CyclingState(reference=1.0)
     seen = [
-        watch_cycling(state, float(k % 2), 1.0 + (k % 2) * step, 0.01 + 1e-9, BETTER, fixed=True)
+        watch_cycling(state, float(k % 2), 1.0 + (k % 2) * step, 0.0078125, BETTER, fixed=True)
         for k in range(200)
     ]
     assert any(seen) is cycles

@@ -113,6 +113,8 @@ def test_a_battery_reaches_from_nothing_to_what_its_resistance_lets_through() ->
     state.trusted_a, state.trusted_b = [1.0, 0.0], [0.0, gain]
     found = estimated_reach(BIASED, CHARGED, STAGE, state)
     assert found.low == 0.0
+    flat = replace(STAGE, boost_reference_max_V=200.5)
+    assert estimated_reach(BIASED, CHARGED, flat, state).high == 0.0
     assert found.high == pytest.approx((100.0 - 54.0) / 0.35, rel=5e-3)
 
 

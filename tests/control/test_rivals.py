@@ -25,6 +25,7 @@ from adaptdrive.control.hypotheses import (
     restart_past,
     widen,
 )
+from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.regression import theta_of
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING
 from tests.control.systems import Array
@@ -134,7 +135,7 @@ def bayes(kind: int, one: Case) -> Bayes:
 def test_explanations_are_compared_by_their_likelihood_and_rarity(seed: int, loads: float) -> None:
     one = case(seed=seed)
     expected = {kind: bayes(kind, one) for kind in range(NOTHING, BOTH + 1)}
-    one.rivals.loads = loads
+    one.rivals.loads, one.rivals.samples = loads, 7
     riv.split(one.rivals, LEARNING, MOTOR, POWER)
     rarity = {NOTHING: 0.0, DISTURBANCE: 0.0, LOAD: 12.0 + 6.0 * loads, BOTH: 18.0 + 6.0 * loads}
     scores = {kind: expected[kind].log_density - rarity[kind] for kind in expected}
@@ -245,9 +246,10 @@ def test_a_comparison_with_two_close_ones_goes_on_for_twenty_samples() -> None:
         assert decision(compared(samples, disturbance=15.0, load=16.0)) == expected
 
 
-@pytest.mark.parametrize(("lead", "expected"), [(7.99, NOTHING), (8.0, DISTURBANCE)])
-def test_anything_but_nothing_needs_proof(lead: float, expected: int) -> None:
-    assert decision(compared(20, disturbance=lead)) == expected
+@pytest.mark.parametrize("nothing", [0.0, -40.0, 40.0])
+@pytest.mark.parametrize(("lead", "expected"), [(7.99, NOTHING), (8.01, DISTURBANCE)])
+def test_anything_but_nothing_needs_proof(lead: float, nothing: float, expected: int) -> None:
+    assert decision(compared(20, nothing=nothing, disturbance=nothing + lead)) == expected
 
 
 @pytest.mark.parametrize("kind", [LOAD, BOTH])
@@ -275,6 +277,13 @@ def test_a_load_is_possible_where_it_is_damped_by_nine_tenths(damping: float, ta
 def test_a_load_that_grows_is_impossible(denominator: list[float]) -> None:
     values = [*theta_of(LEARNING, MOTOR, [0.0, 0.0, 1e-4], denominator), 0.0, 0.0, 0.0]
     assert riv.is_possible(values, LEARNING, MOTOR) is False
+
+
+def test_a_battery_that_loses_is_possible_whatever_its_time_constant() -> None:
+    load = battery_load(0.25, 0.3, 0.05, 60.0)
+    for tau_s, possible in ((1.0, True), (500.0, True), (-5.0, False)):
+        values = theta_of(LEARNING, load, [1.0, 1.0 / tau_s], [1.0, 1.0 / tau_s])
+        assert riv.is_possible([*values, 0.0, 0.0], LEARNING, load) is possible
 
 
 def test_loads_that_were_found_are_counted_and_forgotten() -> None:

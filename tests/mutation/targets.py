@@ -58,7 +58,7 @@ SUPERVISION = _control({
     "cycling": "test_cycling",
     "surprise": "test_surprise",
     "screen": "test_screen",
-    "rounding": "test_rounding",
+    "rounding": "test_rounding_search",
     "probing": "test_probing",
     "charging": "test_charging",
     "supervisor": "test_supervisor",
@@ -68,8 +68,8 @@ SUPERVISION = _control({
     "rest": "test_rest",
     "reach": "test_rest",
     "reasons": "test_reasons",
-    "redesign": "test_slow_half test_robustness test_prior",
-    "doubt": "test_explanation test_challenger",
+    "redesign": "test_redesign",
+    "doubt": "test_explanation",
 })  # fmt: skip
 
 LEARNING = _control({
@@ -80,7 +80,7 @@ LEARNING = _control({
     "hypotheses": "test_hypotheses",
     "rivals": "test_rivals",
     "challenger": "test_rivals",
-    "explanation": "test_explanation test_challenger",
+    "explanation": "test_explanation",
     "estimator": "test_estimator test_prior",
     "lambda_method": "test_estimator test_methods",
     "direct_method": "test_estimator test_methods",

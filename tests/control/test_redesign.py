@@ -1,0 +1,246 @@
+"""From an estimate to gains: what is checked, what takes effect, and the way back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adaptdrive.control import redesign
+from adaptdrive.control.design import asked_loop, compensator_gains, discrete_model
+from adaptdrive.control.methods import METHODS
+from adaptdrive.control.noise_limit import noise_gain
+from adaptdrive.control.regression import theta_of
+from adaptdrive.control.settings import ControllerSettings
+from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
+from adaptdrive.control.supervisor import Verdict
+from tests.closed_loop.bench import EXACT, MOTOR
+from tests.control.systems import distance
+
+REST_V, POLE = 3.0 / 0.011, 0.7
+JACKET = replace(EXACT.jacket, warm_up_periods=0, deviation_max=0.1, residual_margin=1.5)
+LEARNING = replace(EXACT.learning, bias=True, alert=True)
+CAREFUL = replace(EXACT, jacket=JACKET, learning=LEARNING)
+SAMPLE = SlowSample(
+    period_s=1.0,
+    output=3.0,
+    output_filtered=[3.0, 3.0],
+    input_filtered=[REST_V] * 3,
+    applied=REST_V,
+    followed=True,
+    held_share=0.0,
+    reference=3.0,
+    adaptive=True,
+    pole=POLE,
+    low=200.0,
+    high=400.0,
+)
+
+
+def parameters(disks: float) -> list[float]:
+    return [0.011, 11.7 * disks + 10.0, 117.0 * disks]
+
+
+def model(disks: float, settings: ControllerSettings = CAREFUL) -> tuple[list[float], list[float]]:
+    return discrete_model(settings, MOTOR, *MOTOR.realise(parameters(disks)), 1.0)
+
+
+def known(disks: float = 2.0, settings: ControllerSettings = CAREFUL) -> SlowState:
+    """A slow half that is sure of a motor."""
+    state = new_slow_state(settings, MOTOR, 3.0, REST_V)
+    estimator = state.estimator
+    first = theta_of(settings.learning, MOTOR, *MOTOR.realise(parameters(disks)))
+    estimator.theta[: len(first)] = first
+    estimator.diagonal[:] = [1e-6] * len(estimator.theta)
+    estimator.residual_power, estimator.residual_weight = 30e-6, 36.0
+    estimator.periods = 100
+    return state
+
+
+def adapted(state: SlowState, settings: ControllerSettings = CAREFUL) -> int:
+    redesign.adapt(settings, MOTOR, state, SAMPLE)
+    return state.supervisor.verdict
+
+
+def test_an_estimate_that_is_trusted_becomes_gains_and_the_trusted_model() -> None:
+    state = known()
+    state.estimator.surprise.alarms = 3
+    assert adapted(state) == Verdict.TRUSTED
+    assert state.accepted
+    a, b = model(2.0)
+    assert state.adaptive_gains == pytest.approx(compensator_gains(a, b, 2, POLE), rel=1e-6)
+    assert state.trusted_a == pytest.approx(a)
+    assert state.trusted_b == pytest.approx(b)
+    assert state.trusted_alarms == 3
+    assert state.values == pytest.approx(parameters(2.0))
+    assert all(0.0 < deviation < 0.1 * value for deviation, value in
+               zip(state.deviations, state.values, strict=True))  # fmt: skip
+
+
+def test_the_reference_filter_gets_the_loop_and_the_poles_asked_for() -> None:
+    state = known()
+    adapted(state)
+    _, b = model(2.0)
+    asked = asked_loop(b, 2, POLE)
+    assert state.reference_filter.asked == pytest.approx(asked)
+    padded = [*asked, *[0.0] * (len(state.reference_filter.loop) - len(asked))]
+    assert state.reference_filter.loop == pytest.approx(padded)
+
+
+@pytest.mark.parametrize(
+    ("adaptive", "slew", "share"), [(True, 0.25, 0.25), (False, 0.25, 1.0), (True, 1.0, 1.0)]
+)
+def test_gains_in_force_move_by_their_share_and_waiting_ones_at_once(
+    adaptive: bool, slew: float, share: float
+) -> None:
+    settings = replace(CAREFUL, jacket=replace(JACKET, gain_slew=slew))
+    state = known(1.0, settings)
+    adapted(state, settings)
+    state.estimator.theta[:] = known(2.0).estimator.theta
+    state.adaptive = adaptive
+    old = list(state.adaptive_gains), list(state.reference_filter.loop)
+    adapted(state, settings)
+    state_of_new = known(2.0)
+    adapted(state_of_new)
+    new = state_of_new.adaptive_gains, state_of_new.reference_filter.loop
+    found = state.adaptive_gains, state.reference_filter.loop
+    for before, after, now in zip(old, new, found, strict=True):
+        assert now == pytest.approx(np.array(before) + share * (np.array(after) - before))
+    assert state.reference_filter.asked == pytest.approx(state_of_new.reference_filter.asked)
+
+
+def test_the_first_loop_of_the_reference_filter_is_taken_whole() -> None:
+    settings = replace(CAREFUL, jacket=replace(JACKET, gain_slew=0.25))
+    state, plain = known(2.0, settings), known(2.0)
+    state.adaptive = True
+    adapted(state, settings)
+    adapted(plain)
+    assert state.reference_filter.loop == plain.reference_filter.loop
+
+
+@pytest.mark.parametrize(
+    ("disks", "verdict"), [(1.0, Verdict.TRUSTED), (30.0, Verdict.OUT_OF_BOUNDS)]
+)
+def test_parameters_out_of_bounds_are_refused(disks: float, verdict: Verdict) -> None:
+    state = known(disks)
+    assert adapted(state) == verdict
+    assert state.accepted is (verdict == Verdict.TRUSTED)
+    assert any(state.adaptive_gains) is state.accepted
+    assert any(state.trusted_b) is state.accepted
+
+
+def test_a_model_without_a_gain_at_rest_is_not_finite() -> None:
+    state = known()
+    state.estimator.theta[0], state.estimator.theta[1] = math.nan, 0.0
+    assert adapted(state) == Verdict.NOT_FINITE
+
+
+def test_a_load_that_swings_is_refused_before_its_certainty() -> None:
+    damped = replace(CAREFUL, jacket=replace(JACKET, damping_min=0.8))
+    for product, verdict in ((234.0, Verdict.TRUSTED), (900.0, Verdict.UNDERDAMPED)):
+        state = known(2.0, damped)
+        values = [0.011, 33.4, product]
+        state.estimator.theta[:3] = theta_of(LEARNING, MOTOR, *MOTOR.realise(values))
+        assert adapted(state, damped) == verdict
+        assert math.isnan(state.deviations[0]) is (verdict == Verdict.UNDERDAMPED)
+
+
+def test_an_estimate_that_is_not_sure_is_refused_before_its_residuals() -> None:
+    state = known()
+    state.supervisor.own_power, state.supervisor.fixed_power = 1.0, 0.1
+    assert adapted(state) == Verdict.WORSE_THAN_FIXED
+    state.estimator.diagonal[:] = [1e6] * len(state.estimator.theta)
+    assert adapted(state) == Verdict.UNCERTAIN
+    careless = replace(CAREFUL, jacket=replace(JACKET, deviation_max=0.0))
+    assert adapted(state, careless) == Verdict.WORSE_THAN_FIXED
+
+
+def test_a_load_that_grows_is_refused() -> None:
+    wide = replace(CAREFUL, jacket=replace(JACKET, ratio_min=-1e9, ratio_max=1e9))
+    wide = replace(wide, jacket=replace(wide.jacket, deviation_max=0.0, residual_margin=0.0))
+    state = known()
+    values = [0.011, -30.0, 234.0]
+    state.estimator.theta[:3] = theta_of(LEARNING, MOTOR, *MOTOR.realise(values))
+    assert adapted(state, wide) == Verdict.UNSTABLE_LOAD
+
+
+@pytest.mark.parametrize(("noise", "rounding"), [(4e-3, 0.0), (0.0, 4e-3), (2e-3, 4e-3)])
+def test_noise_of_the_output_makes_the_poles_slower(noise: float, rounding: float) -> None:
+    """σ_u is that of the larger of noise and rounding, in the unit of the output."""
+    a, b = model(2.0)
+    limit = 0.5 * 4e-3 * LEARNING.output_scale * noise_gain(a, b, asked_loop(b, 2, POLE))
+    settings = replace(CAREFUL, jacket=replace(JACKET, noise_max=limit))
+    state = known(2.0, settings)
+    state.estimator.surprise.noise, state.estimator.rounding = noise * noise, rounding
+    assert adapted(state, settings) == Verdict.TRUSTED
+    noise_V = 4e-3 * LEARNING.output_scale * noise_gain(a, b, state.new_loop)
+    assert 0.9 * limit < noise_V <= limit
+    r = [1.0, *state.adaptive_gains[: len(b) - 1]]
+    s = state.adaptive_gains[len(b) - 1 :]
+    closed = np.convolve(a, r) + np.pad(np.convolve(b, s), (0, len(a) - len(s)))
+    found, expected = np.roots(closed), np.roots(state.new_loop)
+    assert distance(found, expected.tolist()) < 0.02
+
+
+def test_no_noise_of_direct_least_squares_is_known() -> None:
+    direct = replace(LEARNING, method=METHODS["rls"])
+    settings = replace(CAREFUL, learning=direct)
+    state = new_slow_state(settings, MOTOR, 3.0, REST_V)
+    state.estimator.surprise.noise = 1.0
+    assert redesign._output_noise(settings, state) == 0.0
+
+
+# the way back
+
+
+def lost(state: SlowState, settings: ControllerSettings, periods: int) -> list[int]:
+    """Count of the periods in which the estimate was none of a load."""
+    counts = []
+    for _ in range(periods):
+        adapted(state, settings)
+        counts.append(state.estimator.lost_periods)
+    return counts
+
+
+def test_an_estimate_that_no_load_can_have_begins_anew_after_sixty_periods() -> None:
+    state = known(30.0)
+    estimator = state.estimator
+    estimator.elapsed_s, estimator.theta[5] = 500.0, 0.7
+    estimator.surprise.sum, estimator.rivals.samples, estimator.challenger.samples = 3.0, 4, 5
+    before = list(estimator.theta)
+    assert lost(state, CAREFUL, 60) == list(range(1, 61))
+    assert estimator.theta == before
+    assert lost(state, CAREFUL, 1) == [0]
+    assert estimator.theta == pytest.approx([*state.nominal_theta])
+    assert estimator.diagonal == [LEARNING.initial_covariance] * 6
+    assert estimator.origin_s == 500.0
+    assert estimator.surprise.sum == 0.0
+    assert estimator.rivals.samples == estimator.challenger.samples == 0
+    assert estimator.rivals.calm.theta == estimator.theta
+    assert estimator.rivals.calm.diagonal == estimator.diagonal
+    assert estimator.rivals.anchor.time_s == 500.0
+    assert adapted(state) == Verdict.UNCERTAIN
+
+
+def test_periods_that_teach_nothing_do_not_count() -> None:
+    state = known(30.0)
+    lost(state, CAREFUL, 30)
+    state.estimator.idle_periods = 1
+    assert lost(state, CAREFUL, 1) == [0]
+    state.estimator.idle_periods = 0
+    assert lost(state, CAREFUL, 2) == [1, 2]
+
+
+def test_an_estimate_that_a_load_can_have_ends_the_count() -> None:
+    state = known(30.0)
+    lost(state, CAREFUL, 30)
+    state.estimator.theta[:] = known(2.0).estimator.theta
+    assert lost(state, CAREFUL, 1) == [0]
+
+
+def test_without_the_detector_nothing_begins_anew() -> None:
+    plain = replace(CAREFUL, learning=replace(LEARNING, alert=False, initial_state=True))
+    state = known(30.0, plain)
+    assert lost(state, plain, 70) == [0] * 70
