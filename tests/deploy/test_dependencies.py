@@ -24,6 +24,7 @@ EXTRAS = {
 }
 NOT_IMPORTED = {
     "build": "makes the wheel",
+    "coverage": "a program",
     "hatch-mypyc": "compiles modules of the wheel",
     "hatchling": "builds the wheel",
     "import-linter": "a program",

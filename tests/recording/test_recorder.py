@@ -307,7 +307,8 @@ async def test_an_end_with_a_full_disk_is_told_and_counted(sessions: Path) -> No
 
 async def test_an_end_with_a_stopped_writer_is_recorded_by_another(sessions: Path) -> None:
     async with recording(sessions, close_s=24.0) as bench:
-        await bench.publish_until(lambda: bench.rows() > 100)
+        await bench.publish(200)
+        await bench.settle()
         os.kill(bench.writer(), signal.SIGSTOP)
         await bench.publish(500)
         await bench.stop()
@@ -377,7 +378,8 @@ async def test_terminal_and_service_manager_signals_do_not_end_the_writer(
     sessions: Path,
 ) -> None:
     async with recording(sessions) as bench:
-        await bench.publish_until(lambda: bench.rows() > 100)
+        await bench.publish(200)
+        await bench.settle()
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGABRT):
             os.kill(bench.writer(), number)
         await bench.publish(500)

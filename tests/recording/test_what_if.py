@@ -57,7 +57,7 @@ def test_the_last_of_two_settings_of_one_key_holds() -> None:
         ("estimator.forgetting", "estimator.forgetting", "is not KEY=VALUE"),
         ("=0.95", "=0.95", "is not KEY=VALUE"),
         ("drive.name.first=a", "drive.name.first", "drive.name is a value"),
-        ("load.pole=0.8\ndrive.kind='bidirectional'", "pole", "valid number"),
+        ("load.pole=0.8\ndrive.kind='bidirectional'", "pole", "control characters"),
     ],
 )
 def test_a_setting_that_cannot_hold_is_named(setting: str, key: str, problem: str) -> None:

@@ -50,9 +50,9 @@ class NotifySocket:
 
     def catch_up(self) -> None:
         """Wait until all that was sent before has been noted: datagrams keep their order."""
+        known = self.messages.count("CAUGHT_UP=1")
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as own:
             own.sendto(b"CAUGHT_UP=1", str(self.path))
-        known = self.messages.count("CAUGHT_UP=1")
         until(lambda: self.messages.count("CAUGHT_UP=1") > known, "the socket has been read")
 
     def close(self) -> None:

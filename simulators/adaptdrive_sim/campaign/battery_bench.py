@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.errors import RefusedError
@@ -105,8 +104,9 @@ def ideal_current(references: Array, pole: float) -> Array:
         references: What was asked for in each slow period.
         pole: Closed-loop pole.
     """
-    rising: Array = lfilter([0.0, 1.0 - pole], [1.0, -pole], references - references[0])
-    found: Array = references[0] + rising
+    found = np.array(references, dtype=float)
+    for k in range(1, found.size):
+        found[k] = pole * found[k - 1] + (1.0 - pole) * references[k - 1]
     return found
 
 

@@ -216,11 +216,12 @@ def _jacket(configuration: Configuration) -> Jacket:
 def _probing(configuration: Configuration) -> Probing:
     """Return limits of the probing, which needs an estimate of physical parameters."""
     load = configuration.load
-    able = load.design == "exact" and METHODS[configuration.estimator.method].physical
+    if load.design != "exact" or not METHODS[configuration.estimator.method].physical:
+        return Probing()
     charging = isinstance(load, BatterySection)
     scale = 1.0 if charging else load.reference_max - load.reference_min
     return Probing(
-        amplitude=load.probe_share * scale if able else 0.0,
+        amplitude=load.probe_share * scale,
         stale_periods=_periods(configuration, load.probe_s),
         settle_periods=_periods(configuration, configuration.estimator.settle_s),
         lowest=load.reference_min,
