@@ -370,6 +370,19 @@ def test_enabling_forgets_set_point_and_waveform_of_the_last_run(running: Desk) 
     assert running.machine.reference(running.tick + 5000) == 1.25
 
 
+def test_a_set_point_is_steady_while_no_waveform_and_no_operator_moves_the_output(
+    running: Desk,
+) -> None:
+    assert running.machine.steady is True
+    running.ask(SetWaveform(SQUARE))
+    assert running.machine.steady is False
+    running.ask(SetMode(Mode.MANUAL))
+    assert running.machine.waveform is None
+    assert running.machine.steady is False
+    running.ask(SetMode(Mode.ADAPTIVE))
+    assert running.machine.steady is True
+
+
 @pytest.mark.parametrize("name", ["standby", "tripped"])
 @pytest.mark.parametrize("request_", [SetSetpoint(3.0), SetWaveform(SQUARE), SetWaveform(None)])
 def test_a_set_point_needs_an_enabled_drive(
