@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from pydantic import ValidationError
 
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.config.bus import CanBus
+from adaptdrive.config.file import read_text
 from adaptdrive.errors import ConfigurationError
 from tests.config.documents import document, parse
 
@@ -91,6 +93,20 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, content: bytes | No
 def test_a_folder_is_no_configuration(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="directory"):
         load_configuration(tmp_path)
+
+
+def test_a_pipe_without_a_writer_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "bench.toml")
+    with pytest.raises(ConfigurationError, match="nothing was written to this pipe"):
+        load_configuration(tmp_path / "bench.toml")
+
+
+def test_a_pipe_with_a_writer_is_read_to_its_end() -> None:
+    reader, writer = os.pipe()
+    os.write(writer, b"drive = 1")
+    os.close(writer)
+    assert read_text(Path(f"/dev/fd/{reader}")) == "drive = 1"
+    os.close(reader)
 
 
 @pytest.mark.parametrize("file", sorted(EXAMPLES.glob("*.toml")), ids=lambda file: file.name)

@@ -18,7 +18,7 @@ from adaptdrive.commission.proposal import propose
 from adaptdrive.commission.report import Commissioned, as_text, draw
 from adaptdrive.commission.sensor import judge_sensor
 from adaptdrive.commission.target import build_target
-from adaptdrive.config.file import read_text
+from adaptdrive.config.file import parse_configuration, read_text
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import CommissionError
 
@@ -107,7 +107,8 @@ def write(path: Path, commissioned: Commissioned) -> Path:
         A copy of the file before.
 
     Raises:
-        ConfigurationError: The file cannot be written.
+        ConfigurationError: The file was changed and is not valid any more, or cannot be written.
     """
     text = read_text(path)
+    parse_configuration(text, path)
     return write_values(path, with_values(text, commissioned.proposal.values))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import select
+import stat
 import tomllib
 from dataclasses import dataclass, replace
 from functools import cache
@@ -25,6 +28,8 @@ _UNKNOWN = "extra_forbidden"
 _ALL = frozenset(Configuration.model_fields)
 _LONGEST = 1_000_000
 """Fifty times the longest example; a device or a pipe may never end."""
+_WRITER_S = 5.0
+"""Longest wait for a first writer of a pipe; one that has opened it may take longer to write."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,13 +74,24 @@ def read_text(path: Path) -> str:
         ConfigurationError: The file cannot be read, is no text or has too many characters.
     """
     try:
-        with path.open(encoding="utf-8") as file:
+        with open(path, encoding="utf-8", opener=_opened) as file:
             text = file.read(_LONGEST + 1)
     except (OSError, ValueError) as problem:
         raise ConfigurationError(path, [Flaw("file", str(problem))]) from problem
     if len(text) > _LONGEST:
         raise ConfigurationError(path, [Flaw("file", f"it has more than {_LONGEST} characters")])
+    if not text and path.is_fifo():
+        raise ConfigurationError(path, [Flaw("file", "nothing was written to this pipe")])
     return text
+
+
+def _opened(name: str, flags: int) -> int:
+    """Return a descriptor; a pipe without a writer ends after a while instead of blocking."""
+    handle = os.open(name, flags | os.O_NONBLOCK)
+    os.set_blocking(handle, True)
+    if stat.S_ISFIFO(os.fstat(handle).st_mode):
+        select.select([handle], [], [], _WRITER_S)
+    return handle
 
 
 def find_flaws(text: str, source: Path) -> Findings:
