@@ -97,8 +97,10 @@ def test_the_nominal_reach_is_the_gain_times_both_limits() -> None:
     found = nominal_reach(BATH, STAGE)
     assert found.low == pytest.approx(0.021 * watts[0], rel=5e-3)
     assert found.high == pytest.approx(0.021 * watts[1], rel=5e-3)
-    assert nominal_reach(CHARGED, STAGE) == UNKNOWN
-    assert not UNKNOWN.is_known
+    unknown = nominal_reach(CHARGED, STAGE)
+    assert math.isnan(unknown.low)
+    assert math.isnan(unknown.high)
+    assert not unknown.is_known
 
 
 def test_the_estimated_reach_has_the_trusted_gain_and_the_offset() -> None:
