@@ -98,9 +98,9 @@ DESIGN = _control({
     "voltage_loop": "test_voltage_loop",
     "waveform": "test_waveform",
     "load": "test_load",
-    "loads.motor": "loads/test_motor test_robustness",
-    "loads.bath": "loads/test_bath test_robustness",
-    "loads.battery": "loads/test_battery test_robustness",
+    "loads.motor": "loads/test_motor loads/test_kinds test_robustness",
+    "loads.bath": "loads/test_bath loads/test_kinds test_robustness",
+    "loads.battery": "loads/test_battery loads/test_kinds test_robustness",
 })  # fmt: skip
 
 HALVES = _control({
