@@ -20,6 +20,7 @@ from tests.closed_loop.bench import EXACT, MOTOR
 from tests.control.systems import distance
 
 REST_V, POLE = 3.0 / 0.011, 0.7
+HEAVY = 6.0
 JACKET = replace(EXACT.jacket, warm_up_periods=0, deviation_max=0.1, residual_margin=1.5)
 LEARNING = replace(EXACT.learning, bias=True, alert=True)
 CAREFUL = replace(EXACT, jacket=JACKET, learning=LEARNING)
@@ -244,3 +245,58 @@ def test_without_the_detector_nothing_begins_anew() -> None:
     plain = replace(CAREFUL, learning=replace(LEARNING, alert=False, initial_state=True))
     state = known(30.0, plain)
     assert lost(state, plain, 70) == [0] * 70
+
+
+def spectral_radius(disks: float, controlled: float) -> float:
+    """Largest pole of the loop of a motor and the gains for another one: A R + B S in z."""
+    gains = compensator_gains(*model(disks), 2, POLE)
+    a, b = model(controlled)
+    taps = len(gains) - MOTOR.order - 1
+    parts = np.convolve(a, [1.0, *gains[:taps]]), np.convolve(b, gains[taps:])
+    loop = np.zeros(max(map(len, parts)))
+    for part in parts:
+        loop[: len(part)] += part
+    return float(np.abs(np.roots(loop)).max())
+
+
+@pytest.mark.parametrize(
+    ("confidence", "alarms", "disks", "verdict"),
+    [
+        (1.0, 0, HEAVY, Verdict.AT_ODDS),
+        (1.0, 1, HEAVY, Verdict.TRUSTED),
+        (0.0, 0, HEAVY, Verdict.TRUSTED),
+        (1.0, 0, 1.2, Verdict.TRUSTED),
+    ],
+)
+def test_gains_must_hold_the_last_trusted_load_unless_a_change_was_seen(
+    confidence: float, alarms: int, disks: float, verdict: Verdict
+) -> None:
+    settings = replace(CAREFUL, jacket=replace(JACKET, confidence=confidence))
+    state = known(1.0, settings)
+    assert adapted(state, settings) == Verdict.TRUSTED
+    state.supervisor.trusted = True
+    state.estimator.theta[:] = known(disks, settings).estimator.theta
+    state.estimator.surprise.alarms += alarms
+    assert adapted(state, settings) == verdict
+    assert (spectral_radius(disks, 1.0) > 0.995) is (disks == HEAVY)
+
+
+def test_a_load_that_was_never_trusted_puts_nothing_at_odds() -> None:
+    settings = replace(CAREFUL, jacket=replace(JACKET, confidence=1.0))
+    state = known(1.0, settings)
+    adapted(state, settings)
+    state.supervisor.trusted = False
+    state.estimator.theta[:] = known(HEAVY, settings).estimator.theta
+    assert adapted(state, settings) == Verdict.TRUSTED
+
+
+def test_without_gains_in_force_the_reference_filter_takes_another_pole_at_once() -> None:
+    settings = replace(CAREFUL, jacket=replace(JACKET, gain_slew=0.25))
+    state, plain, slower = known(2.0, settings), known(2.0), replace(SAMPLE, pole=0.8)
+    adapted(state, settings)
+    before = list(state.reference_filter.loop)
+    redesign.adapt(settings, MOTOR, state, slower)
+    redesign.adapt(CAREFUL, MOTOR, plain, slower)
+    assert not state.adaptive
+    assert state.reference_filter.loop == pytest.approx(plain.reference_filter.loop)
+    assert before != pytest.approx(plain.reference_filter.loop, rel=0.1)
