@@ -28,9 +28,6 @@ from tests.control.constants_effects import CHANGES, COLUMNS, SEEDS
 Stands = dict[str, list[bench.Stand]]
 Fixed = dict[int, RunOutcome]
 
-LAYOUT = {"ROOM"}
-"""Constants that are lengths of vectors: each value would have to be compiled again."""
-
 TO_ONE = {"_NEAR_LIMIT", "_CEILING_RISE", "OBSERVER_POLE", "CLOSER", "_FORGETTING", "GROWTH"} | {
     name for name in (dial.name for dial in DIALS) if name.endswith("_RADIUS")
 }
@@ -62,8 +59,6 @@ def main(path: Path) -> None:
         file.write("\t".join(COLUMNS) + "\n")
         file.write(_line(("", "", "", "", ""), before, before))
         for place, dial in enumerate(DIALS):
-            if dial.name in LAYOUT:
-                continue
             for change, value in variants(dial):
                 turn(place, value)
                 found = _measured(stands, fixed)

@@ -56,10 +56,16 @@ def head(effects: Effects) -> str:
 def cells(effects: Effects, module: str, name: str, value: str) -> list[str]:
     """Return the cells of a constant."""
     found = [effects.get((module, name, value, change)) for change in CHANGES]
-    return ["" if row is None else _told(row, effects[UNCHANGED]) for row in found]
+    return ["" if row is None else _shown(row, effects[UNCHANGED]) for row in found]
 
 
-def _told(row: Row, usual: Row) -> str:
+def is_active(effects: Effects, module: str, name: str, value: str) -> bool:
+    """Return whether a change of a constant changes any run."""
+    found = [effects.get((module, name, value, change)) for change in CHANGES]
+    return any(row is not None and row["differ"] != "0" for row in found)
+
+
+def _shown(row: Row, usual: Row) -> str:
     if row["standard_cost"] == "cannot run":
         return "cannot run"
     if row["differ"] == "0":

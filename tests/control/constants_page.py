@@ -12,26 +12,32 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.control.constants_effects import CHANGES, Effects, cells, head, read_effects
+from tests.control.constants_effects import CHANGES, Effects, cells, head, is_active, read_effects
 
 SOURCE = Path(__file__).parents[2] / "src" / "adaptdrive"
 
 _HEAD = """\
 # Constants
 
-Every number that was chosen in the code of the controller. What a site may want to change is a key
-of the [configuration](configuration.md) instead. `make docs` writes this page from the modules; a
-test fails where a constant has no unit or no reason.
+Every number that was chosen in the code of the controller; numbers that follow from these are left
+out. What a site may want to change is a key of the [configuration](configuration.md) instead.
+`make docs` writes this page from the modules; a test fails where a constant has no unit or no
+reason.
 
 Units: *ticks* are half line cycles, *periods* are slow periods T_k, *scale* is the output in the
 middle of the voltage range. *1* is a ratio.
 """
 
 _UNITS = {
+    "EARLIEST": "periods",
+    "MEMORY": "periods",
+    "LIFE": "periods",
+    "CLEAR": "log odds",
+    "PRIOR_SHARE": "1",
+    "_FURTHER": "log odds",
     "TAPER_GAIN": "1/period",
     "_NEAR_LIMIT": "1",
     "_END_PERIODS": "periods",
-    "_IDLE_PERIODS": "periods",
     "HALF_DELAYS": "1",
     "EXCURSIONS": "1",
     "_LARGEST": "scale",
@@ -42,53 +48,33 @@ _UNITS = {
     "_LOUDER": "1",
     "_CEILING_RISE": "1/tick",
     "_DISTURBANCE_SHARE": "scale of the input",
-    "_LOAD_SPREAD": "1",
-    "_GAIN_SHARE": "1",
     "_KNOWN": "p0",
     "OBSERVER_POLE": "pole per period",
     "SLOWEST_SHARE": "1",
-    "_LOST_PERIODS": "periods",
     "WINDOW": "periods",
-    "ROOM": "periods",
     "PRIOR_SAMPLES": "samples",
     "_SUDDEN": "log odds",
-    "_BEATEN": "log odds",
-    "_LIFE": "periods",
     "_TRAINED": "σ²",
     "_SHOWN": "1",
     "_CLEAR": "σ",
     "_FRESH": "periods",
-    "_JUDGED": "periods",
     "_SPREAD": "1",
-    "_ROUNDED": "periods",
-    "_EARLIEST": "periods",
-    "_DECIDED": "log odds",
-    "_UNSURE": "1",
     "_PROOF": "log odds",
     "_LOAD_RARER": "log odds",
-    "_BOTH_RARER": "log odds",
-    "_LOAD_REPEATED": "log odds",
-    "_LOAD_MEMORY": "periods",
     "_DAMPING": "1",
-    "_FLOOR": "scale²",
     "NOISE_FLOOR": "scale²",
     "SURE": "1",
     "MARGIN_RADIUS": "pole per period",
     "STABLE_RADIUS": "pole per period",
     "_SMALLEST_SHARE": "1",
     "ALPHA": "1/tick",
-    "BETA": "1/tick²",
     "GAMMA": "1/tick",
     "WIDE": "1",
     "_RETUNE": "1",
     "_HELD_SHARE": "1",
-    "_STABLE_RADIUS": "pole per period",
-    "_DESIGN_RADIUS": "pole per period",
-    "_RESIDUAL_RATE": "1/period",
     "_RESIDUAL_FLOOR": "scale²",
     "DRIFT": "σ²",
     "THRESHOLD": "σ²",
-    "SETTLE_SAMPLES": "periods",
     "_FAST_RATE": "1/period",
     "_SLOW_RATE": "1/period",
     "PROPORTIONAL": "1",
@@ -115,7 +101,6 @@ _UNITS = {
     "_SURE": "differences",
     "_MISS": "differences",
     "_LARGEST_MULTIPLE": "steps",
-    "_MEMORY": "periods",
     "_FORGETTING": "1",
     "PAPER_COVARIANCE": "σ²",
     "_FOREVER": "periods",
@@ -185,9 +170,8 @@ def _of_module(path: Path) -> Iterator[Constant]:
 
 
 def _is_number(value: ast.expr) -> bool:
-    """Say whether an expression has numbers in it and nothing but arithmetic around them."""
-    shapes = (ast.Constant, ast.BinOp, ast.UnaryOp, ast.Name)
-    kinds = (*shapes, ast.operator, ast.unaryop, ast.expr_context)
+    """Return whether an expression is numbers alone: one with names follows from others."""
+    kinds = (ast.Constant, ast.BinOp, ast.UnaryOp, ast.operator, ast.unaryop)
     parts = list(ast.walk(value))
     numbers = [one for one in parts if isinstance(one, ast.Constant)]
     return (
@@ -214,7 +198,12 @@ def page(effects: Effects | None = None) -> str:
     found = read_effects() if effects is None else effects
     names = ["constant", "value", "unit", "module", "reason", *(CHANGES if found else ())]
     rows = [_line(names), "|" + "---|" * len(names), *(_row(one, found) for one in constants())]
-    return "\n".join([_HEAD, *([head(found)] if found else []), *rows, ""])
+    shown = constants()
+    count = [f"There are {len(shown)} constants.", ""]
+    if found:
+        active = sum(is_active(found, one.module, one.name, one.value) for one in shown)
+        count = [f"There are {len(shown)} constants; {active} of them change a run.", ""]
+    return "\n".join([_HEAD, *([head(found)] if found else []), *count, *rows, ""])
 
 
 def _row(one: Constant, effects: Effects) -> str:

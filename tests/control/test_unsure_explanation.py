@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from adaptdrive.control import rivals as riv
+from adaptdrive.control.evidence import WINDOW
 from adaptdrive.control.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING
 from adaptdrive.control.regression import theta_of
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING
@@ -44,13 +45,13 @@ def test_an_explanation_that_leaves_the_load_unknown_replaces_no_known_one(
     variance: float, kept: int
 ) -> None:
     scores = {NOTHING: -59.1, DISTURBANCE: -43.4, LOAD: -44.7, BOTH: -38.3}
-    rivals = compared(scores, riv.WINDOW, variance)
+    rivals = compared(scores, WINDOW, variance)
     assert riv.is_settled(rivals, LEARNING, MOTOR)
     assert rivals.kind == kept
 
 
 def test_far_ahead_of_all_others_an_unknown_load_is_better_than_a_wrong_one() -> None:
     scores = {NOTHING: -90.0, DISTURBANCE: -70.0, LOAD: -60.0, BOTH: -38.3}
-    rivals = compared(scores, riv.WINDOW, UNSURE)
+    rivals = compared(scores, WINDOW, UNSURE)
     assert riv.is_settled(rivals, LEARNING, MOTOR)
     assert rivals.kind == BOTH

@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 
 from adaptdrive.control import rls
+from adaptdrive.control.evidence import PRIOR_SHARE
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import filtered_model
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.vectors import Vector
 
 _TINY = 1e-12
-
-_UNSURE = 0.5
-"""Relative deviation above which a parameter is not known: zero is within two of them."""
 
 
 def is_sure(
@@ -36,7 +34,7 @@ def is_sure(
     noise = math.sqrt(power)
     deviations = deviations_of(theta, upper, diagonal, noise, learning, load, values)
     for i in range(len(values)):
-        if not deviations[i] <= _UNSURE * abs(values[i]):
+        if not deviations[i] <= PRIOR_SHARE * abs(values[i]):
             return False
     return True
 

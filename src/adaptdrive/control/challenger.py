@@ -19,6 +19,7 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import rls
+from adaptdrive.control.evidence import CLEAR, LIFE
 from adaptdrive.control.hypotheses import (
     ANEW,
     Branch,
@@ -39,12 +40,6 @@ _PROOF = 60.0
 
 _SUDDEN = 15.0
 """Λ beyond one for each sample that suffices too: an impact brings it, a swinging torque never."""
-
-_BEATEN = -10.0
-"""Λ at which it gives up: odds of e^10, 22,000 to 1."""
-
-_LIFE = 150
-"""Samples after which it gives up: what has not shown by then is none of the alarm's."""
 
 _TRAINED = 10.0
 """Largest rᵀPr of a prediction that counts: the samples before are training."""
@@ -157,7 +152,7 @@ def follow(
         challenger.logs += math.log(1.0 + excitation / forgetting)
         count_prediction(branch, forgetting)
     _learn(challenger, learning, regressor, target)
-    if challenger.samples > _LIFE or lead(challenger) < _BEATEN:
+    if challenger.samples > LIFE or lead(challenger) < -CLEAR:
         challenger.samples = 0
 
 

@@ -14,12 +14,12 @@ import math
 from adaptdrive.control import challenger as chal
 from adaptdrive.control.certainty import deviations_of
 from adaptdrive.control.estimator import EstimatorState, residual_noise
+from adaptdrive.control.evidence import EARLIEST, MEMORY, NOISE_FLOOR
 from adaptdrive.control.hypotheses import load_direction
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import fitted_order
 from adaptdrive.control.rls import predict, widen
 from adaptdrive.control.settings import Learning
-from adaptdrive.control.surprise import NOISE_FLOOR
 from adaptdrive.control.vectors import Vector
 
 _SHOWN = 0.1
@@ -33,12 +33,6 @@ _FRESH = 5
 
 _SPREAD = 1.0
 """Deviation of α of a load that may be another: two more disks move it by 0.7."""
-
-_ROUNDED = 60.0
-"""Slow samples with the same rounding error: at rest the same, for as long as P remembers."""
-
-_JUDGED = 10
-"""Samples after which a challenger has been heard."""
 
 
 def note_age(state: EstimatorState, learning: Learning, load: Load) -> None:
@@ -69,7 +63,7 @@ def is_contested(state: EstimatorState) -> bool:
     challenger = state.challenger
     if challenger.samples == 0:
         return False
-    return challenger.judged < _JUDGED or chal.lead(challenger) > 0.0
+    return challenger.judged < EARLIEST or chal.lead(challenger) > 0.0
 
 
 def doubted_deviations(
@@ -84,7 +78,7 @@ def doubted_deviations(
         values: The parameters at θ.
     """
     upper, diagonal, noise = list(state.upper), list(state.diagonal), residual_noise(state)
-    noise = math.sqrt(noise * noise + NOISE_FLOOR + _ROUNDED * state.rounding * state.rounding)
+    noise = math.sqrt(noise * noise + NOISE_FLOOR + MEMORY * state.rounding * state.rounding)
     if learning.alert and noise > 0.0 and is_doubtful(state):
         spread = _SPREAD / noise
         for i in range(fitted_order(learning, load)):

@@ -13,6 +13,7 @@ from adaptdrive.control import rivals as riv
 from adaptdrive.control import rls
 from adaptdrive.control.certainty import deviations_of
 from adaptdrive.control.challenger import Challenger
+from adaptdrive.control.evidence import WINDOW
 from adaptdrive.control.hypotheses import new_branch
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import Learning
@@ -75,7 +76,7 @@ class EstimatorState:
     elapsed_s: float = 0.0
     charge: float = 0.0
     origin_s: float = 0.0
-    alarm_period: int = -riv.WINDOW
+    alarm_period: int = -WINDOW
     lost_periods: int = 0
     unseen_periods: int = 0
     rounding: float = 0.0

@@ -14,6 +14,7 @@ from adaptdrive.control.estimator import (
     remember_residual,
     take_in,
 )
+from adaptdrive.control.evidence import WINDOW
 from adaptdrive.control.hypotheses import BOTH, LOAD, NOTHING, Branch
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import fill_initial_state
@@ -75,7 +76,7 @@ def _split(state: EstimatorState, learning: Learning, load: Load, target: float)
 
     One alarm after the other, each before the last can be explained, is noise of its own.
     """
-    if state.periods - state.alarm_period < riv.WINDOW:
+    if state.periods - state.alarm_period < WINDOW:
         state.surprise.power *= _LOUDER
     state.alarm_period = state.periods
     riv.settle(state.rivals)

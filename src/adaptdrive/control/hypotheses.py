@@ -19,6 +19,7 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import rls
+from adaptdrive.control.evidence import PRIOR_SHARE
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import (
     charge_index,
@@ -38,12 +39,6 @@ ANEW = 4
 
 _DISTURBANCE_SHARE = 0.1
 """Deviation of a disturbance, of the input's scale: 30 V of 300 V."""
-
-_LOAD_SPREAD = 0.5
-"""Deviation of α: a second disk moves it by 0.43, a third by 0.57 in all."""
-
-_GAIN_SHARE = 0.5
-"""Relative deviation of the gain."""
 
 _TINY = 1e-12
 
@@ -196,7 +191,7 @@ def widen(branch: Branch, kind: int, learning: Learning, load: Load, anchor: Anc
         for i in range(order, last + 1):
             direction[i] = branch.theta[i]
         _carry_offset(direction, branch.theta, 1.0, learning)
-        _open(branch, direction, _GAIN_SHARE, learning, load, anchor)
+        _open(branch, direction, PRIOR_SHARE, learning, load, anchor)
     _blur(branch, _DISTURBANCE_SHARE * abs(gains), learning, load, anchor)
     if kind == ANEW:
         _free_state(branch, learning, load, anchor)
@@ -206,7 +201,7 @@ def _widen_load(branch: Branch, learning: Learning, load: Load, anchor: Anchor) 
     """Other dynamics with the same dc gain and the same offset of the input."""
     for i in range(fitted_order(learning, load) + len(load.input_powers) - 1):
         direction = load_direction(branch.theta, i, learning, load)
-        _open(branch, direction, _LOAD_SPREAD, learning, load, anchor)
+        _open(branch, direction, PRIOR_SHARE, learning, load, anchor)
 
 
 def load_direction(theta: Vector, index: int, learning: Learning, load: Load) -> Vector:
@@ -279,5 +274,5 @@ def _free_state(branch: Branch, learning: Learning, load: Load, anchor: Anchor) 
     for i in range(initial_state_count(learning, load)):
         direction = [0.0] * len(branch.theta)
         direction[first + i] = 1.0
-        variance = _LOAD_SPREAD * _LOAD_SPREAD / anchor.power
+        variance = PRIOR_SHARE * PRIOR_SHARE / anchor.power
         rls.widen(branch.upper, branch.diagonal, direction, variance)

@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 
 from adaptdrive.control.cycling import FAR_BETTER
+from adaptdrive.control.evidence import MEMORY
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import Jacket
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.slow_state import SlowState
 from adaptdrive.control.supervisor import Verdict, better_than_nominal
 from adaptdrive.control.watch import Fallback
-
-_IDLE_PERIODS = 60
-"""Slow periods without an update before the reason names it: 60 s of a motor."""
 
 _REASONS = {
     Verdict.NOT_FINITE: "estimate is not finite",
@@ -70,7 +68,7 @@ def _uncertain(state: SlowState, jacket: Jacket, load: Load) -> str:
     index, limit = state.supervisor.culprit, jacket.deviation_max
     name = load.names[index]
     share = state.deviations[index] / abs(state.values[index])
-    if state.estimator.idle_periods > _IDLE_PERIODS:
+    if state.estimator.idle_periods > MEMORY:
         return f"not identifiable now: nothing excites {name}"
     if not math.isfinite(share):
         return f"how sure estimate {name} is, is not known yet"

@@ -10,6 +10,7 @@ import math
 from adaptdrive.control import estimator as est
 from adaptdrive.control import supervisor as sup
 from adaptdrive.control.design import asked_loop, discrete_model, loop_gains
+from adaptdrive.control.evidence import LOST_PERIODS
 from adaptdrive.control.load import Load
 from adaptdrive.control.noise_limit import quiet_loop
 from adaptdrive.control.pole_placement import closed_loop_polynomial
@@ -17,9 +18,6 @@ from adaptdrive.control.robustness import STABLE_RADIUS, closes_stably, stands_u
 from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.control.slow_state import SlowSample, SlowState
 from adaptdrive.control.vectors import Vector, copy_into, total
-
-_LOST_PERIODS = 60
-"""Three windows of evidence: an explanation that is being learnt needs one."""
 
 
 def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample) -> None:
@@ -47,7 +45,7 @@ def _look_for_a_way_back(
         estimator.lost_periods = 0
         return
     estimator.lost_periods += 1
-    if settings.learning.method.physical and estimator.lost_periods > _LOST_PERIODS:
+    if settings.learning.method.physical and estimator.lost_periods > LOST_PERIODS:
         est.begin_anew(estimator, settings.learning, load)
 
 

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 from adaptdrive.control import rls
 from adaptdrive.control.certainty import is_sure
+from adaptdrive.control.evidence import CLEAR, EARLIEST, LIFE, NOISE_FLOOR, WINDOW
 from adaptdrive.control.hypotheses import (
     BOTH,
     DISTURBANCE,
@@ -37,20 +38,11 @@ from adaptdrive.control.regression import fill_initial_state, filtered_model
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.vectors import Vector, copy_into
 
-WINDOW = 20
-"""Samples after which the most likely explanation stays."""
-
-ROOM = 11
+ROOM = EARLIEST + 1
 """Samples that can be kept: ten that may be the first after a change, and the one that shows it."""
 
 PRIOR_SAMPLES = 4.0
 """Weight of σ0²: as little as leaves the likelihood finite variance."""
-
-_EARLIEST = 10
-"""Samples before a decision: more than an explanation has parameters."""
-
-_DECIDED = 10.0
-"""Lead in L that ends a comparison early: odds of e^10, 22,000 to 1."""
 
 _PROOF = 8.0
 """Lead over `nothing` that any other explanation needs: odds of 3,000 to 1."""
@@ -58,20 +50,11 @@ _PROOF = 8.0
 _LOAD_RARER = 12.0
 """Handicap of a load: true changes lead by 30 at least, a swinging torque lets it lead by 10."""
 
-_BOTH_RARER = 18.0
-"""Handicap of both: it has the most parameters, and fits anything best."""
-
-_LOAD_REPEATED = 6.0
-"""Further handicap for each load that was found lately."""
-
-_LOAD_MEMORY = 150.0
-"""Samples after which a load that was found counts e times less."""
+_FURTHER = 6.0
+"""Handicap of each further change: a disturbance beside the load, a load that was found lately."""
 
 _DAMPING = 0.9
 """Least damping of a load, as `supervisor.damping_min` by default."""
-
-_FLOOR = 1.0e-8
-"""Least variance, as in `surprise`."""
 
 
 @dataclass(slots=True)
@@ -132,7 +115,7 @@ def new_rivals(count: int) -> Rivals:
 
 def forget_loads(rivals: Rivals) -> None:
     """Let a slow period pass."""
-    rivals.loads *= 1.0 - 1.0 / _LOAD_MEMORY
+    rivals.loads *= 1.0 - 1.0 / LIFE
 
 
 def copy_estimate(target: Branch, source: Branch) -> None:
@@ -258,8 +241,8 @@ def _rarity(rivals: Rivals, kind: int) -> float:
     """
     if kind < LOAD:
         return 0.0
-    rarity = _LOAD_RARER if kind == LOAD else _BOTH_RARER
-    return rarity + _LOAD_REPEATED * rivals.loads
+    rarity = _LOAD_RARER if kind == LOAD else _LOAD_RARER + _FURTHER
+    return rarity + _FURTHER * rivals.loads
 
 
 def branch_of(rivals: Rivals, kind: int) -> Branch:
@@ -288,7 +271,7 @@ def is_clear(rivals: Rivals) -> bool:
     for kind in range(NOTHING, BOTH + 1):
         if kind != best:
             rival = max(rival, branch_of(rivals, kind).score)
-    return branch_of(rivals, best).score - rival > _DECIDED
+    return branch_of(rivals, best).score - rival > CLEAR
 
 
 def is_settled(rivals: Rivals, learning: Learning, load: Load) -> bool:
@@ -297,7 +280,7 @@ def is_settled(rivals: Rivals, learning: Learning, load: Load) -> bool:
     Another explanation than `nothing` needs proof, and a load must be one that can exist.
     """
     best = _likeliest(rivals)
-    if rivals.samples < _EARLIEST or (rivals.samples < WINDOW and not is_clear(rivals)):
+    if rivals.samples < EARLIEST or (rivals.samples < WINDOW and not is_clear(rivals)):
         return False
     if best >= LOAD and not is_possible(branch_of(rivals, best).theta, learning, load):
         if rivals.samples < 2 * WINDOW:
@@ -327,7 +310,7 @@ def posterior_power(rivals: Rivals) -> float:
     """Return σ² as the explanation in `kind` leaves it."""
     squares = branch_of(rivals, rivals.kind).squares
     weight = PRIOR_SAMPLES + rivals.samples
-    return max(_FLOOR, (PRIOR_SAMPLES * rivals.anchor.power + squares) / weight)
+    return max(NOISE_FLOOR, (PRIOR_SAMPLES * rivals.anchor.power + squares) / weight)
 
 
 def is_possible(theta: Vector, learning: Learning, load: Load) -> bool:

@@ -24,6 +24,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from adaptdrive.control.evidence import MEMORY
+
 FINEST = 1.0e-4
 """Smallest step that is looked for: its rounding error is below the least noise of a sample."""
 
@@ -44,9 +46,6 @@ _MISS = 4
 
 _LARGEST_MULTIPLE = 1.0e6
 """Steps in a difference: more is no movement of a load."""
-
-_MEMORY = 60.0
-"""Slow periods over which the share of changes is a mean: half a cycle of the reference."""
 
 
 @dataclass(slots=True)
@@ -125,7 +124,7 @@ def close_share(grid: Grid, ticks: int) -> None:
         grid: Overwritten.
         ticks: Samples of the period.
     """
-    grid.periods = min(grid.periods + 1.0, _MEMORY)
+    grid.periods = min(grid.periods + 1.0, MEMORY)
     grid.share += (min(1.0, grid.changes / ticks) - grid.share) / grid.periods
     grid.changes = 0
 

@@ -16,19 +16,15 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
+from adaptdrive.control.evidence import WINDOW
+from adaptdrive.control.robustness import MARGIN_RADIUS, STABLE_RADIUS
 from adaptdrive.control.settings import Jacket
 from adaptdrive.control.vectors import Vector, all_finite, is_stable
 
 _TINY = 1e-12
 """Below this a coefficient counts as zero: the model has no dc gain."""
 
-_STABLE_RADIUS = 0.9999
-"""Largest pole of a stable load: a time constant of 10,000 slow periods."""
-
-_DESIGN_RADIUS = 0.995
-"""Largest pole of a designed loop: a time constant of 200 slow periods."""
-
-_RESIDUAL_RATE = 0.05
+_RESIDUAL_RATE = 1.0 / WINDOW
 """Rate of the mean residuals: a mean over about 20 slow periods."""
 
 _RESIDUAL_FLOOR = 1.0e-6
@@ -163,14 +159,14 @@ def judge_load(a: Vector) -> int:
     """Check whether the discrete model is finite and stable."""
     if not all_finite(a):
         return Verdict.NOT_FINITE
-    return Verdict.TRUSTED if is_stable(a, _STABLE_RADIUS) else Verdict.UNSTABLE_LOAD
+    return Verdict.TRUSTED if is_stable(a, STABLE_RADIUS) else Verdict.UNSTABLE_LOAD
 
 
 def judge_loop(closed_loop: Vector) -> int:
     """Check whether the designed loop is finite and stable with a margin."""
     if not all_finite(closed_loop):
         return Verdict.NOT_FINITE
-    return Verdict.TRUSTED if is_stable(closed_loop, _DESIGN_RADIUS) else Verdict.UNSTABLE_LOOP
+    return Verdict.TRUSTED if is_stable(closed_loop, MARGIN_RADIUS) else Verdict.UNSTABLE_LOOP
 
 
 def take_verdict(

@@ -19,17 +19,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from adaptdrive.control.evidence import NOISE_FLOOR, WINDOW
+
 DRIFT = 3.0
 """Subtracted from each z²: the sum rises only while z² is larger than three times its mean."""
 
 THRESHOLD = 9.0
 """One z² above 12, or several smaller ones in a row: rare with noise alone."""
-
-SETTLE_SAMPLES = 20
-"""Samples in which σ² is that of the second differences and no alarm is given."""
-
-NOISE_FLOOR = 1.0e-8
-"""Least variance: a ten-thousandth of the scale, squared, for rounding and model error."""
 
 _FAST_RATE = 0.3
 """Rate of the median after a start: within a factor of 2 after about 3 samples."""
@@ -72,7 +68,7 @@ def is_surprising(state: Surprise, squared: float) -> bool:
         squared: ε² ρ / (ρ + rᵀPr), scaled.
     """
     state.samples += 1
-    if state.samples <= SETTLE_SAMPLES:
+    if state.samples <= WINDOW:
         state.power = max(NOISE_FLOOR, state.noise)
         return False
     ratio = squared / state.power
@@ -96,7 +92,7 @@ def watch_noise(state: Surprise, innovation: float) -> None:
     bend = slope - state.slope
     squared = bend * bend / 6.0  # a power would raise where it overflows
     state.last, state.slope = innovation, slope
-    rate = _FAST_RATE if state.samples <= SETTLE_SAMPLES else _SLOW_RATE
+    rate = _FAST_RATE if state.samples <= WINDOW else _SLOW_RATE
     state.noise = max(NOISE_FLOOR, _moved(max(NOISE_FLOOR, state.noise), squared, rate))
 
 

@@ -1,0 +1,31 @@
+"""Evidence that a decision about the load needs, in slow samples and in log odds.
+
+Each slow period brings one innovation, and the slow period is chosen in proportion to the time
+constants of the load, so that counts of samples suit a motor, a bath and a battery alike.
+"""
+
+from __future__ import annotations
+
+EARLIEST = 10
+"""Samples before a decision: more than an explanation has parameters."""
+
+WINDOW = 20
+"""Samples after which the most likely explanation stays, and over which errors are a mean."""
+
+LOST_PERIODS = 3 * WINDOW
+"""Three windows of evidence: an explanation that is being learnt needs one."""
+
+MEMORY = 60.0
+"""Samples that an estimate remembers: 1/(1 - ρ) is 67 with the forgetting factor by default."""
+
+LIFE = 150
+"""Samples after which an alarm has no effect: what has not shown by then is none of the alarm's."""
+
+CLEAR = 10.0
+"""Lead that decides between two estimates: odds of e^10, 22,000 to 1."""
+
+PRIOR_SHARE = 0.5
+"""Relative deviation of gain and α before samples; nothing is known that is not below this."""
+
+NOISE_FLOOR = 1.0e-8
+"""Least variance: a ten-thousandth of the scale, squared, for rounding and model error."""
