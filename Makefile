@@ -10,6 +10,9 @@ bin := $(venv)/bin
 # The stamp's name follows the content of both files: an unchanged checkout never reinstalls.
 installed := $(venv)/.installed-$(firstword $(shell cat pyproject.toml constraints.txt | cksum))
 
+# Without a cache of bytecode each of the processes that the tests start compiles the sources again.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help demo test quick lint bench proof branches tables docs wheel compiled deb constraints clean
 
 help:
