@@ -74,16 +74,34 @@ def start_process(
         )
 
 
+PREFERRED, SERVING = 10, 1
+"""Real-time priorities: of drives and daemons, and of what serves them and delays none of them."""
+
+
 def prefer(process: Process) -> None:
     """Schedule a started process before the other tests, where the machine grants it.
 
     A real drive shares no processor with anything, and a deployed daemon has real-time priority.
     Do so only once it runs: the imports of a starting process would delay the others.
     """
-    policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
-    for task in Path(f"/proc/{process.pid}/task").iterdir():
-        with contextlib.suppress(PermissionError, ProcessLookupError):
-            os.sched_setscheduler(int(task.name), policy, os.sched_param(10))
+    _schedule(process.pid, os.SCHED_RR | os.SCHED_RESET_ON_FORK, PREFERRED)
+
+
+def serve_promptly(pid: int, *, with_children: bool = False) -> None:
+    """Schedule a process before everything but drives and daemons, where the machine grants it.
+
+    Args:
+        pid: The process: a broker, a recorder, or what starts them.
+        with_children: Whether the processes that it starts from now on are scheduled like it.
+    """
+    reset = 0 if with_children else os.SCHED_RESET_ON_FORK
+    _schedule(pid, os.SCHED_RR | reset, SERVING)
+
+
+def _schedule(pid: int, policy: int, priority: int) -> None:
+    with contextlib.suppress(FileNotFoundError, PermissionError, ProcessLookupError):
+        for task in Path(f"/proc/{pid}/task").iterdir():
+            os.sched_setscheduler(int(task.name), policy, os.sched_param(priority))
 
 
 def stop_process(process: Process) -> None:

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import pytest
 
 from adaptdrive.recording.reader import read_session
-from tests.support import Broker, Process, Spawn
+from tests.support import Broker, Process, Spawn, serve_promptly
 
 pytestmark = pytest.mark.slow
 
@@ -42,17 +42,24 @@ class Demo:
         Every other trip is a fault on a busy machine, too.
         """
         status = self.ended()
-        reason = self.summary().get("reason", "")
-        if status and BUSY.fullmatch(reason):
-            pytest.skip(f"not judged: the machine was busy: {reason}")
+        if status:
+            self._judge_busy_machine()
         assert status == 0, self.output.read_text()
+
+    def _judge_busy_machine(self) -> None:
+        summary = self.summary()
+        for reason in (summary.get("reason", ""), *summary.get("trips", ())):
+            if BUSY.fullmatch(reason):
+                pytest.skip(f"not judged: the machine was busy: {reason}")
 
     def wait_for(self, log: str, text: str) -> None:
         """Wait until a log says something."""
         deadline = time.monotonic() + PATIENCE_S
         path = self.directory / f"{log}.log"
         while not path.exists() or text not in path.read_text():
-            assert self.process.poll() is None, self.output.read_text()
+            if self.process.poll() is not None:
+                self._judge_busy_machine()
+                pytest.fail(f"the demonstration ended: {self.output.read_text()}")
             assert time.monotonic() < deadline, f"{text!r} is not in {path}"
             time.sleep(0.05)
 
@@ -116,6 +123,7 @@ def start(spawn: Spawn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Star
         directory = tmp_path / f"demo-{len(started)}"
         command = [sys.executable, "-m", "adaptdrive_sim", "demo", "motor", "--headless"]
         process = spawn(*command, f"--directory={directory}", *options)
+        serve_promptly(process.pid, with_children=True)  # before it starts any
         demo = Demo(process, directory, tmp_path / f"process-{len(started)}.log")
         started.append(demo)
         return demo

@@ -26,7 +26,7 @@ EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 MOTOR = load_configuration(EXAMPLES / "motor.toml")
 assert isinstance(MOTOR.bus, CanBus)
 MOTOR_BUS = MOTOR.bus
-_PATIENCE_S = 120.0
+PATIENCE_S = 120.0
 TIMING = Timing(half_cycle_s=1.0 / 120.0, stale_s=0.05, daemon_holds_voltage=True)
 
 STATUS = {"BoostVoltage": 300.12, "LineVoltage": 120.4, "LoadPower": 431.7, "BridgeOn": 1}
@@ -167,6 +167,6 @@ async def running(port: CanPort, ear: Ear) -> AsyncIterator[None]:
 
 async def until(condition: Callable[[], bool]) -> None:
     """Wait for a condition; give up after a time that only a broken port needs."""
-    async with asyncio.timeout(_PATIENCE_S):
+    async with asyncio.timeout(PATIENCE_S):
         while not condition():  # noqa: ASYNC110 - what is waited for is no event
             await asyncio.sleep(0.002)

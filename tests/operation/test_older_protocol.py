@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.runtime.requests import SetSetpoint
-from tests.operation.peers import ask, expect_retained, listening, publish, serving
-from tests.support import Broker, Spawn
+from tests.operation.peers import PATIENCE_S, ask, expect_retained, listening, publish, serving
+from tests.support import Broker, Spawn, serve_promptly
 
 PROGRAM = Path(__file__).with_name("amqtt_broker.py")
 
@@ -20,8 +20,8 @@ PROGRAM = Path(__file__).with_name("amqtt_broker.py")
 async def older(free_tcp_port: int, spawn: Spawn) -> Broker:
     if importlib.util.find_spec("amqtt") is None:
         pytest.skip("amqtt is not installed")
-    spawn(sys.executable, PROGRAM, str(free_tcp_port))
-    async with asyncio.timeout(20.0):
+    broker = spawn(sys.executable, PROGRAM, str(free_tcp_port))
+    async with asyncio.timeout(PATIENCE_S):
         while True:
             try:
                 _, writer = await asyncio.open_connection("127.0.0.1", free_tcp_port)
@@ -30,6 +30,7 @@ async def older(free_tcp_port: int, spawn: Spawn) -> Broker:
             else:
                 writer.close()
                 await writer.wait_closed()
+                serve_promptly(broker.pid)
                 return Broker("127.0.0.1", free_tcp_port)
 
 

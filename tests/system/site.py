@@ -26,6 +26,7 @@ from tests.support import (
     complete_lines,
     logged_events,
     prefer,
+    serve_promptly,
     start_process,
     stop_process,
 )
@@ -195,6 +196,7 @@ class Site:
         self.daemon = self._start("daemon.log", "-m", "adaptdrive.cli", "run", self.config)
         self.await_availability("online", after=known)
         prefer(self.daemon)
+        self._prefer_recorders()
 
     def start(self, *device_options: str) -> None:
         """Start everything."""
@@ -228,6 +230,7 @@ class Site:
     def stop_daemon(self) -> int:
         """Ask the daemon to end; its exit status."""
         assert self.daemon is not None
+        self._prefer_recorders()  # again: they step aside when they have started
         self.daemon.terminate()
         return self.daemon.wait(timeout=PATIENCE_S)
 
@@ -337,6 +340,11 @@ class Site:
         if self.daemon is None or self.daemon.poll() is not None:
             until(lambda: not self._recorders(), "the recorder has written the rest")
         return sorted((self.folder / "sessions").glob("[!.]*"))[number]
+
+    def _prefer_recorders(self) -> None:
+        """Let the recorder write what is left within the 2 s that the daemon waits at its end."""
+        for recorder in self._recorders():
+            serve_promptly(int(recorder.name))
 
     def _recorders(self) -> list[Path]:
         """Processes that write the sessions of this site."""
