@@ -90,6 +90,12 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path, content: bytes | No
     assert caught.value.source == file
 
 
+def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
+    file = tmp_path / "bench.toml"
+    file.write_bytes(b"\xef\xbb\xbf" + (EXAMPLES / "motor.toml").read_bytes())
+    assert read_text(file) == (EXAMPLES / "motor.toml").read_text(encoding="utf-8")
+
+
 def test_a_folder_is_no_configuration(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="directory"):
         load_configuration(tmp_path)

@@ -241,6 +241,15 @@ def test_a_text_with_a_control_character_is_refused_with_value_and_place(
     assert f"without control characters (it is {shown})" in found[place]
 
 
+@pytest.mark.parametrize(
+    "place", ["load.output_name", "load.output_unit", "mqtt.username", "bus.clock", "drive.name"]
+)
+def test_a_text_longer_than_a_path_is_refused(place: str) -> None:
+    found = flaws(**change(place, f'"{"s" * 4097}"'))
+    assert set(found) == {place}
+    assert "the text must have at most 4096 characters" in found[place]
+
+
 def test_a_key_with_a_control_character_is_refused() -> None:
     with pytest.raises(ConfigurationError) as caught:
         parse(**{"simulation.parameters": '{ "fric\\u001btion" = 1.0 }'})

@@ -74,7 +74,7 @@ def read_text(path: Path) -> str:
         ConfigurationError: The file cannot be read, is no text or has too many characters.
     """
     try:
-        with open(path, encoding="utf-8", opener=_opened) as file:
+        with open(path, encoding="utf-8-sig", opener=_opened) as file:
             text = file.read(_LONGEST + 1)
     except (OSError, ValueError) as problem:
         raise ConfigurationError(path, [Flaw("file", str(problem))]) from problem

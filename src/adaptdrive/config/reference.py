@@ -20,7 +20,8 @@ _INTRODUCTION = """\
 
 One TOML file describes one drive. Numbers are in SI units; a unit that could be mistaken is part
 of the key. Every error in a file is listed with its place, and an unknown key is an error.
-Texts and keys are single lines without control characters.
+Texts and keys are single lines of at most 4096 characters, without control characters. A byte order
+mark is ignored.
 
 Sections that a file must have: {required}. The others have defaults throughout.
 `make docs` writes this page from the models in `src/adaptdrive/config`.

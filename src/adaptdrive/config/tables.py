@@ -15,7 +15,9 @@ _LARGEST = 1e12
 """No quantity in SI units, factor or bound is larger, or smaller than its inverse."""
 
 _INTEGER_BITS = 64
-_LONGEST_TEXT = 80
+_SHOWN_TEXT = 80
+_LONGEST_TEXT = 4096
+"""The longest path of Linux. Names and units go into every message of telemetry."""
 _DEEPEST = 20
 _CONTROLS = frozenset({"Cc", "Zl", "Zp"})
 """Unicode's categories of control characters and of the separators of lines and paragraphs."""
@@ -52,9 +54,13 @@ def value_flaws(value: object, keys: Keys = ()) -> Iterator[Absurd]:
 
 
 def _text_flaws(text: str, what: str, keys: Keys) -> list[Absurd]:
-    controls = [one for one in text if unicodedata.category(one) in _CONTROLS]
-    problem = f"{what} must be one line without control characters (it is {shortened(repr(text))})"
-    return [Absurd(keys, problem)] if controls else []
+    if len(text) > _LONGEST_TEXT:
+        rule = f"have at most {_LONGEST_TEXT} characters"
+    elif any(unicodedata.category(one) in _CONTROLS for one in text):
+        rule = "be one line without control characters"
+    else:
+        return []
+    return [Absurd(keys, f"{what} must {rule} (it is {shortened(repr(text))})")]
 
 
 def _number_flaws(value: object, keys: Keys) -> Iterator[Absurd]:
@@ -111,5 +117,5 @@ def valid_sections(tables: dict[str, Any]) -> dict[str, Any]:
 
 def shortened(text: str) -> str:
     """Return a text without its middle, where it is long."""
-    half = _LONGEST_TEXT // 2
-    return text if len(text) <= _LONGEST_TEXT else f"{text[:half]}…{text[-half:]}"
+    half = _SHOWN_TEXT // 2
+    return text if len(text) <= _SHOWN_TEXT else f"{text[:half]}…{text[-half:]}"
