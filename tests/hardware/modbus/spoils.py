@@ -58,3 +58,14 @@ def fewer(pdu: bytes) -> bytes:
 
 def other_function(pdu: bytes) -> bytes:
     return b"\x03" + pdu[1:] if pdu[0] == 4 else pdu
+
+
+def other_address(pdu: bytes) -> bytes:
+    if pdu[0] != 16:
+        return pdu
+    address = struct.unpack(">H", pdu[1:3])[0]
+    return pdu[:1] + struct.pack(">H", address + 1) + pdu[3:]
+
+
+def nothing_written(pdu: bytes) -> bytes:
+    return pdu[:3] + b"\0\0" if pdu[0] == 16 else pdu

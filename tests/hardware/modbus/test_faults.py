@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import math
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
@@ -37,6 +38,8 @@ from tests.hardware.modbus.spoils import (
     late,
     no_transaction,
     noisy,
+    nothing_written,
+    other_address,
     other_function,
     other_protocol,
     other_transaction,
@@ -188,6 +191,21 @@ async def test_a_reply_that_cannot_be_decoded_raises_nothing_in_the_event_loop(
         HEALTHY(one.peer)
         await one.hears(3)
     assert raised == []
+
+
+@pytest.mark.parametrize("kind", ["tcp", "rtu"])
+@pytest.mark.parametrize("answer", [other_address, nothing_written])
+async def test_a_reply_that_repeats_another_write_confirms_no_stop(
+    kind: str, answer: Callable[[bytes], bytes], tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with watched(kind, tmp_path, free_tcp_port) as one:
+        one.peer.answer = answer
+        one.port.send(SAFE_COMMAND)
+        await until(lambda: one.port.complaint is not None)
+        assert "a reply that belongs to another request" in str(one.port.complaint)
+        assert one.port.safe_s == math.inf
+        HEALTHY(one.peer)
+        await until(lambda: one.port.safe_s < math.inf)
 
 
 async def test_an_exception_is_named(tmp_path: Path, free_tcp_port: int) -> None:

@@ -183,14 +183,12 @@ class ModbusConnection:
             asked = exchange.write if exchange.read is None else exchange.read
             problem = f"exception reply {code} to function {function} ({name}), {asked}"
             raise ExchangeError(problem, code)
-        registers = list(reply.registers) if exchange.read else []
-        wanted = exchange.read.count if exchange.read else 0
-        if (reply.function_code, len(registers)) != (function, wanted):
+        if not _answers(reply, exchange):
             self._suspect()
             self._counts["foreign"] += 1
             raise ExchangeError("a reply that belongs to another request")
         self._counts["received"] += 1
-        return registers
+        return list(reply.registers) if exchange.read else []
 
     async def _await_silence(self) -> None:
         """Let what may still come from an earlier request pass by unread."""
@@ -230,6 +228,16 @@ class ModbusConnection:
         ):
             self._strange = packet[:2]
             self._counts["foreign"] += 1
+
+
+def _answers(reply: ModbusPDU, exchange: Exchange) -> bool:
+    """Return whether a reply fits its request: to a write, it repeats the address and the count."""
+    if reply.function_code != _function(exchange):
+        return False
+    if exchange.read is not None:
+        return len(reply.registers) == exchange.read.count
+    written = exchange.write
+    return written is None or (reply.address, reply.count) == (written.address, written.count)
 
 
 def _function(exchange: Exchange) -> int:
