@@ -22,6 +22,12 @@ _BOUND = "a share of half cycles that equals the bound to the last digit may be 
 
 _BEYOND = "any number beyond 32,768 us, where the last bin begins"
 
+_SLACK = "a bridge whose grace ends at just the slack for rounding may be judged either way"
+
+_SMALL = "any divisor far below those of a load, which are above 1e-9, ends a division by nothing"
+
+_DOUBT_BOUND = "a deviation that equals the bound to the last digit may be judged either way"
+
 _UNLIMITED = "the time of a voltage without `hold_s` is never compared"
 
 _VOLTAGE = (
@@ -69,6 +75,9 @@ RUNTIME: dict[str, str] = {
     "tolerance": _BOUND,
     f"{_RATE}_problem: return self._text(share, frames, by_frames=abs(frames - 1.0) > tolerance) "
     "-> return self._text(share, frames, by_frames=abs(frames - 1.0) >= tolerance)": _BOUND,
+    "runtime.bridge_watch:BridgeWatch.find_cause: if reported_s - self._off_s <= self._grace_s + "
+    "_SLACK_S and (not slept): -> if reported_s - self._off_s < self._grace_s + _SLACK_S and "
+    "(not slept):": _SLACK,
     "runtime.statistics:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 1000000001.0": _BEYOND,
     "runtime.statistics:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 2000000000.0": _BEYOND,
 }
@@ -79,6 +88,19 @@ OPERATION: dict[str, str] = {
 }
 
 CONTROL: dict[str, str] = {
+    "control.certainty:: _TINY = 1e-12 -> _TINY = 2e-12": _SMALL,
+    "control.certainty:is_sure: if not abs(denominator[load.order]) > _TINY: -> "
+    "if not abs(denominator[load.order]) >= _TINY:": _SMALL,
+    "control.certainty:is_sure: if not deviations[i] <= PRIOR_SHARE * abs(values[i]): -> "
+    "if not deviations[i] < PRIOR_SHARE * abs(values[i]):": _DOUBT_BOUND,
+    "control.certainty:deviations_of: if not abs(denominator[load.order]) > _TINY: -> "
+    "if not abs(denominator[load.order]) >= _TINY:": _SMALL,
+    "control.certainty:deviations_of: jacobian = [0.0] * (len(values) * count) -> "
+    "jacobian = [1.0] * (len(values) * count)": _OVERWRITTEN,
+    "control.certainty:deviations_of: deviations = [0.0] * len(values) -> "
+    "deviations = [1.0] * len(values)": _OVERWRITTEN,
+    "control.controller:Controller._estimates: if math.isfinite(state.values[0]): -> "
+    "if math.isfinite(state.values[1]):": "all values of an estimate are set together",
     "control.pole_placement:closed_loop_polynomial: result = [0.0] * length -> "
     "result = [1.0] * length": _OVERWRITTEN,
     "control.noise_limit:impulse_norm: a, b = (list(denominator), [0.0] * (degree + 1)) -> "

@@ -27,7 +27,7 @@ RUNTIME: dict[str, tuple[str, ...]] = {
     "adaptdrive.runtime.interlocks": ("tests/runtime/test_interlocks.py", *_LOOP),
     "adaptdrive.runtime.guard": ("tests/runtime/test_guard.py", *_LOOP),
     "adaptdrive.runtime.machine": (*_MACHINE, "tests/runtime/test_coasting.py"),
-    "adaptdrive.runtime.machine_limits": ("tests/runtime/test_machine_limits.py",),
+    "adaptdrive.runtime.machine_limits": ("tests/runtime/test_machine_limits.py", *_MACHINE),
     "adaptdrive.runtime.manual": ("tests/runtime/test_machine_limits.py",),
     "adaptdrive.runtime.fast_loop": (*_LOOP, *_LOOP_MORE, *_STOP),
     "adaptdrive.runtime.interlock_board": ("tests/runtime/test_interlock_board.py", *_LOOP),
@@ -70,6 +70,7 @@ SUPERVISION = _control({
     "reasons": "test_reasons",
     "redesign": "test_redesign",
     "doubt": "test_explanation",
+    "certainty": "test_certainty",
 })  # fmt: skip
 
 LEARNING = _control({
@@ -104,10 +105,10 @@ DESIGN = _control({
 })  # fmt: skip
 
 HALVES = _control({
-    "fast_half": "test_fast_half test_rounding",
-    "slow_half": "test_slow_half test_robustness test_probing",
-    "slow_state": "test_slow_half test_probing",
-    "controller": "test_controller test_schedule",
+    "fast_half": "test_fast_half test_kick test_rounding",
+    "slow_half": "test_slow_half test_slow_laws test_robustness test_probing",
+    "slow_state": "test_slow_half test_slow_laws test_probing",
+    "controller": "test_controller test_schedule test_runs test_prior",
 })  # fmt: skip
 
 PARTS = {

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import pytest
 
 from adaptdrive.hardware.port import Reading
+from adaptdrive.runtime.frame_rate import FrameRate
 from adaptdrive.runtime.interlock_board import InterlockBoard
 from adaptdrive.runtime.interlocks import Limits
 from tests.loopback_port import LoopbackPort
@@ -115,3 +116,30 @@ def test_a_bridge_has_to_be_on_where_it_was_commanded_in_a_run(
         causes.append(cause_of(of, now_s, running=running, bridge=bridge))
     stopped = "drive stopped: its bridge is off although it was commanded on"
     assert causes[-1] == (stopped if running and bridge else None)
+
+
+def rate_of(share: float, readings: int) -> FrameRate:
+    """The rate of a drive that sends at a share of the right one."""
+    rate = FrameRate(TICK_S, 1, counted=True)
+    for number in range(readings):
+        rate.add(START_S + number * TICK_S / share, 1, stood_in=False)
+    return rate
+
+
+@pytest.mark.parametrize(
+    ("rate", "known", "cause"),
+    [
+        (None, True, None),
+        (rate_of(1.0, 30), False, None),
+        (rate_of(1.0, 240), True, None),
+        (rate_of(0.8, 240), False, "frame rate: the drive sends 102.4 readings/s"),
+    ],
+)
+def test_the_rate_of_a_drive_that_is_the_clock_must_be_known_and_right(
+    rate: FrameRate | None, *, known: bool, cause: str | None
+) -> None:
+    of = InterlockBoard(LIMITS, (), rate, TICK_S, 1)
+    assert of.rate_known is known
+    reading = replace(CALM, arrival_s=START_S, oldest_s=START_S)
+    standing = of.standing_cause(PORT, reading, START_S)
+    assert standing == cause if cause is None else (standing or "").startswith(cause)

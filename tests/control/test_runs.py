@@ -1,0 +1,119 @@
+"""A controller from start to trip: what it enters with, what it measures and what it names."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.settings import ControllerSettings, Rates
+from adaptdrive.control.signals import Decision, Measurement, Mode, Order, Snapshot, Stage
+from tests.closed_loop.bench import EXACT, MOTOR, PLAIN_LEARNING, TICKS, TICK_s, order
+
+REST_V = 3.0 / 0.011
+
+
+def measured(
+    tick: int, output: float = 3.0, *, boost_V: float = REST_V, period_s: float = TICK_s,
+    fresh: bool = True,
+) -> Measurement:  # fmt: skip
+    return Measurement(tick, period_s, boost_V, 120.0, 430.0, output, fresh)
+
+
+def snapshot_of(controller: Controller) -> Snapshot:
+    snapshot = controller.take_snapshot()
+    assert snapshot is not None
+    return snapshot
+
+
+@pytest.mark.parametrize(("output", "resting_V"), [(3.3, 300.0), (0.0, 0.0), (-0.1, 0.0)])
+def test_after_a_precharge_the_filters_have_seen_the_voltage_that_the_output_rests_at(
+    output: float, resting_V: float
+) -> None:
+    """λ²u hardly moves within 1 s: by 1 - 1.1 exp(-0.1) of the way."""
+    controller = Controller(EXACT, MOTOR)
+    controller.tick(measured(0, output, boost_V=215.0), order(stage=Stage.PRECHARGE))
+    for tick in range(1, TICKS + 1):
+        controller.tick(measured(tick, output, boost_V=215.0), order())
+    seen_V = snapshot_of(controller).input_filtered[2]
+    assert seen_V == pytest.approx(resting_V, abs=0.0047 * abs(215.0 - resting_V) + 1e-9)
+
+
+def test_a_drive_that_was_fed_has_filters_that_have_seen_its_voltage() -> None:
+    controller = Controller(EXACT, MOTOR)
+    for tick in range(1, TICKS + 1):
+        controller.tick(measured(tick, 3.3, boost_V=215.0), order())
+    assert snapshot_of(controller).input_filtered[2] == pytest.approx(215.0)
+
+
+def test_the_filters_follow_the_measured_line_frequency() -> None:
+    """λy of a step of 0.3 V, the mean over the second half of a period on a line of 50 Hz."""
+    controller = Controller(EXACT, MOTOR)
+    controller.tick(measured(0), order())
+    for tick in range(1, TICKS + 1):
+        controller.tick(measured(tick, period_s=0.01), order())
+    controller.take_snapshot()
+    for tick in range(TICKS + 1, 2 * TICKS + 1):
+        controller.tick(measured(tick, 3.3, period_s=0.01), order())
+    snapshot = snapshot_of(controller)
+    ways = [1.0 - math.exp(-(n - 0.5) * 0.01 / 10.0) for n in range(TICKS // 2 + 1, TICKS + 1)]
+    assert snapshot.output_filtered[0] == pytest.approx(3.0 + 0.3 * sum(ways) / len(ways), abs=1e-4)
+    assert snapshot.period_s == pytest.approx(1.2)
+
+
+@pytest.mark.parametrize(("held", "learns"), [(12, True), (13, False)])
+def test_a_tenth_of_the_ticks_may_be_stood_in_for(held: int, *, learns: bool) -> None:
+    controller = Controller(replace(EXACT, learning=PLAIN_LEARNING), MOTOR)
+    for tick in range(1, TICKS + 1):
+        controller.tick(measured(tick, 3.01, fresh=tick > held), order())
+    controller.decide(snapshot_of(controller))
+    assert any(controller._slow.estimator.theta) is learns
+
+
+SMALL = Rates(ticks_per_period=2, latency_ticks=1, samples=1, nominal_tick_s=1.0)
+RESPONDING = replace(
+    EXACT,
+    rates=SMALL,
+    jacket=replace(
+        EXACT.jacket, ratio_min=0.5, ratio_max=1.0, response_periods=5, response_distance=0.05
+    ),
+)
+
+
+def stuck(settings: ControllerSettings, wanted: Order, periods: int) -> list[Decision]:
+    """Decisions about a load that does not move."""
+    controller, found = Controller(settings, MOTOR), []
+    for tick in range(1, 2 * periods + 1):
+        controller.tick(measured(tick, boost_V=400.0, period_s=1.0), wanted)
+        if (snapshot := controller.take_snapshot()) is not None:
+            found.append(controller.decide(snapshot))
+            controller.apply(found[-1])
+    return found
+
+
+def test_a_load_that_does_not_answer_is_a_fault_and_named() -> None:
+    found = stuck(RESPONDING, order(4.3), 30)
+    faults = [decision.fault for decision in found]
+    assert set(faults) == {
+        "",
+        "no response: input at its limit for long, and the output has not moved",
+    }
+    assert faults == sorted(faults)
+    assert faults[:6] == [""] * 6
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_without_a_probe_none_is_shown_and_a_load_at_rest_has_no_fault(mode: Mode) -> None:
+    found = stuck(RESPONDING, order(mode=mode), 3)
+    assert len(found) == 3
+    for decision in found:
+        assert math.isnan(decision.probe)
+        assert decision.fault == ""
+
+
+def test_before_an_estimate_its_deviations_are_unknown() -> None:
+    unknown = stuck(replace(RESPONDING, learning=PLAIN_LEARNING), order(), 1)[0].estimates
+    assert [*unknown] == list(MOTOR.names)
+    assert all(math.isnan(one.std) for one in unknown.values())
