@@ -6,12 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adaptdrive.control.design import discrete_model
+from adaptdrive.control.design import asked_loop, discrete_model, loop_gains
+from adaptdrive.control.noise_limit import slowed_loop
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.slow_half import slow_step
 from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
+from adaptdrive.control.vectors import copy_into
 from adaptdrive.control.watch import Fallback
 from tests.closed_loop.bench import EXACT, MOTOR, PAPER, PLAIN_LEARNING
+from tests.control.systems import motor_system
 
 REST_V = 3.0 / 0.011
 BOTH = pytest.mark.parametrize("settings", [EXACT, PAPER])
@@ -135,3 +138,42 @@ def test_before_any_estimate_is_trusted_the_other_law_is_unknown() -> None:
     slow_step(EXACT, MOTOR, state, sample(adaptive=True))
     assert math.isnan(state.handover_step)
     assert not state.adaptive
+
+
+SLOWEST_FALL_V = 20.0
+"""What a load takes from the boost capacitor of a unidirectional drive in a slow period."""
+
+
+def in_force(a: list[float], b: list[float], slowness: float) -> SlowState:
+    """A loop that is slower than what is asked for, under gains that are not learnt."""
+    state, taps = at_rest(), len(b) - 1
+    loop = slowed_loop([1.0], MOTOR.order, taps - MOTOR.order, 0.7, slowness)
+    copy_into(state.adaptive_gains, loop_gains(a, b, loop))
+    copy_into(state.reference_filter.asked, asked_loop(b, MOTOR.order, 0.7))
+    copy_into(state.reference_filter.loop, loop)
+    copy_into(state.reference_filter.course, [3.0] * len(loop))
+    state.supervisor.trusted, state.blend = True, 1.0
+    return state
+
+
+@pytest.mark.parametrize("slowness", [0.0, 1.0, 1.6])
+def test_the_course_stays_that_of_the_load_where_the_drive_cannot_follow(slowness: float) -> None:
+    """The output of the model is B/B(1) m, whatever input was applied."""
+    system = motor_system(3)
+    a, b = discrete_model(EXACT, MOTOR, system.numerator, system.denominator, 1.0)
+    jacket = replace(EXACT.jacket, warm_up_periods=10**6, patience_periods=10**6)
+    settings, state = replace(EXACT, jacket=jacket), in_force(a, b, slowness)
+    inputs, outputs, held_back, applied = [REST_V] * (len(b) - 1), [3.0] * 2, 0, REST_V
+    for k in range(400):
+        y = float(np.dot(b[1:], inputs) - np.dot(a[1:], outputs))
+        outputs = [y, *outputs[:-1]]
+        followed = applied == state.inputs[0]
+        reference = 3.8 if (k // 60) % 2 else 3.0
+        now = sample(y, applied=applied, followed=followed, reference=reference, adaptive=True)
+        decided = slow_step(settings, MOTOR, state, now)
+        course = np.array(state.reference_filter.course[: len(b)])
+        assert np.dot(b, course) / sum(b) == pytest.approx(y, abs=1e-6)
+        applied = max(decided, inputs[0] - SLOWEST_FALL_V)
+        held_back += applied != decided
+        inputs = [applied, *inputs[:-1]]
+    assert held_back > 20

@@ -64,12 +64,21 @@ def slow_step(
 
 def _note_applied(state: SlowState, sample: SlowSample) -> None:
     """Correct the last input of the history where the law in force has not decided it."""
+    decided = state.inputs[0]
     if not sample.followed and math.isfinite(sample.applied):
         state.inputs[0] = sample.applied
         state.saturated = True
     elif math.isfinite(sample.held):
         state.inputs[0] = sample.held
         state.saturated = sample.held <= sample.low or sample.held >= sample.high
+    _condition(state, state.inputs[0] - decided)
+
+
+def _condition(state: SlowState, shortage: float) -> None:
+    """Let the reference filter go on from an input that is short of what its law decided."""
+    if state.blend >= 1.0:
+        gain = total(state.adaptive_gains[len(state.inputs) :])
+        condition_reference(state.reference_filter, shortage, gain)
 
 
 def _follow_hand(state: SlowState, sample: SlowSample) -> float:
@@ -187,9 +196,7 @@ def _act(jacket: Jacket, state: SlowState, sample: SlowSample, reference: float)
         wanted = state.inputs[0]
     limited = min(max(wanted, sample.low), sample.high)
     state.saturated = limited != wanted
-    if state.blend >= 1.0:
-        gain = total(state.adaptive_gains[len(state.inputs) :])
-        condition_reference(state.reference_filter, limited - wanted, gain)
+    _condition(state, limited - wanted)
     shift_in(state.inputs, limited)
     return limited
 
