@@ -16,7 +16,7 @@ from adaptdrive_sim.campaign.main import repeat_run, run_campaign
 from adaptdrive_sim.campaign.pool import ClusterError, workers
 from adaptdrive_sim.campaign.scenario import draw
 from adaptdrive_sim.campaign.settings import read_campaign
-from adaptdrive_sim.campaign.verdict import claims, failures
+from adaptdrive_sim.campaign.verdict import claims, failures, shared_failures
 from adaptdrive_sim.compiled import bench
 
 STANDARD = Path("standard.toml")
@@ -75,6 +75,27 @@ def test_a_run_that_ended_early_costs_infinitely_much_and_is_a_failure() -> None
     causes = {failure.cause for failure in failures([row])}
     assert causes == {"unstable", "worse than fixed"}
     assert not all(claim.holds for claim in claims([row]))
+
+
+def test_a_run_that_fixed_control_does_not_hold_either_is_listed_apart_with_its_reason() -> None:
+    stand = Stand(draw(read_campaign(STANDARD), 2))
+    fixed, adaptive = stand.run(Mode.FIXED), stand.run(Mode.ADAPTIVE)
+    for outcome in (fixed, adaptive):
+        outcome.trace[100:, bench.OUTPUT] += 10.0 * stand.step
+    adaptive.trace[: stand.times_s.size // 2, bench.REFERENCE_V] = 400.0
+    row = judge(stand, fixed, adaptive)
+    assert row["unstable_fixed"]
+    assert row["unstable_adaptive"]
+    assert failures([row]) == []
+    (shared,) = shared_failures([row])
+    assert shared.cause == "unstable, fixed too"
+    assert shared.reason == "V_c at a limit for 50% of the time"
+    claim = claims([row])[0]
+    assert claim.holds
+    assert claim.found == "0 of 1; 1 with fixed control too"
+    alone = row | {"unstable_fixed": False}
+    assert shared_failures([alone]) == []
+    assert {failure.cause for failure in failures([alone])} == {"unstable"}
 
 
 def test_an_error_that_nobody_sees_costs_the_floor() -> None:

@@ -15,7 +15,13 @@ from rich.table import Table
 from adaptdrive.analysis import style
 from adaptdrive_sim.campaign.drawn import Row
 from adaptdrive_sim.campaign.judge import WORSE
-from adaptdrive_sim.campaign.verdict import CampaignClaim, Failure, claims, failures
+from adaptdrive_sim.campaign.verdict import (
+    CampaignClaim,
+    Failure,
+    claims,
+    failures,
+    shared_failures,
+)
 
 _SHOWN = 20
 
@@ -60,6 +66,9 @@ def print_results(rows: list[Row], seconds: float, campaign: Path, console: Cons
     found = failures(rows)
     if found:
         console.print(_failure_table(found, campaign))
+    shared = shared_failures(rows)
+    if shared:
+        console.print(_shared_table(shared))
 
 
 def _claim_table(found: list[CampaignClaim]) -> Table:
@@ -95,6 +104,15 @@ def _failure_table(found: list[Failure], campaign: Path) -> Table:
     for failure in found[:_SHOWN]:
         command = f"adaptdrive-sim campaign {campaign} --output DIR --only {failure.seed}"
         table.add_row(failure.cause, str(failure.seed), f"{failure.ratio:.3f}", command)
+    if len(found) > _SHOWN:
+        table.caption = f"and {len(found) - _SHOWN} more, see results.parquet"
+    return table
+
+
+def _shared_table(found: list[Failure]) -> Table:
+    table = Table("neither controller", "seed", "cost ratio", "what the run shows")
+    for failure in found[:_SHOWN]:
+        table.add_row(failure.cause, str(failure.seed), f"{failure.ratio:.3f}", failure.reason)
     if len(found) > _SHOWN:
         table.caption = f"and {len(found) - _SHOWN} more, see results.parquet"
     return table
