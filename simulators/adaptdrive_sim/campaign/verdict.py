@@ -56,7 +56,7 @@ _SHARED: dict[str, Callable[[Row], bool]] = {
     ),
     "unstable, fixed too": lambda row: row["unstable_adaptive"] and row["unstable_fixed"],
 }
-"""What no change of the adaptive controller alone is to be blamed for."""
+"""Runs that neither controller holds."""
 
 
 def failures(rows: list[Row]) -> list[Failure]:
