@@ -113,3 +113,10 @@ def test_rho_left_out_is_that_of_the_design_and_of_the_load() -> None:
     assert forgetting("motor.toml") == 0.985
     assert forgetting("motor.toml", design="paper") == 0.97
     assert forgetting("bath.toml", design="paper") == 0.99
+
+
+def test_the_inflow_of_a_bath_may_drift_and_a_torque_steps() -> None:
+    for name, drifts in (("bath", True), ("motor", False), ("battery", False)):
+        path = EXAMPLES / f"{name}.toml"
+        tables = tomllib.loads(path.read_text("utf-8"))
+        assert controller_settings(validate_configuration(tables, path)).learning.drifts is drifts

@@ -41,6 +41,7 @@ _UNITS = {
     "HALF_DELAYS": "1",
     "EXCURSIONS": "1",
     "_LARGEST": "scale",
+    "OFFSET_WALK": "σ",
     "_EMF_NOISE": "σ",
     "_EMF_BEND": "σ",
     "_PRIOR_VARIANCE": "σ²",

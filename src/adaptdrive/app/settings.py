@@ -8,7 +8,7 @@ from adaptdrive.app.interlocks import trip_limits, watches
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.paper_design import PAPER_COVARIANCE, paper_jacket, paper_learning
 from adaptdrive.config import Configuration
-from adaptdrive.config.load import BatterySection, MotorSection, Supervisor
+from adaptdrive.config.load import BathSection, BatterySection, MotorSection, Supervisor
 from adaptdrive.control.impulse_hold import KICK_SHARE, kick_factors
 from adaptdrive.control.load import to_input
 from adaptdrive.control.methods import METHODS
@@ -170,6 +170,7 @@ def _learning(configuration: Configuration) -> Learning:
         initial_state=estimator.initial_state,
         resolution=configuration.load.resolution,
         charge=battery and method.physical,
+        drifts=isinstance(configuration.load, BathSection) and directional,
     )
 
 

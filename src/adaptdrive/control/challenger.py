@@ -19,6 +19,7 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import rls
+from adaptdrive.control.drift import learn_sample
 from adaptdrive.control.evidence import CLEAR, LIFE
 from adaptdrive.control.hypotheses import (
     ANEW,
@@ -159,9 +160,7 @@ def follow(
 def _learn(challenger: Challenger, learning: Learning, regressor: Vector, target: float) -> None:
     branch = challenger.branch
     challenger.samples += 1
-    rls.update_along(
-        branch.theta, branch.upper, branch.diagonal, regressor, target, learning.forgetting
-    )
+    learn_sample(branch.theta, branch.upper, branch.diagonal, regressor, target, learning, 0.0)
 
 
 def lead(challenger: Challenger) -> float:

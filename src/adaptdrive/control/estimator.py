@@ -13,6 +13,7 @@ from adaptdrive.control import rivals as riv
 from adaptdrive.control import rls
 from adaptdrive.control.certainty import deviations_of
 from adaptdrive.control.challenger import Challenger
+from adaptdrive.control.drift import learn_sample
 from adaptdrive.control.evidence import WINDOW
 from adaptdrive.control.hypotheses import new_branch
 from adaptdrive.control.load import Load
@@ -197,14 +198,14 @@ def take_in(
         learning: Forgetting and gates.
         target: What r predicts, scaled.
         innovation: ε, scaled.
-        directional: Whether to forget only along r (`rls.update_along`).
+        directional: Whether to forget only along r (`learn_sample`).
     """
     if not state.excitation > learning.gate * (1.0 - learning.forgetting):
         return
     state.idle_periods = 0
     theta, upper, diagonal, regressor = state.theta, state.upper, state.diagonal, state.regressor
     if directional:
-        rls.update_along(theta, upper, diagonal, regressor, target, learning.forgetting)
+        learn_sample(theta, upper, diagonal, regressor, target, learning, learning.gate)
     else:
         rls.update(theta, upper, diagonal, regressor, target, learning.forgetting)
     if learning.covariance_max > 0.0:

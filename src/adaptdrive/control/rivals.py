@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 from adaptdrive.control import rls
 from adaptdrive.control.certainty import is_sure
+from adaptdrive.control.drift import learn_sample
 from adaptdrive.control.evidence import CLEAR, EARLIEST, LIFE, NOISE_FLOOR, WINDOW
 from adaptdrive.control.hypotheses import (
     BOTH,
@@ -226,9 +227,7 @@ def _take_in(
     weight = PRIOR_SAMPLES + rivals.samples
     mean = (PRIOR_SAMPLES * power + branch.squares) / power
     branch.score = -0.5 * (branch.logs + weight * math.log(mean / weight)) - _rarity(rivals, kind)
-    rls.update_along(
-        branch.theta, branch.upper, branch.diagonal, regressor, target, learning.forgetting
-    )
+    learn_sample(branch.theta, branch.upper, branch.diagonal, regressor, target, learning, 0.0)
     if learning.covariance_max > 0.0:
         information = (1.0 - forgetting) / learning.covariance_max
         rls.bound(branch.upper, branch.diagonal, information)

@@ -164,6 +164,107 @@ def update_along(
         theta[i] += gain[i] * share
 
 
+def update_beside(
+    theta: Vector,
+    upper: Vector,
+    diagonal: Vector,
+    regressor: Vector,
+    target: float,
+    forgetting: float,
+    gate: float,
+    walks: int,
+) -> None:
+    """Take in one sample, and forget along it what does not walk by itself.
+
+    The last entries of θ, w, follow a random walk that widens P elsewhere: forgetting is for the
+    others, d. What the sample says of d is forgotten directionally in the density of d alone, and
+    that of w for a given d stays: with C the covariance of w for a given d and c = r_wᵀ C r_w, P
+    is widened along P r - C r_w so that x = rᵀPr - c becomes x/ρ. A sample with
+    x ≤ gate · (1 - ρ) (1 + c), which hardly shows d, moves w alone.
+
+    Args:
+        theta: θ, n entries, overwritten.
+        upper: U, flat, n by n, overwritten.
+        diagonal: D, n entries, overwritten.
+        regressor: r, n entries.
+        target: y.
+        forgetting: ρ.
+        gate: Share of the steady x below which d is not learnt.
+        walks: How many entries of θ walk.
+    """
+    own = given(upper, diagonal, regressor, walks)
+    noise, innovation = 1.0 + predict(own, regressor), target - predict(theta, regressor)
+    teaches = _forget_beside(upper, diagonal, regressor, own, forgetting, gate)
+    gain = [0.0] * len(theta)
+    share = innovation / absorb(upper, diagonal, regressor, 1.0, gain)
+    for i in range(len(theta)):
+        theta[i] += gain[i] * share if teaches else own[i] * innovation / noise
+
+
+def _forget_beside(
+    upper: Vector, diagonal: Vector, regressor: Vector, own: Vector, forgetting: float, gate: float
+) -> bool:
+    """Widen P before a sample by what it will teach of d: (1/ρ - 1) x, or all of it.
+
+    Args:
+        upper: U, overwritten.
+        diagonal: D, overwritten.
+        regressor: r.
+        own: C r_w.
+        forgetting: ρ.
+        gate: As in `update_beside`.
+
+    Returns:
+        Whether d is to be learnt.
+    """
+    noise, direction = 1.0 + predict(own, regressor), product(upper, diagonal, regressor)
+    for i in range(len(direction)):
+        direction[i] -= own[i]
+    shown = predict(direction, regressor)
+    teaches = shown > min(0.5, gate * (1.0 - forgetting)) * noise
+    if shown > 0.0:
+        variance = (1.0 / forgetting - 1.0) / shown if teaches else 1.0 / (noise - shown)
+        widen(upper, diagonal, direction, variance)
+    return teaches
+
+
+def product(upper: Vector, diagonal: Vector, regressor: Vector) -> Vector:
+    """P r."""
+    size = len(diagonal)
+    result = [0.0] * size
+    for j in range(size):
+        f = regressor[j]
+        for i in range(j):
+            f += upper[i * size + j] * regressor[i]
+        v = diagonal[j] * f
+        result[j] += v
+        for i in range(j):
+            result[i] += upper[i * size + j] * v
+    return result
+
+
+def given(upper: Vector, diagonal: Vector, regressor: Vector, walks: int) -> Vector:
+    """C r: the same with the covariance that the last entries of θ have for given others.
+
+    Args:
+        upper: U.
+        diagonal: D.
+        regressor: r.
+        walks: How many the last entries are; C is zero elsewhere.
+    """
+    size = len(diagonal)
+    unit, gain = [0.0] * size, [0.0] * size
+    known, weights = list(upper), list(diagonal)
+    for i in range(size - walks):
+        unit[i] = 1.0
+        absorb(known, weights, unit, _SMALLEST, gain)
+        unit[i] = 0.0
+    result = product(known, weights, regressor)
+    for i in range(size - walks):
+        result[i] = 0.0
+    return result
+
+
 def _forget(variance: float, forgetting: float) -> float:
     """An entry of D after forgetting, which stops at the ceiling."""
     grown = variance / forgetting

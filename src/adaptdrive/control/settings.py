@@ -88,6 +88,7 @@ class Learning:
         resolution: Smallest step of the measured output, 0 to find it in the samples.
         charge: Whether a disturbance in proportion to the integral of the output is estimated too:
             the EMF of a battery rises with its charge.
+        drifts: Whether the bias moves by itself: the inflow of a bath changes its temperature.
     """
 
     method: Method
@@ -107,6 +108,7 @@ class Learning:
     initial_state: bool = False
     resolution: float = 0.0
     charge: bool = False
+    drifts: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,59 @@
+"""Learning beside what moves by itself: the EMF of a battery, the inflow temperature of a bath.
+
+Least squares take every parameter as constant, but for the forgetting. A bias that moves is no
+constant: between two samples it follows a random walk, which widens P (Ljung, System
+Identification, section 11.2), and that is all that is forgotten of it. With the walk a sample is
+uncertain by its bias most of all, so that forgetting along P r would hardly reach the dynamics:
+they are forgotten beside it.
+"""
+
+from __future__ import annotations
+
+from adaptdrive.control import rls
+from adaptdrive.control.settings import Learning
+from adaptdrive.control.vectors import Vector
+
+OFFSET_WALK = 0.05
+"""Random walk of an offset that drifts, in σ for each slow period: its mean is that of 20."""
+
+
+def walking_count(learning: Learning) -> int:
+    """Return how many parameters, the last ones of θ, follow a random walk."""
+    if not learning.bias:
+        return 0
+    if learning.charge:
+        return 2
+    return 1 if learning.drifts else 0
+
+
+def learn_sample(
+    theta: Vector,
+    upper: Vector,
+    diagonal: Vector,
+    regressor: Vector,
+    target: float,
+    learning: Learning,
+    gate: float,
+) -> None:
+    """Take in one sample, with directional forgetting of what does not walk.
+
+    The walk of a charge is in `estimator.let_emf_wander`.
+
+    Args:
+        theta: θ, overwritten.
+        upper: U of P = U D Uᵀ, overwritten.
+        diagonal: D, overwritten.
+        regressor: r.
+        target: What r predicts, scaled.
+        learning: Forgetting, and what walks.
+        gate: Gate below which a sample moves only what walks.
+    """
+    forgetting, walks = learning.forgetting, walking_count(learning)
+    if walks == 0:
+        rls.update_along(theta, upper, diagonal, regressor, target, forgetting)
+        return
+    rls.update_beside(theta, upper, diagonal, regressor, target, forgetting, gate, walks)
+    if not learning.charge:
+        direction = [0.0] * len(theta)
+        direction[len(theta) - 1] = 1.0
+        rls.widen(upper, diagonal, direction, OFFSET_WALK * OFFSET_WALK)
