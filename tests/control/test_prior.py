@@ -41,6 +41,8 @@ def test_the_trusted_values_are_those_of_the_last_accepted_estimate() -> None:
     assert bench.controller.trusted == pytest.approx(THREE_DISKS, rel=0.01)
     accepted = [d for d in bench.decisions if d.accepted][-1]
     assert bench.controller.trusted == tuple(accepted.estimates[name].value for name in MOTOR.names)
+    assert all(0.0 < accepted.estimates[name].std < 0.1 * value
+               for name, value in zip(MOTOR.names, THREE_DISKS, strict=True))  # fmt: skip
 
 
 def test_nothing_is_trusted_before_it_is_accepted() -> None:

@@ -99,6 +99,11 @@ CONTROL: dict[str, str] = {
     "jacobian = [1.0] * (len(values) * count)": _OVERWRITTEN,
     "control.certainty:deviations_of: deviations = [0.0] * len(values) -> "
     "deviations = [1.0] * len(values)": _OVERWRITTEN,
+    "control.controller:Controller.__init__: self._fast = fast.FastState(tick=0, "
+    "boost_reference_V=0.0, error_sum=0.0) -> pass": _SET_BEFORE_USE,
+    "control.controller:Controller.__init__: self._bank = self._new_bank("
+    "settings.rates.nominal_tick_s, 0.0, 0.0) -> self._bank = self._new_bank("
+    "settings.rates.nominal_tick_s, 0.0, 1.0)": _SET_BEFORE_USE,
     "control.controller:Controller._estimates: if math.isfinite(state.values[0]): -> "
     "if math.isfinite(state.values[1]):": "all values of an estimate are set together",
     "control.pole_placement:closed_loop_polynomial: result = [0.0] * length -> "
