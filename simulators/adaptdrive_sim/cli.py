@@ -170,18 +170,9 @@ def campaign(  # noqa: PLR0913 - one parameter for each option
         runs: Number of runs instead of the file's.
         only: Seed of one run to repeat on the deployed controller itself, recorded and drawn.
     """
-    from adaptdrive_sim.campaign.battery_main import (  # noqa: PLC0415
-        is_of_batteries,
-        repeat_battery,
-        run_batteries,
-    )
     from adaptdrive_sim.campaign.main import repeat_run, run_campaign  # noqa: PLC0415
 
-    if is_of_batteries(file) and only is not None:
-        repeat_battery(file, only, output)
-    elif is_of_batteries(file):
-        run_batteries(file, output, scheduler=scheduler, processes=processes, runs=runs)
-    elif only is not None:
+    if only is not None:
         repeat_run(file, only, output)
     else:
         run_campaign(file, output, scheduler=scheduler, processes=processes, runs=runs)

@@ -17,8 +17,9 @@ from pathlib import Path
 from adaptdrive.control.signals import Mode
 from adaptdrive.errors import AdaptdriveError
 from adaptdrive_sim.campaign import bench
+from adaptdrive_sim.campaign.criteria import WORSE
 from adaptdrive_sim.campaign.drawn import Row, RunOutcome
-from adaptdrive_sim.campaign.judge import WORSE, judge
+from adaptdrive_sim.campaign.judge import judge
 from adaptdrive_sim.campaign.scenario import draw
 from adaptdrive_sim.campaign.settings import read_campaign
 from adaptdrive_sim.compiled import run

@@ -13,12 +13,12 @@ from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.bath_bench import BathStand
 from adaptdrive_sim.campaign.bath_scenario import BathScenario, draw_bath
 from adaptdrive_sim.campaign.bath_settings import BathCampaign
-from adaptdrive_sim.campaign.judge import run_seed
-from adaptdrive_sim.campaign.kinds import read_any_campaign
+from adaptdrive_sim.campaign.kinds import read_any_campaign, run_seed
 from adaptdrive_sim.campaign.main import run_campaign
-from adaptdrive_sim.campaign.settings import FOLDER, Campaign, CampaignError
+from adaptdrive_sim.campaign.settings import FOLDER, Campaign
 from adaptdrive_sim.compiled import bench
 from adaptdrive_sim.plants.bath import Bath
+from tests.campaign.flaws import message_about
 
 BATHS = (FOLDER / "bath.toml").read_text(encoding="utf-8")
 SEEDS = range(510_001, 510_301)
@@ -115,18 +115,17 @@ def test_compiled_and_deployed_controllers_hold_a_bath_alike() -> None:
         ("volume_gal = [0.3, 1.8]", "volume_gal = [0.3, 90.0]", "water.volume_gal = [0.3, 90.0]: "),
         ("spike_K = 0.5", "spike_V = 0.5", "sensor.spike_"),
         ("inflow = [0.8, 1.25]", "inflow = [0.3, 3.0]", "V_c holds no set-point"),
-        ('type = "bath"', 'type = "kettle"', "type = 'kettle': must be one of motor, bath"),
+        (
+            'type = "bath"',
+            'type = "kettle"',
+            "type = 'kettle': must be one of motor, bath, battery",
+        ),
     ],
 )
 def test_an_error_in_a_file_of_baths_names_key_and_value(
     tmp_path: Path, old: str, new: str, flaw: str
 ) -> None:
-    path = tmp_path / "mine.toml"
-    assert old in BATHS
-    path.write_text(BATHS.replace(old, new), encoding="utf-8")
-    with pytest.raises(CampaignError) as problem:
-        read_any_campaign(path)
-    assert flaw in str(problem.value)
+    assert flaw in message_about(tmp_path / "mine.toml", BATHS, old, new)
 
 
 def test_a_file_without_a_type_is_of_motors() -> None:

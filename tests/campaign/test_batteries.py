@@ -10,18 +10,19 @@ import pytest
 
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.battery_bench import ideal_current, judge_batteries, run_battery
-from adaptdrive_sim.campaign.battery_main import (
-    is_of_batteries,
-    read_battery_campaign,
-    repeat_battery,
-    run_batteries,
-)
 from adaptdrive_sim.campaign.battery_scenario import BatteryScenario, draw_battery
-from adaptdrive_sim.campaign.settings import FOLDER, CampaignError
+from adaptdrive_sim.campaign.battery_settings import BatteryCampaign
+from adaptdrive_sim.campaign.main import repeat_run, run_campaign
+from adaptdrive_sim.campaign.settings import FOLDER, read_campaign_of
+from tests.campaign.flaws import message_about
 
 SHIPPED = Path("battery.toml")
 TEXT = (FOLDER / SHIPPED).read_text(encoding="utf-8")
 SEEDS = range(310_001, 310_201)
+
+
+def read_battery_campaign(path: Path) -> BatteryCampaign:
+    return read_campaign_of(path, {"battery": BatteryCampaign})
 
 
 def scenarios() -> list[BatteryScenario]:
@@ -86,16 +87,17 @@ def test_a_row_says_what_happened_and_the_same_seed_says_the_same() -> None:
 def test_a_campaign_is_written_and_a_run_is_repeated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert is_of_batteries(SHIPPED)
-    assert not is_of_batteries(Path("standard.toml"))
     path = tmp_path / "mine.toml"
     path.write_text(TEXT.replace("duration_s = 360.0", "duration_s = 300.0"), encoding="utf-8")
-    rows = run_batteries(path, tmp_path, scheduler=None, processes=1, runs=2)
+    rows = run_campaign(path, tmp_path, scheduler=None, processes=1, runs=2)
     assert pq.read_table(tmp_path / "results.parquet").to_pylist() == rows
-    repeat_battery(path, rows[0]["seed"], tmp_path)
+    assert (tmp_path / "influences.png").stat().st_size > 10_000
+    repeat_run(path, rows[0]["seed"], tmp_path)
     recorded = pq.read_table(tmp_path / f"run-{rows[0]['seed']}.parquet").to_pylist()
     assert {row["mode"] for row in recorded} == {"fixed", "adaptive"}
-    assert "2 runs, each fixed and adaptive" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "2 runs, each fixed and adaptive" in printed
+    assert "adaptive in force for half of the constant current" in printed
 
 
 @pytest.mark.parametrize(
@@ -111,8 +113,4 @@ def test_an_error_in_a_file_names_key_and_value(
     tmp_path: Path, old: str, new: str, flaw: str
 ) -> None:
     path = tmp_path / "mine.toml"
-    assert old in TEXT
-    path.write_text(TEXT.replace(old, new), encoding="utf-8")
-    with pytest.raises(CampaignError) as problem:
-        read_battery_campaign(path)
-    assert f"{path}: {flaw}" in str(problem.value)
+    assert f"{path}: {flaw}" in message_about(path, TEXT, old, new)

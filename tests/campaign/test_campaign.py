@@ -11,7 +11,9 @@ import pytest
 
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.bench import Stand, deployed
-from adaptdrive_sim.campaign.judge import FLOOR, cost, judge, run_seed
+from adaptdrive_sim.campaign.criteria import FLOOR, cost
+from adaptdrive_sim.campaign.judge import judge
+from adaptdrive_sim.campaign.kinds import run_seed
 from adaptdrive_sim.campaign.main import repeat_run, run_campaign
 from adaptdrive_sim.campaign.pool import ClusterError, workers
 from adaptdrive_sim.campaign.scenario import draw

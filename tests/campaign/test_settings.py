@@ -4,7 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from adaptdrive_sim.campaign.kinds import read_any_campaign
 from adaptdrive_sim.campaign.settings import FOLDER, CampaignError, read_campaign
+from tests.campaign.flaws import message_about
 
 STANDARD = (FOLDER / "standard.toml").read_text(encoding="utf-8")
 
@@ -30,11 +32,18 @@ def test_the_campaign_that_comes_along_covers_what_it_promises() -> None:
 )
 def test_an_error_names_key_and_value(tmp_path: Path, old: str, new: str, flaw: str) -> None:
     path = tmp_path / "mine.toml"
-    assert old in STANDARD
-    path.write_text(STANDARD.replace(old, new), encoding="utf-8")
+    assert f"{path}: {flaw}" in message_about(path, STANDARD, old, new)
+
+
+@pytest.mark.parametrize("named", [b"", b'type = "bath"\n', b'type = "battery"\n'])
+def test_a_file_that_is_not_utf_8_is_one_error(tmp_path: Path, named: bytes) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_bytes(named + b"# 20 \xb0C\n")
     with pytest.raises(CampaignError) as problem:
-        read_campaign(path)
-    assert f"{path}: {flaw}" in str(problem.value)
+        read_any_campaign(path)
+    place = len(named) + 5
+    expected = f"{path}: is not UTF-8 text: invalid start byte at byte {place}"
+    assert str(problem.value) == expected
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:

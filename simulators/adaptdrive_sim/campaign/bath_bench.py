@@ -13,7 +13,7 @@ from adaptdrive.control.loads.bath import realise
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.bath_reach import bath_parameters
 from adaptdrive_sim.campaign.bath_scenario import BathScenario
-from adaptdrive_sim.campaign.drawn import Deployed, DrawnRun, Row, read_deployed
+from adaptdrive_sim.campaign.drawn import Deployed, DrawnRun, read_deployed
 from adaptdrive_sim.campaign.life import moving
 from adaptdrive_sim.course import Course
 from adaptdrive_sim.plants.bath import Bath, BathParameters
@@ -32,9 +32,10 @@ def deployed_bath() -> Deployed:
 class BathStand(DrawnRun):
     """The course of one scenario of a bath."""
 
+    scenario: BathScenario
+
     def __init__(self, scenario: BathScenario) -> None:
-        super().__init__(deployed_bath(), scenario.duration_s)
-        self.scenario = scenario
+        super().__init__(deployed_bath(), scenario)
         ramps_s = (scenario.fill_s,) * len(scenario.fill_times_s)
         times_s, volumes = scenario.fill_times_s, scenario.volumes_gal
         self.volumes_gal = moving(self.times_s, times_s, volumes, ramps_s)
@@ -42,24 +43,9 @@ class BathStand(DrawnRun):
         self.references = scenario.references_at(self.times_s)
 
     @property
-    def seed(self) -> int:
-        """The seed that it was drawn from."""
-        return self.scenario.seed
-
-    @property
-    def step(self) -> float:
-        """Height of the reference's step."""
-        return self.scenario.step
-
-    @property
     def offset(self) -> float:
         """Offset of the sensor."""
         return self.scenario.offset_K
-
-    @property
-    def cycle_periods(self) -> int:
-        """Slow periods in one period of the reference."""
-        return round(self.scenario.reference.period_s / self.own.period_s)
 
     @property
     def largest_movement(self) -> float:
@@ -76,10 +62,6 @@ class BathStand(DrawnRun):
     def change_times_s(self) -> tuple[float, ...]:
         """Times at which the volume begins to change."""
         return self.scenario.fill_times_s
-
-    def columns(self) -> Row:
-        """Return the drawn values as columns."""
-        return self.scenario.columns()
 
     def course(self, mode: Mode) -> Course:
         """Return what happens in the run."""

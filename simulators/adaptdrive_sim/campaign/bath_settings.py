@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from adaptdrive_sim.campaign.bath_reach import bath_reach
 from adaptdrive_sim.campaign.ranges import CampaignTable, Range, WholeRange, within
-from adaptdrive_sim.campaign.settings import LineRanges, ShapeName
+from adaptdrive_sim.campaign.settings import CampaignFile, LineRanges, ShapeName
 
 
 class WaterRanges(CampaignTable):
@@ -90,12 +90,10 @@ class BathWireRanges(CampaignTable):
     scale_S: Annotated[Range, within(0.0, 0.01)]
 
 
-class BathCampaign(CampaignTable):
+class BathCampaign(CampaignFile):
     """A whole file."""
 
     type: Literal["bath"]
-    runs: int = Field(ge=1, le=10_000_000)
-    seed: int = Field(ge=0)
     duration_s: float = Field(ge=1200.0, le=1e6)
     water: WaterRanges
     heater: HeaterRanges

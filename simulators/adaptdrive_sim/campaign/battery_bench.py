@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,17 +17,16 @@ from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint
 from adaptdrive_sim.campaign.battery_scenario import CELL_FULL_V, BatteryScenario, draw_battery
 from adaptdrive_sim.campaign.battery_settings import BatteryCampaign
+from adaptdrive_sim.campaign.criteria import UNSTABLE, error_columns, rms
+from adaptdrive_sim.campaign.drawn import Row
 from adaptdrive_sim.plants.battery import Battery
 from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World
 
 Array = NDArray[np.float64]
-Row = dict[str, Any]
 
-FLOOR = 0.005
 _BEGINS_s = 60.0
 _NEAR_LIMIT = 0.99
-_UNSTABLE = 0.5
 _LAST_PERIODS = 100
 
 
@@ -128,17 +126,13 @@ def _judged(scenario: BatteryScenario, run: BatteryRun, name: str) -> Row:
     errors = np.array([np.inf])
     if not run.trip:
         references, outputs = np.array(run.reference), np.array(run.output)
-        errors = (outputs - ideal_current(references, 0.7)) / scenario.step_A
+        pole = scenario.configuration().load.pole
+        errors = (outputs - ideal_current(references, pole)) / scenario.step_A
         errors = errors[_constant(scenario, run)]
     if errors.size == 0:
         errors = np.zeros(1)  # at the voltage limit from the start: nothing is judged
-    rms = float(np.sqrt(np.mean(errors**2)))
-    last = float(np.sqrt(np.mean(errors[-_LAST_PERIODS:] ** 2)))
-    return {
-        f"cost_{name}": rms**2 + FLOOR**2,
-        f"rms_{name}": rms,
-        f"largest_{name}": float(np.max(np.abs(errors))),
-        f"unstable_{name}": not last < _UNSTABLE,
+    return error_columns(name, errors) | {
+        f"unstable_{name}": not rms(errors[-_LAST_PERIODS:]) < UNSTABLE,
         f"interlock_{name}": int(bool(run.trip)),
         f"trip_{name}": run.trip,
         f"refused_{name}": len(run.refused),

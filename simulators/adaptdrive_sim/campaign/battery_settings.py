@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from adaptdrive_sim.campaign.ranges import CampaignTable, Range, within
+from adaptdrive_sim.campaign.settings import CampaignFile, LineRanges
 
 
 class BatteryRanges(CampaignTable):
@@ -53,20 +54,11 @@ class CurrentRanges(CampaignTable):
     noise: Annotated[Range, within(0.0, 0.1)]
 
 
-class BatteryLineRanges(CampaignTable):
-    """The ac line."""
-
-    voltage: Annotated[Range, within(0.5, 1.1)]
-    frequency_Hz: Annotated[Range, within(55.0, 65.0)]
-
-
-class BatteryCampaign(CampaignTable):
+class BatteryCampaign(CampaignFile):
     """A whole file."""
 
     type: Literal["battery"]
-    runs: int = Field(ge=1, le=10_000_000)
-    seed: int = Field(ge=0)
     duration_s: float = Field(ge=300.0, le=1e6)
     battery: BatteryRanges
     current: CurrentRanges
-    line: BatteryLineRanges
+    line: LineRanges

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.drawn import Deployed, DrawnRun, Row, read_deployed
+from adaptdrive_sim.campaign.drawn import Deployed, DrawnRun, read_deployed
 from adaptdrive_sim.campaign.scenario import Scenario
 from adaptdrive_sim.course import Course
 from adaptdrive_sim.plants.coupling import CouplingParameters
@@ -41,33 +41,19 @@ def deployed() -> Deployed:
 class Stand(DrawnRun):
     """The course of one scenario of a motor."""
 
+    scenario: Scenario
+
     def __init__(self, scenario: Scenario) -> None:
-        super().__init__(deployed(), scenario.duration_s)
-        self.scenario = scenario
+        super().__init__(deployed(), scenario)
         self.inertias = scenario.inertias_at(self.times_s)
         self.references = scenario.references_at(self.times_s)
         ticks = self.times_s.size * self.own.settings.rates.ticks_per_period
         self._disturbances = scenario.life.offset + scenario.disturbances(ticks + 1)
 
     @property
-    def seed(self) -> int:
-        """The seed that it was drawn from."""
-        return self.scenario.seed
-
-    @property
-    def step(self) -> float:
-        """Height of the reference's step."""
-        return self.scenario.step
-
-    @property
     def offset(self) -> float:
         """Offset of the tachometer."""
         return self.scenario.life.offset
-
-    @property
-    def cycle_periods(self) -> int:
-        """Slow periods in one period of the reference."""
-        return round(self.scenario.reference.period_s / self.own.period_s)
 
     @property
     def largest_movement(self) -> float:
@@ -83,10 +69,6 @@ class Stand(DrawnRun):
     def change_times_s(self) -> tuple[float, ...]:
         """Times at which the inertia begins to change."""
         return self.scenario.change_times_s
-
-    def columns(self) -> Row:
-        """Return the drawn values as columns."""
-        return self.scenario.columns()
 
     def course(self, mode: Mode) -> Course:
         """Return what happens in the run."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Decision, Mode
+from adaptdrive.control.waveform import Waveform
 from adaptdrive_sim.compiled import bench
 from adaptdrive_sim.compiled.run import run_compiled
 from adaptdrive_sim.compiled.sources import compiled_modules
@@ -66,42 +67,57 @@ def read_deployed(name: str) -> Deployed:
     )
 
 
+class DrawnScenario(Protocol):
+    """Drawn values that the runs of all loads have."""
+
+    @property
+    def seed(self) -> int:
+        """The seed that it was drawn from."""
+
+    @property
+    def duration_s(self) -> float:
+        """Length."""
+
+    @property
+    def reference(self) -> Waveform:
+        """The set-point."""
+
+    @property
+    def step(self) -> float:
+        """Height of the reference's step."""
+
+    def columns(self) -> Row:
+        """Return the drawn values as columns of the results."""
+
+
 class DrawnRun(ABC):
     """The course of one scenario, for as many controllers as are to run it.
 
     Attributes:
         own: The controller.
+        scenario: What was drawn.
         times_s: The slow instants.
         references: r[k].
+        seed: The seed that it was drawn from.
+        step: Height of the reference's step.
+        cycle_periods: Slow periods in one period of the reference.
     """
 
+    scenario: DrawnScenario
     references: Array
 
-    def __init__(self, own: Deployed, duration_s: float) -> None:
-        self.own = own
+    def __init__(self, own: Deployed, scenario: DrawnScenario) -> None:
+        self.own, self.scenario = own, scenario
+        self.seed, self.step = scenario.seed, scenario.step
+        self.cycle_periods = round(scenario.reference.period_s / own.period_s)
         self.times_s: Array = own.period_s * np.arange(
-            round(duration_s / own.period_s), dtype=np.float64
+            round(scenario.duration_s / own.period_s), dtype=np.float64
         )
-
-    @property
-    @abstractmethod
-    def seed(self) -> int:
-        """The seed that it was drawn from."""
-
-    @property
-    @abstractmethod
-    def step(self) -> float:
-        """Height of the reference's step."""
 
     @property
     @abstractmethod
     def offset(self) -> float:
         """Offset of the sensor of the output."""
-
-    @property
-    @abstractmethod
-    def cycle_periods(self) -> int:
-        """Slow periods in one period of the reference."""
 
     @property
     @abstractmethod
@@ -117,10 +133,6 @@ class DrawnRun(ABC):
     @abstractmethod
     def change_times_s(self) -> tuple[float, ...]:
         """Times at which it begins to change."""
-
-    @abstractmethod
-    def columns(self) -> Row:
-        """Return the drawn values as columns."""
 
     @abstractmethod
     def course(self, mode: Mode) -> Course:

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from concurrent.futures import Executor
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
 from adaptdrive_sim.campaign.drawn import Row
-from adaptdrive_sim.campaign.judge import run_seed
-from adaptdrive_sim.campaign.kinds import AnyCampaign, read_any_campaign
+from adaptdrive_sim.campaign.kinds import (
+    AnyCampaign,
+    is_compiled,
+    kind_of,
+    read_any_campaign,
+    run_seed,
+)
 from adaptdrive_sim.campaign.pool import run_all, workers
-from adaptdrive_sim.campaign.repeat import repeat
 from adaptdrive_sim.campaign.report import print_results, write_results
 
 _WARM_UPS = 64
@@ -36,27 +41,32 @@ def run_campaign(
         campaign = campaign.model_copy(update={"runs": runs})
     output.mkdir(parents=True, exist_ok=True)
     console = Console()
-    run_seed(campaign, campaign.seed)  # compiles once, on disk, for every worker
+    if is_compiled(campaign):
+        run_seed(campaign, campaign.seed)  # compiles once, on disk, for every worker
     with workers(processes, scheduler) as executor:
-        list(executor.map(_warm_up, [campaign] * _WARM_UPS))
+        _warm_up(campaign, executor)
         started_s = time.monotonic()
         rows = _with_progress(campaign, run_all(campaign, executor), console)
         seconds = time.monotonic() - started_s
     rows.sort(key=lambda row: row["seed"])
     write_results(rows, output)
     print_results(rows, seconds, path, console)
+    if summary := kind_of(campaign).summarise(rows):
+        console.print(summary)
     return rows
 
 
 def repeat_run(path: Path, seed: int, output: Path) -> None:
     """Run one seed again on the deployed controller, and record it."""
     output.mkdir(parents=True, exist_ok=True)
-    repeat(read_any_campaign(path), seed, output, Console())
+    campaign = read_any_campaign(path)
+    kind_of(campaign).repeat(campaign, seed, output, Console())
 
 
-def _warm_up(campaign: AnyCampaign) -> None:
-    """Load what was compiled: starting up is no part of a campaign's speed."""
-    run_seed(campaign, campaign.seed)
+def _warm_up(campaign: AnyCampaign, executor: Executor) -> None:
+    """Load what was compiled in each process: starting up is no part of a campaign's speed."""
+    if is_compiled(campaign):
+        list(executor.map(run_seed, [campaign] * _WARM_UPS, [campaign.seed] * _WARM_UPS))
 
 
 def _with_progress(

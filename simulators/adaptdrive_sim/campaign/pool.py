@@ -10,8 +10,7 @@ from contextlib import contextmanager
 
 from adaptdrive.errors import AdaptdriveError
 from adaptdrive_sim.campaign.drawn import Row
-from adaptdrive_sim.campaign.judge import run_seed
-from adaptdrive_sim.campaign.kinds import AnyCampaign
+from adaptdrive_sim.campaign.kinds import AnyCampaign, is_compiled, run_seed
 
 _BATCH = 10
 
@@ -33,8 +32,9 @@ def run_batch(campaign: AnyCampaign, seeds: range) -> list[Row]:
 def run_all(campaign: AnyCampaign, executor: Executor) -> Iterator[list[Row]]:
     """Run every seed of a campaign; batches arrive in the order in which they are ready."""
     end = campaign.seed + campaign.runs
-    firsts = range(campaign.seed, end, _BATCH)
-    batches = [range(first, min(first + _BATCH, end)) for first in firsts]
+    size = _BATCH if is_compiled(campaign) else 1
+    firsts = range(campaign.seed, end, size)
+    batches = [range(first, min(first + size, end)) for first in firsts]
     futures: list[Future[list[Row]]] = [
         executor.submit(run_batch, campaign, batch) for batch in batches
     ]

@@ -14,15 +14,14 @@ from rich.console import Console
 from adaptdrive.control.signals import Decision, Mode
 from adaptdrive_sim.campaign.drawn import DrawnRun, RunOutcome
 from adaptdrive_sim.campaign.judge import judge
-from adaptdrive_sim.campaign.kinds import AnyCampaign, stand_of
 from adaptdrive_sim.compiled import bench
 
 Array = NDArray[np.float64]
 
 
-def repeat(campaign: AnyCampaign, seed: int, output: Path, console: Console) -> None:
+def repeat(stand: DrawnRun, output: Path, console: Console) -> None:
     """Run one seed with both controllers, interpreted; write run-SEED.parquet and run-SEED.png."""
-    stand = stand_of(campaign, seed)
+    seed = stand.seed
     fixed, _ = stand.run_deployed(Mode.FIXED)
     adaptive, decisions = stand.run_deployed(Mode.ADAPTIVE)
     pq.write_table(_table(stand, fixed, adaptive, decisions), output / f"run-{seed}.parquet")

@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.table import Table
 
 from adaptdrive.analysis import style
+from adaptdrive_sim.campaign.criteria import WORSE
 from adaptdrive_sim.campaign.drawn import Row
-from adaptdrive_sim.campaign.judge import WORSE
 from adaptdrive_sim.campaign.verdict import (
     CampaignClaim,
     Failure,
@@ -42,8 +42,16 @@ _INFLUENCES: tuple[dict[str, str], ...] = (
         "step": "step, K",
         "period_s": "period of the reference, s",
     },
+    {
+        "full_V": "full voltage, V",
+        "current_A": "current, A",
+        "charge": "charge at the start",
+        "series": "series resistance, relative",
+        "relaxation_s": "relaxation time, relative",
+        "noise": "noise σ, fraction of the largest current",
+    },
 )
-"""Six drawn values of a motor, and of a bath."""
+"""Six drawn values of a motor, of a bath, and of a battery."""
 
 
 def write_results(rows: list[Row], output: Path) -> None:

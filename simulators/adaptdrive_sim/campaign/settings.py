@@ -28,7 +28,14 @@ class CampaignError(AdaptdriveError):
         super().__init__("\n".join(f"{path}: {problem}" for problem in problems))
 
 
-FileOfAnyType = TypeVar("FileOfAnyType", bound=CampaignTable)
+class CampaignFile(CampaignTable):
+    """What the files of all loads begin with."""
+
+    runs: int = Field(ge=1, le=10_000_000)
+    seed: int = Field(ge=0)
+
+
+FileOfAnyType = TypeVar("FileOfAnyType", bound=CampaignFile)
 
 ShapeName = Literal["square", "triangle", "sine"]
 
@@ -84,12 +91,10 @@ class WireRanges(CampaignTable):
     scale_S: Annotated[Range, within(0.0, 0.01)]
 
 
-class Campaign(CampaignTable):
+class Campaign(CampaignFile):
     """A whole file."""
 
     type: Literal["motor"] = "motor"
-    runs: int = Field(ge=1, le=10_000_000)
-    seed: int = Field(ge=0)
     duration_s: float = Field(ge=120.0, le=1e6)
     load: LoadRanges
     reference: ReferenceRanges
@@ -138,10 +143,13 @@ def read_campaign_of(path: Path, types: Mapping[str, type[FileOfAnyType]]) -> Fi
         return _kind(path, tables, types).model_validate_json(json.dumps(tables))
     except OSError as problem:
         raise CampaignError(path, [problem.strerror or str(problem)]) from problem
+    except UnicodeDecodeError as problem:
+        reason = f"is not UTF-8 text: {problem.reason} at byte {problem.start}"
+        raise CampaignError(path, [reason]) from problem
     except tomllib.TOMLDecodeError as problem:
         raise CampaignError(path, [str(problem)]) from problem
     except ValidationError as problem:
-        raise CampaignError(path, [_told(error) for error in problem.errors()]) from problem
+        raise CampaignError(path, [_described(error) for error in problem.errors()]) from problem
 
 
 def _kind(
@@ -153,7 +161,7 @@ def _kind(
     return types[named]
 
 
-def _told(error: ErrorDetails) -> str:
+def _described(error: ErrorDetails) -> str:
     place = ".".join(str(part) for part in error["loc"])
     if not place:
         return error["msg"]

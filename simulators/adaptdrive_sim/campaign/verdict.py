@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from adaptdrive_sim.campaign.criteria import WORSE
 from adaptdrive_sim.campaign.drawn import Row
-from adaptdrive_sim.campaign.judge import WORSE
 
 BETTER_SHARE = 0.95
 
