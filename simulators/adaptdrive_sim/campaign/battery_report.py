@@ -1,4 +1,4 @@
-"""What a campaign of batteries reports beside what those of all loads do."""
+"""Summary and repeated runs of a campaign of batteries."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ TYPES: dict[str, type[AnyCampaign]] = {
 
 @dataclass(frozen=True, slots=True)
 class CampaignKind:
-    """What a campaign does with the runs of one load.
+    """Functions that a campaign needs for the runs of one load.
 
     Attributes:
         judge: Runs a seed with both controllers; returns its row of the results.

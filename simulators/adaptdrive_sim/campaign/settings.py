@@ -29,7 +29,7 @@ class CampaignError(AdaptdriveError):
 
 
 class CampaignFile(CampaignTable):
-    """What the files of all loads begin with."""
+    """Keys that the files of all loads have."""
 
     runs: int = Field(ge=1, le=10_000_000)
     seed: int = Field(ge=0)
