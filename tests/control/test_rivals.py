@@ -392,7 +392,7 @@ def test_it_wins_by_sixty_or_at_once_by_fifteen_and_one_for_each_sample(
 
 
 def followed(lead: float, samples: int) -> int:
-    """Samples of a challenger after one that tells neither from the other."""
+    """Samples of a challenger after one that supports neither."""
     challenger = led(lead, 5, samples)
     rls.open_up(challenger.branch.upper, challenger.branch.diagonal, 1e-12)
     r = regressor(np.random.default_rng(1))

@@ -109,7 +109,7 @@ def watched(name: str, last: Path) -> Callable[[bytes], None]:
 
     Args:
         name: Of the target.
-        last: Takes the input; a process that hangs or crashes cannot tell it.
+        last: Takes the input; a process that hangs or crashes cannot report it.
     """
     with last.open("r+b") as file:
         memory = mmap.mmap(file.fileno(), 0)

@@ -7,14 +7,14 @@ from adaptdrive.recording.housekeeping import Housekeeper
 
 
 @pytest.mark.parametrize(
-    ("problem", "told"),
+    ("problem", "reported"),
     [
         (RecordingError("one", "damaged"), "one: damaged"),
         (OverflowError("out of range"), "internal error: OverflowError('out of range')"),
     ],
 )
-def test_a_job_that_fails_is_told_and_those_behind_it_are_done(
-    problem: Exception, told: str
+def test_a_job_that_fails_is_reported_and_those_behind_it_are_done(
+    problem: Exception, reported: str
 ) -> None:
     warnings: list[str] = []
     done: list[str] = []
@@ -26,4 +26,4 @@ def test_a_job_that_fails_is_told_and_those_behind_it_are_done(
     housekeeper.submit(fail)
     housekeeper.submit(lambda: done.append("closed"))
     housekeeper.finish()
-    assert (warnings, done) == ([told], ["closed"])
+    assert (warnings, done) == ([reported], ["closed"])

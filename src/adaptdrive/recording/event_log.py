@@ -118,7 +118,7 @@ class LogContents:
     Attributes:
         events: Events in their order.
         commands: Operator commands in their order.
-        damage: Path of the log and what is wrong with it; empty for a sound one.
+        damage: Path of the log and its damage; empty for a sound one.
     """
 
     events: tuple[EventRow, ...] = ()
@@ -127,7 +127,7 @@ class LogContents:
 
 
 def read_log(path: Path) -> LogContents:
-    """Return the events and commands of a log; of a damaged one, what is wrong with it."""
+    """Return the events and commands of a log, or the damage of a damaged one."""
     try:
         return LogContents(read_events(path), read_commands(path))
     except RecordingError as problem:
