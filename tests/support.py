@@ -87,15 +87,13 @@ def prefer(process: Process) -> None:
     _schedule(process.pid, os.SCHED_RR | os.SCHED_RESET_ON_FORK, PREFERRED)
 
 
-def serve_promptly(pid: int, *, with_children: bool = False) -> None:
-    """Schedule a process before everything but drives and daemons, where the machine grants it.
+def serve_promptly(pid: int) -> None:
+    """Schedule a running process before everything but drives and daemons, where that is granted.
 
     Args:
-        pid: The process: a broker, a recorder, or what starts them.
-        with_children: Whether the processes that it starts from now on are scheduled like it.
+        pid: The process: a broker, a recorder, or a part of a demonstration.
     """
-    reset = 0 if with_children else os.SCHED_RESET_ON_FORK
-    _schedule(pid, os.SCHED_RR | reset, SERVING)
+    _schedule(pid, os.SCHED_RR | os.SCHED_RESET_ON_FORK, SERVING)
 
 
 def _schedule(pid: int, policy: int, priority: int) -> None:

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import pytest
 
 from adaptdrive.recording.reader import read_session
-from tests.support import Broker, Process, Spawn, serve_promptly
+from tests.support import Broker, Process, Spawn, children, serve_promptly
 
 pytestmark = pytest.mark.slow
 
@@ -62,6 +62,8 @@ class Demo:
                 pytest.fail(f"the demonstration ended: {self.output.read_text()}")
             assert time.monotonic() < deadline, f"{text!r} is not in {path}"
             time.sleep(0.05)
+        for pid in children(self.process.pid):  # not before: imports would delay the others
+            serve_promptly(pid)
 
     def summary(self) -> dict[str, Any]:
         """The line of JSON."""
@@ -123,7 +125,6 @@ def start(spawn: Spawn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Star
         directory = tmp_path / f"demo-{len(started)}"
         command = [sys.executable, "-m", "adaptdrive_sim", "demo", "motor", "--headless"]
         process = spawn(*command, f"--directory={directory}", *options)
-        serve_promptly(process.pid, with_children=True)  # before it starts any
         demo = Demo(process, directory, tmp_path / f"process-{len(started)}.log")
         started.append(demo)
         return demo

@@ -42,6 +42,12 @@ DOWN_s = 1.0
 """Time without a daemon at a restart."""
 
 LONGEST_SESSION_s = 2.0 * 3600.0
+DISCHARGED_V = 300.0
+"""Voltage to which an operator discharges a fuller capacitor: it has no resistor across it."""
+
+VAIN_VISITS = 20
+"""Visits in a row after which a drive without a fault must have been enabled."""
+
 FAULTS: tuple[Row, ...] = tuple(row for row in ROWS if NAME in row.loads and not row.sticks_on)
 WISHES: tuple[Request, ...] = (
     SetSetpoint(3.0),
@@ -82,6 +88,7 @@ class Life(Course):
         self.sessions: list[Judged] = []
         self._folder = folder
         self._tripped = False
+        self._vain = 0
         super().__init__(NAME, seed)
         self._line = self.drive.world.line.parameters
         self._sigma = self.sigma
@@ -152,14 +159,21 @@ class Life(Course):
 
     def _bring_up(self) -> None:
         """Do what an operator does who comes by: nothing at once, then reset and enable."""
-        if self.daemon.state in {State.RUNNING, State.STARTING}:
+        if self._is_on():
             return
         self.run(self.draw.uniform(1.0, 10.0))
+        boost = self.drive.world.boost
+        boost.settle(min(boost.voltage_V, DISCHARGED_V), 0.0)
         self._ask(Reset())
         self._ask(Enable())
+        self._vain = 0 if self._is_on() else self._vain + 1
+        assert self._vain < VAIN_VISITS, f"cannot be enabled: {self.daemon.trip}"
         self._ask(SetMode(Mode.ADAPTIVE))
         self.run(3.0)
         self.step_setpoint()
+
+    def _is_on(self) -> bool:
+        return self.daemon.state in {State.RUNNING, State.STARTING}
 
     def _ask(self, wish: Request) -> None:
         if isinstance(wish, Disable):

@@ -15,8 +15,8 @@ from pyarrow import parquet as pq
 
 from adaptdrive.errors import RecordingError
 
-_ROW_GROUP = 100_000
-"""Rows of a Parquet row group: a quarter of an hour of ticks."""
+_ROW_GROUP = 25_000
+"""Rows of a Parquet row group: four minutes of ticks, of which a recorder holds one in memory."""
 
 _OPTIONS = {"compression": "zstd", "write_page_checksum": True}
 _ENCODINGS = {
@@ -116,6 +116,7 @@ def convert(stream: Path, target: Path) -> None:
             os.fsync(written.fileno())
         unfinished.replace(target)
     stream.unlink()
+    pa.default_memory_pool().release_unused()  # else a recorder keeps it until its next segment
 
 
 def _encodings(schema: pa.Schema) -> dict[str, Any]:
