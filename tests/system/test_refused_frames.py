@@ -60,4 +60,4 @@ def test_a_configured_share_of_refused_frames_trips(make_site: MakeSite) -> None
         assert "refused frames: drive: 25%" in state["trip"]
         assert "limit 20%" in state["trip"]
         until(lambda: ear.commands()[-1].safe, "a safe command")
-    assert "refused frames" in site.ask("reset")["reason"]
+    until(lambda: "refused frames" in site.ask("reset")["reason"], "the bridge is off")
