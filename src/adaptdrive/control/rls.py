@@ -146,16 +146,7 @@ def update_along(
     size = len(theta)
     direction = [0.0] * size
     gain = [0.0] * size
-    taught = 0.0
-    for j in range(size):
-        f = regressor[j]
-        for i in range(j):
-            f += upper[i * size + j] * regressor[i]
-        v = diagonal[j] * f
-        taught += f * v
-        direction[j] += v
-        for i in range(j):
-            direction[i] += upper[i * size + j] * v
+    taught = project(upper, diagonal, regressor, direction)
     if taught > 0.0:
         widen(upper, diagonal, direction, (1.0 / forgetting - 1.0) / taught)
     innovation = target - predict(theta, regressor)
@@ -217,7 +208,8 @@ def _forget_beside(
     Returns:
         Whether d is to be learnt.
     """
-    noise, direction = 1.0 + predict(own, regressor), product(upper, diagonal, regressor)
+    noise, direction = 1.0 + predict(own, regressor), [0.0] * len(own)
+    project(upper, diagonal, regressor, direction)
     for i in range(len(direction)):
         direction[i] -= own[i]
     shown = predict(direction, regressor)
@@ -228,19 +220,27 @@ def _forget_beside(
     return teaches
 
 
-def product(upper: Vector, diagonal: Vector, regressor: Vector) -> Vector:
-    """P r."""
+def project(upper: Vector, diagonal: Vector, regressor: Vector, direction: Vector) -> float:
+    """Write P r, and return rᵀ P r.
+
+    Args:
+        upper: U.
+        diagonal: D.
+        regressor: r.
+        direction: P r, overwritten; zeros before.
+    """
     size = len(diagonal)
-    result = [0.0] * size
+    total = 0.0
     for j in range(size):
         f = regressor[j]
         for i in range(j):
             f += upper[i * size + j] * regressor[i]
         v = diagonal[j] * f
-        result[j] += v
+        total += f * v
+        direction[j] += v
         for i in range(j):
-            result[i] += upper[i * size + j] * v
-    return result
+            direction[i] += upper[i * size + j] * v
+    return total
 
 
 def given(upper: Vector, diagonal: Vector, regressor: Vector, walks: int) -> Vector:
@@ -259,7 +259,8 @@ def given(upper: Vector, diagonal: Vector, regressor: Vector, walks: int) -> Vec
         unit[i] = 1.0
         absorb(known, weights, unit, _SMALLEST, gain)
         unit[i] = 0.0
-    result = product(known, weights, regressor)
+    result = [0.0] * size
+    project(known, weights, regressor, result)
     for i in range(size - walks):
         result[i] = 0.0
     return result
