@@ -15,6 +15,7 @@ from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import ControllerSettings, Jacket, Learning, PowerStage, Rates
 from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Stage
+from adaptdrive.control.slow_state import SlowSample
 from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import Sample, World, WorldParameters
@@ -26,6 +27,23 @@ TICKS = 120
 LOW, HIGH = 3.0, 3.2
 STEP = HIGH - LOW
 CYCLE_s = 120
+
+REST_V = 3.0 / 0.011
+AT_REST = SlowSample(
+    period_s=1.0,
+    output=3.0,
+    output_filtered=[3.0, 3.0],
+    input_filtered=[REST_V] * 3,
+    applied=REST_V,
+    followed=True,
+    held_share=0.0,
+    reference=3.0,
+    adaptive=True,
+    pole=0.7,
+    low=200.0,
+    high=400.0,
+)
+"""A slow sample of the motor at rest at 3 V."""
 
 STAGE = PowerStage(
     capacitance_F=1e-3,

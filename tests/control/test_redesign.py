@@ -14,30 +14,16 @@ from adaptdrive.control.methods import METHODS
 from adaptdrive.control.noise_limit import noise_gain
 from adaptdrive.control.regression import theta_of
 from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
+from adaptdrive.control.slow_state import SlowState, new_slow_state
 from adaptdrive.control.supervisor import Verdict
-from tests.closed_loop.bench import EXACT, MOTOR
+from tests.closed_loop.bench import AT_REST, EXACT, MOTOR, REST_V
 from tests.control.systems import distance
 
-REST_V, POLE = 3.0 / 0.011, 0.7
+POLE = 0.7
 HEAVY = 6.0
 JACKET = replace(EXACT.jacket, warm_up_periods=0, deviation_max=0.1, residual_margin=1.5)
 LEARNING = replace(EXACT.learning, bias=True, alert=True)
 CAREFUL = replace(EXACT, jacket=JACKET, learning=LEARNING)
-SAMPLE = SlowSample(
-    period_s=1.0,
-    output=3.0,
-    output_filtered=[3.0, 3.0],
-    input_filtered=[REST_V] * 3,
-    applied=REST_V,
-    followed=True,
-    held_share=0.0,
-    reference=3.0,
-    adaptive=True,
-    pole=POLE,
-    low=200.0,
-    high=400.0,
-)
 
 
 def parameters(disks: float) -> list[float]:
@@ -61,7 +47,7 @@ def known(disks: float = 2.0, settings: ControllerSettings = CAREFUL) -> SlowSta
 
 
 def adapted(state: SlowState, settings: ControllerSettings = CAREFUL) -> int:
-    redesign.adapt(settings, MOTOR, state, SAMPLE)
+    redesign.adapt(settings, MOTOR, state, AT_REST)
     return state.supervisor.verdict
 
 
@@ -292,7 +278,7 @@ def test_a_load_that_was_never_trusted_puts_nothing_at_odds() -> None:
 
 def test_without_gains_in_force_the_reference_filter_takes_another_pole_at_once() -> None:
     settings = replace(CAREFUL, jacket=replace(JACKET, gain_slew=0.25))
-    state, plain, slower = known(2.0, settings), known(2.0), replace(SAMPLE, pole=0.8)
+    state, plain, slower = known(2.0, settings), known(2.0), replace(AT_REST, pole=0.8)
     adapted(state, settings)
     before = list(state.reference_filter.loop)
     redesign.adapt(settings, MOTOR, state, slower)

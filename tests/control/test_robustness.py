@@ -15,12 +15,11 @@ from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.robustness import closes_stably, stands_uncertainty
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.slow_half import slow_step
-from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
+from adaptdrive.control.slow_state import SlowState, new_slow_state
 from adaptdrive.control.supervisor import Verdict
-from tests.closed_loop.bench import EXACT, MOTOR
+from tests.closed_loop.bench import AT_REST, EXACT, MOTOR, REST_V
 from tests.control.systems import decades
 
-REST_V = 3.0 / 0.011
 BOLD = replace(EXACT, jacket=replace(EXACT.jacket, confidence=2.0))
 LOADS = {
     "motor": MOTOR,
@@ -142,21 +141,7 @@ def judged(settings: ControllerSettings, trusted_s: float, alarms: int = 0) -> i
 
 
 def step(settings: ControllerSettings, state: SlowState) -> None:
-    rest = SlowSample(
-        period_s=1.0,
-        output=3.0,
-        output_filtered=[3.0, 3.0],
-        input_filtered=[REST_V] * 3,
-        applied=REST_V,
-        followed=True,
-        held_share=0.0,
-        reference=3.0,
-        adaptive=True,
-        pole=0.7,
-        low=200.0,
-        high=400.0,
-    )
-    slow_step(settings, MOTOR, state, rest)
+    slow_step(settings, MOTOR, state, AT_REST)
 
 
 def test_gains_that_the_last_trusted_load_would_not_stand_are_refused() -> None:

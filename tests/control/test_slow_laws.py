@@ -15,9 +15,9 @@ from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.regression import theta_of
 from adaptdrive.control.slow_half import slow_step
 from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
-from tests.closed_loop.bench import EXACT, MOTOR
+from tests.closed_loop.bench import AT_REST, EXACT, MOTOR, REST_V
 
-REST_V, POLE = 3.0 / 0.011, 0.7
+POLE = 0.7
 BLEND = 4
 JACKET = replace(EXACT.jacket, warm_up_periods=0, blend_periods=BLEND, ratio_min=0.5, ratio_max=4.0)
 SETTINGS = replace(EXACT, jacket=JACKET)
@@ -25,20 +25,7 @@ LEAD = reference_lead(SETTINGS)
 UNTAUGHT = 0.2
 """Share of stand-in ticks from which a sample teaches nothing: the estimate stays."""
 
-SAMPLE = SlowSample(
-    period_s=1.0,
-    output=3.0,
-    output_filtered=[3.0, 3.0],
-    input_filtered=[REST_V] * 3,
-    applied=REST_V,
-    followed=True,
-    held_share=UNTAUGHT,
-    reference=3.0,
-    adaptive=True,
-    pole=POLE,
-    low=200.0,
-    high=400.0,
-)
+SAMPLE = replace(AT_REST, held_share=UNTAUGHT)
 HEAVY = [0.011, 33.4, 234.0]
 BATTERY = battery_load(0.25, 1.2, 0.3, 60.0, Charging(0.25, 1.0, 0.2, 58.0, 1.0))
 
