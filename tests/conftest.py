@@ -51,6 +51,13 @@ They, slow ones, and before all those with a time limit of their own start first
 all others have ended.
 """
 
+COMPILING = {"campaign", "compiled"}
+"""Folders whose tests compile the simulators.
+
+Their tests come before all others, so that one worker runs them and compiles once; the other
+workers find the compiled code on disk.
+"""
+
 KINDS = {"calculating", "waiting", "alone"}
 
 
@@ -64,10 +71,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=_turn)
 
 
-def _turn(item: pytest.Item) -> tuple[bool, bool, bool]:
+def _turn(item: pytest.Item) -> tuple[bool, bool, bool, bool]:
     """Return when a test has its turn: the smallest first."""
+    folder = _folder(item)
     longest = item.get_closest_marker("timeout") is not None
-    return item.get_closest_marker("slow") is None, not longest, _folder(item) != LONG
+    slow = item.get_closest_marker("slow") is not None
+    return folder not in COMPILING, not slow, not longest, folder != LONG
 
 
 def _folder(item: pytest.Item) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -38,16 +39,29 @@ QUANTILE = 1.96
 """Of the normal distribution: 95 % within."""
 
 
-def coverage(campaign: str, seeds: range, *, trusted: bool = False) -> dict[str, list[float]]:
-    """Return for each phase the shares of the three parameters, and the number of samples.
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """The samples of all runs in which an interval is shown.
 
-    Args:
-        campaign: Name of its file.
-        seeds: Runs.
-        trusted: Whether only samples with an accepted estimate count.
+    Attributes:
+        age_s: Time since the last change of the load, n; -1 before the first.
+        inside: Whether the interval of each parameter holds the truth, n × 3.
+        accepted: Whether the supervisor accepted the estimate, n.
     """
-    ages, held = zip(*(_run(campaign, seed, trusted=trusted) for seed in seeds), strict=True)
-    age, inside = np.concatenate(ages), np.concatenate(held)
+
+    age_s: Array
+    inside: Flags
+    accepted: Flags
+
+    def trusted(self) -> Samples:
+        """Return the samples with an accepted estimate."""
+        chosen = self.accepted
+        return Samples(self.age_s[chosen], self.inside[chosen], self.accepted[chosen])
+
+
+def coverage(samples: Samples) -> dict[str, list[float]]:
+    """Return for each phase the shares of the three parameters, and the number of samples."""
+    age, inside = samples.age_s, samples.inside
     found = {}
     for phase, (from_s, to_s) in PHASES.items():
         chosen = inside[(age >= from_s) & (age < to_s)]
@@ -55,19 +69,23 @@ def coverage(campaign: str, seeds: range, *, trusted: bool = False) -> dict[str,
     return found
 
 
-def _run(campaign: str, seed: int, *, trusted: bool) -> tuple[Array, Flags]:
-    """Return the age of the load and whether each interval holds, for each shown sample."""
+def run_all(campaign: str, seeds: range) -> Samples:
+    """Run the seeds of a campaign with the adaptive controller."""
+    runs = zip(*(_run(campaign, seed) for seed in seeds), strict=True)
+    return Samples(*map(np.concatenate, runs))
+
+
+def _run(campaign: str, seed: int) -> tuple[Array, Flags, Flags]:
+    """Return the columns of `Samples` for one run."""
     stand = Stand(draw(read_campaign(Path(campaign)), seed))
     trace = stand.run(Mode.ADAPTIVE).trace
     truth = np.array([stand.truth_of(inertia) for inertia in stand.inertias.tolist()])
     count = truth.shape[1]
     values = trace[:, bench.VALUES : bench.VALUES + count]
     deviations = trace[:, bench.VALUES + count :]
-    chosen = np.isfinite(deviations).all(axis=1)
-    if trusted:
-        chosen &= trace[:, bench.ACCEPTED] > 0.0
+    shown = np.isfinite(deviations).all(axis=1)
     inside = np.abs(values - truth) <= QUANTILE * deviations
-    return _ages(stand)[chosen], inside[chosen]
+    return _ages(stand)[shown], inside[shown], trace[shown, bench.ACCEPTED] > 0.0
 
 
 def _ages(stand: Stand) -> Array:
@@ -87,7 +105,7 @@ def main() -> None:
     seeds = range(given.first, given.first + given.count)
     say = sys.stdout.write
     say(f"| | samples | {' | '.join(NAMES)} |\n|---|---|{'---|' * len(NAMES)}\n")
-    for phase, (*shares, samples) in coverage(given.campaign, seeds).items():
+    for phase, (*shares, samples) in coverage(run_all(given.campaign, seeds)).items():
         cells = " | ".join(f"{100.0 * share:.0f} %" for share in shares)
         say(f"| {phase} | {samples:.0f} | {cells} |\n")
 

@@ -15,7 +15,7 @@ from adaptdrive_sim.experiments.metrics import (
 from adaptdrive_sim.experiments.motor import MOTOR
 from adaptdrive_sim.experiments.outcome import ExperimentOutcome
 from adaptdrive_sim.experiments.runner import RunRecord, run_case
-from tests.experiments.cases import make_case, outcomes, run_all
+from tests.experiments.cases import make_case, outcomes, run_all, run_all_compiled
 
 LAST_CYCLES = (4, 7, 10)
 SILENT = Disturbance(0.0)
@@ -130,7 +130,7 @@ def test_under_spikes_lm_rls_is_worth_a_factor_of_1_8() -> None:
 
 @pytest.mark.slow
 def test_the_papers_claims_hold_for_every_seed() -> None:
-    for outcome in outcomes(MOTOR, ("fixed", "adaptive")):
+    for outcome in outcomes(MOTOR, ("fixed", "adaptive"), run=run_all_compiled):
         one, two, three = overshoots(outcome, "fixed")
         assert one < two < three
         assert three > 0.15
