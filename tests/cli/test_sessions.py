@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ from adaptdrive.recording.session import Dropped, NewSession, create_session
 from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
 NAME = "20261121T012209Z_motor"
+TICKS_FILE = "ticks-0001.parquet"
 
 
 def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
@@ -64,6 +66,23 @@ def test_a_whole_session_passes_and_a_damaged_one_fails(tmp_path: Path) -> None:
     answer = run(state, "sessions", "verify", NAME)
     assert answer.returncode == 1
     assert "ticks-0001.parquet" in answer.stderr
+
+
+@pytest.mark.parametrize("name", ["session.json", "config.toml", "events.sqlite", TICKS_FILE])
+def test_a_fifo_in_a_session_hangs_nothing_and_hides_no_other(tmp_path: Path, name: str) -> None:
+    state = recorded(tmp_path, Dropped())
+    foreign = state / "sessions" / "20260101T000000Z_motor"
+    shutil.copytree(state / "sessions" / NAME, foreign)
+    (foreign / name).unlink()
+    os.mkfifo(foreign / name)
+    answer = run(state, "sessions", "verify")
+    assert answer.returncode == 1
+    assert f"{NAME}: 1000 ticks; whole\n" in answer.stdout
+    assert name in answer.stderr
+    assert "it is a FIFO, not a file" in answer.stderr
+    listed = run(state, "sessions", "list")
+    assert NAME in listed.stdout
+    assert "Traceback" not in listed.stderr
 
 
 def test_ticks_lost_at_the_end_are_missing_in_whichever_session(state: Path) -> None:

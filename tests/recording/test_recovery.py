@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -20,7 +20,15 @@ import pytest
 from adaptdrive.recording.batches import Batch, Header, News, framed, read_frames
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.repair import repair
-from adaptdrive.recording.session import Ending, SessionLock, read_info, session_directories
+from adaptdrive.recording.session import (
+    Ending,
+    NewSession,
+    SessionLock,
+    create_session,
+    read_info,
+    session_directories,
+    write_info,
+)
 from adaptdrive.recording.spool import Spool, left_spools, spool_path
 from adaptdrive.recording.writer import record
 from tests.recording.material import INFO, make_batch, make_tick, wait_until
@@ -149,6 +157,47 @@ def test_a_spool_that_breaks_off_gives_its_whole_messages(tmp_path: Path, tail: 
     assert session.config_text == "# as configured\n"
     assert any(session.path.name in sentence for sentence in told)
     assert not left_spools(tmp_path)
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, Path.mkdir], ids=["FIFO", "directory"])
+def test_what_is_no_spool_is_left_and_hides_no_other(
+    tmp_path: Path, make: Callable[[Path], None]
+) -> None:
+    make(tmp_path / ".unwritten-20260101T000000000000Z_motor")
+    header = Header(INFO, "", str(tmp_path))
+    spool_path(tmp_path, INFO).write_bytes(stream(header, make_batch([make_tick(0)])))
+    next_start(tmp_path)
+    assert sequences(recorded(tmp_path)) == [0]
+    assert len(left_spools(tmp_path)) == 1
+
+
+def test_a_spool_whose_session_cannot_be_read_keeps_no_other_from_being_written(
+    tmp_path: Path,
+) -> None:
+    first = msgspec.structs.replace(INFO, started=INFO.started.replace(year=2025))
+    for info in (first, INFO):
+        header = Header(info, "", str(tmp_path), str(tmp_path))
+        batch = make_batch([make_tick(0)])
+        spool_path(tmp_path, info).write_bytes(stream(header, batch))
+    blocked = tmp_path / f"{first.started:%Y%m%dT%H%M%SZ}_motor"
+    blocked.mkdir()
+    write_info(blocked, first)
+    (blocked / "ticks-0001.parquet").write_bytes(b"no Parquet")
+    told = next_start(tmp_path)
+    assert read_session(tmp_path / f"{INFO.started:%Y%m%dT%H%M%SZ}_motor").ticks.num_rows == 1
+    assert left_spools(tmp_path) == [spool_path(tmp_path, first)]
+    assert any("ticks-0001.parquet" in sentence for sentence in told)
+
+
+def test_a_folder_that_was_moved_takes_the_rest_of_its_session(tmp_path: Path) -> None:
+    old, new = tmp_path / "old", tmp_path / "new"
+    directory = create_session(NewSession(old, INFO, ""))
+    header = Header(INFO, "", str(old), str(directory))
+    spool_path(old, INFO).write_bytes(stream(header, make_batch([make_tick(0)])))
+    old.rename(new)
+    next_start(new)
+    assert sequences(read_session(new / directory.name)) == [0]
+    assert not old.exists()
 
 
 def test_the_spool_of_a_living_daemon_is_left_alone(tmp_path: Path) -> None:

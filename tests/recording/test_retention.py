@@ -108,3 +108,17 @@ def test_a_session_that_is_being_written_is_left_alone(tmp_path: Path, lost: Pat
     assert list(repair(tmp_path, current, lambda: False)) == []
     claim.release()
     assert read_info(lost).ended is Ending.OPEN
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b'{"format": 3}'], ids=["empty", "torn", "later"])
+def test_a_damaged_session_keeps_no_other_from_being_closed(
+    tmp_path: Path, lost: Path, content: bytes
+) -> None:
+    damaged, current = recorded(tmp_path, 4.0), recorded(tmp_path, 0.0)
+    (damaged / "session.json").write_bytes(content)
+    told = list(repair(tmp_path, current, lambda: False))
+    assert [sentence.partition(" is left as it is: ")[0] for sentence in told][:1] == [
+        f"session {damaged.name}"
+    ]
+    assert "session.json" in told[0]
+    assert read_info(lost).ended is Ending.LOST

@@ -7,9 +7,12 @@ import sys
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
+
+if TYPE_CHECKING:  # `--help` reads no recordings
+    from adaptdrive.recording.verify import Verification
 
 app = App(name="sessions")
 
@@ -115,21 +118,27 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
     Returns:
         0 when nothing is damaged and no tick is missing, else 1.
     """
-    from adaptdrive.recording.reader import read_session  # noqa: PLC0415 - see above
+    from adaptdrive.errors import RecordingError  # noqa: PLC0415 - see above
+    from adaptdrive.recording.reader import read_session  # noqa: PLC0415
     from adaptdrive.recording.session import session_directories  # noqa: PLC0415
+    from adaptdrive.recording.verify import Verification  # noqa: PLC0415
     from adaptdrive.recording.verify import verify as verify_session  # noqa: PLC0415
 
     status = 0
     verdicts: dict[str, object] = {}
-    for name in sessions or [path.name for path in session_directories(_folder(directory))]:
-        verdict = verify_session(read_session(_find(name, directory)))
+    named = [(name, _find(name, directory)) for name in sessions]
+    found = named or [(path.name, path) for path in session_directories(_folder(directory))]
+    for name, path in found:
+        try:
+            verdict = verify_session(read_session(path))
+        except RecordingError as damage:  # the others are verified all the same
+            verdict = Verification({}, 0, (str(damage),))
         status = status if verdict.whole else 1
         if as_json:
             verdicts[name] = {"whole": verdict.whole, **asdict(verdict)}
             continue
         rows = ", ".join(f"{count} {table}" for table, count in verdict.rows.items()) or "nothing"
-        state = "whole" if verdict.whole else f"{verdict.missing_ticks} ticks are missing"
-        print(f"{name}: {rows}; {state}")
+        print(f"{name}: {rows}; {_condition(verdict)}")
         for problem in verdict.problems:
             print(f"adaptdrive: {name}: {problem}", file=sys.stderr)
     if as_json:
@@ -203,6 +212,12 @@ def events(
         if one.kind == "trip" and (steps := remedy(one.detail)):
             print(f"{'':<34}{'':<8} {'remedy':<12} {steps}")
     return 0
+
+
+def _condition(verdict: Verification) -> str:
+    if verdict.missing_ticks:
+        return f"{verdict.missing_ticks} ticks are missing"
+    return "whole" if verdict.whole else "damaged"
 
 
 def _facts(path: Path, info: object) -> dict[str, object]:

@@ -18,11 +18,12 @@ _KINDS = {
 }
 
 
-def read_regular(path: Path) -> bytes:
+def read_regular(path: Path, largest: int = _LARGEST_BYTES) -> bytes:
     """Return the bytes of a regular file.
 
     Args:
         path: The file.
+        largest: Bytes that it may have.
 
     Raises:
         FileNotFoundError: There is nothing.
@@ -32,11 +33,27 @@ def read_regular(path: Path) -> bytes:
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
     try:
         found = os.fstat(descriptor)
-        if not stat.S_ISREG(found.st_mode):
-            kind = _KINDS.get(stat.S_IFMT(found.st_mode), "something else")
-            raise OSError(errno.EINVAL, f"it is {kind}, not a file", str(path))
-        if found.st_size > _LARGEST_BYTES:
+        _require_regular(found.st_mode, path)
+        if found.st_size > largest:
             raise OSError(errno.EFBIG, f"it has {found.st_size} bytes", str(path))
-        return os.read(descriptor, _LARGEST_BYTES)
+        return os.read(descriptor, largest)
     finally:
         os.close(descriptor)
+
+
+def require_regular(path: Path) -> None:
+    """Refuse what other code would wait for when it opens it.
+
+    Args:
+        path: The file.
+
+    Raises:
+        OSError: It is no regular file, or cannot be found.
+    """
+    _require_regular(path.stat().st_mode, path)
+
+
+def _require_regular(mode: int, path: Path) -> None:
+    if not stat.S_ISREG(mode):
+        kind = _KINDS.get(stat.S_IFMT(mode), "something else")
+        raise OSError(errno.EINVAL, f"it is {kind}, not a file", str(path))

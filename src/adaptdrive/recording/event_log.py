@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from adaptdrive.config.regular_file import require_regular
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import CommandRow, EventRow
 
@@ -181,9 +182,8 @@ def _given(row: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _rows(path: Path, table: str) -> list[dict[str, Any]]:
-    if not path.exists():
-        return []
     try:
+        require_regular(path)
         with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
             database.row_factory = sqlite3.Row
             query = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?"
@@ -191,6 +191,10 @@ def _rows(path: Path, table: str) -> list[dict[str, Any]]:
                 return []
             found = database.execute(f"SELECT * FROM {table} ORDER BY id")  # noqa: S608 - a constant
             return [dict(row) for row in found]
+    except FileNotFoundError:
+        return []
+    except OSError as problem:
+        raise RecordingError(path, problem.strerror or str(problem)) from problem
     except sqlite3.Error as problem:
         raise RecordingError(path, str(problem)) from problem
 

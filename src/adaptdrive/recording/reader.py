@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
+from adaptdrive.config.regular_file import read_regular
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import CommandRow, EventRow
 from adaptdrive.recording.event_log import read_log
@@ -24,6 +25,9 @@ from adaptdrive.recording.session import (
     read_info,
 )
 from adaptdrive.recording.tables import conform, slow_schema, ticks_schema
+
+_LARGEST_TEXT_BYTES = 4 << 20
+"""A configuration of a million characters, the longest that is accepted."""
 
 
 @dataclass(frozen=True)
@@ -156,6 +160,8 @@ def read_session(path: Path) -> Session:
 
 def _read_text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as problem:
+        return read_regular(path, _LARGEST_TEXT_BYTES).decode()
+    except OSError as problem:
+        raise RecordingError(path, problem.strerror or str(problem)) from problem
+    except UnicodeDecodeError as problem:
         raise RecordingError(path, str(problem)) from problem

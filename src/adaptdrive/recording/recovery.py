@@ -13,10 +13,11 @@ import msgspec
 
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import Batch, Header, read_frames
-from adaptdrive.recording.housekeeping import Housekeeper
+from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
 from adaptdrive.recording.session import Ending, SessionLock, read_info, session_directories
 from adaptdrive.recording.session_writer import Report, SessionWriter
 from adaptdrive.recording.spool import left_spools
+from adaptdrive.runtime.reports import Severity
 
 _LOOKS, _LOOK_S = 20, 0.05
 
@@ -24,22 +25,25 @@ _LOOKS, _LOOK_S = 20, 0.05
 def recover(own: Path, report: Report, housekeeper: Housekeeper) -> None:
     """Write each spool whose control process is gone into its session, and remove it.
 
+    One that cannot be written stays, is reported, and keeps no other from being written.
+
     Args:
         own: Spool of the session in progress, which is left alone; the others are beside it.
         report: Reports an event.
         housekeeper: Of this process.
-
-    Raises:
-        OSError, RecordingError, sqlite3.Error, pa.ArrowException: One cannot be written; it stays.
     """
     for path in left_spools(own.parent):
-        if path == own:
-            continue
-        with path.open("rb") as source:
-            if _is_free(source) and _write(
-                source, lambda header: SessionWriter(header, report, housekeeper)
-            ):
-                path.unlink(missing_ok=True)
+        if path != own and path.is_file():
+            try:
+                _recover(path, lambda header: SessionWriter(header, report, housekeeper))
+            except ERRORS as problem:
+                report(Severity.WARNING, f"{path} is left as it is: {problem}")
+
+
+def _recover(path: Path, open_session: Callable[[Header], SessionWriter]) -> None:
+    with path.open("rb") as source:
+        if _is_free(source) and _write(source, path.parent, open_session):
+            path.unlink(missing_ok=True)
 
 
 def left_batches(path: Path) -> list[Batch]:
@@ -68,11 +72,17 @@ def _is_free(source: BinaryIO) -> bool:
     return True
 
 
-def _write(source: BinaryIO, open_session: Callable[[Header], SessionWriter]) -> bool:
-    """Write what a spool holds; False where another recorder still writes the session."""
+def _write(
+    source: BinaryIO, sessions: Path, open_session: Callable[[Header], SessionWriter]
+) -> bool:
+    """Write what a spool holds; False where another recorder still writes the session.
+
+    Its session is beside it, also where the folder of both has been moved since.
+    """
     header, batches = _read(source)
     if header is None or not batches:
         return True
+    header = msgspec.structs.replace(header, sessions=str(sessions))
     directory = _session_of(header)
     if directory is not None and read_info(directory).ended is not Ending.OPEN:
         return True

@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 
 from adaptdrive.recording.event_log import tidy
+from adaptdrive.recording.housekeeping import ERRORS
 from adaptdrive.recording.resume import find_written
 from adaptdrive.recording.segments import segments
 from adaptdrive.recording.session import (
@@ -34,20 +35,29 @@ def repair(sessions: Path, current: Path, ending: Callable[[], bool]) -> Iterato
         ending: Returns True to have the rest left for another time.
 
     Yields:
-        A sentence for each session that was lost, and for the one before this if it was cut.
+        A sentence for each session that was lost, for the one before this if it was cut, and for
+        each that cannot be read or written, which keeps no other from being closed.
     """
     older = [path for path in session_directories(sessions) if path != current]
     for directory in older:
         if ending():
             return
-        info = read_info(directory)
-        if info.ended is Ending.OPEN:
-            info = close_lost(directory) or info
-            if info.ended is Ending.LOST:
-                yield _sentence(directory, info)
-        elif directory == older[-1] and info.ended in _UNTIDY:
+        try:
+            yield from _closed(directory, last=directory == older[-1])
+        except ERRORS as problem:
+            yield f"session {directory.name} is left as it is: {problem}"
+
+
+def _closed(directory: Path, *, last: bool) -> Iterator[str]:
+    """Close one session; yield a sentence if it was lost, or if it is the last one and was cut."""
+    info = read_info(directory)
+    if info.ended is Ending.OPEN:
+        info = close_lost(directory) or info
+        if info.ended is Ending.LOST:
             yield _sentence(directory, info)
-        close_segments(directory)
+    elif last and info.ended in _UNTIDY:
+        yield _sentence(directory, info)
+    close_segments(directory)
 
 
 def close_lost(directory: Path) -> SessionInfo | None:

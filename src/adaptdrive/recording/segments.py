@@ -15,6 +15,7 @@ from pathlib import Path
 import pyarrow as pa
 from pyarrow import parquet as pq
 
+from adaptdrive.config.regular_file import require_regular
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.session import TABLES
 from adaptdrive.recording.streams import StreamReader, convert
@@ -73,6 +74,7 @@ class Segment:
             first = next(self.batches(), None)
             return pa.schema([]) if first is None else first.schema
         try:
+            require_regular(self.path)
             return pq.read_schema(self.path)
         except (pa.ArrowException, OSError) as problem:
             raise RecordingError(self.path, str(problem)) from problem
@@ -115,6 +117,7 @@ def _parquet_batches(
     path: Path, columns: list[str] | None, *, strict: bool
 ) -> Iterator[pa.RecordBatch]:
     try:
+        require_regular(path)
         with pq.ParquetFile(path, page_checksum_verification=strict) as file:
             wanted = columns and [name for name in columns if name in file.schema_arrow.names]
             yield from file.iter_batches(_BATCH_ROWS, columns=wanted)

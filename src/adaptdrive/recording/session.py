@@ -22,6 +22,7 @@ from typing import Self
 
 import msgspec
 
+from adaptdrive.config.regular_file import read_regular
 from adaptdrive.errors import RecordingError
 
 FORMAT = 2
@@ -234,7 +235,7 @@ def read_info(directory: Path) -> SessionInfo:
     """
     path = directory / INFO_FILE
     try:
-        text = path.read_bytes()
+        text = read_regular(path)
         version = msgspec.json.decode(text, type=_SessionFormat).format
         if version not in FORMATS:
             known = " or ".join(map(str, FORMATS))

@@ -13,6 +13,7 @@ import pyarrow as pa
 from pyarrow import ipc
 from pyarrow import parquet as pq
 
+from adaptdrive.config.regular_file import require_regular
 from adaptdrive.errors import RecordingError
 
 _ROW_GROUP = 25_000
@@ -64,6 +65,7 @@ class StreamReader:
             RecordingError: The stream cannot be opened.
         """
         try:
+            require_regular(self._path)
             with pa.OSFile(str(self._path), "rb") as source:
                 yield from self._whole_batches(source)
         except OSError as problem:

@@ -8,6 +8,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
+from adaptdrive.config.regular_file import require_regular
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.segments import segments
@@ -59,11 +60,14 @@ def verify(session: Session) -> Verification:
 
 
 def _event_problems(path: Path) -> Iterator[str]:
-    if not path.exists():
-        return
     try:
+        require_regular(path)
         with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
             (found,) = database.execute("PRAGMA quick_check(1)").fetchone()
+    except FileNotFoundError:
+        return
+    except OSError as problem:
+        found = problem.strerror or str(problem)
     except sqlite3.Error as problem:
         found = str(problem)
     if found != "ok":
