@@ -7,6 +7,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterable
 from contextlib import asynccontextmanager
@@ -31,6 +32,9 @@ PATIENCE_S = 120.0
 FREE = resource.getrlimit(resource.RLIMIT_FSIZE)
 ROOMY = 1 << 24
 """Backlog for a writer that is slow on a busy machine: nothing may be dropped."""
+
+UNAVAILABLE_STACK_BYTES = 1 << 46
+"""A stack for which no machine has the addresses: no thread starts with it."""
 
 TIGHT = 50_000
 """Backlog that a stalled writer fills within a second."""
@@ -181,6 +185,26 @@ async def test_a_killed_writer_is_replaced_and_loses_nothing(sessions: Path) -> 
     alarms = [event for event in bench.said() if event.severity is Severity.ALARM]
     assert len([event for event in alarms if event.kind == EVENT_KIND]) == 3
     assert any("-9" in event.detail for event in alarms)
+
+
+async def test_without_a_further_thread_it_says_so_and_records_later(sessions: Path) -> None:
+    heard: list[Event] = []
+
+    def failed() -> bool:
+        heard.extend(bench.said())
+        return any("can't start new thread" in event.detail for event in heard)
+
+    usual = threading.stack_size(UNAVAILABLE_STACK_BYTES)
+    try:
+        async with recording(sessions) as bench:
+            await bench.publish_until(failed)
+            threading.stack_size(usual)
+            await bench.settle()
+            await bench.stop()
+    finally:
+        threading.stack_size(usual)
+    assert sequences(bench.session()) == list(range(bench.published))
+    assert bench.session().info.ended is Ending.ORDERLY
 
 
 async def test_a_stalled_writer_costs_ticks_which_are_counted(sessions: Path) -> None:

@@ -70,9 +70,9 @@ class Spool:
         if self._handed_over - self._done > _LARGEST_QUEUE_BYTES:
             self.sound = False
             return
-        self._handed_over += len(message)
-        self.size += len(message)
-        self._submit(lambda: self._write(message))
+        if self._submit(lambda: self._write(message)):
+            self._handed_over += len(message)
+            self.size += len(message)
 
     def clear(self) -> None:
         """Empty the file soon; returns at once."""
@@ -90,7 +90,8 @@ class Spool:
         if self._slow or self._done == self._handed_over:
             return
         loop, done = asyncio.get_running_loop(), asyncio.Event()
-        self._submit(functools.partial(_tell, loop, done))
+        if not self._submit(functools.partial(_tell, loop, done)):
+            return
         try:
             async with asyncio.timeout(patience_s):
                 await done.wait()
@@ -104,8 +105,7 @@ class Spool:
             patience_s: Longest wait.
         """
         done = threading.Event()
-        self._submit(done.set)
-        return done.wait(patience_s) and self.sound
+        return self._submit(done.set) and done.wait(patience_s) and self.sound
 
     def remove(self) -> None:
         """Remove the file soon, if there is one, and end the thread."""
@@ -113,12 +113,19 @@ class Spool:
             self._submit(self._unlink)
             self._jobs.put(None)
 
-    def _submit(self, job: Callable[[], None]) -> None:
+    def _submit(self, job: Callable[[], None]) -> bool:
+        """Have the thread do a job; False when this process may have no further thread."""
         if self._thread is None:
             # a disk that hangs must not keep the process from ending
-            self._thread = threading.Thread(target=self._work, name="spool", daemon=True)
-            self._thread.start()
+            thread = threading.Thread(target=self._work, name="spool", daemon=True)
+            try:
+                thread.start()
+            except RuntimeError:
+                self.sound = False
+                return False
+            self._thread = thread
         self._jobs.put(job)
+        return True
 
     def _work(self) -> None:
         self._start_thread()

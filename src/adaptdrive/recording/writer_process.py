@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import fcntl
 import sys
 from collections.abc import AsyncIterator
@@ -40,14 +41,17 @@ class WriterProcess:
         Raises:
             OSError: The process cannot be started.
         """
-        process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", module, str(sessions), *words),
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.PIPE,
-            # Ctrl-C on the terminal is for the control process, which then ends the session.
-            start_new_session=True,
-        )
+        try:
+            process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-m", module, str(sessions), *words),
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.PIPE,
+                # Ctrl-C on the terminal is for the control process, which then ends the session.
+                start_new_session=True,
+            )
+        except RuntimeError as problem:  # asyncio waits for a process in a thread
+            raise OSError(errno.EAGAIN, str(problem)) from problem
         _enlarge(process.stdin)
         return cls(process)
 
