@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import threading
 from pathlib import Path
 
 from adaptdrive.recording import reserve
 from adaptdrive.recording.batches import Header, News
+from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.session import session_directories
 from adaptdrive.recording.writer import PatientWriter
 from tests.recording.material import INFO, fill, make_batch, make_tick, wait_until
 
@@ -32,3 +35,18 @@ def test_a_recorder_leaves_the_released_reserve_to_the_record_of_a_trip(small_di
     (small_disk / "fill").unlink()
     waiting.join(PATIENCE_S)
     assert not waiting.is_alive()
+
+
+def test_a_fifo_in_place_of_the_reserve_is_reported_and_waited_for(tmp_path: Path) -> None:
+    news: list[News] = []
+    writer = PatientWriter(Header(INFO, "", str(tmp_path)), news.append, pause_s=0.01)
+    fifo = tmp_path / ".reserve"
+    os.mkfifo(fifo)
+    waiting = threading.Thread(target=writer.write, args=(make_batch([make_tick(0)]),), daemon=True)
+    waiting.start()
+    wait_until(lambda: any(one.failing for one in news))
+    assert f"it is a FIFO, not a file: '{fifo}'" in news[0].detail
+    fifo.unlink()
+    waiting.join(PATIENCE_S)
+    assert not waiting.is_alive()
+    assert read_session(next(session_directories(tmp_path))).ticks.num_rows == 1

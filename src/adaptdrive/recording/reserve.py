@@ -8,6 +8,8 @@ import shutil
 import sqlite3
 from pathlib import Path
 
+from adaptdrive.config.regular_file import require_regular
+
 _FILE = ".reserve"
 _BYTES = 2 << 20
 """Two records of a trip, each of 70 s at full rate."""
@@ -17,10 +19,14 @@ def set_aside(sessions: Path) -> None:
     """Occupy the reserve, where that is not done yet.
 
     Raises:
-        OSError: There is too little space for the reserve and as much again to record into.
+        OSError: There is too little space for the reserve and as much again to record into, or
+            something that is no file has its name.
     """
     path = sessions / _FILE
-    held = path.stat().st_size if path.exists() else 0
+    held = 0
+    if path.exists():
+        require_regular(path)
+        held = path.stat().st_size
     if shutil.disk_usage(sessions).free < 2 * _BYTES - held:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(sessions))
     if held < _BYTES:
