@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -216,6 +217,41 @@ def test_a_disk_that_refuses_the_spool_is_known(tmp_path: Path) -> None:
     spool = Spool(spool_path(tmp_path / "sessions", INFO))
     spool.append(b"message")
     assert not spool.flushed(PATIENCE_S)
+
+
+@pytest.mark.parametrize("away", [shutil.rmtree, lambda path: path.rename(path.parent / "moved")])
+def test_a_folder_that_was_taken_away_is_known_at_the_end(
+    tmp_path: Path, away: Callable[[Path], object]
+) -> None:
+    spool = Spool(spool_path(tmp_path / "sessions", INFO))
+    spool.append(b"message")
+    assert spool.flushed(PATIENCE_S)
+    away(tmp_path / "sessions")
+    assert not spool.flushed(PATIENCE_S)
+    spool.clear()
+    spool.append(b"again")
+    assert spool.flushed(PATIENCE_S)
+    assert spool.path.read_bytes() == b"again"
+    spool.remove()
+
+
+def test_after_its_folder_was_deleted_a_killed_daemon_loses_nothing_new(
+    tmp_path: Path,
+) -> None:
+    sessions = tmp_path / "sessions"
+    with started(sessions, subprocess.DEVNULL) as control:
+        wait_until(
+            lambda: bool(left_spools(sessions)) and bool(list(session_directories(sessions)))
+        )
+        shutil.rmtree(sessions)
+        wait_until(lambda: bool(list(session_directories(sessions))))
+        (recorder,) = children(control.pid)
+        os.kill(recorder, signal.SIGSTOP)
+        wait_until(lambda: any(len(spooled(spool)) > 5 for spool in left_spools(sessions)))
+        held = spooled(left_spools(sessions)[0])
+        kill(control, recorder, sessions)
+    next_start(sessions)
+    assert sequences(recorded(sessions))[-1] >= last_sequence(held)
 
 
 @pytest.mark.parametrize("round_", range(3))

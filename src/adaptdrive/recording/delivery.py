@@ -88,8 +88,11 @@ class Delivery:
         return True
 
     def _keep(self, message: bytes) -> None:
-        """Append a message to the file; one that has grown begins anew with what is unwritten."""
-        if self._spool.size > 2 * self._backlog_bytes + _LARGEST_SPOOL_BYTES:
+        """Append a message to the file; one that has grown or is lost begins anew.
+
+        It then has all that is unwritten.
+        """
+        if self._spool.lost or self._spool.size > 2 * self._backlog_bytes + _LARGEST_SPOOL_BYTES:
             self._spool.clear()
         if self._spool.size:
             self._spool.append(message)

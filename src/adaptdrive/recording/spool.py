@@ -45,6 +45,7 @@ class Spool:
     Attributes:
         size: Bytes appended since the file was empty.
         sound: Whether the file has all that was appended so far.
+        lost: Whether the file was deleted or moved; it begins anew after `clear`.
     """
 
     def __init__(self, path: Path, start_thread: Callable[[], None] = lambda: None) -> None:
@@ -56,6 +57,7 @@ class Spool:
         """
         self.size = 0
         self.sound = True
+        self.lost = False
         self.path = path
         self._start_thread = start_thread
         self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
@@ -76,7 +78,7 @@ class Spool:
 
     def clear(self) -> None:
         """Empty the file soon; returns at once."""
-        self.size, self.sound = 0, True
+        self.size, self.sound, self.lost = 0, True, False
         self._submit(self._truncate)
 
     async def kept(self, patience_s: float) -> None:
@@ -105,6 +107,7 @@ class Spool:
             patience_s: Longest wait.
         """
         done = threading.Event()
+        self._submit(self._require_in_place)
         return self._submit(done.set) and done.wait(patience_s) and self.sound
 
     def remove(self) -> None:
@@ -138,6 +141,7 @@ class Spool:
 
     def _write(self, message: bytes) -> None:
         try:
+            self._require_in_place()
             if self._descriptor < 0:
                 self._open()
             self._append_whole(message)
@@ -159,9 +163,26 @@ class Spool:
         self._descriptor = os.open(self.path, os.O_CREAT | os.O_WRONLY | os.O_APPEND, 0o640)
         fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
+    def _require_in_place(self) -> None:
+        """Refuse to go on with an open file that the next start would not find."""
+        if self._descriptor >= 0 and not self._is_in_place():
+            self.lost = True
+            raise FileNotFoundError(self.path)
+
+    def _is_in_place(self) -> bool:
+        try:
+            return os.path.samestat(self.path.stat(), os.fstat(self._descriptor))
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+
     def _truncate(self) -> None:
-        if self._descriptor >= 0:
+        if self._descriptor < 0:
+            return
+        if self._is_in_place():
             os.ftruncate(self._descriptor, 0)
+        else:
+            os.close(self._descriptor)
+            self._descriptor = -1
 
     def _unlink(self) -> None:
         with contextlib.suppress(FileNotFoundError):
