@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.signal import lsim
 
 from adaptdrive.control import fast_half as fast
-from tests.closed_loop.bench import EXACT, MOTOR, STAGE, TICK_s
+from adaptdrive.control.signals import Measurement
+from tests.closed_loop.bench import EXACT, MOTOR, RATES, STAGE, TICK_s
 from tests.control.systems import Array
 
 plausible = st.floats(-10.0, 400.0)
@@ -114,6 +115,57 @@ def test_the_scale_is_within_limits_and_the_limit_is_told(
 
 def test_a_weak_line_is_divided_by_only_down_to_its_lowest_voltage() -> None:
     assert regulate(state(), line=10.0, power=50.0) == regulate(state(), line=60.0, power=50.0)
+
+
+@pytest.mark.parametrize(("lowest_S", "safe_S"), [(-0.1, 0.0), (0.02, 0.02)])
+def test_an_absurd_measurement_gives_the_least_current(lowest_S: float, safe_S: float) -> None:
+    """And it leaves nothing in the sum of errors."""
+    books, stage = state(), replace(STAGE, current_scale_min_S=lowest_S)
+    assert fast.regulate_voltage(books, stage, 300.0, 300.0, 120.0, math.inf, TICK_s) == safe_S
+    assert books.error_sum == state().error_sum
+
+
+def measured(tick: int, output: float = 3.0, power_W: float = 500.0) -> Measurement:
+    return Measurement(tick, TICK_s, 300.0, 120.0, power_W, output)
+
+
+def test_the_command_carries_the_load_and_names_V_c() -> None:
+    assert fast.drive(state(), STAGE, measured(1)) == pytest.approx((500.0 / 120.0**2, 300.0))
+
+
+def test_a_drive_with_its_own_voltage_loop_is_told_V_c_alone() -> None:
+    holding = replace(STAGE, holds_voltage=True)
+    assert fast.drive(state(), holding, measured(1)) == (0.0, 300.0)
+    held_back = fast.drive(state(), holding, measured(1, power_W=1.21 * STAGE.load_power_max_W))
+    assert held_back == pytest.approx((0.0, 300.0 / 1.1))
+
+
+@pytest.mark.parametrize(("ticks", "first_V"), [(0, 310.0), (1, 315.0)])
+def test_a_change_is_kicked_where_the_stage_kicks(ticks: int, first_V: float) -> None:
+    kicking = replace(STAGE, holds_voltage=True, kick_ticks=ticks, kick_first=0.5)
+    books = state()
+    fast.drive(books, kicking, measured(1))
+    books.boost_reference_V = 310.0
+    assert fast.drive(books, kicking, measured(2))[1] == first_V
+
+
+@pytest.mark.parametrize("clip", [0.0, 6.0])
+def test_a_spike_reaches_the_filters_only_without_a_screen(clip: float) -> None:
+    settings = replace(EXACT, rates=replace(RATES, clip=clip))
+    filters, books = bank(), state()
+    for tick in range(1, 61):
+        fast.take_in(settings, MOTOR, books, filters, measured(tick))
+    widest = 3.0 + clip * filters.screen.deviation
+    fast.take_in(settings, MOTOR, books, filters, measured(61, output=30.0))
+    assert filters.output == pytest.approx(widest if clip else 30.0, abs=1e-12)
+
+
+def test_a_tick_that_comes_twice_moves_the_filters_once() -> None:
+    filters, books = bank(), state()
+    fast.take_in(EXACT, MOTOR, books, filters, measured(5, output=3.1))
+    once = [*filters.outputs, *filters.inputs, filters.output]
+    fast.take_in(EXACT, MOTOR, books, filters, measured(5, output=3.5))
+    assert [*filters.outputs, *filters.inputs, filters.output] == once
 
 
 def test_too_much_power_holds_the_voltage_back_and_lets_it_rise_slowly() -> None:

@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import pytest
 
+from adaptdrive.control.charging import Charging
 from adaptdrive.control.controller import Controller
+from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.settings import ControllerSettings, Rates
 from adaptdrive.control.signals import Decision, Measurement, Mode, Order, Snapshot, Stage
 from tests.closed_loop.bench import EXACT, MOTOR, PLAIN_LEARNING, TICKS, TICK_s, order
@@ -46,6 +48,42 @@ def test_a_drive_that_was_fed_has_filters_that_have_seen_its_voltage() -> None:
     for tick in range(1, TICKS + 1):
         controller.tick(measured(tick, 3.3, boost_V=215.0), order())
     assert snapshot_of(controller).input_filtered[2] == pytest.approx(215.0)
+
+
+BATTERY = replace(
+    battery_load(0.25, 1.2, 0.4, 30.0),
+    charging=Charging(
+        turns_ratio=0.25,
+        droop_Ohm=1.2,
+        internal_Ohm=0.2,
+        voltage_max_V=80.0,
+        end_current_A=1.0,
+    ),
+)
+
+
+@pytest.mark.parametrize(("stage", "first_V"), [(Stage.PRECHARGE, 200.0), (Stage.RUN, 330.0)])
+def test_a_charge_begins_at_the_lowest_V_c_unless_it_goes_on(stage: Stage, first_V: float) -> None:
+    """A capacitor that is still charged would otherwise charge the battery at any current."""
+    controller = Controller(EXACT, BATTERY)
+    controller.tick(measured(0, 0.0, boost_V=330.0), order(stage=stage))
+    commands = [
+        controller.tick(measured(tick, 0.0, boost_V=330.0), order()) for tick in range(1, TICKS + 1)
+    ]
+    assert commands[0].boost_reference_V == first_V
+    seen_V = snapshot_of(controller).input_filtered
+    assert seen_V == pytest.approx([330.0] * len(seen_V))  # a battery rests at its own EMF
+
+
+def test_the_step_of_the_sensor_is_found_in_its_samples_and_kept_by_the_next_run() -> None:
+    controller = Controller(EXACT, MOTOR)
+    assert controller.resolution == 0.0
+    for tick in range(1, 10 * TICKS):
+        controller.tick(measured(tick, 3.0 + 0.05 * (tick * tick // 7 % 3)), order())
+    assert controller.resolution == pytest.approx(0.05)
+    controller.tick(measured(10 * TICKS), order(stage=Stage.OFF))
+    controller.tick(measured(10 * TICKS + 1), order())
+    assert controller.resolution == pytest.approx(0.05)
 
 
 def test_the_filters_follow_the_measured_line_frequency() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from adaptdrive.control.design import asked_loop, discrete_model, loop_gains
+from adaptdrive.control.methods import METHODS
 from adaptdrive.control.noise_limit import slowed_loop
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.slow_half import slow_step
@@ -131,6 +132,18 @@ def test_an_output_within_the_dead_band_teaches_nothing(moved: float, learns: bo
     state = at_rest(settings)
     slow_step(settings, MOTOR, state, sample(3.0 + moved))
     assert any(state.estimator.theta) == learns
+
+
+@pytest.mark.parametrize(("method", "compared"), [("lm-rls", True), ("rls", False)])
+def test_only_physical_estimates_are_compared_with_the_nominal_load(
+    method: str, compared: bool
+) -> None:
+    settings = replace(EXACT, learning=replace(PLAIN_LEARNING, method=METHODS[method]))
+    state = at_rest(settings)
+    before = replace(state.supervisor)
+    slow_step(settings, MOTOR, state, sample(3.01))
+    powers = (state.supervisor.own_power, state.supervisor.fixed_power)
+    assert (powers != (before.own_power, before.fixed_power)) == compared
 
 
 def test_before_any_estimate_is_trusted_the_other_law_is_unknown() -> None:
