@@ -91,6 +91,38 @@ def test_the_filter_time_constant_is_free(tau_s: float) -> None:
     assert physical(state, learning) == pytest.approx([0.011, 33.4, 234.0], rel=1e-3)
 
 
+@given(st.floats(1e-3, 3.0), st.floats(1.0, 30.0), st.floats(1.0, 30.0))
+def test_a_known_filter_is_taken_out_of_the_regressor_and_the_target(
+    rad_s: float, filter_s: float, tau_s: float
+) -> None:
+    """Of a sine e^(iωt), λ^n y is 1/(1 + iωτ_λ)^n, and the output without its filter 1 + iωτ_f."""
+    learning = replace(PLAIN_LEARNING, known_filter_s=filter_s, tau_lambda_s=tau_s)
+    lowpass = 1.0 / (1.0 + 1j * rad_s * tau_s)
+    unfiltered = 1.0 + 1j * rad_s * filter_s
+    for part in (np.real, np.imag):
+        powers = [float(part(lowpass**n)) for n in range(4)]
+        regressor = [0.0] * reg.filtered_count(learning, MOTOR)
+        reg.fill_filtered_regressor(regressor, learning, MOTOR, powers[1:], [0.0] * 3)
+        target = reg.learning_target(learning, powers[0], powers[1:])
+        assert regressor[0] == pytest.approx(-part(lowpass**2 * unfiltered), abs=1e-9)
+        assert target == pytest.approx(part(lowpass * unfiltered), abs=1e-9)
+
+
+@given(st.floats(1e-3, 3.0), st.floats(1.0, 30.0))
+def test_a_lowered_regressor_is_that_in_front_of_one_more_filter(
+    rad_s: float, tau_s: float
+) -> None:
+    """Of a sine at the output and one of a third of it, a quarter turn ahead, at the input."""
+    learning = replace(PLAIN_LEARNING, tau_lambda_s=tau_s)
+    lowpass = 1.0 / (1.0 + 1j * rad_s * tau_s)
+    for part in (np.real, np.imag):
+        y = [float(part(lowpass**n)) for n in range(3)]
+        u = [float(part(1j / 3.0 * lowpass**n)) for n in range(3)]
+        lowered = [0.0] * reg.filtered_count(learning, MOTOR)
+        reg.fill_lowered_regressor(lowered, learning, MOTOR, y[0], y[1:], u)
+        assert lowered == pytest.approx([-y[0], -y[1], u[1]], abs=1e-12)
+
+
 @pytest.mark.parametrize("known_filter_s", [0.0, 10.0])
 @pytest.mark.parametrize("bias", [False, True])
 def test_a_motor_that_still_turns_is_found_if_its_initial_state_is_learnt_too(

@@ -106,6 +106,12 @@ CONTROL: dict[str, str] = {
     "settings.rates.nominal_tick_s, 0.0, 1.0)": _SET_BEFORE_USE,
     "control.controller:Controller._estimates: if math.isfinite(state.values[0]): -> "
     "if math.isfinite(state.values[1]):": "all values of an estimate are set together",
+    "control.lambda_transform:to_lambda: sign = -1.0 if (j - i) % 2 else 1.0 -> "
+    "sign = -1.0 if (j + i) % 2 else 1.0": "sum and difference of two numbers are odd together",
+    "control.lambda_filter:: _SERIES_TERMS = 40 -> _SERIES_TERMS = 80": "the terms that are left "
+    "out are below the rounding of a double",
+    "control.lambda_filter:step_gains: gains = [0.0] * order -> "
+    "gains = [1.0] * order": _OVERWRITTEN,
     "control.pole_placement:closed_loop_polynomial: result = [0.0] * length -> "
     "result = [1.0] * length": _OVERWRITTEN,
     "control.noise_limit:impulse_norm: a, b = (list(denominator), [0.0] * (degree + 1)) -> "

@@ -76,8 +76,8 @@ SUPERVISION = _control({
 LEARNING = _control({
     "lambda_transform": "test_lambda_transform",
     "lambda_filter": "test_lambda_filter",
-    "rls": "test_rls test_hypotheses",
-    "regression": "test_estimator test_hypotheses",
+    "rls": "test_rls test_hypotheses test_beside",
+    "regression": "test_estimator test_hypotheses test_charge",
     "hypotheses": "test_hypotheses",
     "rivals": "test_rivals",
     "challenger": "test_rivals",

@@ -17,8 +17,6 @@ of s). For the motor this is (30), with a direct term β_0 and any order besides
 
 from __future__ import annotations
 
-import math
-
 from adaptdrive.control.vectors import Vector
 
 
@@ -57,4 +55,4 @@ def binomial(n: int, k: int) -> float:
     result = 1.0
     for i in range(1, k + 1):
         result = result * (n - k + i) / i
-    return result if k <= n else math.nan
+    return result
