@@ -69,6 +69,7 @@ _UNITS = {
     "STABLE_RADIUS": "pole per period",
     "_SMALLEST_SHARE": "1",
     "ALPHA": "1/tick",
+    "_GAMMA_MAX": "1",
     "GAMMA": "1/tick",
     "WIDE": "1",
     "_RETUNE": "1",

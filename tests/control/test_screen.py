@@ -11,9 +11,9 @@ from tests.control.systems import Array, matrix_of
 CLIP = 4.0
 
 
-def screened(samples: Array, *, level: float = 3.0) -> tuple[Array, Screen]:
+def screened(samples: Array, *, level: float = 3.0, ticks: int = 1) -> tuple[Array, Screen]:
     screen = Screen(level, 0.0, WIDE * level)
-    return np.array([pass_sample(screen, float(y), CLIP) for y in samples]), screen
+    return np.array([pass_sample(screen, float(y), CLIP, ticks) for y in samples]), screen
 
 
 def gaussian(count: int, sigma: float) -> Array:
@@ -56,12 +56,35 @@ def test_a_lasting_step_opens_the_screen_within_half_a_second() -> None:
     assert abs(passed - samples)[1260:].max() < 0.005
 
 
+@pytest.mark.parametrize("ticks", [2, 12, 60, 120])
+@pytest.mark.parametrize("tau_s", [0.3, 0.6, 10.0])
+def test_a_rise_from_rest_passes_a_second_late_at_most_however_seldom_samples_come(
+    ticks: int, tau_s: float
+) -> None:
+    """A drive that is polled ten times a second must not be controlled for seconds on a screen."""
+    times_s = np.arange(400) * ticks / 120.0
+    start_s = times_s[200]
+    rise = 120.0 * (1.0 - np.exp(-np.maximum(0.0, times_s - start_s) / tau_s))
+    noise = 0.03 * np.random.default_rng(8).normal(size=400)
+    passed, _ = screened(rise + noise, level=1.0, ticks=ticks)
+    late = times_s >= start_s + max(1.0, 8.5 * ticks / 120.0)
+    assert abs(passed - rise)[late].max() < 0.05 * 120.0
+
+
+@pytest.mark.parametrize("ticks", [12, 120])
+def test_spikes_among_seldom_samples_are_clipped(ticks: int) -> None:
+    random = np.random.default_rng(8)
+    spikes = 2.0 * random.choice([-1.0, 1.0], size=2000) * (random.random(2000) < 0.03)
+    passed, _ = screened(gaussian(2000, 0.01) + spikes, ticks=ticks)
+    assert np.std(passed) < 0.1 * np.std(spikes)
+
+
 @given(st.lists(st.floats(-1e6, 1e6), max_size=60))
 def test_what_passes_lies_between_the_prediction_and_the_sample(samples: list[float]) -> None:
     screen = Screen(3.0, 0.0, 0.03)
     for sample in samples:
         predicted, limit = screen.level + screen.slope, CLIP * screen.deviation
-        passed = pass_sample(screen, sample, CLIP)
+        passed = pass_sample(screen, sample, CLIP, 1)
         rounding = 1e-9 * (1.0 + abs(sample) + abs(predicted))
         assert min(predicted, sample) - rounding <= passed <= max(predicted, sample) + rounding
         assert abs(passed - predicted) <= limit + rounding
@@ -70,7 +93,7 @@ def test_what_passes_lies_between_the_prediction_and_the_sample(samples: list[fl
 def predicted_next(state: Array, sample: float = 0.0) -> Array:
     """Level and slope after a sample that is not clipped."""
     screen = Screen(float(state[0]), float(state[1]), 1e9)
-    assert pass_sample(screen, sample, CLIP) == pytest.approx(sample)
+    assert pass_sample(screen, sample, CLIP, 1) == pytest.approx(sample)
     return np.array([screen.level, screen.slope])
 
 
@@ -95,7 +118,7 @@ def test_the_tracker_follows_a_step_within_about_ten_samples_and_a_ramp_without_
 def test_the_deviation_is_a_mean_over_fifty_samples() -> None:
     screen = Screen(3.0, 0.0, 1.0)
     for _ in range(50):
-        pass_sample(screen, 3.0, CLIP)
+        pass_sample(screen, 3.0, CLIP, 1)
     assert screen.deviation == pytest.approx(np.exp(-1.0), rel=0.02)
 
 
@@ -103,7 +126,7 @@ def test_one_spike_widens_the_screen_no_more_than_twice_the_clip() -> None:
     """γ (2 c s - s) of a sample far beyond; γ (|e| - s) of one within."""
     for spike, expected in ((1e6, 0.02 * (2.0 * CLIP - 1.0)), (5.0, 0.02 * (5.0 - 1.0))):
         screen = Screen(3.0, 0.0, 1.0)
-        passed = pass_sample(screen, 3.0 + spike, CLIP)
+        passed = pass_sample(screen, 3.0 + spike, CLIP, 1)
         assert passed == pytest.approx(3.0 + CLIP)
         assert screen.deviation - 1.0 == pytest.approx(expected)
         assert screen.clipped == 1
@@ -119,5 +142,5 @@ def test_the_first_second_is_as_wide_as_a_hundredth_of_the_output() -> None:
 def test_a_noiseless_output_does_not_close_the_screen() -> None:
     screen = Screen(3.0, 0.0, 1.0)
     for _ in range(5000):
-        pass_sample(screen, 3.0, CLIP)
+        pass_sample(screen, 3.0, CLIP, 1)
     assert screen.deviation == 1e-9

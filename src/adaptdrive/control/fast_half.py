@@ -147,7 +147,7 @@ def take_in(
         output = measurement.output
         note_sample(bank.grid, output, settings.learning.output_scale)
         if rates.clip > 0.0:
-            output = pass_sample(bank.screen, output, rates.clip)
+            output = pass_sample(bank.screen, output, rates.clip, elapsed)
         filter_sample(bank, output, load_input, min(elapsed, rates.ticks_per_period))
     count_tick(state, measurement.boost_voltage_V, measurement.fresh)
     into_period = tick % rates.ticks_per_period

@@ -4,11 +4,12 @@ A tracker predicts each fast sample from level and slope (an α-β filter) and k
 absolute deviation s of the samples from their prediction:
 
     e = y - (ŷ + v)          e_c = e clipped to ± c s
-    ŷ <- ŷ + v + α e_c       v <- v + β e_c       s <- s + γ (min(|e|, 2 c s) - s)
+    ŷ <- ŷ + v + α e_c       v <- v + β e_c       s <- s + γ n (min(|e|, 2 c s) - s)
 
-The sample that goes on is ŷ + v + e_c. A spike counts as c deviations and no more; a lasting
-change widens s with every sample, so that the screen opens within a fraction of a second. For
-Gaussian noise s is 0.8 σ. (Huber, Ann. Math. Statist. 35, 1964, doi:10.1214/aoms/1177703732.)
+The sample that goes on is ŷ + v + e_c; n is the number of ticks since the last one. A spike counts
+as c deviations and no more; a lasting change widens s with every sample, so that the screen opens
+within a fraction of a second, however seldom a drive is polled. For Gaussian noise s is 0.8 σ.
+(Huber, Ann. Math. Statist. 35, 1964, doi:10.1214/aoms/1177703732.)
 """
 
 from __future__ import annotations
@@ -23,7 +24,10 @@ BETA = ALPHA * ALPHA / (2.0 - ALPHA)
 Transactions on Automatic Control 7, 1962)."""
 
 GAMMA = 0.02
-"""Rate of the mean deviation: a mean over about 50 samples."""
+"""Rate of the mean deviation: a mean over about 50 ticks."""
+
+_GAMMA_MAX = 0.25
+"""Largest share of one sample in the mean deviation: fewer than four samples are no mean."""
 
 WIDE = 0.01
 """Deviation to start with, as a share of the output: wide enough for an honest first second."""
@@ -49,13 +53,14 @@ class Screen:
     clipped: int = 0
 
 
-def pass_sample(screen: Screen, sample: float, clip: float) -> float:
+def pass_sample(screen: Screen, sample: float, clip: float, ticks: int) -> float:
     """One fast sample, clipped.
 
     Args:
         screen: Overwritten.
         sample: y.
         clip: c.
+        ticks: n: a drive that is polled has one sample in several ticks.
     """
     predicted = screen.level + screen.slope
     error = sample - predicted
@@ -66,5 +71,6 @@ def pass_sample(screen: Screen, sample: float, clip: float) -> float:
     screen.level = predicted + ALPHA * kept
     screen.slope += BETA * kept
     seen = min(abs(error), 2.0 * limit)
-    screen.deviation = max(_NARROWEST, screen.deviation + GAMMA * (seen - screen.deviation))
+    share = min(GAMMA * ticks, _GAMMA_MAX)
+    screen.deviation = max(_NARROWEST, screen.deviation + share * (seen - screen.deviation))
     return predicted + kept
