@@ -131,6 +131,31 @@ async def test_no_bad_value_is_used_and_the_drive_can_be_made_safe(
         assert one.told() == [0, 0]
 
 
+def tcp_device(number: int) -> Spoil:
+    return lambda reply: [(0.0, reply[:6] + bytes((number,)) + reply[7:])]
+
+
+EXPLAINED: dict[str, tuple[Fault, str]] = {
+    "device": (spoiled(tcp_device(255)), "device 255 replied, asked was device 1"),
+    "transaction": (spoiled(other_transaction), "one to another transaction came"),
+    "protocol": (spoiled(other_protocol), "one of protocol 1 came"),
+    "cut": (spoiled(cut), "bytes of one came whose header says"),
+    "range": (measuring(voltage=60001), "boost_voltage_V: input"),
+    "no value": (measuring(voltage=0xFFFF), "holds ffff, its word for no value"),
+    "not finite": (measuring(speed=float("nan")), "holds 7fc0 0000, nan: no finite number"),
+}
+
+
+@pytest.mark.parametrize("name", EXPLAINED)
+async def test_what_came_in_place_of_a_value_is_named_with_its_place(
+    name: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    fault, expected = EXPLAINED[name]
+    async with watched("tcp", tmp_path, free_tcp_port) as one:
+        fault(one.peer)
+        await until(lambda: expected in one.port.explain_age())
+
+
 @pytest.mark.parametrize("kind", ["tcp", "rtu"])
 @pytest.mark.parametrize("delay", [1.05, 1.5, 2.5])
 async def test_a_reply_that_is_late_never_answers_the_next_request(

@@ -38,6 +38,24 @@ def decode_value(register: Register, words: Sequence[int], *, measured: bool) ->
     return value
 
 
+def refusal(register: Register, words: Sequence[int], *, measured: bool) -> str:
+    """Return what registers hold that `decode_value` refuses, and why.
+
+    Args:
+        register: How the value is coded.
+        words: Its registers.
+        measured: As for `decode_value`.
+    """
+    count, bounds = _count(register, words), register.range
+    raw = " ".join(f"{word:04x}" for word in words)
+    found = f"holds {raw}, {count * register.scale:.10g} {register.unit}".strip()
+    if count == _missing(register, measured=measured):
+        return f"holds {raw}, its word for no value"
+    if bounds is None or not math.isfinite(count):
+        return f"{found}: no finite number"
+    return f"{found}: outside {bounds.low:g}…{bounds.high:g}"
+
+
 def encode_value(register: Register, value: float) -> list[int]:
     """The registers of a value.
 

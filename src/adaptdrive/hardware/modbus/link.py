@@ -10,6 +10,7 @@ anything is read again.
 from __future__ import annotations
 
 import asyncio
+import struct
 from collections import Counter
 from collections.abc import Awaitable, Callable
 
@@ -20,6 +21,9 @@ from adaptdrive.config.modbus import RtuLink, TcpLink
 from adaptdrive.errors import AdaptdriveError
 from adaptdrive.hardware.modbus.bus import Client, open_client
 from adaptdrive.hardware.modbus.capacity import RTU_FRAME, Exchange, silence_s
+
+_HEADER = struct.Struct(">HHHB")
+"""Head of a packet on TCP: transaction, protocol, length of all that follows it, device."""
 
 _READ_INPUT = 4
 _READ_HOLDING = 3
@@ -125,7 +129,8 @@ class ModbusConnection:
             reply = await self._request(client, exchange, words)
         except ModbusException as problem:
             self._miss(exchange)
-            raise ExchangeError(f"no reply within {self._config.timeout_s:g} s") from problem
+            silence = f"no reply within {self._config.timeout_s:g} s"
+            raise ExchangeError(f"{silence}{self._strangeness(exchange)}") from problem
         finally:
             self._waiting = False
         await asyncio.sleep(silence_s(self._config))
@@ -169,6 +174,21 @@ class ModbusConnection:
         elif self._serial and self._heard:
             short = len(self._heard) < exchange.reply_bytes + RTU_FRAME
             self._counts["wrong_length" if short else "wrong_checksum"] += 1
+
+    def _strangeness(self, exchange: Exchange) -> str:
+        """Return what came on TCP in place of a reply, empty where nothing came."""
+        if self._serial or not self._heard:
+            return ""
+        device = self._config.device_id if exchange.device_id is None else exchange.device_id
+        transaction, protocol, length, answers = _header(self._heard)
+        if transaction != int.from_bytes(self._transaction):
+            return "; one to another transaction came"
+        if answers != device:
+            return f"; device {answers} replied, asked was device {device}"
+        if protocol != 0:
+            return f"; one of protocol {protocol} came, that of Modbus is 0"
+        came = len(self._heard) - _HEADER.size + 1
+        return f"; {came} bytes of one came whose header says {length}"
 
     def _checked(self, reply: ModbusPDU, exchange: Exchange) -> list[int]:
         self._missed = 0
@@ -228,6 +248,14 @@ class ModbusConnection:
         ):
             self._strange = packet[:2]
             self._counts["foreign"] += 1
+
+
+def _header(packet: bytes) -> tuple[int, int, int, int]:
+    """Return transaction, protocol, length and device of a packet on TCP, zeros where it is cut."""
+    transaction, protocol, length, device = _HEADER.unpack(
+        packet[: _HEADER.size].ljust(_HEADER.size, b"\0")
+    )
+    return transaction, protocol, length, device
 
 
 def _answers(reply: ModbusPDU, exchange: Exchange) -> bool:

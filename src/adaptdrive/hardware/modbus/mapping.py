@@ -18,7 +18,7 @@ from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.modbus.blocks import Block, plan_blocks
 from adaptdrive.hardware.modbus.capacity import Exchange, capacity_flaws
-from adaptdrive.hardware.modbus.codec import decode_value, encode_count, encode_value
+from adaptdrive.hardware.modbus.codec import decode_value, encode_count, encode_value, refusal
 
 HEARTBEAT = "heartbeat"
 _MAX_WRITE = 121
@@ -47,14 +47,23 @@ class RegisterSource:
 
     def value(self, block: Block, words: list[int]) -> float | None:
         """The quantity from the registers of its block, None when it must not be used."""
-        start = self.register.address - block.address
-        taken = words[start : start + self.register.words]
+        taken = self._words(block, words)
         value = decode_value(self.register, taken, measured=self.quantity not in _COUNTS)
         if value is None:
             return None
         if self.on is not None:
             return float(value == self.on)
         return value * self.scale + self.offset
+
+    def explain(self, block: Block, words: list[int]) -> str:
+        """Return why the quantity must not be used: its name, its place and what is there."""
+        register, taken = self.register, self._words(block, words)
+        found = refusal(register, taken, measured=self.quantity not in _COUNTS)
+        return f"{self.quantity}: {Block(register.table, register.address, register.words)} {found}"
+
+    def _words(self, block: Block, words: list[int]) -> list[int]:
+        start = self.register.address - block.address
+        return words[start : start + self.register.words]
 
 
 @dataclass(frozen=True, slots=True)

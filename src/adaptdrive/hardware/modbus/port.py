@@ -247,6 +247,7 @@ class ModbusPort:
             ExchangeError: The drive did not give one of the blocks.
         """
         values: dict[str, float | None] = {}
+        refused: list[str] = []
         for number, (block, sources) in enumerate(self._poll.reads):
             if self._commander.urgent:
                 await self._commander.write(link)
@@ -255,11 +256,13 @@ class ModbusPort:
             found = {source.quantity: source.value(block, words) for source in sources}
             self._faults.see(found.get("fault"))
             values |= found
+            bad = (source for source in sources if found[source.quantity] is None)
+            refused += (source.explain(block, words) for source in bad)
         good = {name: value for name, value in values.items() if value is not None}
-        if len(good) < len(values):
+        if refused:
             self._counts["out_of_range"] += 1
-            bad = ", ".join(name for name, value in values.items() if value is None)
-            self._failure = f"{bad} out of range, or the register's word for no value"
+            more = f", and {len(refused) - 1} more" if len(refused) > 1 else ""
+            self._failure = f"{refused[0]}{more}"
             return None
         return good
 
