@@ -20,7 +20,7 @@ from tests.closed_loop.life import (
     Event,
     Motion,
     random_torque,
-    sinusoidal_torque,
+    swinging_torque,
     torque_steps,
 )
 
@@ -66,7 +66,7 @@ def _run(scenario: str, seed: int) -> tuple[float, float, float]:
 def _event(scenario: str, seed: int) -> Event:
     if scenario.startswith("torque"):
         return torque_steps
-    return sinusoidal_torque if scenario.startswith("sin") else random_torque(seed)
+    return swinging_torque(seed) if scenario.startswith("sin") else random_torque(seed)
 
 
 if __name__ == "__main__":

@@ -210,6 +210,12 @@ def sinusoidal_torque(motor: Motor, time_s: float) -> None:
     motor.torque_Nm = TORQUE_20_V_NM * 0.5 * (1.0 + math.sin(2.0 * math.pi * time_s / 30.0))
 
 
+def swinging_torque(seed: int) -> Event:
+    """Return the same, with a phase of its own for each seed."""
+    late_s = float(np.random.default_rng(seed).uniform(0.0, 30.0))
+    return lambda motor, time_s: sinusoidal_torque(motor, time_s + late_s)
+
+
 def random_torque(seed: int) -> Event:
     """Torque worth 0 to 24 V that jumps every 20 to 70 s."""
     random = np.random.default_rng(seed)
