@@ -32,7 +32,7 @@ _DETAILS_EVERY = 6
 """Lines from one list of refused frames to the next: such a list can be long."""
 
 _LISTEN_S = 1.0
-"""Another sender of commands is heard in this time: it sends many a second."""
+"""Time to detect another sender of commands, which sends many frames a second."""
 
 _COMMAND_S = 0.02
 """From one safe command to the next: shorter than any drive's own time-out."""

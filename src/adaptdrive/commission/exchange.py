@@ -26,7 +26,7 @@ class FastReading:
 
 
 class WantedVoltage:
-    """The voltage that an experiment wants now.
+    """The present voltage command of an experiment.
 
     Attributes:
         voltage_V: V_c.

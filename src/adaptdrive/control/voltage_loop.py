@@ -28,7 +28,7 @@ LAG_TICKS = 9.0
 
 
 def initial_sum(boost_voltage_V: float) -> float:
-    """The sum S that asks for no current but the load's, at the present voltage."""
+    """Return the sum S at which the current equals that of the load, at the present voltage."""
     return PROPORTIONAL / INTEGRAL * boost_voltage_V * boost_voltage_V
 
 

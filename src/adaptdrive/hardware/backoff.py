@@ -25,7 +25,7 @@ class BusBackoff:
         self._delay_s = _FIRST_S
 
     def next_s(self) -> float:
-        """Return the delay before the next attempt, in s; the shortest if anything was heard."""
+        """Return the delay before the next attempt, in s; the shortest after any reception."""
         heard = self._heard()
         if heard > self._before:
             self._before, self._delay_s = heard, _FIRST_S

@@ -56,7 +56,7 @@ def stale_limits(configuration: Configuration, _: Path | str) -> Iterator[Row]:
 
 
 def no_locks(_: Configuration) -> Iterator[str]:
-    """Yield nothing: another sender is heard on this kind of bus."""
+    """Yield nothing: frames of another sender are received on this kind of bus."""
     return iter(())
 
 

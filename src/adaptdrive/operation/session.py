@@ -1,4 +1,4 @@
-"""One connection to the broker, from greeting to farewell."""
+"""One connection to the broker, from `online` to `offline`."""
 
 from __future__ import annotations
 

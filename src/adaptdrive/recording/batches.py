@@ -238,7 +238,7 @@ def sensor_row(report: DriveReport | SensorSample) -> dict[str, float]:
 
 
 def event_row(event: Event, time: datetime, monotonic_s: float, number: int) -> EventRow:
-    """Stamp one event with the time at which it was heard of."""
+    """Return the row of one event with the time of its report."""
     kind, severity = event.kind, event.severity.value
     return EventRow(time, event.tick, kind, severity, event.detail, monotonic_s, number)
 
@@ -246,7 +246,7 @@ def event_row(event: Event, time: datetime, monotonic_s: float, number: int) -> 
 def command_row(
     report: CommandReport, time: datetime, monotonic_s: float, number: int
 ) -> CommandRow:
-    """Stamp one operator command with the time at which it was heard of."""
+    """Return the row of one operator command with the time of its report."""
     return CommandRow(
         time=time,
         monotonic_s=monotonic_s,

@@ -48,7 +48,7 @@ class RealtimeSettings:
 
 @dataclass(frozen=True, slots=True)
 class Grant:
-    """One thing that was asked for.
+    """One real-time setting that the configuration requests.
 
     Attributes:
         asked: What, in the words of the configuration.
@@ -116,7 +116,7 @@ def _attempt(asked: str, do: Callable[[], None], granted: str, refused: str) -> 
 
 
 def _schedule(priority: int) -> Grant:
-    """Real-time scheduling of this thread; what it starts is ordinary until it asks itself."""
+    """Schedule this thread in real time; threads that it starts have ordinary priority."""
     policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
 
     def do() -> None:

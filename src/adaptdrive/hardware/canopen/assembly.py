@@ -33,7 +33,7 @@ class Assembly:
         self._sampled_s = sampled_s
 
     def forget(self) -> None:
-        """Nothing that was heard is used any more."""
+        """Forget all values that were received."""
         self._heard.clear()
         self._sampled_s = None
 

@@ -46,7 +46,7 @@ class NodeListener(Protocol):
     """Receiver of reports on the state of the node."""
 
     def __call__(self, *, up: bool, detail: str) -> None:
-        """It is ready (`up`), or it is not, and why."""
+        """Take the report that the node is ready (`up`) or is not, with the reason."""
 
 
 class Master:

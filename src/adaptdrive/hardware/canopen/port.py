@@ -325,7 +325,7 @@ class CanOpenPort:
         self._connection.report(up=up, detail=detail)
 
     def _on_node(self, *, up: bool, detail: str) -> None:
-        """Nothing that was heard before is used after it."""
+        """Forget all values that were received before the node came up or was lost."""
         if not up:
             self._control.fall(detail)
             self._safe_s = math.inf

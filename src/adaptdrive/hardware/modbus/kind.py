@@ -30,7 +30,7 @@ def _build(
 
 
 def _lock_names(configuration: Configuration) -> Iterator[str]:
-    """Yield the device: on Modbus nothing is heard of another client."""
+    """Yield the device: Modbus shows no requests of another client."""
     yield describe_bus(_bus(configuration))
 
 
