@@ -106,6 +106,8 @@ CONTROL: dict[str, str] = {
     "settings.rates.nominal_tick_s, 0.0, 1.0)": _SET_BEFORE_USE,
     "control.controller:Controller._estimates: if math.isfinite(state.values[0]): -> "
     "if math.isfinite(state.values[1]):": "all values of an estimate are set together",
+    "control.regression:dc_gain: return above / below if abs(below) > _TINY else 0.0 -> "
+    "return above / below if abs(below) >= _TINY else 0.0": _SMALL,
     "control.lambda_transform:to_lambda: sign = -1.0 if (j - i) % 2 else 1.0 -> "
     "sign = -1.0 if (j + i) % 2 else 1.0": "sum and difference of two numbers are odd together",
     "control.lambda_filter:: _SERIES_TERMS = 40 -> _SERIES_TERMS = 80": "the terms that are left "

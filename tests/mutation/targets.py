@@ -84,7 +84,7 @@ LEARNING = _control({
     "explanation": "test_explanation",
     "estimator": "test_estimator test_prior",
     "lambda_method": "test_estimator test_methods",
-    "direct_method": "test_estimator test_methods",
+    "direct_method": "test_direct_method test_estimator",
     "batch": "test_batch",
 })  # fmt: skip
 
