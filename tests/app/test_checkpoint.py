@@ -71,7 +71,7 @@ def test_a_sensor_without_steps_leaves_the_file_as_older_versions_know_it(path: 
     assert set(json.loads(path.read_bytes())) == {"key", "saved", "estimates", "format"}
 
 
-@pytest.mark.parametrize("resolution", [-0.01, "1e400"])
+@pytest.mark.parametrize("resolution", [-0.01, 6.0, 1e300, "1e400"])
 def test_a_resolution_that_cannot_be_is_ignored_with_its_file(
     path: Path, resolution: float | str
 ) -> None:

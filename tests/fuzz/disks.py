@@ -45,7 +45,7 @@ def _motor() -> tuple[str, Load, Jacket]:
 def checkpoint(data: bytes) -> object:
     """Read a checkpoint."""
     key, load, jacket = _motor()
-    return read_checkpoint(damaged_file("motor.estimates.json", data), key, load, jacket)
+    return read_checkpoint(damaged_file("motor.estimates.json", data), key, load, jacket, span=6.0)
 
 
 def session(data: bytes) -> object:

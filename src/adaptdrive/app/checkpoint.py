@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -125,7 +124,7 @@ def write_checkpoint(path: Path, key: str, names: tuple[str, ...], learnt: Learn
     replace_regular(path, msgspec.json.format(msgspec.json.encode(checkpoint), indent=2) + b"\n")
 
 
-def read_checkpoint(path: Path, key: str, load: Load, jacket: Jacket) -> Learnt | None:
+def read_checkpoint(path: Path, key: str, load: Load, jacket: Jacket, span: float) -> Learnt | None:
     """Return what an earlier run has learnt.
 
     Args:
@@ -133,6 +132,7 @@ def read_checkpoint(path: Path, key: str, load: Load, jacket: Jacket) -> Learnt 
         key: Hash of the present configuration.
         load: What the estimates are of.
         jacket: Bounds that they must be within.
+        span: Range of the set-points, in the unit of the output: a sensor's step is below it.
 
     Returns:
         Its trusted estimates and the resolution that it found; None where there is no file.
@@ -156,7 +156,7 @@ def read_checkpoint(path: Path, key: str, load: Load, jacket: Jacket) -> Learnt 
     for name, value, usual in zip(load.names, values, nominal, strict=True):
         if not jacket.ratio_min <= value / usual <= jacket.ratio_max:
             raise CheckpointError(path, f"{name} = {value:.4g} is out of bounds")
-    if not 0.0 <= checkpoint.resolution < math.inf:
+    if not 0.0 <= checkpoint.resolution < span:
         raise CheckpointError(path, f"resolution = {checkpoint.resolution:.4g} is out of bounds")
     return Learnt(values, checkpoint.resolution)
 
@@ -185,7 +185,9 @@ def recall(
     if not is_kept(settings):
         return None, None
     try:
-        learnt = read_checkpoint(path, configuration_key(configuration), load, settings.jacket)
+        key, orders = configuration_key(configuration), configuration.load
+        span = orders.reference_max - orders.reference_min
+        learnt = read_checkpoint(path, key, load, settings.jacket, span)
     except CheckpointError as problem:
         return None, _event(Severity.WARNING, f"checkpoint not used: {problem}")
     if learnt is None:
