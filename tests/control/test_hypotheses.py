@@ -11,16 +11,23 @@ from scipy.signal import lsim
 
 from adaptdrive.control import rls
 from adaptdrive.control.hypotheses import (
+    ANEW,
     BOTH,
     DISTURBANCE,
     LOAD,
     NOTHING,
     Anchor,
     Branch,
+    count_prediction,
+    new_branch,
+    predict_sample,
     restart_past,
     widen,
 )
+from adaptdrive.control.load import Load
+from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.regression import theta_of
+from adaptdrive.control.settings import Learning
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING
 from tests.control.systems import Array
 
@@ -122,6 +129,91 @@ def test_each_kind_of_change_doubts_what_it_may_have_moved() -> None:
     assert doubt(BOTH, bias) > 100.0
 
 
+CHARGING = replace(LEARNING, charge=True)
+BATTERY = battery_load(0.25, 1.2, 0.4, 30.0)
+
+
+def moves(kind: int, learning: Learning, load: Load, values: Array) -> list[Array]:
+    """What a kind of change may make of α, β, charge and bias, times its deviation: dense."""
+    alpha, beta = load.order, len(load.input_powers)
+    last, acting = alpha + beta - 1, np.zeros(len(values))
+    acting[alpha : alpha + beta] = 1.0
+    beside = np.zeros(len(values))
+    beside[-1], beside[-2] = learning.bias, learning.charge
+    total, found = float(values @ acting), []
+    if kind in (DISTURBANCE, BOTH, ANEW) and learning.bias:
+        found.append(0.1 * abs(total) * np.eye(len(values))[-1])
+    for i in range(last) if kind in (LOAD, BOTH, ANEW) else ():
+        other = values.copy()  # with the same dc gain, and the same offset of the input
+        other[i] += 1.0
+        below, below_then = 1.0 + sum(values[:alpha]), 1.0 + sum(other[:alpha])
+        other[last] += total / below * below_then - other @ acting
+        found.append(0.5 * (other + values * beside * (other @ acting / total - 1.0) - values))
+    if kind in (BOTH, ANEW):
+        found.append(0.5 * values * (acting + beside))
+    return found
+
+
+def widened(kind: int, learning: Learning, load: Load, values: Array, at: Anchor) -> Array:
+    """P after widening, by sums of outer products, of P = 1e-6 I."""
+    size, first = len(values), load.order + len(load.input_powers)
+    covariance = 1e-6 * np.eye(size)
+    for step in moves(kind, learning, load, values):
+        step[first] = -np.dot(at.regressor, step)
+        if load.order > 1:
+            step[first + 1] = -np.dot(at.lowered, step * (np.arange(size) != first))
+        covariance += np.outer(step, step) / at.power
+    blurred = 0.1 * abs(sum(values[load.order : first])) * at.gap_s / TAU_S
+    doubts = {NOTHING: 0.0, ANEW: blurred**2 + 0.25}.get(kind, blurred**2)
+    for i in range(first, first + load.order):
+        covariance[i, i] += doubts / at.power
+    return covariance
+
+
+@pytest.mark.parametrize("kind", [NOTHING, DISTURBANCE, LOAD, BOTH, ANEW])
+@pytest.mark.parametrize(
+    ("load", "learning"),
+    [(MOTOR, LEARNING), (MOTOR, replace(LEARNING, bias=False)), (BATTERY, CHARGING)],
+)
+def test_the_covariance_is_widened_by_what_may_have_moved(
+    load: Load, learning: Learning, kind: int
+) -> None:
+    random = np.random.default_rng(kind)
+    physical = theta_of(learning, load, list(load.numerator), list(load.denominator))
+    beside = [0.03, -0.2][2 - learning.bias - learning.charge :]
+    values = np.array([*physical, *[0.0] * load.order, *beside])
+    size, first = len(values), load.order + len(load.input_powers)
+    plain, lowered = random.normal(size=(2, size))
+    for row in (plain, lowered):
+        row[first : first + load.order] = 0.0  # as the functions of the initial state are filled
+    at = Anchor(plain.tolist(), lowered.tolist(), power=1e-4, gap_s=2.0)
+    one = Branch(values.tolist(), np.eye(size).ravel().tolist(), [1e-6] * size)
+    widen(one, kind, learning, load, at)
+    found = np.array(rls.covariance(one.upper, one.diagonal)).reshape(size, size)
+    expected = widened(kind, learning, load, values, at)
+    np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max())
+
+
+def test_a_prediction_is_judged_by_its_error_and_by_what_it_was_unsure_of() -> None:
+    """ε² ρ/(ρ + rᵀPr) and ln(1 + rᵀPr/ρ), with the functions of the state at the start in r."""
+    one, forgetting = branch(variance=0.25), 0.97
+    one.origin_s = 4.0
+    r = np.array([-0.9, -0.8, 0.7, 9.0, 9.0, 1.0])
+    filled = np.array([*r[:3], math.exp(-0.3), 0.3 * math.exp(-0.3), 1.0])
+    error, excitation = 0.5 - filled @ one.theta, 0.25 * float(filled @ filled)
+    for count in (1, 2):
+        predict_sample(one, LEARNING, MOTOR, r.tolist(), 0.5, 7.0)
+        count_prediction(one, forgetting)
+        weight = forgetting / (forgetting + excitation)
+        assert one.squares == pytest.approx(count * error**2 * weight)
+        assert one.logs == pytest.approx(-count * math.log(weight))
+
+
+def test_a_new_explanation_has_room_for_its_parameters() -> None:
+    one = new_branch(3)
+    assert (one.theta, one.upper, one.diagonal) == ([0.0] * 3, [0.0] * 9, [0.0] * 3)
+
+
 def test_another_load_keeps_gain_and_offset() -> None:
     """The derivative of the output at rest by a change of the load is 0."""
     at_rest = np.array([-0.92, -0.92, 0.92, 0.0, 0.0, 0.0])
@@ -149,6 +241,18 @@ def test_a_new_origin_leaves_the_course_as_it_was(
     assert one.origin_s == shift_s
     after = rls.covariance(one.upper, one.diagonal)
     assert after[0] == pytest.approx(before[0])
+
+
+@pytest.mark.parametrize("shift_s", [0.0, 2.0, 15.0])
+def test_the_covariance_follows_a_new_origin(shift_s: float) -> None:
+    """By the matrix that takes γ to γ': both give the same course at two times."""
+    one = branch(variance=2.0)
+    restart_past(one, LEARNING, MOTOR, shift_s)
+    h = np.array([[0.2], [0.9]])
+    new, old = (np.hstack([np.exp(-t), t * np.exp(-t)]) for t in (h, h + shift_s / TAU_S))
+    matrix = np.linalg.solve(new, old)
+    found = np.array(rls.covariance(one.upper, one.diagonal)).reshape(6, 6)[3:5, 3:5]
+    np.testing.assert_allclose(found, 2.0 * matrix @ matrix.T, rtol=1e-9)
 
 
 @given(
