@@ -289,7 +289,7 @@ def test_a_battery_that_loses_is_possible_whatever_its_time_constant() -> None:
 def test_loads_that_were_found_are_counted_and_forgotten() -> None:
     rivals = compared(5)
     for kind, loads in ((NOTHING, 0.0), (DISTURBANCE, 0.0), (LOAD, 1.0), (BOTH, 2.0)):
-        rivals.samples, rivals.kind = 5, kind
+        rivals.samples, rivals.kind = 1, kind
         riv.settle(rivals)
         assert rivals.samples == 0
         assert rivals.loads == loads

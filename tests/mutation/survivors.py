@@ -119,6 +119,9 @@ CONTROL: dict[str, str] = {
     "control.noise_limit:impulse_norm: a, b = (list(denominator), [0.0] * (degree + 1)) -> "
     "a, b = (list(denominator), [0.0] * (degree + 2))": _NOT_READ,
     "control.noise_limit:_reduce: last = [0.0] * (k + 1) -> last = [0.0] * (k + 2)": _NOT_READ,
+    "control.rivals:_likeliest: if branch_of(rivals, kind).score > branch_of(rivals, best).score: "
+    "-> if branch_of(rivals, kind).score >= branch_of(rivals, best).score:": "of explanations that "
+    "are equal to the last digit, either may lead",
     "control.supervisor:_over_own_errors: if not power > _RESIDUAL_FLOOR: -> "
     "if not power >= _RESIDUAL_FLOOR:": "a power of just the floor gives 1 either way",
 }

@@ -79,7 +79,7 @@ LEARNING = _control({
     "rls": "test_rls test_hypotheses test_beside",
     "regression": "test_estimator test_hypotheses test_charge",
     "hypotheses": "test_hypotheses",
-    "rivals": "test_rivals",
+    "rivals": "test_rivals test_unsure_explanation",
     "challenger": "test_rivals",
     "explanation": "test_explanation",
     "estimator": "test_estimator test_prior",

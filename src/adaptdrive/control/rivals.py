@@ -284,7 +284,7 @@ def is_settled(rivals: Rivals, learning: Learning, load: Load) -> bool:
     if best >= LOAD and not is_possible(branch_of(rivals, best).theta, learning, load):
         if rivals.samples < 2 * WINDOW:
             return False
-        best = DISTURBANCE if rivals.disturbance.score > rivals.nothing.score else NOTHING
+        best = DISTURBANCE
     if best >= LOAD and not is_clear(rivals) and not _is_sure(rivals, best, learning, load):
         best = DISTURBANCE
     if branch_of(rivals, best).score - rivals.nothing.score < _PROOF:
