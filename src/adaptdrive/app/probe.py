@@ -74,7 +74,7 @@ def probe(path: Path, *, safe_command: bool, as_json: bool = False) -> int:
 
     Args:
         path: Configuration file.
-        safe_command: Whether to send the safe command, and print what the drive answers.
+        safe_command: Whether to send the safe command, and print the status of the drive.
         as_json: Whether to print one JSON object a line.
 
     Raises:

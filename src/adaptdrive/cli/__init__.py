@@ -36,7 +36,7 @@ _COMMANDS = {
     "panel": ("panel", "Serve the panel, a web page for a broker's drives, on this machine."),
     "watch": ("site", "Show a drive live in the terminal, with keys for the commands."),
     "status": ("operate", "Show the state and the telemetry of a drive."),
-    "manual": ("operate", "Hold the present V_c, to be set by hand."),
+    "manual": ("operate", "Hold the present V_c until the command voltage."),
 }
 
 _LIST = "List the drives of a broker."

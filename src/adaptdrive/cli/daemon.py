@@ -54,7 +54,7 @@ def probe(
 
     Args:
         config: Configuration file.
-        safe_command: Send the safe command, k = 0 and bridge off, and show what the drive answers.
+        safe_command: Send the safe command, k = 0 and bridge off, and show the status of the drive.
         as_json: Print one JSON object a line, for programs.
 
     Returns:
@@ -76,7 +76,7 @@ def replay(
 
     Args:
         session: Folder of the session, or its name below the sessions of this machine.
-        settings: Ask "what if": KEY=VALUE, such as estimator.forgetting=0.95; may be repeated.
+        settings: Setting to change, KEY=VALUE, such as estimator.forgetting=0.95; may be repeated.
         json: Print JSON, for programs.
 
     Returns:

@@ -76,7 +76,7 @@ def pole(drive: DriveName, value: float, /, *, contact: Contact = _HERE) -> int:
 def mode(
     drive: DriveName, value: Literal["fixed", "adaptive", "manual"], /, *, contact: Contact = _HERE
 ) -> int:
-    """Choose the controller, or set V_c by hand.
+    """Choose the fixed or the adaptive controller, or manual.
 
     Args:
         drive: Name of the drive.
@@ -87,7 +87,7 @@ def mode(
 
 
 def manual(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
-    """Hold the present V_c, to be set by hand.
+    """Hold the present V_c until the command voltage.
 
     Args:
         drive: Name of the drive.
@@ -109,7 +109,7 @@ def voltage(
     Args:
         drive: Name of the drive.
         value: V_c in volts.
-        hold: Longest time in seconds until the next one; then the drive trips.
+        hold: Longest time in seconds to the next voltage; the drive trips when it passes.
         contact: Broker.
     """
     return _ask(drive, "voltage", value, contact, hold_s=hold)

@@ -67,7 +67,7 @@ def list_sessions(*, directory: Folder = None, as_json: Json = False) -> int:
 
 @app.command
 def show(session: str, /, *, directory: Folder = None, as_json: Json = False) -> int:
-    """Show what a session holds.
+    """Show the contents of a session.
 
     Args:
         session: Folder of the session, or its name in the folder of sessions.
@@ -107,7 +107,7 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
 
 @app.command
 def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> int:
-    """Read all of some sessions and hold every page against its checksum.
+    """Read all data of sessions and check the checksum of every page.
 
     Args:
         sessions: Folders of sessions, or names in the folder of sessions; all of that folder
@@ -154,7 +154,7 @@ def prune(
     directory: Folder = None,
     as_json: Json = False,
 ) -> int:
-    """Remove old sessions; one that is being written is left alone.
+    """Remove old sessions, except the session that is being written.
 
     Args:
         keep_days: Remove what began longer ago.
