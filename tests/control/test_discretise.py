@@ -176,3 +176,32 @@ def test_the_print_leaves_out_the_period() -> None:
     system = motor_system()
     peak_free = system.numerator[2] * 1e-3  # the impulse response starts with this slope
     assert once[1] == pytest.approx(1e-3 * peak_free, rel=1e-3)
+
+
+def test_a_load_without_a_state_is_its_gain() -> None:
+    """y = 2 u: the input stays, and the integral of the output is 2 u t."""
+    state = [3.0, 0.0]
+    propagate([2.0], state, 5.0)
+    assert state == pytest.approx([3.0, 30.0])
+
+
+@pytest.mark.parametrize(
+    ("system", "state", "duration_s"),
+    [([-1e9, 1.0, 0.0], [1.0, 1.0, 0.0], 1e9), ([-0.1, 1.0, 0.0], [math.nan] * 3, 1.0)],
+)
+def test_beyond_all_numbers_a_state_is_none(
+    system: list[float], state: list[float], duration_s: float
+) -> None:
+    propagate(system, state, duration_s)
+    assert np.isnan(state[0])
+    assert np.isnan(state[-1])
+
+
+@pytest.mark.parametrize(("tau_s", "finite"), [(-0.1, True), (-1e-3, True), (-1e-4, False)])
+def test_a_load_that_grows_beyond_all_numbers_has_no_discrete_model(
+    tau_s: float, *, finite: bool
+) -> None:
+    """In half a second, of two equal time constants: e^5, e^500 and e^5000."""
+    a, b = impulse_invariant_pair(0.011, 2.0 * tau_s, tau_s * tau_s, 0.5)
+    assert (len(a), len(b)) == (3, 3)
+    assert np.isfinite([*a[:2], b[1]]).all() == finite

@@ -112,3 +112,12 @@ def test_the_rounding_error_is_that_of_widrow_and_kollar(share: float) -> None:
     sigma = 0.5 * math.sqrt(math.pi) * share * step
     expected = step / math.sqrt(12.0) * math.exp(-2.0 * math.pi**2 * (sigma / step) ** 2)
     assert rd.rounding_error(step, share) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("step", [0.0, 0.05])
+def test_a_step_that_an_earlier_run_found_is_known_from_the_start(step: float) -> None:
+    grid = rd.remembered_grid(step)
+    assert rd.step_found(grid, 3.0) == step
+    for sample in (3.0, 3.05, 3.1):
+        rd.note_sample(grid, sample, 3.0)
+    assert rd.step_found(grid, 3.0) == step
