@@ -25,6 +25,16 @@ def test_no_example_needs_advice(path: Path) -> None:
     assert [one for one in advice(load_configuration(path)) if "password" not in one.place] == []
 
 
+def test_a_drive_that_holds_its_voltage_has_the_power_of_its_own_limit_alone() -> None:
+    """It takes no k: `current_scale_max_S` limits nothing there."""
+    little = "current_scale_max_S = 0.01 "
+    assert found("bath-modbus-tcp.toml", "[drive.limits]", f"[drive.limits]\n{little}") == []
+    (flaw,) = found(
+        "bath-modbus-tcp.toml", "[drive.limits]", "[drive.limits]\nload_power_max_W = 500.0"
+    )
+    assert "drive.limits.load_power_max_W gives 500 W" in flaw.message
+
+
 @pytest.mark.parametrize(
     ("name", "old", "new", "place", "words"),
     [
