@@ -12,7 +12,7 @@ from dataclasses import dataclass
 _VOLT = ("V", "mV", "kV")
 _WATT = ("W", "kW")
 
-_NAME_POINTS = 2
+_NAME_POINTS = 2  # one word that names a quantity outweighs one that contradicts it
 _UNIT_POINTS = 3  # a unit counts more than one word of a name
 
 _ON = ("run", "on", "enabled", "enable", "operation", "active", "start")

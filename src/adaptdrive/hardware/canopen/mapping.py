@@ -41,7 +41,7 @@ HEARTBEAT_SENT = (0x1017, 0)
 ABORT_OPTION = (0x6007, 0)
 
 _OPTIONAL = (SYNC_PERIOD, ABORT_OPTION)
-_CHANNELS = 4
+_CHANNELS = 4  # CiA 301 preconfigures the identifiers of four PDOs in each direction
 _NEEDED = {
     SYNC_ID: "its measurements could not be synchronised",
     HEARTBEATS_HEARD: "it could not monitor the daemon's heartbeat",
