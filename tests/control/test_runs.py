@@ -131,8 +131,9 @@ def stuck(settings: ControllerSettings, wanted: Order, periods: int) -> list[Dec
     return found
 
 
-def test_a_load_that_does_not_answer_is_a_fault_and_named() -> None:
-    found = stuck(RESPONDING, order(4.3), 30)
+@pytest.mark.parametrize("reference", [1.7, 4.3])
+def test_a_load_that_does_not_answer_is_a_fault_and_named(reference: float) -> None:
+    found = stuck(RESPONDING, order(reference), 30)
     faults = [decision.fault for decision in found]
     assert set(faults) == {
         "",

@@ -138,12 +138,14 @@ def test_an_output_within_the_dead_band_teaches_nothing(moved: float, learns: bo
 def test_only_physical_estimates_are_compared_with_the_nominal_load(
     method: str, compared: bool
 ) -> None:
-    settings = replace(EXACT, learning=replace(PLAIN_LEARNING, method=METHODS[method]))
-    state = at_rest(settings)
-    before = replace(state.supervisor)
-    slow_step(settings, MOTOR, state, sample(3.01))
-    powers = (state.supervisor.own_power, state.supervisor.fixed_power)
-    assert (powers != (before.own_power, before.fixed_power)) == compared
+    """Whose error is proportional to the distance of the output from where the load rests."""
+    settings, powers = replace(EXACT, learning=replace(PLAIN_LEARNING, method=METHODS[method])), []
+    for distance in (0.0, 0.01, 0.02):
+        state = at_rest(settings)
+        slow_step(settings, MOTOR, state, sample(3.0 + distance))
+        powers.append(state.supervisor.fixed_power)
+    assert powers == pytest.approx([0.0, powers[1], 4.0 * powers[1]], abs=1e-15)
+    assert (powers[1] > 0.0) == compared
 
 
 def test_before_any_estimate_is_trusted_the_other_law_is_unknown() -> None:

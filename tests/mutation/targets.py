@@ -106,7 +106,7 @@ DESIGN = _control({
 
 HALVES = _control({
     "fast_half": "test_fast_half test_kick test_rounding",
-    "slow_half": "test_slow_half test_slow_laws test_robustness test_probing",
+    "slow_half": "test_slow_half test_slow_laws test_robustness test_probing test_runs",
     "slow_state": "test_slow_half test_slow_laws test_probing",
     "controller": "test_controller test_schedule test_runs test_prior",
 })  # fmt: skip
