@@ -24,11 +24,6 @@ def test_every_example_is_plausible(path: Path) -> None:
     assert list(implausible(load_configuration(path))) == []
 
 
-def test_a_drive_that_holds_its_voltage_charges_its_capacitor_without_a_scale() -> None:
-    little = "[drive.limits]\ncurrent_scale_max_S = 1e-6"
-    assert found("motor-modbus-tcp.toml", "[drive.limits]", little) == []
-
-
 @pytest.mark.parametrize(
     ("name", "old", "new", "place", "words"),
     [

@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterator
 
 from adaptdrive.app.loads import build_load, total_lag_s
-from adaptdrive.app.settings import controller_settings, line_power_W
+from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BathSection, BatterySection
 from adaptdrive.control.load import Load, to_input, to_voltage
@@ -78,7 +78,9 @@ def _power(configuration: Configuration, load: Load) -> Iterator[Flaw]:
     """The drive has the power that the highest set-point takes."""
     drive = configuration.drive
     wanted_W = _highest_power_W(configuration, load)
-    line_W = line_power_W(configuration)
+    line_W = drive.limits.current_scale_max_S * drive.line_voltage_V**2
+    if configuration.voltage_loop.where == "drive":  # it takes no k
+        line_W = math.inf
     given_W = min(drive.limits.load_power_max_W, line_W)
     if wanted_W > given_W:
         source = "load_power_max_W" if given_W < line_W else "current_scale_max_S"

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from adaptdrive.app.loads import build_load, total_lag_s
-from adaptdrive.app.settings import controller_settings, line_power_W, tick_s
+from adaptdrive.app.settings import controller_settings, tick_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BatterySection
 from adaptdrive.control.design import compensator_gains, discrete_model
@@ -89,7 +89,7 @@ def _capacitor_flaws(configuration: Configuration) -> Iterator[Flaw]:
     """The capacitor can be charged in time, and holds more than the load takes in a half cycle."""
     drive, place = configuration.drive, "drive.boost_capacitance_F"
     capacitance_F, limits, line_V = drive.boost_capacitance_F, drive.limits, drive.line_voltage_V
-    power_W = line_power_W(configuration)
+    power_W = limits.current_scale_max_S * line_V * line_V
     rise_J = 0.5 * capacitance_F * (limits.boost_reference_min_V**2 - 2.0 * line_V * line_V)
     patience_s = configuration.interlocks.precharge_timeout_s
     if rise_J > power_W * patience_s:

@@ -102,14 +102,6 @@ def realtime_settings(configuration: Configuration) -> RealtimeSettings:
     )
 
 
-def line_power_W(configuration: Configuration) -> float:
-    """Return the power that k can draw from the line; infinite where the drive needs no k."""
-    drive = configuration.drive
-    if configuration.voltage_loop.where == "drive":
-        return math.inf
-    return drive.limits.current_scale_max_S * drive.line_voltage_V**2
-
-
 def tick_s(configuration: Configuration) -> float:
     """Half a line cycle at nominal frequency."""
     return 0.5 / configuration.drive.line_frequency_Hz
