@@ -19,9 +19,11 @@ def reach_table(configuration: Configuration) -> str:
     low, high = max(reach.low, load.reference_min), min(reach.high, load.reference_max)
     lines = [_line("set-points held by V_c", f"{low:g}…{high:g} {unit}".rstrip(), "load.model")]
     if load.reference_min < reach.low:
-        lines.append(_line("below them", "refused", "load.reference_min; 0 coasts"))
+        lines.append(
+            _line("set-points below this range", "refused", "load.reference_min; 0 coasts")
+        )
     if load.reference_max > reach.high:
-        lines.append(_line("above them", "refused", "load.reference_max"))
+        lines.append(_line("set-points above this range", "refused", "load.reference_max"))
     return "\n".join(lines)
 
 

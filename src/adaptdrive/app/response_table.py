@@ -23,7 +23,7 @@ def response_table(limits: ResponseLimits | None) -> str:
     if not limits.by_power:
         slowest_s = limits.factor * sum(limits.lags_s)
         lines += [
-            _line("believed to rise with a lag of", f"{slowest_s:.4g} s", key),
+            _line("this level rises with a lag of", f"{slowest_s:.4g} s", key),
             _line(
                 "trips on a fall faster than a lag of", f"{limits.fastest_s:.4g} s", f"{_KEY} > 0"
             ),
