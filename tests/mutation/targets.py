@@ -82,8 +82,8 @@ LEARNING = _control({
     "rivals": "test_rivals test_unsure_explanation",
     "challenger": "test_rivals",
     "explanation": "test_explanation",
-    "estimator": "test_estimator test_prior",
-    "lambda_method": "test_estimator test_methods",
+    "estimator": "test_estimator test_prior test_charge test_redesign test_explanation",
+    "lambda_method": "test_methods test_charge test_redesign test_explanation test_slow_half",
     "direct_method": "test_direct_method test_estimator",
     "batch": "test_batch",
 })  # fmt: skip
