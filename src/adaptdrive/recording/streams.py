@@ -19,6 +19,10 @@ from adaptdrive.errors import RecordingError
 _ROW_GROUP = 25_000
 """Rows of a Parquet row group: four minutes of ticks, of which a recorder holds one in memory."""
 
+_LARGEST_PIECES = 100
+"""Pieces that a row group may have: a batch of a few rows has more memory for the descriptions of
+its columns than for their values."""
+
 _OPTIONS = {"compression": "zstd", "write_page_checksum": True}
 _ENCODINGS = {
     pa.float64(): "BYTE_STREAM_SPLIT",
@@ -110,10 +114,10 @@ def convert(stream: Path, target: Path) -> None:
     groups = _groups(StreamReader(stream).batches())
     first = next(groups, None)
     if first is not None:
-        schema = first[0].schema
+        schema = first.schema
         with pq.ParquetWriter(unfinished, schema, **_OPTIONS, **_encodings(schema)) as file:
             for group in chain([first], groups):
-                file.write_table(pa.Table.from_batches(group, schema))
+                file.write_table(group)
         with unfinished.open("rb") as written:
             os.fsync(written.fileno())
         unfinished.replace(target)
@@ -128,14 +132,17 @@ def _encodings(schema: pa.Schema) -> dict[str, Any]:
     return {"use_dictionary": texts, "column_encoding": numbers}
 
 
-def _groups(batches: Iterator[pa.RecordBatch]) -> Iterator[list[pa.RecordBatch]]:
-    group: list[pa.RecordBatch] = []
+def _groups(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Table]:
+    """Yield row groups; the last has what is left."""
+    group: list[pa.Table] = []
     rows = 0
     for batch in batches:
-        group.append(batch)
+        group.append(pa.Table.from_batches([batch]))
         rows += batch.num_rows
+        if len(group) == _LARGEST_PIECES:
+            group = [pa.concat_tables(group).combine_chunks()]
         if rows >= _ROW_GROUP:
-            yield group
+            yield pa.concat_tables(group)
             group, rows = [], 0
     if group:
-        yield group
+        yield pa.concat_tables(group)
