@@ -67,8 +67,10 @@ def started(sessions: Path, log: int, **environment: str) -> Iterator[Process]:
         stderr=log,
     )
     with process:
-        yield process
-        process.kill()
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 def kill(control: Process, recorder: int, sessions: Path) -> None:
@@ -243,7 +245,8 @@ def test_after_its_folder_was_deleted_a_killed_daemon_loses_nothing_new(
         wait_until(
             lambda: bool(left_spools(sessions)) and bool(list(session_directories(sessions)))
         )
-        shutil.rmtree(sessions)
+        sessions.rename(tmp_path / "deleted")  # a folder in use cannot be deleted in one go
+        shutil.rmtree(tmp_path / "deleted", ignore_errors=True)
         wait_until(lambda: bool(list(session_directories(sessions))))
         (recorder,) = children(control.pid)
         os.kill(recorder, signal.SIGSTOP)
