@@ -50,6 +50,13 @@ def test_a_drive_that_never_ran_fails() -> None:
     assert list(shortcomings(DemoRecord(BEGAN, Clock()))) == ["the drive never ran"]
 
 
+def test_a_drive_without_a_decision_fails_in_words() -> None:
+    record = steady_record(30)
+    record.slow.clear()
+    (found,) = shortcomings(record)
+    assert found == "the controller has not decided yet, so that nothing was controlled"
+
+
 def test_a_trip_fails_even_when_it_was_reset() -> None:
     record = steady_record(30)
     record.hear_event(event("over-voltage: 440 V", "trip", "alarm"))

@@ -81,5 +81,7 @@ def shortcomings(record: DemoRecord) -> Iterator[str]:
     if counts.ticks < TICKS_SHARE * expected:
         yield f"only {counts.ticks} of {expected:.0f} ticks were run"
     error = tracking_error(record)
-    if not error <= TRACKING_LIMIT:
+    if math.isnan(error):
+        yield "the controller has not decided yet, so that nothing was controlled"
+    elif error > TRACKING_LIMIT:
         yield f"the speed is {error:.2f} of a step (rms) from where it should be"

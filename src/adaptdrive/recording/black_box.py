@@ -112,7 +112,7 @@ class BlackBox:
             async with asyncio.timeout(timeout_s):
                 problem = await self._have_written(trip, *words)
         except TimeoutError:
-            problem = f"it took longer than {timeout_s:.3g} s"
+            problem = f"it took longer than {timeout_s:.3g} s" if timeout_s else "no time was left"
         except OSError as error:
             problem = str(error)
         if self._done(trip):

@@ -130,7 +130,7 @@ class ModbusConnection:
         except ModbusException as problem:
             self._miss(exchange)
             silence = f"no reply within {self._config.timeout_s:g} s"
-            raise ExchangeError(f"{silence}{self._strangeness(exchange)}") from problem
+            raise ExchangeError(f"{silence}{self._came_instead(exchange)}") from problem
         finally:
             self._waiting = False
         await asyncio.sleep(silence_s(self._config))
@@ -175,7 +175,7 @@ class ModbusConnection:
             short = len(self._heard) < exchange.reply_bytes + RTU_FRAME
             self._counts["wrong_length" if short else "wrong_checksum"] += 1
 
-    def _strangeness(self, exchange: Exchange) -> str:
+    def _came_instead(self, exchange: Exchange) -> str:
         """Return what came on TCP in place of a reply, empty where nothing came."""
         if self._serial or not self._heard:
             return ""
