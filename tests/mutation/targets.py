@@ -81,9 +81,9 @@ LEARNING = _control({
     "hypotheses": "test_hypotheses",
     "rivals": "test_rivals test_unsure_explanation",
     "challenger": "test_rivals",
-    "explanation": "test_explanation",
-    "estimator": "test_estimator test_prior test_charge test_redesign test_explanation",
-    "lambda_method": "test_methods test_charge test_redesign test_explanation test_slow_half",
+    "explanation": "test_explanation test_settling",
+    "estimator": "test_estimator test_prior test_charge test_redesign test_lambda_method",
+    "lambda_method": "test_lambda_method test_methods test_charge test_redesign",
     "direct_method": "test_direct_method test_estimator",
     "batch": "test_batch",
 })  # fmt: skip
