@@ -19,6 +19,7 @@ from adaptdrive.control.hypotheses import (
     Anchor,
     Branch,
     count_prediction,
+    load_direction,
     new_branch,
     predict_sample,
     restart_past,
@@ -287,3 +288,9 @@ def test_directional_forgetting_forgets_only_along_the_sample() -> None:
     gain = found @ r
     expected = np.array([0.1, 0.2, 0.3]) + gain * (1.5 - r @ [0.1, 0.2, 0.3])
     np.testing.assert_allclose(parameters, expected, rtol=1e-9)
+
+
+def test_no_offset_is_carried_by_a_load_without_a_gain_at_rest() -> None:
+    """1 + Σα = 0: an integrator, whose input has no offset that a constant output shows."""
+    values = [-0.4, -0.6, 0.3, 0.0, 0.0, 0.2]
+    assert load_direction(values, 0, LEARNING, MOTOR) == [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]

@@ -117,3 +117,13 @@ def test_each_period_that_teaches_nothing_is_idle() -> None:
     assert state.idle_periods == 4
     est.learn(state, learning, MOTOR, 3.0, usable=True)
     assert state.idle_periods == 0
+
+
+def test_the_offset_of_the_input_is_what_bias_and_charge_move_the_output_by_over_beta() -> None:
+    learning = replace(SCALED_LEARNING, bias=True, charge=True)
+    state = filled(learning, BATTERY).estimator
+    state.theta[:] = [-0.4, 0.3, 0.5, *state.theta[3:-2], 0.2, 0.1]
+    offset_V = learning.method.input_offset(state, learning, BATTERY)
+    assert offset_V == pytest.approx((0.1 + 0.2 * 0.7) / 0.8 * 280.0, rel=1e-12)
+    without = replace(SCALED_LEARNING, bias=False)
+    assert math.isnan(without.method.input_offset(state, without, BATTERY))

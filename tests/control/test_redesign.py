@@ -267,6 +267,26 @@ def test_gains_must_hold_the_last_trusted_load_unless_a_change_was_seen(
     assert (spectral_radius(disks, 1.0) > 0.995) is (disks == HEAVY)
 
 
+@pytest.mark.parametrize(
+    ("confidence", "verdict"), [(2.0, Verdict.TRUSTED), (100.0, Verdict.FRAGILE)]
+)
+def test_gains_that_the_uncertainty_makes_unstable_are_refused(
+    confidence: float, verdict: Verdict
+) -> None:
+    """Parameters with deviations of 3 to 4 %: the loop holds two of them, not a hundred."""
+    settings = replace(CAREFUL, jacket=replace(JACKET, confidence=confidence))
+    state = known(2.0, settings)
+    state.estimator.diagonal[:] = [100.0] * len(state.estimator.diagonal)
+    assert adapted(state, settings) == verdict
+
+
+def test_a_loop_that_is_asked_to_grow_is_refused() -> None:
+    state = known()
+    redesign.adapt(CAREFUL, MOTOR, state, replace(AT_REST, pole=1.02))
+    assert state.supervisor.verdict == Verdict.UNSTABLE_LOOP
+    assert not state.accepted
+
+
 def test_a_load_that_was_never_trusted_puts_nothing_at_odds() -> None:
     settings = replace(CAREFUL, jacket=replace(JACKET, confidence=1.0))
     state = known(1.0, settings)

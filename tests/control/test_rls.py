@@ -249,3 +249,19 @@ def test_the_standard_deviation_is_what_many_experiments_show() -> None:
         found.append(np.dot(jacobian, recursive.theta))
         claimed = rls.standard_deviation(jacobian, recursive.upper, recursive.diagonal, noise)
     assert claimed == pytest.approx(np.std(found), rel=0.15)
+
+
+def test_a_normalised_square_is_the_error_before_times_the_error_after_the_update() -> None:
+    theta, upper, diagonal = [0.1, -0.2], [1.0, 0.3, 0.0, 1.0], [2.0, 0.5]
+    regressor, target, forgetting = [0.7, -1.1], 0.9, 0.95
+    excitation = rls.excitation(upper, diagonal, regressor)
+    before = target - rls.predict(theta, regressor)
+    found = rls.normalised(excitation, before, forgetting)
+    rls.update(theta, upper, diagonal, regressor, target, forgetting)
+    assert found == pytest.approx(before * (target - rls.predict(theta, regressor)), rel=1e-12)
+
+
+def test_a_sample_of_zeros_teaches_nothing_and_forgets_nothing_along_itself() -> None:
+    theta, upper, diagonal = [0.1, -0.2], [1.0, 0.3, 0.0, 1.0], [2.0, 0.5]
+    rls.update_along(theta, upper, diagonal, [0.0, 0.0], 0.9, 0.95)
+    assert (theta, upper, diagonal) == ([0.1, -0.2], [1.0, 0.3, 0.0, 1.0], [2.0, 0.5])

@@ -83,7 +83,7 @@ LEARNING = _control({
     "challenger": "test_rivals",
     "explanation": "test_explanation test_settling",
     "estimator": "test_estimator test_prior test_charge test_redesign test_lambda_method",
-    "lambda_method": "test_lambda_method test_methods test_charge test_redesign",
+    "lambda_method": "test_lambda_method test_methods test_charge test_explanation",
     "direct_method": "test_direct_method test_estimator",
     "batch": "test_batch",
 })  # fmt: skip

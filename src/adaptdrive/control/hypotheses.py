@@ -242,7 +242,7 @@ def _carry_offset(direction: Vector, theta: Vector, divisor: float, learning: Le
 def _open(
     branch: Branch, direction: Vector, spread: float, learning: Learning, load: Load, anchor: Anchor
 ) -> None:
-    """Widen P by a spread along a direction of θ and along what goes with it in γ."""
+    """Widen P by a spread along a direction of θ and along what goes with it in γ, at least one."""
     size, count = len(direction), initial_state_count(learning, load)
     first = fitted_order(learning, load) + len(load.input_powers)
     plain, lowered = 0.0, 0.0
@@ -250,8 +250,7 @@ def _open(
         if not first <= i < first + count:
             plain += anchor.regressor[i] * direction[i]
             lowered += anchor.lowered[i] * direction[i]
-    if count > 0:
-        direction[first] = -plain
+    direction[first] = -plain
     if count > 1:
         direction[first + 1] = -lowered
     rls.widen(branch.upper, branch.diagonal, direction, spread * spread / anchor.power)
