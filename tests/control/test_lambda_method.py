@@ -119,6 +119,15 @@ def test_each_period_that_teaches_nothing_is_idle() -> None:
     assert state.idle_periods == 0
 
 
+@pytest.mark.parametrize(("weight", "noise"), [(3.0, math.nan), (3.5, 2.0)])
+def test_the_noise_is_known_from_more_innovations_than_parameters(
+    weight: float, noise: float
+) -> None:
+    state = est.new_estimator(SCALED_LEARNING, MOTOR, 2)
+    state.residual_power, state.residual_weight = 2.0, weight
+    assert est.residual_noise(state) == pytest.approx(noise, nan_ok=True)
+
+
 def test_the_offset_of_the_input_is_what_bias_and_charge_move_the_output_by_over_beta() -> None:
     learning = replace(SCALED_LEARNING, bias=True, charge=True)
     state = filled(learning, BATTERY).estimator

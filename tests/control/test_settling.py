@@ -176,7 +176,8 @@ def test_a_challenger_that_has_won_is_the_estimate() -> None:
     take(state)
     assert state.theta == state.challenger.branch.theta
     assert state.theta[MARK] == 0.9
-    assert state.rivals.now.theta == state.theta
+    now = state.rivals.now
+    assert (now.theta, now.upper, now.diagonal) == (state.theta, state.upper, state.diagonal)
     assert (state.rivals.kind, state.rivals.samples) == (BOTH, 0)
     assert (state.challenger.samples, state.surprise.alarms, state.surprise.sum) == (0, 1, 0.0)
     assert state.surprise.power == pytest.approx((4.0 + 1.0) * POWER / (4.0 + 51.0), rel=1e-9)
