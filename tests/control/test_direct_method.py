@@ -101,13 +101,18 @@ def test_it_has_a_parameter_for_each_past_sample(load: Load, *, bias: bool) -> N
 
 
 def test_a_load_that_changes_abruptly_is_learnt_anew_where_that_is_watched() -> None:
-    """Two disks drop: P opens, so that some samples later the innovations are noise again."""
-    errors = {}
+    """Two disks drop: P opens, so that some samples later the innovations are noise again.
+
+    What they were before does not count any more.
+    """
+    errors, shown = {}, {}
     for alert in (False, True):
         learning = replace(DIRECT, alert=alert, forgetting=0.999)
         settings = replace(SETTINGS, learning=learning)
         state, innovations = learn(settings, [1] * 200 + [3] * 60, noise=1e-4)
         errors[alert] = math.sqrt(float(np.mean(innovations[-30:] ** 2)))
+        shown[alert] = est.residual_noise(state.estimator) * learning.output_scale
         assert state.estimator.surprise.alarms == (1 if alert else 0)
+    assert shown[True] == pytest.approx(errors[True], rel=0.5)
     assert errors[True] < 5e-4
     assert errors[False] > 2.0 * errors[True]
