@@ -82,7 +82,9 @@ LEARNING = _control({
     "rivals": "test_rivals test_unsure_explanation",
     "challenger": "test_rivals",
     "explanation": "test_explanation test_settling",
-    "estimator": "test_estimator test_prior test_charge test_settling test_lambda_method",
+    "estimator": (
+        "test_estimator test_prior test_charge test_redesign test_settling test_lambda_method"
+    ),
     "lambda_method": "test_lambda_method test_methods test_charge test_explanation",
     "direct_method": "test_direct_method test_estimator",
     "batch": "test_batch",
