@@ -347,3 +347,16 @@ def test_whatever_was_measured_nothing_of_it_outlives_off(
     fresh = [((ticks + 1, *off[0][1:]), off[1]), *plain]
     experienced = list(drive(kind, [*frames_, off, *plain]))
     assert experienced[-40:] == list(drive(kind, fresh))[-40:]
+
+
+def test_what_was_known_last_of_the_reach_stays_while_the_trusted_gains_wait() -> None:
+    bench = Bench(EXACT)
+    bench.run(2.0, order())
+    nominal = bench.decisions[-1].reach_low, bench.decisions[-1].reach_high
+    known = replace(bench.controller._reach, low=1.9, high=4.1)
+    for trusted, expected in ((True, (1.9, 4.1)), (False, nominal)):
+        bench.controller._reach = known
+        bench.controller._slow.supervisor.trusted = trusted
+        bench.run(1.0, order())
+        assert not bench.controller._slow.accepted
+        assert (bench.decisions[-1].reach_low, bench.decisions[-1].reach_high) == expected

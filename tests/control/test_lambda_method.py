@@ -9,13 +9,16 @@ import numpy as np
 import pytest
 
 from adaptdrive.control import estimator as est
+from adaptdrive.control import regression as reg
 from adaptdrive.control import rls
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.slow_state import SlowState, new_slow_state
 from tests.closed_loop.bench import AT_REST, EXACT, MOTOR, SCALED_LEARNING
+from tests.control import test_explanation
 from tests.control.systems import Array
+from tests.control.test_explanation import propagated, settled
 
 BATTERY = battery_load(0.25, 1.2, 0.4, 30.0)
 SAMPLE = replace(
@@ -117,6 +120,14 @@ def test_each_period_that_teaches_nothing_is_idle() -> None:
     assert state.idle_periods == 4
     est.learn(state, learning, MOTOR, 3.0, usable=True)
     assert state.idle_periods == 0
+
+
+def test_the_deviations_are_those_of_p_by_the_noise_of_the_innovations() -> None:
+    state, learning = settled(), test_explanation.LEARNING
+    values = MOTOR.physical(*reg.filtered_model(state.theta, learning, MOTOR))
+    expected = propagated(state, 1e-3 * np.eye(6), math.sqrt(30e-6 / (36.0 - 6.0)))
+    found = learning.method.deviations(state, learning, MOTOR, values)
+    assert found == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize(("weight", "noise"), [(3.0, math.nan), (3.5, 2.0)])

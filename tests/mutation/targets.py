@@ -83,7 +83,8 @@ LEARNING = _control({
     "challenger": "test_rivals",
     "explanation": "test_explanation test_settling",
     "estimator": (
-        "test_estimator test_prior test_charge test_redesign test_settling test_lambda_method"
+        "test_estimator test_prior test_charge test_redesign test_explanation test_settling "
+        "test_lambda_method"
     ),
     "lambda_method": "test_lambda_method test_methods test_charge test_explanation",
     "direct_method": "test_direct_method test_estimator",
