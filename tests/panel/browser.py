@@ -6,10 +6,11 @@ import os
 import shutil
 import socket
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from playwright.sync_api import Browser, Page, expect, sync_playwright
@@ -110,12 +111,14 @@ class PanelSite:
 
 
 @contextmanager
-def panel_site_in(folder: Path, mosquitto: str) -> Iterator[PanelSite]:
-    """Start a drive, its daemon and a broker that serves the panel."""
+def panel_site_in(
+    folder: Path, mosquitto: str, settings: Mapping[str, str] = MappingProxyType({})
+) -> Iterator[PanelSite]:
+    """Start a drive, its daemon with further settings, and a broker that serves the panel."""
     port = free_port(socket.SOCK_STREAM)
     launcher = MosquittoLauncher(mosquitto, folder, web_listener(folder, port))
     ports = free_port(socket.SOCK_STREAM), free_port(socket.SOCK_DGRAM)
-    with closing(Site(folder, launcher, *ports, SETTINGS)) as site:
+    with closing(Site(folder, launcher, *ports, {**SETTINGS, **settings})) as site:
         site.start("--initial-voltage", "280", *PATIENT_DRIVE)
         yield PanelSite(site, f"http://127.0.0.1:{port}/index.html")
 

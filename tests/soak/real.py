@@ -27,6 +27,8 @@ SAMPLES = 200
 SHORTEST_s = 5.0
 ACT_s = 10.0
 MOSQUITTO = "/usr/sbin/mosquitto"
+SEGMENTS = {"recording.segment_s": "600.0"}
+"""A dozen segments in two hours: memory that a closed segment keeps shows as a slope."""
 
 
 def soak(minutes: float, seed: int) -> tuple[list[str], bool]:
@@ -42,7 +44,7 @@ def soak(minutes: float, seed: int) -> tuple[list[str], bool]:
     load_before = os.getloadavg()[0]
     with (
         TemporaryDirectory(ignore_cleanup_errors=True) as folder,
-        panel_site_in(Path(folder), MOSQUITTO) as found,
+        panel_site_in(Path(folder), MOSQUITTO, SEGMENTS) as found,
     ):
         site = found.site
         with Watcher(urlsplit(found.address).port or 0, seed) as panel:
