@@ -135,6 +135,22 @@ def _stuck_on(course: Course) -> None:
     course.daemon.accepts(Disable())
 
 
+def _losing(share: float, in_a_row: float) -> Put:
+    """Lose a share of the readings, never more than some of them in a row."""
+
+    def put(course: Course) -> None:
+        lost = 0
+
+        def keep(reading: Reading) -> Reading | None:
+            nonlocal lost
+            lost = lost + 1 if lost < in_a_row and course.draw.random() < share else 0
+            return None if lost else reading
+
+        course.frame = keep
+
+    return put
+
+
 def _frame(change: Callable[[Course, Reading], Reading | None]) -> Put:
     def put(course: Course) -> None:
         course.frame = lambda reading: change(course, reading)
@@ -200,8 +216,8 @@ ROWS: tuple[Row, ...] = (
         dict.fromkeys(("motor", "bath", "battery"), 0.15), ("invalid",)),
     Row("drive", "line at a quarter", _line, EVERY,
         dict.fromkeys(("motor", "bath", "battery"), 0.5), ("drive fault",), mends=False),
-    Row("link", "one frame in ten lost",
-        _frame(lambda c, r: None if c.draw.random() < 0.1 else r), ("motor, CAN", *BATTERY)),
+    Row("link", "one reading in ten lost, at most two in a row", _losing(0.1, 2)),
+    Row("link", "one reading in ten lost", _losing(0.1, math.inf), causes=STALE),
     Row("link", "silent", _frame(lambda *_: None), EVERY,
         dict.fromkeys(("motor", "bath", "battery"), 0.6), STALE),
     Row("link", "another sender commands", _complaint, EVERY,
