@@ -43,7 +43,7 @@ def load(k: int, reference: float, output: float, controller: str = "fixed") -> 
         "tau_sum_s": heard.EstimateMessage(33.4, 0.2),
         "tau_product_s2": heard.EstimateMessage(234.0, None),
     }
-    return heard.LoadMessage(k, reference, output, 281.0, estimates, controller, 0.25)
+    return heard.LoadMessage(BEGAN, k, reference, output, 281.0, estimates, controller, 0.25)
 
 
 def drive(ticks: int, output: float | None = 3.0) -> heard.DriveMessage:
@@ -67,7 +67,6 @@ def steady_record(seconds: int, output: float = 3.0, reference: float = 3.0) -> 
     record.hear_state(state())
     record.hear_truth(truth(2))
     record.hear_drive(drive(ticks=100))
-    record.begin()
     for second in range(1, seconds + 1):
         clock.now_s += 1.0
         record.hear_load(load(second, reference, output))

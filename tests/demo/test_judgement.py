@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
+
+import msgspec
 import numpy as np
 import pytest
 from scipy import signal
@@ -44,6 +47,25 @@ def test_a_speed_that_does_not_answer_to_the_wave_fails() -> None:
     for k, reference in enumerate(square_wave(120)):
         record.hear_load(load(k + 2, reference, 3.0))
     assert any("from where it should be" in text for text in shortcomings(record))
+
+
+def test_the_slow_period_that_the_broker_kept_of_an_earlier_run_is_ignored() -> None:
+    record = DemoRecord(BEGAN, Clock())
+    earlier = msgspec.structs.replace(load(40, 3.2, 2.9), time=BEGAN - timedelta(seconds=1))
+    record.hear_load(earlier)
+    assert record.load is None
+    assert record.slow_periods == 0
+
+
+def test_counting_begins_with_the_first_report_under_control() -> None:
+    record = DemoRecord(BEGAN, Clock())
+    record.hear_drive(drive(100))
+    record.hear_state(state())
+    assert record.control is None
+    record.hear_drive(drive(112))
+    record.hear_drive(drive(124))
+    assert record.control is not None
+    assert record.control.ticks == 12
 
 
 def test_a_drive_that_never_ran_fails() -> None:

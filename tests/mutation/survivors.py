@@ -38,7 +38,6 @@ _MACHINE = "runtime.machine:Machine.__init__: "
 _LOOP = "runtime.fast_loop:FastLoop."
 _CYCLES = "runtime.half_cycles:HalfCycles."
 _RATE = "runtime.frame_rate:FrameRate."
-_MARK = f"{_RATE}add: self._marks.append(_Mark(arrival_s, 0, 0)) -> self._marks.append(_Mark"
 _FITS = f"{_RATE}_problem: fits = "
 
 RUNTIME: dict[str, str] = {
@@ -68,8 +67,6 @@ RUNTIME: dict[str, str] = {
     "if abs(period_s / self._nominal_s - 1.0) < _PERIOD_TOLERANCE:": _BOUND,
     f"{_RATE}__init__: self._wrong = 0 -> pass": _SET_BEFORE_USE,
     f"{_RATE}__init__: self._wrong = 0 -> self._wrong = 1": _SET_BEFORE_USE,
-    f"{_MARK}(arrival_s, 1, 0))": _DIFFERENCES,
-    f"{_MARK}(arrival_s, 0, 1))": _DIFFERENCES,
     f"{_FITS}abs(share - 1.0) <= tolerance -> fits = abs(share - 1.0) < tolerance": _BOUND,
     f"{_FITS}fits or abs(frames - 1.0) <= tolerance -> fits = fits or abs(frames - 1.0) < "
     "tolerance": _BOUND,

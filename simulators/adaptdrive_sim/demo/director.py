@@ -80,8 +80,9 @@ class Director:
         )
         record.caption = "The drive is enabled and precharges its boost capacitor."
         await self._order("enable", None)
-        await _until_late(lambda: record.running, RUNNING_s, "the drive did not reach running")
-        record.begin()
+        await _until_late(
+            lambda: record.first is not None, RUNNING_s, "the drive did not reach running"
+        )
         self.started.set()
 
     async def _approach(self) -> None:

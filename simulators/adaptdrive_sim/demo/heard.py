@@ -55,6 +55,7 @@ class EstimateMessage(msgspec.Struct, frozen=True):
 class LoadMessage(msgspec.Struct, frozen=True):
     """From `telemetry/load`."""
 
+    time: datetime
     k: int
     reference: float
     output: float | None

@@ -80,6 +80,7 @@ class Play:
         }
         self.record.hear_load(
             heard.LoadMessage(
+                time=self._now(),
                 k=decision.k,
                 reference=snapshot.order.reference,
                 output=snapshot.output,

@@ -44,7 +44,7 @@ class DemoRecord:
         truth: Last truth of the simulator.
         events: Last events.
         trips: Every trip.
-        first: Counters when control began, None before.
+        first: Counters of the first report under control, None before.
         last: Counters now.
         trace: Speed and reference, ten times a second.
         slow: Speed and reference of the last slow periods.
@@ -104,20 +104,18 @@ class DemoRecord:
         """True if the daemon receives the drive's frames."""
         return self.drive is not None and self.drive.output is not None
 
-    def begin(self) -> None:
-        """Count from here: control has begun."""
-        self.first = self.last
-
     def hear_state(self, state: heard.StateMessage) -> None:
         """Take a state, unless it is of an earlier daemon."""
         if state.time >= self.began:
             self.state = state
 
     def hear_drive(self, drive: heard.DriveMessage) -> None:
-        """Take a report of the fast loop."""
+        """Take a report of the fast loop; the first one of a running drive begins the count."""
         now_s = self.clock()
         self.drive = drive
         self.last = Counts(now_s, drive.ticks, drive.missed, drive.held)
+        if self.first is None and self.running:
+            self.first = self.last
         if drive.lateness_us.max is not None:
             self.lateness.append(drive.lateness_us)
         if drive.output is not None and self.load is not None:
@@ -126,7 +124,9 @@ class DemoRecord:
             self.trace.append(point)
 
     def hear_load(self, load: heard.LoadMessage) -> None:
-        """Take a slow period."""
+        """Take a slow period, unless it is of an earlier daemon."""
+        if load.time < self.began:
+            return
         if self.load is not None and load.controller != self.load.controller:
             if load.handover_step_V is not None:
                 self.handovers_V.append(abs(load.handover_step_V))

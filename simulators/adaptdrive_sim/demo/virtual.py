@@ -149,7 +149,6 @@ class Teller:
         if self._began_s is None and self._play.record.running:
             self._began_s = self._play.drive.time_s
             self._play.report()
-            self._play.record.begin()
         if self._began_s is not None:
             self._turn()
         if self._play.tick():
