@@ -41,6 +41,8 @@ AFTER_s = {"motor": 70.0, "bath": 200.0, "battery": 30.0}
 """How long a fault is watched that no bound covers."""
 
 ATTEMPTS = 5
+DISCHARGED_V = 300.0
+"""Voltage to which an operator discharges a fuller capacitor: it has no resistor across it."""
 
 Sensor = Callable[[float, float], float]
 
@@ -138,6 +140,7 @@ class Course:
 
     def recovers(self) -> int:
         """Reset and enable the drive until it runs; how often it was enabled, 0 for in vain."""
+        self.discharge()
         for attempt in range(1, ATTEMPTS + 1):
             end_s = self.daemon.now + 10.0
             while self.daemon.now < end_s and not self._is_reset():
@@ -147,6 +150,11 @@ class Course:
             if self.daemon.state is State.RUNNING:
                 return attempt
         return 0
+
+    def discharge(self) -> None:
+        """Do what an operator does who finds the boost capacitor too full to reset the drive."""
+        boost = self.drive.world.boost
+        boost.settle(min(boost.voltage_V, DISCHARGED_V), 0.0)
 
     def _is_reset(self) -> bool:
         return self.daemon.accepts(Reset()) and self.daemon.state is State.STANDBY

@@ -42,8 +42,6 @@ DOWN_s = 1.0
 """Time without a daemon at a restart."""
 
 LONGEST_SESSION_s = 2.0 * 3600.0
-DISCHARGED_V = 300.0
-"""Voltage to which an operator discharges a fuller capacitor: it has no resistor across it."""
 
 VAIN_VISITS = 20
 """Visits in a row after which a drive without a fault must have been enabled."""
@@ -162,8 +160,7 @@ class Life(Course):
         if self._is_on():
             return
         self.run(self.draw.uniform(1.0, 10.0))
-        boost = self.drive.world.boost
-        boost.settle(min(boost.voltage_V, DISCHARGED_V), 0.0)
+        self.discharge()
         self._ask(Reset())
         self._ask(Enable())
         self._vain = 0 if self._is_on() else self._vain + 1
