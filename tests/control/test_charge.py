@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -88,6 +89,12 @@ def test_the_offset_is_the_emf_of_now() -> None:
     offset_V = reg.input_offset(state.theta, LEARNING, BATTERY, state.charge)
     assert offset_V == pytest.approx(-emf_V / TURNS, rel=2e-3)
     assert emf_V - 72.0 > 0.8
+
+
+def test_without_a_bias_there_is_no_offset() -> None:
+    learning = replace(LEARNING, bias=False, charge=False)
+    state = est.new_estimator(learning, BATTERY, 2)
+    assert math.isnan(reg.input_offset(state.theta, learning, BATTERY, 0.0))
 
 
 def test_a_wandering_emf_leaves_everything_else_as_sure_as_it_was() -> None:

@@ -37,8 +37,7 @@ _HOLD = " if hold_s is None else math.ceil(hold_s / limits.tick_s))"
 _MACHINE = "runtime.machine:Machine.__init__: "
 _LOOP = "runtime.fast_loop:FastLoop."
 _CYCLES = "runtime.half_cycles:HalfCycles."
-_RATE = "runtime.frame_rate:FrameRate."
-_FITS = f"{_RATE}_problem: fits = "
+_RATE = "runtime.frame_rate:"
 
 RUNTIME: dict[str, str] = {
     "runtime.manual:ManualVoltage.value: if abs(distance_V) <= way_V: -> "
@@ -65,13 +64,11 @@ RUNTIME: dict[str, str] = {
     f"{_CYCLES}__init__: self._frame_tick = -1 -> self._frame_tick = -2": _NEGATIVE,
     f"{_CYCLES}_measure: if abs(period_s / self._nominal_s - 1.0) <= _PERIOD_TOLERANCE: -> "
     "if abs(period_s / self._nominal_s - 1.0) < _PERIOD_TOLERANCE:": _BOUND,
-    f"{_RATE}__init__: self._wrong = 0 -> pass": _SET_BEFORE_USE,
-    f"{_RATE}__init__: self._wrong = 0 -> self._wrong = 1": _SET_BEFORE_USE,
-    f"{_FITS}abs(share - 1.0) <= tolerance -> fits = abs(share - 1.0) < tolerance": _BOUND,
-    f"{_FITS}fits or abs(frames - 1.0) <= tolerance -> fits = fits or abs(frames - 1.0) < "
-    "tolerance": _BOUND,
-    f"{_RATE}_problem: return self._text(share, frames, by_frames=abs(frames - 1.0) > tolerance) "
-    "-> return self._text(share, frames, by_frames=abs(frames - 1.0) >= tolerance)": _BOUND,
+    f"{_RATE}_fits: return abs(late[0] - early[0]) <= _TOLERANCE * (late[1] - early[1]) + "
+    "_JITTER_TICKS -> return abs(late[0] - early[0]) < _TOLERANCE * (late[1] - early[1]) + "
+    "_JITTER_TICKS": _BOUND,
+    f"{_RATE}FrameRate.add: self._extend((arrival_s - self._began_s) / self._tick_s) -> "
+    "self._extend((arrival_s + self._began_s) / self._tick_s)": _DIFFERENCES,
     "runtime.bridge_watch:BridgeWatch.find_cause: if reported_s - self._off_s <= self._grace_s + "
     "_SLACK_S and (not slept): -> if reported_s - self._off_s < self._grace_s + _SLACK_S and "
     "(not slept):": _SLACK,

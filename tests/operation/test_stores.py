@@ -328,6 +328,30 @@ async def test_rows_that_cannot_be_read_cost_only_themselves(path: Path) -> None
         assert (await outbox.oldest())[1] == b"sound"
 
 
+@pytest.mark.parametrize("sequence", [None, "first", 1.5, 2**63 - 1])
+async def test_an_event_without_a_usable_number_costs_only_itself(
+    path: Path, sequence: object
+) -> None:
+    """The table of a damaged file need not be the one that was made."""
+    async with open_journal(path):
+        pass
+    with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.execute("DROP TABLE event")
+        database.execute("CREATE TABLE event (sequence, body)")
+        for row in ((sequence, b"odd"), (1, b"sound")):
+            database.execute("INSERT INTO event VALUES (?, ?)", row)
+    async with open_journal(path) as journal:
+        outbox = Outbox(journal, wall)
+        assert await outbox.load() == 1
+        outbox.append(b"new")
+        kept = [await outbox.oldest()]
+        outbox.sent(kept[0][0])
+        kept.append(await outbox.oldest())
+        assert [body for _, body in kept] == [b"sound", b"new"]
+        assert await journal.written(20.0)
+        assert journal.problem == ""
+
+
 async def test_events_from_before_a_late_disk_are_kept(path: Path) -> None:
     async with open_journal(path) as journal:
         Outbox(journal, wall).append(b"first run")

@@ -67,7 +67,7 @@ async def test_a_drive_whose_rate_is_unknown_is_not_energised() -> None:
 
 async def test_a_drive_at_a_wrong_rate_is_refused() -> None:
     async with fast_bench() as bench:
-        for _ in range(2 * RATE_FRAMES):
+        for _ in range(3 * RATE_FRAMES):
             bench.frame(after_s=1.2 * TICK_S)
         assert (bench.loop.cause or "").startswith("frame rate: ")
 
