@@ -31,6 +31,7 @@ LONGEST = 1 << 14
 LENGTH_BYTES = 4
 SHOWN = 2000
 GUIDE = "atheris"
+FAILED = Path("build/fuzz")
 
 
 def main() -> int:
@@ -60,7 +61,7 @@ def _in_process(name: str, runs: int) -> int:
         sys.stdout.write(f"{name}: {runs} inputs, {kind}, {took_s:.0f} s: {verdict}\n")
         if done.returncode:
             sys.stdout.write(done.stdout[-SHOWN:] + done.stderr[-SHOWN:])
-            sys.stdout.write(f"\nthe last input: {_kept(Path(last.name))!r}\n")
+            sys.stdout.write(f"\nthe last input: {_saved(name, _kept(Path(last.name)))}\n")
         sys.stdout.flush()
     return int(done.returncode != 0)
 
@@ -69,6 +70,14 @@ def _kept(path: Path) -> bytes:
     content = path.read_bytes()
     length = int.from_bytes(content[:LENGTH_BYTES], "little")
     return content[LENGTH_BYTES : LENGTH_BYTES + length]
+
+
+def _saved(name: str, data: bytes) -> Path:
+    """Save an input for a test of its own; where."""
+    path = FAILED / f"{name}.bin"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)
+    return path
 
 
 def _one(name: str, runs: int, last: Path) -> int:
