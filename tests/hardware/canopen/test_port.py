@@ -111,6 +111,21 @@ async def test_the_daemons_heartbeat_goes_out_with_its_commands_only(peer: Peer)
         assert len(peer.beats) == known
 
 
+async def test_a_lost_node_that_no_command_reaches_hears_no_heartbeat(peer: Peer) -> None:
+    """A power stage that stays on without its NMT master is switched off by its own watch."""
+    async with running(peer, heartbeat_timeout_s=0.5) as bench:
+        await bench.run_drive()
+        peer.override(0x1018, 1, b"\xff\xff\xff\x7f")
+        peer.node.nmt.state = "PRE-OPERATIONAL"
+        await bench.complains("not operational any more")
+        await asyncio.sleep(0.05)
+        known = len(peer.beats)
+        for _ in range(5):
+            assert not bench.port.send(SAFE_COMMAND)
+            await asyncio.sleep(0.05)
+        assert len(peer.beats) == known
+
+
 async def test_a_command_that_no_object_can_hold_is_not_sent(peer: Peer) -> None:
     async with running(peer) as bench:
         await bench.ready()

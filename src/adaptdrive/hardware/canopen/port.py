@@ -3,7 +3,7 @@
 A reading is what the drive's PDOs carry after one SYNC, as old as that SYNC; of readings that piled
 up while the process did not run, only the newest is handed out. A command is a
 controlword and the commanded values. The daemon's heartbeat goes out with commands only: a daemon
-that commands no more falls silent, and the drive makes itself safe.
+that commands no more, or cannot as the node is lost, falls silent, and the drive makes itself safe.
 """
 
 from __future__ import annotations
@@ -150,12 +150,12 @@ class CanOpenPort:
         """
         word = self._control.controlword(command)
         frames = list(command_frames(self._mapping, command, word))
-        self._beat()
         if command != SAFE_COMMAND:
             self._safe_s = math.inf
         if not self._master.ready:
             self._counts["send_drops"] += 1
             return False
+        self._beat()
         taken = [self._put(*frame) for frame in frames]
         if not all(taken):
             return False
