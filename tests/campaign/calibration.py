@@ -79,7 +79,8 @@ def _run(campaign: str, seed: int) -> tuple[Array, Flags, Flags]:
     """Return the columns of `Samples` for one run."""
     stand = Stand(draw(read_campaign(Path(campaign)), seed))
     trace = stand.run(Mode.ADAPTIVE).trace
-    truth = np.array([stand.truth_of(inertia) for inertia in stand.inertias.tolist()])
+    loads = stand.true_loads()
+    truth = np.array([one.physical(list(one.numerator), list(one.denominator)) for one in loads])
     count = truth.shape[1]
     values = trace[:, bench.VALUES : bench.VALUES + count]
     deviations = trace[:, bench.VALUES + count :]

@@ -27,6 +27,7 @@ from tests.closed_loop.bench import (
     MOTOR,
     PAPER,
     PLAIN_LEARNING,
+    REST_V,
     STAGE,
     TICKS,
     Bench,
@@ -34,8 +35,6 @@ from tests.closed_loop.bench import (
     order,
     square_wave,
 )
-
-REST_V = 3.0 / 0.011
 
 
 def measurement(

@@ -16,10 +16,9 @@ from adaptdrive.control.methods import METHODS
 from adaptdrive.control.reach import UNKNOWN, Reach, estimated_reach, nominal_reach
 from adaptdrive.control.rest import believed_offset, distance_from_rest, nominal_gain
 from adaptdrive.control.slow_state import SlowState, new_slow_state
-from tests.closed_loop.bench import EXACT, MOTOR, STAGE
+from tests.closed_loop.bench import EXACT, MOTOR, REST_V, STAGE
 from tests.control.systems import System, motor_system, polynomials
 
-REST_V = 3.0 / 0.011
 BATH = bath_load(0.021, 200.0, 0.25, 1.0, 7.87)
 CHARGED = battery_load(0.25, 0.3, 0.05, 60.0, Charging(0.25, 0.05, 0.25, 58.0, 1.0))
 BIASED = replace(EXACT.learning, bias=True, alert=True)

@@ -12,9 +12,7 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.settings import ControllerSettings, Rates
 from adaptdrive.control.signals import Decision, Measurement, Mode, Order, Snapshot, Stage
-from tests.closed_loop.bench import EXACT, MOTOR, PLAIN_LEARNING, TICKS, TICK_s, order
-
-REST_V = 3.0 / 0.011
+from tests.closed_loop.bench import EXACT, MOTOR, PLAIN_LEARNING, REST_V, TICKS, TICK_s, order
 
 
 def measured(

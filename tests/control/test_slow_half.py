@@ -14,10 +14,9 @@ from adaptdrive.control.slow_half import slow_step
 from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
 from adaptdrive.control.vectors import copy_into
 from adaptdrive.control.watch import Fallback
-from tests.closed_loop.bench import EXACT, MOTOR, PAPER, PLAIN_LEARNING
+from tests.closed_loop.bench import EXACT, MOTOR, PAPER, PLAIN_LEARNING, REST_V
 from tests.control.systems import motor_system
 
-REST_V = 3.0 / 0.011
 BOTH = pytest.mark.parametrize("settings", [EXACT, PAPER])
 
 

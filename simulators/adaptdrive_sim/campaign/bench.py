@@ -107,11 +107,6 @@ class Stand(DrawnRun):
         models = {inertia: self._true_load(inertia) for inertia in set(inertias)}
         return [models[inertia] for inertia in inertias]
 
-    def truth_of(self, inertia: float) -> Array:
-        """True physical parameters at an inertia."""
-        load = self._true_load(inertia)
-        return np.array(load.physical(list(load.numerator), list(load.denominator)))
-
     def _true_load(self, inertia: float) -> Load:
         motor, coupling = Motor(self.scenario.motor()), CouplingParameters()
         motor.set_inertia(MotorParameters().disk_kgm2 * inertia)

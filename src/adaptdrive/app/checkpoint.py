@@ -29,7 +29,9 @@ from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Event, LoadReport, Severity
 
 FORMAT = 1
-EVERY_S = 60.0
+
+_EVERY_S = 60.0
+"""Shortest time between two writes."""
 
 PATIENCE_S = 5.0
 """Longest wait for the disk: one that hangs must not keep the daemon from ending."""
@@ -224,7 +226,6 @@ class Keeper:
         source: EstimateSource,
         hub: Hub,
         clock: Callable[[], float],
-        every_s: float = EVERY_S,
     ) -> None:
         """Join the controller to its file.
 
@@ -233,13 +234,11 @@ class Keeper:
             source: The controller.
             hub: Where slow periods are reported, and trouble.
             clock: Monotonic clock in seconds.
-            every_s: Shortest time between two writes.
         """
         self._write = write
         self._source = source
         self._hub = hub
         self._clock = clock
-        self._every_s = every_s
         self._reports = hub.subscribe(LoadReport, size=_REPORTS_HELD)
         self._written: Learnt | None = None
         self._next_s = clock()
@@ -260,7 +259,7 @@ class Keeper:
         learnt = Learnt(values, self._source.resolution)
         if learnt == self._written:
             return
-        self._next_s = self._clock() + self._every_s
+        self._next_s = self._clock() + _EVERY_S
         try:
             async with asyncio.timeout(PATIENCE_S):
                 await asyncio.to_thread(self._write, learnt)

@@ -178,16 +178,13 @@ def _residual_sigma(rows: Array, targets: Array, theta: Array) -> float:
     return float(np.linalg.norm(targets - rows @ theta) / math.sqrt(freedom))
 
 
-def identify(
-    record: Record, structure: Structure, tau_lambda_s: float, every: int = 1
-) -> Identified:
+def identify(record: Record, structure: Structure, tau_lambda_s: float) -> Identified:
     """The continuous-time load behind a record, by the λ-method.
 
     Args:
         record: Outputs and inputs.
         structure: What to look for.
         tau_lambda_s: Time constant of the λ filters.
-        every: Take each so-many-th sample into the least squares; all pass the filters.
 
     Returns:
         H(s) with its covariance.
@@ -198,14 +195,14 @@ def identify(
     if len(record.outputs) != len(record.inputs):
         raise ValueError(f"{len(record.outputs)} outputs, but {len(record.inputs)} inputs")
     regressors, targets = _regression(record, structure, tau_lambda_s)
-    found = _found(least_squares(regressors[::every], targets[::every]), structure, tau_lambda_s)
+    found = _found(least_squares(regressors, targets), structure, tau_lambda_s)
     if not structure.direct:
         return found
     smeared = _smeared(record, structure, tau_lambda_s)
     for _ in range(_PASSES):
         mended = regressors.copy()
         mended[:, : structure.order] += found.numerator[0] * smeared
-        fit = least_squares(mended[::every], targets[::every])
+        fit = least_squares(mended, targets)
         found = _found(fit, structure, tau_lambda_s)
     return found
 

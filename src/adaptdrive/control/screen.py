@@ -44,13 +44,11 @@ class Screen:
         level: ŷ.
         slope: v, per tick.
         deviation: s.
-        clipped: Samples clipped since start.
     """
 
     level: float
     slope: float
     deviation: float
-    clipped: int = 0
 
 
 def pass_sample(screen: Screen, sample: float, clip: float, ticks: int) -> float:
@@ -66,8 +64,6 @@ def pass_sample(screen: Screen, sample: float, clip: float, ticks: int) -> float
     error = sample - predicted
     limit = clip * screen.deviation
     kept = min(max(error, -limit), limit)
-    if kept != error:
-        screen.clipped += 1
     screen.level = predicted + ALPHA * kept
     screen.slope += BETA * kept
     seen = min(abs(error), 2.0 * limit)

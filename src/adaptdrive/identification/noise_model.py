@@ -10,25 +10,24 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-LONGEST = 8
+_LONGEST = 8
 """Order up to which a model is tried."""
 
 
-def autoregression(parts: Sequence[Array], longest: int = LONGEST) -> Array:
+def autoregression(parts: Sequence[Array]) -> Array:
     """Return 1, A_1 ... A_n with the n of least Bayesian information criterion.
 
     Args:
         parts: v of each uninterrupted part.
-        longest: Largest n.
     """
-    usable = [part for part in parts if len(part) > 2 * longest]
-    count = sum(len(part) - longest for part in usable)
-    if count < 10 * longest:
+    usable = [part for part in parts if len(part) > 2 * _LONGEST]
+    count = sum(len(part) - _LONGEST for part in usable)
+    if count < 10 * _LONGEST:
         return np.ones(1)
-    lags = [np.lib.stride_tricks.sliding_window_view(part, longest + 1) for part in usable]
+    lags = [np.lib.stride_tricks.sliding_window_view(part, _LONGEST + 1) for part in usable]
     rows = np.concatenate(lags)[:, ::-1]
-    scores = [_score(rows, order, count) for order in range(longest + 1)]
-    best = min(range(longest + 1), key=lambda order: scores[order][0])
+    scores = [_score(rows, order, count) for order in range(_LONGEST + 1)]
+    best = min(range(_LONGEST + 1), key=lambda order: scores[order][0])
     return scores[best][1]
 
 

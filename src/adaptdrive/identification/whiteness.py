@@ -10,17 +10,19 @@ from scipy.stats import chi2
 
 Array = NDArray[np.float64]
 
+_LAGS = 20
+"""Lags tested (Ljung and Box, doi:10.1093/biomet/65.2.297)."""
 
-def ljung_box(parts: Sequence[Array], fitted: int, lags: int = 20) -> float:
+
+def ljung_box(parts: Sequence[Array], fitted: int) -> float:
     """Return the probability that white noise has autocorrelations as large as these.
 
     Args:
         parts: Residuals of each uninterrupted part.
         fitted: Parameters of the noise model that was fitted to them.
-        lags: Lags tested (Ljung and Box, doi:10.1093/biomet/65.2.297).
     """
     count = sum(map(len, parts))
-    lags = max(fitted + 1, min(lags, count // 5))
+    lags = max(fitted + 1, min(_LAGS, count // 5))
     power = sum(float(part @ part) for part in parts)
     if power == 0.0:
         return 1.0

@@ -24,6 +24,9 @@ NO_FIGURE = "--no-figure"
 _PATIENCE_S = 60.0
 """Longest wait for the disk, and for the figure, while the daemon runs."""
 
+_BEFORE_S = 60.0
+"""How far back the record of a trip goes."""
+
 
 @dataclass(frozen=True, slots=True)
 class _Trip:
@@ -47,7 +50,6 @@ class BlackBox:
         report: Callable[[Severity, str], None],
         clock: Callable[[], float],
         *,
-        before_s: float = 60.0,
         after_s: float = 10.0,
     ) -> None:
         """Begin to keep.
@@ -56,7 +58,6 @@ class BlackBox:
             header: The session.
             report: Reports an event.
             clock: Monotonic clock in seconds.
-            before_s: How far back the record of a trip goes.
             after_s: How long it goes on after the trip.
         """
         self.directory = ""
@@ -64,7 +65,6 @@ class BlackBox:
         self._header = header
         self._report = report
         self._clock = clock
-        self._before_s = before_s
         self._after_s = after_s
         self._kept: deque[tuple[float, Batch]] = deque()
         self._trips: deque[_Trip] = deque()
@@ -76,7 +76,7 @@ class BlackBox:
         now_s = self._clock()
         self._kept.append((now_s, batch))
         # twice as long as a record: one may have to wait for the one before it
-        while self._kept[0][0] < now_s - 2.0 * (self._before_s + self._after_s):
+        while self._kept[0][0] < now_s - 2.0 * (_BEFORE_S + self._after_s):
             self._kept.popleft()
         for event in batch.events:
             # a batch that was refused comes again with its events
@@ -134,7 +134,7 @@ class BlackBox:
     def _send(self, trip: _Trip, writer: WriterProcess) -> None:
         header = msgspec.structs.replace(self._header, directory=self.directory)
         writer.send(framed(header))
-        begin_s, end_s = trip.time_s - self._before_s, trip.time_s + self._after_s
+        begin_s, end_s = trip.time_s - _BEFORE_S, trip.time_s + self._after_s
         for time_s, batch in self._kept:
             if begin_s <= time_s <= end_s:
                 writer.send(framed(batch))

@@ -11,7 +11,6 @@ from __future__ import annotations
 import asyncio
 import functools
 import math
-import time
 from collections import Counter
 from collections.abc import Callable
 
@@ -55,7 +54,6 @@ class CanOpenPort:
         mapping: CanOpenMapping,
         half_cycle_s: float,
         clock: Callable[[], float],
-        wall_clock: Callable[[], float] = time.time,
     ) -> None:
         """Prepare for the drive; nothing is opened yet.
 
@@ -64,12 +62,11 @@ class CanOpenPort:
             mapping: Which object is which quantity.
             half_cycle_s: Half a line cycle.
             clock: Monotonic clock, in seconds.
-            wall_clock: The clock with which the bus stamps frames, in seconds.
         """
         self._config = config
         self._mapping = mapping
         self._clock = clock
-        self._arrivals = ArrivalClock(clock, wall_clock)
+        self._arrivals = ArrivalClock(clock)
         self._counts: Counter[str] = Counter()
         self._connection = CanConnection(config, self, self._arrivals, self._counts)
         self._control = DriveControl()

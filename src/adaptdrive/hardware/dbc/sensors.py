@@ -7,7 +7,6 @@ and is counted. Nothing is ever sent.
 from __future__ import annotations
 
 import asyncio
-import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -41,8 +40,6 @@ def build_can_sensors(
     place: str,
     clock: Callable[[], float],
     source: Path | str = "configuration",
-    *,
-    wall_clock: Callable[[], float] = time.time,
 ) -> CanSensorPort:
     """Build the port of one sensor bus; nothing is opened yet.
 
@@ -50,13 +47,12 @@ def build_can_sensors(
         bus: One entry of `[[sensor_bus]]`.
         place: Where it stands in the configuration.
         clock: Monotonic clock, in seconds.
-        wall_clock: The clock with which the bus stamps frames, in seconds.
         source: The configuration, for error messages.
 
     Raises:
         ConfigurationError: Configuration and DBC do not fit; every flaw is listed.
     """
-    return CanSensorPort(bus, map_sensors(bus, place, source), clock, wall_clock)
+    return CanSensorPort(bus, map_sensors(bus, place, source), clock)
 
 
 def map_sensors(bus: Config, place: str, source: Path | str) -> tuple[SensorMessage, ...]:
@@ -96,14 +92,13 @@ class CanSensorPort:
         config: Config,
         messages: tuple[SensorMessage, ...],
         clock: Callable[[], float],
-        wall_clock: Callable[[], float],
     ) -> None:
         self._config = config
         self._messages = {
             frame_key(one.codec.frame_id, extended=one.codec.is_extended): one for one in messages
         }
         self._clock = clock
-        self._arrivals = ArrivalClock(clock, wall_clock)
+        self._arrivals = ArrivalClock(clock)
         self._counts: Counter[str] = Counter()
         self._listener: SensorListener | None = None
         self._heard_s = 0.0

@@ -9,6 +9,7 @@ was last found empty: however long that is, and whatever its stamp is.
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
 from collections.abc import Callable
 
@@ -31,7 +32,9 @@ _STEPS = 4
 class ArrivalClock:
     """Converts the stamps of frames from the wall clock to the monotonic clock."""
 
-    def __init__(self, clock: Callable[[], float], wall_clock: Callable[[], float]) -> None:
+    def __init__(
+        self, clock: Callable[[], float], wall_clock: Callable[[], float] = time.time
+    ) -> None:
         """Measure the offset between both clocks.
 
         Args:
