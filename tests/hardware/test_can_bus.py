@@ -1,4 +1,6 @@
 import socket
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -62,6 +64,22 @@ def test_only_loopback_has_joined_the_group(free_udp_port: int) -> None:
     with opened(on_port(free_udp_port, group)):
         joined = interfaces_of(group)
     assert joined == {"lo"}
+
+
+ALONE = ["unshare", "--map-root-user", "--net", "sh", "-c"]
+HEARS = "test_two_buses_of_a_group_hear_each_other"
+
+
+def test_frames_are_heard_where_multicast_is_routed_through_loopback() -> None:
+    """A machine of its own, whose default interface of the group is loopback itself."""
+    route = "ip link set lo up && ip route add 224.0.0.0/4 dev lo"
+    if subprocess.run([*ALONE, route], check=False, capture_output=True).returncode:
+        pytest.skip("needs unshare, ip and user namespaces")
+    hears = f"{sys.executable} -m pytest -q -p no:cacheprovider {__file__} -k {HEARS}"
+    run = subprocess.run(
+        [*ALONE, f"{route} && {hears}"], check=False, capture_output=True, text=True
+    )
+    assert run.returncode == 0, run.stdout
 
 
 def interfaces_of(group: str) -> set[str]:

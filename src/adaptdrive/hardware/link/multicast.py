@@ -11,7 +11,6 @@ no other socket has: it marks the frames of this bus among those of another send
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import socket
 import struct
@@ -118,8 +117,9 @@ def confine_to_loopback(sock: socket.socket, group: str) -> None:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")
     sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
     sock.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
-    _join(sock, address + loopback)
+    # in this order: the default interface may be loopback itself
     sock.setsockopt(socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, address + default)
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, address + loopback)
 
 
 def _bind_sender(sock: socket.socket) -> tuple[str, int]:
@@ -133,11 +133,3 @@ def _bind_sender(sock: socket.socket) -> tuple[str, int]:
     sock.bind(("127.0.0.1", 0))
     host, port = sock.getsockname()
     return host, port
-
-
-def _join(sock: socket.socket, membership: bytes) -> None:
-    try:
-        sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
-    except OSError as problem:
-        if problem.errno != errno.EADDRINUSE:  # the default interface already is loopback
-            raise
