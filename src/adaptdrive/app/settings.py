@@ -8,7 +8,8 @@ from adaptdrive.app.interlocks import trip_limits, watches
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.paper_design import PAPER_COVARIANCE, paper_jacket, paper_learning
 from adaptdrive.config import Configuration
-from adaptdrive.config.load import BathSection, BatterySection, MotorSection, Supervisor
+from adaptdrive.config.estimator import Supervisor
+from adaptdrive.config.load import BathSection, BatterySection, MotorSection
 from adaptdrive.control.impulse_hold import KICK_SHARE, kick_factors
 from adaptdrive.control.load import to_input
 from adaptdrive.control.methods import METHODS

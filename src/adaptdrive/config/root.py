@@ -12,7 +12,8 @@ from adaptdrive.config.bus import Signals
 from adaptdrive.config.buses import AnyBus, bus_checks
 from adaptdrive.config.derived import Derived
 from adaptdrive.config.drive import DriveSection, VoltageLoop
-from adaptdrive.config.load import AnyLoad, Estimator, MotorSection, SimulatorSection, Supervisor
+from adaptdrive.config.estimator import Estimator, Supervisor
+from adaptdrive.config.load import AnyLoad, MotorSection, SimulatorSection
 from adaptdrive.config.section import Section, inconsistent
 from adaptdrive.config.sensors import (
     CanSensorSection,
