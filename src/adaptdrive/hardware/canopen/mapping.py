@@ -54,11 +54,11 @@ _FIRST_PDO, _BEHIND_PDOS = 0x1400, 0x1C00
 
 
 @dataclass(frozen=True, slots=True)
-class ObjectSource:
-    """Source of a quantity.
+class MappedObject:
+    """Source of a measured quantity, or destination of a commanded one.
 
     Attributes:
-        quantity: Field of `Reading`, or a name in its `other`.
+        quantity: Field of `Reading`, a name in its `other`, or a field of `Command`.
         entry: Entry of the object dictionary.
         scale: SI units per count.
         offset: SI value of the count zero.
@@ -71,28 +71,11 @@ class ObjectSource:
 
 
 @dataclass(frozen=True, slots=True)
-class ObjectSink:
-    """Destination of a part of the command.
-
-    Attributes:
-        name: Field of `Command`.
-        entry: Entry of the object dictionary.
-        scale: SI units per count.
-        offset: SI value of the count zero.
-    """
-
-    name: str
-    entry: Entry
-    scale: float
-    offset: float
-
-
-@dataclass(frozen=True, slots=True)
 class StatusPdo:
     """A PDO that carries measurements, and what is taken from it."""
 
     codec: MessageCodec
-    sources: tuple[ObjectSource, ...]
+    sources: tuple[MappedObject, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +83,7 @@ class CommandPdo:
     """A PDO that carries the command, its controlword or both."""
 
     codec: MessageCodec
-    sinks: tuple[ObjectSink, ...]
+    sinks: tuple[MappedObject, ...]
     controlword: bool
 
 
@@ -131,7 +114,7 @@ class CanOpenMapping:
     identity: tuple[tuple[Address, int], ...]
 
     @property
-    def sources(self) -> tuple[ObjectSource, ...]:
+    def sources(self) -> tuple[MappedObject, ...]:
         """Every quantity that is measured."""
         return tuple(source for status in self.statuses for source in status.sources)
 
@@ -171,8 +154,8 @@ class _Plan:
     def __init__(self, catalogue: ObjectCatalogue, bus: CanOpenBus) -> None:
         self._catalogue = catalogue
         self._bus = bus
-        self._sources: list[ObjectSource] = []
-        self._sinks: list[ObjectSink] = []
+        self._sources: list[MappedObject] = []
+        self._sinks: list[MappedObject] = []
         for address, consequence in _NEEDED.items():
             if catalogue.at(address) is None:
                 missing = f"the EDS has no object {label(address)}: {consequence}"
@@ -190,7 +173,7 @@ class _Plan:
                 continue
             if not (entry.readable and entry.mappable):
                 self._catalogue.note(place, f"the drive does not send {entry.name!r} in a PDO")
-            source = ObjectSource(quantity, entry, given.scale, given.offset)
+            source = MappedObject(quantity, entry, given.scale, given.offset)
             self._sources.append(source)
             if quantity in WORDS:
                 self._check_word(source, place)
@@ -214,7 +197,7 @@ class _Plan:
                     problem = f"{entry.name!r} cannot carry {wanted:g}, a limit of [drive.limits]"
                     ends = "{:g}…{:g}".format(*entry.limits)
                     self._catalogue.note(place, f"{problem}: its counts are {ends}")
-            self._sinks.append(ObjectSink(name, entry, given.scale, given.offset))
+            self._sinks.append(MappedObject(name, entry, given.scale, given.offset))
 
     def mapping(self) -> CanOpenMapping | None:
         """Return the mapping; None when errors were found."""
@@ -237,7 +220,7 @@ class _Plan:
             identity=self._catalogue.identity,
         )
 
-    def _check_word(self, source: ObjectSource, place: str) -> None:
+    def _check_word(self, source: MappedObject, place: str) -> None:
         entry = source.entry
         if (source.scale, source.offset) != (1.0, 0.0):
             self._catalogue.note(place, "is an integer: it takes no scale and no offset")
