@@ -52,12 +52,12 @@ tables: $(installed) ## run the paper's motor experiment with 20 seeds, and writ
 	nice $(bin)/python -m tests.benchmarks.paper_tables $(SEED)
 
 docs: $(installed) ## write the pages that are made from the code
-	$(bin)/python -m adaptdrive.config.reference docs/configuration.md
+	$(bin)/python -m tests.config.reference_page docs/configuration.md
 	$(bin)/python -m tests.deploy.licences docs/licences.md
 	$(bin)/python -m tests.runtime.columns_page docs/columns.md
 	$(bin)/python -m tests.control.constants_page docs/constants.md
 	$(bin)/python -m tests.runtime.trips_table docs/operation.md
-	$(bin)/python -m adaptdrive.operation.asyncapi docs/mqtt
+	$(bin)/python -m tests.operation.asyncapi docs/mqtt
 	$(bin)/python -m tests.proof.page docs/proof.md docs/reliability.md
 
 wheel: $(installed) ## build the wheel into dist/

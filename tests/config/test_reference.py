@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from adaptdrive.config.reference import reference_page
+from tests.config.reference_page import reference_page
 
 PAGE = Path(__file__).parents[2] / "docs" / "configuration.md"
 

@@ -15,9 +15,9 @@ from typing import Any
 
 import pytest
 
-from adaptdrive.operation.asyncapi import schema
-from adaptdrive.operation.contract import topics
+from tests.operation.asyncapi import schema
 from tests.operation.peers import PATIENCE_S, drive_report, load_report, serving
+from tests.operation.topic_table import topics
 from tests.support import Broker, start_process, stop_process
 
 FOLDER = Path(__file__).parents[2] / "deploy" / "monitoring"

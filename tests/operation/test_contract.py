@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive.operation.asyncapi import asyncapi, documents, schema
 from adaptdrive.operation.commands import PING, VERBS
-from adaptdrive.operation.contract import Topic, topics
 from adaptdrive.runtime.reports import Event, Severity, State
+from tests.operation.asyncapi import asyncapi, documents, schema
 from tests.operation.contract import validators
 from tests.operation.peers import (
     STANDBY,
@@ -23,6 +22,7 @@ from tests.operation.peers import (
     publish,
     serving,
 )
+from tests.operation.topic_table import Topic, topics
 from tests.support import Broker
 
 FOLDER = Path(__file__).parents[2] / "docs" / "mqtt"

@@ -9,8 +9,6 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from adaptdrive.errors import RefusedError
-from adaptdrive.operation.asyncapi import schema
-from adaptdrive.operation.contract import simulator_topics
 from adaptdrive_sim.broker import BrokerAddress, parse_address
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.remote import Remote
@@ -20,6 +18,8 @@ from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import World
+from tests.operation.asyncapi import schema
+from tests.operation.topic_table import simulator_topics
 
 
 def ignore(*_: Any, **__: Any) -> None:

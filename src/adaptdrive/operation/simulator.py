@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import msgspec
 
 ROOT = "adaptdrive-sim"
@@ -20,28 +18,6 @@ class Feature(msgspec.Struct, frozen=True):
 
     text: str
     request: dict[str, float]
-
-
-class PlantTruth(msgspec.Struct, frozen=True):
-    """The device's own state; beside these keys, true parameters and quantities of the plant.
-
-    Attributes:
-        time: Time of the message, UTC.
-        features: Disturbances that the device offers.
-    """
-
-    time: str = ""
-    features: tuple[Feature, ...] = ()
-
-
-class PlantDisturbance(msgspec.Struct, frozen=True):
-    """A request; beside its id, exactly one disturbance such as `disks`, as `features` lists them.
-
-    Attributes:
-        id: Id of the request, which the reply repeats.
-    """
-
-    id: Annotated[str, msgspec.Meta(min_length=1)]
 
 
 class DeviceReply(msgspec.Struct, frozen=True):

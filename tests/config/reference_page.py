@@ -1,6 +1,6 @@
 """The reference page of the configuration, made from the models that validate it.
 
-`python -m adaptdrive.config.reference FILE` writes the page.
+`python -m tests.config.reference_page FILE` writes the page.
 """
 
 from __future__ import annotations

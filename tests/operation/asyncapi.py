@@ -1,6 +1,6 @@
 """The contract as one AsyncAPI 3 document, and as a JSON Schema for each topic.
 
-`python -m adaptdrive.operation.asyncapi FOLDER` writes them.
+`python -m tests.operation.asyncapi FOLDER` writes them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import msgspec
 
 from adaptdrive import __version__
 from adaptdrive.operation.commands import PING, VERBS
-from adaptdrive.operation.contract import Availability, Topic, attributes, simulator_topics, topics
+from tests.operation.topic_table import Availability, Topic, attributes, simulator_topics, topics
 
 Document = dict[str, Any]
 
@@ -99,7 +99,7 @@ def _message(topic: Topic, body: Document) -> Document:
     return message
 
 
-def _polished(schema: Any, *, nullable: bool) -> Any:  # noqa: ANN401 - any part of a document
+def _polished(schema: Any, *, nullable: bool) -> Any:
     """Let each number be null, and move the meanings from a docstring to the properties."""
     if isinstance(schema, list):
         return [_polished(one, nullable=nullable) for one in schema]

@@ -45,6 +45,28 @@ class Availability(StrEnum):
     OFFLINE = "offline"
 
 
+class PlantTruth(msgspec.Struct, frozen=True):
+    """The device's own state; beside these keys, true parameters and quantities of the plant.
+
+    Attributes:
+        time: Time of the message, UTC.
+        features: Disturbances that the device offers.
+    """
+
+    time: str = ""
+    features: tuple[simulator.Feature, ...] = ()
+
+
+class PlantDisturbance(msgspec.Struct, frozen=True):
+    """A request; beside its id, exactly one disturbance such as `disks`, as `features` lists them.
+
+    Attributes:
+        id: Id of the request, which the reply repeats.
+    """
+
+    id: Annotated[str, msgspec.Meta(min_length=1)]
+
+
 @dataclass(frozen=True, slots=True)
 class Topic:
     """A topic of each drive.
@@ -110,12 +132,12 @@ def simulator_topics() -> tuple[Topic, ...]:
         Topic(
             of(simulator.TRUTH),
             "the simulated plant, once a second, and the disturbances that it offers",
-            simulator.PlantTruth,
+            PlantTruth,
             retained=True,
             qos=0,
         ),
         Topic(of(simulator.REPLY), "the answer to a request", simulator.DeviceReply),
-        Topic(of(simulator.DISTURB), "a request", simulator.PlantDisturbance, sent=False),
+        Topic(of(simulator.DISTURB), "a request", PlantDisturbance, sent=False),
     )
 
 
@@ -182,7 +204,7 @@ def _members(part: type, *left_out: str) -> Iterator[Member]:
 
 
 @cache
-def _kind(kind: Any) -> Any:  # noqa: ANN401 - any type of a field
+def _kind(kind: Any) -> Any:
     """Return the type of a field in a message: dataclasses with the meanings of their fields."""
     if kind is datetime:
         return _AWARE
