@@ -7,7 +7,7 @@ from pathlib import Path
 from statistics import median
 
 from adaptdrive_sim.campaign.settings import read_campaign
-from adaptdrive_sim.campaign.speed import measure
+from tests.benchmarks.campaign_speed import measure
 from tests.benchmarks.rows import Extent, Row
 
 COUNTS = (1, 2)

@@ -1,11 +1,9 @@
 """Measure how campaigns scale, and draw docs/images/campaign-scaling.png.
 
 One and two processes take turns on the same seeds; each dot is a round. Run it on a machine that
-does nothing else, with `.venv/bin/python docs/images/campaign_scaling.py`: it takes about a minute,
-and another one where the experiments have to be compiled first.
+does nothing else, with `python -m tests.benchmarks.campaign_scaling`: it takes about a minute, and
+another one where the experiments have to be compiled first.
 """
-
-# ruff: noqa: INP001 - a script, not part of a package
 
 from __future__ import annotations
 
@@ -16,10 +14,11 @@ from matplotlib.figure import Figure
 
 from adaptdrive.analysis import style
 from adaptdrive_sim.campaign.settings import read_campaign
-from adaptdrive_sim.campaign.speed import Round, measure
 from adaptdrive_sim.experiments.figure import save
+from tests.benchmarks.campaign_speed import Round, measure
 
 COUNTS = (1, 2)
+IMAGE = Path(__file__).parents[2] / "docs" / "images" / "campaign-scaling.png"
 RUNS, ROUNDS = 80, 9
 
 
@@ -46,14 +45,14 @@ def draw(found: dict[int, list[Round]], path: Path) -> None:
 
 
 def main() -> None:
-    """Measure, tell and draw."""
+    """Measure, print and draw."""
     found = measure(read_campaign(Path("standard.toml")), COUNTS, runs=RUNS, rounds=ROUNDS)
     for count, rounds in found.items():
         speeds = sorted(one.experiments_per_s for one in rounds)
         cpu_ms = median(one.cpu_ms for one in rounds)
         told = f"{median(speeds):.1f} experiments/s ({speeds[0]:.1f} to {speeds[-1]:.1f})"
         print(f"{count} processes: {told}, {cpu_ms:.2f} ms CPU each")  # noqa: T201
-    draw(found, Path(__file__).with_name("campaign-scaling.png"))
+    draw(found, IMAGE)
 
 
 if __name__ == "__main__":
