@@ -150,6 +150,21 @@ async def test_the_daemon_starts_without_a_broker(
             stop_process(process)
 
 
+async def test_a_broker_that_takes_small_packets_only_still_delivers_a_stop(
+    mosquitto_launcher: MosquittoLauncher, free_tcp_port: int, tmp_path: Path
+) -> None:
+    """Its `state` is larger than the broker takes, which would end each connection at once."""
+    launcher = replace(mosquitto_launcher, more="max_packet_size 300\n")
+    process = await asyncio.to_thread(launcher.start, free_tcp_port)
+    try:
+        async with serving(Broker("127.0.0.1", free_tcp_port), "small", tmp_path) as bench:
+            assert (await ask(bench, "disable", "any"))["accepted"]
+            assert bench.host.asked == [Disable()]
+            assert (await ask(bench, "setpoint", '{"id": "a", "value": 1}'))["accepted"]
+    finally:
+        stop_process(process)
+
+
 async def test_a_command_under_way_ends_although_the_broker_is_lost(
     mortal: MortalBroker, tmp_path: Path
 ) -> None:

@@ -10,10 +10,14 @@ from contextlib import suppress
 from typing import Any, NoReturn, TypeVar
 
 import paho.mqtt.client as paho
+import structlog
 from aiomqtt import Client, Message, MqttCodeError, MqttError
 from aiomqtt.types import PahoSocket
 
 T = TypeVar("T")
+
+_HEADER_BYTES = 10
+"""Most that a PUBLISH packet adds to its topic and its payload: lengths, packet id, properties."""
 
 # Reason codes of MQTT 5; paho gives the second where the broker gave none.
 _TAKEN_OVER = 142
@@ -29,6 +33,32 @@ class SteadyClient(Client):
     def __init__(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401 - aiomqtt's signature
         super().__init__(*args, **kwargs)
         self._receive: Callable[[Message], None] | None = None
+        self._largest: int | None = None
+        self._withheld: set[str] = set()
+
+    async def publish(  # type: ignore[override]
+        self,
+        /,
+        topic: str,
+        payload: bytes | str = b"",
+        *args: Any,  # noqa: ANN401 - aiomqtt's signature
+        **kwargs: Any,  # noqa: ANN401
+    ) -> None:
+        """Publish a message, unless it is larger than the broker says it takes.
+
+        A broker ends the connection of a client that sends more, and no `disable` would arrive.
+        """
+        size = _HEADER_BYTES + len(topic.encode()) + len(payload)
+        if self._largest is None or size <= self._largest:
+            await super().publish(topic, payload, *args, **kwargs)
+        elif topic not in self._withheld:
+            self._withheld.add(topic)
+            structlog.get_logger().error(
+                "message withheld: the broker takes no packet of this size",
+                topic=topic,
+                bytes=size,
+                largest=self._largest,
+            )
 
     def receive_with(self, receive: Callable[[Message], None]) -> None:
         """Hand each message over as it arrives, ahead of every queue and task."""
@@ -64,6 +94,10 @@ class SteadyClient(Client):
         await asyncio.wait([self._disconnected])
         problem = self._disconnected.exception()
         raise MqttError(str(problem or "the broker closed the connection")) from problem
+
+    def _on_connect(self, *args: Any) -> None:  # noqa: ANN401 - aiomqtt's signature
+        self._largest = getattr(args[-1], "MaximumPacketSize", None)
+        super()._on_connect(*args)
 
     def _on_message(self, client: paho.Client, userdata: object, message: paho.MQTTMessage) -> None:
         if self._receive is None:
