@@ -25,7 +25,7 @@ _PATIENCE_S = 60.0
 """Longest wait for the disk, and for the figure, while the daemon runs."""
 
 _BEFORE_S = 60.0
-"""How far back the record of a trip goes."""
+"""Time before a trip that its record begins."""
 
 
 @dataclass(frozen=True, slots=True)
