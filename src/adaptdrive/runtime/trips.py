@@ -176,8 +176,9 @@ TRIPS = (
     ),
     Trip(
         r"^frame rate: ",
-        "frame rate: the drive sends 100 readings/s, expected 120/s: …",
-        "the rate of the clocking message differs from the rate of the half cycles for 0.5 s or "
+        "frame rate: the drive sends 100 readings/s, expected 120/s: look at "
+        "drive.line_frequency_Hz, bus.clock and bus.clock_ticks",
+        "the rate of the clocking message differs from the rate of the half cycles for 1 s or "
         "more; only for a drive that is the clock",
         "correct `drive.line_frequency_Hz`; set `bus.clock` to a message that arrives every half "
         "cycle, or set `bus.clock_ticks` to the half cycles between two messages",
