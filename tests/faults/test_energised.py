@@ -10,6 +10,7 @@ from hypothesis.stateful import run_state_machine_as_test
 
 from adaptdrive.runtime.bridge_watch import BridgeWatch
 from adaptdrive.runtime.interlock_board import InterlockBoard
+from adaptdrive.runtime.requests import SetSetpoint
 from tests.faults.story import Story
 
 STORIES = int(os.environ.get("STORIES", "40"))
@@ -52,3 +53,15 @@ def test_a_daemon_without_one_protection_is_found_out(
     monkeypatch.setattr(owner, name, _no_cause)
     with pytest.raises(AssertionError, match=r"although|without a reset"):
         run_state_machine_as_test(Story, settings=UNSHRUNK)
+
+
+def test_a_command_that_a_request_made_between_two_ticks_shows_no_cause_yet() -> None:
+    """The set-point lets the drive coast at once; the other sender is seen in the next tick."""
+    story = Story()
+    story.wake_up(readings=62)
+    story.enable()
+    story.another_sender(speaks=True)
+    story.ask(wish=SetSetpoint(0.0))
+    story.enable()
+    story.pass_ticks(1)
+    assert story.daemon.trip == "another sender commands"

@@ -57,7 +57,7 @@ def test_a_tenth_of_jitter_is_believed_in_the_shortest_window(rate: float, *, ju
 def test_a_wrong_rate_is_named_when_it_has_lasted_for_a_second() -> None:
     sender = Sender()
     sender.send(240)
-    sender.send(60, after=0.5)
+    sender.send(30, after=0.5)
     assert not sender.rate.judged
     sender.send(239, after=0.5)
     assert sender.rate.cause is None
@@ -69,7 +69,7 @@ def test_a_rate_that_was_wrong_is_believed_once_half_of_the_window_is_right() ->
     sender = Sender()
     sender.send(240)
     sender.send(300, after=0.5)
-    sender.send(119)
+    sender.send(59)
     assert sender.rate.cause is not None
     sender.send()
     assert sender.rate.cause is None

@@ -26,8 +26,8 @@ _SHORTEST_TICKS = 60
 _LEAST_READINGS = 10
 """Readings from which a rate is judged: of fewer, one that comes late moves it by a tenth."""
 
-_BLOCKS = 8
-"""Blocks of half the shortest window over which the rate is measured: 2 s on a 60 Hz line."""
+_BLOCKS = 4
+"""Blocks of half the shortest window over which the rate is measured: 1 s on a 60 Hz line."""
 
 _LASTING_TICKS = 120
 """Time for which a rate must be wrong: longer than frames stay late that came at once, 1 s."""
