@@ -131,8 +131,11 @@ def resident_MiB(pid: int) -> float:
 
 
 def children(pid: int) -> list[int]:
-    """Processes that a process has started."""
-    text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8")
+    """Processes that a process has started; none of one that has ended."""
+    try:
+        text = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8")
+    except (FileNotFoundError, ProcessLookupError):
+        return []
     return [int(one) for one in text.split()]
 
 
