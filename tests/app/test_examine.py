@@ -89,6 +89,17 @@ def spoilt(draw: st.DrawFn, text: str) -> str:
     return text
 
 
+def test_a_register_that_a_sensor_misses_is_named_beside_a_flaw_elsewhere(folder: Path) -> None:
+    path = folder / "bath-thermocouples.toml"
+    text = path.read_text(encoding="utf-8")
+    assert "\nchannel_1 = " in text
+    text = text.replace("\nchannel_1 = ", "\nchannel_3 = ").replace("\nrule = ", "\nrulex = ")
+    path.write_text(text, encoding="utf-8")
+    complaints = "\n".join(checked(path))
+    assert "rulex" in complaints
+    assert "[sensor_bus.registers] has no register 'channel_1'" in complaints
+
+
 @FUZZ
 @given(data=st.data(), name=st.sampled_from(TOMLS))
 def test_changed_keys_never_end_in_a_traceback(

@@ -13,6 +13,7 @@ from adaptdrive.app.sensors import build_sensor_port
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import Findings, find_flaws, read_text
 from adaptdrive.config.modbus import ModbusBus, ModbusLink
+from adaptdrive.config.sensors import AnySensorBus, sensor_flaws
 from adaptdrive.errors import ConfigurationError, Flaw
 
 _OF_PORT = frozenset({"drive", "bus", "signals", "voltage_loop", "load", "interlocks"})
@@ -61,10 +62,19 @@ def _description_flaws(findings: Findings, path: Path) -> Iterator[Flaw]:
     flawed = [flaw.place for flaw in findings.flaws]
     for number, bus in enumerate(configuration.sensor_bus):
         place = f"sensor_bus.{number}"
-        if isinstance(bus, ModbusLink) and any(one.startswith(f"{place}.") for one in flawed):
-            continue
+        if isinstance(bus, ModbusLink):
+            unknown = tuple(_unknown_registers(bus, place, configuration.load.period_s))
+            yield from unknown
+            if unknown or any(one.startswith(f"{place}.") for one in flawed):
+                continue
         build = functools.partial(build_sensor_port, bus, place, time.monotonic, path)
         yield from _flaws_of(build)
+
+
+def _unknown_registers(bus: AnySensorBus, place: str, period_s: float) -> Iterator[Flaw]:
+    """Yield the signals of a sensor bus that no register carries: other flaws may hide them."""
+    flaws = sensor_flaws(bus, place, period_s)
+    return (flaw for flaw in flaws if flaw.place.startswith(f"{place}.signals."))
 
 
 def _leads_somewhere(findings: Findings) -> bool:
