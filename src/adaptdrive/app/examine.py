@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -63,7 +64,7 @@ def _description_flaws(findings: Findings, path: Path) -> Iterator[Flaw]:
     for number, bus in enumerate(configuration.sensor_bus):
         place = f"sensor_bus.{number}"
         if isinstance(bus, ModbusLink):
-            unknown = tuple(_unknown_registers(bus, place, configuration.load.period_s))
+            unknown = tuple(_unknown_registers(bus, place))
             yield from unknown
             if unknown or any(one.startswith(f"{place}.") for one in flawed):
                 continue
@@ -71,9 +72,12 @@ def _description_flaws(findings: Findings, path: Path) -> Iterator[Flaw]:
         yield from _flaws_of(build)
 
 
-def _unknown_registers(bus: AnySensorBus, place: str, period_s: float) -> Iterator[Flaw]:
-    """Yield the signals of a sensor bus that no register carries: other flaws may hide them."""
-    flaws = sensor_flaws(bus, place, period_s)
+def _unknown_registers(bus: AnySensorBus, place: str) -> Iterator[Flaw]:
+    """Yield the signals of a sensor bus that no register carries: other flaws may hide them.
+
+    The slow period, which such a flaw may concern, does not matter for them.
+    """
+    flaws = sensor_flaws(bus, place, math.inf)
     return (flaw for flaw in flaws if flaw.place.startswith(f"{place}.signals."))
 
 
