@@ -18,7 +18,8 @@ Schema = Mapping[str, Any]
 _INTRODUCTION = """\
 # Configuration
 
-One TOML file describes one drive. Numbers are in SI units; a unit that could be mistaken is part
+For those who write the configuration of a drive: every key, its type, limits and default. One TOML
+file describes one drive. Numbers are in SI units; a unit that could be mistaken is part
 of the key. Every error in a file is listed with its place, and an unknown key is an error.
 Texts and keys are single lines of at most 4096 characters, without control characters. A byte order
 mark is ignored.

@@ -25,11 +25,12 @@ Effects = dict[tuple[str, ...], Row]
 
 _HEAD = """\
 The last two columns: {runs} are run again with half and with twice the constant (of poles and of
-ratios next to 1: of the distance from 1). They show the sum of the costs of the adaptive controller
-over that with the constant as it is, standard / wide; *worse*: the runs that cost over 5 % more
-than the fixed controller, where these are not {worse}; *lost*: those that are unstable or
-tripped, where these are not {lost}. *Same*: no run changes in any bit, as where the campaigns never
-need the constant. An empty cell: not measured with this value.
+ratios next to 1: the distance from 1 is halved and doubled). They show the sum of the
+[costs](campaign.md#criteria) of the adaptive controller, divided by that sum with the constant
+unchanged, for standard / wide. *Worse*: number of runs that cost over 5 % more than with the fixed
+controller, shown where it differs from the {worse} with all constants unchanged. *Lost*: number of
+unstable or tripped runs, shown where it differs from {lost}. *Same*: every run is bit-equal, for
+example because the campaigns do not use the constant. An empty cell: not measured with this value.
 """
 
 

@@ -19,10 +19,10 @@ SOURCE = Path(__file__).parents[2] / "src" / "adaptdrive"
 _HEAD = """\
 # Constants
 
-Every number that was chosen in the code of the controller; numbers that follow from these are left
-out. What a site may want to change is a key of the [configuration](configuration.md) instead.
-`make docs` writes this page from the modules; a test fails where a constant has no unit or no
-reason.
+For developers of the controller: every number that was chosen in its code; numbers that follow from
+these are left out. What a site may want to change is a key of the
+[configuration](configuration.md) instead. `make docs` writes this page from the modules; a test
+fails where a constant has no unit or no reason.
 
 Units: *ticks* are half line cycles, *periods* are slow periods T_k, *scale* is the output in the
 middle of the voltage range. *1* is a ratio.

@@ -19,11 +19,12 @@ DEVELOPMENT = frozenset({"dev"})
 
 _HEAD = """# Licences
 
-Made by `make docs` from what the installed libraries say of themselves; do not edit. adaptdrive
+For those who pass adaptdrive on: the licence of each library, made by `make docs` from the metadata
+of the installed libraries; do not edit. adaptdrive
 itself is under the [MIT licence](../LICENSE). The Debian package holds the full text of each
 licence beside its library, in `/opt/adaptdrive/lib/python3*/site-packages/*.dist-info`, or else in
-`/usr/share/doc/adaptdrive/copyright`; and it holds each library as its makers publish it, so that
-any of them can be replaced by another version.
+`/usr/share/doc/adaptdrive/copyright`; each library in the package is unmodified,
+so that another version can replace it.
 """
 _SECTIONS = (
     ("In the Debian package", PACKED),

@@ -15,12 +15,14 @@ from tests.proof.results import RESULTS, Result, load
 BEGIN, END = "<!-- faults: written by `make docs` -->\n", "<!-- end of faults -->\n"
 INTRODUCTION = """# Proof
 
-The long forms of the tests. `make proof` runs those that have no result of the present commit;
+Results of the long tests, for anyone who wants to check a claim. A *form* is one such test with its
+length. `make proof` runs the forms that have no result of the present commit;
 `python -m tests.proof docs/proof.md FORM` runs one again. The results are in
 `tests/proof/results`, and this page is made from them. SEEDS, STORIES, INPUTS, KILLS, DAYS and
-MINUTES set the length of a form, MUTANTS the longest sample of a module. Each section begins with
-the command that ran.
-[Promises](promises.md) lists what each test holds.
+MINUTES set the length of a form, MUTANTS the largest number of changes tried in a module. Each
+section begins with the command that ran.
+[Promises](promises.md) names the tests of each promise,
+[tests](../tests/README.md#faults-and-proof) describes the forms.
 """
 
 

@@ -29,7 +29,10 @@ class Estimator(Section):
         "a good choice, a fifth to five times their mean is usable; longer against noise",
     )
     dead_band: float = Field(
-        default=0.0, ge=0.0, description="skip updates while the output moves less than this"
+        default=0.0,
+        ge=0.0,
+        description="movement of the output between two slow samples, in its unit, below which "
+        "the estimate is not updated",
     )
     initial_covariance: PositiveFloat | None = Field(
         default=None,
@@ -45,10 +48,12 @@ class Estimator(Section):
         ge=0.0,
         default=1.0e6,
         description="bound of P by exponential resetting; 0 for plain forgetting (`exact` only; "
-        "unused by `lm-rls` with `alert`, which forgets only what is learnt anew)",
+        "unused by `lm-rls` with `alert`, which forgets only along new information)",
     )
     alert: bool = Field(
-        default=True, description="open up when the load changes abruptly (`exact` only)"
+        default=True,
+        description="relearn quickly after an abrupt change of the load: the covariance is raised "
+        "(`exact` only)",
     )
     bias: bool = Field(
         default=True,
@@ -140,5 +145,6 @@ class Supervisor(Section):
         "moved, although every load within the bounds would have; 0: never",
     )
     response_distance: NonNegativeFloat = Field(
-        default=0.02, description="how far it must have moved, as a share of the set-point range"
+        default=0.02,
+        description="movement that `response_s` requires, as a share of the set-point range",
     )

@@ -59,7 +59,8 @@ class Heartbeat(Section):
     """`[bus.heartbeat]`: how drive and daemon see that the other one is alive."""
 
     drive: str | None = Field(
-        default=None, description="register that the drive advances; standing still is no news"
+        default=None,
+        description="register that the drive advances; while it stands still, no reading is fresh",
     )
     drive_timeout_s: PositiveFloat | None = Field(
         default=None,

@@ -124,7 +124,7 @@ class Mqtt(Section):
         default="127.0.0.1", description="broker"
     )
     port: int = Field(default=1883, ge=1, le=65535, description="port of the broker")
-    tls: bool = Field(default=False, description="speak TLS")
+    tls: bool = Field(default=False, description="connect to the broker with TLS")
     ca_file: FilePath | None = Field(default=None, description="certificate authority for TLS")
     username: str | None = Field(default=None, description="user name")
     password_file: FilePath | None = Field(default=None, description="file that holds the password")
@@ -153,10 +153,11 @@ class Recording(Section):
 
     enabled: bool = Field(default=True, description="record sessions")
     directory: FilePath | None = Field(
-        default=None, description="where sessions lie; $STATE_DIRECTORY/sessions or ./sessions"
+        default=None,
+        description="folder of the sessions; $STATE_DIRECTORY/sessions or ./sessions when left out",
     )
     flush_s: float = Field(
-        default=0.25, ge=0.1, le=60.0, description="longest time data stay unwritten"
+        default=0.25, ge=0.1, le=60.0, description="longest time before data are written"
     )
     segment_s: float = Field(
         default=3600.0,
@@ -180,7 +181,10 @@ class Realtime(Section):
         default=True, description="run a stand-in tick when the drive's frame is late"
     )
     late_fraction: float = Field(
-        default=0.5, gt=0.0, lt=1.0, description="lateness of a frame, in ticks, that calls it in"
+        default=0.5,
+        gt=0.0,
+        lt=1.0,
+        description="how late a frame may be, as a fraction of a tick, before a stand-in tick runs",
     )
     priority: int | None = Field(
         default=None, ge=1, le=98, description="SCHED_FIFO priority; ordinary scheduling without"
@@ -192,7 +196,8 @@ class Realtime(Section):
         default=None,
         ge=0,
         le=10_000,
-        description="longest time that idle CPUs of the machine may take to wake up; costs power",
+        description="longest time that idle CPUs of the machine may take to wake up; the shorter, "
+        "the more power they use",
     )
     lock_memory: bool = Field(default=False, description="keep the daemon's memory in RAM")
     freeze_gc: bool = Field(
