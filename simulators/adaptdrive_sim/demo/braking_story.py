@@ -54,7 +54,7 @@ class BrakingStory(Story):
             self.play.ask(SetMode(Mode.ADAPTIVE))
 
     def watch(self) -> None:
-        """Add up what returns to the line, as of the end of each slow period."""
+        """Add up the energy that returns to the line; called at the end of each slow period."""
         world = self.play.drive.world
         self.returned_J += max(0.0, -world.boost.mean_line_W) * self._period_s
         self.lowest_load_W = min(self.lowest_load_W, world.boost.mean_load_W)

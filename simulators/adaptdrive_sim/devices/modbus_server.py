@@ -28,7 +28,7 @@ class Registers(Protocol):
         """Both tables as they are now."""
 
     def write(self, address: int, words: list[int]) -> ExcCodes | None:
-        """Take what is written; the exception that answers it, None when it is taken."""
+        """Write registers; return the exception code of the reply, None when they are accepted."""
 
 
 @contextlib.asynccontextmanager

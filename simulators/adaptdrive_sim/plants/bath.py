@@ -78,7 +78,7 @@ class Bath:
 
     @property
     def volume_gal(self) -> float:
-        """Volume of the bath now."""
+        """Return the present volume of the bath in US gallons."""
         return self._mass_kg / GALLON_kg
 
     @property

@@ -106,7 +106,7 @@ class Motor:
 
     @property
     def torque_Nm(self) -> float:
-        """Load torque besides friction."""
+        """Return the load torque without friction in N m."""
         return self._torque_Nm
 
     @torque_Nm.setter

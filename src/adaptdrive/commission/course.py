@@ -124,7 +124,7 @@ class ExperimentCourse:
 
     @property
     def noise(self) -> float:
-        """Standard deviation of the noise of one sample."""
+        """Return the standard deviation of the noise of one sample, in the unit of the output."""
         record, patience_s = self.record, self.target.patience_s
         if self.time_s >= self._noise_known_s + _NOISE_SHARE * patience_s:
             self._noise = record.noise(self.time_s - patience_s, self.time_s)

@@ -26,7 +26,7 @@ Keys = tuple[int | str, ...]
 
 
 class Absurd(NamedTuple):
-    """A value that nothing has, and the keys that lead to it."""
+    """An implausible value: its message, and the keys that lead to it."""
 
     keys: Keys
     message: str

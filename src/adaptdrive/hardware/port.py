@@ -136,7 +136,7 @@ class Port(Protocol):
 
     @property
     def statistics(self) -> PortStatistics:
-        """Counts since opening."""
+        """Return the counts since the port was opened."""
 
     @property
     def complaint(self) -> str | None:

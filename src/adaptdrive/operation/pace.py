@@ -51,7 +51,7 @@ class LogRation:
     withheld: int = 0
 
     def take(self) -> int | None:
-        """Return how many lines were withheld before this one, None when it is withheld too."""
+        """Return how many lines were withheld before this one, None when this one is withheld."""
         now_s = self.monotonic()
         if now_s - self.began_s >= self.interval_s:
             self.began_s, self.used = now_s, 0

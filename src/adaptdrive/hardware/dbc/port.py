@@ -191,7 +191,7 @@ class CanPort:
         self._take_status(status, frame)
 
     def take_garbage(self) -> None:
-        """Count something on the bus that is no frame."""
+        """Count a datagram on the bus that is not a CAN frame as foreign."""
         self._counts["received"] += 1
         self._counts["foreign"] += 1
 

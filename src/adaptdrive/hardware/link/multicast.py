@@ -56,7 +56,7 @@ class LoopbackMulticast(UdpMulticastBus):
             raise
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next frame, None when there is none within `timeout` seconds.
+        """Return the next frame, None when none arrives within `timeout` seconds.
 
         Without a wait (`timeout` 0), frames of this bus itself are left out.
 
