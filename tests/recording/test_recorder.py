@@ -258,6 +258,24 @@ async def test_an_event_during_a_stall_is_recorded_after_it(sessions: Path) -> N
     assert [event.detail for event in bench.session().events if event.kind == "trip"] == ["stale"]
 
 
+async def test_one_stall_is_reported_once_however_long_it_lasts(sessions: Path) -> None:
+    async with recording(sessions, backlog_bytes=TIGHT) as bench:
+        await bench.publish_until(lambda: bench.rows() > 100)
+        writer = bench.writer()
+        os.kill(writer, signal.SIGSTOP)
+        try:
+            await bench.publish(5_000)  # what the writer had answered before is heard
+            stalled, before = bench.recorder.failing, bench.said()
+            await bench.publish(20_000)
+            still, since = bench.recorder.failing, bench.said()
+        finally:
+            os.kill(writer, signal.SIGCONT)
+        await bench.stop()
+    assert stalled and still
+    assert "stalled" in before[-1].detail
+    assert since == []
+
+
 async def test_a_full_disk_stops_recording_which_resumes_in_a_new_segment(sessions: Path) -> None:
     async with recording(sessions) as bench:
         await bench.publish_until(lambda: bench.rows() > 100)
@@ -487,7 +505,7 @@ async def test_a_trip_fits_on_a_full_disk(small_disk: Path) -> None:
 
         def written() -> bool:
             heard.extend(event.detail for event in bench.said())
-            texts = ("record of the trip", "No space left")
+            texts = ("record of the trip", "recording has stopped")
             return all(any(text in detail for detail in heard) for text in texts)
 
         await bench.publish_until(written)

@@ -67,6 +67,14 @@ class Delivery:
         self._cause: str | None = None
         self._number = 0
 
+    @property
+    def full(self) -> bool:
+        """True while batches with rows of tables are refused."""
+        return self._is_full(1)
+
+    def _is_full(self, times: int) -> bool:
+        return self._waiting_bytes >= times * self._backlog_bytes
+
     def offer(self, batch: Batch, *, urgent: bool = False) -> bool:
         """Hand over a batch at once; False when too much waits already.
 
@@ -75,7 +83,7 @@ class Delivery:
             urgent: Add it to the backlog however long that is.
         """
         few = not (batch.tick_rows or batch.slow or batch.sensors)
-        if not urgent and self._waiting_bytes >= self._backlog_bytes * (2 if few else 1):
+        if not urgent and (self._is_full(2) if few else self.full):
             return False
         self._number += 1
         message = framed(msgspec.structs.replace(batch, number=self._number))

@@ -281,8 +281,9 @@ class Recorder:
     def _note_sent(self, batch: Batch) -> None:
         self._events.clear()
         self._commands.clear()
-        self._stalled = False
-        if batch.dropped != self._reported_loss:
+        # events still fit while ticks are refused: the stall lasts until ticks fit again
+        self._stalled = self._stalled and self._delivery.full
+        if batch.dropped != self._reported_loss and not self._stalled:
             self._reported_loss = batch.dropped
             self._report(Severity.WARNING, f"not recorded so far: {batch.dropped}")
 
