@@ -11,14 +11,13 @@ from adaptdrive.config.bus import CanBus
 from adaptdrive.control.signals import Command
 from tests.hardware.bench import EXAMPLES, Ear, build_port, running, until
 from tests.support import Spawn, logged_events
+from tests.system.site import START_PATIENCE_S
 from tests.system.site import until as until_started
 from tests.vcan.peers import Link
 
 pytestmark = pytest.mark.vcan
 
 COMMAND = Command(current_scale_S=0.01, boost_reference_V=280.0, bridge=True)
-START_UP_S = 90.0
-"""A virtual machine on a busy one takes long to import a simulator."""
 
 
 async def test_it_is_safe_without_its_interface_and_obeys_again_with_it(
@@ -27,7 +26,9 @@ async def test_it_is_safe_without_its_interface_and_obeys_again_with_it(
     ear, log = Ear(), tmp_path / "process-0.log"
     words = ("--interface", "socketcan", "--channel", config.channel, "--initial-voltage", "280")
     spawn(sys.executable, "-m", "adaptdrive_sim", "device", EXAMPLES / "motor.toml", *words)
-    until_started(lambda: config.channel in log.read_text(), "the simulated drive", START_UP_S)
+    until_started(
+        lambda: config.channel in log.read_text(), "the simulated drive", START_PATIENCE_S
+    )
     port = build_port(config)
 
     def energised() -> bool:

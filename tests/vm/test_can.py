@@ -21,7 +21,8 @@ def files_with_the_mark() -> list[str]:
     return [str(file) for file in files if _MARK in file.read_text(encoding="utf-8")]
 
 
+@pytest.mark.timeout(machine.PATIENCE_S + 100)
 @pytest.mark.skipif(has_can(), reason="this kernel has AF_CAN: its own interfaces were tested")
 def test_can_on_a_kernel_that_has_it(tmp_path: Path, subtests: pytest.Subtests) -> None:
     script = pytest_script(["-m", "vcan", *files_with_the_mark()])
-    show(tmp_path, machine.run(script, tmp_path, timeout_s=800.0), subtests)
+    show(tmp_path, machine.run(script, tmp_path), subtests)

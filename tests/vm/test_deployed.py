@@ -36,11 +36,11 @@ def disk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.timeout(1900)
+@pytest.mark.timeout(2 * machine.PATIENCE_S + 100)
 def test_a_deployed_machine(disk: Path, tmp_path: Path, subtests: pytest.Subtests) -> None:
     for boot in ("first_boot", "next_boot"):
         folder = tmp_path / boot
         folder.mkdir()
         script = plain_pytest_script(HERE / f"{boot}.py")
-        outcome = machine.run(script, folder, timeout_s=900.0, systemd=True, disk=disk)
+        outcome = machine.run(script, folder, systemd=True, disk=disk)
         show(folder, outcome, subtests)
