@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
@@ -19,6 +20,7 @@ import msgspec
 import pytest
 
 from adaptdrive.recording.batches import Batch, Header, News, framed, read_frames
+from adaptdrive.recording.delivery import Delivery
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.repair import repair
 from adaptdrive.recording.session import (
@@ -32,6 +34,7 @@ from adaptdrive.recording.session import (
 )
 from adaptdrive.recording.spool import Spool, left_spools, spool_path
 from adaptdrive.recording.writer import record
+from adaptdrive.runtime.reports import Severity
 from tests.recording.material import INFO, make_batch, make_tick, wait_until
 from tests.support import Process, children, slow_disk
 
@@ -234,6 +237,45 @@ def test_a_folder_that_was_taken_away_is_known_at_the_end(
     spool.append(b"again")
     assert spool.flushed(PATIENCE_S)
     assert spool.path.read_bytes() == b"again"
+    spool.remove()
+
+
+def test_a_spool_that_cannot_be_emptied_begins_in_a_new_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    spool = Spool(spool_path(tmp_path, INFO))
+    spool.append(b"message")
+    assert spool.flushed(PATIENCE_S)
+    monkeypatch.setattr(os, "ftruncate", refuse)
+    spool.clear()
+    spool.append(b"again")
+    assert spool.flushed(PATIENCE_S)
+    assert spool.path.read_bytes() == b"again"
+    spool.remove()
+
+
+def test_a_spool_that_lacks_a_message_begins_anew_with_all_that_is_unwritten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    reported: list[tuple[Severity, str]] = []
+    header = Header(INFO, "", str(tmp_path))
+    delivery = Delivery(header, 1 << 20, lambda *report: reported.append(report))
+    spool = delivery._spool
+    delivery.offer(make_batch([make_tick(0)]))
+    assert spool.flushed(PATIENCE_S)
+    with monkeypatch.context() as disk:
+        disk.setattr(os, "write", refuse)
+        delivery.offer(make_batch([make_tick(1)]))
+        assert not spool.flushed(PATIENCE_S)
+    delivery.offer(make_batch([make_tick(2)]))
+    assert spool.flushed(PATIENCE_S)
+    assert [batch.number for batch in spooled(spool.path)] == [1, 2, 3]
     spool.remove()
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Iterator
 from datetime import datetime
 
@@ -201,3 +203,16 @@ def test_every_message_of_a_running_daemon_fits_its_schema(site: Site) -> None:
             for message in site.ear.on(name):
                 validator.validate(message.content)
     assert site.ear.on("history")[0].content["rows"]
+
+
+def test_a_command_that_was_given_up_is_not_carried_out_later(site: Site) -> None:
+    broker = ("--broker", f"127.0.0.1:{site.broker_port}")
+    command = [sys.executable, "-m", "adaptdrive.cli", "enable", "motor", "--timeout", "2", *broker]
+    known = len(site.ear.on("reply"))
+    with site.stalled(site.daemon):
+        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=site.folder)
+    assert done.returncode == 3, done.stderr
+    reply = site.ear.next_on("reply", after=known).content
+    assert not reply["accepted"]
+    assert "expired at" in reply["reason"]
+    assert site.state["state"] in ("standby", "tripped")

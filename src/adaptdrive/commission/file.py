@@ -32,28 +32,40 @@ def with_values(text: str, values: Mapping[str, float | int]) -> str:
 
 
 def write_values(path: Path, text: str) -> Path:
-    """Replace a file at once, after a copy of it was made.
+    """Replace a file at once, after a copy of it was made; its owner and its rights stay.
 
     Args:
-        path: The file.
+        path: The file; where it is a symbolic link, the file that the link leads to is replaced.
         text: Its new content.
 
     Returns:
         The copy.
 
     Raises:
-        ConfigurationError: The file or its copy cannot be written.
+        ConfigurationError: The file or its copy cannot be written, or its owner cannot be kept.
     """
-    backup = path.with_name(f"{path.name}.bak")
     try:
-        shutil.copy2(path, backup)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        shutil.copymode(path, name)
-        Path(name).replace(path)
+        file = path.resolve(strict=True)
+        backup = file.with_name(f"{file.name}.bak")
+        _replace(backup, file.read_bytes(), like=file)
+        _replace(file, text.encode("utf-8"), like=file)
     except OSError as problem:
         raise ConfigurationError(path, [Flaw("file", f"cannot be written: {problem}")]) from problem
     return backup
+
+
+def _replace(file: Path, content: bytes, like: Path) -> None:
+    """Replace a file by one with the owner, group and rights of another."""
+    handle, name = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.")
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            owner = like.stat()
+            os.fchown(stream.fileno(), owner.st_uid, owner.st_gid)
+            shutil.copystat(like, name)  # access control lists, too
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        Path(name).replace(file)
+    except OSError:
+        Path(name).unlink(missing_ok=True)
+        raise

@@ -12,20 +12,22 @@ import uuid
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from datetime import UTC, datetime, timedelta
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 from aiomqtt import Client, MqttError, ProtocolVersion
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import AdaptdriveError
-from adaptdrive.operation.commands import LONGEST_USER
+from adaptdrive.operation.commands import LONGEST_USER, STOP
 from adaptdrive.operation.link import connection
 from adaptdrive.operation.messages import ONLINE, Reply
 from adaptdrive.operation.simulator import DISTURB, REPLY, TRUTH, DeviceReply, simulator_topic
 from adaptdrive.operation.topics import Topics
 
 AnyReply = TypeVar("AnyReply", Reply, DeviceReply)
+T = TypeVar("T")
 
 SIMULATOR = "simulator"
 """Name under which `follow` yields the state of a simulated device."""
@@ -43,6 +45,10 @@ class NoAnswerError(AdaptdriveError):
         self.drive = drive
         self.problem = problem
         super().__init__(f"{drive}: {problem}")
+
+
+class _Timed(msgspec.Struct):
+    time: Annotated[datetime, msgspec.Meta(tz=True)]
 
 
 @dataclass(slots=True)
@@ -63,7 +69,9 @@ class DriveStatus:
 async def send_command(
     broker: Mqtt, drive: str, verb: str, value: object, timeout_s: float, **fields: object
 ) -> Reply:
-    """Send one command and wait for the reply to it.
+    """Send one command and wait for the reply to it; it expires when the wait ends.
+
+    A `disable` never expires. Where the drive publishes telemetry, the time is by its clock.
 
     Args:
         broker: Where the broker is.
@@ -78,8 +86,11 @@ async def send_command(
     """
     topics = Topics(drive)
     places = topics.command(verb), topics.reply
-    command = {"value": value, "user": sender(), **fields}
-    return await _ask(broker, drive, places, command, timeout_s=timeout_s, kind=Reply)
+    async with _conversation(broker, drive) as client, asyncio.timeout(timeout_s) as limit:
+        command = {"value": value, "user": sender(), **fields}
+        if verb != STOP:
+            command = {"expires": await _expiry(client, topics, limit)} | command
+        return await _ask(client, drive, places, command, Reply)
 
 
 async def disturb(
@@ -97,26 +108,47 @@ async def disturb(
         NoAnswerError: No answer in time, or no broker.
     """
     places = simulator_topic(drive, DISTURB), simulator_topic(drive, REPLY)
-    return await _ask(broker, drive, places, request, timeout_s=timeout_s, kind=DeviceReply)
+    async with _conversation(broker, drive) as client, asyncio.timeout(timeout_s):
+        return await _ask(client, drive, places, request, DeviceReply)
 
 
-async def _ask(  # noqa: PLR0913 - one request, wherever it goes
-    broker: Mqtt,
+async def _expiry(client: Client, topics: Topics, limit: asyncio.Timeout) -> str:
+    """Return the time at which a time-out ends, by the clock of the drive where it is heard."""
+    now_s, end_s = asyncio.get_running_loop().time, limit.when() or 0.0
+    ahead_s = await _clock_difference_s(client, topics, (end_s - now_s()) / 2.0)
+    return (datetime.now(UTC) + timedelta(seconds=end_s - now_s() + ahead_s)).isoformat()
+
+
+async def _clock_difference_s(client: Client, topics: Topics, patience_s: float) -> float:
+    """Return how far the clock of a drive is ahead, 0 where no telemetry comes.
+
+    Telemetry that comes late makes a command expire early, and never late.
+    """
+    with suppress(TimeoutError):
+        async with asyncio.timeout(min(patience_s, TELEMETRY_WAIT_S)):
+            await client.subscribe(topics.drive_telemetry)
+            async for message in client.messages:
+                told = _decoded(bytes(message.payload), _Timed)
+                if told is not None and not message.retain:
+                    return (told.time - datetime.now(UTC)).total_seconds()
+    return 0.0
+
+
+async def _ask(
+    client: Client,
     drive: str,
     places: tuple[str, str],
     content: dict[str, Any],
-    *,
-    timeout_s: float,
     kind: type[AnyReply],
 ) -> AnyReply:
     """Publish a request with an id on the first topic, and return its reply on the second."""
     asked, answered = places
     identity = str(uuid.uuid4())
-    async with _conversation(broker, drive) as client, asyncio.timeout(timeout_s):
-        await client.subscribe(answered, qos=1)
-        await client.publish(asked, json.dumps(content | {"id": identity}), qos=1)
-        async for message in client.messages:
-            reply = _reply(bytes(message.payload), kind)
+    await client.subscribe(answered, qos=1)
+    await client.publish(asked, json.dumps(content | {"id": identity}), qos=1)
+    async for message in client.messages:
+        if message.topic.value == answered:
+            reply = _decoded(bytes(message.payload), kind)
             if reply is not None and reply.id == identity:
                 return reply
     raise NoAnswerError(drive, "the broker closed the connection")
@@ -283,7 +315,8 @@ def _note(topic: str, payload: bytes, topics: Topics, status: DriveStatus) -> No
         status.telemetry[topic.rpartition("/")[2]] = content
 
 
-def _reply(payload: bytes, kind: type[AnyReply]) -> AnyReply | None:
+def _decoded(payload: bytes, kind: type[T]) -> T | None:
+    """Return what a payload holds, None where it is no JSON of that kind."""
     try:
         return msgspec.json.decode(payload, type=kind)
     except msgspec.DecodeError:

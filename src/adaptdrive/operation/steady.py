@@ -13,6 +13,7 @@ import paho.mqtt.client as paho
 import structlog
 from aiomqtt import Client, Message, MqttCodeError, MqttError
 from aiomqtt.types import PahoSocket
+from paho.mqtt.reasoncodes import ReasonCode
 
 T = TypeVar("T")
 
@@ -35,6 +36,7 @@ class SteadyClient(Client):
         self._receive: Callable[[Message], None] | None = None
         self._largest: int | None = None
         self._withheld: set[str] = set()
+        self._refusals: set[int] = set()
 
     async def publish(  # type: ignore[override]
         self,
@@ -108,7 +110,18 @@ class SteadyClient(Client):
 
     def _on_publish(self, *args: Any) -> None:  # noqa: ANN401 - aiomqtt's signature
         super()._on_publish(*args)
+        self._log_refusal(args[3])
         self._acknowledge_segment()
+
+    def _log_refusal(self, code: ReasonCode) -> None:
+        """Log once for each connection and reason that the broker delivers a message to nobody."""
+        if code.is_failure and code.value not in self._refusals:
+            self._refusals.add(code.value)
+            structlog.get_logger().error(
+                "the broker refuses to deliver messages of this daemon: events, replies or its "
+                "state are lost; see the access list of the broker",
+                code=str(code),
+            )
 
     def _acknowledge_segment(self) -> None:
         """Acknowledge received data to TCP at once, not within 40 ms.

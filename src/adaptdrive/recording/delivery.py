@@ -96,12 +96,17 @@ class Delivery:
         return True
 
     def _keep(self, message: bytes) -> None:
-        """Append a message to the file; one that has grown or is lost begins anew.
+        """Append a message to the file; one that has grown, lacks a message or is lost begins anew.
 
         It then has all that is unwritten.
         """
-        if self._spool.lost or self._spool.size > 2 * self._backlog_bytes + _LARGEST_SPOOL_BYTES:
-            self._spool.clear()
+        spool = self._spool
+        if (
+            spool.lost
+            or not spool.sound
+            or spool.size > 2 * self._backlog_bytes + _LARGEST_SPOOL_BYTES
+        ):
+            spool.clear()
         if self._spool.size:
             self._spool.append(message)
             return

@@ -69,7 +69,7 @@ class Spool:
 
     def append(self, message: bytes) -> None:
         """Append a message soon; returns at once."""
-        if self._handed_over - self._done > _LARGEST_QUEUE_BYTES:
+        if self._overfull:
             self.sound = False
             return
         if self._submit(lambda: self._write(message)):
@@ -77,9 +77,15 @@ class Spool:
             self.size += len(message)
 
     def clear(self) -> None:
-        """Empty the file soon; returns at once."""
+        """Empty the file soon, unless the disk hangs; returns at once."""
+        if self._overfull:
+            return
         self.size, self.sound, self.lost = 0, True, False
         self._submit(self._truncate)
+
+    @property
+    def _overfull(self) -> bool:
+        return self._handed_over - self._done > _LARGEST_QUEUE_BYTES
 
     async def kept(self, patience_s: float) -> None:
         """Wait until the file has what was appended, or could not take it.
@@ -176,13 +182,17 @@ class Spool:
             return False
 
     def _truncate(self) -> None:
+        """Empty the file; one that cannot be emptied is deleted, and the next one begins anew."""
         if self._descriptor < 0:
             return
-        if self._is_in_place():
-            os.ftruncate(self._descriptor, 0)
-        else:
-            os.close(self._descriptor)
-            self._descriptor = -1
+        try:
+            if self._is_in_place():
+                os.ftruncate(self._descriptor, 0)
+                return
+        except OSError:
+            self._unlink()
+        os.close(self._descriptor)
+        self._descriptor = -1
 
     def _unlink(self) -> None:
         with contextlib.suppress(FileNotFoundError):
