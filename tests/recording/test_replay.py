@@ -21,6 +21,7 @@ from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import Header
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.replay import replay
+from adaptdrive.recording.session import NewSession, create_session
 from adaptdrive.runtime.reports import LoadReport, TickReport
 from tests.recording.material import INFO, make_batch, record_messages
 
@@ -228,3 +229,23 @@ def test_a_decision_that_took_effect_from_nowhere_is_reported(
 def test_a_record_without_ticks_is_an_error(directory: Path) -> None:
     with pytest.raises(RecordingError, match="no ticks"):
         replay(recorded(directory, [], []), StandIn())
+
+
+def test_a_session_that_grows_meanwhile_is_replayed_as_far_as_it_was_known(
+    tmp_path: Path, daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = 400
+    early = [report for report in daemon.slow if report.snapshot.tick < known]
+    begun, grown = (
+        recorded(create_session(NewSession(tmp_path / name, INFO, "")), ticks, slow)
+        for name, ticks, slow in (
+            ("begun", daemon.ticks[:known], early),
+            ("grown", daemon.ticks, daemon.slow),
+        )
+    )
+    look = Session.batches
+    looks = iter((begun, begun, grown))  # slow steps, ticks, and the ticks again
+    monkeypatch.setattr(Session, "batches", lambda _, *words: look(next(looks), *words))
+    report = replay(grown, StandIn())
+    assert report.exact
+    assert report.ticks == known

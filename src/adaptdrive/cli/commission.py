@@ -49,7 +49,7 @@ def commission(  # noqa: PLR0913 - the words of the command line
         move: Movement of the output in percent of the set-point range.
         patience: Shortest wait in seconds for the load to respond; by the kind of load when left
             out.
-        into: Folder for commission.png.
+        into: Folder for commission.png; it is made where it is missing.
         write: Write the settings to the configuration; the old file is kept beside it.
         yes: Begin without a question.
         contact: Broker.
@@ -60,13 +60,14 @@ def commission(  # noqa: PLR0913 - the words of the command line
     wanted = run.CommissionRequest(path, move / 100.0, patience, _STANDBY_S)
     if not yes and not _agreed(run.announcement(wanted, drive)):
         return 1
+    into.mkdir(parents=True, exist_ok=True)
     commissioned = asyncio.run(run.commission(wanted, drive, contact.settings, contact.timeout))
     print(run.as_text(commissioned))
+    if write:
+        print(f"\n{path} is written, the old file is {run.write(path, commissioned)}")
     figure = into / "commission.png"
     figure.write_bytes(run.draw(commissioned))
     print(f"\n{figure}")
-    if write:
-        print(f"{path} is written, the old file is {run.write(path, commissioned)}")
     return 0
 
 

@@ -141,17 +141,22 @@ class Guide:
                     await wanted.changed.wait()
 
     async def _readings(self) -> AsyncGenerator[FastReading, None]:
-        """Yield one reading for each message, in the order of their times."""
+        """Yield one reading for each message, in the order of their times.
+
+        Raises:
+            NoAnswerError: The newest measurement is too old.
+        """
         last_s, heard_s = -math.inf, time.monotonic()
         async with aclosing(telemetry(self._broker, self._drive)) as messages:
             while True:
                 name, content = await self._next(messages)
                 if name == "drive" and content.get("output") is not None:
-                    heard_s, reading = time.monotonic(), reading_of(content)
+                    heard_s = time.monotonic() - (content.get("age_s") or 0.0)
+                    reading = reading_of(content)
                     if reading.time_s > last_s:
                         last_s = reading.time_s
                         yield reading
-                elif time.monotonic() - heard_s > _SILENCE_S:
+                if time.monotonic() - heard_s > _SILENCE_S:
                     silence = f"no measurement for {_SILENCE_S:g} s: adaptdrive probe shows why"
                     raise NoAnswerError(self._drive, silence)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
+from itertools import islice
 from typing import Any
 
 from adaptdrive.control.schedule import Schedule, TwoRate
@@ -36,7 +37,7 @@ def replay(session: Session, controller: TwoRate) -> ReplayReport:
         RecordingError: The session holds no ticks.
     """
     player = _Player(session, controller)
-    for recorded in recorded_ticks(session):
+    for recorded in islice(recorded_ticks(session), player.known):
         player.play(recorded)
     report = player.report()
     if not report.ticks:
@@ -45,16 +46,23 @@ def replay(session: Session, controller: TwoRate) -> ReplayReport:
 
 
 class _Player:
-    """One replay under way."""
+    """One replay under way.
+
+    Attributes:
+        known: Ticks whose decisions are known; a session in progress grows while it is replayed.
+    """
 
     def __init__(self, session: Session, controller: TwoRate) -> None:
         self._session = session
         self._controller = controller
         self._schedule = Schedule(controller, latency_ticks=0)  # delivered when it took effect
         self._slow = {row["k"]: row for row in table_rows(session, SLOW, _SLOW_COLUMNS)}
-        # A decision that took effect was made, even where its own record is lost.
-        applied = (row["applied_k"] for row in table_rows(session, TICKS, ("applied_k",)))
-        self._decided = self._slow.keys() | set(applied)
+        self._decided = set(self._slow)
+        self.known = 0
+        for row in table_rows(session, TICKS, ("applied_k",)):
+            # a decision that took effect was made, even where its own record is lost
+            self._decided.add(row["applied_k"])
+            self.known += 1
         self._pending: dict[int, tuple[Snapshot, Decision]] = {}
         self._next_sequence = 0
         self._ticks = 0
