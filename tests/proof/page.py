@@ -22,7 +22,7 @@ length. `make proof` runs the forms that have no result of the present commit;
 MINUTES set the length of a form, MUTANTS the largest number of changes tried in a module. Each
 section begins with the command that ran.
 [Promises](promises.md) names the tests of each promise,
-[tests](../tests/README.md#faults-and-proof) describes the forms.
+[tests/README.md](../tests/README.md#faults-and-proof) describes the forms.
 """
 
 
