@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+import pytest
+
 Process = subprocess.Popen[bytes]
 
 
@@ -137,6 +139,14 @@ def children(pid: int) -> list[int]:
     except (FileNotFoundError, ProcessLookupError):
         return []
     return [int(one) for one in text.split()]
+
+
+def suspended_machine(seconds: int) -> list[str]:
+    """Return what starts a program on a machine that was suspended before, by a time namespace."""
+    launcher = ["unshare", "--map-root-user", "--time", "--boottime", str(seconds)]
+    if subprocess.run([*launcher, "true"], check=False, capture_output=True).returncode:
+        pytest.skip("needs unshare, user namespaces and time namespaces")
+    return launcher
 
 
 def slow_disk(folder: Path, seconds: float) -> dict[str, str] | None:

@@ -14,7 +14,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -190,10 +190,15 @@ class Site:
         until(serves, "the drive is on the bus", START_PATIENCE_S)
         prefer(device)
 
-    def start_daemon(self) -> None:
-        """Start the daemon and wait until it is on the broker."""
+    def start_daemon(self, *launcher: str) -> None:
+        """Start the daemon and wait until it is on the broker.
+
+        Args:
+            launcher: Command that starts it, in front of its own.
+        """
         known = len(self.ear.on("availability"))
-        self.daemon = self._start("daemon.log", "-m", "adaptdrive.cli", "run", self.config)
+        words = ("-m", "adaptdrive.cli", "run", self.config)
+        self.daemon = self._start("daemon.log", *words, launcher=launcher)
         self.await_availability("online", after=known)
         prefer(self.daemon)
         self._prefer_recorders()
@@ -205,11 +210,11 @@ class Site:
         self.start_daemon()
         self.await_measurement()
 
-    def _start(self, log: str, *words: str | Path) -> Process:
+    def _start(self, log: str, *words: str | Path, launcher: Sequence[str] = ()) -> Process:
         environment = os.environ | {"STATE_DIRECTORY": str(self.folder)} | self.environment
         with (self.folder / log).open("ab") as output:
             process = subprocess.Popen(
-                [sys.executable, *words],
+                [*launcher, sys.executable, *words],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,

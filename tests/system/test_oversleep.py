@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import itertools
 import time
+from datetime import UTC, datetime
 
 import pytest
 
+from tests.support import suspended_machine
 from tests.system.bus_ear import BusEar
 from tests.system.conftest import MakeSite
 from tests.system.site import Site, until
@@ -80,6 +82,21 @@ def test_a_thawed_daemon_energises_nothing(
     assert all(command.safe for command in later[1:])
     # the freeze can fall between a command and the bus; the safe one then follows in that tick
     assert later[0].safe or later[1].time_s - later[0].time_s < 0.5 * TICK_S
+
+
+def test_after_a_suspend_every_part_has_the_same_clock(make_site: MakeSite) -> None:
+    """A machine that was suspended for an hour before the daemon started."""
+    site = make_site({"realtime.priority": "50"})
+    site.start_broker()
+    site.start_device("--initial-voltage", "280")
+    site.start_daemon(*suspended_machine(3600))
+    site.await_measurement()
+    site.run_drive()
+    time.sleep(1.0)
+    assert site.await_state(state="running")["trip"] is None
+    assert site.stop_daemon() == 0
+    last = site.session().ticks.column("utc")[-1].as_py()
+    assert abs((datetime.now(UTC) - last).total_seconds()) < 60.0
 
 
 def _ticked_once_after_each_nap(site: Site) -> None:

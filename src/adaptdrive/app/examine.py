@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import functools
 import math
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from adaptdrive.app.plausible import implausible
 from adaptdrive.app.ports import build_port
 from adaptdrive.app.sensors import build_sensor_port
+from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import Findings, find_flaws, read_text
 from adaptdrive.config.modbus import ModbusBus, ModbusLink
@@ -57,7 +57,7 @@ def _description_flaws(findings: Findings, path: Path) -> Iterator[Flaw]:
     """Yield the errors in the files and maps that describe drive and sensors."""
     configuration = findings.configuration
     if findings.mended >= _OF_PORT and _leads_somewhere(findings):
-        yield from _flaws_of(lambda: build_port(configuration, time.monotonic, path))
+        yield from _flaws_of(lambda: build_port(configuration, now_s, path))
     if "sensor_bus" not in findings.sound:
         return
     flawed = [flaw.place for flaw in findings.flaws]
@@ -68,7 +68,7 @@ def _description_flaws(findings: Findings, path: Path) -> Iterator[Flaw]:
             yield from unknown
             if unknown or any(one.startswith(f"{place}.") for one in flawed):
                 continue
-        build = functools.partial(build_sensor_port, bus, place, time.monotonic, path)
+        build = functools.partial(build_sensor_port, bus, place, now_s, path)
         yield from _flaws_of(build)
 
 

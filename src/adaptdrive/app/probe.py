@@ -8,7 +8,6 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import asdict
 from itertools import count
@@ -20,6 +19,7 @@ import msgspec
 from adaptdrive.app.examine import load_examined
 from adaptdrive.app.lock import lock_names, locked
 from adaptdrive.app.sensors import build_whole_port, sensor_reports
+from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.errors import AdaptdriveError, first_error
@@ -97,7 +97,7 @@ async def _listen(
     configuration: Configuration, path: Path, voices: tuple[Show, Remark], *, safe_command: bool
 ) -> None:
     show, remark = voices
-    port = build_whole_port(configuration, time.monotonic, path, passive=not safe_command)
+    port = build_whole_port(configuration, now_s, path, passive=not safe_command)
     listener = _Probe()
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(port.run(listener, lambda: remark(port.description)))
@@ -112,7 +112,7 @@ def _show_text(
     configuration: Configuration, port: Port, reading: Reading | None, number: int
 ) -> None:
     _say(_line(configuration, port, reading))
-    for report in sensor_reports(port, time.monotonic)():
+    for report in sensor_reports(port, now_s)():
         _say(_sensor_line(report))
     if number % _DETAILS_EVERY == 1:
         _say("".join(f"  {line}\n" for line in port.details()), end="")
@@ -122,14 +122,14 @@ def _show_json(
     configuration: Configuration, port: Port, reading: Reading | None, number: int
 ) -> None:
     """Print a reading, null before the first; names end in the unit, the output has its own."""
-    age_s = None if reading is None else time.monotonic() - reading.oldest_s
+    age_s = None if reading is None else now_s() - reading.oldest_s
     shown = {
         "number": number,
         "age_s": age_s,
         "reading": reading,
         "output": {"name": configuration.load.output_name, "unit": configuration.load.output_unit},
         "frames": port.statistics,
-        "sensors": sensor_reports(port, time.monotonic)(),
+        "sensors": sensor_reports(port, now_s)(),
         "refused": list(port.details()),
     }
     _say(msgspec.json.encode(shown).decode())
@@ -189,7 +189,7 @@ def _line(configuration: Configuration, port: Port, reading: Reading | None) -> 
     )
     if reading is None:
         return f"no reading yet ({counts or 'no frames'})"
-    age_ms = (time.monotonic() - reading.oldest_s) * 1e3
+    age_ms = (now_s() - reading.oldest_s) * 1e3
     load = configuration.load
     return (
         f"v_bst {reading.boost_voltage_V:7.2f} V  line {reading.line_voltage_V:6.1f} V  "

@@ -10,6 +10,7 @@ from pathlib import Path
 from adaptdrive.app.ports import build_port
 from adaptdrive.app.settings import realtime_settings
 from adaptdrive.app.warm_up import Rehearsal
+from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.realtime import Grant, real_time
@@ -18,7 +19,7 @@ from adaptdrive.runtime.reports import Event, Severity
 
 def build_rehearsal(configuration: Configuration, path: Path) -> Rehearsal:
     """Return a rehearsal of a drive's ticks, on a port of its own."""
-    return Rehearsal(configuration, build_port(configuration, time.monotonic, path))
+    return Rehearsal(configuration, build_port(configuration, now_s, path))
 
 
 @contextmanager

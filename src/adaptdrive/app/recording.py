@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable
 from datetime import UTC, datetime
 
 from adaptdrive import __version__
 from adaptdrive.app.checkpoint import Learnt
+from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import SignalSource
 from adaptdrive.config.units import si_unit
@@ -49,7 +49,7 @@ def build_recorder(
         segment_s=recording.segment_s,
         keep=Keep(recording.keep_days, None if size is None else round(size * 1e6)),
     )
-    clocks = Clocks(lambda: datetime.now(UTC), time.monotonic)
+    clocks = Clocks(lambda: datetime.now(UTC), now_s)
     feed = Feed.of(hub, recording.flush_s)
     pace = WritePace(flush_s=recording.flush_s, start_thread=start_thread)
     return Recorder(header, feed, hub.publish, clocks, pace)

@@ -8,7 +8,6 @@ import functools
 import os
 import signal
 import socket
-import time
 from collections.abc import Callable, Coroutine, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -38,6 +37,7 @@ from adaptdrive.app.sensors import build_whole_port, publish_samples, sensor_rep
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.app.state_file import directory_flaw
 from adaptdrive.app.warm_up import Rehearsal
+from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.file import read_text
 from adaptdrive.control.controller import Controller
@@ -170,7 +170,7 @@ def _build(
     hub: Hub,
     start_thread: Callable[[], None],
 ) -> _Parts:
-    port = build_whole_port(configuration, time.monotonic, path)
+    port = build_whole_port(configuration, now_s, path)
     settings, load = controller_settings(configuration), build_load(configuration)
     state = state_directory(os.environ.get("STATE_DIRECTORY", ""))
     checkpoint = checkpoint_path(state, configuration.drive.name)
@@ -180,7 +180,7 @@ def _build(
     recorder = build_recorder(configuration, text, hub, learnt, start_thread)
     if recorder is not None:
         hub.keep_with(recorder.keep)
-        publish_samples(port, hub.publish, time.monotonic)
+        publish_samples(port, hub.publish, now_s)
     return _Parts(
         daemon=_daemon(configuration, port, controller, hub, rehearsal, recorder),
         bus=port.description,
@@ -203,10 +203,10 @@ def _daemon(  # noqa: PLR0913, PLR0917 - the parts of a daemon
         port=port,
         controller=controller,
         settings=daemon_settings(configuration),
-        clock=time.monotonic,
+        clock=now_s,
         hub=hub,
         manager=ServiceManager(os.environ),
-        sensors=sensor_reports(port, time.monotonic),
+        sensors=sensor_reports(port, now_s),
         rehearse=rehearsal.tick,
         recorded=lambda: recorder is None or not recorder.failing,
     )
@@ -270,6 +270,4 @@ def state_event(directory: Path) -> Event | None:
 
 def _keeper(configuration: Configuration, path: Path, controller: Controller, hub: Hub) -> Keeper:
     key, names = configuration_key(configuration), build_load(configuration).names
-    return Keeper(
-        lambda learnt: write_checkpoint(path, key, names, learnt), controller, hub, time.monotonic
-    )
+    return Keeper(lambda learnt: write_checkpoint(path, key, names, learnt), controller, hub, now_s)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Callable
-from time import monotonic
 
+from adaptdrive.clock.now import now_s
 from adaptdrive.clock.timerfd import acknowledge, arm_timer, create_timer
 
 
 class TickTimer:
-    """Calls back at an absolute monotonic time; arming again replaces the deadline."""
+    """Calls back at an absolute time of the daemon's clock; arming again replaces the deadline."""
 
     def __init__(
         self,
@@ -48,6 +48,6 @@ class TickTimer:
     def _expired(self) -> None:
         if not acknowledge(self._descriptor):
             return  # armed anew since it woke the loop: by a frame that came in the same round
-        while monotonic() < self._deadline_s:
+        while now_s() < self._deadline_s:
             pass
         self._callback(self._deadline_s)

@@ -10,7 +10,8 @@ import ctypes
 import os
 import struct
 
-_CLOCK_MONOTONIC = 1
+from adaptdrive.clock.now import CLOCK
+
 _TFD_NONBLOCK = os.O_NONBLOCK
 _TFD_CLOEXEC = os.O_CLOEXEC
 _TFD_TIMER_ABSTIME = 1
@@ -23,19 +24,19 @@ _settime = _libc.timerfd_settime
 
 
 def create_timer() -> int:
-    """Open a disarmed, non-blocking timer on the monotonic clock.
+    """Open a disarmed, non-blocking timer on the daemon's clock.
 
     Raises:
         OSError: The kernel gives none.
     """
-    descriptor = int(_libc.timerfd_create(_CLOCK_MONOTONIC, _TFD_NONBLOCK | _TFD_CLOEXEC))
+    descriptor = int(_libc.timerfd_create(CLOCK, _TFD_NONBLOCK | _TFD_CLOEXEC))
     if descriptor < 0:
         raise OSError(ctypes.get_errno(), "timerfd_create failed")
     return descriptor
 
 
 def arm_timer(descriptor: int, deadline_s: float) -> None:
-    """Let the timer expire once at a monotonic time; at once when that is past, never for 0.
+    """Let the timer expire once at a time of that clock; at once when it is past, never for 0.
 
     Raises:
         OSError: The descriptor is no timer.

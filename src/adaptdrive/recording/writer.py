@@ -178,9 +178,10 @@ def step_aside() -> None:
         signal.signal(number, signal.SIG_IGN)
     # A file larger than allowed is an error of the disk like others.
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    # Real-time priority is inherited.
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    os.nice(5)
+    # Real-time priority is inherited. Where the system forbids a change, it records all the same.
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.nice(5)
 
 
 def send_to_parent(news: News) -> None:

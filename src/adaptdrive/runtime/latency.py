@@ -10,8 +10,9 @@ import gc
 import selectors
 from collections import deque
 from collections.abc import Callable, Iterator
-from time import monotonic
 from typing import Any
+
+from adaptdrive.clock.now import now_s
 
 _RING = 256
 """Callbacks remembered: more than run in one tick."""
@@ -40,7 +41,7 @@ class _Ready(deque[Any]):
 
     def popleft(self) -> Any:  # noqa: ANN401 - handles, as in the base class
         handle = super().popleft()
-        self.ring.append((monotonic(), handle))
+        self.ring.append((now_s(), handle))
         return handle
 
 
@@ -50,7 +51,7 @@ class _Selector(selectors.DefaultSelector):
     ring: deque[Entry]
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        self.ring.append((monotonic(), SLEEP))
+        self.ring.append((now_s(), SLEEP))
         return super().select(timeout)
 
 
@@ -131,7 +132,7 @@ class LatencyDetector:
     def _on_collection(self, phase: str, _: dict[str, int]) -> None:
         if phase == "start":
             self._interrupted = self._ring[-1][1] if self._ring else UNKNOWN
-        self._ring.append((monotonic(), COLLECTION if phase == "start" else self._interrupted))
+        self._ring.append((now_s(), COLLECTION if phase == "start" else self._interrupted))
 
     def _causes(self, due_s: float, began_s: float) -> str:
         """Return the activities between the due time and the start of a tick, longest first."""
