@@ -312,13 +312,19 @@ async def test_an_interrupted_command_is_quiet(mosquitto: Broker) -> None:
     assert (process.returncode, output, errors) == (130, b"", b"")
 
 
+UNWRITABLE = (
+    "adaptdrive: standard output cannot be written: {}; the command itself ended with status 0\n"
+)
+
+
 @pytest.mark.parametrize(
     ("redirections", "status", "errors"),
     [
         ("| true; exit ${PIPESTATUS[0]}", 0, ""),
         (">&-", 0, ""),
         ("<&- >&- 2>&-", 0, ""),
-        (">/dev/full", 1, "adaptdrive: [Errno 28] No space left on device\n"),
+        (">/dev/full", 1, UNWRITABLE.format("No space left on device")),
+        ("1</dev/null", 1, UNWRITABLE.format("Bad file descriptor")),
     ],
 )
 def test_output_that_nobody_takes_gives_no_traceback_and_no_false_status(
@@ -329,6 +335,29 @@ def test_output_that_nobody_takes_gives_no_traceback_and_no_false_status(
     buffered = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
     done = subprocess.run(words, capture_output=True, text=True, check=False, env=buffered)
     assert (done.returncode, done.stderr) == (status, errors)
+
+
+@pytest.mark.parametrize(
+    ("output", "problem"),
+    [("/dev/full", "No space left on device"), ("a pipe", "Broken pipe")],
+)
+async def test_an_answer_that_cannot_be_printed_is_told_as_an_error(
+    bench: Bench, output: str, problem: str
+) -> None:
+    if output == "a pipe":
+        reading, writing = os.pipe()
+        os.close(reading)
+    else:
+        writing = os.open(output, os.O_WRONLY)
+    words = (sys.executable, "-m", "adaptdrive.cli", "enable", "bench", *at(bench.broker))
+    process = await asyncio.create_subprocess_exec(
+        *words, stdout=writing, stderr=asyncio.subprocess.PIPE, env=_environment()
+    )
+    os.close(writing)
+    _, errors = await process.communicate()
+    told = f"bench: enable accepted, running (standard output cannot be written: {problem})"
+    assert (process.returncode, errors.decode()) == (0, f"adaptdrive: {told}\n")
+    assert bench.host.asked == [Enable()]
 
 
 def test_a_reader_that_has_had_enough_is_no_error_to_complain_about() -> None:

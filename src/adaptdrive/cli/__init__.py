@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import errno
-import os
 import sys
 from collections.abc import Sequence
 
 from cyclopts import App, CycloptsError, UnknownCommandError
 
 from adaptdrive import __version__
-from adaptdrive.cli.standard_files import open_standard_files
+from adaptdrive.cli.standard_files import discard_output, open_standard_files
 from adaptdrive.errors import AdaptdriveError, ConfigurationError
 from adaptdrive.runtime.requests import REQUESTS, Request
 
@@ -18,7 +17,7 @@ FAILED = 1
 UNUSABLE = 2
 INTERRUPTED = 130
 
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_UNWRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 _COMMANDS = {
     "init": ("start", "Write a first configuration for a load and a bus."),
@@ -70,38 +69,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except OSError as problem:
-        return _unwritten(problem, FAILED)
+        return _unwritten(problem)
     return _flush(outcome if isinstance(outcome, int) else 0)
 
 
 def _flush(status: int) -> int:
-    """Return the status of a command once its output is written.
+    """Return the status of a command that has ended, once its output is written.
 
     A reader that has ended changes no status: the drive did what the status says.
     """
     try:
         sys.stdout.flush()
+    except BrokenPipeError:
+        discard_output()
     except OSError as problem:
-        return _unwritten(problem, status)
+        discard_output()
+        text = f"standard output cannot be written: {problem.strerror}"
+        return _complain(f"{text}; the command itself ended with status {status}", status or FAILED)
     return status
 
 
-def _unwritten(problem: OSError, status: int) -> int:
+def _unwritten(problem: OSError) -> int:
     """Return the status of a command that could not write its output or reach a file.
 
     What is neither is an internal error and raised again.
     """
-    if isinstance(problem, BrokenPipeError):
-        return _discard_output(status)
-    if problem.errno not in _FULL and problem.filename is None:
+    if problem.errno not in {*_UNWRITTEN, errno.EPIPE} and problem.filename is None:
         raise problem
-    return _complain(str(problem), _discard_output(status or FAILED))
-
-
-def _discard_output(status: int) -> int:
-    """Discard output that nothing takes, which would be an error at the exit of Python."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return status
+    discard_output()
+    return FAILED if isinstance(problem, BrokenPipeError) else _complain(str(problem), FAILED)
 
 
 def _version() -> str:

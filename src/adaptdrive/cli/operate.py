@@ -15,6 +15,7 @@ from msgspec.structs import asdict as asdict_of
 
 from adaptdrive.cli.contact import Contact, DriveName
 from adaptdrive.cli.display import describe, refusal_advice
+from adaptdrive.cli.standard_files import discard_output
 from adaptdrive.operation.client import NoAnswerError, read_status, send_command
 from adaptdrive.operation.messages import ONLINE
 
@@ -167,15 +168,25 @@ def _ask(drive: str, verb: str, value: object, contact: Contact, **fields: objec
     except NoAnswerError as problem:
         return no_answer(problem)
     if contact.as_json:
-        print(json.dumps(asdict_of(reply)))
+        _tell(json.dumps(asdict_of(reply)))
         return ACCEPTED if reply.accepted else REFUSED
     if reply.accepted:
-        print(f"{drive}: {verb} accepted, {reply.state}")
+        _tell(f"{drive}: {verb} accepted, {reply.state}")
         return ACCEPTED
     print(f"adaptdrive: {drive} refused {verb}: {reply.reason}", file=sys.stderr)
     if advice := refusal_advice(reply.reason):
         print(f"adaptdrive: what to do: {advice}", file=sys.stderr)
     return REFUSED
+
+
+def _tell(answer: str) -> None:
+    """Print what a drive has answered, on standard error where standard output takes nothing."""
+    try:
+        print(answer, flush=True)
+    except OSError as problem:
+        discard_output()
+        unwritable = f"standard output cannot be written: {problem.strerror}"
+        print(f"adaptdrive: {answer} ({unwritable})", file=sys.stderr)
 
 
 def no_answer(problem: NoAnswerError) -> int:

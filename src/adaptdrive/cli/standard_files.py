@@ -22,6 +22,11 @@ def open_standard_files() -> None:
     sys.stderr = sys.stderr or _stream(_ERRORS, "w")
 
 
+def discard_output() -> None:
+    """Discard output that nothing takes, which would be an error at the exit of Python."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def _is_open(number: int) -> bool:
     try:
         os.fstat(number)
