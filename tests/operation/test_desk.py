@@ -382,6 +382,20 @@ async def test_a_stop_that_comes_while_the_disk_writes_is_obeyed(
     assert office.host.done == ["disable"]
 
 
+async def test_a_command_that_expires_while_the_disk_writes_does_nothing(
+    office: Office, disk: SlowDisk
+) -> None:
+    expires = office.time.wall + timedelta(seconds=1.0)
+    sent = office.send("enable", {"id": "a", "expires": expires.isoformat()})
+    answer = asyncio.create_task(sent)
+    await settle()
+    office.time.wall = expires
+    await disk.write()
+    await disk.write()
+    assert (await answer).reason.startswith("expired at ")
+    assert office.host.done == []
+
+
 async def test_a_hundred_overtaken_commands_wait_for_no_disk(
     office: Office, disk: SlowDisk
 ) -> None:

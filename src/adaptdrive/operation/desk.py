@@ -209,8 +209,9 @@ class Desk:
     async def _decide(self, command: OperatorCommand, payload: Payload) -> Reply:
         reply = _refusal(command, payload)
         try:
-            request = self._read(command, payload)
-            state = await self._carry_out(request, command, replace(reply, reason=INTERRUPTED))
+            request, expires = self._read(command, payload)
+            doubt = replace(reply, reason=INTERRUPTED)
+            state = await self._carry_out(request, expires, command, doubt)
         except AdaptdriveError as problem:
             reply = replace(reply, reason=_clean(str(problem)), state=self._present_state())
         else:
@@ -222,18 +223,21 @@ class Desk:
         self._report(_report_of(payload, reply))
         return reply
 
-    def _read(self, command: OperatorCommand, payload: Payload) -> Request:
+    def _read(self, command: OperatorCommand, payload: Payload) -> tuple[Request, datetime | None]:
         if command.retained:
             raise RefusedError(RETAINED)
         request, expires = payload.request(command.verb)
         self._refuse_expired(expires)
-        return request
+        return request, expires
 
-    async def _carry_out(self, request: Request, command: OperatorCommand, doubt: Reply) -> State:
+    async def _carry_out(
+        self, request: Request, expires: datetime | None, command: OperatorCommand, doubt: Reply
+    ) -> State:
         self._refuse_overtaken(command)
         # Written first: a daemon that dies in between must not act a second time on a repeat.
         await self._memory.keep(str(doubt.id), doubt)
         self._refuse_overtaken(command)
+        self._refuse_expired(expires)
         return await self._host.execute(request)
 
     def _refuse_overtaken(self, command: OperatorCommand) -> None:
