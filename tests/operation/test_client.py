@@ -14,7 +14,7 @@ import pytest
 from aiomqtt import Client
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.client import NoAnswerError, send_command
+from adaptdrive.operation.client import NoAnswerError, read_site, read_status, send_command
 from tests.support import Broker
 
 TIMEOUT_S = 4.0
@@ -55,6 +55,33 @@ async def test_a_command_expires_before_its_sender_gives_it_up(mosquitto: Broker
 async def test_a_disable_never_expires(mosquitto: Broker) -> None:
     command, _ = await ask(mosquitto, f"mute-{uuid.uuid4()}", "disable")
     assert "expires" not in command
+
+
+@asynccontextmanager
+async def silent_broker() -> AsyncIterator[Mqtt]:
+    """A broker that accepts connections and never says a word."""
+    ended = asyncio.Event()
+
+    async def hold(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await ended.wait()
+        writer.close()
+
+    async with await asyncio.start_server(hold, "127.0.0.1") as server:
+        yield Mqtt(host="127.0.0.1", port=server.sockets[0].getsockname()[1])
+        ended.set()
+
+
+async def test_a_time_out_bounds_the_connection_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("adaptdrive.operation.link.TIMEOUT_S", PATIENCE_S)
+    async with asyncio.timeout(PATIENCE_S / 2.0), silent_broker() as broker:
+        silence = f"no answer from broker {broker.host}:{broker.port} within 0.2 s"
+        for wait in (
+            send_command(broker, "mute", "disable", None, 0.2),
+            read_status(broker, "mute", 0.2),
+            read_site(broker, 0.2),
+        ):
+            with pytest.raises(NoAnswerError, match=silence):
+                await wait
 
 
 @pytest.mark.parametrize("ahead_s", [-3600.0, 3600.0])

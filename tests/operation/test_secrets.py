@@ -154,7 +154,7 @@ async def test_others_stay_outside(
     monkeypatch.setattr("adaptdrive.operation.link.TIMEOUT_S", 1.0)
     while True:
         with pytest.raises(NoAnswerError) as refusal:
-            await send_command(guarded.model_copy(update=change), "guarded", "enable", None, 1.0)
+            await send_command(guarded.model_copy(update=change), "guarded", "enable", None, 30.0)
         if "Connection refused" not in str(refusal.value):  # mosquitto has started
             break
         await asyncio.sleep(0.05)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import getpass
 import json
+import math
 import os
 import re
 import socket
@@ -33,6 +34,7 @@ SIMULATOR = "simulator"
 """Name under which `follow` yields the state of a simulated device."""
 
 TELEMETRY_WAIT_S = 1.0
+_SHORTEST_S = 1e-3  # paho takes no wait of 0
 _DRIVE = re.compile("[A-Za-z0-9_-]{1,64}")
 SITE_WAIT_S = 0.5
 """From the last message of a new drive: retained messages come at once, telemetry in 0.1 s."""
@@ -78,7 +80,7 @@ async def send_command(
         drive: Name of the drive.
         verb: What to do.
         value: Value of the command, None for verbs that take none.
-        timeout_s: Longest wait for the reply.
+        timeout_s: Longest wait for the broker and the reply.
         fields: Fields of the payload beside the value.
 
     Raises:
@@ -86,10 +88,11 @@ async def send_command(
     """
     topics = Topics(drive)
     places = topics.command(verb), topics.reply
-    async with _conversation(broker, drive) as client, asyncio.timeout(timeout_s) as limit:
+    end_s = _end_s(timeout_s)
+    async with _conversation(broker, drive, end_s) as client, asyncio.timeout_at(end_s):
         command = {"value": value, "user": sender(), **fields}
         if verb != STOP:
-            command = {"expires": await _expiry(client, topics, limit)} | command
+            command = {"expires": await _expiry(client, topics, end_s)} | command
         return await _ask(client, drive, places, command, Reply)
 
 
@@ -102,19 +105,25 @@ async def disturb(
         broker: Where the broker is.
         drive: Name of the drive.
         request: Disturbance that the device offers.
-        timeout_s: Longest wait for the answer.
+        timeout_s: Longest wait for the broker and the answer.
 
     Raises:
         NoAnswerError: No answer in time, or no broker.
     """
     places = simulator_topic(drive, DISTURB), simulator_topic(drive, REPLY)
-    async with _conversation(broker, drive) as client, asyncio.timeout(timeout_s):
+    end_s = _end_s(timeout_s)
+    async with _conversation(broker, drive, end_s) as client, asyncio.timeout_at(end_s):
         return await _ask(client, drive, places, request, DeviceReply)
 
 
-async def _expiry(client: Client, topics: Topics, limit: asyncio.Timeout) -> str:
-    """Return the time at which a time-out ends, by the clock of the drive where it is heard."""
-    now_s, end_s = asyncio.get_running_loop().time, limit.when() or 0.0
+def _end_s(timeout_s: float) -> float:
+    """Return the end of a wait that begins now, by the clock of the event loop."""
+    return asyncio.get_running_loop().time() + timeout_s
+
+
+async def _expiry(client: Client, topics: Topics, end_s: float) -> str:
+    """Return the time at which a wait ends, by the clock of the drive where it is heard."""
+    now_s = asyncio.get_running_loop().time
     ahead_s = await _clock_difference_s(client, topics, (end_s - now_s()) / 2.0)
     return (datetime.now(UTC) + timedelta(seconds=end_s - now_s() + ahead_s)).isoformat()
 
@@ -169,19 +178,19 @@ async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> DriveStatus
     Args:
         broker: Where the broker is.
         drive: Name of the drive.
-        timeout_s: Longest wait for the retained state.
+        timeout_s: Longest wait for the broker and the retained state.
 
     Raises:
         NoAnswerError: No state in time, or no broker.
     """
-    topics, status = Topics(drive), DriveStatus()
-    async with _conversation(broker, drive) as client:
-        async with asyncio.timeout(timeout_s):
+    topics, status, end_s = Topics(drive), DriveStatus(), _end_s(timeout_s)
+    async with _conversation(broker, drive, end_s) as client:
+        async with asyncio.timeout_at(end_s):
             await client.subscribe(topics.availability, qos=1)
             await client.subscribe(topics.state, qos=1)
             await _listen(client, topics, status, _complete)
         if status.availability == ONLINE.decode():
-            await _add_telemetry(client, topics, status)
+            await _add_telemetry(client, topics, status, end_s)
     return status
 
 
@@ -217,12 +226,13 @@ async def read_site(broker: Mqtt, timeout_s: float) -> dict[str, DriveStatus]:
         NoAnswerError: No broker.
     """
     site: dict[str, DriveStatus] = {}
-    async with _conversation(broker, "all drives") as client:
+    end_s = _end_s(timeout_s)
+    async with _conversation(broker, "all drives", end_s) as client:
         every = Topics("+")
         retained = (every.availability, every.state, every.load_telemetry)
         await client.subscribe([(topic, 1) for topic in (*retained, every.drive_telemetry)])
         with suppress(TimeoutError):
-            async with asyncio.timeout(timeout_s), asyncio.timeout(SITE_WAIT_S) as quiet:
+            async with asyncio.timeout_at(end_s), asyncio.timeout(SITE_WAIT_S) as quiet:
                 await _listen_to_all(client, site, quiet)
     return {name: status for name, status in site.items() if status.availability or status.state}
 
@@ -286,9 +296,9 @@ def _complete(status: DriveStatus) -> bool:
     return status.state is not None and status.availability is not None
 
 
-async def _add_telemetry(client: Client, topics: Topics, status: DriveStatus) -> None:
+async def _add_telemetry(client: Client, topics: Topics, status: DriveStatus, end_s: float) -> None:
     with suppress(TimeoutError):
-        async with asyncio.timeout(TELEMETRY_WAIT_S):
+        async with asyncio.timeout_at(min(end_s, _end_s(TELEMETRY_WAIT_S))):
             await client.subscribe(topics.load_telemetry)
             await client.subscribe(topics.drive_telemetry)
             await _listen(client, topics, status, lambda status: len(status.telemetry) == 2)
@@ -324,17 +334,26 @@ def _decoded(payload: bytes, kind: type[T]) -> T | None:
 
 
 @asynccontextmanager
-async def _conversation(broker: Mqtt, drive: str) -> AsyncIterator[Client]:
+async def _conversation(broker: Mqtt, drive: str, end_s: float = math.inf) -> AsyncIterator[Client]:
+    """Connect to a broker until a time of the event loop; what follows has limits of its own."""
+    place = f"{broker.host}:{broker.port}"
+    wait_s = max(_SHORTEST_S, end_s - asyncio.get_running_loop().time())
     try:
-        async with connection(broker, ProtocolVersion.V311, None, None) as client:
+        async with (
+            asyncio.timeout_at(end_s) as connecting,
+            connection(broker, ProtocolVersion.V311, None, None, wait_s) as client,
+        ):
+            connecting.reschedule(None)
             yield client
     except TimeoutError as problem:
         _pass_on_cancellation(problem)
-        silence = f"no answer by way of {broker.host}:{broker.port}; see `adaptdrive list`"
+        silence = f"no answer by way of {place}; see `adaptdrive list`"
+        if connecting.expired():
+            silence = f"no answer from broker {place} within {wait_s:.3g} s"
         raise NoAnswerError(drive, silence) from problem
     except (MqttError, OSError) as problem:
         _pass_on_cancellation(problem)
-        raise NoAnswerError(drive, f"broker {broker.host}:{broker.port}: {problem}") from problem
+        raise NoAnswerError(drive, f"broker {place}: {problem}") from problem
 
 
 def _pass_on_cancellation(problem: Exception) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import ssl
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import asynccontextmanager, suppress
@@ -121,7 +122,11 @@ class BrokerLink:
 
 @asynccontextmanager
 async def connection(
-    settings: Mqtt, protocol: ProtocolVersion, identifier: str | None, will: Will | None
+    settings: Mqtt,
+    protocol: ProtocolVersion,
+    identifier: str | None,
+    will: Will | None,
+    timeout_s: float = math.inf,
 ) -> AsyncIterator[SteadyClient]:
     """One connection to a broker, closed at the end whatever state it is in.
 
@@ -132,12 +137,13 @@ async def connection(
         protocol: MQTT version.
         identifier: Client identifier, None for a random one.
         will: Message that the broker publishes when the connection breaks.
+        timeout_s: Longest wait for the broker, where that is shorter than the usual one.
 
     Raises:
         MqttError: The broker cannot be reached or refuses.
         OSError: The password or a certificate cannot be read.
     """
-    client = await _client(settings, protocol, identifier, will)
+    client = await _client(settings, protocol, identifier, will, min(TIMEOUT_S, timeout_s))
     try:
         await _enter(client)
         try:
@@ -151,7 +157,11 @@ async def connection(
 
 
 async def _client(
-    settings: Mqtt, protocol: ProtocolVersion, identifier: str | None, will: Will | None
+    settings: Mqtt,
+    protocol: ProtocolVersion,
+    identifier: str | None,
+    will: Will | None,
+    timeout_s: float,
 ) -> SteadyClient:
     password, tls = await asyncio.to_thread(_secrets, settings)
     return SteadyClient(
@@ -163,7 +173,7 @@ async def _client(
         identifier=identifier,
         will=will,
         protocol=protocol,
-        timeout=TIMEOUT_S,
+        timeout=timeout_s,
         keepalive=KEEP_ALIVE_S,
     )
 
@@ -196,12 +206,13 @@ def _tls(ca_file: Path | None) -> ssl.SSLContext:
         raise OSError(f"ca_file {ca_file} cannot be used: {problem}") from problem
 
 
-async def _enter(client: Client) -> None:
+async def _enter(client: SteadyClient) -> None:
     """Connect; a cancelled attempt is waited for, as its thread cannot be stopped."""
     attempt = asyncio.ensure_future(client.__aenter__())
     try:
         await asyncio.shield(attempt)
     except asyncio.CancelledError:
+        client.give_up()
         await asyncio.wait([attempt])
         if not attempt.cancelled():
             attempt.exception()

@@ -33,6 +33,7 @@ class SteadyClient(Client):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:  # noqa: ANN401 - aiomqtt's signature
         super().__init__(*args, **kwargs)
+        self._client.connect_timeout = self.timeout  # of TCP, and of the handshake of TLS
         self._receive: Callable[[Message], None] | None = None
         self._largest: int | None = None
         self._withheld: set[str] = set()
@@ -81,6 +82,12 @@ class SteadyClient(Client):
         ended = self._disconnected.done() and not self._disconnected.cancelled()
         problem = self._disconnected.exception() if ended else None
         return problem.rc if isinstance(problem, MqttCodeError) else None
+
+    def give_up(self) -> None:
+        """End the wait for the broker's answer to a connection that is being made."""
+        if not self._connected.done():
+            self._connected.set_exception(MqttError("given up"))
+            self._connected.exception()  # retrieved, where nobody waits for it yet
 
     def hang_up(self, reason: str) -> None:
         """End the connection; `lost` raises the reason."""
