@@ -203,6 +203,19 @@ def test_a_spool_whose_session_cannot_be_read_keeps_no_other_from_being_written(
     assert any("ticks-0001.parquet" in sentence for sentence in told)
 
 
+def test_a_spool_of_a_version_with_other_columns_is_written(tmp_path: Path) -> None:
+    """Ticks in a version before `mode` and `steady`, and with a column that was given up."""
+    batch = make_batch([make_tick(0), make_tick(1)])
+    missing = ("mode", "steady")
+    kept = {name: values for name, values in batch.ticks.items() if name not in missing}
+    older = msgspec.structs.replace(batch, ticks=kept | {"given_up": bytes(16)})
+    spool_path(tmp_path, INFO).write_bytes(stream(Header(INFO, "", str(tmp_path)), older))
+    next_start(tmp_path)
+    ticks = recorded(tmp_path).ticks
+    assert ticks["output"].to_pylist() == [3.0, 3.001]
+    assert [ticks[name].to_pylist() for name in missing] == [[None, None]] * 2
+
+
 def test_a_folder_that_was_moved_takes_the_rest_of_its_session(tmp_path: Path) -> None:
     old, new = tmp_path / "old", tmp_path / "new"
     directory = create_session(NewSession(old, INFO, ""))

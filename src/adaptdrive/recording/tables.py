@@ -86,14 +86,16 @@ def ticks_batch(
     """Return fast ticks as a record batch.
 
     Args:
-        columns: Machine arrays and strings by column name.
+        columns: Machine arrays and strings by column name; those of another version may be more or
+            fewer.
         rows: Number of ticks.
         schema: Schema of the ticks.
         utc_offset_s: UTC minus monotonic time.
     """
-    arrays = {name: _array(schema.field(name).type, columns[name], rows) for name in columns}
+    fields = [field for field in schema if field.name in columns]
+    arrays = {field.name: _array(field.type, columns[field.name], rows) for field in fields}
     arrays[_UTC_FIELD.name] = _utc(arrays[MONOTONIC], utc_offset_s)
-    return pa.RecordBatch.from_arrays([arrays[name] for name in schema.names], schema=schema)
+    return conform(pa.RecordBatch.from_pydict(arrays), schema)
 
 
 def rows_batch(
