@@ -12,7 +12,7 @@ from aiomqtt import Client
 
 from adaptdrive.commission.guide import Guide
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.client import NoAnswerError
+from adaptdrive.operation.conversation import NoAnswerError
 from tests.support import Broker
 
 PATIENCE_S = 60.0

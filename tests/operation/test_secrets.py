@@ -15,8 +15,9 @@ import pytest
 from structlog.testing import capture_logs
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.client import NoAnswerError, send_command
+from adaptdrive.operation.conversation import NoAnswerError
 from adaptdrive.operation.profile import Profile
+from adaptdrive.operation.sender import send_command
 from adaptdrive.operation.service import MqttService, ServiceSurroundings
 from adaptdrive.runtime.requests import Enable
 from tests.operation.peers import PATIENCE_S, RememberingHost

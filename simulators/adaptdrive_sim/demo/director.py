@@ -9,7 +9,8 @@ from contextlib import suppress
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive.operation.client import NoAnswerError, send_command
+from adaptdrive.operation.conversation import NoAnswerError
+from adaptdrive.operation.sender import send_command
 from adaptdrive_sim.broker import BrokerAddress
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.script import BEGINNING, Act, acts

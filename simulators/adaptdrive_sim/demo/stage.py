@@ -17,7 +17,8 @@ from adaptdrive.app.lock import NAMESPACE
 from adaptdrive.cli.panel import panel_address
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import AdaptdriveError, RecordingError, first_error
-from adaptdrive.operation.client import NoAnswerError, read_status
+from adaptdrive.operation.conversation import NoAnswerError
+from adaptdrive.operation.listener import read_status
 from adaptdrive.operation.messages import ONLINE
 from adaptdrive.recording.session import Ending, read_info
 from adaptdrive_sim.broker import BrokerAddress, parse_address

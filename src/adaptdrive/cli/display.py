@@ -6,8 +6,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from adaptdrive.operation.client import DriveStatus, printable
 from adaptdrive.operation.estimate_names import quantity_and_unit
+from adaptdrive.operation.listener import DriveStatus, printable
 from adaptdrive.runtime.trips import remedy
 
 _FRACTION = re.compile(r"\.\d+(?=Z)")

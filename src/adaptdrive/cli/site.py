@@ -10,7 +10,8 @@ from dataclasses import asdict
 from adaptdrive.cli.contact import Contact, DriveName
 from adaptdrive.cli.display import site_table
 from adaptdrive.cli.operate import ACCEPTED, NO_ANSWER, UNUSABLE, no_answer
-from adaptdrive.operation.client import NoAnswerError, read_site
+from adaptdrive.operation.conversation import NoAnswerError
+from adaptdrive.operation.listener import read_site
 
 _HERE = Contact()
 

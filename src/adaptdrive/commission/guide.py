@@ -17,8 +17,10 @@ from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.samples import Samples
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import AdaptdriveError, CommissionError, first_error
-from adaptdrive.operation.client import NoAnswerError, read_status, send_command, telemetry
+from adaptdrive.operation.conversation import NoAnswerError
+from adaptdrive.operation.listener import read_status, telemetry
 from adaptdrive.operation.messages import ONLINE
+from adaptdrive.operation.sender import send_command
 
 HOLD_S = 5.0
 """Time to live of a voltage."""

@@ -7,8 +7,10 @@ import functools
 import time
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.client import NoAnswerError, disturb, follow, send_command
+from adaptdrive.operation.conversation import NoAnswerError
+from adaptdrive.operation.listener import follow
 from adaptdrive.operation.messages import Reply
+from adaptdrive.operation.sender import disturb, send_command
 from adaptdrive.operation.simulator import DeviceReply
 from adaptdrive.watch.keys import QUIT, KeyCommand, KeyReader, pressed_keys
 from adaptdrive.watch.record import WatchRecord

@@ -14,7 +14,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from adaptdrive.operation.client import printable
+from adaptdrive.operation.listener import printable
 from adaptdrive.watch.plot import REFERENCE_STYLE, STYLES, plot
 from adaptdrive.watch.record import WatchRecord
 from adaptdrive.watch.tables import (

@@ -14,7 +14,9 @@ import pytest
 from aiomqtt import Client
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.client import NoAnswerError, read_site, read_status, send_command
+from adaptdrive.operation.conversation import NoAnswerError
+from adaptdrive.operation.listener import read_site, read_status
+from adaptdrive.operation.sender import send_command
 from tests.support import Broker
 
 TIMEOUT_S = 4.0

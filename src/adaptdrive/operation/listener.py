@@ -1,0 +1,186 @@
+"""What drives publish: retained state and telemetry of one or all, once or as it comes."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+from aiomqtt import Client
+
+from adaptdrive.config.services import Mqtt
+from adaptdrive.operation.conversation import TELEMETRY_WAIT_S, conversation, end_of, json_object
+from adaptdrive.operation.messages import ONLINE
+from adaptdrive.operation.simulator import TRUTH, simulator_topic
+from adaptdrive.operation.topics import Topics
+
+SIMULATOR = "simulator"
+"""Name under which `follow` yields the state of a simulated device."""
+
+_DRIVE = re.compile("[A-Za-z0-9_-]{1,64}")
+SITE_WAIT_S = 0.5
+"""From the last message of a new drive: retained messages come at once, telemetry in 0.1 s."""
+
+
+@dataclass(slots=True)
+class DriveStatus:
+    """State and telemetry of a drive; each part None until it is received.
+
+    Attributes:
+        availability: `online` or `offline`.
+        state: Payload of `state`.
+        telemetry: Payloads of `telemetry/load` and `telemetry/drive`, by their last part.
+    """
+
+    availability: str | None = None
+    state: dict[str, Any] | None = None
+    telemetry: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+
+async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> DriveStatus:
+    """Return the retained state of a drive, and its telemetry if some arrives in time.
+
+    Args:
+        broker: Where the broker is.
+        drive: Name of the drive.
+        timeout_s: Longest wait for the broker and the retained state.
+
+    Raises:
+        NoAnswerError: No state in time, or no broker.
+    """
+    topics, status, end_s = Topics(drive), DriveStatus(), end_of(timeout_s)
+    async with conversation(broker, drive, end_s) as client:
+        async with asyncio.timeout_at(end_s):
+            await client.subscribe(topics.availability, qos=1)
+            await client.subscribe(topics.state, qos=1)
+            await _listen(client, topics, status, _complete)
+        if status.availability == ONLINE.decode():
+            await _add_telemetry(client, topics, status, end_s)
+    return status
+
+
+async def telemetry(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[str, Any]], None]:
+    """Yield telemetry as it is published: `load` or `drive`, and the message.
+
+    Args:
+        broker: Where the broker is.
+        drive: Name of the drive.
+
+    Raises:
+        NoAnswerError: The broker cannot be reached, or closed the connection.
+    """
+    topics, status = Topics(drive), DriveStatus()
+    async with conversation(broker, drive) as client:
+        await client.subscribe(topics.load_telemetry)
+        await client.subscribe(topics.drive_telemetry)
+        async for message in client.messages:
+            status.telemetry.clear()
+            _note(message.topic.value, bytes(message.payload), topics, status)
+            for name, content in status.telemetry.items():
+                yield name, content
+
+
+async def read_site(broker: Mqtt, timeout_s: float) -> dict[str, DriveStatus]:
+    """Return what the broker holds of all drives, and their telemetry if some arrives in time.
+
+    Args:
+        broker: Where the broker is.
+        timeout_s: Longest time in all.
+
+    Raises:
+        NoAnswerError: No broker.
+    """
+    site: dict[str, DriveStatus] = {}
+    end_s = end_of(timeout_s)
+    async with conversation(broker, "all drives", end_s) as client:
+        every = Topics("+")
+        retained = (every.availability, every.state, every.load_telemetry)
+        async with asyncio.timeout_at(end_s):
+            await client.subscribe([(topic, 1) for topic in (*retained, every.drive_telemetry)])
+        with suppress(TimeoutError):
+            async with asyncio.timeout_at(end_s), asyncio.timeout(SITE_WAIT_S) as quiet:
+                await _listen_to_all(client, site, quiet)
+    return {name: status for name, status in site.items() if status.availability or status.state}
+
+
+async def _listen_to_all(
+    client: Client, site: dict[str, DriveStatus], quiet: asyncio.Timeout
+) -> None:
+    """Note all messages; each drive that is new prolongs the wait."""
+    async for message in client.messages:
+        _, drive, *_ = message.topic.value.split("/")
+        if _DRIVE.fullmatch(drive) is None:
+            continue
+        if drive not in site:
+            quiet.reschedule(asyncio.get_running_loop().time() + SITE_WAIT_S)
+        status = site.setdefault(drive, DriveStatus())
+        _note(message.topic.value, bytes(message.payload), Topics(drive), status)
+
+
+async def follow(broker: Mqtt, drive: str) -> AsyncIterator[tuple[str, dict[str, Any]]]:
+    """Ask for the history of a drive, and yield all that it publishes, by the name of its topic.
+
+    Args:
+        broker: Where the broker is.
+        drive: Name of the drive.
+
+    Raises:
+        NoAnswerError: The broker cannot be reached, or closed the connection.
+    """
+    topics = Topics(drive)
+    names = (topics.state, topics.load_telemetry, topics.drive_telemetry, topics.event)
+    async with conversation(broker, drive) as client:
+        await client.subscribe([(name, 1) for name in (*names, topics.history)])
+        await client.subscribe(topics.availability, qos=1)
+        truth = simulator_topic(drive, TRUTH)
+        await client.subscribe(truth)
+        await client.publish(topics.ask_history, b"", qos=1)
+        async for message in client.messages:
+            name, payload = topics.name(message.topic.value), bytes(message.payload)
+            if message.topic.value == truth:
+                yield SIMULATOR, json_object(payload) or {}
+            elif name == "availability":
+                yield name, {name: payload.decode("utf-8", "replace")}
+            elif (content := json_object(payload)) is not None:
+                yield name, content
+
+
+def printable(value: object) -> str:
+    """Return a part of a payload as text without characters that command a terminal."""
+    return "".join(letter if letter.isprintable() else "?" for letter in str(value))
+
+
+def _complete(status: DriveStatus) -> bool:
+    return status.state is not None and status.availability is not None
+
+
+async def _add_telemetry(client: Client, topics: Topics, status: DriveStatus, end_s: float) -> None:
+    with suppress(TimeoutError):
+        async with asyncio.timeout_at(min(end_s, end_of(TELEMETRY_WAIT_S))):
+            await client.subscribe(topics.load_telemetry)
+            await client.subscribe(topics.drive_telemetry)
+            await _listen(client, topics, status, lambda status: len(status.telemetry) == 2)
+
+
+async def _listen(
+    client: Client, topics: Topics, status: DriveStatus, enough: Callable[[DriveStatus], bool]
+) -> None:
+    async for message in client.messages:
+        _note(message.topic.value, bytes(message.payload), topics, status)
+        if enough(status):
+            return
+
+
+def _note(topic: str, payload: bytes, topics: Topics, status: DriveStatus) -> None:
+    if topic == topics.availability:
+        status.availability = payload.decode("utf-8", "replace")
+        return
+    if (content := json_object(payload)) is None:
+        return
+    if topic == topics.state:
+        status.state = content
+    else:
+        status.telemetry[topic.rpartition("/")[2]] = content

@@ -1,0 +1,134 @@
+"""Operators' commands and disturbances: sent to one drive, and its reply."""
+
+from __future__ import annotations
+
+import asyncio
+import getpass
+import json
+import os
+import socket
+import uuid
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
+from typing import Annotated, Any, TypeVar
+
+import msgspec
+from aiomqtt import Client
+
+from adaptdrive.config.services import Mqtt
+from adaptdrive.operation.commands import LONGEST_USER, STOP
+from adaptdrive.operation.conversation import (
+    TELEMETRY_WAIT_S,
+    NoAnswerError,
+    conversation,
+    decoded,
+    end_of,
+)
+from adaptdrive.operation.messages import Reply
+from adaptdrive.operation.simulator import DISTURB, REPLY, DeviceReply, simulator_topic
+from adaptdrive.operation.topics import Topics
+
+AnyReply = TypeVar("AnyReply", Reply, DeviceReply)
+
+
+class _Timed(msgspec.Struct):
+    time: Annotated[datetime, msgspec.Meta(tz=True)]
+
+
+async def send_command(
+    broker: Mqtt, drive: str, verb: str, value: object, timeout_s: float, **fields: object
+) -> Reply:
+    """Send one command and wait for the reply to it; it expires when the wait ends.
+
+    A `disable` never expires. Where the drive publishes telemetry, the time is by its clock.
+
+    Args:
+        broker: Where the broker is.
+        drive: Name of the drive.
+        verb: What to do.
+        value: Value of the command, None for verbs that take none.
+        timeout_s: Longest wait for the broker and the reply.
+        fields: Fields of the payload beside the value.
+
+    Raises:
+        NoAnswerError: No reply in time, or no broker.
+    """
+    topics = Topics(drive)
+    places = topics.command(verb), topics.reply
+    end_s = end_of(timeout_s)
+    async with conversation(broker, drive, end_s) as client, asyncio.timeout_at(end_s):
+        command = {"value": value, "user": _sender(), **fields}
+        if verb != STOP:
+            command = {"expires": await _expiry(client, topics, end_s)} | command
+        return await _ask(client, drive, places, command, Reply)
+
+
+async def disturb(
+    broker: Mqtt, drive: str, request: dict[str, Any], timeout_s: float
+) -> DeviceReply:
+    """Ask a simulated device for a disturbance and wait for its answer.
+
+    Args:
+        broker: Where the broker is.
+        drive: Name of the drive.
+        request: Disturbance that the device offers.
+        timeout_s: Longest wait for the broker and the answer.
+
+    Raises:
+        NoAnswerError: No answer in time, or no broker.
+    """
+    places = simulator_topic(drive, DISTURB), simulator_topic(drive, REPLY)
+    end_s = end_of(timeout_s)
+    async with conversation(broker, drive, end_s) as client, asyncio.timeout_at(end_s):
+        return await _ask(client, drive, places, request, DeviceReply)
+
+
+async def _expiry(client: Client, topics: Topics, end_s: float) -> str:
+    """Return the time at which a wait ends, by the clock of the drive where it is heard."""
+    now_s = asyncio.get_running_loop().time
+    ahead_s = await _clock_difference_s(client, topics, (end_s - now_s()) / 2.0)
+    return (datetime.now(UTC) + timedelta(seconds=end_s - now_s() + ahead_s)).isoformat()
+
+
+async def _clock_difference_s(client: Client, topics: Topics, patience_s: float) -> float:
+    """Return how far the clock of a drive is ahead, 0 where no telemetry comes.
+
+    Telemetry that comes late makes a command expire early, and never late.
+    """
+    with suppress(TimeoutError):
+        async with asyncio.timeout(min(patience_s, TELEMETRY_WAIT_S)):
+            await client.subscribe(topics.drive_telemetry)
+            async for message in client.messages:
+                told = decoded(bytes(message.payload), _Timed)
+                if told is not None and not message.retain:
+                    return (told.time - datetime.now(UTC)).total_seconds()
+    return 0.0
+
+
+async def _ask(
+    client: Client,
+    drive: str,
+    places: tuple[str, str],
+    content: dict[str, Any],
+    kind: type[AnyReply],
+) -> AnyReply:
+    """Publish a request with an id on the first topic, and return its reply on the second."""
+    asked, answered = places
+    identity = str(uuid.uuid4())
+    await client.subscribe(answered, qos=1)
+    await client.publish(asked, json.dumps(content | {"id": identity}), qos=1)
+    async for message in client.messages:
+        if message.topic.value == answered:
+            reply = decoded(bytes(message.payload), kind)
+            if reply is not None and reply.id == identity:
+                return reply
+    raise NoAnswerError(drive, "the broker closed the connection")
+
+
+def _sender() -> str:
+    """Return the sender that a command names: user and machine, unverified."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a user id without a name
+        user = str(os.getuid())
+    return f"{user}@{socket.gethostname()}"[:LONGEST_USER]
