@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import socket
+import struct
 import threading
 import urllib.error
 import urllib.request
@@ -44,6 +46,16 @@ def test_nothing_else_is_served(port: int, path: str) -> None:
         urllib.request.urlopen(f"http://127.0.0.1:{port}/{path}")
     assert refusal.value.code == 404
     refusal.value.close()
+
+
+def test_a_browser_that_goes_away_leaves_no_trace(capfd: pytest.CaptureFixture[str]) -> None:
+    """The connection is reset before the request is served, in this thread."""
+    with panel_server(0) as server:
+        with socket.create_connection(("127.0.0.1", server.server_port)) as browser:
+            browser.sendall(b"GET / HTTP/1.1\r\n")
+            browser.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        server.process_request_thread(*server.get_request())
+    assert capfd.readouterr().err == ""
 
 
 def test_a_port_in_use_is_named(port: int) -> None:

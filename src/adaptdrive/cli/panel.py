@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import sys
 import webbrowser
 from http import HTTPStatus
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -46,7 +47,16 @@ class PanelHandler(SimpleHTTPRequestHandler):
         """Write nothing."""
 
 
-def panel_server(port: int) -> ThreadingHTTPServer:
+class PanelServer(ThreadingHTTPServer):
+    """Serves each request in a thread; a browser that goes away is no error."""
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Print the traceback of an error, unless the connection was lost."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)  # type: ignore[arg-type]
+
+
+def panel_server(port: int) -> PanelServer:
     """Return a server of the panel on the loopback interface.
 
     Args:
@@ -56,7 +66,7 @@ def panel_server(port: int) -> ThreadingHTTPServer:
         PanelError: The port is in use.
     """
     try:
-        return ThreadingHTTPServer(
+        return PanelServer(
             ("127.0.0.1", port), functools.partial(PanelHandler, directory=str(FOLDER))
         )
     except OSError as problem:
