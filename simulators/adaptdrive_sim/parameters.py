@@ -17,6 +17,9 @@ from adaptdrive.errors import AdaptdriveError
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+SEED_MAX = 2**63 - 1
+"""Largest seed that numpy and a column of a table both take."""
+
 
 class ParameterError(AdaptdriveError):
     """A parameter of a simulated plant lies outside its range."""

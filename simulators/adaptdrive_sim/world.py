@@ -15,7 +15,7 @@ import numpy as np
 
 from adaptdrive_sim.line import Line, LineParameters
 from adaptdrive_sim.noise import NoiseParameters, samples
-from adaptdrive_sim.parameters import ParameterError
+from adaptdrive_sim.parameters import SEED_MAX, ParameterError, check_range
 from adaptdrive_sim.plants.boost import Boost, BoostParameters
 from adaptdrive_sim.plants.coupling import Coupling, CouplingParameters
 from adaptdrive_sim.plants.load import SimulatedLoad
@@ -41,6 +41,9 @@ class WorldParameters:
     noise: NoiseParameters = field(default_factory=NoiseParameters)
     sampling_phase_rad: float = 0.0
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_range("seed", self.seed, 0, SEED_MAX, "")
 
 
 class Sample(NamedTuple):

@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from adaptdrive.control.signals import Mode
+from adaptdrive_sim import cli
 from adaptdrive_sim.campaign.bench import Stand, deployed
 from adaptdrive_sim.campaign.criteria import FLOOR, cost
 from adaptdrive_sim.campaign.judge import judge
@@ -20,6 +21,7 @@ from adaptdrive_sim.campaign.scenario import draw
 from adaptdrive_sim.campaign.settings import read_campaign
 from adaptdrive_sim.campaign.verdict import claims, failures, shared_failures
 from adaptdrive_sim.compiled import bench
+from adaptdrive_sim.parameters import ParameterError
 
 STANDARD = Path("standard.toml")
 
@@ -36,6 +38,14 @@ def test_a_campaign_leaves_a_row_for_each_seed_and_pictures(
     told = capsys.readouterr().out
     assert "12 runs, each fixed and adaptive" in told
     assert "\x1b" not in told
+
+
+@pytest.mark.parametrize("number", ["--runs=0", "--runs=-3", "--processes=0", "--only=-1"])
+def test_a_number_that_makes_no_campaign_is_refused(tmp_path: Path, number: str) -> None:
+    output = tmp_path / "out"
+    with pytest.raises(ParameterError, match=f"^{number.replace('=', ' = ')} must lie in "):
+        cli.app(["campaign", str(STANDARD), "--output", str(output), number])
+    assert not output.exists()
 
 
 def test_the_same_seed_gives_the_same_row_in_any_process(tmp_path: Path) -> None:

@@ -20,7 +20,10 @@ from adaptdrive_sim.campaign.kinds import (
 )
 from adaptdrive_sim.campaign.pool import run_all, workers
 from adaptdrive_sim.campaign.report import print_results, write_results
+from adaptdrive_sim.campaign.settings import MOST_RUNS
+from adaptdrive_sim.parameters import SEED_MAX, check_range
 
+MOST_PROCESSES = 1024
 _WARM_UPS = 64
 
 
@@ -35,9 +38,15 @@ def run_campaign(
         scheduler: Address of a Dask scheduler; this machine when left out.
         processes: Processes of this machine; one for each processor when left out.
         runs: How many runs instead of the file's number.
+
+    Raises:
+        ParameterError: A number lies outside its range.
     """
     campaign = read_any_campaign(path)
+    if processes is not None:
+        check_range("--processes", processes, 1, MOST_PROCESSES, "")
     if runs is not None:
+        check_range("--runs", runs, 1, MOST_RUNS, "")
         campaign = campaign.model_copy(update={"runs": runs})
     output.mkdir(parents=True, exist_ok=True)
     console = Console()
@@ -57,7 +66,12 @@ def run_campaign(
 
 
 def repeat_run(path: Path, seed: int, output: Path) -> None:
-    """Run one seed again on the deployed controller, and record it."""
+    """Run one seed again on the deployed controller, and record it.
+
+    Raises:
+        ParameterError: The seed lies outside its range.
+    """
+    check_range("--only", seed, 0, SEED_MAX, "")
     output.mkdir(parents=True, exist_ok=True)
     campaign = read_any_campaign(path)
     kind_of(campaign).repeat(campaign, seed, output, Console())

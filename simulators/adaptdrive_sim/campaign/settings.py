@@ -16,6 +16,7 @@ from adaptdrive_sim.campaign.life_settings import LifeRanges
 from adaptdrive_sim.campaign.ranges import CampaignTable, Range, WholeRange, within
 from adaptdrive_sim.campaign.reach import reach
 
+MOST_RUNS = 10_000_000
 FOLDER = Path(__file__).resolve().parent
 
 
@@ -31,7 +32,7 @@ class CampaignError(AdaptdriveError):
 class CampaignFile(CampaignTable):
     """Keys that the files of all loads have."""
 
-    runs: int = Field(ge=1, le=10_000_000)
+    runs: int = Field(ge=1, le=MOST_RUNS)
     seed: int = Field(ge=0)
 
 

@@ -36,14 +36,13 @@ from adaptdrive_sim.experiments.sweep import (
     settings_over_tau_lambda,
     try_settings,
 )
-from adaptdrive_sim.parameters import check_range
+from adaptdrive_sim.parameters import SEED_MAX, check_range
 
 VARIANTS: dict[str, tuple[Variant, ...]] = {
     "motor": ("fixed", "adaptive", "direct_rls"),
     "bath": ("fixed", "adaptive"),
 }
 
-SEED_MAX = 2**63 - 1
 
 _OTHER_STEPS = 4
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from adaptdrive.config.services import Mqtt, check_host
 
 _ADDRESS = re.compile(r"(?P<host>\[[^\]]+\]|[^:\[\]/\s]+)(:(?P<port>\d{1,5}))?")
 _DRIVE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,63}")
+_LONGEST_WAIT_S = 86_400.0
 _PORT, _TLS_PORT, _HIGHEST_PORT = 1883, 8883, 65535
 
 
@@ -33,8 +35,13 @@ def _check_drive(_: object, name: str) -> None:
 
 
 def _check_timeout(_: object, timeout: float) -> None:
-    if not 0.0 < timeout < float("inf"):
-        raise ValueError("A timeout is a positive number of seconds.")
+    if not 0.0 < timeout <= _LONGEST_WAIT_S:
+        raise ValueError(f"A timeout is above 0 and at most {_LONGEST_WAIT_S:g} seconds.")
+
+
+def _check_finite(_: object, number: float | None) -> None:
+    if number is not None and not math.isfinite(number):
+        raise ValueError("A finite number is needed.")
 
 
 def _check_authority(_: object, contact: Contact | None) -> None:
@@ -52,6 +59,7 @@ def _configured(path: Path) -> Mqtt:
 
 
 DriveName = Annotated[str, Parameter(validator=_check_drive)]
+Number = Annotated[float, Parameter(validator=_check_finite)]
 
 
 @Parameter(name="*", validator=_check_authority)

@@ -13,7 +13,7 @@ from typing import Literal
 
 from msgspec.structs import asdict as asdict_of
 
-from adaptdrive.cli.contact import Contact, DriveName
+from adaptdrive.cli.contact import Contact, DriveName, Number
 from adaptdrive.cli.display import describe, refusal_advice
 from adaptdrive.cli.standard_files import discard_output
 from adaptdrive.operation.conversation import NoAnswerError
@@ -25,7 +25,7 @@ ACCEPTED, REFUSED, UNUSABLE, NO_ANSWER = 0, 1, 2, 3
 _HERE = Contact()
 
 
-def setpoint(drive: DriveName, value: float, /, *, contact: Contact = _HERE) -> int:
+def setpoint(drive: DriveName, value: Number, /, *, contact: Contact = _HERE) -> int:
     """Hold a constant set-point.
 
     Args:
@@ -39,9 +39,9 @@ def setpoint(drive: DriveName, value: float, /, *, contact: Contact = _HERE) -> 
 def waveform(  # noqa: PLR0913 - the words of the command line
     drive: DriveName,
     shape: Literal["square", "sine", "triangle", "off"],
-    low: float | None = None,
-    high: float | None = None,
-    period: float | None = None,
+    low: Number | None = None,
+    high: Number | None = None,
+    period: Number | None = None,
     /,
     *,
     contact: Contact = _HERE,
@@ -65,7 +65,7 @@ def waveform(  # noqa: PLR0913 - the words of the command line
     return _ask(drive, "waveform", {"shape": shape, **numbers}, contact)
 
 
-def pole(drive: DriveName, value: float, /, *, contact: Contact = _HERE) -> int:
+def pole(drive: DriveName, value: Number, /, *, contact: Contact = _HERE) -> int:
     """Choose the closed-loop pole of the load loop.
 
     Args:
@@ -101,10 +101,10 @@ def manual(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
 
 def voltage(
     drive: DriveName,
-    value: float,
+    value: Number,
     /,
     *,
-    hold: float | None = None,
+    hold: Number | None = None,
     contact: Contact = _HERE,
 ) -> int:
     """Set V_c in mode manual.
