@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -34,10 +35,16 @@ def export(path: Path, to: str, into: Path) -> list[Path]:
     Raises:
         AdaptdriveError: The session cannot be read.
         ModuleNotFoundError: The library for the format is not installed.
+        OSError: The files cannot be written; those there are as before.
     """
     session = read_session(path)
     into.mkdir(parents=True, exist_ok=True)
-    return _WRITERS[to](session, into)
+    try:
+        with TemporaryDirectory(dir=into, prefix=".unfinished-") as beside:
+            return [one.replace(into / one.name) for one in _WRITERS[to](session, Path(beside))]
+    except OSError as problem:
+        problem.filename = str(into)
+        raise
 
 
 def flat_schema(session: Session, table: str) -> pa.Schema:

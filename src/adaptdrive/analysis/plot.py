@@ -6,7 +6,8 @@ from pathlib import Path
 
 from adaptdrive.analysis.curves import find_window, read_curves
 from adaptdrive.analysis.figure import draw_session
-from adaptdrive.analysis.report import write_report
+from adaptdrive.analysis.report import report_page
+from adaptdrive.app.state_file import replace_regular
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.what_if import reconfigured
 
@@ -35,6 +36,7 @@ def plot(
     png = draw_session(session, configuration, curves)
     folder = path if into is None else into
     figure, report = folder / "figure.png", folder / "report.html"
-    figure.write_bytes(png)
-    write_report(session, curves, png, report)
+    page = report_page(session, curves, png)
+    replace_regular(figure, png)
+    replace_regular(report, page.encode("utf-8"))
     return figure, report

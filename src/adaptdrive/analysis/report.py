@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterable, Sequence
 from html import escape
-from pathlib import Path
 
 from adaptdrive.analysis.curves import Curves
 from adaptdrive.recording.reader import Session
@@ -33,16 +32,15 @@ pre {{ background: #f5f5f2; padding: 1em; overflow-x: auto; font-size: 0.85em; }
 _MOST_ROWS = 1000
 
 
-def write_report(session: Session, curves: Curves, png: bytes, path: Path) -> None:
-    """Write the report of a session.
+def report_page(session: Session, curves: Curves, png: bytes) -> str:
+    """Return the report of a session as HTML.
 
     Args:
         session: The session.
         curves: What its figure shows.
         png: The figure.
-        path: The HTML file.
     """
-    page = _PAGE.format(
+    return _PAGE.format(
         title=escape(f"{session.info.drive}, {curves.window.started:%Y-%m-%d %H:%M:%S} UTC"),
         facts=_facts(session, curves),
         png=base64.b64encode(png).decode(),
@@ -50,7 +48,6 @@ def write_report(session: Session, curves: Curves, png: bytes, path: Path) -> No
         commands=_commands(session),
         config=escape(session.config_text),
     )
-    path.write_text(page, encoding="utf-8")
 
 
 def _facts(session: Session, curves: Curves) -> str:

@@ -1,4 +1,4 @@
-"""Small files of the daemon's state: replaced whole, in a directory that can be written."""
+"""Files that are replaced whole, and directories that can be written."""
 
 from __future__ import annotations
 
@@ -15,15 +15,20 @@ def replace_regular(path: Path, content: bytes) -> None:
         content: What it shall hold.
 
     Raises:
-        OSError: The disk refuses.
+        OSError: The disk refuses; it names the file, which is as before.
     """
     unfinished = path.with_name(f"{path.name}.unfinished")
-    unfinished.unlink(missing_ok=True)
-    with unfinished.open("xb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    unfinished.replace(path)
+    try:
+        unfinished.unlink(missing_ok=True)
+        with unfinished.open("xb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        unfinished.replace(path)
+    except OSError as problem:
+        unfinished.unlink(missing_ok=True)
+        problem.filename = str(path)
+        raise
     _sync_directory(path.parent)
 
 

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from adaptdrive.app.state_file import replace_regular
 from adaptdrive.cli.extra import Extra
 
 
@@ -84,7 +85,7 @@ def identify(session: str, /, *, view: SessionView = _WHOLE) -> int:
     path = _find(session)
     found = session_load.identify_session(path, view.begin, view.end)
     figure = (view.into or path) / "load.png"
-    figure.write_bytes(draw_load(found))
+    replace_regular(figure, draw_load(found))
     text = f"{session_load.as_text(found)}\n\n{figure}"
     return view.present(text, session_load.as_json(found), figure)
 
@@ -116,7 +117,7 @@ def whatif(
     for one in found.idle:
         print(f"adaptdrive: {one}: has no effect on the loop", file=sys.stderr)
     figure = (view.into or path) / "whatif.png"
-    figure.write_bytes(draw_comparison(found, settings))
+    replace_regular(figure, draw_comparison(found, settings))
     text = f"{whatif_report.as_text(found)}\n\n{figure}"
     return view.present(text, whatif_report.as_json(found), figure)
 

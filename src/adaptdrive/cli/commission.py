@@ -9,6 +9,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from adaptdrive.app.state_file import replace_regular
 from adaptdrive.cli.contact import Contact, DriveName
 from adaptdrive.cli.extra import Extra
 from adaptdrive.errors import ConfigurationError, Flaw
@@ -66,7 +67,7 @@ def commission(  # noqa: PLR0913 - the words of the command line
     if write:
         print(f"\n{path} is written, the old file is {run.write(path, commissioned)}")
     figure = into / "commission.png"
-    figure.write_bytes(run.draw(commissioned))
+    replace_regular(figure, run.draw(commissioned))
     print(f"\n{figure}")
     return 0
 

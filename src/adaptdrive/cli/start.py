@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from adaptdrive.app.described import Choices, can_part, canopen_part, clock_ticks, output_unit
 from adaptdrive.app.starter import BusName, Starter, compose
+from adaptdrive.app.state_file import replace_regular
 from adaptdrive.config.drive import DriveSection
 from adaptdrive.config.load import LoadName
 from adaptdrive.errors import ConfigurationError, Flaw
@@ -167,7 +168,7 @@ def _write(starter: Starter, directory: Path, drive: str) -> Path:
                 flaw = Flaw("init", "the file exists and is not replaced")
                 raise ConfigurationError(file, [flaw])
         for file, content in files.items():
-            file.write_bytes(content)
+            replace_regular(file, content)
     except (OSError, UnicodeError) as problem:
         raise ConfigurationError(directory, [Flaw("init", str(problem))]) from problem
     return path
