@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import resource
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +14,12 @@ from adaptdrive.cli import main
 
 ROOM = 1000
 """Bytes that a file may have: less than any of the results."""
+
+
+@pytest.fixture(autouse=True)
+def no_bytecode(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cache no module that a command imports: Python would keep its first bytes as a whole."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
 
 
 @contextmanager
