@@ -361,6 +361,19 @@ def test_output_that_nobody_takes_gives_no_traceback_and_no_false_status(
 
 
 @pytest.mark.parametrize(
+    ("redirection", "problem"),
+    [(">/dev/full", "No space left on device"), ("1</dev/null", "Bad file descriptor")],
+)
+def test_output_larger_than_the_buffer_that_cannot_be_written_is_one_line(
+    redirection: str, problem: str
+) -> None:
+    words = ["bash", "-c", f"{sys.executable} -m adaptdrive.cli schema {redirection}"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    told = f"standard output cannot be written: {problem}; the command ended early"
+    assert (done.returncode, done.stderr) == (1, f"adaptdrive: {told}\n")
+
+
+@pytest.mark.parametrize(
     ("output", "problem"),
     [("/dev/full", "No space left on device"), ("a pipe", "Broken pipe")],
 )

@@ -17,7 +17,7 @@ FAILED = 1
 UNUSABLE = 2
 INTERRUPTED = 130
 
-_UNWRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+_UNWRITTEN = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EPIPE, errno.EBADF}
 
 _COMMANDS = {
     "init": ("start", "Write a first configuration for a load and a bus."),
@@ -92,12 +92,17 @@ def _flush(status: int) -> int:
 def _unwritten(problem: OSError) -> int:
     """Return the status of a command that could not write its output or reach a file.
 
-    What is neither is an internal error and raised again.
+    What is neither is an internal error and raised again. An error of a file names it.
     """
-    if problem.errno not in {*_UNWRITTEN, errno.EPIPE} and problem.filename is None:
+    if problem.filename is None and problem.errno not in _UNWRITTEN:
         raise problem
     discard_output()
-    return FAILED if isinstance(problem, BrokenPipeError) else _complain(str(problem), FAILED)
+    if isinstance(problem, BrokenPipeError):
+        return FAILED
+    if problem.filename is not None:
+        return _complain(str(problem), FAILED)
+    text = f"standard output cannot be written: {problem.strerror}"
+    return _complain(f"{text}; the command ended early", FAILED)
 
 
 def _version() -> str:
