@@ -190,6 +190,8 @@ def _add_monotonic(_: WrappedLogger, __: str, event: EventDict) -> EventDict:
 
 def _overridden(configuration: Configuration, settings: DeviceSettings) -> Configuration:
     """Let the command line choose another bus."""
+    if settings.port is not None:
+        check_range("--port", settings.port, 1, 65535, "")
     names = KINDS[configuration.bus.type].overrides
     device = None if settings.channel is None else Path(settings.channel)
     given = {

@@ -19,6 +19,7 @@ A request is a JSON object with an `id` and exactly one disturbance:
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import msgspec
@@ -174,12 +175,15 @@ def from_words(action: str, values: Sequence[float]) -> dict[str, float]:
     """Turn the words of a command line into a request without its id.
 
     Raises:
-        RefusedError: The action does not take that many values.
+        RefusedError: The action does not take that many values, or one of them is not finite.
     """
     names, fixed = _WORDS[action]
     if len(values) != len(names):
         wanted = " ".join(names) or "no value"
         raise RefusedError(f"{action} takes {wanted}, not {len(values)} values")
+    for name, value in zip(names, values, strict=True):
+        if not math.isfinite(value):
+            raise RefusedError(f"{action}: {name} = {value:g} is not finite")
     given = {name: _whole(value) for name, value in zip(names, values, strict=True)}
     return {**fixed, **given}
 

@@ -1,7 +1,9 @@
 """Disturbances: what is accepted, what is refused, and what they do."""
 
 import json
+import math
 import re
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -9,10 +11,12 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from adaptdrive.errors import RefusedError
+from adaptdrive_sim import cli
 from adaptdrive_sim.broker import BrokerAddress, parse_address
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.remote import Remote
 from adaptdrive_sim.disturbances import from_words, parse_request
+from adaptdrive_sim.parameters import ParameterError
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.battery import Battery, BatteryParameters
 from adaptdrive_sim.plants.load import SimulatedLoad
@@ -20,6 +24,8 @@ from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import World
 from tests.operation.asyncapi import schema
 from tests.operation.topic_table import simulator_topics
+
+EXAMPLE = Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml"
 
 
 def ignore(*_: Any, **__: Any) -> None:
@@ -173,6 +179,19 @@ def test_words_become_requests(
 def test_words_that_do_not_fit_are_refused() -> None:
     with pytest.raises(RefusedError, match="sag takes sag duration_s, not 1 values"):
         from_words("sag", (0.2,))
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_number_that_is_not_finite_is_refused(value: float) -> None:
+    with pytest.raises(RefusedError, match=f"sag: duration_s = {value} is not finite"):
+        from_words("sag", (0.2, value))
+
+
+@pytest.mark.parametrize("port", ["0", "-1", "99999"])
+def test_a_port_that_does_not_exist_is_refused(port: str) -> None:
+    words = ["device", str(EXAMPLE), "--interface", "udp_multicast", "--port", port]
+    with pytest.raises(ParameterError, match=f"^--port = {port} must lie in 1…65535"):
+        cli.app(words)
 
 
 @pytest.mark.parametrize(
