@@ -130,14 +130,19 @@ def test_the_estimator_learns_from_the_steps_of_the_operator() -> None:
     assert drive.decision.controller is Mode.ADAPTIVE
 
 
-def test_after_enable_manual_begins_at_the_lowest_voltage() -> None:
+def test_after_enable_manual_is_off_until_a_voltage_and_begins_at_the_lowest() -> None:
     drive = motor()
     drive.carry_out(Disable())
     courses(drive, 1.0)
     drive.carry_out(SetMode(Mode.MANUAL))
     drive.carry_out(Enable())
+    courses(drive, 10.0)
+    assert drive.machine.coasting
+    assert not drive._command.bridge
+    drive.carry_out(SetVoltage(200.0))
     voltages, _ = courses(drive, 10.0)
     assert drive.machine.state is State.RUNNING
+    assert drive._command.bridge
     assert voltages[-1] == 200.0
     assert max(voltages) == 200.0
 

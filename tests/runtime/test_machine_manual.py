@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from adaptdrive.control.reach import Reach
+from adaptdrive.control.reach import UNKNOWN, Reach
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.runtime.machine import Machine
@@ -123,7 +123,34 @@ def test_a_voltage_needs_mode_manual_and_a_running_drive() -> None:
     desk.ask(SetMode(Mode.MANUAL))
     desk.refuses(SetVoltage(300.0), "voltage needs a running drive; state is standby")
     desk.ask(Enable())
+    desk.ask(SetVoltage(300.0))
     desk.refuses(SetVoltage(300.0), "voltage needs a running drive; state is starting")
+
+
+@pytest.mark.parametrize("reach", [REACH, UNKNOWN])
+def test_enabled_in_manual_it_coasts_until_a_voltage(reach: Reach) -> None:
+    desk = machine_desk(reach)
+    desk.ask(SetMode(Mode.MANUAL))
+    desk.ask(Enable(), output=3.0)
+    desk.pass_ticks(1000)
+    assert (desk.machine.state, desk.machine.stage) == (State.RUNNING, Stage.OFF)
+    assert desk.machine.obstacle == "coasting with the bridge off until a voltage"
+    desk.ask(SetVoltage(300.0))
+    desk.pass_ticks(2)
+    assert desk.machine.stage is Stage.RUN
+
+
+def test_the_time_until_the_next_voltage_begins_with_the_run() -> None:
+    desk = machine_desk()
+    desk.ask(SetMode(Mode.MANUAL))
+    desk.ask(Enable())
+    desk.ask(SetVoltage(300.0, hold_s=0.1))  # 12 ticks
+    desk.pass_ticks(20, boost_voltage_V=150.0)
+    seen = [desk.machine.state]
+    for ticks in (12, 2):
+        desk.pass_ticks(ticks)
+        seen.append(desk.machine.state)
+    assert seen == [State.STARTING, State.RUNNING, State.TRIPPED]
 
 
 @pytest.mark.parametrize(("value", "hold_s"), [(199.9, None), (400.1, None), (300.0, 0.0)])

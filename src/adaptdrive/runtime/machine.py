@@ -69,7 +69,7 @@ class Machine:
 
     @property
     def coasting(self) -> bool:
-        """True while an enabled drive is commanded off, because V_c cannot hold its set-point."""
+        """True while an enabled drive is commanded off, asked for nothing that V_c can hold."""
         return self._coasts and self.state is _RUNNING
 
     @property
@@ -85,8 +85,8 @@ class Machine:
         reach, unit = self.reach, self._limits.unit
         within = f"{reach.low:g}…{reach.high:g} {unit}".rstrip()
         if self.coasting:
-            manual = self.mode is Mode.MANUAL
-            awaited = "voltage" if manual else f"set-point within {within}"
+            known = f" within {within}" if reach.is_known else ""
+            awaited = "voltage" if self.mode is Mode.MANUAL else f"set-point{known}"
             return f"coasting with the bridge off until a {awaited}"
         if self.mode is Mode.MANUAL or self._is_within(reach):
             return ""
@@ -246,6 +246,9 @@ class Machine:
     def enable(self, output: float, cause: str | None, tick: int) -> None:
         """Start the drive, with the present output as set-point; no effect while it is energised.
 
+        In mode manual it coasts until a voltage is asked for: a program that dies before that
+        leaves nothing energised.
+
         Args:
             output: Present output, NaN while unknown.
             cause: Interlock that is active now, None for none.
@@ -269,8 +272,11 @@ class Machine:
         if self.reach.is_known and output < max(limits.reference_min, self.reach.low):
             self.setpoint = max(output, min(limits.reference_min, 0.0))
             self._coast()
+            return
+        self.setpoint = self._limits.nearest_reference(output)
+        if self.mode is Mode.MANUAL:
+            self._coast()
         else:
-            self.setpoint = self._limits.nearest_reference(output)
             self._start()
 
     def disable(self) -> None:
@@ -311,6 +317,7 @@ class Machine:
             self._precharging, self._since_tick = True, tick
         elif boost_voltage_V >= FLOOR_REACHED * self._limits.floor_V:
             self.state = State.RUNNING
+            self.manual = replace(self.manual, since_tick=tick)  # nobody could renew it meanwhile
         elif tick - self._since_tick > self._limits.starting_ticks:
             self.latch(self._limits.precharge_cause(boost_voltage_V))
 
