@@ -1,4 +1,4 @@
-"""What writes files by name on a disk that is full: no half file, one line that names the place."""
+"""Files written on a disk that is full: no half file, one line that names the place."""
 
 from __future__ import annotations
 

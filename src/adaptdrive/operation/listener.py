@@ -1,4 +1,4 @@
-"""What drives publish: retained state and telemetry of one or all, once or as it comes."""
+"""Reading of what drives publish: state and telemetry of one or all, once or as it comes."""
 
 from __future__ import annotations
 
