@@ -100,6 +100,25 @@ async def test_a_node_that_stays_enabled_is_announced(
             await rig.reaches(State.STANDBY)
 
 
+@pytest.mark.parametrize(
+    "statusword", [0x0217, 0x0247], ids=["quick stop active", "no state of CiA 402"]
+)
+async def test_a_node_that_does_not_leave_a_powered_state_is_announced(
+    statusword: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(MEASURED, "0x2001.2", 1_000_000)
+    with contextlib.closing(Peer(f"canopen {tmp_path.name}")) as peer:
+        bus = {"bus/interface": peer.interface, "bus/channel": peer.channel}
+        async with rigged(parse({**_PATIENT_NODE, **bus})) as rig:
+            await rig.run()
+            await until(lambda: peer.statusword == ENABLED)
+            peer.obeys = False
+            assert await rig.daemon.execute(Disable()) is State.STOPPING
+            peer.statusword = statusword
+            trip, _ = await alarm(rig, "trip", time.monotonic())
+            assert trip.startswith("the drive does not stop: its bridge is still on ")
+
+
 async def test_a_bridge_switched_on_by_others_trips(free_udp_port: int) -> None:
     wire = CanWire(free_udp_port, motor_text(free_udp_port))
     async with strung(wire), rigged(wire.configuration) as rig:

@@ -60,7 +60,7 @@ class Assembly:
 
         Args:
             arrival_s: Arrival of the PDO that completed it.
-            bridge: Whether the drive's operation is enabled.
+            bridge: Whether the drive's power stage may be on.
             fault: Faults seen since the last reading that was handed out.
         """
         found = {

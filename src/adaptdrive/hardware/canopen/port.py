@@ -24,7 +24,7 @@ from adaptdrive.hardware.canopen.health import Health
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping, StatusPdo
 from adaptdrive.hardware.canopen.master import Master, NodeState
 from adaptdrive.hardware.canopen.orders import ForeignCommands, command_frames
-from adaptdrive.hardware.canopen.profile import STATUSWORD, DriveControl, DriveState
+from adaptdrive.hardware.canopen.profile import POWERED, STATUSWORD, DriveControl
 from adaptdrive.hardware.canopen.sdo import describe_node
 from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
 from adaptdrive.hardware.canopen.sync import SyncProducer
@@ -260,7 +260,7 @@ class CanOpenPort:
         waited_s = self._arrivals.waited_s(frame)
         arrival_s = self._clock() - waited_s
         if self._assembly.take(status.codec.name, decoded.values, arrival_s):
-            bridge = self._control.state is DriveState.ENABLED
+            bridge = self._control.state in POWERED
             faults = self._faults.word
             self._newest = self._assembly.reading(arrival_s, bridge=bridge, fault=faults)
             if frame.timestamp and waited_s < PROMPT_S:

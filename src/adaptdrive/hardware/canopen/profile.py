@@ -12,6 +12,7 @@ A fault is reset by an edge of bit 7, and only when that is asked for.
 from __future__ import annotations
 
 from enum import IntEnum, StrEnum
+from typing import Final
 
 from adaptdrive.control.signals import Command
 
@@ -60,6 +61,12 @@ _NEXT = {0: SHUTDOWN, 1: SWITCH_ON, 2: ENABLE_OPERATION, 3: ENABLE_OPERATION}
 _HOLD = {Goal.SWITCHED_ON: SWITCH_ON, Goal.ENABLED: ENABLE_OPERATION}
 
 _FAULTS = frozenset({DriveState.FAULT, DriveState.FAULT_REACTION})
+
+POWERED: Final = frozenset(
+    {DriveState.ENABLED, DriveState.QUICK_STOP, DriveState.FAULT_REACTION, DriveState.UNKNOWN}
+)
+"""States in which the power stage may drive the load: in a quick stop and in the reaction to a
+fault it ramps the load down, and a word that names no state does not say that it is off."""
 
 _SHORT_MASK = 0x4F
 _SHORT = {

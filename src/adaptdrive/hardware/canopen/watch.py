@@ -13,7 +13,7 @@ from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping
-from adaptdrive.hardware.canopen.profile import STATUSWORD, DriveState, state_of
+from adaptdrive.hardware.canopen.profile import POWERED, STATUSWORD, DriveState, state_of
 from adaptdrive.hardware.canopen.sdo import SdoLink, Server, describe_node, in_thread
 from adaptdrive.hardware.link.bus import describe_bus, open_bus
 from adaptdrive.hardware.link.reader import read_frames
@@ -158,7 +158,7 @@ class CanOpenWatch:
             load_power_W=values.pop("load_power_W", math.nan),
             output=values.pop("output", math.nan),
             fault=int(values.pop("fault", 0)),
-            bridge=state is DriveState.ENABLED,
+            bridge=state in POWERED,
             other=values,
         )
 
