@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptdrive.control import estimator, pole_placement, vectors
+from adaptdrive.control import in_force, pole_placement, vectors
 from adaptdrive.control.charging import Charging
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.supervisor import Verdict
@@ -126,4 +126,4 @@ def test_properties_functions_and_tuples_of_a_load_are_there() -> None:
 
 
 def test_a_long_name_leads_to_the_copy_of_a_module() -> None:
-    assert copy_of(estimator, "residual_noise").__module__ != estimator.__name__
+    assert copy_of(in_force, "residual_noise").__module__ != in_force.__name__

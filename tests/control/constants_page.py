@@ -42,6 +42,7 @@ _UNITS = {
     "EXCURSIONS": "1",
     "_LARGEST": "scale",
     "OFFSET_WALK": "σ",
+    "_WALK": "σ",
     "_EMF_NOISE": "σ",
     "_EMF_BEND": "σ",
     "_PRIOR_VARIANCE": "σ²",

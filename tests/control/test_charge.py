@@ -11,8 +11,8 @@ from scipy.signal import cont2discrete
 
 from adaptdrive.control import estimator as est
 from adaptdrive.control import fast_half as fast
+from adaptdrive.control import in_force, rls
 from adaptdrive.control import regression as reg
-from adaptdrive.control import rls
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.settings import Learning
 from tests.closed_loop.bench import SCALED_LEARNING, TICK_s
@@ -99,11 +99,11 @@ def test_without_a_bias_there_is_no_offset() -> None:
 
 def test_a_wandering_emf_leaves_everything_else_as_sure_as_it_was() -> None:
     state = learnt(LEARNING)
-    before = est.parameter_deviations(state, LEARNING, BATTERY, TRUTH)
+    before = in_force.parameter_deviations(state, LEARNING, BATTERY, TRUTH)
     offset = state.theta[-1] + state.theta[-2] * state.charge
     excitation = rls.excitation(state.upper, state.diagonal, state.regressor)
     est.let_emf_wander(state, LEARNING)
-    assert est.parameter_deviations(state, LEARNING, BATTERY, TRUTH) == pytest.approx(before)
+    assert in_force.parameter_deviations(state, LEARNING, BATTERY, TRUTH) == pytest.approx(before)
     assert state.theta[-1] + state.theta[-2] * state.charge == offset
     added = rls.excitation(state.upper, state.diagonal, state.regressor) - excitation
     assert added == pytest.approx(0.04, rel=1e-6)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from adaptdrive.control import estimator as est
+from adaptdrive.control import in_force
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.loads.motor import motor_load
@@ -111,7 +112,7 @@ def test_a_load_that_changes_abruptly_is_learnt_anew_where_that_is_watched() -> 
         settings = replace(SETTINGS, learning=learning)
         state, innovations = learn(settings, [1] * 200 + [3] * 60, noise=1e-4)
         errors[alert] = math.sqrt(float(np.mean(innovations[-30:] ** 2)))
-        shown[alert] = est.residual_noise(state.estimator) * learning.output_scale
+        shown[alert] = in_force.residual_noise(state.estimator) * learning.output_scale
         assert state.estimator.surprise.alarms == (1 if alert else 0)
     assert shown[True] == pytest.approx(errors[True], rel=0.5)
     assert errors[True] < 5e-4

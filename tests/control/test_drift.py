@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 from adaptdrive.control import estimator as est
 from adaptdrive.control import fast_half as fast
 from adaptdrive.control import regression as reg
+from adaptdrive.control.certainty import deviations_of
 from adaptdrive.control.loads.bath import bath_load
 from adaptdrive.control.settings import Learning
 from tests.closed_loop.bench import SCALED_LEARNING
@@ -73,7 +74,9 @@ def course(learning: Learning, drift_K_per_h: float, noise_K: float = 0.0) -> Co
         est.learn(state, learning, BATH, y, usable=True)
         if n * TICK_s > 0.5 * SECONDS:
             found = BATH.physical(*reg.filtered_model(state.theta, learning, BATH))
-            deviations = est.parameter_deviations(state, learning, BATH, found)
+            sigma = math.sqrt(state.residual_power / (state.residual_weight - len(state.theta)))
+            theta, upper, diagonal = state.theta, state.upper, state.diagonal
+            deviations = deviations_of(theta, upper, diagonal, sigma, learning, BATH, found)
             wrong = np.abs(np.array(found) - [R, TAU_s])
             relative.append(np.max(wrong / [R, TAU_s]))
             counted.append(np.max(wrong / deviations))

@@ -12,6 +12,7 @@ from scipy.signal import lfilter, lsim
 
 from adaptdrive.control import estimator as est
 from adaptdrive.control import fast_half as fast
+from adaptdrive.control import in_force
 from adaptdrive.control import regression as reg
 from adaptdrive.control.direct_method import direct_model, fill_direct_regressor
 from adaptdrive.control.methods import METHODS
@@ -218,7 +219,7 @@ def test_the_residual_is_that_of_batch_least_squares() -> None:
     targets = regressors @ [1.0, -0.5, 0.01] + 0.01 * draws
     _, squares, *_ = np.linalg.lstsq(regressors, targets)
     assert state.residual_power == pytest.approx(squares[0], rel=1e-4)
-    assert est.residual_noise(state) == pytest.approx(math.sqrt(squares[0] / 37.0), rel=1e-4)
+    assert in_force.residual_noise(state) == pytest.approx(math.sqrt(squares[0] / 37.0), rel=1e-4)
 
 
 def test_the_error_bars_are_what_many_experiments_show() -> None:
@@ -240,13 +241,13 @@ def test_the_error_bars_are_what_many_experiments_show() -> None:
             est.learn(state, learning, MOTOR, float(y), usable=True)
         values = physical(state, learning)
         found.append(values)
-        claimed.append(est.parameter_deviations(state, learning, MOTOR, values))
+        claimed.append(in_force.parameter_deviations(state, learning, MOTOR, values))
     assert np.mean(claimed, axis=0) == pytest.approx(np.std(found, axis=0), rel=0.3)
 
 
 def test_error_bars_are_unknown_before_there_are_more_samples_than_parameters() -> None:
-    assert math.isnan(est.residual_noise(taught(PLAIN_LEARNING, 3)))
-    assert math.isfinite(est.residual_noise(taught(PLAIN_LEARNING, 5)))
+    assert math.isnan(in_force.residual_noise(taught(PLAIN_LEARNING, 3)))
+    assert math.isfinite(in_force.residual_noise(taught(PLAIN_LEARNING, 5)))
 
 
 def memory(state: est.EstimatorState) -> list[float]:
@@ -371,7 +372,7 @@ def test_a_known_filter_makes_the_estimate_surer() -> None:
     for learning in (KNOWN, FREE):
         state = learn_filtered(learning, voltages, noisy, 1)
         values = physical(state, learning)
-        spreads.append(est.parameter_deviations(state, learning, MOTOR, values))
+        spreads.append(in_force.parameter_deviations(state, learning, MOTOR, values))
     known, free = spreads
     assert known[1] < 0.6 * free[1]
     assert known[2] < free[2]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from adaptdrive.control import doubt, rls
+from adaptdrive.control import doubt, in_force, rls
 from adaptdrive.control import estimator as est
 from adaptdrive.control import regression as reg
 from adaptdrive.control.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING
@@ -156,7 +156,7 @@ def test_the_variance_is_that_of_the_noise_again_in_the_end(
     seen: Seen = request.getfixturevalue(name)
     noise = (NOISE / LEARNING.output_scale) ** 2
     assert 0.3 * noise < seen.state.surprise.power < 5.0 * noise
-    assert est.residual_noise(seen.state) ** 2 < 20.0 * noise
+    assert in_force.residual_noise(seen.state) ** 2 < 20.0 * noise
 
 
 def test_while_it_is_explained_the_load_is_in_doubt_and_shown_so(other_load: Seen) -> None:

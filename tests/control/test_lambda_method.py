@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from adaptdrive.control import estimator as est
+from adaptdrive.control import in_force, rls
 from adaptdrive.control import regression as reg
-from adaptdrive.control import rls
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.settings import Learning
@@ -136,7 +136,7 @@ def test_the_noise_is_known_from_more_innovations_than_parameters(
 ) -> None:
     state = est.new_estimator(SCALED_LEARNING, MOTOR, 2)
     state.residual_power, state.residual_weight = 2.0, weight
-    assert est.residual_noise(state) == pytest.approx(noise, nan_ok=True)
+    assert in_force.residual_noise(state) == pytest.approx(noise, nan_ok=True)
 
 
 def test_the_offset_of_the_input_is_what_bias_and_charge_move_the_output_by_over_beta() -> None:

@@ -13,9 +13,10 @@ import math
 
 from adaptdrive.control import challenger as chal
 from adaptdrive.control.certainty import deviations_of
-from adaptdrive.control.estimator import EstimatorState, residual_noise
+from adaptdrive.control.estimator import EstimatorState
 from adaptdrive.control.evidence import EARLIEST, MEMORY, NOISE_FLOOR
 from adaptdrive.control.hypotheses import load_direction
+from adaptdrive.control.in_force import covariance_in_force, residual_noise, theta_in_force
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import fitted_order
 from adaptdrive.control.rls import predict, widen
@@ -77,11 +78,13 @@ def doubted_deviations(
         load: Names and meaning of the parameters.
         values: The parameters at θ.
     """
-    upper, diagonal, noise = list(state.upper), list(state.diagonal), residual_noise(state)
+    theta, noise = theta_in_force(state), residual_noise(state)
+    known_upper, known_diagonal = covariance_in_force(state)
+    upper, diagonal = list(known_upper), list(known_diagonal)
     noise = math.sqrt(noise * noise + NOISE_FLOOR + MEMORY * state.rounding * state.rounding)
     if learning.alert and noise > 0.0 and is_doubtful(state):
         spread = _SPREAD / noise
         for i in range(fitted_order(learning, load)):
-            direction = load_direction(state.theta, i, learning, load)
+            direction = load_direction(theta, i, learning, load)
             widen(upper, diagonal, direction, spread * spread)
-    return deviations_of(state.theta, upper, diagonal, noise, learning, load, values)
+    return deviations_of(theta, upper, diagonal, noise, learning, load, values)

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 from adaptdrive.control import rivals as riv
 from adaptdrive.control import rls
-from adaptdrive.control.certainty import deviations_of
 from adaptdrive.control.challenger import Challenger
 from adaptdrive.control.drift import learn_sample
 from adaptdrive.control.evidence import WINDOW
 from adaptdrive.control.hypotheses import new_branch
+from adaptdrive.control.integrated import Integrated, restart
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.surprise import Surprise, watch_noise
@@ -59,6 +59,7 @@ class EstimatorState:
         rounding: Standard deviation of the rounding error of a sample, scaled.
         rivals: Explanations of an alarm.
         challenger: A second estimate, learnt anew since an alarm.
+        integrated: A second estimate, whose bias walks.
     """
 
     theta: Vector
@@ -68,6 +69,7 @@ class EstimatorState:
     surprise: Surprise
     rivals: riv.Rivals
     challenger: Challenger
+    integrated: Integrated
     residual_power: float = 0.0
     residual_weight: float = 0.0
     innovation: float = math.nan
@@ -94,6 +96,7 @@ def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:
         Surprise(),
         riv.new_rivals(count),
         Challenger(new_branch(count)),
+        Integrated(new_branch(count)),
     )
     rls.reset(state.theta, state.upper, state.diagonal, learning.initial_covariance)
     learning.method.begin(state, learning, load)
@@ -120,10 +123,10 @@ def begin_anew(state: EstimatorState, learning: Learning, load: Load) -> None:
     rls.reset(state.theta, state.upper, state.diagonal, learning.initial_covariance)
     copy_into(state.theta, theta)
     state.origin_s = state.elapsed_s
-    state.lost_periods = 0
     state.surprise.sum = 0.0
     state.rivals.samples = 0
     state.challenger.samples = 0
+    restart(state.integrated)
     hold_estimate(state)
     riv.drop_anchor(state.rivals, state.regressor, state.elapsed_s)
 
@@ -254,32 +257,3 @@ def hold_estimate(state: EstimatorState) -> None:
     copy_into(now.upper, state.upper)
     copy_into(now.diagonal, state.diagonal)
     now.origin_s = state.origin_s
-
-
-def own_residual(state: EstimatorState, learning: Learning) -> float:
-    """Squared innovation of the last sample, the estimate's own uncertainty taken out, scaled."""
-    innovation = state.innovation / learning.output_scale
-    return rls.normalised(state.excitation, innovation, learning.forgetting)
-
-
-def residual_noise(state: EstimatorState) -> float:
-    """σ of the innovations, scaled; NaN before there are more of them than parameters."""
-    freedom = state.residual_weight - len(state.theta)
-    if freedom <= 0.0:
-        return math.nan
-    return math.sqrt(state.residual_power / freedom)
-
-
-def parameter_deviations(
-    state: EstimatorState, learning: Learning, load: Load, values: Vector
-) -> Vector:
-    """Standard deviations of the physical parameters, to first order.
-
-    Args:
-        state: θ and P.
-        learning: Scales.
-        load: Names and meaning of the parameters.
-        values: The parameters at θ.
-    """
-    noise = residual_noise(state)
-    return deviations_of(state.theta, state.upper, state.diagonal, noise, learning, load, values)

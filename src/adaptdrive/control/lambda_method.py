@@ -12,10 +12,15 @@ from adaptdrive.control.doubt import doubted_deviations, note_age
 from adaptdrive.control.estimator import (
     EstimatorState,
     let_emf_wander,
-    parameter_deviations,
     take_in,
 )
 from adaptdrive.control.explanation import learn_and_explain
+from adaptdrive.control.in_force import (
+    let_both_predict,
+    parameter_deviations,
+    show,
+    theta_in_force,
+)
 from adaptdrive.control.load import Load
 from adaptdrive.control.redesign import judge_physical
 from adaptdrive.control.settings import ControllerSettings, Learning
@@ -81,8 +86,10 @@ class LambdaMethod:
     ) -> None:
         """Update θ and P; an abrupt change is explained where `alert` is set."""
         if learning.alert:
+            let_both_predict(state, learning, load, target, innovation)
             learn_and_explain(state, learning, load, target, innovation)
             note_age(state, learning, load)
+            show(state, learning)
         else:
             take_in(state, learning, target, innovation, directional=False)
 
@@ -90,7 +97,7 @@ class LambdaMethod:
         self, settings: ControllerSettings, load: Load, state: SlowState, period_s: float
     ) -> tuple[Vector, Vector, int]:
         """Return A and B of the estimated model in s, and the verdict on its parameters."""
-        learning, theta = settings.learning, state.estimator.theta
+        learning, theta = settings.learning, theta_in_force(state.estimator)
         numerator, denominator = reg.filtered_model(theta, learning, load)
         return judge_physical(settings, load, state, numerator, denominator, period_s)
 
@@ -108,4 +115,4 @@ class LambdaMethod:
 
     def input_offset(self, state: EstimatorState, learning: Learning, load: Load) -> float:
         """Return the constant input with the effect of bias and charge; NaN without a bias."""
-        return reg.input_offset(state.theta, learning, load, state.charge)
+        return reg.input_offset(theta_in_force(state), learning, load, state.charge)

@@ -11,6 +11,7 @@ from adaptdrive.control import estimator as est
 from adaptdrive.control import supervisor as sup
 from adaptdrive.control.design import asked_loop, discrete_model, loop_gains
 from adaptdrive.control.evidence import LOST_PERIODS
+from adaptdrive.control.integrated import restart
 from adaptdrive.control.load import Load
 from adaptdrive.control.noise_limit import quiet_loop
 from adaptdrive.control.pole_placement import closed_loop_polynomial
@@ -45,7 +46,12 @@ def _look_for_a_way_back(
         estimator.lost_periods = 0
         return
     estimator.lost_periods += 1
-    if settings.learning.method.physical and estimator.lost_periods > LOST_PERIODS:
+    if not settings.learning.method.physical or estimator.lost_periods <= LOST_PERIODS:
+        return
+    estimator.lost_periods = 0
+    if estimator.integrated.in_force:
+        restart(estimator.integrated)
+    else:
         est.begin_anew(estimator, settings.learning, load)
 
 

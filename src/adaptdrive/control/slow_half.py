@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 from adaptdrive.control import estimator as est
+from adaptdrive.control import in_force
 from adaptdrive.control import supervisor as sup
 from adaptdrive.control.charging import taper, terminal_voltage
 from adaptdrive.control.compensator import control_law, lead_reference
@@ -103,7 +104,7 @@ def _take_sample(
     est.learn(estimator, learning, load, target, usable)
     if learning.method.physical:
         fixed = target / learning.output_scale - predict(state.nominal_theta, estimator.regressor)
-        own = est.own_residual(estimator, learning)
+        own = in_force.own_residual(estimator, learning)
         sup.compare_residuals(state.supervisor, own, fixed)
     shift_in(state.outputs, sample.output)
 

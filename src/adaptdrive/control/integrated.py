@@ -1,0 +1,143 @@
+"""A second estimate for a disturbance that never rests: the bias of its model is a random walk.
+
+Least squares take what acts beside the input as a constant that jumps now and then. A torque that
+swings is neither: its residuals are coloured, and dynamics that fit them come out. With
+
+    y = rᵀθ + e       bias[k + 1] = bias[k] + w       σ_w = 30 σ_e
+
+the noise of the model is integrated noise (Clarke, Mohtadi and Tuffs, Automatica 23, 1987,
+doi:10.1016/0005-1098(87)90087-2), and only changes from sample to sample teach the dynamics. Such
+an estimate withstands any slow disturbance, and learns less from each sample than one whose bias
+rests. Which of the two describes the drive is seen from how well they predict:
+
+    Λ <- (1 - 1/60) Λ + l - l_w      l = 1/2 (ln σ² + ln(1 + rᵀPr/ρ) + min(z², 12))
+
+with σ² from the median of ε² ρ/(ρ + rᵀPr), so that a sudden change, which the explanations of an
+alarm deal with, counts little. The second estimate is in force from Λ > 10 to Λ < -10.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from adaptdrive.control import rls
+from adaptdrive.control.evidence import CLEAR, MEMORY, NOISE_FLOOR, WINDOW
+from adaptdrive.control.hypotheses import Branch, predict_sample, squared_error
+from adaptdrive.control.load import Load
+from adaptdrive.control.settings import Learning
+from adaptdrive.control.surprise import DRIFT, THRESHOLD, follow_median
+from adaptdrive.control.vectors import Vector
+
+_WALK = 30.0
+"""Random walk of the bias in σ for each slow period: the last sample says nearly all of it."""
+
+
+@dataclass(slots=True)
+class Integrated:
+    """The second estimate, and how well both have predicted.
+
+    Attributes:
+        branch: θ, P and origin.
+        power: σ² of its innovations, scaled.
+        other: σ² of the innovations of the estimate whose bias rests.
+        lead: Λ.
+        samples: Samples seen.
+        in_force: Whether it is the estimate.
+        residual_power: Forgetting sum of squared normalised innovations.
+        residual_weight: Forgetting count of them.
+    """
+
+    branch: Branch
+    power: float = NOISE_FLOOR
+    other: float = NOISE_FLOOR
+    lead: float = 0.0
+    samples: int = 0
+    in_force: bool = False
+    residual_power: float = 0.0
+    residual_weight: float = 0.0
+
+
+def applies(learning: Learning) -> bool:
+    """Return whether a model has a bias that may walk; the EMF of a battery walks already."""
+    return learning.bias and not learning.charge
+
+
+def restart(integrated: Integrated) -> None:
+    """Compare anew."""
+    integrated.samples = 0
+    integrated.lead = integrated.residual_power = integrated.residual_weight = 0.0
+    integrated.in_force = False
+
+
+def follow(
+    integrated: Integrated,
+    learning: Learning,
+    load: Load,
+    regressor: Vector,
+    target: float,
+    time_s: float,
+    squared: float,
+    excitation: float,
+) -> None:
+    """Let the second estimate predict and learn a sample, and compare.
+
+    Args:
+        integrated: Overwritten.
+        learning: Forgetting and gate.
+        load: Order.
+        regressor: r; the functions of the initial state in it are overwritten.
+        target: What r predicts, scaled.
+        time_s: When it was taken.
+        squared: ε² ρ/(ρ + rᵀPr) of the estimate whose bias rests.
+        excitation: rᵀPr of that estimate.
+    """
+    branch = integrated.branch
+    predict_sample(branch, learning, load, regressor, target, time_s)
+    own = squared_error(branch, learning.forgetting)
+    integrated.samples += 1
+    _compare(integrated, learning, own, squared, excitation)
+    if own > (DRIFT + THRESHOLD) * integrated.power:
+        _let_bias_walk(branch, branch.innovation * branch.innovation / integrated.power)
+    _learn(integrated, learning, regressor, target)
+    integrated.residual_power = learning.forgetting * integrated.residual_power + own
+    integrated.residual_weight = learning.forgetting * integrated.residual_weight + 1.0
+
+
+def _compare(
+    integrated: Integrated, learning: Learning, own: float, squared: float, excitation: float
+) -> None:
+    samples, forgetting = integrated.samples, learning.forgetting
+    if samples > WINDOW:
+        loss = _loss(squared, excitation / forgetting, integrated.other)
+        loss -= _loss(own, integrated.branch.excitation / forgetting, integrated.power)
+        integrated.lead += loss - integrated.lead / MEMORY
+    if samples == 1:
+        integrated.power, integrated.other = own, squared
+    least = NOISE_FLOOR / (_WALK * _WALK)
+    integrated.power = max(least, follow_median(integrated.power, own, samples))
+    integrated.other = max(least, follow_median(integrated.other, squared, samples))
+    limit = -CLEAR if integrated.in_force else CLEAR
+    integrated.in_force = integrated.lead > limit
+
+
+def _loss(squared: float, excitation: float, power: float) -> float:
+    """Return l: minus the logarithm of the likelihood of a sample, up to a constant."""
+    spread = 1.0 + excitation
+    variance = max(NOISE_FLOOR, power * spread)
+    return 0.5 * (math.log(variance) + min(squared * spread / variance, DRIFT + THRESHOLD))
+
+
+def _learn(integrated: Integrated, learning: Learning, regressor: Vector, target: float) -> None:
+    branch, rho = integrated.branch, learning.forgetting
+    theta, upper, diagonal = branch.theta, branch.upper, branch.diagonal
+    rls.update_beside(theta, upper, diagonal, regressor, target, rho, learning.gate, 1)
+    _let_bias_walk(branch, _WALK * _WALK)
+    if learning.covariance_max > 0.0:
+        rls.bound(upper, diagonal, (1.0 - rho) / learning.covariance_max)
+
+
+def _let_bias_walk(branch: Branch, variance: float) -> None:
+    direction = [0.0] * len(branch.theta)
+    direction[len(direction) - 1] = 1.0
+    rls.widen(branch.upper, branch.diagonal, direction, variance)
