@@ -43,6 +43,8 @@ _UNITS = {
     "_LARGEST": "scale",
     "OFFSET_WALK": "σ",
     "_WALK": "σ",
+    "_RATE": "1",
+    "_LEAD": "log odds",
     "_EMF_NOISE": "σ",
     "_EMF_BEND": "σ",
     "_PRIOR_VARIANCE": "σ²",

@@ -10,10 +10,11 @@ doi:10.1016/0005-1098(87)90087-2), and only changes from sample to sample teach 
 an estimate withstands any slow disturbance, and learns less from each sample than one whose bias
 rests. Which of the two describes the drive is seen from how well they predict:
 
-    Λ <- (1 - 1/60) Λ + l - l_w      l = 1/2 (ln σ² + ln(1 + rᵀPr/ρ) + min(z², 12))
+    Λ <- (1 - 1/60) Λ + l - l_w      l = 1/2 (ln s² + min(ε²/s², 12))
 
-with σ² from the median of ε² ρ/(ρ + rᵀPr), so that a sudden change, which the explanations of an
-alarm deal with, counts little. The second estimate is in force from Λ > 10 to Λ < -10.
+with s² = σ² (1 + rᵀPr/ρ) and σ² from the median of ε² ρ/(ρ + rᵀPr), so that a sudden change, which
+the explanations of an alarm deal with, counts little. The second estimate is in force from Λ > 20
+to Λ < 0.
 """
 
 from __future__ import annotations
@@ -22,15 +23,21 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import rls
-from adaptdrive.control.evidence import CLEAR, MEMORY, NOISE_FLOOR, WINDOW
+from adaptdrive.control.evidence import MEMORY, NOISE_FLOOR, WINDOW
 from adaptdrive.control.hypotheses import Branch, predict_sample, squared_error
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import Learning
-from adaptdrive.control.surprise import DRIFT, THRESHOLD, follow_median
+from adaptdrive.control.surprise import DRIFT, THRESHOLD, move_median
 from adaptdrive.control.vectors import Vector
 
 _WALK = 30.0
 """Random walk of the bias in σ for each slow period: the last sample says nearly all of it."""
+
+_RATE = 0.2
+"""Rate of the medians, a factor of 2 in 4 samples: a start with another load is soon forgotten."""
+
+_LEAD = 20.0
+"""Λ from which it is in force: a swing has 90 to 110, noise of 5 % after a change up to 40."""
 
 
 @dataclass(slots=True)
@@ -115,10 +122,9 @@ def _compare(
     if samples == 1:
         integrated.power, integrated.other = own, squared
     least = NOISE_FLOOR / (_WALK * _WALK)
-    integrated.power = max(least, follow_median(integrated.power, own, samples))
-    integrated.other = max(least, follow_median(integrated.other, squared, samples))
-    limit = -CLEAR if integrated.in_force else CLEAR
-    integrated.in_force = integrated.lead > limit
+    integrated.power = max(least, move_median(integrated.power, own, _RATE))
+    integrated.other = max(least, move_median(integrated.other, squared, _RATE))
+    integrated.in_force = integrated.lead > (0.0 if integrated.in_force else _LEAD)
 
 
 def _loss(squared: float, excitation: float, power: float) -> float:

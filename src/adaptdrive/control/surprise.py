@@ -72,7 +72,7 @@ def is_surprising(state: Surprise, squared: float) -> bool:
         state.power = max(NOISE_FLOOR, state.noise)
         return False
     ratio = squared / state.power
-    state.power = max(NOISE_FLOOR, follow_median(state.power, squared, state.samples))
+    state.power = max(NOISE_FLOOR, move_median(state.power, squared, _SLOW_RATE))
     state.sum = max(0.0, state.sum + ratio - DRIFT)
     if state.sum <= THRESHOLD:
         return False
@@ -92,17 +92,10 @@ def watch_noise(state: Surprise, innovation: float) -> None:
     bend = slope - state.slope
     squared = bend * bend / 6.0  # a power would raise where it overflows
     state.last, state.slope = innovation, slope
-    noise = max(NOISE_FLOOR, state.noise)
-    state.noise = max(NOISE_FLOOR, follow_median(noise, squared, state.samples))
+    rate = _FAST_RATE if state.samples <= WINDOW else _SLOW_RATE
+    state.noise = max(NOISE_FLOOR, move_median(max(NOISE_FLOOR, state.noise), squared, rate))
 
 
-def follow_median(power: float, squared: float, samples: int) -> float:
-    """Move a mean square so that its median is that of Gaussian noise.
-
-    Args:
-        power: The mean square so far, above 0.
-        squared: Square of a sample.
-        samples: Samples so far: it moves fast for the first ones.
-    """
-    rate = _FAST_RATE if samples <= WINDOW else _SLOW_RATE
+def move_median(power: float, squared: float, rate: float) -> float:
+    """Move a mean square so that its median is that of Gaussian noise."""
     return power * (1.0 + (rate if squared > _MEDIAN * power else -rate))
