@@ -24,7 +24,10 @@ class CanOpenBus(CanLink, BusSection):
     )
     node_id: int = Field(ge=1, le=127, description="node id of the drive")
     own_node_id: int = Field(
-        default=127, ge=1, le=127, description="node id of the daemon, for its heartbeat"
+        default=127,
+        ge=1,
+        le=127,
+        description="node id of the daemon, for its heartbeat; no other node may have it",
     )
     sync: Literal["drive", "daemon"] = Field(
         default="daemon",

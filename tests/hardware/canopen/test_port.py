@@ -335,6 +335,19 @@ async def test_looking_at_a_drive_that_does_not_answer_says_so(tmp_path: Path) -
     assert ear.bus == [(False, f"node {NODE}: no answer when asked to read 0x6079")]
 
 
+async def test_a_heartbeat_of_another_node_under_the_daemons_id_is_a_complaint(peer: Peer) -> None:
+    async with running(peer) as bench:
+        await bench.run_drive()
+        await until(lambda: len(peer.beats) > 2)
+        assert bench.port.complaint is None
+        bus = can.Bus(interface=peer.interface, channel=peer.channel, ignore_config=True)
+        with contextlib.closing(_Shutting(bus)):
+            bus.send(can.Message(arbitration_id=0x77E, is_extended_id=False, data=b"\x05"))
+            bus.send(can.Message(arbitration_id=0x77F, is_extended_id=False, data=b"\x05"))
+        await bench.complains("another sender commands this drive: 1 x frame 0x77F (heartbeat of")
+        assert bench.port.statistics.foreign_commands == 1
+
+
 async def test_another_master_of_the_node_is_a_complaint(peer: Peer) -> None:
     async with running(peer) as bench:
         await bench.ready()

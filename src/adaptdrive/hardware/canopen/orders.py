@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import can
 
+from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.control.signals import Command
 from adaptdrive.hardware.canopen.dictionary import label
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping, CommandPdo
@@ -42,18 +43,20 @@ class ForeignCommands:
         names: Name of each frame that commands the drive, by id.
     """
 
-    def __init__(self, mapping: CanOpenMapping, node_id: int, rival: Rival) -> None:
-        self._sdo = 0x600 + node_id
+    def __init__(self, mapping: CanOpenMapping, config: CanOpenBus, rival: Rival) -> None:
+        self._sdo = 0x600 + config.node_id
         self._rival = rival
         names = {order.codec.frame_id: order.codec.name for order in mapping.orders}
         names[self._sdo] = "SDO write"
+        names[0x700 + config.own_node_id] = "heartbeat of another node with bus.own_node_id"
         self.names = {can_id: f"0x{can_id:03X} ({name})" for can_id, name in names.items()}
 
     def hear(self, frame: can.Message) -> bool:
         """Report a foreign frame that commands this drive; return whether it does.
 
-        A frame that reads objects is no command. Nor is NMT: a node that it stops or restarts
-        reports that itself.
+        A heartbeat under the daemon's own id does, too: the drive would obey its last command for
+        as long as that node lives, however long ago this daemon has died. A frame that reads
+        objects is no command. Nor is NMT: a node that it stops or restarts reports that itself.
         """
         can_id, data = frame.arbitration_id, frame.data
         reads = can_id == self._sdo and not (data and data[0] >> 5 in _SDO_WRITES)

@@ -81,7 +81,7 @@ class CanOpenPort:
         self._newest: Reading | None = None
         self._takers = self._make_takers()
         self._rival = Rival(clock)
-        self._foreign = ForeignCommands(mapping, config.node_id, self._rival)
+        self._foreign = ForeignCommands(mapping, config, self._rival)
 
     @property
     def description(self) -> str:
