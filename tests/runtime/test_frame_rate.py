@@ -118,6 +118,16 @@ def test_a_drive_that_restarts_again_and_again_is_believed(
     assert first_complaint(frames(), modulus) is None
 
 
+@given(modulus=st.sampled_from([16, 256, 65536]), seed=st.integers(0, 2**32))
+def test_too_many_frames_are_noticed_though_the_counter_jumps(modulus: int, seed: int) -> None:
+    counts = np.random.default_rng(seed).integers(0, modulus, 1500)
+    found = first_complaint(
+        ((int(c), 1.0 + 0.2 * TICK_S * i) for i, c in enumerate(counts)), modulus
+    )
+    assert found is not None
+    assert "readings/s, expected 120/s" in found[1]
+
+
 @given(stalls=st.lists(st.tuples(st.integers(1, 60), st.integers(1, 12)), max_size=60))
 def test_a_daemon_that_takes_only_the_newest_frame_believes_it(
     stalls: list[tuple[int, int]],

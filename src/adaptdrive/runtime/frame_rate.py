@@ -13,6 +13,7 @@ A frame can be late, but not early. Of each block of readings only the one that 
 against the configured rate counts, so that frames which a stalled bus delivers at once do not look
 like a fast drive; a rate that is wrong moves the least of the later blocks against that of the
 earlier ones. Half cycles that nobody has counted, of a counter that has jumped, begin a new window.
+Where the counter jumps all the time, only too many frames are a wrong rate: too few may be lost.
 """
 
 from __future__ import annotations
@@ -144,7 +145,10 @@ class FrameRate:
             self.cause = wrong
 
     def _problem(self, counted: _Ends | None, sent: _Ends) -> str | None:
-        fits = counted is None or _fits(*counted) or (not self._counted and _fits(*sent))
+        if counted is None:
+            fits = not _is_fast(*sent)
+        else:
+            fits = _fits(*counted) or (not self._counted and _fits(*sent))
         readings = len(self._blocks) * self._block_size
         thin = sum(b.thin for b in self._blocks) > _THIN_SHARE * readings
         if fits and not thin:
@@ -169,6 +173,11 @@ def _ends(levels: list[_Least]) -> _Ends | None:
 def _fits(early: _Least, late: _Least) -> bool:
     """Return whether the configured rate explains how late two readings were."""
     return abs(late[0] - early[0]) <= _TOLERANCE * (late[1] - early[1]) + _JITTER_TICKS
+
+
+def _is_fast(early: _Least, late: _Least) -> bool:
+    """Return whether more readings came than the configured rate sends; lost ones are no sign."""
+    return late[0] < early[0] and not _fits(early, late)
 
 
 def _share(early: _Least, late: _Least) -> float:
