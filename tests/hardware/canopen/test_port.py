@@ -335,7 +335,14 @@ async def test_looking_at_a_drive_that_does_not_answer_says_so(tmp_path: Path) -
     assert ear.bus == [(False, f"node {NODE}: no answer when asked to read 0x6079")]
 
 
-async def test_a_heartbeat_of_another_node_under_the_daemons_id_is_a_complaint(peer: Peer) -> None:
+@pytest.mark.parametrize(
+    ("can_id", "data", "name"),
+    [(0x77F, b"\x05", "0x77F (heartbeat of"), (0x080, b"", "0x080 (SYNC of")],
+    ids=["heartbeat under the daemon's id", "SYNC"],
+)
+async def test_a_heartbeat_or_sync_in_place_of_the_daemons_is_a_complaint(
+    peer: Peer, can_id: int, data: bytes, name: str
+) -> None:
     async with running(peer) as bench:
         await bench.run_drive()
         await until(lambda: len(peer.beats) > 2)
@@ -343,8 +350,8 @@ async def test_a_heartbeat_of_another_node_under_the_daemons_id_is_a_complaint(p
         bus = can.Bus(interface=peer.interface, channel=peer.channel, ignore_config=True)
         with contextlib.closing(_Shutting(bus)):
             bus.send(can.Message(arbitration_id=0x77E, is_extended_id=False, data=b"\x05"))
-            bus.send(can.Message(arbitration_id=0x77F, is_extended_id=False, data=b"\x05"))
-        await bench.complains("another sender commands this drive: 1 x frame 0x77F (heartbeat of")
+            bus.send(can.Message(arbitration_id=can_id, is_extended_id=False, data=data))
+        await bench.complains(f"another sender commands this drive: 1 x frame {name}")
         assert bench.port.statistics.foreign_commands == 1
 
 

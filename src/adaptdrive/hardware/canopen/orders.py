@@ -11,6 +11,7 @@ from adaptdrive.control.signals import Command
 from adaptdrive.hardware.canopen.dictionary import label
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping, CommandPdo
 from adaptdrive.hardware.canopen.profile import CONTROLWORD
+from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
 from adaptdrive.hardware.rival import Rival
 
 _CONTROLWORD = label(CONTROLWORD)
@@ -49,14 +50,17 @@ class ForeignCommands:
         names = {order.codec.frame_id: order.codec.name for order in mapping.orders}
         names[self._sdo] = "SDO write"
         names[0x700 + config.own_node_id] = "heartbeat of another node with bus.own_node_id"
+        if config.sync == "daemon":
+            names[SYNC_COB_ID] = "SYNC of another node"
         self.names = {can_id: f"0x{can_id:03X} ({name})" for can_id, name in names.items()}
 
     def hear(self, frame: can.Message) -> bool:
         """Report a foreign frame that commands this drive; return whether it does.
 
         A heartbeat under the daemon's own id does, too: the drive would obey its last command for
-        as long as that node lives, however long ago this daemon has died. A frame that reads
-        objects is no command. Nor is NMT: a node that it stops or restarts reports that itself.
+        as long as that node lives, however long ago this daemon has died. Nor may another node send
+        SYNC where this daemon does: control would run too fast. A frame that reads objects is no
+        command. Nor is NMT: a node that it stops or restarts reports that itself.
         """
         can_id, data = frame.arbitration_id, frame.data
         reads = can_id == self._sdo and not (data and data[0] >> 5 in _SDO_WRITES)
