@@ -99,6 +99,21 @@ async def test_the_drive_is_brought_up_and_down_again(peer: Peer) -> None:
         assert bench.port.complaint is None
 
 
+async def test_a_drive_that_does_not_obey_the_safe_command_gets_no_heartbeat(peer: Peer) -> None:
+    async with running(peer) as bench:
+        await bench.run_drive()
+        peer.obeys = False
+        await until(lambda: len(peer.beats) > 2)
+        bench.ear.command = SAFE_COMMAND
+        await until(lambda: peer.words[-1] == 0x00)
+        await asyncio.sleep(1.2)
+        told, known = len(peer.words), len(peer.beats)
+        await until(lambda: len(peer.words) > told + 10)
+        assert len(peer.beats) <= known + 1
+        peer.statusword = REST
+        await until(lambda: len(peer.beats) > known + 2)
+
+
 async def test_the_daemons_heartbeat_goes_out_with_its_commands_only(peer: Peer) -> None:
     async with running(peer) as bench:
         await bench.ready()

@@ -4,6 +4,7 @@ A reading is what the drive's PDOs carry after one SYNC, as old as that SYNC; of
 up while the process did not run, only the newest is handed out. A command is a
 controlword and the commanded values. The daemon's heartbeat goes out with commands only: a daemon
 that commands no more, or cannot as the node is lost, falls silent, and the drive makes itself safe.
+So does one whose drive does not obey the safe command.
 """
 
 from __future__ import annotations
@@ -40,6 +41,9 @@ _STATUSWORD = label(STATUSWORD)
 
 _FAULT_RESET_S = 1.0
 """Longest wait for a drive to leave its fault."""
+
+_OBEY_S = 1.0
+"""Time that a drive has for the safe command before the daemon's heartbeat is withheld from it."""
 
 _LOOK_S = 0.005
 """Time between two looks whether the fault is gone: short beside the longest wait."""
@@ -152,7 +156,8 @@ class CanOpenPort:
         if not self._master.ready:
             self._counts["send_drops"] += 1
             return False
-        self._beat()
+        if not self._disobeyed:
+            self._beat()
         taken = [self._put(*frame) for frame in frames]
         if not all(taken):
             return False
@@ -278,6 +283,11 @@ class CanOpenPort:
         if self._master.ready:
             self._assembly.begin(self._clock())
             self._put(SYNC_COB_ID, b"")
+
+    @property
+    def _disobeyed(self) -> bool:
+        """True if the drive is still energised long after it was commanded safe."""
+        return self._clock() - self._safe_s > _OBEY_S and self._control.state in POWERED
 
     def _beat(self) -> None:
         """Send the daemon's heartbeat when it is due."""
