@@ -31,8 +31,10 @@ def let_both_predict(
     integrated, regressor, time_s = state.integrated, state.regressor, state.elapsed_s
     if integrated.samples == 0:
         _begin(state)
-    squared = rls.normalised(state.excitation, innovation, learning.forgetting)
-    integ.follow(integrated, learning, load, regressor, target, time_s, squared, state.excitation)
+    excitation = state.excitation
+    squared = rls.normalised(excitation, innovation, learning.forgetting)
+    noise = state.rounding
+    integ.follow(integrated, learning, load, regressor, target, time_s, squared, excitation, noise)
     fill_initial_state(regressor, learning, load, time_s - state.origin_s)
 
 

@@ -86,6 +86,7 @@ def follow(
     time_s: float,
     squared: float,
     excitation: float,
+    rounding: float,
 ) -> None:
     """Let the second estimate predict and learn a sample, and compare.
 
@@ -98,12 +99,19 @@ def follow(
         time_s: When it was taken.
         squared: ε² ρ/(ρ + rᵀPr) of the estimate whose bias rests.
         excitation: rᵀPr of that estimate.
+        rounding: Standard deviation of the rounding error of a sample, scaled.
     """
     branch = integrated.branch
     predict_sample(branch, learning, load, regressor, target, time_s)
     own = squared_error(branch, learning.forgetting)
+    least = max(NOISE_FLOOR, rounding * rounding)  # below it better predictions show nothing
     integrated.samples += 1
-    _compare(integrated, learning, own, squared, excitation)
+    if integrated.samples > WINDOW:
+        rho = learning.forgetting
+        gain = _loss(squared, excitation / rho, integrated.other, least)
+        gain -= _loss(own, branch.excitation / rho, integrated.power, least)
+        integrated.lead += gain - integrated.lead / MEMORY
+    _follow_noise(integrated, own, squared)
     if own > (DRIFT + THRESHOLD) * integrated.power:
         _let_bias_walk(branch, branch.innovation * branch.innovation / integrated.power)
     _learn(integrated, learning, regressor, target)
@@ -111,15 +119,9 @@ def follow(
     integrated.residual_weight = learning.forgetting * integrated.residual_weight + 1.0
 
 
-def _compare(
-    integrated: Integrated, learning: Learning, own: float, squared: float, excitation: float
-) -> None:
-    samples, forgetting = integrated.samples, learning.forgetting
-    if samples > WINDOW:
-        loss = _loss(squared, excitation / forgetting, integrated.other)
-        loss -= _loss(own, integrated.branch.excitation / forgetting, integrated.power)
-        integrated.lead += loss - integrated.lead / MEMORY
-    if samples == 1:
+def _follow_noise(integrated: Integrated, own: float, squared: float) -> None:
+    """Let the medians follow a sample, and choose the estimate in force."""
+    if integrated.samples == 1:
         integrated.power, integrated.other = own, squared
     least = NOISE_FLOOR / (_WALK * _WALK)
     integrated.power = max(least, move_median(integrated.power, own, _RATE))
@@ -127,10 +129,10 @@ def _compare(
     integrated.in_force = integrated.lead > (0.0 if integrated.in_force else _LEAD)
 
 
-def _loss(squared: float, excitation: float, power: float) -> float:
+def _loss(squared: float, excitation: float, power: float, least: float) -> float:
     """Return l: minus the logarithm of the likelihood of a sample, up to a constant."""
     spread = 1.0 + excitation
-    variance = max(NOISE_FLOOR, power * spread)
+    variance = max(least, power * spread)
     return 0.5 * (math.log(variance) + min(squared * spread / variance, DRIFT + THRESHOLD))
 
 
