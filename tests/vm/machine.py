@@ -13,6 +13,8 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.vm import processors
+
 HERE = Path(__file__).parent
 _CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"), "adaptdrive", "vm")
 _PROCESSOR = "max,-erms,-fsrm,-smap"
@@ -38,11 +40,13 @@ class Outcome:
         status: Its exit status, None when the machine ended before it or ran out of time.
         output: What it printed.
         console: What kernel and service manager printed.
+        share: Processor time that it got, of what it asked for, 0 to 1.
     """
 
     status: int | None
     output: str
     console: str
+    share: float
 
 
 def why_not() -> str | None:
@@ -81,20 +85,15 @@ def run(
     (folder / "status").unlink(missing_ok=True)
     command = _command(folder, systemd=systemd, disk=disk)
     with (folder / "qemu").open("wb") as log:
-        try:
-            subprocess.run(
-                command,
-                check=False,
-                timeout=timeout_s,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-            )
-        except subprocess.TimeoutExpired:
+        with subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT
+        ) as process:
+            share = processors.wait(process, timeout_s)
+        if process.returncode < 0:
             log.write(f"ended by force after {timeout_s:g} s\n".encode())
     status = _read(folder, "status").strip()
     console = _read(folder, "console") + _read(folder, "qemu")
-    return Outcome(int(status) if status else None, _read(folder, "output"), console)
+    return Outcome(int(status) if status else None, _read(folder, "output"), console, share)
 
 
 def _command(folder: Path, *, systemd: bool, disk: Path | None) -> list[str | Path]:
