@@ -326,6 +326,38 @@ async def test_a_line_that_is_never_silent_gives_no_readings_and_still_takes_the
         one.check_honesty()
 
 
+async def test_a_command_that_waits_for_silence_gives_way_to_the_safe_command(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with watched("rtu", tmp_path, free_tcp_port) as one:
+        await until(lambda: one.told()[1] == 1)
+        one.peer.spoil = silence
+        await until(lambda: one.port.statistics.timeouts >= 1)
+        known = len(one.peer.writes)
+        one.port.send(SAFE_COMMAND)
+        await until(lambda: len(one.peer.writes) >= known + 2)
+        assert {tuple(registers[:2]) for _, registers in one.peer.writes[known:]} == {(0, 0)}
+
+
+async def test_the_rest_of_a_command_gives_way_to_the_safe_command(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    apart = {"bus__registers__control": "{ address = 9, table = 'holding' }"}
+    async with bench("tcp", tmp_path, free_tcp_port, **apart) as one:
+        known = len(one.peer.writes)
+
+        def stop(reply: bytes) -> bytes:
+            if any(registers[0] == 28765 for _, registers in one.peer.writes[known:]):
+                one.port.send(SAFE_COMMAND)
+            return reply
+
+        one.peer.answer = stop
+        one.port.send(RUN)
+        await one.hears(3)
+        assert (0, 28765) in [(at, registers[0]) for at, registers in one.peer.writes[known:]]
+        assert (9, [1]) not in one.peer.writes
+
+
 async def test_a_heartbeat_may_be_slower_than_the_polls_where_that_is_said(
     tmp_path: Path, free_tcp_port: int
 ) -> None:

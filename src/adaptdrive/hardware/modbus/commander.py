@@ -103,19 +103,22 @@ class Commander:
         """
         command = self._current() if first and self._poll.combined else None
         if command is None:
-            return await link.exchange(exchange, [])
+            return await self._read(link, exchange)
         block, _ = self._poll.writes[0]
         words = self._words(command)[0]
         at_once = command == SAFE_COMMAND and not self._safe
         self._doubt(command)
         both = Exchange(exchange.read, block)
         try:
-            registers = await link.exchange(both, words, at_once=at_once)
+            registers = await link.exchange(
+                both, words, at_once=at_once, void=lambda: self._is_void(command)
+            )
         except ExchangeError as failure:
-            self._note_refusal(both, failure)
+            if not self._is_void(command):
+                self._note_refusal(both, failure)
             if failure.code is None:
                 raise
-            return await link.exchange(exchange, [])
+            return await self._read(link, exchange)
         self._confirm(command)
         return registers
 
@@ -131,7 +134,7 @@ class Commander:
         for (block, _), registers in zip(self._poll.writes, words, strict=True):
             if taken or (command == SAFE_COMMAND and link.lost is None):
                 exchange = Exchange(write=block)
-                taken &= await self._wrote(link, exchange, registers, at_once=at_once)
+                taken &= await self._wrote(link, exchange, registers, command, at_once=at_once)
         if taken:
             self.refused_write = ""
             self._confirm(command)
@@ -142,13 +145,28 @@ class Commander:
             self._command = SAFE_COMMAND
             await self.write(link)
 
+    async def _read(self, link: ModbusConnection, exchange: Exchange) -> list[int]:
+        """Read a block, unless the safe command becomes urgent before it is asked for."""
+        known = self.urgent
+        return await link.exchange(exchange, [], void=lambda: self.urgent and not known)
+
     async def _wrote(
-        self, link: ModbusConnection, exchange: Exchange, registers: list[int], *, at_once: bool
+        self,
+        link: ModbusConnection,
+        exchange: Exchange,
+        registers: list[int],
+        command: Command,
+        *,
+        at_once: bool,
     ) -> bool:
-        """Write one block; whether the drive has taken it."""
+        """Write one block of a command; whether the drive has taken it."""
         try:
-            await link.exchange(exchange, registers, at_once=at_once)
+            await link.exchange(
+                exchange, registers, at_once=at_once, void=lambda: self._is_void(command)
+            )
         except ExchangeError as failure:
+            if self._is_void(command):
+                return False
             self._counts["send_drops"] += 1
             self.refused_write = f"command: {failure.problem}"
             self._note_refusal(exchange, failure)
@@ -162,6 +180,10 @@ class Commander:
         """
         late = self._clock() - self.due_s > _LATE_POLLS * self._poll_s
         return None if late and self._command != SAFE_COMMAND else self._command
+
+    def _is_void(self, command: Command) -> bool:
+        """Return whether a command that energises must not be sent any more."""
+        return command != SAFE_COMMAND and self._current() in {None, SAFE_COMMAND}
 
     def _words(self, command: Command) -> list[list[int]]:
         """The registers of every block that is written, with the next heartbeat."""

@@ -39,6 +39,9 @@ _SILENT_TIMEOUTS = 2.0
 _NOISE_ROUNDS = 10
 """Silences for which a line that never falls silent is waited for."""
 
+_LOOK_S = 0.005
+"""Time between two looks, while a line is not silent, whether the exchange is still wanted."""
+
 
 EXCEPTIONS = {
     1: "illegal function",
@@ -106,7 +109,12 @@ class ModbusConnection:
             self._client = None
 
     async def exchange(
-        self, exchange: Exchange, words: list[int], *, at_once: bool = False
+        self,
+        exchange: Exchange,
+        words: list[int],
+        *,
+        at_once: bool = False,
+        void: Callable[[], bool] = lambda: False,
     ) -> list[int]:
         """Ask for registers, or write some, or both.
 
@@ -114,15 +122,18 @@ class ModbusConnection:
             exchange: What is read and written.
             words: The registers that are written.
             at_once: Send it whatever may still be on the line.
+            void: Whether the exchange is not wanted any more, asked until it is sent.
 
         Returns:
             The registers that were read.
 
         Raises:
-            ExchangeError: No reply, an exception reply, or one that does not fit.
+            ExchangeError: No reply, an exception reply, or one that does not fit; or it is void.
         """
         if not at_once:
-            await self._await_silence()
+            await self._await_silence(void)
+            if void():
+                raise ExchangeError("the safe command goes first")
         client = self._require()
         self._heard, self._waiting = b"", True
         try:
@@ -210,18 +221,18 @@ class ModbusConnection:
         self._counts["received"] += 1
         return list(reply.registers) if exchange.read else []
 
-    async def _await_silence(self) -> None:
-        """Let what may still come from an earlier request pass by unread."""
+    async def _await_silence(self, void: Callable[[], bool]) -> None:
+        """Let what may still come from an earlier request pass by unread, while it is wanted."""
         silent_s = _SILENT_TIMEOUTS * self._config.timeout_s
         end_s = self._clock() + _NOISE_ROUNDS * silent_s
-        while self._suspect_s is not None:
+        while self._suspect_s is not None and not void():
             left_s = max(self._suspect_s, self._heard_s) + silent_s - self._clock()
             if left_s <= 0.0:
                 self._suspect_s = None
             elif self._clock() > end_s:
                 raise ExchangeError("the line is never silent")
             else:
-                await asyncio.sleep(left_s)
+                await asyncio.sleep(min(left_s, _LOOK_S))
 
     def _suspect(self) -> None:
         """Take what comes next on a serial line for what is left of something else."""
