@@ -21,7 +21,7 @@ def test_a_process_that_shares_its_processor_gets_less_than_the_least_share() ->
     with subprocess.Popen(command) as one, subprocess.Popen(command) as other:
         share = processors.wait(one, 120.0)
         other.wait()
-    assert 0.0 < share < guest_tests.LEAST_SHARE
+    assert 0.0 < share < processors.LEAST_SHARE
 
 
 @pytest.mark.parametrize(

@@ -10,13 +10,9 @@ from typing import NoReturn
 
 import pytest
 
-from tests.vm import machine
+from tests.vm import machine, processors
 
 ROOT = Path(__file__).parents[2]
-
-LEAST_SHARE = 0.6
-"""Beside the calculating tests, which have a lower priority, the machine gets more; beside as many
-busy processes of its own priority as there are processors it gets half, and its time-outs pass."""
 
 
 def pytest_script(words: Sequence[str]) -> str:
@@ -56,7 +52,7 @@ def show(folder: Path, outcome: machine.Outcome, subtests: pytest.Subtests) -> N
 
 
 def _fail(text: str, outcome: machine.Outcome) -> NoReturn:
-    if outcome.share < LEAST_SHARE:
+    if outcome.share < processors.LEAST_SHARE:
         pytest.skip(
             "not judged: the virtual machine got "
             f"{outcome.share:.0%} of the processor time that it asked for\n{text}"

@@ -90,7 +90,7 @@ def run(
         ) as process:
             share = processors.wait(process, timeout_s)
         if process.returncode < 0:
-            log.write(f"ended by force after {timeout_s:g} s\n".encode())
+            log.write(b"ended by force\n")
     status = _read(folder, "status").strip()
     console = _read(folder, "console") + _read(folder, "qemu")
     return Outcome(int(status) if status else None, _read(folder, "output"), console, share)

@@ -9,15 +9,22 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
+LEAST_SHARE = 0.6
+"""Beside the calculating tests, which have a lower priority, a virtual machine gets more; beside as
+many busy processes of its own priority as there are processors it gets half, and time-outs pass."""
+
 _LOOK_S = 1.0
+
+_BUSY_S = 900.0
+"""Longest life with less than the least share: three times the life on a quiet machine."""
 
 
 def wait(process: subprocess.Popen[bytes], timeout_s: float) -> float:
     """Wait for the end of a process, and return the share that it got.
 
     Args:
-        process: The process; it is killed when it has not ended in time, and when an error ends
-            the wait.
+        process: The process; it is killed when it has not ended in time, when it gets too little
+            for too long, and when an error ends the wait.
         timeout_s: How long to wait at most, in seconds.
 
     Returns:
@@ -26,9 +33,10 @@ def wait(process: subprocess.Popen[bytes], timeout_s: float) -> float:
     """
     share = 1.0
     try:
-        for _ in range(round(timeout_s / _LOOK_S)):
+        for look in range(round(timeout_s / _LOOK_S)):
             share = _share(process.pid, share)
-            if _has_ended(process):
+            starved = share < LEAST_SHARE and look * _LOOK_S > _BUSY_S
+            if starved or _has_ended(process):
                 break
     finally:
         process.kill()

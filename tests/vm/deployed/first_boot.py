@@ -68,7 +68,7 @@ def running(bus: Bus, operator: Operator) -> None:
 
 
 def came_back_in_standby(bus: Bus, operator: Operator, known: int) -> None:
-    """A new daemon is in standby, and none of its commands energised."""
+    """A new daemon is in standby, and no command after the known ones energised."""
     operator.await_state(state="standby", enabled=False)
     until(lambda: len(bus.commands()) > known + 50, "commands of the new daemon")
     assert not any(bus.commands()[known:])
@@ -148,7 +148,8 @@ def test_frozen_it_is_restarted_by_the_watchdog(
     drive_became_safe(bus, safe)
     until(lambda: unit_says("MainPID") not in {"0", process}, "a new daemon")
     assert "Watchdog timeout" in call("journalctl", "--unit", UNIT, "--output=cat")
-    came_back_in_standby(bus, operator, known)
+    # stopped between the last look at the clock and the bus, it sends that one command
+    came_back_in_standby(bus, operator, known + 1)
 
 
 def test_an_interface_that_goes_down_trips_it(running: None, bus: Bus, operator: Operator) -> None:
