@@ -17,6 +17,7 @@ import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND
 from tests.hardware.modbus.bench import (
+    FUNCTION_23,
     RUN,
     Bench,
     Peer,
@@ -27,6 +28,7 @@ from tests.hardware.modbus.bench import (
     TIMEOUT_s,
     bench,
     until,
+    untouched,
 )
 from tests.hardware.modbus.spoils import (
     busy,
@@ -337,6 +339,30 @@ async def test_a_command_that_waits_for_silence_gives_way_to_the_safe_command(
         one.port.send(SAFE_COMMAND)
         await until(lambda: len(one.peer.writes) >= known + 2)
         assert {tuple(registers[:2]) for _, registers in one.peer.writes[known:]} == {(0, 0)}
+
+
+@pytest.mark.parametrize("changes", [{}, FUNCTION_23])
+async def test_a_late_reply_to_another_command_confirms_no_stop(
+    changes: dict[str, str | None], tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with bench("rtu", tmp_path, free_tcp_port, **changes) as one:
+        one.port.send(RUN)
+        await until(lambda: bool(one.peer.writes) and one.told()[1] == 1)
+
+        def late_to_run(reply: bytes) -> Pieces:
+            if reply[1] == 4:
+                return untouched(reply)
+            return late(reply) if one.told()[1] == 1 else silence(reply)
+
+        one.peer.spoil = late_to_run
+        await until(lambda: one.port.statistics.timeouts >= 1)
+        one.port.send(SAFE_COMMAND)
+        await until(lambda: one.told()[1] == 0)
+        await one.asks(6)
+        assert one.port.safe_s == math.inf
+        one.peer.spoil = untouched
+        await until(lambda: one.port.safe_s < math.inf)
+        one.check_honesty()
 
 
 async def test_the_rest_of_a_command_gives_way_to_the_safe_command(

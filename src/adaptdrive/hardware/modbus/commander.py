@@ -51,6 +51,7 @@ class Commander:
         self._safe = True
         self._refused = self._unanswered = 0
         self._refusal = ""
+        self._doubtful = False
         self._alive = 0
         self.due_s = -math.inf
         self.bridge = False
@@ -70,6 +71,11 @@ class Commander:
     def urgent(self) -> bool:
         """True if the safe command must be sent before anything else."""
         return self._command == SAFE_COMMAND and not self._safe
+
+    @property
+    def _at_once(self) -> bool:
+        """True if the command cannot wait for a silent line, unless only silence can prove it."""
+        return self.urgent and not self._doubtful
 
     @property
     def pending(self) -> bool:
@@ -106,7 +112,7 @@ class Commander:
             return await self._read(link, exchange)
         block, _ = self._poll.writes[0]
         words = self._words(command)[0]
-        at_once = command == SAFE_COMMAND and not self._safe
+        at_once = self._at_once
         self._doubt(command)
         both = Exchange(exchange.read, block)
         try:
@@ -127,7 +133,7 @@ class Commander:
         command = self._current()
         if command is None:
             return
-        at_once = self.urgent
+        at_once = self._at_once
         words = self._words(command)
         self._doubt(command)
         taken = True
@@ -194,7 +200,8 @@ class Commander:
         ]
 
     def _note_refusal(self, exchange: Exchange, failure: ExchangeError) -> None:
-        """Note that the drive has not taken a command."""
+        """Note that the drive has not taken a command, or not provably."""
+        self._doubtful = failure.doubtful
         code, block = failure.code, exchange.write
         reason = failure.problem
         if code is not None:
@@ -218,5 +225,6 @@ class Commander:
         self._written, self.bridge = command, command.bridge
         self._safe = command == SAFE_COMMAND
         self._refused = self._unanswered = 0
+        self._doubtful = False
         if self._safe and self.safe_s == math.inf:
             self.safe_s = self._clock()

@@ -58,15 +58,17 @@ EXCEPTIONS = {
 class ExchangeError(AdaptdriveError):
     """An exchange gave nothing that may be used."""
 
-    def __init__(self, problem: str, code: int | None = None) -> None:
+    def __init__(self, problem: str, code: int | None = None, *, doubtful: bool = False) -> None:
         """Keep the reason.
 
         Args:
             problem: What went wrong.
             code: Exception code of the device, None where it gave none.
+            doubtful: Whether a reply came that may be one to an earlier request.
         """
         self.problem = problem
         self.code = code
+        self.doubtful = doubtful
         super().__init__(problem)
 
 
@@ -135,6 +137,7 @@ class ModbusConnection:
             if void():
                 raise ExchangeError("the safe command goes first")
         client = self._require()
+        hasty = self._unsettled_s() > 0.0
         self._heard, self._waiting = b"", True
         try:
             reply = await self._request(client, exchange, words)
@@ -145,7 +148,10 @@ class ModbusConnection:
         finally:
             self._waiting = False
         await asyncio.sleep(silence_s(self._config))
-        return self._checked(reply, exchange)
+        registers = self._checked(reply, exchange)
+        if hasty:
+            raise ExchangeError("a reply that may be one to an earlier request", doubtful=True)
+        return registers
 
     def _require(self) -> Client:
         if self._client is None or not self._client.connected:
@@ -223,16 +229,21 @@ class ModbusConnection:
 
     async def _await_silence(self, void: Callable[[], bool]) -> None:
         """Let what may still come from an earlier request pass by unread, while it is wanted."""
-        silent_s = _SILENT_TIMEOUTS * self._config.timeout_s
-        end_s = self._clock() + _NOISE_ROUNDS * silent_s
-        while self._suspect_s is not None and not void():
-            left_s = max(self._suspect_s, self._heard_s) + silent_s - self._clock()
-            if left_s <= 0.0:
-                self._suspect_s = None
-            elif self._clock() > end_s:
+        end_s = self._clock() + _NOISE_ROUNDS * _SILENT_TIMEOUTS * self._config.timeout_s
+        while (left_s := self._unsettled_s()) > 0.0 and not void():
+            if self._clock() > end_s:
                 raise ExchangeError("the line is never silent")
-            else:
-                await asyncio.sleep(min(left_s, _LOOK_S))
+            await asyncio.sleep(min(left_s, _LOOK_S))
+
+    def _unsettled_s(self) -> float:
+        """Return how much longer a serial line must be silent before a reply is its request's."""
+        if self._suspect_s is None:
+            return 0.0
+        silent_s = _SILENT_TIMEOUTS * self._config.timeout_s
+        left_s = max(self._suspect_s, self._heard_s) + silent_s - self._clock()
+        if left_s <= 0.0:
+            self._suspect_s = None
+        return left_s
 
     def _suspect(self) -> None:
         """Take what comes next on a serial line for what is left of something else."""
