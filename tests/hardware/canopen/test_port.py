@@ -288,6 +288,19 @@ async def test_what_the_drive_has_not_though_the_eds_says_so_is_named(
         peer.close()
 
 
+async def test_a_frame_id_that_is_too_long_is_refused_like_any_other_answer(
+    tmp_path: Path,
+) -> None:
+    entry = "DataType={}\nAccessType=rw\nDefaultValue=$NODEID+{}"
+    longer = entry.format("0x0007", "0x80000300"), entry.format("0x001B", "0x300")
+    peer = Peer(f"canopen {tmp_path.name}", other_eds(tmp_path, longer))
+    try:
+        async with running(peer) as bench:
+            await bench.complains("0x1401.1 has 8 bytes, a number has at most 4")
+    finally:
+        peer.close()
+
+
 async def test_a_drive_that_keeps_another_value_is_not_trusted(peer: Peer) -> None:
     peer.keep(0x1016, lambda data: data[:2] + b"\x7e\x00" if len(data) == 4 else data)
     async with running(peer) as bench:

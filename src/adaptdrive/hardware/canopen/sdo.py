@@ -23,6 +23,9 @@ from adaptdrive.hardware.canopen.dictionary import Address, Entry, label
 
 T = TypeVar("T")
 
+_NUMBER_BYTES = 4
+"""Bytes of the longest number that a set-up reads."""
+
 logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it logs is raised, too
 
 
@@ -91,8 +94,16 @@ class Server:
             raise self._failure("read", address, problem) from problem
 
     def number(self, address: Address) -> int:
-        """Return an unsigned entry."""
-        return int.from_bytes(self.read(address), "little")
+        """Return an unsigned entry.
+
+        Raises:
+            BusError: The drive refuses the read, or gives more bytes than such an entry has.
+        """
+        data = self.read(address)
+        if len(data) > _NUMBER_BYTES:
+            wanted = f"a number has at most {_NUMBER_BYTES}"
+            raise self.refuse(f"{label(address)} has {len(data)} bytes, {wanted}")
+        return int.from_bytes(data, "little")
 
     def value(self, entry: Entry) -> float:
         """The raw value of an entry.
