@@ -108,6 +108,11 @@ def test_each_kind_of_bus_has_its_own_form_of_a_name() -> None:
             "takes no scale",
         ),
         (
+            {"bus__heartbeat__drive": '"alive"'},
+            "bus.heartbeat.drive",
+            "'alive' lies in the register of 'alive', which the daemon writes",
+        ),
+        (
             {"bus__registers__alive": "{ address = 1, table = 'holding' }"},
             "bus.heartbeat.daemon",
             "'alive' lies in the same register as 'control'",

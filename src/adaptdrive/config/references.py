@@ -201,5 +201,15 @@ def _overlap_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
         if name in bus.registers
     ]
     for (_, first, one), (place, second, other) in itertools.combinations(written, 2):
-        if one.address < other.end and other.address < one.end:
+        if _overlap(one, other):
             yield Flaw(place, f"{second!r} lies in the same register as {first!r}")
+    for place, name in _heartbeat(bus, "drive"):
+        for _, first, one in written:
+            if name in bus.registers and _overlap(one, bus.registers[name]):
+                problem = "which the daemon writes: it does not show that the drive is alive"
+                yield Flaw(place, f"{name!r} lies in the register of {first!r}, {problem}")
+
+
+def _overlap(one: Register, other: Register) -> bool:
+    same = one.table == other.table
+    return same and one.address < other.end and other.address < one.end

@@ -99,6 +99,11 @@ def test_reading_and_writing_at_once_needs_one_block_to_write() -> None:
     assert plan(**measured, bus__read_write="true").combined
 
 
+def test_a_drive_whose_safe_command_would_switch_it_on_is_a_flaw() -> None:
+    found = flaws(bus__registers__control="{ address = 1, table = 'holding', off = 1 }")
+    assert found["signals.command.bridge"] == "on and off are both 1"
+
+
 def test_a_drive_that_could_not_be_switched_off_is_a_flaw() -> None:
     floor = "{ address = 0, table = 'holding', range = { low = 200.0, high = 400.0 } }"
     found = flaws(bus__registers__wanted=floor)

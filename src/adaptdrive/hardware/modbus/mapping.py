@@ -197,14 +197,18 @@ def _within(block: Block, sinks: Iterable[RegisterSink]) -> Iterator[RegisterSin
 def _command_flaws(sinks: Iterable[RegisterSink]) -> Iterator[Flaw]:
     """The safe command, and the bridge both ways, must fit into their registers."""
     for sink in sinks:
-        for bridge in (False, True):
-            command = Command(SAFE_COMMAND.current_scale_S, SAFE_COMMAND.boost_reference_V, bridge)
-            try:
-                sink.words(command, 0)
-            except ValueError as problem:
-                place = f"signals.command.{sink.name}"
-                yield Flaw(place, f"the drive could not be switched: {problem}")
-                break
+        place = f"signals.command.{sink.name}"
+        try:
+            off, on = (sink.words(_rest(bridge=bridge), 0) for bridge in (False, True))
+        except ValueError as problem:
+            yield Flaw(place, f"the drive could not be switched: {problem}")
+            continue
+        if sink.name == "bridge" and on == off:
+            yield Flaw(place, f"on and off are both {sink.register.on}")
+
+
+def _rest(*, bridge: bool) -> Command:
+    return Command(SAFE_COMMAND.current_scale_S, SAFE_COMMAND.boost_reference_V, bridge)
 
 
 def _demand_flaws(sinks: Iterable[RegisterSink], demands: Demands) -> Iterator[Flaw]:
