@@ -253,7 +253,7 @@ def test_the_covariance_follows_a_new_origin(shift_s: float) -> None:
     new, old = (np.hstack([np.exp(-t), t * np.exp(-t)]) for t in (h, h + shift_s / TAU_S))
     matrix = np.linalg.solve(new, old)
     found = np.array(rls.covariance(one.upper, one.diagonal)).reshape(6, 6)[3:5, 3:5]
-    np.testing.assert_allclose(found, 2.0 * matrix @ matrix.T, rtol=1e-9)
+    np.testing.assert_allclose(found, 2.0 * matrix @ matrix.T, rtol=1e-9, atol=1e-15)
 
 
 @given(
