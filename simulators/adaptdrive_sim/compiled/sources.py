@@ -18,8 +18,23 @@ _PLANT = (
     "adaptdrive_sim.plants.motor",
     "adaptdrive_sim.world",
     "adaptdrive_sim.compiled.wire",
-    "adaptdrive_sim.compiled.bench",
 )
+
+_BENCH = "adaptdrive_sim.compiled.bench"
+
+_CONTROL_OF_A_TICK = {
+    f"adaptdrive.control.{name}"
+    for name in (
+        "fast_half",
+        "lambda_filter",
+        "lambda_transform",
+        "rounding",
+        "screen",
+        "signals",
+        "voltage_loop",
+    )
+}
+"""Modules of the controller that run in each tick, and not once in a slow period."""
 
 _OUTSIDE = {
     f"adaptdrive.control.{name}"
@@ -34,6 +49,6 @@ def compiled_modules() -> dict[str, ModuleType]:
     package = adaptdrive.control
     found = pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
     names = [module.name for module in found if module.name not in _OUTSIDE]
-    modules = translate([*names, *_PLANT])
+    modules = translate([*names, *_PLANT, _BENCH], inlined={*_CONTROL_OF_A_TICK, *_PLANT})
     copies.add(modules)
     return modules

@@ -20,7 +20,7 @@ import hashlib
 import importlib
 import os
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -34,11 +34,12 @@ from {_HELPERS} import copied as _copied, filled as _filled, joined as _joined
 """
 
 
-def translate(names: Iterable[str]) -> dict[str, ModuleType]:
+def translate(names: Iterable[str], inlined: Container[str] = ()) -> dict[str, ModuleType]:
     """Compilable copies of modules.
 
     Args:
         names: Full names; imports among them are redirected.
+        inlined: Those of them whose functions are compiled into their callers.
 
     Returns:
         The copies, by the name of the original.
@@ -46,10 +47,17 @@ def translate(names: Iterable[str]) -> dict[str, ModuleType]:
     originals = {name: importlib.import_module(name) for name in names}
     copies = {name: name.replace(".", "__") for name in originals}
     texts = {name: _translated(module, copies) for name, module in originals.items()}
+    texts |= {name: _inlined(texts[name]) for name in texts if name in inlined}
     folder = _write(texts, copies)
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
     return {name: importlib.import_module(copy) for name, copy in copies.items()}
+
+
+def _inlined(text: str) -> str:
+    """Return a copy whose functions are compiled into their callers."""
+    plain = f"from {_HELPERS} import compiled as"
+    return text.replace(plain, plain.replace("import compiled", "import inlined"), 1)
 
 
 def _write(texts: dict[str, str], copies: dict[str, str]) -> Path:
