@@ -51,7 +51,7 @@ _UNITS = {
     "SETTLED_SAMPLES": "periods",
     "_LOUDER": "1",
     "_CEILING_RISE": "1/tick",
-    "_DISTURBANCE_SHARE": "scale of the input",
+    "DISTURBANCE_SHARE": "scale of the input",
     "_KNOWN": "p0",
     "OBSERVER_POLE": "pole per period",
     "SLOWEST_SHARE": "1",

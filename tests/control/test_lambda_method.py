@@ -89,10 +89,32 @@ def test_without_learning_it_the_initial_state_is_known(load: Load, first: int) 
     p0 = learning.initial_covariance
     known = est.new_estimator(learning, load, 2).diagonal
     places = range(first, first + load.order)
-    for i, variance in enumerate(known):
+    for i, variance in enumerate(known[:-1]):
         assert variance == pytest.approx(1e-9 * p0 if i in places else p0, rel=1e-12), i
     learnt = est.new_estimator(replace(learning, initial_state=True), load, 2)
-    assert learnt.diagonal == [p0] * len(known)
+    assert learnt.diagonal[:-1] == [p0] * (len(known) - 1)
+
+
+@pytest.mark.parametrize(
+    ("options", "share"),
+    [
+        ({}, 0.1),
+        ({"charge": True}, 1.0),
+        ({"drifts": True}, 1.0),
+        ({"start_at_nominal": False}, 1.0),
+    ],
+)
+def test_an_offset_that_rests_is_expected_within_a_tenth_of_the_input(
+    options: dict[str, bool], share: float
+) -> None:
+    """P[0] is a deviation of 1 at the least σ: an EMF or the drift of an inflow may be as large."""
+    learning = replace(SCALED_LEARNING, alert=True, bias=True, **options)
+    state = est.new_estimator(learning, MOTOR, 2)
+    variance = share**2 * learning.initial_covariance
+    assert state.diagonal[-1] == pytest.approx(variance, rel=1e-12)
+    state.diagonal[-1] = 1.0
+    est.begin_anew(state, learning, MOTOR)
+    assert state.diagonal[-1] == pytest.approx(variance, rel=1e-12)
 
 
 @pytest.mark.parametrize("ceiling", [0.0, 0.5])

@@ -14,7 +14,7 @@ from adaptdrive.control import rls
 from adaptdrive.control.challenger import Challenger
 from adaptdrive.control.drift import learn_sample
 from adaptdrive.control.evidence import WINDOW
-from adaptdrive.control.hypotheses import new_branch
+from adaptdrive.control.hypotheses import DISTURBANCE_SHARE, new_branch
 from adaptdrive.control.integrated import Integrated, restart
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import Learning
@@ -99,6 +99,7 @@ def new_estimator(learning: Learning, load: Load, taps: int) -> EstimatorState:
         Integrated(new_branch(count)),
     )
     rls.reset(state.theta, state.upper, state.diagonal, learning.initial_covariance)
+    _expect_offset(state, learning)
     learning.method.begin(state, learning, load)
     if learning.start_at_nominal:
         copy_into(state.theta, nominal_theta(learning, load, taps))
@@ -113,6 +114,17 @@ def nominal_theta(learning: Learning, load: Load, taps: int) -> Vector:
     return theta
 
 
+def _expect_offset(state: EstimatorState, learning: Learning) -> None:
+    """Expect an offset of the size of a disturbance, where it rests and the nominal gain is known.
+
+    Without this the first step of torque, which comes before the load is known, is learnt as
+    dynamics with an offset that nothing can cause.
+    """
+    if learning.bias and learning.start_at_nominal and not (learning.charge or learning.drifts):
+        share = DISTURBANCE_SHARE
+        state.diagonal[len(state.theta) - 1] = share * share * learning.initial_covariance
+
+
 def begin_anew(state: EstimatorState, learning: Learning, load: Load) -> None:
     """Start from the nominal model again: an estimate that no load can have has lost its way.
 
@@ -121,6 +133,7 @@ def begin_anew(state: EstimatorState, learning: Learning, load: Load) -> None:
     """
     theta = learning.method.theta_of(learning, load, list(load.numerator), list(load.denominator))
     rls.reset(state.theta, state.upper, state.diagonal, learning.initial_covariance)
+    _expect_offset(state, learning)
     copy_into(state.theta, theta)
     state.origin_s = state.elapsed_s
     state.surprise.sum = 0.0

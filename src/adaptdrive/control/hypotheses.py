@@ -37,7 +37,7 @@ LOAD = 2
 BOTH = 3
 ANEW = 4
 
-_DISTURBANCE_SHARE = 0.1
+DISTURBANCE_SHARE = 0.1
 """Deviation of a disturbance, of the input's scale: 30 V of 300 V."""
 
 _TINY = 1e-12  # guards a division: 4,500 rounding errors of 1 count as 0
@@ -183,7 +183,7 @@ def widen(branch: Branch, kind: int, learning: Learning, load: Load, anchor: Anc
     if kind != LOAD and learning.bias:
         direction = [0.0] * size
         direction[size - 1] = 1.0
-        _open(branch, direction, _DISTURBANCE_SHARE * abs(gains), learning, load, anchor)
+        _open(branch, direction, DISTURBANCE_SHARE * abs(gains), learning, load, anchor)
     if kind != DISTURBANCE:
         _widen_load(branch, learning, load, anchor)
     if kind >= BOTH:
@@ -192,7 +192,7 @@ def widen(branch: Branch, kind: int, learning: Learning, load: Load, anchor: Anc
             direction[i] = branch.theta[i]
         _carry_offset(direction, branch.theta, 1.0, learning)
         _open(branch, direction, PRIOR_SHARE, learning, load, anchor)
-    _blur(branch, _DISTURBANCE_SHARE * abs(gains), learning, load, anchor)
+    _blur(branch, DISTURBANCE_SHARE * abs(gains), learning, load, anchor)
     if kind == ANEW:
         _free_state(branch, learning, load, anchor)
 
