@@ -8,7 +8,6 @@ The copies refer to memory of this process: use a cache folder of its own.
 from __future__ import annotations
 
 import ast
-import importlib
 import sys
 from dataclasses import dataclass
 from types import ModuleType
@@ -21,7 +20,7 @@ from numba.core import types
 from numba.extending import intrinsic
 
 from adaptdrive_sim.compiled import translate
-from tests.control.constants_page import Constant, constants
+from tests.control.constants_page import Constant, constants, following, module_name, value_of
 
 Number = int | float
 
@@ -47,18 +46,41 @@ class Dial:
 
 
 def _dial(constant: Constant) -> Dial:
-    module = "adaptdrive." + constant.module.removesuffix(".py").replace("/", ".")
-    return Dial(constant, module, getattr(importlib.import_module(module), constant.name))
+    value = value_of(constant)
+    assert isinstance(value, int | float)
+    return Dial(constant, module_name(constant), value)
 
 
 DIALS = [_dial(one) for one in constants()]
-_WORDS = np.zeros(len(DIALS), np.int64)
+_FOLLOWING = [_dial(one) for one in following() if isinstance(value_of(one), int | float)]
+_ALL = [*DIALS, *_FOLLOWING]
+_WORDS = np.zeros(len(_ALL), np.int64)
 _FLOATS = _WORDS.view(np.float64)
 
 
 def turn(place: int, value: Number) -> None:
-    """Give a constant another value, in compiled copies and in every module that knows it."""
-    dial = DIALS[place]
+    """Give a constant another value, and those that are computed from it theirs."""
+    _set(place, value)
+    for _ in _FOLLOWING:  # one may be computed from another
+        if not _follow():
+            return
+
+
+def _follow() -> bool:
+    """Compute the constants that follow from others; whether any has changed."""
+    changed = False
+    for place, dial in enumerate(_FOLLOWING, len(DIALS)):
+        names = vars(sys.modules[dial.module])
+        value = eval(dial.constant.value, dict(names))  # an expression of the project's own source
+        if value != names[dial.name]:
+            _set(place, value)
+            changed = True
+    return changed
+
+
+def _set(place: int, value: Number) -> None:
+    """Give a constant a value, in compiled copies and in every module that knows it."""
+    dial = _ALL[place]
     (_WORDS if isinstance(dial.value, int) else _FLOATS)[place] = value
     for name, module in list(sys.modules.items()):
         if name == dial.module or _imports(module, dial):
@@ -83,7 +105,7 @@ def _origins(module: ModuleType) -> dict[str, str]:
 
 def read(place: int) -> Any:
     """Return a compiled function that gives the present value of a constant."""
-    whole = isinstance(DIALS[place].value, int)
+    whole = isinstance(_ALL[place].value, int)
     address = _WORDS.ctypes.data + 8 * place
 
     @intrinsic
@@ -110,15 +132,15 @@ def install() -> None:
         return _tunable(plain(module, copies), module)
 
     translate._translated = translated
-    for place, dial in enumerate(DIALS):
-        turn(place, dial.value)
+    for place, dial in enumerate(_ALL):
+        _set(place, dial.value)
 
 
 def _tunable(text: str, module: ModuleType) -> str:
     origins = _origins(module)
     here = {
         dial.name: place
-        for place, dial in enumerate(DIALS)
+        for place, dial in enumerate(_ALL)
         if module.__name__ == dial.module or origins.get(dial.name) == dial.module
     }
     reads = _Reads(here, module)
@@ -136,7 +158,7 @@ class _Reads(ast.NodeTransformer):
 
     def __init__(self, here: dict[str, int], module: ModuleType) -> None:
         self._here, self._module = here, module
-        self._places = {(dial.module, dial.name): place for place, dial in enumerate(DIALS)}
+        self._places = {(dial.module, dial.name): place for place, dial in enumerate(_ALL)}
         self.used: set[int] = set()
 
     def visit_Name(self, node: ast.Name) -> ast.AST:

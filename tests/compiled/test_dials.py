@@ -10,16 +10,20 @@ from pathlib import Path
 import pytest
 
 SCRIPT = """
-from adaptdrive.control import voltage_loop
+from adaptdrive.control import evidence, integrated
 from adaptdrive_sim.compiled.translate import translate
 from tests.benchmarks.dials import DIALS, install, turn
 
 install()
-copy = translate([voltage_loop.__name__])[voltage_loop.__name__]
-place = next(i for i, dial in enumerate(DIALS) if dial.name == "INTEGRAL")
+copy = translate([integrated.__name__])[integrated.__name__]
+place = next(i for i, dial in enumerate(DIALS) if dial.name == "THRESHOLD")
 for factor in (1.0, 0.5, 2.0):
     turn(place, factor * DIALS[place].value)
-    print(voltage_loop.initial_sum(300.0), copy.initial_sum(300.0))
+    print(integrated._loss(1e3, 0.1, 1.0, 0.0), copy._loss(1e3, 0.1, 1.0, 0.0))
+
+place = next(i for i, dial in enumerate(DIALS) if dial.name == "FEWEST")
+turn(place, 3)
+assert evidence.EARLIEST == 6
 """
 
 

@@ -7,9 +7,12 @@ constant must have a unit here, and a reason below its definition.
 from __future__ import annotations
 
 import ast
+import importlib
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache
 from pathlib import Path
 
 from tests.control.constants_effects import CHANGES, Effects, cells, head, is_active, read_effects
@@ -19,17 +22,17 @@ SOURCE = Path(__file__).parents[2] / "src" / "adaptdrive"
 _HEAD = """\
 # Constants
 
-For developers of the controller: every number that was chosen in its code; numbers that follow from
-these are left out. What a site may want to change is a key of the
-[configuration](configuration.md) instead. `make docs` writes this page from the modules; a test
-fails where a constant has no unit or no reason.
+For developers of the controller: every number that was chosen in its code, then those that
+[follow from these](#what-follows), then those with [nothing to choose](#nothing-to-choose). What a
+site may want to change is a key of the [configuration](configuration.md) instead. `make docs`
+writes this page from the modules; a test fails where a constant has no unit or no reason.
 
 Units: *ticks* are half line cycles, *periods* are slow periods T_k, *scale* is the output in the
 middle of the voltage range. *1* is a ratio.
 """
 
 _UNITS = {
-    "EARLIEST": "periods",
+    "FEWEST": "periods",
     "MEMORY": "periods",
     "LIFE": "periods",
     "CLEAR": "log odds",
@@ -37,31 +40,28 @@ _UNITS = {
     "_FURTHER": "log odds",
     "TAPER_GAIN": "1/period",
     "_NEAR_LIMIT": "1",
-    "_END_PERIODS": "periods",
     "HALF_DELAYS": "1",
     "EXCURSIONS": "1",
     "_LARGEST": "scale",
-    "OFFSET_WALK": "σ",
     "_WALK": "σ",
     "_RATE": "1",
     "_LEAD": "log odds",
     "_EMF_NOISE": "σ",
     "_EMF_BEND": "σ",
     "_PRIOR_VARIANCE": "σ²",
-    "SETTLED_SAMPLES": "periods",
     "_LOUDER": "1",
     "_CEILING_RISE": "1/tick",
     "DISTURBANCE_SHARE": "scale of the input",
     "_KNOWN": "p0",
     "OBSERVER_POLE": "pole per period",
     "SLOWEST_SHARE": "1",
+    "_FINE": "1",
     "WINDOW": "periods",
     "PRIOR_SAMPLES": "samples",
     "_SUDDEN": "log odds",
     "_TRAINED": "σ²",
     "_SHOWN": "1",
     "_CLEAR": "σ",
-    "_FRESH": "periods",
     "_SPREAD": "1",
     "_PROOF": "log odds",
     "_LOAD_RARER": "log odds",
@@ -87,8 +87,6 @@ _UNITS = {
     "LAG_TICKS": "ticks",
     "GROWTH": "1",
     "SWINGS": "peaks",
-    "TRAVERSES": "ways",
-    "LONGEST_WAY": "periods",
     "AT_LIMIT": "1",
     "FAR_BETTER": "1",
     "TIME_CONSTANTS": "closed-loop time constants",
@@ -114,6 +112,20 @@ _UNITS = {
     "_COLLECT_TICKS": "ticks",
 }
 
+_FOLLOWING = """
+## What follows
+
+Each is computed from constants above, from the arithmetic or from the structure of the loop, and
+moves with what it is computed from. A factor in such an expression has its reason beside it.
+"""
+
+_GIVEN = """
+## Nothing to choose
+
+Limits of rounding and of series, guards against numbers that no sensor gives, constants of
+mathematics and numbers of the paper.
+"""
+
 _NUMERICAL = {
     "_PASSES",
     "_HALVINGS",
@@ -124,13 +136,15 @@ _NUMERICAL = {
     "_TINY",
     "_SERIES_TERMS",
     "_BOTH",
-    "_FINE",
     "COVARIANCE_CEILING",
     "_SMALLEST",
     "_NARROWEST",
     "_MEDIAN",
 }
 """Limits of rounding and series, and constants of mathematics: nothing to choose."""
+
+_PAPER: set[str] = set()
+"""Numbers of the paper."""
 
 _NAMES = {"NOTHING", "DISTURBANCE", "LOAD", "BOTH", "ANEW"}
 """Numbers of the explanations."""
@@ -154,22 +168,52 @@ class Constant:
 
 
 def constants() -> list[Constant]:
-    """All chosen numbers, those of rounding left out."""
+    """All chosen numbers."""
+    return [one for one in _plain() if one.name not in _NUMERICAL | _PAPER]
+
+
+def given() -> list[Constant]:
+    """All numbers with nothing to choose."""
+    return [one for one in _plain() if one.name in _NUMERICAL | _PAPER]
+
+
+def following() -> list[Constant]:
+    """All numbers that are computed where they are defined."""
+    return [
+        one
+        for one, value in _defined()
+        if not _is_number(value) and isinstance(value_of(one), int | float | Fraction)
+    ]
+
+
+def value_of(one: Constant) -> object:
+    """Return what the module has."""
+    return getattr(importlib.import_module(module_name(one)), one.name)
+
+
+def module_name(one: Constant) -> str:
+    """Return the full name of the module of a constant."""
+    return "adaptdrive." + one.module.removesuffix(".py").replace("/", ".")
+
+
+def _plain() -> list[Constant]:
+    return [one for one, value in _defined() if _is_number(value) and one.name not in _NAMES]
+
+
+@cache
+def _defined() -> list[tuple[Constant, ast.expr]]:
     app = [SOURCE / "app" / name for name in ("paper_design.py", "settings.py")]
     paths = [*sorted((SOURCE / "control").rglob("*.py")), *app]
-    found = [constant for path in paths for constant in _of_module(path)]
-    return [one for one in found if one.name not in _NUMERICAL | _NAMES]
+    return [found for path in paths for found in _of_module(path)]
 
 
-def _of_module(path: Path) -> Iterator[Constant]:
+def _of_module(path: Path) -> Iterator[tuple[Constant, ast.expr]]:
     body = ast.parse(path.read_text(encoding="utf-8")).body
     for node, after in zip(body, [*body[1:], ast.Pass()], strict=True):
         match node:
             case ast.Assign(targets=[ast.Name(id=name)], value=value) if name.isupper():
-                if _is_number(value):
-                    reason = _text_of(after)
-                    module = path.relative_to(SOURCE).as_posix()
-                    yield Constant(module, name, ast.unparse(value), reason)
+                module = path.relative_to(SOURCE).as_posix()
+                yield Constant(module, name, ast.unparse(value), _text_of(after)), value
             case _:
                 pass
 
@@ -208,7 +252,15 @@ def page(effects: Effects | None = None) -> str:
     if found:
         active = sum(is_active(found, one.module, one.name, one.value) for one in shown)
         count = [f"There are {len(shown)} constants; {active} of them change a run.", ""]
-    return "\n".join([_HEAD, *([head(found)] if found else []), *count, *rows, ""])
+    chosen = [_HEAD, *([head(found)] if found else []), *count, *rows]
+    computed = [_FOLLOWING, *_table(following(), "computed as")]
+    return "\n".join([*chosen, *computed, _GIVEN, *_table(given(), "value"), ""])
+
+
+def _table(numbers: list[Constant], value: str) -> list[str]:
+    names = ["constant", value, "module", "reason"]
+    rows = [[f"`{one.name}`", f"`{one.value}`", f"`{one.module}`", one.reason] for one in numbers]
+    return [_line(names), "|" + "---|" * len(names), *map(_line, rows)]
 
 
 def _row(one: Constant, effects: Effects) -> str:

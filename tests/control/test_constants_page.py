@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tests.control.constants_effects import COLUMNS, read_effects
-from tests.control.constants_page import constants, page, units
+from tests.control.constants_page import constants, following, given, page, units
 
 PAGE = Path(__file__).parents[2] / "docs" / "constants.md"
 
@@ -15,7 +15,13 @@ def test_every_constant_has_a_unit_and_no_unit_is_left_over() -> None:
 
 
 def test_every_constant_has_a_reason() -> None:
-    assert [one.name for one in constants() if not one.reason] == []
+    numbers = [*constants(), *following(), *given()]
+    assert [f"{one.module}: {one.name}" for one in numbers if not one.reason] == []
+
+
+def test_every_effect_was_measured_with_a_present_constant() -> None:
+    present = {(one.module, one.name) for one in constants()}
+    assert {row[:2] for row in read_effects() if row} <= present
 
 
 def test_the_page_is_current() -> None:
@@ -30,13 +36,13 @@ def test_the_page_shows_the_effect_of_the_present_value_alone(tmp_path: Path) ->
         usual,
         (*gain, "halved", "0.025", "1.2345", "0.98", "3", "0", "17"),
         (*gain[:2], "0.07", "doubled", "0.14", "9", "9", "9", "9", "9"),
-        ("control/cycling.py", "TRAVERSES", "60", "halved", "30", "1", "1", "2", "0", "0"),
+        ("control/cycling.py", "AT_LIMIT", "0.1", "halved", "0.05", "1", "1", "2", "0", "0"),
     ]
     lines = ["\t".join(row) for row in (COLUMNS, *rows)]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     shown = page(read_effects(path)).splitlines()
     (charging,) = (line for line in shown if "`TAPER_GAIN`" in line)
-    (cycling,) = (line for line in shown if "`TRAVERSES`" in line)
+    (cycling,) = (line for line in shown if "`AT_LIMIT`" in line)
     assert charging.endswith("| 1.23 / 0.98, 3 worse |  |")
     assert cycling.endswith("| same |  |")
 

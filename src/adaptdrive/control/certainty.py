@@ -11,7 +11,8 @@ from adaptdrive.control.regression import filtered_model
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.vectors import Vector
 
-_TINY = 1e-12  # guards a division: 4,500 rounding errors of 1 count as 0
+_TINY = 1e-12
+"""Divisor that counts as 0: 4,500 rounding errors of 1."""
 
 
 def is_sure(

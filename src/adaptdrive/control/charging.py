@@ -14,14 +14,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from adaptdrive.control.evidence import EARLIEST
+
 TAPER_GAIN = 0.05
 """κ: a twentieth of the way per slow period."""
 
 _NEAR_LIMIT = 0.99
 """Share of the largest voltage that counts as reached: the taper never reaches all of it."""
-
-_END_PERIODS = 10
-"""Periods in a row with a current below its end: noise alone does not end a charge."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,5 +83,5 @@ def taper(
 
 
 def is_complete(state: ChargeState) -> bool:
-    """True when the battery is full."""
-    return state.ending_periods >= _END_PERIODS
+    """True when the battery is full: a decision, which noise alone must not bring about."""
+    return state.ending_periods >= EARLIEST

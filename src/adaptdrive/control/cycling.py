@@ -12,13 +12,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-TRAVERSES = 60
-"""Ways of the input from one limit to the other that are a limit cycle: thirty of its periods, in
-which the adaptive controller has taken over where its estimate is within its bounds, and the mean
-errors have forgotten the last step of the set-point."""
+from adaptdrive.control.evidence import MEMORY
 
-LONGEST_WAY = 60
-"""Slow periods after which a way from limit to limit belongs to no cycle."""
+TRAVERSES = MEMORY
+"""Ways of the input from one limit to the other that are a limit cycle, each of one slow period or
+more: all that an estimate remembers is the cycle then, the adaptive controller has taken over where
+the estimate is within its bounds, and the mean errors have forgotten the last step."""
+
+LONGEST_WAY = MEMORY
+"""Slow periods after which a way belongs to no cycle: the one before is forgotten by then."""
 
 AT_LIMIT = 0.1
 """Distance from a limit, as a share of the range of the input, that counts as at the limit."""

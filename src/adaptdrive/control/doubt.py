@@ -14,7 +14,7 @@ import math
 from adaptdrive.control import challenger as chal
 from adaptdrive.control.certainty import deviations_of
 from adaptdrive.control.estimator import EstimatorState
-from adaptdrive.control.evidence import EARLIEST, MEMORY, NOISE_FLOOR
+from adaptdrive.control.evidence import EARLIEST, FEWEST, MEMORY, NOISE_FLOOR
 from adaptdrive.control.hypotheses import load_direction
 from adaptdrive.control.in_force import covariance_in_force, residual_noise, theta_in_force
 from adaptdrive.control.load import Load
@@ -28,9 +28,6 @@ _SHOWN = 0.1
 
 _CLEAR = 3.0
 """Standard deviations of the innovations by which it shows."""
-
-_FRESH = 5
-"""Slow periods for which it is believed that nothing has changed since."""
 
 _SPREAD = 1.0
 """Deviation of α of a load that may be another: two more disks move it by 0.7."""
@@ -54,7 +51,7 @@ def note_age(state: EstimatorState, learning: Learning, load: Load) -> None:
 
 def is_doubtful(state: EstimatorState) -> bool:
     """Return whether the load may be another than the estimate."""
-    return state.unseen_periods > _FRESH or is_contested(state)
+    return state.unseen_periods > FEWEST or is_contested(state)
 
 
 def is_contested(state: EstimatorState) -> bool:

@@ -10,11 +10,12 @@ they are forgotten beside it.
 from __future__ import annotations
 
 from adaptdrive.control import rls
+from adaptdrive.control.evidence import WINDOW
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.vectors import Vector
 
-OFFSET_WALK = 0.05
-"""Random walk of an offset that drifts, in σ for each slow period: its mean is that of 20."""
+OFFSET_WALK = 1.0 / WINDOW
+"""Random walk of an offset that drifts, in σ for each slow period: it is a mean over a window."""
 
 
 def walking_count(learning: Learning) -> int:

@@ -6,14 +6,14 @@ constants of the load, so that counts of samples suit a motor, a bath and a batt
 
 from __future__ import annotations
 
-EARLIEST = 10
-"""Samples before a decision: more than an explanation has parameters."""
+FEWEST = 5
+"""Samples that can show anything: as many as there are parameters, 4 to 6 for a bath or a motor."""
+
+EARLIEST = 2 * FEWEST
+"""Samples before a decision: as many as fix the parameters, and as many to tell by."""
 
 WINDOW = 20
 """Samples after which the most likely explanation stays, and over which errors are a mean."""
-
-LOST_PERIODS = 3 * WINDOW
-"""Three windows of evidence: an explanation that is being learnt needs one."""
 
 MEMORY = 60.0
 """Samples that an estimate remembers: 1/(1 - ρ) is 67 with the forgetting factor by default."""

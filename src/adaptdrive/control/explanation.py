@@ -14,7 +14,7 @@ from adaptdrive.control.estimator import (
     remember_residual,
     take_in,
 )
-from adaptdrive.control.evidence import WINDOW
+from adaptdrive.control.evidence import FEWEST, WINDOW
 from adaptdrive.control.hypotheses import BOTH, LOAD, NOTHING, Branch
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import fill_initial_state
@@ -22,9 +22,6 @@ from adaptdrive.control.rls import normalised
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.surprise import is_surprising
 from adaptdrive.control.vectors import copy_into
-
-SETTLED_SAMPLES = 5
-"""Samples of a comparison before another alarm counts: about as many as there are parameters."""
 
 _LOUDER = 4.0
 """Largest rise of σ² after an alarm that nothing explains, or that follows upon another."""
@@ -62,7 +59,7 @@ def _explain(state: EstimatorState, learning: Learning, load: Load, target: floa
     riv.follow(rivals, learning, load, state.regressor, target, state.elapsed_s)
     best = riv.branch_of(rivals, rivals.kind)
     squared = normalised(best.excitation, best.innovation, learning.forgetting)
-    alarm = is_surprising(state.surprise, squared) and rivals.samples > SETTLED_SAMPLES
+    alarm = is_surprising(state.surprise, squared) and rivals.samples > FEWEST
     alarm = alarm and (rivals.kind == NOTHING or riv.is_clear(rivals))
     settled = not alarm and riv.is_settled(rivals, learning, load)
     _publish(state, learning)

@@ -40,7 +40,8 @@ ANEW = 4
 DISTURBANCE_SHARE = 0.1
 """Deviation of a disturbance, of the input's scale: 30 V of 300 V."""
 
-_TINY = 1e-12  # guards a division: 4,500 rounding errors of 1 count as 0
+_TINY = 1e-12
+"""Divisor that counts as 0: 4,500 rounding errors of 1."""
 
 
 @dataclass(slots=True)

@@ -10,7 +10,7 @@ import math
 from adaptdrive.control import estimator as est
 from adaptdrive.control import supervisor as sup
 from adaptdrive.control.design import asked_loop, discrete_model, loop_gains
-from adaptdrive.control.evidence import LOST_PERIODS
+from adaptdrive.control.evidence import MEMORY
 from adaptdrive.control.integrated import restart
 from adaptdrive.control.load import Load
 from adaptdrive.control.noise_limit import quiet_loop
@@ -40,13 +40,13 @@ def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: Sl
 def _look_for_a_way_back(
     settings: ControllerSettings, load: Load, state: SlowState, verdict: int
 ) -> None:
-    """Let an estimate that learns and cannot be right for long begin anew."""
+    """Let an estimate that cannot be right for as long as it remembers begin anew."""
     estimator = state.estimator
     if not settings.learning.alert or estimator.idle_periods > 0 or not sup.is_impossible(verdict):
         estimator.lost_periods = 0
         return
     estimator.lost_periods += 1
-    if not settings.learning.method.physical or estimator.lost_periods <= LOST_PERIODS:
+    if not settings.learning.method.physical or estimator.lost_periods <= MEMORY:
         return
     estimator.lost_periods = 0
     if estimator.integrated.in_force:
