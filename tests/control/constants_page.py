@@ -42,7 +42,6 @@ _UNITS = {
     "_NEAR_LIMIT": "1",
     "HALF_DELAYS": "1",
     "EXCURSIONS": "1",
-    "_LARGEST": "scale",
     "_WALK": "σ",
     "_RATE": "1",
     "_LEAD": "log odds",
@@ -51,6 +50,7 @@ _UNITS = {
     "_PRIOR_VARIANCE": "σ²",
     "_LOUDER": "1",
     "_CEILING_RISE": "1/tick",
+    "_LIMITED_SHARE": "1",
     "DISTURBANCE_SHARE": "scale of the input",
     "_KNOWN": "p0",
     "OBSERVER_POLE": "pole per period",
@@ -60,13 +60,12 @@ _UNITS = {
     "PRIOR_SAMPLES": "samples",
     "_SUDDEN": "log odds",
     "_TRAINED": "σ²",
-    "_SHOWN": "1",
-    "_CLEAR": "σ",
-    "_SPREAD": "1",
+    "_SHOWN": "σ",
     "_PROOF": "log odds",
     "_LOAD_RARER": "log odds",
     "_DAMPING": "1",
     "NOISE_FLOOR": "scale²",
+    "UNKNOWN": "1",
     "SURE": "1",
     "MARGIN_RADIUS": "pole per period",
     "STABLE_RADIUS": "pole per period",
@@ -82,32 +81,21 @@ _UNITS = {
     "THRESHOLD": "σ²",
     "_FAST_RATE": "1/period",
     "_SLOW_RATE": "1/period",
-    "PROPORTIONAL": "1",
-    "INTEGRAL": "1/tick",
-    "LAG_TICKS": "ticks",
     "GROWTH": "1",
     "SWINGS": "peaks",
     "AT_LIMIT": "1",
     "FAR_BETTER": "1",
     "TIME_CONSTANTS": "closed-loop time constants",
-    "HELD_SHARE": "1",
     "CLOSER": "1",
     "_LOWEST_LINE": "1",
     "_SWING_SHARE": "1",
     "_ERROR_SHARE": "1",
     "_NOISE_SHARE": "1",
     "KICK_SHARE": "1",
-    "FINEST": "scale",
     "COARSEST": "scale",
     "TOLERANCE": "steps",
-    "_FOUND": "differences",
-    "_SURE": "differences",
     "_MISS": "differences",
-    "_LARGEST_MULTIPLE": "steps",
     "_FORGETTING": "1",
-    "PAPER_COVARIANCE": "σ²",
-    "_FOREVER": "periods",
-    "_OPEN": "σ²",
     "_SHORTEST_WAVE_PERIODS": "periods",
     "_COLLECT_TICKS": "ticks",
 }
@@ -140,10 +128,13 @@ _NUMERICAL = {
     "_SMALLEST",
     "_NARROWEST",
     "_MEDIAN",
+    "_LARGEST",
+    "_LARGEST_MULTIPLE",
 }
-"""Limits of rounding and series, and constants of mathematics: nothing to choose."""
+"""Limits of rounding and series, guards against numbers that no sensor gives, and constants of
+mathematics: nothing to choose."""
 
-_PAPER: set[str] = set()
+_PAPER = {"PAPER_COVARIANCE"}
 """Numbers of the paper."""
 
 _NAMES = {"NOTHING", "DISTURBANCE", "LOAD", "BOTH", "ANEW"}

@@ -7,6 +7,7 @@ is not finite or not stable, or whose loop would not be, leaves the gains in for
 from __future__ import annotations
 
 import math
+import sys
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BatterySection
@@ -15,9 +16,6 @@ from adaptdrive.control.settings import Jacket, Learning
 
 PAPER_COVARIANCE = 1.0e4
 """P[0] of the paper."""
-
-_FOREVER = 10**9
-"""Slow periods: 30 years of 1 s."""
 
 
 def paper_learning(configuration: Configuration) -> Learning:
@@ -45,5 +43,5 @@ def paper_jacket(configuration: Configuration) -> Jacket:
         warm_up_periods=math.ceil(warm_up_s / period_s),
         ratio_min=-math.inf,
         ratio_max=math.inf,
-        patience_periods=_FOREVER,
+        patience_periods=sys.maxsize,
     )

@@ -10,6 +10,7 @@ from adaptdrive.app.paper_design import PAPER_COVARIANCE, paper_jacket, paper_le
 from adaptdrive.config import Configuration
 from adaptdrive.config.estimator import Supervisor
 from adaptdrive.config.load import BathSection, BatterySection, MotorSection
+from adaptdrive.control.evidence import NOISE_FLOOR, UNKNOWN
 from adaptdrive.control.impulse_hold import KICK_SHARE, kick_factors
 from adaptdrive.control.load import to_input
 from adaptdrive.control.methods import METHODS
@@ -45,8 +46,8 @@ _NOISE_SHARE = 0.04
 _FORGETTING = 0.985
 """Default of `estimator.forgetting`."""
 
-_OPEN = 1.0e8
-"""P[0] of the exact design: deviation 1 of each scaled parameter, at the smallest σ of 1e-4."""
+_OPEN = UNKNOWN * UNKNOWN / NOISE_FLOOR
+"""P[0] of the exact design, over σ²: nothing is known of any parameter, at the smallest σ."""
 
 _SHORTEST_WAVE_PERIODS = 4
 """Shortest period of a waveform, in slow periods: two samples for each half."""

@@ -14,7 +14,7 @@ import math
 from adaptdrive.control import challenger as chal
 from adaptdrive.control.certainty import deviations_of
 from adaptdrive.control.estimator import EstimatorState
-from adaptdrive.control.evidence import EARLIEST, FEWEST, MEMORY, NOISE_FLOOR
+from adaptdrive.control.evidence import EARLIEST, FEWEST, MEMORY, NOISE_FLOOR, UNKNOWN
 from adaptdrive.control.hypotheses import load_direction
 from adaptdrive.control.in_force import covariance_in_force, residual_noise, theta_in_force
 from adaptdrive.control.load import Load
@@ -23,14 +23,8 @@ from adaptdrive.control.rls import predict, widen
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.vectors import Vector
 
-_SHOWN = 0.1
-"""Change of α that a sample must show: a quarter of what a second disk does."""
-
-_CLEAR = 3.0
-"""Standard deviations of the innovations by which it shows."""
-
-_SPREAD = 1.0
-"""Deviation of α of a load that may be another: two more disks move it by 0.7."""
+_SHOWN = 30.0
+"""What α by 1 more must move a sample by, in σ: a tenth, a quarter of a second disk, by 3 σ."""
 
 
 def note_age(state: EstimatorState, learning: Learning, load: Load) -> None:
@@ -45,7 +39,7 @@ def note_age(state: EstimatorState, learning: Learning, load: Load) -> None:
     noise = math.sqrt(state.surprise.power)
     for i in range(fitted_order(learning, load)):
         direction = load_direction(state.theta, i, learning, load)
-        if abs(predict(direction, state.regressor)) * _SHOWN > _CLEAR * noise:
+        if abs(predict(direction, state.regressor)) > _SHOWN * noise:
             state.unseen_periods = 0
 
 
@@ -80,7 +74,7 @@ def doubted_deviations(
     upper, diagonal = list(known_upper), list(known_diagonal)
     noise = math.sqrt(noise * noise + NOISE_FLOOR + MEMORY * state.rounding * state.rounding)
     if learning.alert and noise > 0.0 and is_doubtful(state):
-        spread = _SPREAD / noise
+        spread = UNKNOWN / noise
         for i in range(fitted_order(learning, load)):
             direction = load_direction(theta, i, learning, load)
             widen(upper, diagonal, direction, spread * spread)

@@ -29,3 +29,6 @@ PRIOR_SHARE = 0.5
 
 NOISE_FLOOR = 1.0e-8
 """Least variance: a ten-thousandth of the scale, squared, for rounding and model error."""
+
+UNKNOWN = 1.0
+"""Deviation of a scaled parameter that may be any: two more disks move α of a motor by 0.7."""

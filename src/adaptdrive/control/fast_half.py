@@ -22,6 +22,9 @@ from adaptdrive.control.vectors import Vector
 _CEILING_RISE = 1.002
 """Rise of the ceiling of V_c for each tick: slow, so that the power limit does not oscillate."""
 
+_LIMITED_SHARE = 0.25
+"""Share of a slow period with k or V_c at a limit above which V_c counts as not followed."""
+
 
 @dataclass(slots=True)
 class FilterBank:
@@ -311,7 +314,7 @@ def count_tick(state: FastState, boost_voltage_V: float, fresh: bool) -> None:
 def close_period(state: FastState, settings: ControllerSettings) -> tuple[float, bool, int]:
     """Books of the elapsed slow period: mean voltage, whether it followed V_c, held ticks."""
     applied_V = state.voltage_sum / state.ticks if state.ticks else math.nan
-    followed = 4 * state.limited_ticks <= settings.rates.ticks_per_period
+    followed = state.limited_ticks <= _LIMITED_SHARE * settings.rates.ticks_per_period
     held = state.held_ticks
     state.voltage_sum = 0.0
     state.ticks = state.limited_ticks = state.held_ticks = 0

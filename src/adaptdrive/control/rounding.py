@@ -22,12 +22,13 @@ is at most a sixth of q/√12 too large.
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 
-from adaptdrive.control.evidence import MEMORY
+from adaptdrive.control.evidence import MEMORY, NOISE_FLOOR
 
-FINEST = 1.0e-4
-"""Smallest step that is looked for: its rounding error is below the least noise of a sample."""
+FINEST = math.sqrt(NOISE_FLOOR)
+"""Smallest step that is looked for: the rounding error of smaller ones is far below least noise."""
 
 COARSEST = 0.05
 """Largest step that is believed: such a sensor shows twenty values up to the scale."""
@@ -35,17 +36,19 @@ COARSEST = 0.05
 TOLERANCE = 0.02
 """Distance from a multiple, in steps: more than single precision leaves of the finest step."""
 
-_FOUND = 12
-"""Differences that must agree: less than a chance of 1e-16 without steps."""
-
-_SURE = 20
-"""Differences that are counted: six that do not agree end a step."""
+_FOUND = math.ceil(math.log(sys.float_info.epsilon) / math.log(2.0 * TOLERANCE))
+"""Differences that must agree: without steps each does by a chance of twice the tolerance, and all
+of them by less than the rounding of a double."""
 
 _MISS = 4
 """Weight of a difference that does not agree: by chance one of 25 does."""
 
+_SURE = _FOUND + 2 * _MISS
+"""Differences that are counted: a sample beside the steps makes two that do not agree, after which
+the step is still found."""
+
 _LARGEST_MULTIPLE = 1.0e6
-"""Steps in a difference: more is no movement of a load."""
+"""Steps in a difference: more no sensor shows, and an infinite number of them has no multiple."""
 
 
 @dataclass(slots=True)

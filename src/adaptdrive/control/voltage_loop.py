@@ -17,14 +17,19 @@ stands still while k is limited and the error would drive it further into the li
 
 from __future__ import annotations
 
-PROPORTIONAL = 1.0 / 3.0
-"""Kp of a triple pole at 2/3."""
+from fractions import Fraction
 
-INTEGRAL = 1.0 / 27.0
-"""Ki of a triple pole at 2/3: (1 - 2/3)³."""
+_POLE = Fraction(2, 3)
+"""Pole of the closed loop, a triple one: whatever Kp and Ki are, the three add up to 2."""
 
-LAG_TICKS = 9.0
-"""Mean delay of the closed loop: three poles at 2/3 of 3 ticks each."""
+PROPORTIONAL = float(3 * _POLE**2 - 1)
+"""Kp: 1/3, for the loop has 1 + Kp before z, and 3 p² with three poles at p."""
+
+INTEGRAL = float((1 - _POLE) ** 3)
+"""Ki: 1/27, for the loop is Ki at z = 1."""
+
+LAG_TICKS = float(3 / (1 - _POLE))
+"""Mean delay of the closed loop in ticks: 9, 3 for each pole."""
 
 
 def initial_sum(boost_voltage_V: float) -> float:

@@ -30,9 +30,6 @@ SWINGS = 6
 TIME_CONSTANTS = 10.0
 """Closed-loop time constants with a large error: four equal poles have let a step decay to 1 %."""
 
-HELD_SHARE = 0.5
-"""Share of held measurements from which a sample is more guessed than measured."""
-
 CLOSER = 0.9
 """A tenth of the way within `saturated_s`: a lag of nine times that time does it."""
 
@@ -116,7 +113,7 @@ def watch_loop(
     _watch_saturation(state, jacket, rest_distance, saturated)
     _watch_error(state, jacket, strayed, saturated)
     _watch_swings(state, jacket, error)
-    if held_share > HELD_SHARE:
+    if held_share > 1.0 - held_share:  # more is guessed than measured
         return Fallback.BLIND
     if 0 < jacket.saturated_periods < state.stuck_periods:
         return Fallback.SATURATED
