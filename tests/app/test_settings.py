@@ -115,6 +115,12 @@ def test_rho_left_out_is_that_of_the_design_and_of_the_load() -> None:
     assert forgetting("bath.toml", design="paper") == 0.99
 
 
+def test_one_smallest_damping_holds_for_estimates_and_for_explanations() -> None:
+    for text, expected in (("0.9", 0.9), ("0.5", 0.5), ("0", 0.0)):
+        settings = controller_settings(parse(supervisor__damping_min=text))
+        assert settings.jacket.damping_min == settings.learning.damping_min == expected
+
+
 def test_the_inflow_of_a_bath_may_drift_and_a_torque_steps() -> None:
     for name, drifts in (("bath", True), ("motor", False), ("battery", False)):
         path = EXAMPLES / f"{name}.toml"

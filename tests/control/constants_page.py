@@ -63,7 +63,6 @@ _UNITS = {
     "_SHOWN": "σ",
     "_PROOF": "log odds",
     "_LOAD_RARER": "log odds",
-    "_DAMPING": "1",
     "NOISE_FLOOR": "scale²",
     "UNKNOWN": "1",
     "SURE": "1",
@@ -89,15 +88,11 @@ _UNITS = {
     "CLOSER": "1",
     "_LOWEST_LINE": "1",
     "_SWING_SHARE": "1",
-    "_ERROR_SHARE": "1",
-    "_NOISE_SHARE": "1",
     "KICK_SHARE": "1",
     "COARSEST": "scale",
     "TOLERANCE": "steps",
     "_MISS": "differences",
-    "_FORGETTING": "1",
     "_SHORTEST_WAVE_PERIODS": "periods",
-    "_COLLECT_TICKS": "ticks",
 }
 
 _FOLLOWING = """

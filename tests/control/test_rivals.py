@@ -266,11 +266,16 @@ def test_a_load_that_cannot_be_waits_and_loses(
 
 
 @given(st.floats(0.3, 2.0), st.floats(1.0, 100.0))
-def test_a_load_is_possible_where_it_is_damped_by_nine_tenths(damping: float, tau_s: float) -> None:
+def test_a_load_is_possible_where_it_is_damped_as_is_asked_for(
+    damping: float, tau_s: float
+) -> None:
     model = [0.0, 0.0, 0.011 / tau_s**2], [1.0, 2.0 * damping / tau_s, 1.0 / tau_s**2]
     values = [*theta_of(LEARNING, MOTOR, *model), 0.0, 0.0, 0.0]
-    if abs(damping - 0.9) > 1e-3:
-        assert riv.is_possible(values, LEARNING, MOTOR) is (damping > 0.9)
+    assert riv.is_possible(values, replace(LEARNING, damping_min=0.0), MOTOR)
+    for least in (0.9, 1.2):
+        if abs(damping - least) > 1e-3:
+            learning = replace(LEARNING, damping_min=least)
+            assert riv.is_possible(values, learning, MOTOR) is (damping > least)
 
 
 @pytest.mark.parametrize("denominator", [[1.0, -0.2, 0.01], [1.0, 0.9, -0.01], [1.0, 0.9, 0.0]])

@@ -8,8 +8,8 @@ from adaptdrive.app.interlocks import trip_limits, watches
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.paper_design import PAPER_COVARIANCE, paper_jacket, paper_learning
 from adaptdrive.config import Configuration
-from adaptdrive.config.estimator import Supervisor
-from adaptdrive.config.load import BathSection, BatterySection, MotorSection
+from adaptdrive.config.estimator import ERROR_SHARE, FORGETTING, Supervisor
+from adaptdrive.config.load import NOISE_SHARE, BathSection, BatterySection, MotorSection
 from adaptdrive.control.evidence import NOISE_FLOOR, UNKNOWN
 from adaptdrive.control.impulse_hold import KICK_SHARE, kick_factors
 from adaptdrive.control.load import to_input
@@ -25,6 +25,7 @@ from adaptdrive.control.settings import (
     Rates,
 )
 from adaptdrive.control.voltage_loop import LAG_TICKS
+from adaptdrive.runtime.collector import COLLECT_TICKS
 from adaptdrive.runtime.daemon_settings import DaemonSettings
 from adaptdrive.runtime.guard import CommandLimits
 from adaptdrive.runtime.loop_interface import FastLoopSettings
@@ -37,23 +38,11 @@ _LOWEST_LINE = 0.5
 _SWING_SHARE = 0.01
 """Smallest peak that counts as a swing, as a share of the range of set-points."""
 
-_ERROR_SHARE = 0.1
-"""Default of `supervisor.error_limit`, as a share of the range of set-points."""
-
-_NOISE_SHARE = 0.04
-"""Default of `load.noise_V`, as a share of the range of V_c."""
-
-_FORGETTING = 0.985
-"""Default of `estimator.forgetting`."""
-
 _OPEN = UNKNOWN * UNKNOWN / NOISE_FLOOR
 """P[0] of the exact design, over σ²: nothing is known of any parameter, at the smallest σ."""
 
 _SHORTEST_WAVE_PERIODS = 4
 """Shortest period of a waveform, in slow periods: two samples for each half."""
-
-_COLLECT_TICKS = 12
-"""Ticks between collections of garbage."""
 
 
 def controller_settings(configuration: Configuration) -> ControllerSettings:
@@ -87,7 +76,7 @@ def daemon_settings(configuration: Configuration) -> DaemonSettings:
         late_us=configuration.realtime.late_us,
         spin_s=configuration.realtime.spin_us * 1e-6,
         rehearse_s=configuration.realtime.rehearse_us * 1e-6,
-        collect_ticks=_COLLECT_TICKS if configuration.realtime.freeze_gc else 0,
+        collect_ticks=COLLECT_TICKS if configuration.realtime.freeze_gc else 0,
         refused_share=configuration.interlocks.refused_share,
     )
 
@@ -156,7 +145,7 @@ def _learning(configuration: Configuration) -> Learning:
     directional = estimator.alert and method.physical
     return Learning(
         method=method,
-        forgetting=estimator.forgetting or _FORGETTING,
+        forgetting=estimator.forgetting or FORGETTING,
         tau_lambda_s=estimator.tau_lambda_s,
         dead_band=estimator.dead_band,
         initial_covariance=_initial_covariance(configuration),
@@ -173,6 +162,7 @@ def _learning(configuration: Configuration) -> Learning:
         resolution=configuration.load.resolution,
         charge=battery and method.physical,
         drifts=isinstance(configuration.load, BathSection) and directional,
+        damping_min=configuration.supervisor.damping_min,
     )
 
 
@@ -238,7 +228,7 @@ def _noise_max(configuration: Configuration) -> float:
     low_V, high_V = limits.boost_reference_min_V, limits.boost_reference_max_V
     noise_V = configuration.load.noise_V
     if noise_V is None:
-        noise_V = _NOISE_SHARE * (high_V - low_V)
+        noise_V = NOISE_SHARE * (high_V - low_V)
     middle_V, gain, exponent = 0.5 * (low_V + high_V), load.input_gain, load.input_exponent
     upper, lower = middle_V + 0.5 * noise_V, middle_V - 0.5 * noise_V
     return to_input(upper, gain, exponent) - to_input(lower, gain, exponent)
@@ -246,7 +236,7 @@ def _noise_max(configuration: Configuration) -> float:
 
 def _error_limit(supervisor: Supervisor, reference_range: float) -> float:
     if supervisor.error_limit is None:
-        return _ERROR_SHARE * reference_range
+        return ERROR_SHARE * reference_range
     return supervisor.error_limit
 
 

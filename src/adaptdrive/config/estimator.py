@@ -8,6 +8,12 @@ from pydantic import Field
 
 from adaptdrive.config.section import Duration, Fraction, NonNegativeFloat, PositiveFloat, Section
 
+FORGETTING = 0.985
+"""`estimator.forgetting` of the `exact` design where it is left out."""
+
+ERROR_SHARE = 0.1
+"""`supervisor.error_limit` where it is left out, as a share of the range of set-points."""
+
 
 class Estimator(Section):
     """`[estimator]`: the recursive least squares that learn the load."""
@@ -20,8 +26,8 @@ class Estimator(Section):
         gt=0.5,
         le=1.0,
         description="forgetting factor ρ: the memory is 1/(1 - ρ) slow periods; lower for a load "
-        "that changes fast, nearer 1 against noise; 0.985 when left out, in the `paper` design "
-        "0.97, for a bath 0.99",
+        f"that changes fast, nearer 1 against noise; {FORGETTING} when left out, in the `paper` "
+        "design 0.97, for a bath 0.99",
     )
     tau_lambda_s: PositiveFloat = Field(
         default=10.0,
@@ -94,7 +100,8 @@ class Supervisor(Section):
     )
     damping_min: NonNegativeFloat = Field(
         default=0.9,
-        description="smallest damping of an estimated load; real time constants have 1; 0: any",
+        description="smallest damping of an estimated load, and of one that explains an alarm; "
+        "real time constants have 1; 0: any",
     )
     deviation_max: NonNegativeFloat = Field(
         default=0.10, description="largest relative standard deviation of an estimate; 0: any"
@@ -136,8 +143,8 @@ class Supervisor(Section):
     error_limit: NonNegativeFloat | None = Field(
         default=None,
         description="distance from the response that was asked for, in the unit of the output, "
-        "that must not last for ten closed-loop time constants with a free input; a tenth of the "
-        "set-point range when left out; 0: any",
+        "that must not last for ten closed-loop time constants with a free input; "
+        f"{100.0 * ERROR_SHARE:g} % of the set-point range when left out; 0: any",
     )
     response_s: Duration = Field(
         default=120.0,

@@ -20,6 +20,9 @@ LOAD_TYPES: tuple[str, ...] = get_args(LoadName)
 
 Period = Annotated[PositiveFloat, Field(le=3600.0)]
 
+NOISE_SHARE = 0.04
+"""`load.noise_V` where it is left out, as a share of the range of V_c."""
+
 
 @dataclass(frozen=True, slots=True)
 class LoadTraits:
@@ -80,8 +83,9 @@ class LoadSection(Section):
     noise_V: NonNegativeFloat | None = Field(
         default=None,
         description="largest standard deviation of V_c in volts that noise of the output may cause "
-        "through the adaptive gains, whose poles become slower where they would cause more; 4 % "
-        "of the range of V_c when left out; 0: any (`exact` and `lm-rls` only)",
+        "through the adaptive gains, whose poles become slower where they would cause more; "
+        f"{100.0 * NOISE_SHARE:g} % of the range of V_c when left out; 0: any (`exact` and "
+        "`lm-rls` only)",
     )
     latency_ticks: int = Field(
         default=2, ge=1, description="fast ticks from the slow sample to its effect"

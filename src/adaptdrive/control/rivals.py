@@ -54,9 +54,6 @@ _LOAD_RARER = 12.0
 _FURTHER = 6.0
 """Handicap of each further change: a disturbance beside the load, a load that was found lately."""
 
-_DAMPING = 0.9
-"""Least damping of a load, as `supervisor.damping_min` by default."""
-
 
 @dataclass(slots=True)
 class Rivals:
@@ -320,4 +317,5 @@ def is_possible(theta: Vector, learning: Learning, load: Load) -> bool:
             return False
     if len(denominator) != 3:
         return True
-    return denominator[1] * denominator[1] >= 4.0 * _DAMPING * _DAMPING * denominator[2]
+    least = 4.0 * learning.damping_min * learning.damping_min * denominator[2]
+    return denominator[1] * denominator[1] >= least

@@ -89,6 +89,7 @@ class Learning:
         charge: Whether a disturbance in proportion to the integral of the output is estimated too:
             the EMF of a battery rises with its charge.
         drifts: Whether the bias moves by itself: the inflow of a bath changes its temperature.
+        damping_min: Smallest damping of a load of second order that an alarm may be explained by.
     """
 
     method: Method
@@ -109,6 +110,7 @@ class Learning:
     resolution: float = 0.0
     charge: bool = False
     drifts: bool = False
+    damping_min: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import gc
 
+COLLECT_TICKS = 12
+"""Ticks between two collections: about ten in a second."""
+
 _MIDDLE_EVERY = 10
 """Collections of the youngest objects to one of the middle ones: the ratio of Python's own."""
 
