@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tests.control.constants_effects import COLUMNS, read_effects
-from tests.control.constants_page import constants, following, given, page, units
+from tests.control.constants_page import constants, following, given, page, units, value_of
 
 PAGE = Path(__file__).parents[2] / "docs" / "constants.md"
 
@@ -17,6 +17,26 @@ def test_every_constant_has_a_unit_and_no_unit_is_left_over() -> None:
 def test_every_constant_has_a_reason() -> None:
     numbers = [*constants(), *following(), *given()]
     assert [f"{one.module}: {one.name}" for one in numbers if not one.reason] == []
+
+
+def test_what_follows_has_the_values_that_the_pages_name() -> None:
+    found = {one.name: value_of(one) for one in following()}
+    expected = {
+        "EARLIEST": 10,
+        "ROOM": 11,
+        "TRAVERSES": 60,
+        "LONGEST_WAY": 60,
+        "OFFSET_WALK": 0.05,
+        "_RESIDUAL_RATE": 0.05,
+        "_OPEN": 1e8,
+        "FINEST": 1e-4,
+        "_FOUND": 12,
+        "_SURE": 20,
+        "PROPORTIONAL": 1.0 / 3.0,
+        "INTEGRAL": 1.0 / 27.0,
+        "LAG_TICKS": 9.0,
+    }
+    assert {name: found[name] for name in expected} == expected
 
 
 def test_every_effect_was_measured_with_a_present_constant() -> None:

@@ -89,6 +89,14 @@ def test_single_samples_beside_the_steps_do_not_hide_them() -> None:
     assert found(samples) == pytest.approx(0.01, rel=0.01)
 
 
+def test_a_step_outlives_one_sample_beside_the_steps_and_not_the_next() -> None:
+    grid = rd.remembered_grid(0.01)
+    rd.note_sample(grid, 1.0, SCALE)
+    for sample, step in ((1.0143, 0.01), (1.02, 0.01), (1.0343, 0.0)):
+        rd.note_sample(grid, sample, SCALE)
+        assert rd.step_found(grid, SCALE) == step
+
+
 def test_spikes_do_not_make_a_step() -> None:
     samples = slow_course() + noise(0.002, len(slow_course()))
     samples[::50] += noise(0.05, len(samples[::50]))
