@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -105,7 +106,7 @@ def test_without_learning_it_the_initial_state_is_known(load: Load, first: int) 
     ],
 )
 def test_an_offset_that_rests_is_expected_within_a_tenth_of_the_input(
-    options: dict[str, bool], share: float
+    options: dict[str, Any], share: float
 ) -> None:
     """P[0] is a deviation of 1 at the least σ: an EMF or the drift of an inflow may be as large."""
     learning = replace(SCALED_LEARNING, alert=True, bias=True, **options)
