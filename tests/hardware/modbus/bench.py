@@ -128,6 +128,7 @@ class TcpPeer(Peer):
         super().__init__(first)
         self.port = port
         self.connections = 0
+        self.resets = 0
         self._writers: set[asyncio.StreamWriter] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._server: asyncio.Server | None = None
@@ -160,6 +161,8 @@ class TcpPeer(Peer):
                 task = asyncio.create_task(self.send(adu, writer.write))
                 self._tasks.add(task)
                 task.add_done_callback(self._tasks.discard)
+        except ConnectionResetError:
+            self.resets += 1
         except (asyncio.IncompleteReadError, ConnectionError):
             pass
         finally:

@@ -251,6 +251,7 @@ async def test_a_half_open_connection_is_given_up_and_made_anew(
         assert isinstance(one.peer, TcpPeer)
         one.peer.spoil = silence
         await until(lambda: one.peer.connections >= 2)  # type: ignore[attr-defined]
+        await until(lambda: one.peer.resets >= 1)  # type: ignore[attr-defined]
         assert "no reply" in one.ear.bus[0][1]
         HEALTHY(one.peer)
         await one.hears(3)

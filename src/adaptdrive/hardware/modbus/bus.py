@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import socket
+import struct
 import termios
 from collections.abc import Callable
 
@@ -18,6 +21,9 @@ Decode = Callable[[bytes, int, int], tuple[int, ModbusPDU | None]]
 
 _CONNECT_S = 1.0
 """Longest time to connect: a gateway may be slower to accept than a drive is to answer."""
+
+_LINGER = struct.Struct("ii")
+"""Linux's `struct linger`: whether it applies, and for how many seconds."""
 
 
 def describe_bus(config: ModbusLink) -> str:
@@ -48,6 +54,24 @@ async def open_client(config: TcpLink | RtuLink, trace: Trace) -> Client:
         raise BusError(describe_bus(config), _why_not(config))
     client.ctx.comm_params.timeout_connect = config.timeout_s  # of replies too, from now on
     return client
+
+
+def drop_unsent(client: Client, *, drop: bool) -> None:
+    """Choose what becomes of requests that the device has not received when a link is closed.
+
+    The kernel sends them for minutes after the end of the connection, and even of the process: a
+    command would reach the drive after the safe command that took its place on another connection.
+
+    Args:
+        client: A connected client; a serial line keeps nothing.
+        drop: Whether they are dropped, and the connection is reset.
+    """
+    transport = client.ctx.transport
+    link = None if transport is None else transport.get_extra_info("socket")
+    if link is None:
+        return
+    with contextlib.suppress(OSError):  # a connection that has just ended keeps nothing either
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.pack(drop, 0))
 
 
 def unconnected_client(config: TcpLink | RtuLink, trace: Trace) -> Client:

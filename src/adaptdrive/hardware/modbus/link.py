@@ -19,7 +19,7 @@ from pymodbus.pdu import ModbusPDU
 
 from adaptdrive.config.modbus import RtuLink, TcpLink
 from adaptdrive.errors import AdaptdriveError
-from adaptdrive.hardware.modbus.bus import Client, open_client
+from adaptdrive.hardware.modbus.bus import Client, drop_unsent, open_client
 from adaptdrive.hardware.modbus.capacity import RTU_FRAME, Exchange, silence_s
 
 _HEADER = struct.Struct(">HHHB")
@@ -94,6 +94,7 @@ class ModbusConnection:
         self._strange = b""
         self._suspect_s: float | None = clock() if self._serial else None
         self._missed = 0
+        self._commands = False
         self.lost: str | None = None
 
     async def open(self) -> None:
@@ -105,8 +106,10 @@ class ModbusConnection:
         self._client = await open_client(self._config, self._trace)
 
     def close(self) -> None:
-        """Disconnect."""
+        """Disconnect; a command that a lost device has not received never reaches it."""
         if self._client is not None:
+            if self.lost is None:
+                drop_unsent(self._client, drop=False)
             self._client.close()
             self._client = None
 
@@ -137,6 +140,9 @@ class ModbusConnection:
             if void():
                 raise ExchangeError("the safe command goes first")
         client = self._require()
+        if exchange.write is not None and not self._commands:
+            self._commands = True
+            drop_unsent(client, drop=True)
         hasty = self._unsettled_s() > 0.0
         self._heard, self._waiting = b"", True
         try:
