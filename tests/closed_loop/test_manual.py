@@ -15,6 +15,7 @@ from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World, WorldParameters
+from tests.closed_loop.bench import TICK_s
 from tests.closed_loop.life import started, wait
 
 SLEW_V_PER_S = 100.0
@@ -66,6 +67,19 @@ def test_manual_holds_the_present_voltage(started_drive: object) -> None:
     assert set(voltages) == {present_V}
     assert drive.decision is not None
     assert drive.decision.controller is Mode.MANUAL
+
+
+def test_a_voltage_never_charges_a_battery_above_its_limit() -> None:
+    load = Battery(BatteryParameters(charge=0.85))
+    drive = settled("battery", load, 2.0)
+    drive.carry_out(SetMode(Mode.MANUAL))
+    drive.carry_out(SetVoltage(380.0))
+    terminals_V = []
+    for _ in range(round(120.0 / TICK_s)):
+        drive.tick()
+        terminals_V.append(load.terminal_voltage_V)
+    assert max(terminals_V) < 82.0 * 1.001
+    assert terminals_V[-1] == pytest.approx(82.0, rel=1e-3)
 
 
 def test_a_voltage_is_approached_at_the_slew_and_held() -> None:

@@ -2,7 +2,14 @@
 
 import pytest
 
-from adaptdrive.control.charging import ChargeState, Charging, is_complete, taper, terminal_voltage
+from adaptdrive.control.charging import (
+    ChargeState,
+    Charging,
+    highest_boost_voltage,
+    is_complete,
+    taper,
+    terminal_voltage,
+)
 
 LIMITS = Charging(
     turns_ratio=0.25, droop_Ohm=1.0, internal_Ohm=0.2, voltage_max_V=58.0, end_current_A=1.0
@@ -47,6 +54,11 @@ def test_a_small_set_point_just_below_the_limit_is_not_the_end() -> None:
 
 def test_the_terminal_voltage_is_what_the_droop_leaves() -> None:
     assert terminal_voltage(LIMITS, 280.0, 10.0) == 60.0
+
+
+@pytest.mark.parametrize(("current_A", "boost_V"), [(10.0, 272.0), (0.0, 232.0), (-5.0, 232.0)])
+def test_a_voltage_puts_the_terminals_at_their_limit(current_A: float, boost_V: float) -> None:
+    assert highest_boost_voltage(LIMITS, current_A) == boost_V
 
 
 def test_the_current_falls_by_a_twentieth_of_what_the_resistance_asks_for() -> None:

@@ -60,6 +60,12 @@ def terminal_voltage(charging: Charging, boost_voltage_V: float, current_A: floa
     return charging.turns_ratio * boost_voltage_V - charging.droop_Ohm * current_A
 
 
+def highest_boost_voltage(charging: Charging, current_A: float) -> float:
+    """Return the v_bst at which the terminals are at V_max, with a current into the battery."""
+    drop_V = charging.droop_Ohm * max(0.0, current_A)
+    return (charging.voltage_max_V + drop_V) / charging.turns_ratio
+
+
 def taper(
     charging: Charging, state: ChargeState, setpoint_A: float, terminal_V: float, current_A: float
 ) -> float:

@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Final
 
 from adaptdrive.control import fast_half as fast
-from adaptdrive.control.charging import is_complete
+from adaptdrive.control.charging import highest_boost_voltage, is_complete
 from adaptdrive.control.estimator import start_from
 from adaptdrive.control.load import Load, to_input, to_voltage
 from adaptdrive.control.reach import estimated_reach, nominal_reach
@@ -94,7 +94,7 @@ class Controller:
             return SAFE_COMMAND
         if order.stage is _RUN:
             if order.mode is _MANUAL:
-                fast.set_by_hand(self._fast, self._settings.stage, order.manual_V)
+                self._set_by_hand(measurement, order)
             self._run_filters(measurement, order)
         bridge = order.stage is _RUN or self._settings.stage.boost_needs_bridge
         return self._drive(measurement, bridge)
@@ -256,6 +256,13 @@ class Controller:
             resolution=resolution,
             rounding=rounding,
         )
+
+    def _set_by_hand(self, measurement: Measurement, order: Order) -> None:
+        """Set V_c to the operator's value; a battery's terminals stay at their limit."""
+        charging, highest_V = self._load.charging, math.inf
+        if charging is not None:
+            highest_V = highest_boost_voltage(charging, measurement.output)
+        fast.set_by_hand(self._fast, self._settings.stage, order.manual_V, highest_V)
 
     def _drive(self, measurement: Measurement, bridge: bool) -> Command:
         scale, reference = fast.drive(self._fast, self._settings.stage, measurement)

@@ -243,16 +243,19 @@ def kick(state: FastState, stage: PowerStage, reference_V: float) -> float:
     return min(limited_V, stage.boost_reference_max_V, state.ceiling_V)
 
 
-def set_by_hand(state: FastState, stage: PowerStage, voltage_V: float) -> None:
+def set_by_hand(
+    state: FastState, stage: PowerStage, voltage_V: float, highest_V: float = math.inf
+) -> None:
     """Set V_c to the operator's value within the limits of the drive; one that is NaN changes none.
 
     Args:
         state: Overwritten.
         stage: Limits.
         voltage_V: The operator's value.
+        highest_V: V_c that the load bears at present.
     """
     if math.isfinite(voltage_V):
-        limited_V = max(voltage_V, stage.boost_reference_min_V)
+        limited_V = max(min(voltage_V, highest_V), stage.boost_reference_min_V)
         state.boost_reference_V = min(limited_V, stage.boost_reference_max_V)
     state.by_hand = True
 
