@@ -227,14 +227,15 @@ TRIPS = (
     Trip(
         r"^the drive refuses commands: ",
         "the drive refuses commands: exception code 3 (illegal value) at register 0; …",
-        "Modbus: two commands in a row were refused; the drive may still follow the last accepted "
-        "command",
+        "Modbus: two commands in a row were refused, or three were not taken; the drive may still "
+        "follow the last accepted command",
         "check the register map, its limits, remote mode and write access",
     ),
     Trip(
         r"^the drive does not answer commands: ",
         "the drive does not answer commands: …",
-        "Modbus: the drive answered reads, but three commands remained without a reply",
+        "Modbus: the drive answered reads, but took none of three commands in a row, the last one "
+        "without a reply",
         "check write access; look at `timeouts` in `bus`",
     ),
     Trip(

@@ -235,6 +235,25 @@ async def test_a_reply_that_repeats_another_write_confirms_no_stop(
         await until(lambda: one.port.safe_s < math.inf)
 
 
+@pytest.mark.parametrize("kind", ["tcp", "rtu"])
+async def test_commands_that_are_not_taken_for_reasons_in_turn_are_a_complaint(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    numbers = itertools.count()
+
+    def in_turn(pdu: bytes) -> bytes:
+        if pdu[0] != 16:
+            return pdu
+        return busy(pdu) if next(numbers) % 2 == 0 else nothing_written(pdu)
+
+    async with watched(kind, tmp_path, free_tcp_port) as one:
+        one.peer.answer = in_turn
+        await until(lambda: one.port.complaint is not None)
+        assert next(numbers) <= 4
+        HEALTHY(one.peer)
+        await until(lambda: one.port.complaint is None)
+
+
 async def test_an_exception_is_named(tmp_path: Path, free_tcp_port: int) -> None:
     async with watched("tcp", tmp_path, free_tcp_port) as one:
         one.peer.answer = exception

@@ -17,8 +17,8 @@ _LATE_POLLS = 2.0
 _REFUSED_WRITES = 2
 """Commands refused in a row after which the drive counts as refusing: one may find it busy."""
 
-_UNANSWERED_WRITES = 3
-"""Commands without a reply in a row, from a drive that answers what it is asked."""
+_UNTAKEN_WRITES = 3
+"""Commands in a row that a drive has not taken, whatever the reasons, which answers the reads."""
 
 
 class Commander:
@@ -49,7 +49,7 @@ class Commander:
         self._command: Command | None = None
         self._written: Command | None = None
         self._safe = True
-        self._refused = self._unanswered = 0
+        self._refused = self._untaken = 0
         self._refusal = ""
         self._doubtful = False
         self._alive = 0
@@ -61,11 +61,10 @@ class Commander:
     @property
     def complaint(self) -> str | None:
         """Reason not to energise the drive: it does not accept its commands."""
-        if self._refused >= _REFUSED_WRITES:
-            return f"the drive refuses commands: {self._refusal}"
-        if self._unanswered >= _UNANSWERED_WRITES:
-            return f"the drive does not answer commands: {self._refusal}"
-        return None
+        if self._refused < _REFUSED_WRITES and self._untaken < _UNTAKEN_WRITES:
+            return None
+        does = "refuses" if self._refused else "does not answer"
+        return f"the drive {does} commands: {self._refusal}"
 
     @property
     def urgent(self) -> bool:
@@ -95,11 +94,11 @@ class Commander:
 
     def begin(self) -> None:
         """Forget what was acknowledged on the link before."""
-        self.safe_s, self._refused, self._unanswered = math.inf, 0, 0
+        self.safe_s, self._refused, self._untaken = math.inf, 0, 0
 
     def excuse_silence(self) -> None:
         """Note that the drive answers nothing at all: it does not ignore commands alone."""
-        self._unanswered = 0
+        self._untaken = 0
 
     async def read(self, link: ModbusConnection, exchange: Exchange, *, first: bool) -> list[int]:
         """Read a block; write the command with the first one where the drive can do both at once.
@@ -207,7 +206,7 @@ class Commander:
         if code is not None:
             reason = f"exception code {code} ({EXCEPTIONS.get(code, 'of its maker')})"
         self._refused = 0 if code is None else self._refused + 1
-        self._unanswered = self._unanswered + 1 if code is None else 0
+        self._untaken += 1
         register = "" if block is None else f" at register {block.address}"
         self._refusal = (
             f"{reason}{register}; check [bus.registers], its remote mode and write access"
@@ -224,7 +223,7 @@ class Commander:
         self._counts["sent"] += 1
         self._written, self.bridge = command, command.bridge
         self._safe = command == SAFE_COMMAND
-        self._refused = self._unanswered = 0
+        self._refused = self._untaken = 0
         self._doubtful = False
         if self._safe and self.safe_s == math.inf:
             self.safe_s = self._clock()
