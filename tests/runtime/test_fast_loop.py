@@ -67,6 +67,16 @@ async def test_a_late_frame_replaces_the_stand_in_and_makes_no_second_tick() -> 
         assert (bench.loop.counts.held, bench.loop.counts.missed) == (1, 0)
 
 
+async def test_a_fault_that_one_late_frame_alone_shows_trips() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        bench.frame(after_s=1.7 * TICK_S, fault=8)
+        bench.frame(after_s=0.3 * TICK_S)
+        assert bench.state() is State.TRIPPED
+        assert bench.machine.trip == "drive fault: word 0x8"
+        assert bench.sent[-1] == SAFE_COMMAND
+
+
 async def test_the_timer_stands_in_on_the_drives_grid() -> None:
     async with fast_bench() as bench:
         bench.frames(5)

@@ -124,6 +124,8 @@ class FastLoop:
         self.reading = reading
         if tick > self.tick:
             self._run(tick, arrival_s, self._surroundings.now_s(), fresh=True)
+        elif reading.fault:  # the next reading may replace it before a tick
+            self._watch_between_ticks(self._surroundings.now_s())
         late_s = (1.0 + self._settings.late_fraction) * half_cycles.reading_period_s
         self._arm(arrival_s + late_s)
 
@@ -142,15 +144,15 @@ class FastLoop:
         skipped = max(0, int((now_s - deadline_s) / period_s))
         self._arm(deadline_s + (1 + skipped) * period_s)
         if not self._settings.timer_standin and self.reading is not None:
-            self._watch_silence(now_s)
+            self._watch_between_ticks(now_s)
             self._judge(deadline_s, now_s)
             return
         self.counts.held += 1
         tick = self._half_cycles.following(self.tick, skipped)
         self._run(tick, deadline_s, now_s, fresh=False)
 
-    def _watch_silence(self, now_s: float) -> None:
-        """Without stand-in ticks: trip when the drive is silent for too long, and stay alive."""
+    def _watch_between_ticks(self, now_s: float) -> None:
+        """Trip for what no tick sees: a late fault, and silence where the timer never stands in."""
         self._watch_interlocks(now_s)
         if not self._machine.energised:
             self.send_safe()
