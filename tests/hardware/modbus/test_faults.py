@@ -404,6 +404,23 @@ async def test_the_rest_of_a_command_gives_way_to_the_safe_command(
         assert (9, [1]) not in one.peer.writes
 
 
+async def test_a_heartbeat_that_stands_still_shows_no_life_on_a_new_connection(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    slow = {"bus__heartbeat__drive": '"state"', "bus__heartbeat__drive_timeout_s": "2.0"}
+    async with bench("tcp", tmp_path, free_tcp_port, **slow) as one:
+        assert isinstance(one.peer, TcpPeer)
+        one.peer.state = 7
+        await one.peer.stop()
+        await until(lambda: bool(one.ear.bus))
+        heard = len(one.ear.readings)
+        await one.peer.start()
+        await one.asks(6)
+        assert len(one.ear.readings) == heard
+        one.peer.state = 8
+        await one.hears(2)
+
+
 async def test_a_heartbeat_may_be_slower_than_the_polls_where_that_is_said(
     tmp_path: Path, free_tcp_port: int
 ) -> None:

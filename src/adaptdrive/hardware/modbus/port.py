@@ -55,7 +55,7 @@ class ModbusPort:
         self._closing = False
         self._faults = FaultLatch()
         self._heartbeat: float | None = None
-        self._heartbeat_s = 0.0
+        self._heartbeat_s = -math.inf
         self._silent = 0
         self._up = True
         self._raw: dict[Block, list[int]] = {}
@@ -190,7 +190,7 @@ class ModbusPort:
 
     async def _serve(self, link: ModbusConnection) -> str:
         """Poll over an open link until it is lost or the port is closed; why it was lost."""
-        self._link, self._heartbeat = link, None
+        self._link, self._heartbeat, self._heartbeat_s = link, None, -math.inf
         self._commander.begin()
         next_s = self._clock()
         try:
@@ -294,10 +294,12 @@ class ModbusPort:
     def _is_alive(self, heartbeat: float | None, now_s: float) -> bool:
         if self._config.heartbeat.drive is None:
             return True
-        if heartbeat != self._heartbeat:
-            first = self._heartbeat is None
-            self._heartbeat, self._heartbeat_s = heartbeat, now_s
-            return not first  # one value alone shows no life
+        known, self._heartbeat = self._heartbeat, heartbeat
+        if known is None:
+            return False  # one value alone shows no life, and neither does the same one again
+        if heartbeat != known:
+            self._heartbeat_s = now_s
+            return True
         patience_s = self._config.heartbeat.drive_timeout_s or 0.0
         if now_s - self._heartbeat_s <= patience_s:
             return True
