@@ -46,7 +46,8 @@ def test_each_verdict_and_each_fallback_has_words_of_its_own() -> None:
         state = judged(Verdict.TRUSTED)
         state.watch.fallback = fallback
         texts.append(said(state))
-        assert texts[-1].endswith("ask for adaptive again") == (fallback is not Fallback.NONE)
+        latched = texts[-1].endswith("choose fixed, and adaptive one slow period later")
+        assert latched == (fallback is not Fallback.NONE)
     assert len(set(texts)) == len(texts)
     assert texts.count("") == 1
 

@@ -31,6 +31,8 @@ _FALLBACKS = {
     Fallback.BLIND: "fell back: measurements failed",
 }
 
+_RELEASE = "to release it choose fixed, and adaptive one slow period later"
+
 
 def reason(state: SlowState, jacket: Jacket, load: Load, mode: Mode) -> str:
     """Return why the adaptive law is not in force and whether the load is probed, else nothing.
@@ -51,7 +53,7 @@ def reason(state: SlowState, jacket: Jacket, load: Load, mode: Mode) -> str:
 def _why(state: SlowState, jacket: Jacket, load: Load, mode: Mode) -> str:
     """Return why the adaptive law is not in force, empty where it is."""
     if state.watch.fallback != Fallback.NONE:
-        return f"{_FALLBACKS[Fallback(state.watch.fallback)]}; ask for adaptive again"
+        return f"{_FALLBACKS[Fallback(state.watch.fallback)]}; {_RELEASE}"
     verdict = Verdict(state.supervisor.verdict)
     if verdict is Verdict.TRUSTED:
         return "" if mode is Mode.ADAPTIVE else f"mode {mode} asked for"
