@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from structlog.testing import capture_logs
 
 from adaptdrive.runtime.reports import Event, Severity, State
 from adaptdrive.runtime.requests import Disable, SetSetpoint
@@ -161,6 +162,24 @@ async def test_a_broker_that_takes_small_packets_only_still_delivers_a_stop(
             assert (await ask(bench, "disable", "any"))["accepted"]
             assert bench.host.asked == [Disable()]
             assert (await ask(bench, "setpoint", '{"id": "a", "value": 1}'))["accepted"]
+    finally:
+        stop_process(process)
+
+
+async def test_a_message_above_the_size_limit_of_the_broker_does_not_end_the_connection(
+    mosquitto_launcher: MosquittoLauncher, free_tcp_port: int, tmp_path: Path
+) -> None:
+    """A stop that arrived while the daemon connected again would be lost."""
+    launcher = replace(mosquitto_launcher, more="message_size_limit 300\n")
+    process = await asyncio.to_thread(launcher.start, free_tcp_port)
+    try:
+        with capture_logs() as lines:
+            async with serving(Broker("127.0.0.1", free_tcp_port), "limit", tmp_path) as bench:
+                bench.host.hub.publish(Event("trip", Severity.ALARM, 400 * "x", 1))
+                assert (await ask(bench, "disable", "any"))["accepted"]
+                assert (await ask(bench, "setpoint", '{"id": "a", "value": 1}'))["accepted"]
+        assert not [line for line in lines if line["event"] == "broker lost"]
+        assert "Packet too large" in {line.get("code") for line in lines}
     finally:
         stop_process(process)
 

@@ -13,6 +13,7 @@ import paho.mqtt.client as paho
 import structlog
 from aiomqtt import Client, Message, MqttCodeError, MqttError
 from aiomqtt.types import PahoSocket
+from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
 
 T = TypeVar("T")
@@ -23,6 +24,21 @@ _HEADER_BYTES = 10
 # Reason codes of MQTT 5; paho gives the second where the broker gave none.
 _TAKEN_OVER = 142
 _UNSPECIFIED = 128
+
+
+def _read_every_refusal() -> None:
+    """Have paho read each failure code of MQTT 5 as the answer to a message.
+
+    It ends the connection at one that the standard keeps for other packets. mosquitto gives such a
+    code, *packet too large*, for a message above its `message_size_limit`.
+    """
+    for code, names in ReasonCode.names.items():
+        packets = next(iter(names.values()))
+        if code >= _UNSPECIFIED and PacketTypes.PUBACK not in packets:
+            packets.append(PacketTypes.PUBACK)
+
+
+_read_every_refusal()
 
 
 class SteadyClient(Client):
@@ -126,7 +142,7 @@ class SteadyClient(Client):
             self._refusals.add(code.value)
             structlog.get_logger().error(
                 "the broker refuses to deliver messages of this daemon: events, replies or its "
-                "state are lost; see the access list of the broker",
+                "state are lost; see the access list of the broker and its limit of their size",
                 code=str(code),
             )
 
