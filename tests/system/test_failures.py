@@ -60,7 +60,17 @@ def acting(number: signal.Signals) -> Iterator[None]:
 
 
 @pytest.mark.parametrize(
-    "number", [signal.SIGHUP, signal.SIGQUIT, signal.SIGINT, signal.SIGUSR1, signal.SIGXCPU]
+    "number",
+    [
+        signal.SIGHUP,
+        signal.SIGQUIT,
+        signal.SIGINT,
+        signal.SIGUSR1,
+        signal.SIGXCPU,
+        signal.SIGSTKFLT,
+        signal.SIGRTMIN,
+        signal.SIGRTMAX,
+    ],
 )
 def test_each_signal_that_ends_leaves_the_bridge_off(
     make_site: MakeSite, number: signal.Signals

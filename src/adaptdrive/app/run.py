@@ -71,6 +71,8 @@ _ENDING = (
     signal.SIGIO,
     signal.SIGPWR,
     signal.SIGXCPU,
+    signal.SIGSTKFLT,
+    *range(signal.SIGRTMIN, signal.SIGRTMAX + 1),
 )
 """Signals that end a process by default; those of a crash, SIGABRT among them, stay as they are."""
 
