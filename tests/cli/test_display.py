@@ -1,10 +1,15 @@
-"""What the command line says beside a refusal."""
+"""What the command line says beside a refusal, and of payloads of another shape."""
 
 from __future__ import annotations
 
 import pytest
 
-from adaptdrive.cli.display import refusal_advice
+from adaptdrive.cli.display import describe, refusal_advice, site_table
+from adaptdrive.operation.listener import DriveStatus
+
+_STATE = ("state", "trip", "last_trip", "output", "waveform", "setpoint", "pole", "since")
+_LOAD = ("estimates", "reference", "boost_reference_V", "k")
+_DRIVE = ("output", "age_s", "ticks", "load_power_W")
 
 
 @pytest.mark.calculating
@@ -21,3 +26,17 @@ def test_a_refusal_for_a_trip_carries_its_remedy(reason: str, advice: str) -> No
     found = refusal_advice(reason)
     assert found.startswith(advice)
     assert bool(found) is bool(advice)
+
+
+@pytest.mark.calculating
+@pytest.mark.parametrize(
+    "junk", [7, "text", [], [1, "x"], {"a": []}, 10**400, True], ids=lambda one: str(one)[:9]
+)
+def test_a_drive_with_values_of_another_shape_hides_no_other_drive(junk: object) -> None:
+    telemetry = {"load": dict.fromkeys(_LOAD, junk), "drive": dict.fromkeys(_DRIVE, junk)}
+    odd = DriveStatus("online", dict.fromkeys(_STATE, junk), telemetry)
+    good = DriveStatus("online", {"state": "running", "output": {"unit": "V"}, "setpoint": 3.0})
+    table = site_table({"odd": odd, "good": good})
+    assert "good   running" in table
+    assert "3 V" in table
+    assert describe("odd", odd).startswith("odd is online")

@@ -119,6 +119,24 @@ def test_messages_without_their_keys_do_no_harm() -> None:
     assert len(shown(record)) == 40
 
 
+@pytest.mark.parametrize(
+    "junk", [7, "text", [], [1, "x"], {"a": []}, 10**400, True], ids=lambda one: str(one)[:9]
+)
+def test_values_of_another_shape_do_no_harm(junk: Any) -> None:
+    clock = Clock()
+    clean = live_record(clock)
+    record = WatchRecord("motor", clock)
+    for name, content in (
+        ("state", clean.state),
+        ("telemetry/load", clean.load),
+        ("telemetry/drive", clean.fast),
+    ):
+        record.take(name, dict.fromkeys([*content, "limits", "output", "last_trip"], junk))
+    record.take("history", {"rows": [dict.fromkeys(KEYS, junk)]})
+    assert len(shown(record)) == 40
+    assert KeyReader(record).press("+") is None
+
+
 def test_the_history_comes_before_what_is_known() -> None:
     record = live_record(Clock())
     rows = []

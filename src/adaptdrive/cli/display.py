@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from typing import Any
 
 from adaptdrive.operation.estimate_names import quantity_and_unit
-from adaptdrive.operation.listener import DriveStatus, printable
+from adaptdrive.operation.listener import DriveStatus, number, part, printable
 from adaptdrive.runtime.trips import remedy
 
 _FRACTION = re.compile(r"\.\d+(?=Z)")
@@ -22,7 +23,7 @@ def describe(drive: str, status: DriveStatus) -> str:
         status: The messages that it published.
     """
     lines = [f"{drive} is {status.availability}"]
-    unit = str(((status.state or {}).get("output") or {}).get("unit") or "")
+    unit = _unit(status.state or {})
     if status.state is not None:
         lines += _state(status.state, unit, live=status.availability == "online")
     if "load" in status.telemetry:
@@ -50,7 +51,7 @@ def site_table(site: Mapping[str, DriveStatus]) -> str:
 
 def _advice(state: dict[str, Any]) -> str:
     """Return the remedy of the trip in force, empty where there is none."""
-    last = state.get("last_trip") or {}
+    last = part(state, "last_trip")
     return str(last.get("remedy") or "") if state.get("trip") else ""
 
 
@@ -70,9 +71,14 @@ def _columns(row: tuple[str, ...], widths: list[int]) -> str:
     return "  ".join(printable(text).ljust(width) for text, width in cells).rstrip()
 
 
+def _unit(state: dict[str, Any]) -> str:
+    """Return the unit of the output."""
+    return str(part(state, "output").get("unit") or "")
+
+
 def _site_row(name: str, status: DriveStatus) -> tuple[str, ...]:
     state, online = status.state or {}, status.availability == "online"
-    unit = str((state.get("output") or {}).get("unit") or "")
+    unit = _unit(state)
     output = status.telemetry.get("drive", {}).get("output")
     return (
         name,
@@ -100,7 +106,7 @@ def _state(state: dict[str, Any], unit: str, *, live: bool) -> list[str]:
 
 def _trip(state: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the latched trip with its remedy, or the last one of this run of the daemon."""
-    last = state.get("last_trip") or {}
+    last = part(state, "last_trip")
     if not last and not state.get("trip"):
         return []
     row = ("last trip", f"{_moment(last.get('time'))}: {last.get('text')}")
@@ -110,8 +116,8 @@ def _trip(state: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _load(load: dict[str, Any], unit: str) -> list[str]:
-    found = load.get("estimates") or {}
-    estimates = ", ".join(_estimate(name, one, found) for name, one in found.items())
+    found = part(load, "estimates")
+    estimates = ", ".join(_estimate(name, part(found, name), found) for name in found)
     voltages = (
         f"asked {_number(load.get('boost_reference_V'), 'V')}, "
         f"applied {_number(load.get('applied_V'), 'V')}"
@@ -140,7 +146,7 @@ def _controller(state: dict[str, Any]) -> str:
 
 
 def _setpoint(state: dict[str, Any], unit: str) -> str:
-    wave = state.get("waveform")
+    wave = part(state, "waveform")
     if not wave:
         return _number(state.get("setpoint"), unit)
     return (
@@ -152,8 +158,8 @@ def _setpoint(state: dict[str, Any], unit: str) -> str:
 def _estimate(name: str, estimate: dict[str, Any], names: Mapping[str, Any]) -> str:
     """Return an estimate with its standard deviation and its unit."""
     quantity, unit = quantity_and_unit(name, names)
-    spread = estimate.get("std")
-    doubt = f" ± {spread:.2g}" if isinstance(spread, int | float) else ""
+    spread = number(estimate.get("std"))
+    doubt = "" if math.isnan(spread) else f" ± {spread:.2g}"
     return f"{quantity} {_number(estimate.get('value'))}{doubt} {unit}".rstrip()
 
 
@@ -163,13 +169,13 @@ def _moment(time: object) -> str:
 
 
 def _milliseconds(time_s: object) -> str:
-    return f"{1e3 * time_s:.1f} ms" if isinstance(time_s, int | float) else "unknown"
+    milliseconds = 1e3 * number(time_s)
+    return "unknown" if math.isnan(milliseconds) else f"{milliseconds:.1f} ms"
 
 
 def _number(value: object, unit: str = "") -> str:
-    if not isinstance(value, int | float):
-        return "unknown"
-    return f"{value:.5g} {unit}".rstrip()
+    found = number(value)
+    return "unknown" if math.isnan(found) else f"{found:.5g} {unit}".rstrip()
 
 
 def _row(name: str, text: str) -> str:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import re
-from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -146,6 +147,23 @@ async def follow(broker: Mqtt, drive: str) -> AsyncIterator[tuple[str, dict[str,
                 yield name, {name: payload.decode("utf-8", "replace")}
             elif (content := json_object(payload)) is not None:
                 yield name, content
+
+
+def part(content: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return a part of a payload that is an object; empty where it is missing or something else.
+
+    Every client of the broker that may publish there decides what a payload holds.
+    """
+    found = content.get(name)
+    return found if isinstance(found, dict) else {}
+
+
+def number(value: object) -> float:
+    """Return a number in a payload as a float, NaN for anything else and where it is too large."""
+    try:
+        return float(value) if isinstance(value, int | float) else math.nan
+    except OverflowError:
+        return math.nan
 
 
 def printable(value: object) -> str:

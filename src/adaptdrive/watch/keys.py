@@ -10,8 +10,10 @@ import tty
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
+from adaptdrive.operation.listener import number, part
 from adaptdrive.watch.record import WatchRecord
 
 QUIT = "q"
@@ -78,12 +80,12 @@ class KeyReader:
 
     def _step(self, sign: int) -> KeyCommand | None:
         """Return a set-point that is one hundredth of the range away, within the range."""
-        limits = (self._record.state.get("limits") or {}).get("setpoint")
-        present = self._record.state.get("setpoint")
-        if not isinstance(limits, list) or not isinstance(present, int | float):
+        limits = part(self._record.state, "limits").get("setpoint")
+        if not isinstance(limits, list) or len(limits) != 2:
             return None
-        low, high = limits
-        return KeyCommand("setpoint", min(max(present + sign * _STEP * (high - low), low), high))
+        low, high = map(number, limits)
+        wanted = number(self._record.state.get("setpoint")) + sign * _STEP * (high - low)
+        return KeyCommand("setpoint", min(max(wanted, low), high)) if isfinite(wanted) else None
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any
 
+from adaptdrive.operation.listener import number, part
 from adaptdrive.watch.plot import PlotPoint
 
 Payload = dict[str, Any]
@@ -56,12 +57,12 @@ class WatchRecord:
     @property
     def unit(self) -> str:
         """Unit of the output."""
-        return str((self.state.get("output") or {}).get("unit") or "")
+        return str(part(self.state, "output").get("unit") or "")
 
     @property
     def output_name(self) -> str:
         """Name of the output."""
-        return str((self.state.get("output") or {}).get("name") or "output")
+        return str(part(self.state, "output").get("name") or "output")
 
     @property
     def age_s(self) -> float:
@@ -131,11 +132,11 @@ def _features(content: Payload) -> list[Payload]:
 
 def _point(content: Payload, reference: object, controller: str) -> PlotPoint | None:
     """Return a point of the plot, None where a value is missing."""
-    output, time = content.get("output"), content.get("time")
-    if not isinstance(output, int | float) or not isinstance(reference, int | float):
+    output_now, wanted = number(content.get("output")), number(reference)
+    if math.isnan(output_now) or math.isnan(wanted):
         return None
     try:
-        time_s = datetime.fromisoformat(str(time)).timestamp()
-    except ValueError:
+        time_s = datetime.fromisoformat(str(content.get("time"))).timestamp()
+    except (ValueError, OverflowError):
         return None
-    return PlotPoint(time_s, float(reference), float(output), controller)
+    return PlotPoint(time_s, wanted, output_now, controller)

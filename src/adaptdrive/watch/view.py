@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
 
@@ -14,7 +13,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from adaptdrive.operation.listener import printable
+from adaptdrive.operation.listener import number, part, printable
 from adaptdrive.watch.plot import REFERENCE_STYLE, STYLES, plot
 from adaptdrive.watch.record import WatchRecord
 from adaptdrive.watch.tables import (
@@ -87,7 +86,7 @@ def _header(record: WatchRecord) -> Iterator[Text]:
         line.append(f" {record.problem}", "red")
     yield line
     if state.get("trip"):
-        last = state.get("last_trip") or {}
+        last = part(state, "last_trip")
         yield Text(f" trip: {printable(state['trip'])}", "red")
         yield Text(f" remedy: {printable(last.get('remedy') or 'see the manual')}")
 
@@ -120,8 +119,7 @@ def _figures(record: WatchRecord) -> Table:
 
 def _drive(record: WatchRecord) -> Table:
     state, fast, load = record.state, record.fast, record.load
-    limits = state.get("limits") or {}
-    wave = state.get("waveform") or {}
+    limits, wave = part(state, "limits"), part(state, "waveform")
     table = rows("l", "r", "r")
     table.add_row(_text(record.output_name), _text(_value(fast.get("output"), record.unit)), "")
     reference = load.get("reference") if wave else state.get("setpoint")
@@ -135,9 +133,11 @@ def _drive(record: WatchRecord) -> Table:
 
 def _estimates(record: WatchRecord) -> Table:
     table = rows("l", "r", "r")
-    for name, estimate in list((record.load.get("estimates") or {}).items())[: FIGURES_ROWS - 3]:
-        spread = f"± {figure(2.0 * _number(estimate.get('std')))}"
-        table.add_row(_text(name), figure(_number(estimate.get("value"))), spread)
+    found = part(record.load, "estimates")
+    for name in list(found)[: FIGURES_ROWS - 3]:
+        estimate = part(found, name)
+        spread = f"± {figure(2.0 * number(estimate.get('std')))}"
+        table.add_row(_text(name), figure(number(estimate.get("value"))), spread)
     verdict = "accepted" if record.load.get("accepted") else record.load.get("reason") or "-"
     table.add_row("verdict", _text(verdict), "")
     return table
@@ -145,14 +145,14 @@ def _estimates(record: WatchRecord) -> Table:
 
 def _health(record: WatchRecord) -> Table:
     fast = record.fast
-    lateness, bus = fast.get("lateness_us") or {}, fast.get("bus") or {}
-    sensors = fast.get("sensors") or {}
-    down = [name for name, one in sensors.items() if not one.get("up")]
-    times = "/".join(figure(1e-3 * _number(lateness.get(name))) for name in ("p50", "p99", "max"))
+    lateness, bus = part(fast, "lateness_us"), part(fast, "bus")
+    sensors = part(fast, "sensors")
+    down = [name for name in sensors if not part(sensors, name).get("up")]
+    times = "/".join(figure(1e-3 * number(lateness.get(name))) for name in ("p50", "p99", "max"))
     table = rows("l", "r")
     table.add_row("late, ms", times)
     table.add_row("missed/held", f"{fast.get('missed')}/{fast.get('held')} of {fast.get('ticks')}")
-    table.add_row("refused", f"{sum(int(bus.get(name) or 0) for name in _REFUSED)}")
+    table.add_row("refused", f"{sum(number(bus.get(name, 0)) for name in _REFUSED):.0f}")
     table.add_row("sensor buses", _text(f"down: {', '.join(down)}" if down else len(sensors)))
     table.add_row("age", _value(fast.get("age_s"), "s"))
     return table
@@ -174,7 +174,7 @@ def _events(record: WatchRecord, count: int) -> Text:
 def _footer(record: WatchRecord) -> tuple[Text, ...]:
     own = Text(f" {printable(record.answer)}", "bold"), Text(f" {KEYS}", DIM)
     offered = "   ".join(
-        f"{number} {printable(one.get('text'))}" for number, one in enumerate(record.features, 1)
+        f"{digit} {printable(one.get('text'))}" for digit, one in enumerate(record.features, 1)
     )
     return (*own, Text(f" simulated plant: {offered}", DIM)) if offered else own
 
@@ -184,15 +184,11 @@ def _text(value: object) -> Text:
 
 
 def _value(value: object, unit: str) -> str:
-    return f"{figure(_number(value))} {unit}".rstrip()
-
-
-def _number(value: object) -> float:
-    return float(value) if isinstance(value, int | float) else math.nan
+    return f"{figure(number(value))} {unit}".rstrip()
 
 
 def _range(limits: Any) -> str:  # noqa: ANN401 - a part of a payload
     if not isinstance(limits, list) or len(limits) != 2:
         return ""
-    low, high = ("" if one is None else f"{_number(one):g}" for one in limits)
+    low, high = ("" if one is None else f"{number(one):g}" for one in limits)
     return f"{low}…{high}"
