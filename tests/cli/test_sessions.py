@@ -68,6 +68,27 @@ def test_a_whole_session_passes_and_a_damaged_one_fails(tmp_path: Path) -> None:
     assert "ticks-0001.parquet" in answer.stderr
 
 
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        (TICKS_FILE, "1000 ticks are missing"),
+        ("events.sqlite", "1 of 1 events and commands are missing"),
+    ],
+)
+@pytest.mark.parametrize("remains", [False, True])
+def test_what_a_file_held_that_is_gone_or_empty_is_missing(
+    tmp_path: Path, name: str, told: str, *, remains: bool
+) -> None:
+    state = recorded(tmp_path, Dropped())
+    (state / "sessions" / NAME / name).unlink()
+    if remains:
+        (state / "sessions" / NAME / name).touch()
+    answer = run(state, "sessions", "verify", NAME)
+    assert answer.returncode == 1
+    assert told in answer.stdout + answer.stderr or name in answer.stderr
+    assert "whole" not in answer.stdout
+
+
 @pytest.mark.parametrize("name", ["session.json", "config.toml", "events.sqlite", TICKS_FILE])
 def test_a_fifo_in_a_session_hangs_nothing_and_hides_no_other(tmp_path: Path, name: str) -> None:
     state = recorded(tmp_path, Dropped())

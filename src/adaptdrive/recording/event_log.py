@@ -78,6 +78,11 @@ class EventLog:
             self._database.executemany(_INSERT_EVENT, map(_event_values, events))
             self._database.executemany(_INSERT_COMMAND, map(_command_values, commands))
 
+    @property
+    def rows(self) -> int:
+        """Events and commands in the log."""
+        return count_rows(self._database)
+
     def sync(self) -> None:
         """Wait until what was appended is on the disk; safe in another thread.
 
@@ -100,6 +105,14 @@ class EventLog:
         """Close a log that cannot be written any more."""
         with contextlib.suppress(sqlite3.Error):
             self._database.close()
+
+
+def count_rows(database: sqlite3.Connection) -> int:
+    """Return the number of events and commands in the database of a log."""
+    (rows,) = database.execute(
+        "SELECT (SELECT count(*) FROM events) + (SELECT count(*) FROM commands)"
+    ).fetchone()
+    return int(rows)
 
 
 def tidy(path: Path) -> None:

@@ -82,6 +82,7 @@ class SessionInfo(msgspec.Struct, frozen=True):
         output_unit: Unit of the regulated quantity.
         segments: Number of the last segment that the histograms include.
         resolution: Step of the output that an earlier run had found, 0 for none.
+        logged: Events and commands in its log when it was closed; 0 before.
         format: Version of the layout of the files.
     """
 
@@ -98,6 +99,7 @@ class SessionInfo(msgspec.Struct, frozen=True):
     output_unit: str = ""
     segments: int = 0
     resolution: float = 0.0
+    logged: int = 0
     format: int = FORMAT
 
 

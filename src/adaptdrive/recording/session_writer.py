@@ -124,7 +124,9 @@ class SessionWriter:
     def close(self, ending: Ending, dropped: Dropped) -> None:
         """Close everything; the housekeeper then turns the last streams into Parquet."""
         self._close_streams()
-        self._info = msgspec.structs.replace(self._info, ended=ending, dropped=dropped)
+        self._info = msgspec.structs.replace(
+            self._info, ended=ending, dropped=dropped, logged=self._rows_logged()
+        )
         self._write_info()
         if self._events is not None:
             self._events.close()
@@ -168,6 +170,12 @@ class SessionWriter:
         if self._events is None:
             self._events = EventLog(self.directory / EVENTS_FILE)
         return self._events
+
+    def _rows_logged(self) -> int:
+        """Return the number of events and commands in the log, 0 where there is none."""
+        if self._events is None and not (self.directory / EVENTS_FILE).exists():
+            return 0
+        return self._event_log().rows
 
     def _sync_events(self) -> None:
         """Have the disk keep the events, without waiting for it."""

@@ -10,9 +10,11 @@ from pathlib import Path
 
 from adaptdrive.config.regular_file import require_regular
 from adaptdrive.errors import RecordingError
+from adaptdrive.recording.event_log import count_rows
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.segments import segments
 from adaptdrive.recording.session import EVENTS_FILE, TICKS
+from adaptdrive.recording.tick_times import EVERY_TICK
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +45,7 @@ def verify(session: Session) -> Verification:
         session: The session.
     """
     rows: dict[str, int] = {}
-    problems = list(_event_problems(session.path / EVENTS_FILE))
+    problems = list(_event_problems(session.path / EVENTS_FILE, session.info.logged))
     expected, missing = 0, 0
     for segment in segments(session.path):
         try:
@@ -55,20 +57,27 @@ def verify(session: Session) -> Verification:
                     expected = sequence[-1].as_py() + 1
         except RecordingError as problem:
             problems.append(f"{segment.path.name}: {problem.problem}")
-    missing = max(missing, session.info.dropped.ticks)
+    # a whole file that is gone leaves no gap in the running numbers
+    counted = sum(session.info.histograms.get(EVERY_TICK, ()))
+    missing = max(missing, session.info.dropped.ticks, counted - rows.get(TICKS, 0))
     return Verification(rows, missing, tuple(problems))
 
 
-def _event_problems(path: Path) -> Iterator[str]:
+def _event_problems(path: Path, logged: int) -> Iterator[str]:
+    """Yield the damage of a log, or that it lacks events and commands that were in it."""
+    rows = 0
     try:
         require_regular(path)
         with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
             (found,) = database.execute("PRAGMA quick_check(1)").fetchone()
+            rows = count_rows(database) if logged else 0
     except FileNotFoundError:
-        return
+        found = "ok"
     except OSError as problem:
         found = problem.strerror or str(problem)
     except sqlite3.Error as problem:
         found = str(problem)
     if found != "ok":
         yield f"{path.name}: {found}"
+    elif rows < logged:
+        yield f"{path.name}: {logged - rows} of {logged} events and commands are missing"
