@@ -66,8 +66,7 @@ def drop_unsent(client: Client, *, drop: bool) -> None:
         client: A connected client; a serial line keeps nothing.
         drop: Whether they are dropped, and the connection is reset.
     """
-    transport = client.ctx.transport
-    link = None if transport is None else transport.get_extra_info("socket")
+    link = client.ctx.transport.get_extra_info("socket") if client.connected else None
     if link is None:
         return
     with contextlib.suppress(OSError):  # a connection that has just ended keeps nothing either
