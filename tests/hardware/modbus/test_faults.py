@@ -314,6 +314,26 @@ async def test_a_serial_adapter_that_is_pulled_and_put_back_is_found_again(
         one.check_honesty()
 
 
+async def test_a_repeated_reply_is_not_taken_for_that_to_the_next_read_for_long(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    """Two blocks of the same length; the repetition comes before the reply to the second."""
+    blocks = {"bus__max_block": "3", "bus__heartbeat__drive": '"state"'}
+    async with bench("rtu", tmp_path, free_tcp_port, **blocks) as one:
+        one.port.send(RUN)
+        await until(lambda: bool(one.peer.writes))
+        heard = len(one.ear.readings)
+        one.peer.spoil = lambda reply: [(0.012, reply), (0.005, reply)]
+        await until(lambda: one.port.statistics.foreign >= 20)
+        assert len(one.ear.readings) <= heard + 2  # one was under way, and one is mixed up
+        assert "two devices with the same id" in one.port.explain_age()
+        HEALTHY(one.peer)
+        await one.hears(2)
+        one.ear.readings.clear()
+        await one.hears(3)
+        one.check_honesty()
+
+
 async def test_noise_between_the_exchanges_is_waited_out(
     tmp_path: Path, free_tcp_port: int
 ) -> None:

@@ -80,18 +80,18 @@ class Bench:
 
 @contextlib.asynccontextmanager
 async def bench(
-    kind: str, folder: Path, tcp_port: int, *, there: bool = True
+    kind: str, folder: Path, tcp_port: int, *, there: bool = True, **changes: object
 ) -> AsyncIterator[Bench]:
     peer: TcpPeer | RtuPeer
     config: ModbusTcpSensors | ModbusRtuSensors
     if kind == "tcp":
         peer = TcpPeer(tcp_port)
         link = {"type": "modbus-tcp", "host": "127.0.0.1", "port": tcp_port}
-        config = ModbusTcpSensors.model_validate(COMMON | link)
+        config = ModbusTcpSensors.model_validate(COMMON | link | changes)
     else:
         peer = RtuPeer(folder / "sensor.tty")
         line = {"type": "modbus-rtu", "device": str(peer.link), "baud": 115200, "parity": "none"}
-        config = ModbusRtuSensors.model_validate(COMMON | line)
+        config = ModbusRtuSensors.model_validate(COMMON | line | changes)
     port = build_modbus_sensors(config, "sensor_bus.0", time.monotonic)
     ear = Ear()
     if there:
@@ -157,6 +157,25 @@ async def test_late_and_missing_replies_are_never_taken_for_others(
         one.peer.spoil = lambda reply: [(0.0, reply)]
         await until(lambda: one.ear.bus[-1][0])
         assert one.port.statistics.timeouts > 0
+        one.check_honesty()
+
+
+async def test_a_repeated_reply_is_not_taken_for_that_to_the_next_read_for_long(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    """Two blocks of one register; the repetition comes before the reply to the second."""
+    async with bench("rtu", tmp_path, free_tcp_port, max_gap=0, max_block=2) as one:
+        await one.hears(6)
+        heard = len(one.ear.heard)
+        one.peer.spoil = lambda reply: [(0.012, reply), (0.005, reply)]
+        await until(lambda: one.port.statistics.foreign >= 12)
+        mixed_up = [values for values, *_ in one.ear.heard[heard:] if values.get("number") == 30012]
+        assert len(mixed_up) <= 1
+        assert len(one.ear.heard) <= heard + 4
+        one.peer.spoil = lambda reply: [(0.0, reply)]
+        await one.hears(3)
+        one.ear.heard.clear()
+        await one.hears(6)
         one.check_honesty()
 
 

@@ -278,6 +278,17 @@ class ModbusConnection:
             self._counts["foreign"] += 1
 
 
+def are_alike(one: Exchange, other: Exchange) -> bool:
+    """Return whether a reply to an exchange, repeated on a serial line, may pass for the other's.
+
+    Args:
+        one: An exchange.
+        other: The next one.
+    """
+    same = (_function(one), one.device_id) == (_function(other), other.device_id)
+    return same and one.reply_bytes == other.reply_bytes and one.read != other.read
+
+
 def _header(packet: bytes) -> tuple[int, int, int, int]:
     """Return transaction, protocol, length and device of a packet on TCP, zeros where it is cut."""
     transaction, protocol, length, device = _HEADER.unpack(

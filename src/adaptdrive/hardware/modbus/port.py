@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import math
 from collections import Counter
 from collections.abc import Callable
@@ -22,12 +23,17 @@ from adaptdrive.hardware.modbus.blocks import Block
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.commander import Commander
-from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
+from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, are_alike
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 
 _SILENT_POLLS = 3
 """Polls without a reading after which the drive is reported lost."""
+
+_MIXED_UP = (
+    "replies come that nothing asked for, and one read of this map may be taken for the next: two "
+    "devices with the same id, or a line that repeats"
+)
 
 
 class ModbusPort:
@@ -57,6 +63,9 @@ class ModbusPort:
         self._heartbeat: float | None = None
         self._heartbeat_s = -math.inf
         self._silent = 0
+        self._foreign = 0
+        pairs = itertools.pairwise(poll.exchanges())
+        self._alike = isinstance(config, ModbusRtu) and any(are_alike(*pair) for pair in pairs)
         self._up = True
         self._raw: dict[Block, list[int]] = {}
         self._failure = ""
@@ -227,6 +236,7 @@ class ModbusPort:
     async def _poll_once(self, link: ModbusConnection) -> None:
         """Read all registers, pass the reading on, and write the resulting command."""
         start_s = self._clock()
+        known, self._foreign = self._foreign, self._counts["foreign"]
         try:
             values = await self._read(link)
         except ExchangeError as failure:
@@ -234,7 +244,9 @@ class ModbusPort:
             self._commander.excuse_silence()
             self._note_silence(failure.problem)
         else:
-            if values is not None:
+            if self._alike and self._counts["foreign"] > known:  # in this poll, or since the last
+                self._failure = _MIXED_UP
+            elif values is not None:
                 self._failure = ""
                 self._take(values, start_s)
         if link.lost is None and self._commander.pending:

@@ -12,7 +12,7 @@ import contextlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, pairwise
 from pathlib import Path
 
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
@@ -21,7 +21,7 @@ from adaptdrive.hardware.backoff import BusBackoff
 from adaptdrive.hardware.modbus.blocks import plan_blocks
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange, cycle_flaws
-from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
+from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, are_alike
 from adaptdrive.hardware.modbus.mapping import RegisterSource
 from adaptdrive.hardware.port import PortStatistics, SensorListener
 from adaptdrive.hardware.presence import Presence
@@ -77,6 +77,10 @@ class ModbusSensorPort:
         self._counts: Counter[str] = Counter()
         self._closing = asyncio.Event()
         self._silent = 0
+        self._foreign = 0
+        pairs = pairwise(block.exchange for block in blocks)
+        serial = isinstance(config, ModbusRtuSensors)
+        self._alike = serial and any(are_alike(*pair) for pair in pairs)
         self._presence = Presence(self.description)
 
     @property
@@ -135,6 +139,7 @@ class ModbusSensorPort:
     async def _poll(self, link: ModbusConnection, listener: SensorListener) -> None:
         """Ask for every block; one that does not come leaves the others alone."""
         heard, problem = False, ""
+        known, self._foreign = self._foreign, self._counts["foreign"]
         for block in self._blocks:
             if link.lost is not None or self._closing.is_set():
                 return
@@ -146,7 +151,8 @@ class ModbusSensorPort:
                 continue
             heard = True
             self._report(listener, up=True)
-            listener.on_values(self._values(block, words), start_s)
+            if not self._alike or self._counts["foreign"] == known:  # in this cycle and the last
+                listener.on_values(self._values(block, words), start_s)
         self._silent = 0 if heard else self._silent + 1
         if self._silent >= _SILENT_CYCLES:
             self._report(listener, up=False, problem=problem)
