@@ -169,13 +169,29 @@ def test_a_file_that_is_no_database_is_one_flaw(tmp_path: Path, content: str | N
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("number", ["61e3085535", "1.5E+4000", "9e01000"])
+@pytest.mark.parametrize("number", ["61e3085535", "1.5E+4000", "9e01000", "1e400"])
 def test_a_number_that_the_parser_cannot_hold_is_named_with_its_line(
     tmp_path: Path, number: str
 ) -> None:
     path = tmp_path / "endless.dbc"
     path.write_text(f'VERSION ""\n\nBA_DEF_ "Rate" INT 0 10;\nBA_DEF_DEF_ "Rate" {number};\n')
     with pytest.raises(ConfigurationError, match=rf"line 4: {re.escape(number)} is not the value"):
+        load_database(path)
+
+
+@pytest.mark.parametrize(("start", "bits"), [(-1, 16), (0, 4294967295), (0, 0), (10**400, 8)])
+def test_a_signal_that_no_message_has_room_for_is_named_with_its_line(
+    tmp_path: Path, start: int, bits: int
+) -> None:
+    path = tmp_path / "odd.dbc"
+    lines = [
+        'VERSION ""',
+        "BU_: A",
+        "BO_ 1 Odd: 8 A",
+        f' SG_ S m1 : {start}|{bits}@1+ (1,0) [0|0] "" A',
+    ]
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(ConfigurationError, match=rf"line 4: no message has {bits} bits from bit"):
         load_database(path)
 
 

@@ -31,8 +31,12 @@ _FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
 
 _NIBBLE_BITS = 4
 
-_ENDLESS_NUMBER = re.compile(r"(?<![\w.])[0-9]+(?:\.[0-9]*)?[eE]\+?0*[1-9][0-9]{3,}(?!\w)")
-"""A number of 10^1000 or more; the largest that a signal of 64 bits can have is below 10^309."""
+_EXPONENT = re.compile(r"(?<![\w.])[0-9]+(?:\.[0-9]*)?[eE]\+?[0-9]{3,}(?!\w)")
+"""A number that may be 10^309 or more; the largest that a signal of 64 bits can have is below."""
+
+_PLACE = re.compile(r"^ *SG_ [^:\n]*: *(-?[0-9]+)\|(-?[0-9]+)@", re.MULTILINE)
+_MOST_BITS = 1 << 16
+"""More bits than any message has: those of J1939 in several frames have up to 1785 bytes."""
 
 
 def load_database(path: Path, source: Path | str = "configuration", bus: str = "bus") -> Database:
@@ -49,6 +53,7 @@ def load_database(path: Path, source: Path | str = "configuration", bus: str = "
     try:
         text = description_text(path)
         _refuse_endless_numbers(text)
+        _refuse_impossible_places(text)
         database = cantools.database.load_string(text, database_format="dbc")
     except Exception as problem:  # the parser's own errors are of many kinds
         flaw = Flaw(f"{bus}.database", f"{path} cannot be used: {problem_text(problem)}")
@@ -59,10 +64,19 @@ def load_database(path: Path, source: Path | str = "configuration", bus: str = "
 
 def _refuse_endless_numbers(text: str) -> None:
     """Refuse a number whose digits the parser would expand for minutes or hours."""
-    found = _ENDLESS_NUMBER.search(text)
-    if found:
-        line = text.count("\n", 0, found.start()) + 1
-        raise ValueError(f"line {line}: {found[0]} is not the value of any signal")
+    for found in _EXPONENT.finditer(text):
+        if math.isinf(float(found[0])):
+            line = text.count("\n", 0, found.start()) + 1
+            raise ValueError(f"line {line}: {found[0]} is not the value of any signal")
+
+
+def _refuse_impossible_places(text: str) -> None:
+    """Refuse a signal that no message has room for: billions of bits keep the parser busy."""
+    for found in _PLACE.finditer(text):
+        start, length = float(found[1]), float(found[2])
+        if not (0 <= start < _MOST_BITS and 1 <= length < _MOST_BITS):
+            line = text.count("\n", 0, found.start()) + 1
+            raise ValueError(f"line {line}: no message has {found[2]} bits from bit {found[1]} on")
 
 
 def message_codec(
