@@ -50,3 +50,22 @@ def test_a_fifo_in_place_of_the_reserve_is_reported_and_waited_for(tmp_path: Pat
     waiting.join(PATIENCE_S)
     assert not waiting.is_alive()
     assert read_session(next(session_directories(tmp_path))).ticks.num_rows == 1
+
+
+def test_each_new_cause_of_a_failure_is_reported(tmp_path: Path) -> None:
+    news: list[News] = []
+    sessions = tmp_path / "sessions"
+    writer = PatientWriter(Header(INFO, "", str(sessions)), news.append, pause_s=0.01)
+    sessions.touch()
+    waiting = threading.Thread(target=writer.write, args=(make_batch([make_tick(0)]),), daemon=True)
+    waiting.start()
+    wait_until(lambda: any("File exists" in one.detail for one in news))
+    (sessions.with_name("other")).mkdir()
+    (sessions.with_name("other") / ".reserve").mkdir()
+    sessions.unlink()
+    sessions.with_name("other").rename(sessions)
+    wait_until(lambda: any(".reserve" in one.detail for one in news))
+    assert sum("File exists" in one.detail for one in news) == 1
+    (sessions / ".reserve").rmdir()
+    waiting.join(PATIENCE_S)
+    assert not waiting.is_alive()
