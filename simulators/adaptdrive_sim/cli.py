@@ -10,6 +10,7 @@ from typing import Annotated, Literal, NoReturn
 from cyclopts import App, Parameter
 
 import adaptdrive
+from adaptdrive.cli.standard_files import lay_out_help
 from adaptdrive.errors import AdaptdriveError
 from adaptdrive_sim.demo.settings import DemoSettings, VirtualSettings
 from adaptdrive_sim.device_settings import DeviceSettings
@@ -40,6 +41,7 @@ INTERRUPTED = 130
 
 def main() -> None:
     """Run the command line; an error is one clear line and a non-zero status."""
+    lay_out_help(sys.argv[1:])
     try:
         app()
     except ModuleNotFoundError as problem:

@@ -360,6 +360,26 @@ def test_output_that_nobody_takes_gives_no_traceback_and_no_false_status(
     assert (done.returncode, done.stderr) == (status, errors)
 
 
+@pytest.mark.parametrize("columns", ["0", "2", "19"])
+@pytest.mark.parametrize("module", ["adaptdrive.cli", "adaptdrive_sim"])
+def test_help_ends_in_a_terminal_of_few_columns(module: str, columns: str) -> None:
+    words = [sys.executable, "-m", module, "--help"]
+    environment = _environment() | {"COLUMNS": columns}
+    done = subprocess.run(
+        words, capture_output=True, text=True, check=False, env=environment, timeout=60.0
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_letter_that_the_terminal_does_not_have_is_escaped() -> None:
+    example = Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml"
+    words = [sys.executable, "-m", "adaptdrive.cli", "check", str(example)]
+    environment = _environment() | {"PYTHONIOENCODING": "latin-1"}
+    done = subprocess.run(words, capture_output=True, check=False, env=environment)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert rb"2.2\u20264.4 V" in done.stdout
+
+
 @pytest.mark.parametrize(
     ("redirection", "problem"),
     [(">/dev/full", "No space left on device"), ("1</dev/null", "Bad file descriptor")],

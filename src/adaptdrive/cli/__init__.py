@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from cyclopts import App, CycloptsError, UnknownCommandError
 
 from adaptdrive import __version__
-from adaptdrive.cli.standard_files import discard_output, open_standard_files
+from adaptdrive.cli.standard_files import discard_output, lay_out_help, open_standard_files
 from adaptdrive.errors import AdaptdriveError, ConfigurationError
 from adaptdrive.runtime.requests import REQUESTS, Request
 
@@ -53,6 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         configuration, 3 no answer, 4 the end of a session is not recorded, 130 interrupted.
     """
     open_standard_files()
+    lay_out_help(sys.argv[1:] if arguments is None else arguments)
     try:
         outcome = _app()(arguments)
     except UnknownCommandError as problem:

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sys
+from collections.abc import Sequence
+from io import TextIOWrapper
 from typing import Literal, TextIO
 
 _INPUT, _OUTPUT, _ERRORS = range(3)
+_FEWEST_COLUMNS = 20
+_HELP = {"--help", "-h"}
 
 
 def open_standard_files() -> None:
@@ -20,6 +25,21 @@ def open_standard_files() -> None:
     sys.stdin = sys.stdin or _stream(_INPUT, "r")
     sys.stdout = sys.stdout or _stream(_OUTPUT, "w")
     sys.stderr = sys.stderr or _stream(_ERRORS, "w")
+    if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
+        # Latin-1 has no "…": what a terminal cannot show is escaped, as it is on standard error
+        sys.stdout.reconfigure(errors="backslashreplace")
+
+
+def lay_out_help(arguments: Sequence[str]) -> None:
+    """Have help laid out for so many columns at least that the layout of its tables ends.
+
+    Args:
+        arguments: Words after the program's name.
+    """
+    given = os.environ.get("COLUMNS", "")
+    columns = int(given[:6]) if given.isdecimal() else shutil.get_terminal_size().columns
+    if columns < _FEWEST_COLUMNS and not _HELP.isdisjoint(arguments or ["--help"]):
+        os.environ["COLUMNS"] = str(_FEWEST_COLUMNS)
 
 
 def discard_output() -> None:
