@@ -423,6 +423,23 @@ def test_a_reader_that_has_had_enough_is_no_error_to_complain_about() -> None:
     assert done.stderr == ""
 
 
+@pytest.mark.parametrize("name", ["a\tb", 5000 * "a"])
+def test_a_user_name_that_no_broker_knows_is_one_line(
+    capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    assert main(["list", "--username", name]) == 2
+    assert "A user name has at most 4096 letters, all printable." in capsys.readouterr().err
+
+
+def test_a_password_that_is_too_long_is_one_line(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    secret = tmp_path / "secret"
+    secret.write_bytes(65_536 * b"a")
+    assert main(["list", "--username", "a", "--password-file", str(secret)]) == 3
+    assert str(secret) in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("words", [("--ca-file", "/etc/ca.pem"), ("--tls", "--ca-file", "x")])
 async def test_an_authority_without_tls_is_refused(words: tuple[str, ...]) -> None:
     outcome = await adaptdrive("disable", "bench", "--broker", "127.0.0.1:1", *words)

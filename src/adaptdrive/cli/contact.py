@@ -15,6 +15,7 @@ from adaptdrive.config.services import Mqtt, check_host
 _ADDRESS = re.compile(r"(?P<host>\[[^\]]+\]|[^:\[\]/\s]+)(:(?P<port>\d{1,5}))?")
 _DRIVE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,63}")
 _LONGEST_WAIT_S = 86_400.0
+_LONGEST_USER = 4096
 _PORT, _TLS_PORT, _HIGHEST_PORT = 1883, 8883, 65535
 
 
@@ -42,6 +43,11 @@ def _check_timeout(_: object, timeout: float) -> None:
 def _check_finite(_: object, number: float | None) -> None:
     if number is not None and not math.isfinite(number):
         raise ValueError("A finite number is needed.")
+
+
+def _check_user(_: object, name: str | None) -> None:
+    if name is not None and (len(name) > _LONGEST_USER or not name.isprintable()):
+        raise ValueError(f"A user name has at most {_LONGEST_USER} letters, all printable.")
 
 
 def _check_authority(_: object, contact: Contact | None) -> None:
@@ -86,7 +92,9 @@ class Contact:
     ] = None
     config: Path | None = None
     timeout: Annotated[float, Parameter(validator=_check_timeout)] = 5.0
-    username: Annotated[str | None, Parameter(env_var="ADAPTDRIVE_USERNAME")] = None
+    username: Annotated[
+        str | None, Parameter(validator=_check_user, env_var="ADAPTDRIVE_USERNAME")
+    ] = None
     password_file: Annotated[Path | None, Parameter(env_var="ADAPTDRIVE_PASSWORD_FILE")] = None
     tls: Annotated[bool, Parameter(env_var="ADAPTDRIVE_TLS")] = False
     ca_file: Annotated[Path | None, Parameter(env_var="ADAPTDRIVE_CA_FILE")] = None

@@ -26,6 +26,8 @@ from adaptdrive.operation.steady import SteadyClient
 TIMEOUT_S = 5.0
 GOODBYE_S = 1.0
 KEEP_ALIVE_S = 15
+_LONGEST_PASSWORD = 65_535
+"""Bytes that MQTT has room for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +189,7 @@ def _secrets(settings: Mqtt) -> tuple[str | None, ssl.SSLContext | None]:
 
 def _read_password(path: Path) -> str:
     try:
-        return read_regular(path).decode("utf-8").rstrip("\r\n")
+        return read_regular(path, _LONGEST_PASSWORD).decode("utf-8").rstrip("\r\n")
     except UnicodeDecodeError as problem:
         raise OSError(f"password file {path} is not text: {problem}") from problem
 
