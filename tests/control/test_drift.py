@@ -87,7 +87,7 @@ def course(learning: Learning, drift_K_per_h: float, noise_K: float = 0.0) -> Co
 def test_the_deviations_hold_what_a_drifting_inflow_does(noise_K: float) -> None:
     known, ignored = course(DRIFTS, 1.0, noise_K), course(LEARNING, 1.0, noise_K)
     assert np.median(known.counted) < 0.5 * np.median(ignored.counted)
-    assert np.median(known.relative) < 1.02 * np.median(ignored.relative)
+    assert np.median(known.relative) < 0.15
 
 
 def test_an_inflow_that_stands_leaves_the_estimate_right() -> None:
