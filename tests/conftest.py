@@ -58,6 +58,9 @@ Their tests come before all others, so that one worker runs them and compiles on
 workers find the compiled code on disk.
 """
 
+COMPILATION_S = 3600.0
+"""Time limit of such a test: it compiles for minutes, and on a busy machine for half an hour."""
+
 KINDS = {"calculating", "waiting", "alone"}
 
 
@@ -68,6 +71,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if not any(item.get_closest_marker(kind) for kind in KINDS):
             calculating = _folder(item) in CALCULATING
             item.add_marker(pytest.mark.calculating if calculating else pytest.mark.waiting)
+        if _folder(item) in COMPILING:
+            item.add_marker(pytest.mark.timeout(COMPILATION_S))
     items.sort(key=_turn)
 
 

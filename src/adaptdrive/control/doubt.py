@@ -24,7 +24,7 @@ from adaptdrive.control.settings import Learning
 from adaptdrive.control.vectors import Vector
 
 _SHOWN = 30.0
-"""What α by 1 more must move a sample by, in σ: a tenth, a quarter of a second disk, by 3 σ."""
+"""Movement of a sample, in σ, by an α that is larger by 1: 3 σ for a quarter of a second disk."""
 
 
 def note_age(state: EstimatorState, learning: Learning, load: Load) -> None:
