@@ -121,6 +121,15 @@ def test_missing_ticks_are_counted(state: Path) -> None:
     assert "1010 ticks; 10 ticks are missing" in answer.stdout
 
 
+@pytest.mark.parametrize("verb", ["list", "verify", "prune"])
+def test_a_folder_that_is_not_there_is_no_folder_without_sessions(
+    tmp_path: Path, verb: str
+) -> None:
+    answer = run(tmp_path, "sessions", verb, "--directory", str(tmp_path / "typo"))
+    assert answer.returncode == 1
+    assert "typo: there is no such folder" in answer.stderr
+
+
 def test_old_sessions_are_pruned_on_request(state: Path) -> None:
     kept = run(state, "sessions", "prune", "--keep-days", "1e6")
     assert (kept.returncode, kept.stdout, kept.stderr) == (0, "", "")

@@ -113,6 +113,7 @@ async def test_a_verb_without_a_value_needs_none(bench: Bench) -> None:
         ("setpoint", '{"id": "x", "value": 3, "expires": "tomorrow"}', "RFC3339"),
         ("setpoint", '{"id": "x", "value": 3, "expires": 4102444800}', "got `int`"),
         ("setpoint", '{"id": "x", value: 3}', "not JSON"),
+        ("setpoint", '{"id": "x", "value": 3, "value": 4}', "the key 'value' is there twice"),
         ("setpoint", '{"id": "x", "value": ', "not JSON"),
         ("setpoint", b'{"id": "x", "value": "\xff"}', "not JSON"),
         ("setpoint", '{"id": "x", "value": %s' % ("[" * 5000), "not JSON"),

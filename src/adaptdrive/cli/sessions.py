@@ -235,8 +235,16 @@ def _print_json(content: object) -> None:
 
 
 def _folder(directory: Path | None) -> Path:
-    from adaptdrive.recording.session import sessions_directory  # noqa: PLC0415 - see above
+    """Return the folder of sessions.
 
+    Raises:
+        RecordingError: The folder that was named is none.
+    """
+    from adaptdrive.errors import RecordingError  # noqa: PLC0415 - see above
+    from adaptdrive.recording.session import sessions_directory  # noqa: PLC0415
+
+    if directory is not None and not directory.is_dir():
+        raise RecordingError(directory, "there is no such folder")
     return sessions_directory(directory, os.environ)
 
 

@@ -112,9 +112,23 @@ def _read(raw: bytes) -> object:
     if len(raw) > LONGEST_PAYLOAD:
         raise RefusedError(f"payload of {len(raw)} bytes; at most {LONGEST_PAYLOAD} are read")
     try:
-        document: object = json.loads(raw.decode("utf-8"))
+        document: object = json.loads(raw.decode("utf-8"), object_pairs_hook=_once)
     except (ValueError, RecursionError) as problem:
         raise RefusedError(f"not JSON: {problem}") from problem
+    return document
+
+
+def _once(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """Return an object whose keys are all there once: readers differ in which of two values counts.
+
+    Raises:
+        RefusedError: One is there twice.
+    """
+    document: dict[str, object] = {}
+    for name, value in pairs:
+        if name in document:
+            raise RefusedError(f"the key {name!r} is there twice")
+        document[name] = value
     return document
 
 
