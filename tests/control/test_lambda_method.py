@@ -103,13 +103,16 @@ def test_without_learning_it_the_initial_state_is_known(load: Load, first: int) 
         ({"charge": True}, 1.0),
         ({"drifts": True}, 1.0),
         ({"start_at_nominal": False}, 1.0),
+        ({"initial_covariance": 1e7}, math.sqrt(0.1)),
+        ({"initial_covariance": 1e4}, 1.0),
     ],
 )
 def test_an_offset_that_rests_is_expected_within_a_tenth_of_the_input(
     options: dict[str, Any], share: float
 ) -> None:
     """P[0] is a deviation of 1 at the least σ: an EMF or the drift of an inflow may be as large."""
-    learning = replace(SCALED_LEARNING, alert=True, bias=True, **options)
+    usual = {"alert": True, "bias": True, "initial_covariance": 1e8}
+    learning = replace(SCALED_LEARNING, **(usual | options))
     state = est.new_estimator(learning, MOTOR, 2)
     variance = share**2 * learning.initial_covariance
     assert state.diagonal[-1] == pytest.approx(variance, rel=1e-12)

@@ -13,7 +13,7 @@ from adaptdrive.control import rivals as riv
 from adaptdrive.control import rls
 from adaptdrive.control.challenger import Challenger
 from adaptdrive.control.drift import learn_sample
-from adaptdrive.control.evidence import WINDOW
+from adaptdrive.control.evidence import NOISE_FLOOR, WINDOW
 from adaptdrive.control.hypotheses import DISTURBANCE_SHARE, new_branch
 from adaptdrive.control.integrated import Integrated, restart
 from adaptdrive.control.load import Load
@@ -121,8 +121,9 @@ def _expect_offset(state: EstimatorState, learning: Learning) -> None:
     dynamics with an offset that nothing can cause.
     """
     if learning.bias and learning.start_at_nominal and not (learning.charge or learning.drifts):
-        share = DISTURBANCE_SHARE
-        state.diagonal[len(state.theta) - 1] = share * share * learning.initial_covariance
+        expected = DISTURBANCE_SHARE * DISTURBANCE_SHARE / NOISE_FLOOR
+        last = len(state.theta) - 1
+        state.diagonal[last] = min(state.diagonal[last], expected)
 
 
 def begin_anew(state: EstimatorState, learning: Learning, load: Load) -> None:

@@ -254,6 +254,21 @@ async def test_commands_that_are_not_taken_for_reasons_in_turn_are_a_complaint(
         await until(lambda: one.port.complaint is None)
 
 
+async def test_a_busy_read_between_does_not_excuse_commands_that_are_not_taken(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    numbers = itertools.count()
+
+    def sometimes_busy(pdu: bytes) -> bytes:
+        if pdu[0] == 16:
+            return nothing_written(pdu)
+        return busy(pdu) if next(numbers) % 4 == 0 else pdu
+
+    async with watched("tcp", tmp_path, free_tcp_port) as one:
+        one.peer.answer = sometimes_busy
+        await until(lambda: one.port.complaint is not None)
+
+
 async def test_an_exception_is_named(tmp_path: Path, free_tcp_port: int) -> None:
     async with watched("tcp", tmp_path, free_tcp_port) as one:
         one.peer.answer = exception

@@ -31,8 +31,10 @@ def test_a_command_from_before_the_loss_is_never_delivered() -> None:
         check=False,
         capture_output=True,
         text=True,
+        timeout=300,
     )
     assert run.returncode == 0, run.stdout
+    assert "1 passed" in run.stdout
 
 
 @pytest.mark.skipif(OWN_NETWORK not in os.environ, reason="takes the network of its machine down")

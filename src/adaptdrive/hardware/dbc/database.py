@@ -34,7 +34,7 @@ _NIBBLE_BITS = 4
 _EXPONENT = re.compile(r"(?<![\w.])[0-9]+(?:\.[0-9]*)?[eE]\+?[0-9]{3,}(?!\w)")
 """A number that may be 10^309 or more; the largest that a signal of 64 bits can have is below."""
 
-_PLACE = re.compile(r"^ *SG_ [^:\n]*: *(-?[0-9]+)\|(-?[0-9]+)@", re.MULTILINE)
+_PLACE = re.compile(r'\bSG_\s[^:;"]*:\s*(-?[0-9]+)\s*\|\s*(-?[0-9]+)\s*@')
 _MOST_BITS = 1 << 16
 """More bits than any message has: those of J1939 in several frames have up to 1785 bytes."""
 

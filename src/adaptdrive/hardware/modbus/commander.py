@@ -18,7 +18,7 @@ _REFUSED_WRITES = 2
 """Commands refused in a row after which the drive counts as refusing: one may find it busy."""
 
 _UNTAKEN_WRITES = 3
-"""Commands in a row that a drive has not taken, whatever the reasons, which answers the reads."""
+"""Commands in a row that a drive which answers reads has not taken, for whatever reasons."""
 
 
 class Commander:
@@ -50,6 +50,7 @@ class Commander:
         self._written: Command | None = None
         self._safe = True
         self._refused = self._untaken = 0
+        self._silent = False
         self._refusal = ""
         self._doubtful = False
         self._alive = 0
@@ -95,10 +96,11 @@ class Commander:
     def begin(self) -> None:
         """Forget what was acknowledged on the link before."""
         self.safe_s, self._refused, self._untaken = math.inf, 0, 0
+        self._silent = False
 
-    def excuse_silence(self) -> None:
-        """Note that the drive answers nothing at all: it does not ignore commands alone."""
-        self._untaken = 0
+    def note_read(self, *, answered: bool) -> None:
+        """Note whether the drive answers reads: a silent one ignores more than commands."""
+        self._silent = not answered
 
     async def read(self, link: ModbusConnection, exchange: Exchange, *, first: bool) -> list[int]:
         """Read a block; write the command with the first one where the drive can do both at once.
@@ -206,7 +208,7 @@ class Commander:
         if code is not None:
             reason = f"exception code {code} ({EXCEPTIONS.get(code, 'of its maker')})"
         self._refused = 0 if code is None else self._refused + 1
-        self._untaken += 1
+        self._untaken += not self._silent
         register = "" if block is None else f" at register {block.address}"
         self._refusal = (
             f"{reason}{register}; check [bus.registers], its remote mode and write access"

@@ -241,10 +241,11 @@ class ModbusPort:
             values = await self._read(link)
         except ExchangeError as failure:
             self._failure = failure.problem
-            self._commander.excuse_silence()
+            self._commander.note_read(answered=False)
             self._note_silence(failure.problem)
         else:
-            if self._alike and self._counts["foreign"] > known:  # in this poll, or since the last
+            self._commander.note_read(answered=True)
+            if self._alike and self._counts["foreign"] > known:  # since the last poll began
                 self._failure = _MIXED_UP
             elif values is not None:
                 self._failure = ""

@@ -78,7 +78,8 @@ class ModbusSensorPort:
         self._closing = asyncio.Event()
         self._silent = 0
         self._foreign = 0
-        pairs = pairwise(block.exchange for block in blocks)
+        exchanges = [block.exchange for block in blocks]
+        pairs = pairwise([*exchanges, *exchanges[:1]])  # the first one follows the last
         serial = isinstance(config, ModbusRtuSensors)
         self._alike = serial and any(are_alike(*pair) for pair in pairs)
         self._presence = Presence(self.description)
@@ -151,7 +152,7 @@ class ModbusSensorPort:
                 continue
             heard = True
             self._report(listener, up=True)
-            if not self._alike or self._counts["foreign"] == known:  # in this cycle and the last
+            if not self._alike or self._counts["foreign"] == known:  # since the last cycle began
                 listener.on_values(self._values(block, words), start_s)
         self._silent = 0 if heard else self._silent + 1
         if self._silent >= _SILENT_CYCLES:
