@@ -27,7 +27,7 @@ def test_steps_of_torque_leave_the_adaptive_controller_in_force() -> None:
     assert rows.in_force(LEARNT_s) >= 0.95
 
 
-@pytest.mark.parametrize("seed", [52, 53, 60103])
+@pytest.mark.parametrize("seed", [52, 53, 60103, 60209])
 def test_so_do_they_with_noise_of_two_percent(seed: int) -> None:
     rows = Motion(noise=0.02 * STEP, seed=seed).run(Mode.ADAPTIVE, torque_steps)
     assert rows.model_error(3, LEARNT_s) <= 0.04

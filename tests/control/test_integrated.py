@@ -78,7 +78,7 @@ def test_it_finds_the_load_under_an_inflow_that_swings(period_s: float) -> None:
         assert values(in_force.theta_in_force(state)) == pytest.approx([R, TAU_s], rel=0.05)
         resting = np.array(values(state.theta))
         worst = max(worst, float(np.max(np.abs(resting / [R, TAU_s] - 1.0))))
-    assert worst > 0.08
+    assert worst > 0.08  # where the bias rests; the other estimate is within 5 %
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 from adaptdrive.control import rls
 from adaptdrive.control.drift import learn_sample
-from adaptdrive.control.evidence import CLEAR, LIFE, TAKE_OVER
+from adaptdrive.control.evidence import CLEAR, LIFE
 from adaptdrive.control.hypotheses import (
     ANEW,
     Branch,
@@ -35,6 +35,12 @@ from adaptdrive.control.rivals import PRIOR_SAMPLES, Rivals, copy_estimate, is_p
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.surprise import DRIFT
 from adaptdrive.control.vectors import Vector
+
+_PROOF = 60.0
+"""Λ at which the challenger takes over: a swinging torque lets it lead by up to 55."""
+
+_SUDDEN = 15.0
+"""Λ beyond one for each sample that suffices too: an impact brings it, a swinging torque never."""
 
 _TRAINED = 10.0
 """Largest rᵀPr of a prediction that counts: the samples before are training."""
@@ -171,7 +177,8 @@ def lead(challenger: Challenger) -> float:
 
 def has_won(challenger: Challenger, learning: Learning, load: Load) -> bool:
     """Return whether the challenger is to be the estimate."""
-    if challenger.samples == 0 or not lead(challenger) >= TAKE_OVER:
+    proof = min(_PROOF, _SUDDEN + challenger.judged)
+    if challenger.samples == 0 or not lead(challenger) >= proof:
         return False
     return is_possible(challenger.branch.theta, learning, load)
 

@@ -24,9 +24,6 @@ LIFE = 150
 CLEAR = 10.0
 """Lead that decides between two estimates: odds of e^10, 22,000 to 1."""
 
-TAKE_OVER = 20.0
-"""Lead with which a second estimate takes over: at 12 one of 60 torque steps passed for a load."""
-
 PRIOR_SHARE = 0.5
 """Relative deviation of gain and α before samples; nothing is known that is not below this."""
 

@@ -23,7 +23,7 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import rls
-from adaptdrive.control.evidence import MEMORY, NOISE_FLOOR, TAKE_OVER, WINDOW
+from adaptdrive.control.evidence import MEMORY, NOISE_FLOOR, WINDOW
 from adaptdrive.control.hypotheses import Branch, predict_sample, squared_error
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import Learning
@@ -35,6 +35,9 @@ _WALK = 30.0
 
 _RATE = 0.2
 """Rate of the medians, a factor of 2 in 4 samples: a start with another load is soon forgotten."""
+
+_LEAD = 20.0
+"""Λ from which it is in force: a swing has 90 to 110, noise of 5 % after a change up to 40."""
 
 
 @dataclass(slots=True)
@@ -123,7 +126,7 @@ def _follow_noise(integrated: Integrated, own: float, squared: float) -> None:
     least = NOISE_FLOOR / (_WALK * _WALK)
     integrated.power = max(least, move_median(integrated.power, own, _RATE))
     integrated.other = max(least, move_median(integrated.other, squared, _RATE))
-    integrated.in_force = integrated.lead > (0.0 if integrated.in_force else TAKE_OVER)
+    integrated.in_force = integrated.lead > (0.0 if integrated.in_force else _LEAD)
 
 
 def _loss(squared: float, excitation: float, power: float, least: float) -> float:

@@ -48,8 +48,11 @@ PRIOR_SAMPLES = 4.0
 _PROOF = 8.0
 """Lead over `nothing` that any other explanation needs: odds of 3,000 to 1."""
 
-_RARER = 6.0
-"""Handicap of a load, of a disturbance beside it, of each load found lately: odds of 400 to 1."""
+_LOAD_RARER = 12.0
+"""Handicap of a load: true changes lead by 30 at least, a swinging torque lets it lead by 10."""
+
+_FURTHER = 6.0
+"""Handicap of each further change: a disturbance beside the load, a load that was found lately."""
 
 
 @dataclass(slots=True)
@@ -234,8 +237,8 @@ def _rarity(rivals: Rivals, kind: int) -> float:
     """
     if kind < LOAD:
         return 0.0
-    further = 1.0 if kind == BOTH else 0.0
-    return _RARER * (1.0 + further + rivals.loads)
+    rarity = _LOAD_RARER if kind == LOAD else _LOAD_RARER + _FURTHER
+    return rarity + _FURTHER * rivals.loads
 
 
 def branch_of(rivals: Rivals, kind: int) -> Branch:
