@@ -69,7 +69,7 @@ def test_a_whole_session_passes_and_a_damaged_one_fails(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "message"),
     [
         (TICKS_FILE, "1000 ticks are missing"),
         ("events.sqlite", "1 of 1 events and commands are missing"),
@@ -77,7 +77,7 @@ def test_a_whole_session_passes_and_a_damaged_one_fails(tmp_path: Path) -> None:
 )
 @pytest.mark.parametrize("remains", [False, True])
 def test_what_a_file_held_that_is_gone_or_empty_is_missing(
-    tmp_path: Path, name: str, told: str, *, remains: bool
+    tmp_path: Path, name: str, message: str, *, remains: bool
 ) -> None:
     state = recorded(tmp_path, Dropped())
     (state / "sessions" / NAME / name).unlink()
@@ -85,7 +85,7 @@ def test_what_a_file_held_that_is_gone_or_empty_is_missing(
         (state / "sessions" / NAME / name).touch()
     answer = run(state, "sessions", "verify", NAME)
     assert answer.returncode == 1
-    assert told in answer.stdout + answer.stderr or name in answer.stderr
+    assert message in answer.stdout + answer.stderr or name in answer.stderr
     assert "whole" not in answer.stdout
 
 

@@ -10,7 +10,7 @@ FEWEST = 5
 """Samples that can show anything: as many as there are parameters, 4 to 6 for a bath or a motor."""
 
 EARLIEST = 2 * FEWEST
-"""Samples before a decision: as many as fix the parameters, and as many to tell by."""
+"""Samples before a decision: twice as many as there are parameters."""
 
 WINDOW = 20
 """Samples after which the most likely explanation stays, and over which errors are a mean."""

@@ -90,11 +90,11 @@ class PatientWriter:
         writer.write(batch)
 
     def _insist(self, act: Callable[[SessionWriter], None]) -> None:
-        pause_s, waited_s, told = self._pause_s, 0.0, ""
+        pause_s, waited_s, reported = self._pause_s, 0.0, ""
         while (problem := self._try(act)) is not None:
             self._give_up(problem, waited_s)
-            if str(problem) != told:  # another one may follow the first, such as a full disk
-                told = str(problem)
+            if str(problem) != reported:  # another one may follow the first, such as a full disk
+                reported = str(problem)
                 detail = f"{STOPPED if self._header.directory else UNBEGUN}: {problem}"
                 self._send(News(severity=Severity.ALARM.value, detail=detail, failing=True))
             time.sleep(pause_s)
