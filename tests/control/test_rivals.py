@@ -137,7 +137,7 @@ def test_explanations_are_compared_by_their_likelihood_and_rarity(seed: int, loa
     expected = {kind: bayes(kind, one) for kind in range(NOTHING, BOTH + 1)}
     one.rivals.loads, one.rivals.samples = loads, 7
     riv.split(one.rivals, LEARNING, MOTOR, POWER)
-    rarity = {NOTHING: 0.0, DISTURBANCE: 0.0, LOAD: 12.0 + 6.0 * loads, BOTH: 18.0 + 6.0 * loads}
+    rarity = {NOTHING: 0.0, DISTURBANCE: 0.0, LOAD: 9.0 + 9.0 * loads, BOTH: 18.0 + 9.0 * loads}
     scores = {kind: expected[kind].log_density - rarity[kind] for kind in expected}
     for kind in (DISTURBANCE, LOAD, BOTH):
         branch = riv.branch_of(one.rivals, kind)
@@ -373,27 +373,20 @@ def led(lead: float, judged: int, samples: int = 20) -> chal.Challenger:
     return chal.Challenger(branch, logs=2.0 * lead, power=POWER, samples=samples, judged=judged)
 
 
+@pytest.mark.parametrize("judged", [0, 99])
 @pytest.mark.parametrize(
-    ("lead", "judged", "wins"),
-    [
-        (15.0, 0, True),
-        (14.99, 0, False),
-        (35.0, 20, True),
-        (34.9, 20, False),
-        (60.0, 45, True),
-        (60.0, 99, True),
-        (59.9, 99, False),
-    ],
+    ("lead", "loads", "wins"),
+    [(25.01, 0.0, True), (24.99, 0.0, False), (38.51, 1.5, True), (38.49, 1.5, False)],
 )
-def test_it_wins_by_sixty_or_at_once_by_fifteen_and_one_for_each_sample(
-    lead: float, judged: int, wins: bool
+def test_it_wins_by_twenty_five_and_nine_for_each_load_found_lately(
+    lead: float, loads: float, judged: int, wins: bool
 ) -> None:
     challenger = led(lead, judged)
     assert chal.lead(challenger) == pytest.approx(lead)
-    assert chal.has_won(challenger, LEARNING, MOTOR) is wins
-    assert chal.has_won(led(lead, judged, samples=0), LEARNING, MOTOR) is False
+    assert chal.has_won(challenger, loads, LEARNING, MOTOR) is wins
+    assert chal.has_won(led(lead, judged, samples=0), loads, LEARNING, MOTOR) is False
     challenger.branch.theta[1] = -9.0
-    assert chal.has_won(challenger, LEARNING, MOTOR) is False
+    assert chal.has_won(challenger, loads, LEARNING, MOTOR) is False
 
 
 def followed(lead: float, samples: int) -> int:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 from adaptdrive.control import rls
 from adaptdrive.control.drift import learn_sample
-from adaptdrive.control.evidence import CLEAR, LIFE
+from adaptdrive.control.evidence import CLEAR, LIFE, RARER
 from adaptdrive.control.hypotheses import (
     ANEW,
     Branch,
@@ -36,11 +36,8 @@ from adaptdrive.control.settings import Learning
 from adaptdrive.control.surprise import DRIFT
 from adaptdrive.control.vectors import Vector
 
-_PROOF = 60.0
-"""Λ at which the challenger takes over: a swinging torque lets it lead by up to 55."""
-
-_SUDDEN = 15.0
-"""Λ beyond one for each sample that suffices too: an impact brings it, a swinging torque never."""
+_PROOF = 25.0
+"""Λ at which the challenger takes over: at 12 one of 60 torque steps passed for a load."""
 
 _TRAINED = 10.0
 """Largest rᵀPr of a prediction that counts: the samples before are training."""
@@ -175,10 +172,16 @@ def lead(challenger: Challenger) -> float:
     return 0.5 * (challenger.logs - challenger.branch.logs + weight * math.log(ratio))
 
 
-def has_won(challenger: Challenger, learning: Learning, load: Load) -> bool:
-    """Return whether the challenger is to be the estimate."""
-    proof = min(_PROOF, _SUDDEN + challenger.judged)
-    if challenger.samples == 0 or not lead(challenger) >= proof:
+def has_won(challenger: Challenger, loads: float, learning: Learning, load: Load) -> bool:
+    """Return whether the challenger is to be the estimate.
+
+    Args:
+        challenger: As it has predicted.
+        loads: Changes of the load that were found lately; each makes another one less credible.
+        learning: Scales and bounds.
+        load: Order and structure.
+    """
+    if challenger.samples == 0 or not lead(challenger) >= _PROOF + RARER * loads:
         return False
     return is_possible(challenger.branch.theta, learning, load)
 

@@ -147,7 +147,7 @@ def _challenge(state: EstimatorState, learning: Learning, load: Load, target: fl
     chal.follow(challenger, learning, load, regressor, target, time_s, state.excitation, innovation)
     fill_initial_state(regressor, learning, load, time_s - state.origin_s)
     learning_load = state.rivals.samples > 0 and state.rivals.kind >= LOAD
-    if not learning_load and chal.has_won(challenger, learning, load):
+    if not learning_load and chal.has_won(challenger, state.rivals.loads, learning, load):
         _take_over(state)
 
 
@@ -161,6 +161,7 @@ def _take_over(state: EstimatorState) -> None:
     state.surprise.alarms += 1
     state.residual_power = power * state.residual_weight
     rivals.kind = BOTH
+    rivals.loads += 1.0
     rivals.samples = 0
     challenger.samples = 0
     hold_estimate(state)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from adaptdrive.control import rls
 from adaptdrive.control.certainty import is_sure
 from adaptdrive.control.drift import learn_sample
-from adaptdrive.control.evidence import CLEAR, EARLIEST, LIFE, NOISE_FLOOR, WINDOW
+from adaptdrive.control.evidence import CLEAR, EARLIEST, LIFE, NOISE_FLOOR, RARER, WINDOW
 from adaptdrive.control.hypotheses import (
     BOTH,
     DISTURBANCE,
@@ -47,12 +47,6 @@ PRIOR_SAMPLES = 4.0
 
 _PROOF = 8.0
 """Lead over `nothing` that any other explanation needs: odds of 3,000 to 1."""
-
-_LOAD_RARER = 12.0
-"""Handicap of a load: true changes lead by 30 at least, a swinging torque lets it lead by 10."""
-
-_FURTHER = 6.0
-"""Handicap of each further change: a disturbance beside the load, a load that was found lately."""
 
 
 @dataclass(slots=True)
@@ -237,8 +231,8 @@ def _rarity(rivals: Rivals, kind: int) -> float:
     """
     if kind < LOAD:
         return 0.0
-    rarity = _LOAD_RARER if kind == LOAD else _LOAD_RARER + _FURTHER
-    return rarity + _FURTHER * rivals.loads
+    changes = 1.0 if kind == LOAD else 2.0
+    return RARER * (changes + rivals.loads)
 
 
 def branch_of(rivals: Rivals, kind: int) -> Branch:
