@@ -24,7 +24,7 @@ from collections.abc import Sequence
 
 import msgspec
 
-from adaptdrive.errors import RefusedError
+from adaptdrive.errors import NOT_JSON, RefusedError
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.sensor_values import SensorFault
 from adaptdrive_sim.parameters import ParameterError, check_range
@@ -60,7 +60,7 @@ def parse_request(payload: bytes) -> DisturbanceRequest:
     """
     try:
         request = msgspec.json.decode(payload, type=DisturbanceRequest)
-    except (msgspec.DecodeError, UnicodeDecodeError) as problem:
+    except NOT_JSON as problem:
         raise RefusedError(str(problem)) from problem
     asked = [name for name in _ACTIONS if getattr(request, name) is not None]
     if len(asked) != 1:
@@ -75,7 +75,7 @@ def read_id(payload: bytes) -> str | None:
     """The id of a request that may be wrong otherwise, None where there is none."""
     try:
         found = msgspec.json.decode(payload)
-    except (msgspec.DecodeError, UnicodeDecodeError):
+    except NOT_JSON:
         return None
     name = found.get("id") if isinstance(found, dict) else None
     return name if isinstance(name, str) else None

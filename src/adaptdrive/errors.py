@@ -6,6 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+
+NOT_JSON = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
+"""What a decoder raises for bytes that are no JSON of the type that it was asked for."""
+
 
 class AdaptdriveError(Exception):
     """Root of every error that adaptdrive raises on purpose."""

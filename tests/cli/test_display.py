@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from adaptdrive.cli.display import describe, refusal_advice, site_table
+from adaptdrive.operation.conversation import json_object
 from adaptdrive.operation.listener import DriveStatus
 
 _STATE = ("state", "trip", "last_trip", "output", "waveform", "setpoint", "pole", "since")
@@ -40,3 +41,11 @@ def test_a_drive_with_values_of_another_shape_hides_no_other_drive(junk: object)
     assert "good   running" in table
     assert "3 V" in table
     assert describe("odd", odd).startswith("odd is online")
+
+
+@pytest.mark.calculating
+@pytest.mark.parametrize(
+    "payload", [b"", b"[", b'{"a":"\xff"}', b'{"a":' + 4000 * b"[", b"7", b"\xff"], ids=repr
+)
+def test_a_payload_that_is_no_json_object_is_nothing(payload: bytes) -> None:
+    assert json_object(payload) is None

@@ -40,7 +40,10 @@ def test_files_come_with_type_and_policy(port: int, path: str, kind: str) -> Non
     assert "frame-ancestors 'none'" in policy
 
 
-@pytest.mark.parametrize("path", ["vendor/", "../cli/panel.py", "%2e%2e/cli/panel.py", "none"])
+@pytest.mark.parametrize(
+    "path",
+    ["vendor/", "../cli/panel.py", "%2e%2e/cli/panel.py", "none", "%00", "%ed%a0%80", "a%0ab"],
+)
 def test_nothing_else_is_served(port: int, path: str) -> None:
     with pytest.raises(urllib.error.HTTPError) as refusal:
         urllib.request.urlopen(f"http://127.0.0.1:{port}/{path}")

@@ -2,16 +2,20 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import can
+import msgpack
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from adaptdrive.config.bus import CanBus
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.link.bus import _check_on_the_bus, describe_bus, open_bus
 from adaptdrive.hardware.link.codec import frame_key
+from adaptdrive.hardware.link.multicast import parse
 from tests.hardware.bench import motor_bus
 from tests.support import has_can
 
@@ -147,3 +151,16 @@ def test_a_controller_that_is_bus_off_is_not_opened(
     carrier.write_text("0\n")
     with pytest.raises(BusError, match=r"bus-off.*can7 type can restart-ms"):
         _check_on_the_bus(config)
+
+
+ANYTHING = st.none() | st.booleans() | st.integers(-9, 9) | st.floats() | st.binary(max_size=9)
+FIELDS = ("arbitration_id", "is_extended_id", "is_error_frame", "is_remote_frame", "dlc", "data")
+
+
+@given(st.dictionaries(st.sampled_from(FIELDS), ANYTHING | st.text(max_size=3)))
+def test_what_a_datagram_holds_is_a_frame_or_refused(odd: dict[str, object]) -> None:
+    whole = {"arbitration_id": 256, "is_extended_id": False, "dlc": 2, "data": b"ab"}
+    with suppress(can.CanOperationError):
+        frame = parse(msgpack.packb(whole | odd), 1.0)
+        assert 0 <= frame_key(frame.arbitration_id, extended=frame.is_extended_id) < 1 << 32
+        assert len(frame.data) == frame.dlc or frame.is_remote_frame

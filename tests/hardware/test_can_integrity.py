@@ -95,6 +95,15 @@ def test_one_refusal_is_the_price_of_a_restarted_sender() -> None:
     ]
 
 
+@pytest.mark.parametrize("ahead", [2, 3, 4, 8, 13, 15])
+def test_of_two_senders_that_take_turns_neither_is_believed(ahead: int) -> None:
+    """A gateway that repeats each frame late: its counter seems to be ahead of the drive's."""
+    counter = AliveCounter(16, max_jump=3)
+    frames = [value % 16 for now in range(40) for value in (now, now + ahead)]
+    verdicts = [counter.check(value)[0] for value in frames]
+    assert set(verdicts[4:]) == {FrameVerdict.COUNTER_LOST}
+
+
 def test_a_repeated_frame_does_not_stop_the_ones_that_follow() -> None:
     counter = AliveCounter(16, max_jump=1)
     verdicts = [counter.check(value)[0] for value in (15, 15, 15, 0)]

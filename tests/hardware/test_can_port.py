@@ -650,3 +650,25 @@ async def test_a_fault_is_kept_when_the_clocking_frame_is_lost(
         drive.send_both()
         await ear.hears(12)
         assert ear.readings[-1].fault == 0
+
+
+async def test_a_drive_that_does_not_obey_the_safe_command_hears_nothing_every_other_second(
+    port: CanPort, drive: Drive, ear: Ear, clock: Clock
+) -> None:
+    """Silence lets its own time-out switch it off; what it may have missed is said again."""
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        port.send(COMMAND)
+        stopped_s = clock.now_s
+        sent = [port.send(SAFE_COMMAND)]
+        for seconds in (0.9, 1.1, 1.9, 2.1, 2.9, 3.1):
+            clock.now_s = stopped_s + seconds
+            sent.append(port.send(SAFE_COMMAND))
+        assert sent == [True, True, False, False, True, True, False]
+        assert port.send(COMMAND)
+        assert port.send(SAFE_COMMAND)
+        clock.now_s += 1.5
+        drive.send_status(BridgeOn=0)
+        await heard_by(port, 3)
+        assert port.send(SAFE_COMMAND)

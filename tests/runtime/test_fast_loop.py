@@ -77,6 +77,19 @@ async def test_a_fault_that_one_late_frame_alone_shows_trips() -> None:
         assert bench.sent[-1] == SAFE_COMMAND
 
 
+async def test_a_voltage_beyond_its_limit_that_one_late_frame_alone_shows_trips() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        usual, bench.measured = bench.measured, replace(bench.measured, boost_voltage_V=440.0)
+        bench.frame(after_s=1.7 * TICK_S)
+        bench.measured = usual
+        bench.frame(after_s=0.3 * TICK_S)
+        assert bench.state() is State.TRIPPED
+        assert bench.machine.trip is not None
+        assert "over-voltage" in bench.machine.trip
+        assert bench.sent[-1] == SAFE_COMMAND
+
+
 async def test_the_timer_stands_in_on_the_drives_grid() -> None:
     async with fast_bench() as bench:
         bench.frames(5)

@@ -38,7 +38,10 @@ LIMITS = MachineLimits(
     slew_V_per_s=60.0,
     starting_ticks=600,
     tick_s=1.0 / 120.0,
+    reach=Reach(-9.0, 9.0),
 )
+"""A drive that can hold any set-point."""
+
 REACH = Reach(2.2, 4.4)
 SQUARE = Waveform(Shape.SQUARE, 3.0, 3.2, 60.0)
 FAULT = "drive fault: word 0x1"
@@ -182,12 +185,18 @@ def test_a_set_point_of_0_coasts_and_one_out_of_reach_is_refused() -> None:
     assert (desk.state(), desk.machine.coasting) == (State.STOPPING, False)
 
 
-def test_a_drive_of_unknown_reach_is_started_at_any_output() -> None:
+@pytest.mark.parametrize("output", [-0.01, 0.0, 0.02])
+def test_a_drive_of_unknown_reach_coasts_until_any_set_point_and_at_none(output: float) -> None:
+    """The lowest V_c may already charge a battery whose EMF is not known."""
     desk = _desk(UNKNOWN)
-    desk.ask(Enable(), output=-0.01)
-    assert desk.state() is State.STARTING
+    desk.ask(Enable(), output=output)
+    assert (desk.machine.stage, desk.machine.coasting) == (Stage.OFF, True)
     desk.ask(SetSetpoint(0.1))
+    assert desk.state() is State.STARTING
     assert not desk.machine.obstacle
+    desk.pass_ticks(2)
+    desk.ask(SetSetpoint(0.0))
+    assert (desk.machine.stage, desk.machine.coasting) == (Stage.OFF, True)
 
 
 def test_a_set_point_in_force_that_goes_out_of_reach_is_named() -> None:

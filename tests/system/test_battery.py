@@ -38,8 +38,10 @@ def battery_site(make_site: MakeSite) -> Site:
 def test_the_daemon_brings_the_current_up_and_it_follows_a_wave(make_site: MakeSite) -> None:
     site = battery_site(make_site)
     site.start("--noise", "0.02", *PATIENT_DRIVE)
-    site.run_drive()
+    site.demand("enable")
+    site.await_state(state="running", coasting=True)
     site.demand("setpoint", 10.0)
+    site.await_state(state="running", coasting=False)
     site.let_periods_pass(20)
     assert site.ear.on("telemetry/load")[-1].content["output"] == pytest.approx(10.0, abs=0.3)
     site.demand("waveform", WAVE)

@@ -120,7 +120,9 @@ def test_messages_without_their_keys_do_no_harm() -> None:
 
 
 @pytest.mark.parametrize(
-    "junk", [7, "text", [], [1, "x"], {"a": []}, 10**400, True], ids=lambda one: str(one)[:9]
+    "junk",
+    [7, -1.7e308, "[/red]", [], [1, "x"], {"a": []}, 10**400, True],
+    ids=lambda one: str(one)[:9],
 )
 def test_values_of_another_shape_do_no_harm(junk: Any) -> None:
     clock = Clock()

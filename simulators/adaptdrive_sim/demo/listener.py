@@ -10,6 +10,7 @@ import msgspec
 from aiomqtt import Client, Message, MqttError, ProtocolVersion
 
 from adaptdrive.config.services import Mqtt
+from adaptdrive.errors import NOT_JSON
 from adaptdrive.operation.link import connection
 from adaptdrive.operation.messages import ONLINE
 from adaptdrive.operation.simulator import simulator_topic
@@ -77,7 +78,7 @@ class DemoListener:
             return
         try:
             self._takes[message.topic.value](payload)
-        except msgspec.DecodeError as problem:
+        except NOT_JSON as problem:
             raise DemoError(f"{message.topic}: cannot be read: {problem}") from problem
 
     def _hear_availability(self, payload: bytes) -> None:

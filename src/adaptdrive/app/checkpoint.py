@@ -24,7 +24,7 @@ from adaptdrive.config.regular_file import read_regular
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
-from adaptdrive.errors import AdaptdriveError
+from adaptdrive.errors import NOT_JSON, AdaptdriveError
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Event, LoadReport, Severity
 
@@ -169,7 +169,7 @@ def _decode(path: Path, text: bytes) -> Checkpoint:
         if version != FORMAT:
             raise CheckpointError(path, f"format {version} is not {FORMAT}, the one known here")
         return msgspec.json.decode(text, type=Checkpoint)
-    except (msgspec.DecodeError, UnicodeDecodeError) as problem:
+    except NOT_JSON as problem:
         raise CheckpointError(path, f"damaged: {problem}") from problem
 
 

@@ -18,7 +18,7 @@ from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import TickReport
-from adaptdrive.runtime.requests import Disable, Enable, Request, SetMode
+from adaptdrive.runtime.requests import Disable, Enable, Request, SetMode, SetSetpoint
 
 _PERIODS = 4
 _READINGS_AT_MOST = 2400
@@ -108,6 +108,7 @@ class Rehearsal:
             if number == _READINGS_TO_RUN // 2:
                 self._carry_out(SetMode(Mode.ADAPTIVE))
                 self._carry_out(Enable())
+                self._carry_out(SetSetpoint(self._output))
             for snapshot in tuple(self._nobody.snapshots):
                 self._nobody.snapshots.clear()
                 self._loop.deliver(snapshot, self._controller.decide(snapshot))

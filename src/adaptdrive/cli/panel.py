@@ -39,6 +39,11 @@ class PanelHandler(SimpleHTTPRequestHandler):
             self.send_header(name, value)
         super().end_headers()
 
+    def translate_path(self, path: str) -> str:
+        """Return the file of a request, that of an unknown page where its path can be none."""
+        file = super().translate_path(path)
+        return file if file.isprintable() else str(FOLDER / "unknown")
+
     def list_directory(self, path: object) -> None:  # noqa: ARG002 - the base's signature
         """Refuse to list a folder."""
         self.send_error(HTTPStatus.NOT_FOUND)

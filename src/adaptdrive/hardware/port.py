@@ -14,6 +14,9 @@ from typing import Final, Protocol
 
 from adaptdrive.control.signals import Command
 
+OBEY_S = 1.0
+"""Time that a drive has for the safe command before nothing keeps its own watchdog quiet."""
+
 
 @dataclass(slots=True, init=False)
 class Reading:

@@ -12,7 +12,7 @@ import msgspec
 from aiomqtt import Client, MqttError, ProtocolVersion
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.errors import AdaptdriveError
+from adaptdrive.errors import NOT_JSON, AdaptdriveError
 from adaptdrive.operation.link import connection
 
 T = TypeVar("T")
@@ -64,7 +64,7 @@ def decoded(payload: bytes, kind: type[T]) -> T | None:
     """Return what a payload holds, None where it is no JSON of that kind."""
     try:
         return msgspec.json.decode(payload, type=kind)
-    except msgspec.DecodeError:
+    except NOT_JSON:
         return None
 
 

@@ -25,6 +25,9 @@ _DRIVE = re.compile("[A-Za-z0-9_-]{1,64}")
 SITE_WAIT_S = 0.5
 """From the last message of a new drive: retained messages come at once, telemetry in 0.1 s."""
 
+_LARGEST = 1e100
+"""Least number that no quantity has: sums and differences of smaller ones are numbers still."""
+
 
 @dataclass(slots=True)
 class DriveStatus:
@@ -160,10 +163,9 @@ def part(content: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 def number(value: object) -> float:
     """Return a number in a payload as a float, NaN for anything else and where it is too large."""
-    try:
-        return float(value) if isinstance(value, int | float) else math.nan
-    except OverflowError:
+    if not isinstance(value, int | float) or not abs(value) < _LARGEST:
         return math.nan
+    return float(value)
 
 
 def printable(value: object) -> str:

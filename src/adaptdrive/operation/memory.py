@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import msgspec
 
+from adaptdrive.errors import NOT_JSON
 from adaptdrive.operation.clock import Monotonic, WallClock
 from adaptdrive.operation.journal import Journal
 from adaptdrive.operation.messages import Reply, encode
@@ -123,7 +124,7 @@ def _reply(identity: object, body: object) -> Reply | None:
         return None
     try:
         return msgspec.json.decode(body, type=Reply)
-    except (msgspec.MsgspecError, UnicodeError):
+    except NOT_JSON:
         return None
 
 

@@ -6,6 +6,7 @@ from datetime import datetime
 
 import msgspec
 
+from adaptdrive.errors import NOT_JSON
 from adaptdrive.operation.journal import Journal
 from adaptdrive.operation.messages import LastTrip
 from adaptdrive.runtime.trips import remedy
@@ -59,6 +60,6 @@ def _trip(body: object) -> LastTrip | None:
         return None
     try:
         row = msgspec.json.decode(body, type=_Row)
-    except (msgspec.MsgspecError, UnicodeError):
+    except NOT_JSON:
         return None
     return LastTrip(row.time, row.text, remedy(row.text))

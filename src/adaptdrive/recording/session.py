@@ -23,7 +23,7 @@ from typing import Self
 import msgspec
 
 from adaptdrive.config.regular_file import read_regular
-from adaptdrive.errors import RecordingError
+from adaptdrive.errors import NOT_JSON, RecordingError
 
 FORMAT = 2
 FORMATS = (1, 2)
@@ -245,7 +245,7 @@ def read_info(directory: Path) -> SessionInfo:
         return msgspec.json.decode(text, type=SessionInfo)
     except OSError as problem:
         raise RecordingError(path, problem.strerror or str(problem)) from problem
-    except (msgspec.DecodeError, UnicodeDecodeError) as problem:
+    except NOT_JSON as problem:
         raise RecordingError(path, str(problem)) from problem
 
 

@@ -124,10 +124,15 @@ class FastLoop:
         self.reading = reading
         if tick > self.tick:
             self._run(tick, arrival_s, self._surroundings.now_s(), fresh=True)
-        elif reading.fault:  # the next reading may replace it before a tick
-            self._watch_between_ticks(self._surroundings.now_s())
+        else:
+            self._watch_late_reading(reading, self._surroundings.now_s())
         late_s = (1.0 + self._settings.late_fraction) * half_cycles.reading_period_s
         self._arm(arrival_s + late_s)
+
+    def _watch_late_reading(self, reading: Reading, now_s: float) -> None:
+        """Trip for a reading beyond a limit now: the next one may replace it before a tick."""
+        if self._interlocks.standing_cause(self._port, reading, now_s) is not None:
+            self._watch_between_ticks(now_s)
 
     def on_deadline(self, deadline_s: float) -> None:
         """Run a stand-in tick on the held values: no frame came in time.
@@ -152,7 +157,7 @@ class FastLoop:
         self._run(tick, deadline_s, now_s, fresh=False)
 
     def _watch_between_ticks(self, now_s: float) -> None:
-        """Trip for what no tick sees: a late fault, and silence where the timer never stands in."""
+        """Trip for what no tick sees: a late reading, or silence where no timer stands in."""
         self._watch_interlocks(now_s)
         if not self._machine.energised:
             self.send_safe()

@@ -205,7 +205,7 @@ class Machine:
         """
         self._require_loop("setpoint")
         self._limits.require_reference("setpoint", value)
-        coasts = value <= 0.0 and value < self.reach.low
+        coasts = value <= 0.0 and not value >= self.reach.low  # which may not be known
         if not coasts:
             self._limits.require_reach("setpoint", value, self.reach)
         self.setpoint = value
@@ -247,7 +247,8 @@ class Machine:
         """Start the drive, with the present output as set-point; no effect while it is energised.
 
         In mode manual it coasts until a voltage is asked for: a program that dies before that
-        leaves nothing energised.
+        leaves nothing energised. So does a load of which nobody knows what V_c does to it, until a
+        set-point is asked for.
 
         Args:
             output: Present output, NaN while unknown.
@@ -274,7 +275,7 @@ class Machine:
             self._coast()
             return
         self.setpoint = self._limits.nearest_reference(output)
-        if self.mode is Mode.MANUAL:
+        if self.mode is Mode.MANUAL or not self.reach.is_known:
             self._coast()
         else:
             self._start()

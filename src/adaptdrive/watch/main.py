@@ -38,15 +38,17 @@ async def watch(broker: Mqtt, drive: str, timeout_s: float) -> None:
             sending.add(task)
             task.add_done_callback(sending.discard)
 
-    services = (_follow(broker, record), draw(functools.partial(screen, record)))
-    tasks = [asyncio.create_task(service) for service in services]
+    services = (_follow(broker, record), draw(functools.partial(screen, record)), ended.wait())
+    tasks = [asyncio.ensure_future(service) for service in services]
     try:
         with pressed_keys(on_key):
-            await ended.wait()
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
         for task in (*tasks, *sending):
             task.cancel()
         await asyncio.wait([*tasks, *sending])
+    for task in done:
+        await task  # a service that has failed ends the view with its error
 
 
 async def _follow(broker: Mqtt, record: WatchRecord) -> None:

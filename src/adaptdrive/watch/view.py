@@ -151,7 +151,8 @@ def _health(record: WatchRecord) -> Table:
     times = "/".join(figure(1e-3 * number(lateness.get(name))) for name in ("p50", "p99", "max"))
     table = rows("l", "r")
     table.add_row("late, ms", times)
-    table.add_row("missed/held", f"{fast.get('missed')}/{fast.get('held')} of {fast.get('ticks')}")
+    counted = f"{fast.get('missed')}/{fast.get('held')} of {fast.get('ticks')}"
+    table.add_row("missed/held", _text(counted))
     table.add_row("refused", f"{sum(number(bus.get(name, 0)) for name in _REFUSED):.0f}")
     table.add_row("sensor buses", _text(f"down: {', '.join(down)}" if down else len(sensors)))
     table.add_row("age", _value(fast.get("age_s"), "s"))

@@ -395,3 +395,14 @@ async def test_another_master_of_the_node_is_a_complaint(peer: Peer) -> None:
                 bus.send(can.Message(arbitration_id=can_id, is_extended_id=False, data=data))
         await until(lambda: bench.port.statistics.foreign_commands == len(commands))
         await bench.complains("another sender commands this drive: 2 x frame 0x205")
+
+
+async def test_a_node_that_leaves_operational_for_a_moment_is_set_up_again(peer: Peer) -> None:
+    """Both heartbeats come before the port has looked once."""
+    async with running(peer) as bench:
+        await bench.ready()
+        known = bench.port.statistics.reconnects
+        for state in (0x7F, 0x05):
+            peer.network.send_message(0x700 + NODE, bytes((state,)))
+        await until(lambda: bench.port.statistics.reconnects == known + 1)
+        await until(lambda: bench.port.complaint is None)

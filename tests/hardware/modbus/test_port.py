@@ -14,8 +14,11 @@ from adaptdrive.hardware.port import Reading
 from tests.hardware.modbus.bench import (
     FUNCTION_23,
     RUN,
+    Bench,
     Ear,
+    Pieces,
     TcpPeer,
+    TIMEOUT_s,
     bench,
     build,
     serial,
@@ -24,6 +27,13 @@ from tests.hardware.modbus.bench import (
 
 POLL_s = 6 / 120.0
 FROZEN_POLLS = 4.0
+
+SCATTERED: dict[str, str | None] = {
+    "bus__max_gap": "0",
+    "bus__registers__line": "{ address = 5, table = 'holding', scale = 0.1 }",
+    "bus__registers__speed": "{ address = 3, table = 'holding', type = 'float32' }",
+}
+"""Four blocks that are read one by one."""
 
 both = pytest.mark.parametrize("kind", ["tcp", "rtu"])
 
@@ -226,3 +236,57 @@ async def test_after_a_freeze_nothing_energising_is_written(
         await until(lambda: thawed.is_set() and one.told()[1] == 0)
         await one.hears(3)
         assert not any(registers[1] for _, registers in one.peer.writes[written[0] :])
+
+
+def refuses_writes(pdu: bytes) -> bytes:
+    """A reply, or exception 6 in place of an acknowledgement."""
+    return pdu if pdu[0] in {3, 4} else bytes((pdu[0] | 0x80, 6))
+
+
+@both
+@pytest.mark.parametrize("register", ["2", "9"], ids=["same-block", "own-block"])
+async def test_a_drive_that_refuses_the_safe_command_gets_no_heartbeat(
+    register: str, kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    """Its own watchdog is what is left to switch it off; a drive that obeys is fed again."""
+    alive = {"bus__registers__alive": f"{{ address = {register}, table = 'holding' }}"}
+    async with bench(kind, tmp_path, free_tcp_port, **alive) as one:
+        one.port.send(RUN)
+        await until(lambda: bool(one.peer.writes))
+        one.peer.answer = refuses_writes
+        one.port.send(SAFE_COMMAND)
+        await asyncio.sleep(1.5)
+        known = len(one.peer.writes)
+        await until(lambda: len(one.peer.writes) > known + 10)
+        assert len(set(beats(one, int(register), known))) <= (register == "2")
+        assert [0, 0] in [words[:2] for _, words in one.peer.writes[known:]]
+        one.peer.answer = lambda pdu: pdu
+        known = len(one.peer.writes)
+        await until(lambda: len(set(beats(one, int(register), known))) > 3)
+
+
+def beats(one: Bench, register: int, known: int) -> list[int]:
+    """Heartbeats among the writes after the first so many."""
+    return [
+        words[register - address]
+        for address, words in one.peer.writes[known:]
+        if address <= register < address + len(words)
+    ]
+
+
+def slow(reply: bytes) -> Pieces:
+    """A reply just before its time-out."""
+    return [(0.7 * TIMEOUT_s, reply)]
+
+
+@both
+async def test_a_drive_that_answers_slowly_gets_its_commands(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    """Each reply takes less than its time-out, and the four of a poll more than two polls."""
+    async with bench(kind, tmp_path, free_tcp_port, **SCATTERED) as one:
+        one.peer.spoil = slow
+        one.port.send(Command(0.0, 250.0, bridge=True))
+        await until(lambda: bool(one.peer.writes) and one.told() == [25000, 1])
+        one.port.send(Command(0.0, 260.0, bridge=True))
+        await until(lambda: one.told() == [26000, 1])

@@ -171,6 +171,8 @@ class Master:
         """Wait until the node is lost; why it is."""
         timeout_s = self._bus.heartbeat_timeout_s
         while True:
+            if not self.ready:  # lost by a heartbeat, whatever the node reports now
+                return self.problem
             if self._booted or self._state != NodeState.OPERATIONAL:
                 return self._departure()
             silent_s = self._clock() - self._heard_s

@@ -34,16 +34,13 @@ from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.link.bus import describe_bus
 from adaptdrive.hardware.link.connection import CanConnection
 from adaptdrive.hardware.link.integrity import FrameVerdict
-from adaptdrive.hardware.port import Listener, PortStatistics, Reading
+from adaptdrive.hardware.port import OBEY_S, Listener, PortStatistics, Reading
 from adaptdrive.hardware.rival import Rival
 
 _STATUSWORD = label(STATUSWORD)
 
 _FAULT_RESET_S = 1.0
 """Longest wait for a drive to leave its fault."""
-
-_OBEY_S = 1.0
-"""Time that a drive has for the safe command before the daemon's heartbeat is withheld from it."""
 
 _LOOK_S = 0.005
 """Time between two looks whether the fault is gone: short beside the longest wait."""
@@ -287,7 +284,7 @@ class CanOpenPort:
     @property
     def _disobeyed(self) -> bool:
         """True if the drive is still energised long after it was commanded safe."""
-        return self._clock() - self._safe_s > _OBEY_S and self._control.state in POWERED
+        return self._clock() - self._safe_s > OBEY_S and self._control.state in POWERED
 
     def _beat(self) -> None:
         """Send the daemon's heartbeat when it is due."""

@@ -46,6 +46,12 @@ class StatusAssembly:
         words = (source.slack_s for source in self._sources if source.quantity == "bridge")
         return next(words, None)
 
+    @property
+    def powered(self) -> bool:
+        """True if the drive's last report has its bridge on."""
+        bridge = self._values.get("bridge")
+        return bridge is not None and bridge == self._bridge_on
+
     def forget(self) -> None:
         """Discard every arrival and counter: the bus was opened again."""
         for status in self._statuses:

@@ -29,7 +29,7 @@ from adaptdrive.hardware.link.bus import as_received, describe_bus
 from adaptdrive.hardware.link.codec import MessageCodec, frame_key
 from adaptdrive.hardware.link.connection import CanConnection
 from adaptdrive.hardware.link.integrity import FrameVerdict
-from adaptdrive.hardware.port import Listener, PortStatistics, Reading
+from adaptdrive.hardware.port import OBEY_S, Listener, PortStatistics, Reading
 from adaptdrive.hardware.rival import Rival
 
 _GOOD: Final[FrameVerdict] = FrameVerdict.GOOD  # found at once by compiled code
@@ -124,7 +124,9 @@ class CanPort:
             command: Command to the drive; it must have passed the guard.
 
         Returns:
-            Whether the bus took it; False is counted, and nothing is sent again.
+            Whether the bus took it. False is counted, and nothing is sent again. It is False, too,
+            in every other second of a drive that stays energised after the safe command: silence
+            lets its own time-out switch it off.
 
         Raises:
             ValueError: A value is not finite, or its signal cannot hold it; nothing is sent.
@@ -133,6 +135,8 @@ class CanPort:
         safe = not command.bridge and command == SAFE_COMMAND
         if not safe:
             self._safe_s = math.inf
+        if self._disobeyed:
+            return False
         taken = 0
         for frame in frames:
             taken += self._connection.send(frame)
@@ -231,6 +235,12 @@ class CanPort:
         if reading is not None and (listener := self._connection.listener) is not None:
             self._assembly.faults.clear(reading.fault)
             listener.on_reading(reading)
+
+    @property
+    def _disobeyed(self) -> bool:
+        """True in every other second of a drive that is energised long after the safe command."""
+        seconds = (self._clock() - self._safe_s) / OBEY_S
+        return self._assembly.powered and seconds >= 1.0 and int(seconds) % 2 == 1
 
     def _frame(self, order: CommandFrame, command: Command) -> can.Message:
         codec = order.codec

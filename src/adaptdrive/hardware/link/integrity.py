@@ -123,13 +123,15 @@ class AliveCounter:
     """Follows the alive counter of one message.
 
     A counter that stands still is a repeated frame. One that leaps further than `max_jump` is
-    refused once and becomes the new start, so that a restarted sender loses one frame.
+    refused. So are those after it, until one is the very next of the one before: a restarted sender
+    loses one frame, and of two senders that take turns neither is believed.
     """
 
     def __init__(self, modulus: int, max_jump: int) -> None:
         self._modulus = modulus
         self._max_jump = max_jump
         self._last: int | None = None
+        self._leapt = False
 
     def check(self, value: int) -> tuple[FrameVerdict, int]:
         """Compare a counter with the one before it.
@@ -147,9 +149,9 @@ class AliveCounter:
         if jump == 0:
             return FrameVerdict.COUNTER_STUCK, 0
         self._last = value
-        verdict = _GOOD if jump <= self._max_jump else FrameVerdict.COUNTER_LOST
-        return verdict, jump - 1
+        self._leapt = jump > (1 if self._leapt else self._max_jump)
+        return FrameVerdict.COUNTER_LOST if self._leapt else _GOOD, jump - 1
 
     def reset(self) -> None:
         """Forget the past: the next counter is the first one."""
-        self._last = None
+        self._last, self._leapt = None, False

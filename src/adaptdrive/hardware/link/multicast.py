@@ -100,9 +100,12 @@ def parse(datagram: bytes, timestamp_s: float) -> can.Message:
         CanOperationError: There is none in it; what is wrong is the error's cause.
     """
     try:
-        return unpack_message(datagram, {"timestamp": timestamp_s}, check=True)
+        frame = unpack_message(datagram, {"timestamp": timestamp_s}, check=True)
     except Exception as problem:
         raise can.CanOperationError("not a frame") from problem
+    if {type(frame.arbitration_id), type(frame.dlc)} != {int}:
+        raise can.CanOperationError("not a frame") from TypeError("its id or length is no integer")
+    return frame
 
 
 def confine_to_loopback(sock: socket.socket, group: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import logging
 import socket
@@ -14,6 +15,7 @@ from pymodbus.pdu import ModbusPDU
 
 from adaptdrive.config.modbus import ModbusLink, RtuLink, TcpLink
 from adaptdrive.errors import BusError
+from adaptdrive.hardware.modbus.names import look_up
 
 Client = AsyncModbusTcpClient | AsyncModbusSerialClient
 Trace = Callable[[bool, bytes], bytes]
@@ -41,7 +43,41 @@ async def open_client(config: TcpLink | RtuLink, trace: Trace) -> Client:
     Raises:
         BusError: There is no connection.
     """
-    client = unconnected_client(config, trace)
+    problem = BusError(describe_bus(config), "it has no address")
+    for one in await _addressed(config):
+        try:
+            return await _connected(one, config, trace)
+        except BusError as failure:
+            problem = failure
+    raise problem
+
+
+async def _addressed(config: TcpLink | RtuLink) -> list[TcpLink | RtuLink]:
+    """Return the link with each address of its host.
+
+    Raises:
+        BusError: Its name has none, or no name server answers in time.
+    """
+    if isinstance(config, RtuLink):
+        return [config]
+    try:
+        async with asyncio.timeout(_CONNECT_S):
+            addresses = await asyncio.wrap_future(look_up(config.host, config.port))
+    except TimeoutError as problem:
+        silence = f"no name server answers within {_CONNECT_S:g} s"
+        raise BusError(describe_bus(config), silence) from problem
+    except (OSError, ValueError) as problem:
+        raise BusError(describe_bus(config), str(problem)) from problem
+    return [config.model_copy(update={"host": address}) for address in addresses]
+
+
+async def _connected(one: TcpLink | RtuLink, config: TcpLink | RtuLink, trace: Trace) -> Client:
+    """Connect to one address of a link.
+
+    Raises:
+        BusError: There is no connection.
+    """
+    client = unconnected_client(one, trace)
     try:
         connected = await client.connect()
     except termios.error as problem:

@@ -9,10 +9,14 @@ from collections.abc import Callable
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.link import EXCEPTIONS, ExchangeError, ModbusConnection
-from adaptdrive.hardware.modbus.mapping import Poll
+from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll
+from adaptdrive.hardware.port import OBEY_S
 
-_LATE_POLLS = 2.0
-"""Lateness of a poll, in polls, from which on only the safe command is written with it."""
+_FROZEN_POLLS = 2.0
+"""Time without a step of the port, in polls, after which the process counts as having stood still.
+
+No exchange that a running process awaits takes as long: its time-out is shorter than a poll.
+"""
 
 _REFUSED_WRITES = 2
 """Commands refused in a row after which the drive counts as refusing: one may find it busy."""
@@ -25,7 +29,6 @@ class Commander:
     """The newest command of one drive; nothing is queued behind it.
 
     Attributes:
-        due_s: Time at which the poll under way was due.
         bridge: Bridge of the last command that the drive acknowledged.
         safe_s: Time at which it acknowledged the safe command, infinite without one in force.
         refused_write: Why the last command was not taken, empty if it was.
@@ -54,7 +57,10 @@ class Commander:
         self._refusal = ""
         self._doubtful = False
         self._alive = 0
-        self.due_s = -math.inf
+        self._stopped_s = math.inf
+        self._powered = False
+        self._stepped_s = math.inf
+        self._outdated = False
         self.bridge = False
         self.safe_s = math.inf
         self.refused_write = ""
@@ -78,6 +84,12 @@ class Commander:
         return self.urgent and not self._doubtful
 
     @property
+    def _disobeyed(self) -> bool:
+        """True if the drive is still energised, or may be, long after it was commanded safe."""
+        late = self._clock() - self._stopped_s > OBEY_S + self._poll_s
+        return late and (self._powered or not self._safe)
+
+    @property
     def pending(self) -> bool:
         """True if a command must be written after the read of a poll."""
         return not self._poll.combined or self._command != self._written
@@ -91,16 +103,33 @@ class Commander:
         for _, sinks in self._poll.writes:
             for sink in sinks:
                 sink.words(command, 0)
+        if command != SAFE_COMMAND:
+            self._stopped_s = math.inf
+        elif self._stopped_s == math.inf:
+            self._stopped_s = self._clock()
         self._command = command
+        self._outdated = False
 
     def begin(self) -> None:
         """Forget what was acknowledged on the link before."""
         self.safe_s, self._refused, self._untaken = math.inf, 0, 0
-        self._silent = False
+        self._silent = self._powered = False
+        self._stepped_s = self._clock()
+        if self._command == SAFE_COMMAND:
+            self._stopped_s = self._clock()
+
+    def note_step(self) -> None:
+        """Note that the port does its work; a command from before a standstill is void."""
+        self._outdated = self._outdated or self._stands_still
+        self._stepped_s = self._clock()
 
     def note_read(self, *, answered: bool) -> None:
         """Note whether the drive answers reads: a silent one ignores more than commands."""
         self._silent = not answered
+
+    def note_bridge(self, *, powered: bool) -> None:
+        """Note whether the drive reports its bridge on, or is assumed to have it on."""
+        self._powered = powered
 
     async def read(self, link: ModbusConnection, exchange: Exchange, *, first: bool) -> list[int]:
         """Read a block; write the command with the first one where the drive can do both at once.
@@ -117,8 +146,8 @@ class Commander:
         self._doubt(command)
         both = Exchange(exchange.read, block)
         try:
-            registers = await link.exchange(
-                both, words, at_once=at_once, void=lambda: self._is_void(command)
+            registers = await self._exchange(
+                link, both, words, at_once=at_once, void=lambda: self._is_void(command)
             )
         except ExchangeError as failure:
             if not self._is_void(command):
@@ -138,7 +167,9 @@ class Commander:
         words = self._words(command)
         self._doubt(command)
         taken = True
-        for (block, _), registers in zip(self._poll.writes, words, strict=True):
+        for (block, sinks), registers in zip(self._poll.writes, words, strict=True):
+            if self._disobeyed and all(sink.name == HEARTBEAT for sink in sinks):
+                continue
             if taken or (command == SAFE_COMMAND and link.lost is None):
                 exchange = Exchange(write=block)
                 taken &= await self._wrote(link, exchange, registers, command, at_once=at_once)
@@ -155,7 +186,27 @@ class Commander:
     async def _read(self, link: ModbusConnection, exchange: Exchange) -> list[int]:
         """Read a block, unless the safe command becomes urgent before it is asked for."""
         known = self.urgent
-        return await link.exchange(exchange, [], void=lambda: self.urgent and not known)
+        return await self._exchange(link, exchange, [], void=lambda: self.urgent and not known)
+
+    async def _exchange(
+        self,
+        link: ModbusConnection,
+        exchange: Exchange,
+        words: list[int],
+        *,
+        at_once: bool = False,
+        void: Callable[[], bool],
+    ) -> list[int]:
+        """Ask the link, and note that the process runs.
+
+        Raises:
+            ExchangeError: As the link does.
+        """
+        self.note_step()
+        try:
+            return await link.exchange(exchange, words, at_once=at_once, void=void)
+        finally:
+            self.note_step()
 
     async def _wrote(
         self,
@@ -168,8 +219,8 @@ class Commander:
     ) -> bool:
         """Write one block of a command; whether the drive has taken it."""
         try:
-            await link.exchange(
-                exchange, registers, at_once=at_once, void=lambda: self._is_void(command)
+            await self._exchange(
+                link, exchange, registers, at_once=at_once, void=lambda: self._is_void(command)
             )
         except ExchangeError as failure:
             if self._is_void(command):
@@ -185,16 +236,23 @@ class Commander:
 
         A process that did not run for long finds here what it decided before: that is void.
         """
-        late = self._clock() - self.due_s > _LATE_POLLS * self._poll_s
-        return None if late and self._command != SAFE_COMMAND else self._command
+        void = self._outdated or self._stands_still
+        return None if void and self._command != SAFE_COMMAND else self._command
+
+    @property
+    def _stands_still(self) -> bool:
+        return self._clock() - self._stepped_s > _FROZEN_POLLS * self._poll_s
 
     def _is_void(self, command: Command) -> bool:
         """Return whether a command that energises must not be sent any more."""
         return command != SAFE_COMMAND and self._current() in {None, SAFE_COMMAND}
 
     def _words(self, command: Command) -> list[list[int]]:
-        """The registers of every block that is written, with the next heartbeat."""
-        self._alive += 1
+        """The registers of every block that is written, with the next heartbeat.
+
+        The heartbeat stands still for a drive that does not obey: its own watchdog ends that.
+        """
+        self._alive += not self._disobeyed
         return [
             [word for sink in sinks for word in sink.words(command, self._alive)]
             for _, sinks in self._poll.writes

@@ -11,9 +11,13 @@ from adaptdrive.hardware.bus_kind import BusKind
 from adaptdrive.hardware.demands import demands_of
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.mapping import map_drive
+from adaptdrive.hardware.modbus.names import look_up
 from adaptdrive.hardware.modbus.port import ModbusPort
 from adaptdrive.hardware.modbus.sensors import build_modbus_sensors
 from adaptdrive.hardware.port import Port
+
+_LOOK_UP_S = 2.0
+"""Longest wait for the addresses of a drive's host: its daemon starts without them, too."""
 
 
 def _build(
@@ -30,8 +34,20 @@ def _build(
 
 
 def _lock_names(configuration: Configuration) -> Iterator[str]:
-    """Yield the device: Modbus shows no requests of another client."""
-    yield describe_bus(_bus(configuration))
+    """Yield the device, by its addresses, too: Modbus shows no requests of another client."""
+    bus = _bus(configuration)
+    yield describe_bus(bus)
+    if isinstance(bus, ModbusTcp):
+        for address in _addresses(bus):
+            yield f"modbus-tcp address {address} port {bus.port} device {bus.device_id}"
+
+
+def _addresses(bus: ModbusTcp) -> tuple[str, ...]:
+    """Return the addresses of a host, none where its name server does not answer."""
+    try:
+        return look_up(bus.host, bus.port).result(_LOOK_UP_S)
+    except (OSError, ValueError, TimeoutError):
+        return ()
 
 
 def _bus(configuration: Configuration) -> ModbusTcp | ModbusRtu:

@@ -204,7 +204,7 @@ class ModbusPort:
         next_s = self._clock()
         try:
             while link.lost is None and not self._closing:
-                self._commander.due_s = next_s
+                self._commander.note_step()
                 await self._poll_once(link)
                 next_s = self._next(next_s)
                 await self._idle(link, next_s)
@@ -285,6 +285,9 @@ class ModbusPort:
             return
         self._report_up()
         counter, bridge = values.get("counter"), values.get("bridge")
+        # a drive without a bridge signal is assumed to follow the last command
+        powered = self._commander.bridge if bridge is None else bridge != 0
+        self._commander.note_bridge(powered=powered)
         if self._listener is not None:
             fault = self._faults.word
             self._faults.clear(fault)
@@ -298,8 +301,7 @@ class ModbusPort:
                     load_power_W=values.get("load_power_W", math.nan),
                     output=values.get("output", math.nan),
                     fault=fault,
-                    # a drive without a bridge signal is assumed to follow the last command
-                    bridge=self._commander.bridge if bridge is None else bridge != 0,
+                    bridge=powered,
                     other={name: values[name] for name in self._poll.other},
                 )
             )

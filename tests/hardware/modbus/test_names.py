@@ -1,0 +1,84 @@
+"""A host is found by its name, and a name server that does not answer keeps nobody waiting."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from adaptdrive.app.lock import lock_names
+from adaptdrive.config.modbus import ModbusTcp
+from adaptdrive.errors import BusError
+from adaptdrive.hardware.modbus.bus import open_client
+from tests.config.modbus_documents import parse
+from tests.hardware.modbus.bench import TcpPeer
+
+
+def bus_at(host: str, port: int) -> ModbusTcp:
+    bus = parse(bus__host=f'"{host}"', bus__port=str(port)).bus
+    assert isinstance(bus, ModbusTcp)
+    return bus
+
+
+@pytest.fixture
+def silent_name_server(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Look-ups that end with the test only."""
+    answered = threading.Event()
+
+    def wait(*_: object, **__: object) -> None:
+        answered.wait()
+        raise socket.gaierror(socket.EAI_AGAIN, "try again")
+
+    monkeypatch.setattr(socket, "getaddrinfo", wait)
+    yield
+    answered.set()
+
+
+async def test_every_address_of_a_name_is_tried(
+    free_tcp_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The device has the second one only."""
+    found = [
+        (socket.AF_INET, socket.SOCK_STREAM, 6, "", (address, free_tcp_port))
+        for address in ("127.0.0.9", "127.0.0.1")
+    ]
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
+    peer = TcpPeer(free_tcp_port)
+    await peer.start()
+    client = await open_client(bus_at("drive", free_tcp_port), lambda _, data: data)
+    assert client.connected
+    client.close()
+    await peer.stop()
+
+
+async def test_a_name_that_nobody_has_is_named(free_tcp_port: int) -> None:
+    with pytest.raises(BusError, match=r"nowhere\.invalid:.*device 1: "):
+        await open_client(bus_at("nowhere.invalid", free_tcp_port), lambda _, data: data)
+
+
+@pytest.mark.usefixtures("silent_name_server")
+def test_a_silent_name_server_keeps_neither_the_helper_threads_nor_the_end(
+    free_tcp_port: int,
+) -> None:
+    async def attempts() -> None:
+        for _ in range(3):
+            with pytest.raises(BusError, match="no name server answers within 1 s"):
+                await open_client(bus_at("drive", free_tcp_port), lambda _, data: data)
+        assert await asyncio.to_thread(lambda: True)
+
+    started_s = time.monotonic()
+    asyncio.run(attempts())
+    assert time.monotonic() - started_s < 60.0  # without an end, were it waited for
+
+
+def test_one_device_has_one_lock_however_its_host_is_written() -> None:
+    one, other = (parse(bus__host=f'"{host}"') for host in ("127.0.0.1", "localhost"))
+    far = parse(bus__host='"127.0.0.1"', bus__device_id="2")
+    shared = {*lock_names(one)} & {*lock_names(other)}
+    drive = f"drive {one.drive.name!r}"
+    assert shared - {drive}
+    assert {*lock_names(one)} & {*lock_names(far)} == {drive}
