@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 
 NOT_JSON = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
-"""What a decoder raises for bytes that are no JSON of the type that it was asked for."""
+"""Errors of a decoder for bytes that are no JSON of the type that it was asked for."""
 
 
 class AdaptdriveError(Exception):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import Enable
+from adaptdrive.runtime.requests import Enable, SetSetpoint
 from tests.faults.course import Course
 
 
@@ -17,6 +17,7 @@ def test_a_full_capacitor_is_no_voltage_to_begin_charging_with(boost_V: float) -
     world.boost.settle(boost_V, 0.0)
     world.load.relaxed_V = [0.0, 0.0]  # type: ignore[attr-defined]
     assert course.daemon.accepts(Enable())
+    assert course.daemon.accepts(SetSetpoint(0.1))
     course.run(1.0)
     assert course.daemon.state is State.RUNNING, course.daemon.trip
     limit = course.configuration.interlocks.output_max

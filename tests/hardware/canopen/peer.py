@@ -30,6 +30,8 @@ class Peer:
         statusword: What the next PDO says.
         obeys: Whether the statusword follows the controlword.
         silent: Names of PDOs that are not sent.
+        copies: How often the PDOs come after a SYNC, one set after the other.
+        syncs: SYNCs that were received.
     """
 
     def __init__(self, channel: str, eds: Path = EDS, interface: str = "virtual") -> None:
@@ -48,6 +50,8 @@ class Peer:
         self.statusword = REST
         self.obeys = True
         self.silent: set[int] = set()
+        self.copies = 1
+        self.syncs = 0
 
     def join(self) -> None:
         """Go on the bus."""
@@ -93,6 +97,11 @@ class Peer:
     def _sync(self, *_: Any) -> None:
         if self.node.nmt.state != "OPERATIONAL":
             return
+        self.syncs += 1
+        for _copy in range(self.copies):
+            self._send_pdos()
+
+    def _send_pdos(self) -> None:
         for number, pdo in self.node.tpdo.items():
             if not pdo.enabled or pdo.trans_type != 1 or number in self.silent:
                 continue

@@ -406,3 +406,14 @@ async def test_a_node_that_leaves_operational_for_a_moment_is_set_up_again(peer:
             peer.network.send_message(0x700 + NODE, bytes((state,)))
         await until(lambda: bench.port.statistics.reconnects == known + 1)
         await until(lambda: bench.port.complaint is None)
+
+
+async def test_pdos_that_come_twice_make_one_reading_for_each_sync(peer: Peer) -> None:
+    """A gateway that repeats them would double the rate of control."""
+    async with running(peer) as bench:
+        await bench.ready()
+        peer.copies = 2
+        syncs, readings = peer.syncs, len(bench.ear.readings)
+        await until(lambda: peer.syncs >= syncs + 30)
+        assert 20 < len(bench.ear.readings) - readings <= peer.syncs - syncs + 2
+        assert bench.port.statistics.counter_stuck > 0

@@ -12,8 +12,8 @@ from adaptdrive.hardware.port import Reading
 class Assembly:
     """Collects PDOs until one of each kind has come since the last SYNC.
 
-    A PDO that comes again before the others have begins a new collection: what is left of the old
-    one is never mixed with it.
+    A PDO that comes again before the others have ends the collection, and one without a SYNC since
+    the last reading begins none: repeated PDOs make no readings of their own.
     """
 
     def __init__(self, statuses: tuple[StatusPdo, ...]) -> None:
@@ -21,6 +21,11 @@ class Assembly:
         self._heard: dict[str, Mapping[str, float]] = {}
         self._sampled_s: float | None = None
         self._statuses = {status.codec.name: status for status in statuses}
+
+    @property
+    def waits(self) -> bool:
+        """True between a SYNC and the reading that follows it."""
+        return self._sampled_s is not None
 
     @property
     def missing(self) -> list[str]:
@@ -37,13 +42,12 @@ class Assembly:
         self._heard.clear()
         self._sampled_s = None
 
-    def take(self, name: str, values: Mapping[str, float], arrival_s: float) -> bool:
+    def take(self, name: str, values: Mapping[str, float]) -> bool:
         """Take one PDO.
 
         Args:
             name: Its name.
             values: Raw values by label.
-            arrival_s: Its arrival, monotonic clock.
 
         Returns:
             Whether the collection is complete.
@@ -51,7 +55,7 @@ class Assembly:
         if name in self._heard:
             self.forget()
         if self._sampled_s is None:
-            self._sampled_s = arrival_s
+            return False
         self._heard[name] = values
         return len(self._heard) == self._count
 

@@ -261,7 +261,9 @@ class CanOpenPort:
                 self._faults.see(decoded.values[source.entry.label])
         waited_s = self._arrivals.waited_s(frame)
         arrival_s = self._clock() - waited_s
-        if self._assembly.take(status.codec.name, decoded.values, arrival_s):
+        if not self._assembly.waits:
+            self._counts["counter_stuck"] += 1
+        if self._assembly.take(status.codec.name, decoded.values):
             bridge = self._control.state in POWERED
             faults = self._faults.word
             self._newest = self._assembly.reading(arrival_s, bridge=bridge, fault=faults)
