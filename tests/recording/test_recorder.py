@@ -22,12 +22,13 @@ from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.recorder import EVENT_KIND, Clocks, Feed, Recorder, WritePace
 from adaptdrive.recording.session import Dropped, Ending, read_info, session_directories
 from adaptdrive.runtime.hub import Hub
-from adaptdrive.runtime.reports import Event, Severity
+from adaptdrive.runtime.reports import CommandReport, Event, Severity
 from tests.recording.material import INFO, fill, make_tick, wait_until
 
 NOW = datetime(2026, 11, 21, 1, 30, tzinfo=UTC)
 CLOCKS = Clocks(lambda: NOW, time.monotonic)
 PATIENCE_S = 120.0
+COMMANDED = CommandReport("1", "setpoint", "3.1", "ann", accepted=True, reason="")
 
 FREE = resource.getrlimit(resource.RLIMIT_FSIZE)
 ROOMY = 1 << 24
@@ -342,6 +343,7 @@ async def test_an_end_with_a_full_disk_is_told_and_counted(sessions: Path) -> No
         resource.prlimit(bench.writer(), resource.RLIMIT_FSIZE, limit)
         await bench.publish_until(lambda: bool(bench.said()))
         bench.hub.publish(Event("trip", Severity.ALARM, "stale", bench.published))
+        bench.hub.publish(COMMANDED)
         own = resource.prlimit(0, resource.RLIMIT_FSIZE, limit)  # of processes started from now on
         try:
             await bench.stop()
@@ -353,6 +355,7 @@ async def test_an_end_with_a_full_disk_is_told_and_counted(sessions: Path) -> No
     assert read.info.ended is Ending.ORDERLY
     assert read.info.dropped.ticks == bench.published - read.ticks.num_rows > 0
     assert read.info.dropped.events > 0
+    assert read.info.dropped.commands == 1
 
 
 async def test_an_end_with_a_stopped_writer_is_recorded_by_another(sessions: Path) -> None:

@@ -213,12 +213,15 @@ class Terminal:
     def press(self, keys: str) -> None:
         os.write(self._file, keys.encode())
 
+    def hang_up(self) -> None:
+        asyncio.get_running_loop().remove_reader(self._file)
+        os.close(self._file)
+
     async def close(self) -> None:
         if self.process.returncode is None:
             self.process.kill()
             await self.process.wait()
-        asyncio.get_running_loop().remove_reader(self._file)
-        os.close(self._file)
+        self.hang_up()
 
 
 async def terminal(broker: Broker, drive: str) -> Terminal:
@@ -263,3 +266,13 @@ async def test_a_drive_is_watched_and_commanded_from_a_terminal(
                 assert await seen.process.wait() == 0
         finally:
             await seen.close()
+
+
+async def test_a_view_whose_terminal_is_gone_ends(mosquitto: Broker, tmp_path: Path) -> None:
+    """It has no controlling terminal, whose end would be a signal."""
+    async with serving(mosquitto, "left", tmp_path):
+        seen = await terminal(mosquitto, "left")
+        await seen.shows("standby")
+        seen.hang_up()
+        async with asyncio.timeout(PATIENCE_S):
+            await seen.process.wait()

@@ -30,6 +30,9 @@ from adaptdrive.operation.topics import Topics
 
 AnyReply = TypeVar("AnyReply", Reply, DeviceReply)
 
+_FARTHEST_S = 1e9
+"""Difference of a clock, 30 years, from which on it says nothing."""
+
 
 class _Timed(msgspec.Struct):
     time: Annotated[datetime, msgspec.Meta(tz=True)]
@@ -101,7 +104,8 @@ async def _clock_difference_s(client: Client, topics: Topics, patience_s: float)
             async for message in client.messages:
                 told = decoded(bytes(message.payload), _Timed)
                 if told is not None and not message.retain:
-                    return (told.time - datetime.now(UTC)).total_seconds()
+                    ahead_s = (told.time - datetime.now(UTC)).total_seconds()
+                    return ahead_s if abs(ahead_s) < _FARTHEST_S else 0.0
     return 0.0
 
 

@@ -87,7 +87,7 @@ class Delivery:
             return False
         self._number += 1
         message = framed(msgspec.structs.replace(batch, number=self._number))
-        rows = Dropped(batch.tick_rows, len(batch.slow), len(batch.events))
+        rows = Dropped(batch.tick_rows, len(batch.slow), len(batch.events), len(batch.commands))
         self._unwritten.append(_Sent(self._number, message, rows))
         self._waiting_bytes += len(message)
         self._keep(message)

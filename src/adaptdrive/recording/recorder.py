@@ -294,17 +294,13 @@ class Recorder:
         self._stalled = True
 
     def _lose(self, ticks: int = 0, slow: int = 0, events: int = 0) -> None:
-        lost = self._lost
-        self._lost = Dropped(lost.ticks + ticks, lost.slow + slow, lost.events + events)
+        self._lost += Dropped(ticks, slow, events)
 
     def _dropped(self) -> Dropped:
         """Everything lost so far: in the queues, and on the way to the recorder process."""
         feed, lost = self._feed, self._lost
-        return Dropped(
-            ticks=feed.ticks.dropped + lost.ticks,
-            slow=feed.slow.dropped + lost.slow,
-            events=feed.events.dropped + lost.events,
-        )
+        queued = Dropped(feed.ticks.dropped, feed.slow.dropped, feed.events.dropped)
+        return queued + lost
 
     def _report(self, severity: Severity, detail: str) -> None:
         self._publish(self._event(severity, detail))

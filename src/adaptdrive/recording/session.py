@@ -57,12 +57,19 @@ class Dropped(msgspec.Struct, frozen=True):
     ticks: int = 0
     slow: int = 0
     events: int = 0
+    commands: int = 0
 
     def __add__(self, other: Dropped) -> Dropped:
-        return Dropped(self.ticks + other.ticks, self.slow + other.slow, self.events + other.events)
+        return Dropped(
+            self.ticks + other.ticks,
+            self.slow + other.slow,
+            self.events + other.events,
+            self.commands + other.commands,
+        )
 
     def __str__(self) -> str:
-        return f"{self.ticks} ticks, {self.slow} slow steps and {self.events} events"
+        rows = f"{self.ticks} ticks, {self.slow} slow steps, {self.events} events"
+        return f"{rows} and {self.commands} commands"
 
 
 class SessionInfo(msgspec.Struct, frozen=True):

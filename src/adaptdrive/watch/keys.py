@@ -8,7 +8,7 @@ import sys
 import termios
 import tty
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
@@ -100,7 +100,13 @@ def pressed_keys(on_key: Callable[[str], None]) -> Iterator[None]:
     tty.setcbreak(file)
 
     def read() -> None:
-        for key in os.read(file, _LONGEST_READ).decode(errors="ignore"):
+        keys = b""
+        with suppress(OSError):
+            keys = os.read(file, _LONGEST_READ)
+        if not keys:  # the terminal is gone
+            loop.remove_reader(file)
+            on_key(QUIT)
+        for key in keys.decode(errors="ignore"):
             on_key(key)
 
     loop.add_reader(file, read)
@@ -108,4 +114,5 @@ def pressed_keys(on_key: Callable[[str], None]) -> Iterator[None]:
         yield
     finally:
         loop.remove_reader(file)
-        termios.tcsetattr(file, termios.TCSADRAIN, usual)
+        with suppress(termios.error):
+            termios.tcsetattr(file, termios.TCSADRAIN, usual)
