@@ -40,6 +40,7 @@ _UNITS = {
     "RARER": "log odds",
     "TAPER_GAIN": "1/period",
     "_NEAR_LIMIT": "1",
+    "_ABOVE": "1",
     "HALF_DELAYS": "1",
     "EXCURSIONS": "1",
     "_WALK": "σ",

@@ -23,6 +23,10 @@ _NEAR_LIMIT = 0.99
 """Share of the largest voltage that counts as reached: the taper never reaches all of it."""
 
 
+_ABOVE = 1.02
+"""Terminal voltage that V_c may lead to, over V_max: the taper itself overshoots by less."""
+
+
 @dataclass(frozen=True, slots=True)
 class Charging:
     """Settings of the charge of a battery.
@@ -64,6 +68,11 @@ def highest_boost_voltage(charging: Charging, current_A: float) -> float:
     """Return the v_bst at which the terminals are at V_max, with a current into the battery."""
     drop_V = charging.droop_Ohm * max(0.0, current_A)
     return (charging.voltage_max_V + drop_V) / charging.turns_ratio
+
+
+def voltage_limit(charging: Charging, current_A: float) -> float:
+    """Return the largest V_c: a current that wants more has no battery to flow into."""
+    return _ABOVE * highest_boost_voltage(charging, current_A)
 
 
 def taper(

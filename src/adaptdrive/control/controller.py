@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Final
 
 from adaptdrive.control import fast_half as fast
-from adaptdrive.control.charging import highest_boost_voltage, is_complete
+from adaptdrive.control.charging import highest_boost_voltage, is_complete, voltage_limit
 from adaptdrive.control.estimator import start_from
 from adaptdrive.control.load import Load, to_input, to_voltage
 from adaptdrive.control.reach import estimated_reach, nominal_reach
@@ -265,7 +265,10 @@ class Controller:
         fast.set_by_hand(self._fast, self._settings.stage, order.manual_V, highest_V)
 
     def _drive(self, measurement: Measurement, bridge: bool) -> Command:
-        scale, reference = fast.drive(self._fast, self._settings.stage, measurement)
+        stage, charging = self._settings.stage, self._load.charging
+        if charging is not None:
+            fast.hold_below(self._fast, stage, voltage_limit(charging, measurement.output))
+        scale, reference = fast.drive(self._fast, stage, measurement)
         return Command(scale, reference, bridge)
 
     def _sample(self, snapshot: Snapshot) -> SlowSample:

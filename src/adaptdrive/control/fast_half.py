@@ -64,7 +64,7 @@ class FastState:
     Attributes:
         tick: Last tick.
         boost_reference_V: V_c as decided.
-        ceiling_V: What the load's power leaves of it.
+        ceiling_V: What the load's power, or its voltage, leaves of it.
         error_sum: Sum of the voltage loop.
         limit: 1, -1 or 0: the limit at which k is held.
         voltage_sum: Sum of v_bst over the slow period so far.
@@ -258,6 +258,17 @@ def set_by_hand(
         limited_V = max(min(voltage_V, highest_V), stage.boost_reference_min_V)
         state.boost_reference_V = min(limited_V, stage.boost_reference_max_V)
     state.by_hand = True
+
+
+def hold_below(state: FastState, stage: PowerStage, highest_V: float) -> None:
+    """Lower the ceiling of V_c to what the load bears at present; it rises slowly again.
+
+    Args:
+        state: Overwritten.
+        stage: Limits.
+        highest_V: Largest V_c.
+    """
+    state.ceiling_V = min(state.ceiling_V, max(highest_V, stage.boost_reference_min_V))
 
 
 def limit_power(

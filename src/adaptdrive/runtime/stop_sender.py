@@ -54,11 +54,12 @@ class StopSender:
         """Send safe commands until the drive confirms its stop, or has had the time to."""
         end_s = self._clock() + self._fast.stop_limit_s + _FAREWELL_GAP_S
         for number in itertools.count():
+            late = self._clock() > end_s  # judged once more then, however long this process slept
             self._fast.send_safe()
-            await asyncio.sleep(_FAREWELL_GAP_S)
-            ended = self._machine.state is not State.STOPPING or self._clock() > end_s
+            ended = late or self._machine.state is not State.STOPPING
             if ended and number >= _FAREWELLS:
                 break
+            await asyncio.sleep(_FAREWELL_GAP_S)
 
     async def say_farewell(self) -> None:
         """Stop the drive more than once: a frame can be lost."""

@@ -1,4 +1,4 @@
-"""A battery that is enabled while the boost capacitor is still full from the run before."""
+"""What a charger must not do to a battery, or to terminals without one."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetSetpoint
 from tests.faults.course import Course
 
+BATTERY_V_MAX = 82.0
+
 
 @pytest.mark.parametrize("boost_V", [250.0, 300.0, 365.0])
 def test_a_full_capacitor_is_no_voltage_to_begin_charging_with(boost_V: float) -> None:
+    """It may be full from the run before."""
     course = Course("battery, CAN", 3)
     world = course.drive.world
     course.run(0.7)
@@ -25,3 +28,20 @@ def test_a_full_capacitor_is_no_voltage_to_begin_charging_with(boost_V: float) -
     assert world.true_output < 0.2 * limit
     held_V = world.load.emf_V / world.coupling.ratio
     assert world.boost.voltage_V < 1.05 * held_V
+
+
+def test_terminals_whose_battery_is_disconnected_stay_near_their_limit() -> None:
+    """V_c looks for the current that is gone; what the capacitor takes up at once stays in it."""
+    course = Course("battery, CAN", 3)
+    world, ratio = course.drive.world, course.drive.world.coupling.ratio
+    course.run(0.7)
+    assert course.daemon.accepts(Enable())
+    assert course.daemon.accepts(SetSetpoint(6.0))
+    course.run(30.0)
+    assert world.true_output == pytest.approx(6.0, abs=1.0)
+    course.highest_V = 0.0
+    for _ in range(100):
+        world.load.relaxed_V = [60.0, 60.0]  # type: ignore[attr-defined]
+        course.run(0.2)
+    assert world.true_output == 0.0
+    assert ratio * course.highest_V < 1.08 * BATTERY_V_MAX
