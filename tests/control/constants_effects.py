@@ -31,6 +31,7 @@ unchanged, for standard / wide. *Worse*: number of runs that cost over 5 % more 
 controller, shown where it differs from the {worse} with all constants unchanged. *Lost*: number of
 unstable or tripped runs, shown where it differs from {lost}. *Same*: every run is bit-equal, for
 example because the campaigns do not use the constant. An empty cell: not measured with this value.
+All were measured while the challenger took over at 25.
 """
 
 

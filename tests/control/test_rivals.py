@@ -376,9 +376,9 @@ def led(lead: float, judged: int, samples: int = 20) -> chal.Challenger:
 @pytest.mark.parametrize("judged", [0, 99])
 @pytest.mark.parametrize(
     ("lead", "loads", "wins"),
-    [(25.01, 0.0, True), (24.99, 0.0, False), (38.51, 1.5, True), (38.49, 1.5, False)],
+    [(27.01, 0.0, True), (26.99, 0.0, False), (40.51, 1.5, True), (40.49, 1.5, False)],
 )
-def test_it_wins_by_twenty_five_and_nine_for_each_load_found_lately(
+def test_it_wins_by_twenty_seven_and_nine_for_each_load_found_lately(
     lead: float, loads: float, judged: int, wins: bool
 ) -> None:
     challenger = led(lead, judged)

@@ -36,7 +36,7 @@ from adaptdrive.control.settings import Learning
 from adaptdrive.control.surprise import DRIFT
 from adaptdrive.control.vectors import Vector
 
-_PROOF = 25.0
+_PROOF = 27.0
 """Λ at which the challenger takes over: at 12 one of 60 torque steps passed for a load."""
 
 _TRAINED = 10.0
