@@ -8,8 +8,8 @@ from pathlib import Path
 
 import msgspec
 
-NOT_JSON = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
-"""Errors of a decoder for bytes that are no JSON of the type that it was asked for."""
+NOT_JSON = (msgspec.DecodeError, UnicodeError, RecursionError)
+"""Errors of a decoder for bytes or text that are no JSON of the type that it was asked for."""
 
 
 class AdaptdriveError(Exception):

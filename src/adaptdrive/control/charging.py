@@ -22,7 +22,6 @@ TAPER_GAIN = 0.05
 _NEAR_LIMIT = 0.99
 """Share of the largest voltage that counts as reached: the taper never reaches all of it."""
 
-
 _ABOVE = 1.02
 """Terminal voltage that V_c may lead to, over V_max: the taper itself overshoots by less."""
 

@@ -298,9 +298,8 @@ class Recorder:
 
     def _dropped(self) -> Dropped:
         """Everything lost so far: in the queues, and on the way to the recorder process."""
-        feed, lost = self._feed, self._lost
-        queued = Dropped(feed.ticks.dropped, feed.slow.dropped, feed.events.dropped)
-        return queued + lost
+        feed = self._feed
+        return self._lost + Dropped(feed.ticks.dropped, feed.slow.dropped, feed.events.dropped)
 
     def _report(self, severity: Severity, detail: str) -> None:
         self._publish(self._event(severity, detail))
