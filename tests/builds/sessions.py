@@ -92,9 +92,9 @@ def _operate(drive: RecordedDrive, mode: Mode, wave: Waveform, length_s: float) 
     """Enable a drive, and have it follow set-points or voltages for so long."""
     drive.tick()
     drive.carry_out(Enable())
+    drive.carry_out(SetSetpoint(wave.low))
     while drive.machine.state is not State.RUNNING:
         drive.tick()
-    drive.carry_out(SetSetpoint(wave.low))
     drive.carry_out(SetMode(mode))
     drive.carry_out(SetVoltage(290.0) if mode is Mode.MANUAL else SetWaveform(wave))
     while drive.time_s < length_s and drive.machine.state is State.RUNNING:
