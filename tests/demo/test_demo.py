@@ -21,7 +21,7 @@ from tests.support import Broker, Process, Spawn, children, serve_promptly
 pytestmark = pytest.mark.slow
 
 PATIENCE_S = 120.0
-BUSY = re.compile(r"only \d+ of \d+ ticks were run|tripped: overslept: .*")
+BUSY = re.compile(r"only \d+ of \d+ ticks were run|overslept: |the daemon had not run for \d+ ms")
 """Reasons of a machine that did not run the daemon."""
 
 
@@ -49,7 +49,7 @@ class Demo:
     def _judge_busy_machine(self) -> None:
         summary = self.summary()
         for reason in (summary.get("reason", ""), *summary.get("trips", ())):
-            if BUSY.fullmatch(reason):
+            if BUSY.search(reason):
                 pytest.skip(f"not judged: the machine was busy: {reason}")
 
     def wait_for(self, log: str, text: str) -> None:
