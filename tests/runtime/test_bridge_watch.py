@@ -18,6 +18,7 @@ class Seen:
 
     def __init__(self, ticks_per_reading: int = 1) -> None:
         self._watch = BridgeWatch(TICK_S, ticks_per_reading)
+        self.cause: str | None = None
 
     def look(
         self, ticks: float, *, bridge: bool, commanded: bool = True, unwatched: float = 1.0
@@ -25,9 +26,11 @@ class Seen:
         """Return whether it has stopped, some half cycles after 64 s."""
         time_s = 64.0 + ticks * TICK_S
         reading = replace(CALM, arrival_s=time_s, oldest_s=time_s, bridge=bridge)
-        found = self._watch.find_cause(reading, commanded=commanded, unwatched_s=unwatched * TICK_S)
-        assert found in (None, STOPPED)
-        return found is not None
+        self.cause = self._watch.find_cause(
+            reading, commanded=commanded, unwatched_s=unwatched * TICK_S
+        )
+        assert self.cause is None or self.cause.startswith(STOPPED)
+        return self.cause is not None
 
 
 @pytest.mark.parametrize(("ticks_per_reading", "last"), [(1, 29), (10, 20), (60, 120)])
@@ -38,6 +41,7 @@ def test_a_bridge_has_thirty_half_cycles_and_three_readings(
     assert not seen.look(0.0, bridge=False)
     assert not seen.look(last, bridge=False)
     assert seen.look(last + 1.5e-6 / TICK_S, bridge=False)
+    assert seen.cause == STOPPED
 
 
 def test_a_bridge_that_comes_on_or_need_not_be_on_begins_anew() -> None:
@@ -55,6 +59,8 @@ def test_a_bridge_that_went_off_unwatched_is_a_stop(unwatched: float, *, stopped
     seen = Seen()
     seen.look(0.0, bridge=True)
     assert seen.look(10.0, bridge=False, unwatched=unwatched) is stopped
+    told = f"{STOPPED}; the daemon had not run for {1e3 * unwatched * TICK_S:.0f} ms"
+    assert seen.cause == (told if stopped else None)
 
 
 @pytest.mark.parametrize("commanded", [False, True])

@@ -54,4 +54,5 @@ class BridgeWatch:
         slept = self._been_on and unwatched_s > _GAP_READINGS * self._reading_s
         if reported_s - self._off_s <= self._grace_s + _SLACK_S and not slept:
             return None
-        return "drive stopped: its bridge is off although it was commanded on"
+        gap = f"; the daemon had not run for {unwatched_s * 1e3:.0f} ms" if slept else ""
+        return f"drive stopped: its bridge is off although it was commanded on{gap}"

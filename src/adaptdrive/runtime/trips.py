@@ -241,8 +241,10 @@ TRIPS = (
     Trip(
         r"^drive stopped: ",
         "drive stopped: its bridge is off although it was commanded on",
-        "the drive has reported its bridge off for 30 ticks",
-        "check the drive's own time-out and protection; look for lost commands on the bus",
+        "the drive has reported its bridge off for 30 ticks, or the bridge went off while the "
+        "daemon did not run; the text names that time in ms then",
+        "check the drive's own time-out and protection; look for lost commands on the bus; where "
+        "the daemon did not run, reduce the load of the machine and see `[realtime]`",
     ),
     Trip(
         r"^another sender commands this drive: ",
