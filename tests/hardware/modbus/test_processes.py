@@ -220,6 +220,19 @@ class Operator:
         found = self.messages.get("telemetry/drive", {}).get(name)
         return float(found) if isinstance(found, int | float) else float("nan")
 
+    def wait_until_held(self, wanted: float, within: float) -> None:
+        """Wait until the output has stayed close to a value for `HELD_POLLS`."""
+        left = self.drive("ticks")
+
+        def is_held() -> bool:
+            nonlocal left
+            ticks = self.drive("ticks")
+            if not abs(self.drive("output") - wanted) < within:
+                left = ticks
+            return ticks >= left + HELD_POLLS
+
+        wait_for(is_held)
+
     def _hear(self, _: object, __: object, message: mqtt.MQTTMessage) -> None:
         if message.payload.startswith(b"{"):
             name = message.topic.removeprefix(f"adaptdrive/{self._drive}/")
@@ -261,10 +274,7 @@ def test_the_daemon_holds_the_motor_and_survives_its_drive(
     wait_for(lambda: operator.state() == "running")
     operator.ask("setpoint", 3.0)
     wait_for(lambda: abs(operator.drive("boost_voltage_V") - 273.0) < 15.0)
-    wait_for(lambda: abs(operator.drive("output") - 3.0) < 0.03)
-    reached = operator.drive("ticks")
-    wait_for(lambda: operator.drive("ticks") >= reached + HELD_POLLS)
-    assert operator.drive("output") == pytest.approx(3.0, abs=0.03)
+    operator.wait_until_held(3.0, within=0.03)
     assert operator.state() == "running"
     daemon.terminate()
     assert daemon.wait(PATIENCE_s) == 0
