@@ -7,6 +7,7 @@ from adaptdrive.control.charging import (
     Charging,
     highest_boost_voltage,
     is_complete,
+    is_disconnected,
     taper,
     terminal_voltage,
 )
@@ -23,7 +24,7 @@ def charge(setpoint_A: float, periods: int) -> list[tuple[float, float, bool]]:
         terminal_V = emf_V + LIMITS.internal_Ohm * current_A
         current_A = taper(LIMITS, state, setpoint_A, terminal_V, current_A)
         emf_V += 2e-4 * current_A
-        trace.append((current_A, terminal_V, is_complete(state)))
+        trace.append((current_A, terminal_V, is_complete(LIMITS, state)))
     return trace
 
 
@@ -49,7 +50,7 @@ def test_a_small_set_point_just_below_the_limit_is_not_the_end() -> None:
     state = ChargeState(0.5)
     for _ in range(30):
         taper(LIMITS, state, 0.5, 57.9, 0.5)
-    assert not is_complete(state)
+    assert not is_complete(LIMITS, state)
 
 
 def test_the_terminal_voltage_is_what_the_droop_leaves() -> None:
@@ -104,5 +105,39 @@ def test_ten_periods_at_the_end_are_full() -> None:
     state, seen = ChargeState(0.5), []
     for _ in range(12):
         taper(LIMITS, state, 10.0, 58.0, 0.5)
-        seen.append(is_complete(state))
+        seen.append(is_complete(LIMITS, state))
     assert seen == [False] * 9 + [True] * 3
+
+
+def ended(currents_A: list[float], setpoint_A: float = 10.0) -> tuple[bool, bool]:
+    """Whether a charge at the limit is complete, and whether its battery is gone."""
+    state = ChargeState(currents_A[0])
+    for current_A in currents_A:
+        state.current_A = min(state.current_A, 1.5 * current_A + 0.1)
+        taper(LIMITS, state, setpoint_A, 58.1, current_A)
+    return is_complete(LIMITS, state), is_disconnected(LIMITS, state)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.9, 0.99])
+def test_a_current_that_tapers_is_complete_however_fast(share: float) -> None:
+    currents_A = [10.0 * share**k for k in range(600)]
+    assert ended(currents_A) == (True, False)
+
+
+@pytest.mark.parametrize(
+    ("left_A", "gone"), [(1.0, False), (3.9, False), (4.5, True), (10.0, True)]
+)
+def test_a_current_that_leaves_in_one_step_is_no_full_battery(left_A: float, *, gone: bool) -> None:
+    state = ChargeState(left_A)
+    taper(LIMITS, state, 10.0, 58.0, left_A)
+    for _ in range(60):
+        taper(LIMITS, state, 10.0, 58.0 * 1.02, 0.0)
+    assert (is_complete(LIMITS, state), is_disconnected(LIMITS, state)) == (not gone, gone)
+
+
+def test_a_set_point_that_was_lowered_explains_a_current_that_left() -> None:
+    state = ChargeState(10.0)
+    taper(LIMITS, state, 10.0, 58.0, 10.0)
+    for _ in range(60):
+        taper(LIMITS, state, 2.0, 58.0 * 1.02, 0.0)
+    assert is_complete(LIMITS, state)

@@ -46,9 +46,9 @@ def _texts(node: ast.AST) -> Iterator[Text]:
             yield from filter(_is_text, returned)
         case ast.Call(func=ast.Attribute(attr=name), args=[text]) if name in TAKING:
             yield from filter(_is_text, [text])
-        case ast.Assign(targets=[ast.Name(id="_UNRESPONSIVE" | "_CYCLING")], value=text) if (
-            _is_text(text)
-        ):
+        case ast.Assign(
+            targets=[ast.Name(id="_UNRESPONSIVE" | "_DISCONNECTED" | "_CYCLING")], value=text
+        ) if _is_text(text):
             yield text
 
 

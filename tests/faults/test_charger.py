@@ -45,3 +45,4 @@ def test_terminals_whose_battery_is_disconnected_stay_near_their_limit() -> None
         course.run(0.2)
     assert world.true_output == 0.0
     assert ratio * course.highest_V < 1.08 * BATTERY_V_MAX
+    assert (course.daemon.trip or "").startswith("no current: ")

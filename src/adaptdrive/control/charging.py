@@ -7,7 +7,8 @@ so that the terminal voltage stays at its limit,
 
 because one ampere less is R_0 volts less at the terminals. V comes from what is measured anyway,
 V = N2 v_bst - R_d y. κ is small against the poles of the current loop, so that the two do not
-meet. Charging is complete when the tapering current has stayed below its end value.
+meet. Charging is complete when the tapering current has stayed below its end value. A current that
+leaves in one step, from several times that value, does not taper: the battery is disconnected.
 """
 
 from __future__ import annotations
@@ -24,6 +25,12 @@ _NEAR_LIMIT = 0.99
 
 _ABOVE = 1.02
 """Terminal voltage that V_c may lead to, over V_max: the taper itself overshoots by less."""
+
+_FLOWS = 0.5
+"""Share of the current that is asked for which has to flow: a current that tapers lags behind."""
+
+_STEP = 4.0
+"""End currents from which no taper ends in one slow period, a R_0 that is set wrong included."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +59,12 @@ class ChargeState:
     Attributes:
         current_A: i_cv, the current that the voltage allows.
         ending_periods: Slow periods in a row below the end current.
+        flowed_A: The last current from the end current on that was asked for, and flowed.
     """
 
     current_A: float
     ending_periods: int = 0
+    flowed_A: float = 0.0
 
 
 def terminal_voltage(charging: Charging, boost_voltage_V: float, current_A: float) -> float:
@@ -86,6 +95,9 @@ def taper(
         terminal_V: V.
         current_A: y, for the end of the charge.
     """
+    if state.current_A >= charging.end_current_A and current_A >= _FLOWS * state.current_A:
+        state.flowed_A = state.current_A
+    state.flowed_A = min(state.flowed_A, setpoint_A)
     margin_V = charging.voltage_max_V - terminal_V
     allowed = state.current_A + TAPER_GAIN * margin_V / charging.internal_Ohm
     state.current_A = min(max(allowed, 0.0), setpoint_A)
@@ -96,6 +108,15 @@ def taper(
     return state.current_A
 
 
-def is_complete(state: ChargeState) -> bool:
+def is_complete(charging: Charging, state: ChargeState) -> bool:
     """True when the battery is full: a decision, which noise alone must not bring about."""
+    return _has_ended(state) and not is_disconnected(charging, state)
+
+
+def is_disconnected(charging: Charging, state: ChargeState) -> bool:
+    """True when the charge has ended because its current left in one step."""
+    return _has_ended(state) and state.flowed_A > _STEP * charging.end_current_A
+
+
+def _has_ended(state: ChargeState) -> bool:
     return state.ending_periods >= EARLIEST

@@ -12,7 +12,13 @@ from dataclasses import replace
 from typing import Final
 
 from adaptdrive.control import fast_half as fast
-from adaptdrive.control.charging import highest_boost_voltage, is_complete, voltage_limit
+from adaptdrive.control.charging import (
+    Charging,
+    highest_boost_voltage,
+    is_complete,
+    is_disconnected,
+    voltage_limit,
+)
 from adaptdrive.control.estimator import start_from
 from adaptdrive.control.load import Load, to_input, to_voltage
 from adaptdrive.control.reach import estimated_reach, nominal_reach
@@ -36,6 +42,7 @@ from adaptdrive.control.voltage_loop import initial_sum
 from adaptdrive.control.watch import Fallback
 
 _UNRESPONSIVE = "no response: input at its limit for long, and the output has not moved"
+_DISCONNECTED = "no current: the current has left in one step: is the battery disconnected?"
 _CYCLING = "limit cycle: the fixed controller drives V_c from limit to limit"
 
 # found at once by compiled code
@@ -106,7 +113,7 @@ class Controller:
 
     def decide(self, snapshot: Snapshot) -> Decision:
         """Run the slow half on a snapshot."""
-        state, settings = self._slow, self._settings
+        state, settings, charging = self._slow, self._settings, self._load.charging
         load_input = slow_step(settings, self._load, state, self._sample(snapshot))
         voltage = to_voltage(load_input, self._load.input_gain, self._load.input_exponent)
         if state.accepted and state.watch.fallback == Fallback.NONE:
@@ -126,8 +133,8 @@ class Controller:
             excitation=state.estimator.excitation,
             handover_step_V=state.handover_step,
             pole=snapshot.order.pole,
-            fault=_fault(state),
-            complete=self._load.charging is not None and is_complete(state.charge),
+            fault=_fault(state, charging),
+            complete=charging is not None and is_complete(charging, state.charge),
             reach_low=self._reach.low,
             reach_high=self._reach.high,
             probe=state.probe.shift if state.probe.age_periods > 0 else math.nan,
@@ -327,8 +334,10 @@ def _confirming(settings: ControllerSettings) -> ControllerSettings:
     return replace(settings, jacket=replace(jacket, warm_up_periods=periods))
 
 
-def _fault(state: SlowState) -> str:
+def _fault(state: SlowState, charging: Charging | None) -> str:
     """Return why the drive must be tripped, empty for no reason."""
     if state.unresponsive:
         return _UNRESPONSIVE
+    if charging is not None and is_disconnected(charging, state.charge):
+        return _DISCONNECTED
     return _CYCLING if state.cycling else ""

@@ -279,6 +279,12 @@ TRIPS = (
         "check for an unplugged sensor, a blocked shaft, a broken heater",
     ),
     Trip(
+        r"^no current: ",
+        "no current: the current has left in one step: is the battery disconnected?",
+        "a charge came to its end from more than four times `end_current`, without a taper",
+        "check the battery's cable, its fuse and its own protection",
+    ),
+    Trip(
         r"^limit cycle: ",
         "limit cycle: the fixed controller drives V_c from limit to limit",
         "at a constant set-point V_c went sixty times from one limit to the other, and the "
