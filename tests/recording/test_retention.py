@@ -43,6 +43,32 @@ def test_sessions_older_than_allowed_are_removed(tmp_path: Path) -> None:
     assert told == [f"session {old.name} removed: it is older than 7 days"]
 
 
+@pytest.mark.parametrize("leap_days", [0.0, 400.0])
+def test_a_clock_that_has_leapt_ahead_makes_no_session_too_old(
+    tmp_path: Path, leap_days: float
+) -> None:
+    """The recorder starts with the machine, before anybody or any server has set the clock."""
+    past = [recorded(tmp_path, age_days) for age_days in (8.0, 6.0)]
+    current = recorded(tmp_path, -leap_days)
+    told = list(prune(tmp_path, Keep(days=7.0), NOW + timedelta(days=leap_days), current))
+    kept = past if leap_days else past[1:]
+    assert names(tmp_path) == [*(path.name for path in kept), current.name]
+    assert len(told) == len(past) - len(kept)
+
+
+def test_after_a_day_a_clock_is_believed(tmp_path: Path) -> None:
+    old, current = recorded(tmp_path, 400.0), recorded(tmp_path, 0.0)
+    for hours, count in ((23.9, 2), (24.1, 1)):
+        list(prune(tmp_path, Keep(days=7.0), NOW + timedelta(hours=hours), current))
+        assert len(names(tmp_path)) == count
+    assert names(tmp_path) == [current.name] != [old.name]
+
+
+def test_a_person_may_remove_what_is_old_by_any_clock(tmp_path: Path) -> None:
+    recorded(tmp_path, 400.0)
+    assert len(list(prune(tmp_path, Keep(days=7.0), NOW))) == 1
+
+
 def test_the_oldest_go_until_the_rest_fits(tmp_path: Path) -> None:
     directories = [recorded(tmp_path, age) for age in (5.0, 4.0, 3.0)]
     size = sum(path.stat().st_size for path in directories[2].iterdir())

@@ -1,7 +1,13 @@
-"""Retention: the oldest sessions go first, then the oldest segments of the session in progress."""
+"""Retention: the oldest sessions go first, then the oldest segments of the session in progress.
+
+Ages follow the wall clock, which may be wrong at the start of a machine. A recorder removes by age
+only what a session confirms that began at least a day ago, and is not too old itself: after a clock
+has leapt ahead there is none.
+"""
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Iterator
 from datetime import datetime
@@ -14,6 +20,9 @@ from adaptdrive.recording.session import SessionLock, read_info, session_directo
 
 _DAY_S = 86_400.0
 
+_CONFIRMED_DAYS = 1.0
+"""Age of the session that confirms the clock: a wrong one is noticed or set within this time."""
+
 
 def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None) -> Iterator[str]:
     """Remove what is too old or too much.
@@ -22,18 +31,21 @@ def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None
         sessions: Folder of all sessions.
         keep: How long sessions are kept.
         now: Present time, UTC.
-        current: The session in progress, which loses closed segments at most.
+        current: The session in progress, which loses closed segments at most; None where a person
+            has asked for the removal.
 
     Yields:
         A sentence for each removal.
     """
-    older = [path for path in session_directories(sessions) if path != current]
+    directories = list(session_directories(sessions))
+    older = [path for path in directories if path != current]
+    dated = current is None or any(_confirms(path, keep, now) for path in directories)
     excess = _size(sessions) - keep.bytes if keep.bytes is not None else 0
     for directory in older:
         size = _size(directory)
         if excess > 0:
             cause = f"sessions take more than {(keep.bytes or 0) / 1e6:g} MB"
-        elif _too_old(directory, keep, now):
+        elif dated and _too_old(directory, keep, now):
             cause = f"it is older than {keep.days:g} days"
         else:
             continue
@@ -66,15 +78,22 @@ def _remove(directory: Path) -> bool:
 
 
 def _too_old(directory: Path, keep: Keep, now: datetime) -> bool:
+    return keep.days is not None and _age_days(directory, now) > keep.days
+
+
+def _confirms(directory: Path, keep: Keep, now: datetime) -> bool:
+    """Whether a session shows that the clock has been what it is for some time."""
     if keep.days is None:
         return False
+    return min(_CONFIRMED_DAYS, 0.5 * keep.days) <= _age_days(directory, now) <= keep.days
+
+
+def _age_days(directory: Path, now: datetime) -> float:
+    """Time since a session began; NaN for one that cannot be read, which is left for a person."""
     try:
-        started = read_info(directory).started
-    except RecordingError:  # not known what it is: left for a person to look at
-        return False
-    return (
-        now - started
-    ).total_seconds() > keep.days * _DAY_S  # any number of days, without an end
+        return (now - read_info(directory).started).total_seconds() / _DAY_S
+    except RecordingError:
+        return math.nan
 
 
 def _size(directory: Path) -> int:
