@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 
 NOT_JSON = (msgspec.DecodeError, UnicodeError, RecursionError)
 """Errors of a decoder for bytes or text that are no JSON of the type that it was asked for."""
+
+
+_Error = TypeVar("_Error", bound=Exception)
 
 
 class AdaptdriveError(Exception):
@@ -71,10 +75,7 @@ class IdentificationError(AdaptdriveError):
     """Data do not determine a load; the reason is the message."""
 
 
-def first_error(group: BaseExceptionGroup[AdaptdriveError]) -> AdaptdriveError:
+def first_error(group: BaseExceptionGroup[_Error]) -> _Error:
     """Return the error to report: tasks end together, and the first error is the cause."""
-    error: BaseException = group
-    while isinstance(error, BaseExceptionGroup):
-        error = error.exceptions[0]
-    assert isinstance(error, AdaptdriveError)  # noqa: S101 - the group holds nothing else
-    return error
+    error = group.exceptions[0]
+    return first_error(error) if isinstance(error, BaseExceptionGroup) else error

@@ -6,6 +6,7 @@ import asyncio
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -339,6 +340,8 @@ UNWRITABLE = (
     "adaptdrive: standard output cannot be written: {}; the command itself ended with status 0\n"
 )
 
+EARLY = "standard output cannot be written: {}; the command ended early"
+
 
 @pytest.mark.parametrize(
     ("redirections", "status", "errors"),
@@ -389,8 +392,7 @@ def test_output_larger_than_the_buffer_that_cannot_be_written_is_one_line(
 ) -> None:
     words = ["bash", "-c", f"{sys.executable} -m adaptdrive.cli schema {redirection}"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
-    told = f"standard output cannot be written: {problem}; the command ended early"
-    assert (done.returncode, done.stderr) == (1, f"adaptdrive: {told}\n")
+    assert (done.returncode, done.stderr) == (1, f"adaptdrive: {EARLY.format(problem)}\n")
 
 
 @pytest.mark.parametrize(
@@ -414,6 +416,28 @@ async def test_an_answer_that_cannot_be_printed_is_told_as_an_error(
     told = f"bench: enable accepted, running (standard output cannot be written: {problem})"
     assert (process.returncode, errors.decode()) == (0, f"adaptdrive: {told}\n")
     assert bench.host.asked == [Enable()]
+
+
+@pytest.mark.parametrize(
+    ("redirection", "errors"),
+    [
+        (">/dev/full", f"adaptdrive: {EARLY.format('No space left on device')}\n"),
+        ("| true; exit ${PIPESTATUS[0]}", ""),
+    ],
+)
+def test_a_probe_ends_with_its_reader(
+    tmp_path: Path, free_udp_port: int, redirection: str, errors: str
+) -> None:
+    examples = Path(__file__).parents[2] / "deploy" / "examples"
+    text = (examples / "motor.toml").read_text(encoding="utf-8")
+    text = text.replace("udp_port = 43113", f"udp_port = {free_udp_port}")
+    (tmp_path / "motor.toml").write_text(text, encoding="utf-8")
+    shutil.copy(examples / "adaptdrive.dbc", tmp_path)
+    command = f"{sys.executable} -m adaptdrive.cli probe {tmp_path / 'motor.toml'} {redirection}"
+    done = subprocess.run(
+        ["bash", "-c", command], capture_output=True, text=True, check=False, timeout=120.0
+    )
+    assert (done.returncode, done.stderr) == (1, errors)
 
 
 def test_a_reader_that_has_had_enough_is_no_error_to_complain_about() -> None:

@@ -80,6 +80,7 @@ def probe(path: Path, *, safe_command: bool, as_json: bool = False) -> int:
     Raises:
         AdaptdriveError: The configuration or the bus cannot be used, or another sender commands the
             drive that the safe command is for.
+        OSError: Standard output cannot be written.
     """
     configuration = load_examined(path)
     locks = lock_names(configuration) if safe_command else ()
@@ -88,7 +89,7 @@ def probe(path: Path, *, safe_command: bool, as_json: bool = False) -> int:
     try:
         with locked(locks, os.environ):
             asyncio.run(_listen(configuration, path, (show, remark), safe_command=safe_command))
-    except* AdaptdriveError as group:
+    except* (AdaptdriveError, OSError) as group:  # standard output may be one that is full
         raise first_error(group) from None
     return 0
 
