@@ -6,7 +6,10 @@ import asyncio
 import os
 import shutil
 import signal
+import socket
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +17,8 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
+from adaptdrive.config.services import Mqtt
+from adaptdrive.operation.conversation import NoAnswerError, conversation
 from adaptdrive.runtime.reports import Event, Severity, State
 from adaptdrive.runtime.requests import Disable, SetSetpoint
 from tests.operation.peers import (
@@ -305,3 +310,24 @@ async def test_a_journal_that_never_opens_delays_no_stop(
     async with serving(mosquitto, "disk-hangs", tmp_path) as bench:
         assert (await ask(bench, "disable", '{"id": "b"}'))["accepted"]
         assert (await ask(bench, "enable", '{"id": "a"}'))["accepted"]
+
+
+@pytest.mark.parametrize("timeout_s", [0.2, 60.0])
+def test_a_silent_name_server_keeps_no_client_and_no_end(
+    monkeypatch: pytest.MonkeyPatch, timeout_s: float
+) -> None:
+    """A client ends at its own time; one without, and a daemon, when they are asked to."""
+    answered = threading.Event()
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: answered.wait() and [])
+
+    async def attempt() -> None:
+        end_s = asyncio.get_running_loop().time() + timeout_s
+        async with asyncio.timeout(1.0), conversation(Mqtt(host="broker"), "motor", end_s):
+            pytest.fail("there is no broker")
+
+    started_s = time.monotonic()
+    with pytest.raises((NoAnswerError, TimeoutError)) as caught:
+        asyncio.run(attempt())
+    answered.set()
+    assert isinstance(caught.value, TimeoutError) == (timeout_s > 1.0)
+    assert time.monotonic() - started_s < PATIENCE_S  # without an end, were it waited for

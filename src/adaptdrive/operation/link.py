@@ -18,6 +18,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from adaptdrive.config.regular_file import read_regular
 from adaptdrive.config.services import Mqtt
+from adaptdrive.hosts import look_up
 from adaptdrive.operation.clock import Monotonic
 from adaptdrive.operation.name import ClientName
 from adaptdrive.operation.pace import BrokerBackoff
@@ -145,7 +146,9 @@ async def connection(
         MqttError: The broker cannot be reached or refuses.
         OSError: The password or a certificate cannot be read.
     """
-    client = await _client(settings, protocol, identifier, will, min(TIMEOUT_S, timeout_s))
+    timeout_s = min(TIMEOUT_S, timeout_s)
+    await _find(settings, timeout_s)
+    client = await _client(settings, protocol, identifier, will, timeout_s)
     try:
         await _enter(client)
         try:
@@ -156,6 +159,21 @@ async def connection(
         await _say_goodbye(client)
     finally:
         await client.release()
+
+
+async def _find(settings: Mqtt, timeout_s: float) -> None:
+    """Look the broker's host up, so that the thread that connects need not wait for a name server.
+
+    Raises:
+        MqttError: There is no such host, or no name server answers.
+    """
+    try:
+        async with asyncio.timeout(timeout_s):
+            await asyncio.wrap_future(look_up(settings.host, settings.port))
+    except TimeoutError as problem:
+        raise MqttError(f"no name server answers within {timeout_s:g} s") from problem
+    except (OSError, ValueError) as problem:
+        raise MqttError(str(problem)) from problem
 
 
 async def _client(

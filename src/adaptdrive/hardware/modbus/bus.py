@@ -15,7 +15,7 @@ from pymodbus.pdu import ModbusPDU
 
 from adaptdrive.config.modbus import ModbusLink, RtuLink, TcpLink
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.modbus.names import look_up
+from adaptdrive.hosts import look_up
 
 Client = AsyncModbusTcpClient | AsyncModbusSerialClient
 Trace = Callable[[bool, bytes], bytes]

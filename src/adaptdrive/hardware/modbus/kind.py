@@ -11,10 +11,10 @@ from adaptdrive.hardware.bus_kind import BusKind
 from adaptdrive.hardware.demands import demands_of
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.mapping import map_drive
-from adaptdrive.hardware.modbus.names import look_up
 from adaptdrive.hardware.modbus.port import ModbusPort
 from adaptdrive.hardware.modbus.sensors import build_modbus_sensors
 from adaptdrive.hardware.port import Port
+from adaptdrive.hosts import look_up
 
 _LOOK_UP_S = 2.0
 """Longest wait for the addresses of a drive's host: its daemon starts without them, too."""
