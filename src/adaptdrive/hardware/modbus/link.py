@@ -137,27 +137,28 @@ class ModbusConnection:
         """
         if not at_once:
             await self._await_silence(void)
-            if void():
-                raise ExchangeError("the safe command goes first")
         client = self._require()
         if exchange.write is not None and not self._commands:
             self._commands = True
             drop_unsent(client, drop=True)
         hasty = self._unsettled_s() > 0.0
+        reply = await self._reply_to(client, exchange, words)
+        await asyncio.sleep(silence_s(self._config))
+        registers = self._checked(reply, exchange)
+        if hasty:
+            raise ExchangeError("a reply that may be one to an earlier request", doubtful=True)
+        return registers
+
+    async def _reply_to(self, client: Client, exchange: Exchange, words: list[int]) -> ModbusPDU:
         self._heard, self._waiting = b"", True
         try:
-            reply = await self._request(client, exchange, words)
+            return await self._request(client, exchange, words)
         except ModbusException as problem:
             self._miss(exchange)
             silence = f"no reply within {self._config.timeout_s:g} s"
             raise ExchangeError(f"{silence}{self._came_instead(exchange)}") from problem
         finally:
             self._waiting = False
-        await asyncio.sleep(silence_s(self._config))
-        registers = self._checked(reply, exchange)
-        if hasty:
-            raise ExchangeError("a reply that may be one to an earlier request", doubtful=True)
-        return registers
 
     def _require(self) -> Client:
         if self._client is None or not self._client.connected:
@@ -240,6 +241,8 @@ class ModbusConnection:
             if self._clock() > end_s:
                 raise ExchangeError("the line is never silent")
             await asyncio.sleep(min(left_s, _LOOK_S))
+        if void():
+            raise ExchangeError("the safe command goes first")
 
     def _unsettled_s(self) -> float:
         """Return how much longer a serial line must be silent before a reply is its request's."""
