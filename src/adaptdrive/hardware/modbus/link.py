@@ -12,7 +12,7 @@ from __future__ import annotations
 import asyncio
 import struct
 from collections import Counter
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 
 from pymodbus.exceptions import ModbusException
 from pymodbus.pdu import ModbusPDU
@@ -281,13 +281,18 @@ class ModbusConnection:
             self._counts["foreign"] += 1
 
 
-def are_alike(one: Exchange, other: Exchange) -> bool:
-    """Return whether a reply to an exchange, repeated on a serial line, may pass for the other's.
+def are_alike(config: TcpLink | RtuLink, exchanges: Sequence[Exchange]) -> bool:
+    """Return whether a reply, repeated on a serial line, may pass for that to the next exchange.
 
     Args:
-        one: An exchange.
-        other: The next one.
+        config: Which link.
+        exchanges: What is asked for in turn; the first one follows the last.
     """
+    pairs = zip(exchanges, [*exchanges[1:], *exchanges[:1]], strict=True)
+    return isinstance(config, RtuLink) and any(_are_alike(*pair) for pair in pairs)
+
+
+def _are_alike(one: Exchange, other: Exchange) -> bool:
     same = (_function(one), one.device_id) == (_function(other), other.device_id)
     return same and one.reply_bytes == other.reply_bytes and one.read != other.read
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import itertools
 import math
 from collections import Counter
 from collections.abc import Callable
@@ -64,8 +63,8 @@ class ModbusPort:
         self._heartbeat_s = -math.inf
         self._silent = 0
         self._foreign = 0
-        pairs = itertools.pairwise(poll.exchanges())
-        self._alike = isinstance(config, ModbusRtu) and any(are_alike(*pair) for pair in pairs)
+        reads = [one for one in poll.exchanges() if one.read is not None]
+        self._alike = are_alike(config, reads)
         self._up = True
         self._raw: dict[Block, list[int]] = {}
         self._failure = ""

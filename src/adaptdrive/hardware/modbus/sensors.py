@@ -12,7 +12,7 @@ import contextlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import groupby, pairwise
+from itertools import groupby
 from pathlib import Path
 
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
@@ -78,10 +78,7 @@ class ModbusSensorPort:
         self._closing = asyncio.Event()
         self._silent = 0
         self._foreign = 0
-        exchanges = [block.exchange for block in blocks]
-        pairs = pairwise([*exchanges, *exchanges[:1]])  # the first one follows the last
-        serial = isinstance(config, ModbusRtuSensors)
-        self._alike = serial and any(are_alike(*pair) for pair in pairs)
+        self._alike = are_alike(config, [block.exchange for block in blocks])
         self._presence = Presence(self.description)
 
     @property
