@@ -17,8 +17,8 @@ from adaptdrive_sim.demo.toml_text import toml_text
 LEARN_AFTER_s = 10.0
 WARM_UP_s = 40.0
 STALE_s = 0.2
-"""How long daemon and drive wait for each other: longer than in service, because a busy desktop may
-keep a process waiting."""
+"""Time for which daemon and drive wait for each other: a busy desktop may keep a process waiting
+for longer than is right in service."""
 
 _HEAD = "# Written by `adaptdrive-sim demo`. The commented original is in deploy/examples.\n\n"
 

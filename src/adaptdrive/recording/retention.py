@@ -82,7 +82,7 @@ def _too_old(directory: Path, keep: Keep, now: datetime) -> bool:
 
 
 def _confirms(directory: Path, keep: Keep, now: datetime) -> bool:
-    """Whether a session shows that the clock has been what it is for some time."""
+    """Return whether a session shows that the clock has been what it is for some time."""
     if keep.days is None:
         return False
     return min(_CONFIRMED_DAYS, 0.5 * keep.days) <= _age_days(directory, now) <= keep.days

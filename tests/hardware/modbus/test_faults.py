@@ -341,8 +341,9 @@ async def test_a_repeated_reply_is_not_taken_for_that_to_the_next_read_for_long(
         heard = len(one.ear.readings)
         one.peer.spoil = lambda reply: [(0.012, reply), (0.005, reply)]
         await until(lambda: one.port.statistics.foreign >= 20)
-        assert len(one.ear.readings) <= heard + 2  # one was under way, and one is mixed up
-        assert "two devices with the same id" in one.port.explain_age()
+        begun = 1 + one.port.statistics.timeouts  # a machine that stalls times out, and begins anew
+        assert len(one.ear.readings) <= heard + 2 * begun  # one was under way, and one is mixed up
+        await until(lambda: "two devices with the same id" in one.port.explain_age())
         HEALTHY(one.peer)
         await one.hears(2)
         one.ear.readings.clear()
