@@ -41,6 +41,7 @@ _UNITS = {
     "TAPER_GAIN": "1/period",
     "_NEAR_LIMIT": "1",
     "_ABOVE": "1",
+    "_STEP": "1",
     "HALF_DELAYS": "1",
     "EXCURSIONS": "1",
     "_WALK": "σ",

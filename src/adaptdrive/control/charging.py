@@ -26,9 +26,6 @@ _NEAR_LIMIT = 0.99
 _ABOVE = 1.02
 """Terminal voltage that V_c may lead to, over V_max: the taper itself overshoots by less."""
 
-_FLOWS = 0.5
-"""Share of the current that is asked for which has to flow: a current that tapers lags behind."""
-
 _STEP = 4.0
 """End currents from which no taper ends in one slow period, a R_0 that is set wrong included."""
 
@@ -95,8 +92,9 @@ def taper(
         terminal_V: V.
         current_A: y, for the end of the charge.
     """
-    if state.current_A >= charging.end_current_A and current_A >= _FLOWS * state.current_A:
-        state.flowed_A = state.current_A
+    flows_A = min(state.current_A, current_A)
+    if flows_A >= charging.end_current_A:
+        state.flowed_A = flows_A
     state.flowed_A = min(state.flowed_A, setpoint_A)
     margin_V = charging.voltage_max_V - terminal_V
     allowed = state.current_A + TAPER_GAIN * margin_V / charging.internal_Ohm
