@@ -64,6 +64,12 @@ class ChargeState:
     flowed_A: float = 0.0
 
 
+def begin_anew(state: ChargeState, current_A: float) -> None:
+    """Begin a charge with the current that flows."""
+    state.current_A = max(0.0, current_A)
+    state.ending_periods, state.flowed_A = 0, 0.0
+
+
 def terminal_voltage(charging: Charging, boost_voltage_V: float, current_A: float) -> float:
     """V at the battery's terminals."""
     return charging.turns_ratio * boost_voltage_V - charging.droop_Ohm * current_A

@@ -12,7 +12,7 @@ import math
 from adaptdrive.control import estimator as est
 from adaptdrive.control import in_force
 from adaptdrive.control import supervisor as sup
-from adaptdrive.control.charging import ChargeState, taper, terminal_voltage
+from adaptdrive.control.charging import begin_anew, taper, terminal_voltage
 from adaptdrive.control.compensator import control_law, lead_reference
 from adaptdrive.control.cycling import watch_cycling
 from adaptdrive.control.design import compensator_gains, discrete_model, reference_lead
@@ -125,7 +125,7 @@ def _governed_reference(load: Load, state: SlowState, sample: SlowSample) -> flo
     """The reference, lowered where the load must be spared; the output where it is led by hand."""
     charging = load.charging
     if sample.manual:
-        state.charge = ChargeState(max(0.0, sample.output))
+        begin_anew(state.charge, sample.output)
         return sample.output
     if charging is None:
         return sample.reference
