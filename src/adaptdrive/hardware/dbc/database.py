@@ -31,8 +31,11 @@ _FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
 
 _NIBBLE_BITS = 4
 
-_EXPONENT = re.compile(r"(?<![\w.])[0-9]+(?:\.[0-9]*)?[eE]\+?[0-9]{3,}(?!\w)")
+_LARGE = re.compile(r"(?<![\w.])[0-9]+(?:(?:\.[0-9]*)?[eE]\+?[0-9]{3,}(?!\w)|(?<=[0-9]{309}))")
 """A number that may be 10^309 or more; the largest that a signal of 64 bits can have is below."""
+
+_SHOWN = 40
+"""Digits of such a number that an error shows."""
 
 _PLACE = re.compile(r'\bSG_\s[^:;"]*:\s*(-?[0-9]+)\s*\|\s*(-?[0-9]+)\s*@')
 _MOST_BITS = 1 << 16
@@ -52,8 +55,8 @@ def load_database(path: Path, source: Path | str = "configuration", bus: str = "
     """
     try:
         text = description_text(path)
-        _refuse_endless_numbers(text)
         _refuse_impossible_places(text)
+        _refuse_endless_numbers(text)
         database = cantools.database.load_string(text, database_format="dbc")
     except Exception as problem:  # the parser's own errors are of many kinds
         flaw = Flaw(f"{bus}.database", f"{path} cannot be used: {problem_text(problem)}")
@@ -64,10 +67,11 @@ def load_database(path: Path, source: Path | str = "configuration", bus: str = "
 
 def _refuse_endless_numbers(text: str) -> None:
     """Refuse a number whose digits the parser would expand for minutes or hours."""
-    for found in _EXPONENT.finditer(text):
+    for found in _LARGE.finditer(text):
         if math.isinf(float(found[0])):
             line = text.count("\n", 0, found.start()) + 1
-            raise ValueError(f"line {line}: {found[0]} is not the value of any signal")
+            number = found[0] if len(found[0]) < _SHOWN else f"{found[0][:_SHOWN]}…"
+            raise ValueError(f"line {line}: {number} is not the value of any signal")
 
 
 def _refuse_impossible_places(text: str) -> None:
