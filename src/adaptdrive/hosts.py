@@ -6,6 +6,7 @@ are few, everything else that blocks needs them, and the process cannot end befo
 
 from __future__ import annotations
 
+import asyncio
 import socket
 from concurrent.futures import Future
 from threading import Thread
@@ -37,3 +38,22 @@ def look_up(host: str, port: int) -> Future[Addresses]:
 
     Thread(target=run, name="look-up", daemon=True).start()
     return future
+
+
+async def find(host: str, port: int, timeout_s: float) -> Addresses:
+    """Return the addresses of a host, as `look_up` does.
+
+    Args:
+        host: Name or address.
+        port: TCP port.
+        timeout_s: Longest wait for a name server.
+
+    Raises:
+        OSError: There is no such host, or no name server answers in time.
+        ValueError: The name cannot be one.
+    """
+    try:
+        async with asyncio.timeout(timeout_s):
+            return await asyncio.wrap_future(look_up(host, port))
+    except TimeoutError as problem:
+        raise TimeoutError(f"no name server answers within {timeout_s:g} s") from problem

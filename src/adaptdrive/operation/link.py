@@ -18,7 +18,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from adaptdrive.config.regular_file import read_regular
 from adaptdrive.config.services import Mqtt
-from adaptdrive.hosts import look_up
+from adaptdrive.hosts import find
 from adaptdrive.operation.clock import Monotonic
 from adaptdrive.operation.name import ClientName
 from adaptdrive.operation.pace import BrokerBackoff
@@ -147,7 +147,7 @@ async def connection(
         OSError: The password or a certificate cannot be read.
     """
     timeout_s = min(TIMEOUT_S, timeout_s)
-    await _find(settings, timeout_s)
+    await _find_host(settings, timeout_s)
     client = await _client(settings, protocol, identifier, will, timeout_s)
     try:
         await _enter(client)
@@ -161,17 +161,14 @@ async def connection(
         await client.release()
 
 
-async def _find(settings: Mqtt, timeout_s: float) -> None:
+async def _find_host(settings: Mqtt, timeout_s: float) -> None:
     """Look the broker's host up, so that the thread that connects need not wait for a name server.
 
     Raises:
         MqttError: There is no such host, or no name server answers.
     """
     try:
-        async with asyncio.timeout(timeout_s):
-            await asyncio.wrap_future(look_up(settings.host, settings.port))
-    except TimeoutError as problem:
-        raise MqttError(f"no name server answers within {timeout_s:g} s") from problem
+        await find(settings.host, settings.port, timeout_s)
     except (OSError, ValueError) as problem:
         raise MqttError(str(problem)) from problem
 

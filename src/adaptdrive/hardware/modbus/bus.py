@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import logging
 import socket
@@ -15,7 +14,7 @@ from pymodbus.pdu import ModbusPDU
 
 from adaptdrive.config.modbus import ModbusLink, RtuLink, TcpLink
 from adaptdrive.errors import BusError
-from adaptdrive.hosts import look_up
+from adaptdrive.hosts import find
 
 Client = AsyncModbusTcpClient | AsyncModbusSerialClient
 Trace = Callable[[bool, bytes], bytes]
@@ -61,11 +60,7 @@ async def _addressed(config: TcpLink | RtuLink) -> list[TcpLink | RtuLink]:
     if isinstance(config, RtuLink):
         return [config]
     try:
-        async with asyncio.timeout(_CONNECT_S):
-            addresses = await asyncio.wrap_future(look_up(config.host, config.port))
-    except TimeoutError as problem:
-        silence = f"no name server answers within {_CONNECT_S:g} s"
-        raise BusError(describe_bus(config), silence) from problem
+        addresses = await find(config.host, config.port, _CONNECT_S)
     except (OSError, ValueError) as problem:
         raise BusError(describe_bus(config), str(problem)) from problem
     return [config.model_copy(update={"host": address}) for address in addresses]
