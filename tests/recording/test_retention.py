@@ -50,10 +50,10 @@ def test_a_clock_that_has_leapt_ahead_makes_no_session_too_old(
     """The recorder starts with the machine, before anybody or any server has set the clock."""
     past = [recorded(tmp_path, age_days) for age_days in (8.0, 6.0)]
     current = recorded(tmp_path, -leap_days)
-    told = list(prune(tmp_path, Keep(days=7.0), NOW + timedelta(days=leap_days), current))
+    removals = list(prune(tmp_path, Keep(days=7.0), NOW + timedelta(days=leap_days), current))
     kept = past if leap_days else past[1:]
     assert names(tmp_path) == [*(path.name for path in kept), current.name]
-    assert len(told) == len(past) - len(kept)
+    assert len(removals) == len(past) - len(kept)
 
 
 def test_after_a_day_a_clock_is_believed(tmp_path: Path) -> None:

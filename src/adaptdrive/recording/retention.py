@@ -1,8 +1,8 @@
 """Retention: the oldest sessions go first, then the oldest segments of the session in progress.
 
-Ages follow the wall clock, which may be wrong at the start of a machine. A recorder removes by age
-only what a session confirms that began at least a day ago, and is not too old itself: after a clock
-has leapt ahead there is none.
+Ages follow the wall clock, which may be wrong at the start of a machine. A recorder removes
+sessions for their age only while one session, its own included, began at least a day and at most
+`keep.days` ago: after the clock has leapt ahead there is none.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None
     """
     directories = list(session_directories(sessions))
     older = [path for path in directories if path != current]
-    dated = current is None or any(_confirms(path, keep, now) for path in directories)
+    outdated = _too_old(directories, keep, now, by_person=current is None)
     excess = _size(sessions) - keep.bytes if keep.bytes is not None else 0
     for directory in older:
         size = _size(directory)
         if excess > 0:
             cause = f"sessions take more than {(keep.bytes or 0) / 1e6:g} MB"
-        elif dated and _too_old(directory, keep, now):
+        elif directory in outdated:
             cause = f"it is older than {keep.days:g} days"
         else:
             continue
@@ -77,19 +77,22 @@ def _remove(directory: Path) -> bool:
     return True
 
 
-def _too_old(directory: Path, keep: Keep, now: datetime) -> bool:
-    return keep.days is not None and _age_days(directory, now) > keep.days
-
-
-def _confirms(directory: Path, keep: Keep, now: datetime) -> bool:
-    """Return whether a session shows that the clock has been what it is for some time."""
+def _too_old(directories: list[Path], keep: Keep, now: datetime, *, by_person: bool) -> set[Path]:
+    """Return the sessions that are too old, none where no session shows the clock to be right."""
     if keep.days is None:
-        return False
-    return min(_CONFIRMED_DAYS, 0.5 * keep.days) <= _age_days(directory, now) <= keep.days
+        return set()
+    ages_days = {path: _age_days(path, now) for path in directories}
+    least_days = min(_CONFIRMED_DAYS, 0.5 * keep.days)
+    if by_person or any(least_days <= age_days <= keep.days for age_days in ages_days.values()):
+        return {path for path, age_days in ages_days.items() if age_days > keep.days}
+    return set()
 
 
 def _age_days(directory: Path, now: datetime) -> float:
-    """Time since a session began; NaN for one that cannot be read, which is left for a person."""
+    """Return the time since a session began, in days.
+
+    It is NaN for a session that cannot be read, which is left for a person.
+    """
     try:
         return (now - read_info(directory).started).total_seconds() / _DAY_S
     except RecordingError:
