@@ -169,15 +169,19 @@ def test_a_file_that_is_no_database_is_one_flaw(tmp_path: Path, content: str | N
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("number", ["61e3085535", "1.5E+4000", "9e01000", "1e400", 309 * "9"])
+@pytest.mark.parametrize(
+    ("number", "shown"),
+    [
+        *((short, short) for short in ("61e3085535", "1.5E+4000", "9e01000", "1e400")),
+        (309 * "9", f"{40 * '9'}…{40 * '9'}"),
+    ],
+)
 def test_a_number_that_the_parser_cannot_hold_is_named_with_its_line(
-    tmp_path: Path, number: str
+    tmp_path: Path, number: str, shown: str
 ) -> None:
     path = tmp_path / "endless.dbc"
     path.write_text(f'VERSION ""\n\nBA_DEF_ "Rate" INT 0 10;\nBA_DEF_DEF_ "Rate" {number};\n')
-    with pytest.raises(
-        ConfigurationError, match=rf"line 4: {re.escape(number[:40])}…? is not the value"
-    ):
+    with pytest.raises(ConfigurationError, match=rf"line 4: {re.escape(shown)} is not the value"):
         load_database(path)
 
 

@@ -13,6 +13,7 @@ from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import CanBus, FrameIntegrity
 from adaptdrive.config.proposals import nearest
+from adaptdrive.config.tables import shortened
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.description import description_text, problem_text
 from adaptdrive.hardware.link.codec import (
@@ -33,9 +34,6 @@ _NIBBLE_BITS = 4
 
 _LARGE = re.compile(r"(?<![\w.])[0-9]+(?:(?:\.[0-9]*)?[eE]\+?[0-9]{3,}(?!\w)|(?<=[0-9]{309}))")
 """A number that may be 10^309 or more; the largest that a signal of 64 bits can have is below."""
-
-_SHOWN = 40
-"""Digits of such a number that an error shows."""
 
 _PLACE = re.compile(r'\bSG_\s[^:;"]*:\s*(-?[0-9]+)\s*\|\s*(-?[0-9]+)\s*@')
 _MOST_BITS = 1 << 16
@@ -70,8 +68,7 @@ def _refuse_endless_numbers(text: str) -> None:
     for found in _LARGE.finditer(text):
         if math.isinf(float(found[0])):
             line = text.count("\n", 0, found.start()) + 1
-            number = found[0] if len(found[0]) < _SHOWN else f"{found[0][:_SHOWN]}…"
-            raise ValueError(f"line {line}: {number} is not the value of any signal")
+            raise ValueError(f"line {line}: {shortened(found[0])} is not the value of any signal")
 
 
 def _refuse_impossible_places(text: str) -> None:
