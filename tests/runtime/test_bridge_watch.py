@@ -59,8 +59,8 @@ def test_a_bridge_that_went_off_unwatched_is_a_stop(unwatched: float, *, stopped
     seen = Seen()
     seen.look(0.0, bridge=True)
     assert seen.look(10.0, bridge=False, unwatched=unwatched) is stopped
-    told = f"{STOPPED}; the daemon had not run for {1e3 * unwatched * TICK_S:.0f} ms"
-    assert seen.cause == (told if stopped else None)
+    cause = f"{STOPPED}; the daemon had not run for {1e3 * unwatched * TICK_S:.0f} ms"
+    assert seen.cause == (cause if stopped else None)
 
 
 @pytest.mark.parametrize("commanded", [False, True])

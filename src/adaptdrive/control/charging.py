@@ -27,7 +27,7 @@ _ABOVE = 1.02
 """Terminal voltage that V_c may lead to, over V_max: the taper itself overshoots by less."""
 
 _STEP = 4.0
-"""End currents from which no taper ends in one slow period, a R_0 that is set wrong included."""
+"""Current, in end currents, that no taper loses in one slow period, even with a wrong R_0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class ChargeState:
     Attributes:
         current_A: i_cv, the current that the voltage allows.
         ending_periods: Slow periods in a row below the end current.
-        flowed_A: The last current from the end current on that was asked for, and flowed.
+        flowed_A: Last current that was asked for and flowed, of those not below the end current.
     """
 
     current_A: float

@@ -281,7 +281,8 @@ TRIPS = (
     Trip(
         r"^no current: ",
         "no current: the current has left in one step: is the battery disconnected?",
-        "a charge came to its end from more than four times `end_current`, without a taper",
+        "the current of a charge fell from more than four times `load.charge.end_current_A` to "
+        "less than that value in one step, at the voltage limit",
         "check the battery's cable, its fuse and its own protection",
     ),
     Trip(

@@ -235,7 +235,11 @@ class ModbusConnection:
         return list(reply.registers) if exchange.read else []
 
     async def _await_silence(self, void: Callable[[], bool]) -> None:
-        """Let what may still come from an earlier request pass by unread, while it is wanted."""
+        """Let what may still come from an earlier request pass by unread, while it is wanted.
+
+        Raises:
+            ExchangeError: The line is never silent, or the exchange is void.
+        """
         end_s = self._clock() + _NOISE_ROUNDS * _SILENT_TIMEOUTS * self._config.timeout_s
         while (left_s := self._unsettled_s()) > 0.0 and not void():
             if self._clock() > end_s:
