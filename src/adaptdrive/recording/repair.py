@@ -72,8 +72,11 @@ def close_lost(directory: Path) -> SessionInfo | None:
     try:
         info = read_info(directory)
         if info.ended is Ending.OPEN:
-            times = find_written(directory, info).times
-            info = msgspec.structs.replace(info, ended=Ending.LOST, histograms=times.histograms)
+            found = find_written(directory, info)
+            histograms = found.times.histograms
+            info = msgspec.structs.replace(
+                info, ended=Ending.LOST, histograms=histograms, rows=found.rows
+            )
             write_info(directory, info)
         return info
     finally:

@@ -23,11 +23,19 @@ class Written:
         segment: Number of the last segment, 0 for none.
         last: Last value of the key column by table.
         times: Histograms of all ticks.
+        rows: Rows by table.
     """
 
     segment: int = 0
     last: dict[str, float] = field(default_factory=dict)
     times: TickTimes = field(default_factory=TickTimes)
+    rows: dict[str, int] = field(default_factory=dict)
+
+    def count(self, table: str, batch: pa.RecordBatch) -> None:
+        """Count rows that are on disk now."""
+        self.rows[table] = self.rows.get(table, 0) + batch.num_rows
+        if table == TICKS:
+            self.times.count(batch)
 
 
 def find_written(directory: Path, info: SessionInfo) -> Written:
@@ -35,25 +43,29 @@ def find_written(directory: Path, info: SessionInfo) -> Written:
 
     Args:
         directory: Directory of the session.
-        info: Its facts; only segments that its histograms lack are read.
+        info: Its facts; only the last segments and those that it does not count are read.
     """
     found = segments(directory)
-    times, last = TickTimes(info.histograms), dict[str, float]()
+    written = Written(
+        max((segment.number for segment in found), default=0),
+        times=TickTimes(info.histograms),
+        rows=dict(info.rows),
+    )
     newest = {segment.table: segment.number for segment in found}
     for segment in found:
         counted = segment.number <= info.segments and bool(info.histograms)
-        uncounted = segment.table == TICKS and not counted
-        if uncounted or segment.number == newest[segment.table]:
-            _read(segment, times if uncounted else None, last)
-    return Written(max(newest.values(), default=0), last, times)
+        if not counted or segment.number == newest[segment.table]:
+            _read(segment, written, counted=counted)
+    return written
 
 
-def _read(segment: Segment, times: TickTimes | None, last: dict[str, float]) -> None:
+def _read(segment: Segment, written: Written, *, counted: bool) -> None:
+    table = segment.table
     for batch in segment.batches():
-        if times is not None:
-            times.count(batch)
-        if batch.num_rows and KEYS[segment.table] in batch.schema.names:
-            last[segment.table] = batch.column(KEYS[segment.table])[-1].as_py()
+        if not counted:
+            written.count(table, batch)
+        if batch.num_rows and KEYS[table] in batch.schema.names:
+            written.last[table] = batch.column(KEYS[table])[-1].as_py()
 
 
 def after(batch: pa.RecordBatch, table: str, last: dict[str, float]) -> pa.RecordBatch:

@@ -90,6 +90,7 @@ class SessionInfo(msgspec.Struct, frozen=True):
         segments: Number of the last segment that the histograms include.
         resolution: Step of the output that an earlier run had found, 0 for none.
         logged: Events and commands in its log when it was closed; 0 before.
+        rows: Rows of its tables, up to the last segment that is closed.
         format: Version of the layout of the files.
     """
 
@@ -107,6 +108,7 @@ class SessionInfo(msgspec.Struct, frozen=True):
     segments: int = 0
     resolution: float = 0.0
     logged: int = 0
+    rows: dict[str, int] = {}
     format: int = FORMAT
 
 

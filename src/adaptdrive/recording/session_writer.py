@@ -114,8 +114,7 @@ class SessionWriter:
         offset_s = batch.utc_offset_s
         if batch.tick_rows:
             schema = self._schemas[TICKS]
-            ticks = ticks_batch(batch.ticks, batch.tick_rows, schema, offset_s)
-            self._written.times.count(self._append(TICKS, ticks))
+            self._append(TICKS, ticks_batch(batch.ticks, batch.tick_rows, schema, offset_s))
         if batch.slow:
             self._append(SLOW, rows_batch(batch.slow, self._schemas[SLOW], offset_s))
         if batch.sensors:
@@ -156,15 +155,15 @@ class SessionWriter:
         written = find_written(self.directory, info)
         return msgspec.structs.replace(info, ended=Ending.OPEN), written
 
-    def _append(self, table: str, batch: pa.RecordBatch) -> pa.RecordBatch:
-        """Append what is not on disk yet; returns it."""
+    def _append(self, table: str, batch: pa.RecordBatch) -> None:
+        """Append what is not on disk yet."""
         new = after(batch, table, self._written.last)
         if new.num_rows:
             if table not in self._streams:
                 path = stream_path(self.directory, table, self.segment)
                 self._streams[table] = StreamWriter(path, self._schemas[table])
             self._streams[table].write(new)
-        return new
+            self._written.count(table, new)
 
     def _event_log(self) -> EventLog:
         if self._events is None:
@@ -217,7 +216,10 @@ class SessionWriter:
 
     def _write_info(self) -> None:
         self._info = msgspec.structs.replace(
-            self._info, histograms=self._written.times.histograms, segments=self.segment
+            self._info,
+            histograms=self._written.times.histograms,
+            rows=dict(self._written.rows),
+            segments=self.segment,
         )
         try:
             write_info(self.directory, self._info)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,10 +57,19 @@ def verify(session: Session) -> Verification:
                     expected = sequence[-1].as_py() + 1
         except RecordingError as problem:
             problems.append(f"{segment.path.name}: {problem.problem}")
+    problems += _missing_rows(rows, session.info.rows)
     # a whole file that is gone leaves no gap in the running numbers
     counted = sum(session.info.histograms.get(EVERY_TICK, ()))
     missing = max(missing, session.info.dropped.ticks, counted - rows.get(TICKS, 0))
     return Verification(rows, missing, tuple(problems))
+
+
+def _missing_rows(rows: Mapping[str, int], known: Mapping[str, int]) -> Iterator[str]:
+    """Yield which tables lack rows that were in them; missing ticks are counted on their own."""
+    for table, number in known.items():
+        missing = number - rows.get(table, 0)
+        if table != TICKS and missing > 0:
+            yield f"{missing} of {number} rows of the table {table} are missing"
 
 
 def _event_problems(path: Path, logged: int) -> Iterator[str]:

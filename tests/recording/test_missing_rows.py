@@ -1,0 +1,73 @@
+"""Files that were removed from a session, found by the counts of their rows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from adaptdrive.recording.batches import Batch, Header, SensorColumn
+from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.repair import close_lost, close_segments
+from adaptdrive.recording.session import Ending, read_info, write_info
+from adaptdrive.recording.verify import Verification, verify
+from tests.operation.peers import load_report
+from tests.recording.material import INFO, make_batch, make_tick, record_messages
+
+SENSORS = (SensorColumn("bath.inflow", "K", "inflow temperature", "sensor bus bath"),)
+
+
+def batch(number: int, *, last: bool = False) -> Batch:
+    """One tick, one slow step and one reading of the sensors."""
+    time_s = 50.0 + number
+    packed = make_batch(
+        [make_tick(number)], [replace(load_report(number), time_s=time_s)], last=last
+    )
+    reading = {"monotonic_s": time_s, "bath.inflow": 288.5}
+    return msgspec.structs.replace(packed, sensors=[reading])
+
+
+def record_in_two_parts(directory: Path) -> None:
+    """A recorder that is replaced after two of three batches, so that there are two segments."""
+    header = Header(INFO, "", sensors=SENSORS)
+    record_messages(directory, header, batch(0), batch(1))
+    record_messages(directory, header, batch(2, last=True))
+
+
+def verdict(directory: Path) -> Verification:
+    return verify(read_session(directory))
+
+
+@pytest.mark.parametrize("table", ["slow", "sensors"])
+@pytest.mark.parametrize(("segment", "missing"), [(1, 2), (2, 1)])
+def test_rows_of_a_file_that_was_removed_are_missing(
+    tmp_path: Path, table: str, segment: int, missing: int
+) -> None:
+    record_in_two_parts(tmp_path)
+    assert verdict(tmp_path).whole
+    (tmp_path / f"{table}-{segment:04}.parquet").unlink()
+    assert verdict(tmp_path).problems == (f"{missing} of 3 rows of the table {table} are missing",)
+
+
+@pytest.mark.parametrize("table", ["slow", "sensors"])
+def test_rows_of_a_session_that_was_lost_are_counted_at_its_close(
+    tmp_path: Path, table: str
+) -> None:
+    record_in_two_parts(tmp_path)
+    uncounted = msgspec.structs.replace(
+        read_info(tmp_path), ended=Ending.OPEN, rows={}, histograms={}, segments=0
+    )
+    write_info(tmp_path, uncounted)
+    close_lost(tmp_path)
+    close_segments(tmp_path)
+    assert verdict(tmp_path).whole
+    (tmp_path / f"{table}-0001.parquet").unlink()
+    assert verdict(tmp_path).problems == (f"2 of 3 rows of the table {table} are missing",)
+
+
+def test_a_session_of_a_version_that_counted_no_rows_lacks_none(tmp_path: Path) -> None:
+    record_in_two_parts(tmp_path)
+    write_info(tmp_path, msgspec.structs.replace(read_info(tmp_path), rows={}))
+    assert verdict(tmp_path).whole
