@@ -71,3 +71,12 @@ def test_a_session_of_a_version_that_counted_no_rows_lacks_none(tmp_path: Path) 
     record_in_two_parts(tmp_path)
     write_info(tmp_path, msgspec.structs.replace(read_info(tmp_path), rows={}))
     assert verdict(tmp_path).whole
+
+
+def test_a_stream_that_broke_off_leaves_no_session_whole(tmp_path: Path) -> None:
+    record_in_two_parts(tmp_path)
+    (tmp_path / "ticks-0003.arrows").write_bytes(b"what a power cut left")
+    close_segments(tmp_path)
+    assert verdict(tmp_path).problems == (
+        "ticks-0003.torn: it breaks off within a batch, which is left out",
+    )

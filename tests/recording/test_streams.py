@@ -1,7 +1,9 @@
+import errno
 from pathlib import Path
 
 import pyarrow as pa
 import pytest
+from pyarrow import ipc
 from pyarrow import parquet as pq
 
 from adaptdrive.errors import RecordingError
@@ -14,6 +16,23 @@ from tests.recording.material import INFO, make_batch, make_tick, record_message
 TICKS_SCHEMA = ticks_schema("V")
 BATCHES = 4
 ROWS = 5
+
+
+class FailingStream:
+    """A stream whose disk fails after some batches."""
+
+    def __init__(self, source: pa.NativeFile, read: int, problem: Exception) -> None:
+        if not read:
+            raise problem
+        self._stream = pa.RecordBatchStreamReader(source)
+        self._left, self._problem = read, problem
+        self.schema = self._stream.schema
+
+    def read_next_batch(self) -> pa.RecordBatch:
+        if not self._left:
+            raise self._problem
+        self._left -= 1
+        return self._stream.read_next_batch()
 
 
 def write_stream(path: Path) -> list[int]:
@@ -70,6 +89,34 @@ def test_a_failed_conversion_keeps_the_stream(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="absent"):
         convert(stream, tmp_path / "absent" / "ticks.parquet")
     assert read_stream(stream)[0] == list(range(BATCHES * ROWS))
+
+
+@pytest.mark.parametrize(
+    "problem", [OSError(errno.EIO, "Input/output error"), pa.ArrowMemoryError("no memory")]
+)
+@pytest.mark.parametrize("read", [0, 2])
+def test_a_stream_that_a_disk_does_not_give_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, problem: Exception, read: int
+) -> None:
+    stream = tmp_path / "ticks.arrows"
+    write_stream(stream)
+    with monkeypatch.context() as disk:
+        disk.setattr(ipc, "open_stream", lambda source: FailingStream(source, read, problem))
+        with pytest.raises(RecordingError, match=r"ticks\.arrows"):
+            convert(stream, tmp_path / "ticks.parquet")
+    assert not (tmp_path / "ticks.parquet").exists()
+    assert read_stream(stream)[0] == list(range(BATCHES * ROWS))
+
+
+def test_a_stream_that_broke_off_is_kept_beside_its_whole_batches(tmp_path: Path) -> None:
+    stream, parquet = tmp_path / "ticks.arrows", tmp_path / "ticks.parquet"
+    lengths = write_stream(stream)
+    content = stream.read_bytes()[: lengths[1] + 100] + bytes(5000)
+    stream.write_bytes(content)
+    convert(stream, parquet)
+    assert pq.read_table(parquet).num_rows == 2 * ROWS
+    assert (tmp_path / "ticks.torn").read_bytes() == content
+    assert not stream.exists()
 
 
 def test_an_empty_stream_leaves_no_file(tmp_path: Path) -> None:

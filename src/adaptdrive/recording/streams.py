@@ -23,6 +23,9 @@ _LARGEST_PIECES = 100
 """Pieces that a row group may have: a batch of a few rows has more memory for the descriptions of
 its columns than for their values."""
 
+TORN = ".torn"
+"""Suffix of a stream that broke off, kept beside the Parquet file of its whole batches."""
+
 _OPTIONS = {"compression": "zstd", "write_page_checksum": True}
 _ENCODINGS = {
     pa.float64(): "BYTE_STREAM_SPLIT",
@@ -66,13 +69,13 @@ class StreamReader:
         """All whole batches; afterwards `torn` is true if a piece of one followed them.
 
         Raises:
-            RecordingError: The stream cannot be opened.
+            RecordingError: The stream cannot be opened or read.
         """
         try:
             require_regular(self._path)
             with pa.OSFile(str(self._path), "rb") as source:
                 yield from self._whole_batches(source)
-        except OSError as problem:
+        except (OSError, pa.ArrowMemoryError) as problem:
             raise RecordingError(self._path, str(problem)) from problem
 
     def _whole_batches(self, source: pa.NativeFile) -> Iterator[pa.RecordBatch]:
@@ -83,7 +86,8 @@ class StreamReader:
                 batch.validate(full=True)
             except StopIteration:
                 return
-            except (pa.ArrowException, OSError):
+            except (pa.ArrowException, OSError) as problem:
+                _require_readable(problem)
                 self.torn = True
                 return
             yield batch
@@ -95,23 +99,37 @@ class StreamReader:
         try:
             stream = ipc.open_stream(source)
             _ = stream.schema.names  # read now: those of a damaged one may be no text
-        except (pa.ArrowException, OSError, UnicodeDecodeError):
+        except (pa.ArrowException, OSError, UnicodeDecodeError) as problem:
+            _require_readable(problem)
             self.torn = True
             return None
         return stream
 
 
+def _require_readable(problem: Exception) -> None:
+    """Raise an error of the disk or for want of memory: the file itself may be whole."""
+    of_disk = isinstance(problem, OSError) and problem.errno is not None
+    if of_disk or isinstance(problem, pa.ArrowMemoryError):
+        raise problem
+
+
 def convert(stream: Path, target: Path) -> None:
     """Turn a stream into a Parquet file, and remove the stream once that is safely on disk.
 
-    A stream without a whole batch leaves no file at all.
+    A stream without a whole batch leaves no Parquet file. One that breaks off within a batch is
+    kept under another name (`TORN`).
 
     Args:
         stream: The Arrow stream.
         target: The Parquet file; it appears under this name when it is complete.
+
+    Raises:
+        RecordingError: The stream cannot be read; it is left as it is.
+        OSError: The Parquet file cannot be written.
     """
     unfinished = target.with_name(f"{target.name}.unfinished")
-    groups = _groups(StreamReader(stream).batches())
+    reader = StreamReader(stream)
+    groups = _groups(reader.batches())
     first = next(groups, None)
     if first is not None:
         schema = first.schema
@@ -121,7 +139,10 @@ def convert(stream: Path, target: Path) -> None:
         with unfinished.open("rb") as written:
             os.fsync(written.fileno())
         unfinished.replace(target)
-    stream.unlink()
+    if reader.torn:
+        stream.rename(stream.with_suffix(TORN))
+    else:
+        stream.unlink()
     pa.default_memory_pool().release_unused()  # else a recorder keeps it until its next segment
 
 

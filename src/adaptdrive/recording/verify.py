@@ -14,6 +14,7 @@ from adaptdrive.recording.event_log import count_rows
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.segments import segments
 from adaptdrive.recording.session import EVENTS_FILE, TICKS
+from adaptdrive.recording.streams import TORN
 from adaptdrive.recording.tick_times import EVERY_TICK
 
 
@@ -57,11 +58,18 @@ def verify(session: Session) -> Verification:
                     expected = sequence[-1].as_py() + 1
         except RecordingError as problem:
             problems.append(f"{segment.path.name}: {problem.problem}")
+    problems += _torn_streams(session.path)
     problems += _missing_rows(rows, session.info.rows)
     # a whole file that is gone leaves no gap in the running numbers
     counted = sum(session.info.histograms.get(EVERY_TICK, ()))
     missing = max(missing, session.info.dropped.ticks, counted - rows.get(TICKS, 0))
     return Verification(rows, missing, tuple(problems))
+
+
+def _torn_streams(directory: Path) -> Iterator[str]:
+    """Yield the streams that broke off, of which only the whole batches could be kept as tables."""
+    for path in sorted(directory.glob(f"*{TORN}")):
+        yield f"{path.name}: it breaks off within a batch, which is left out"
 
 
 def _missing_rows(rows: Mapping[str, int], known: Mapping[str, int]) -> Iterator[str]:
