@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import io
 import json
 import os
@@ -19,11 +20,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from adaptdrive.recording import streams
 from adaptdrive.recording.batches import Batch, Header, News, framed, read_frames
 from adaptdrive.recording.delivery import Delivery
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.repair import repair
 from adaptdrive.recording.session import (
+    Dropped,
     Ending,
     NewSession,
     SessionLock,
@@ -33,9 +36,10 @@ from adaptdrive.recording.session import (
     write_info,
 )
 from adaptdrive.recording.spool import Spool, left_spools, spool_path
+from adaptdrive.recording.verify import verify
 from adaptdrive.recording.writer import record
 from adaptdrive.runtime.reports import Severity
-from tests.recording.material import INFO, make_batch, make_tick, wait_until
+from tests.recording.material import INFO, make_batch, make_tick, record_messages, wait_until
 from tests.support import Process, children, slow_disk
 
 PATIENCE_S = 120.0
@@ -171,6 +175,76 @@ def test_a_spool_that_breaks_off_gives_its_whole_messages(tmp_path: Path, tail: 
     assert session.config_text == "# as configured\n"
     assert any(session.path.name in sentence for sentence in told)
     assert not left_spools(tmp_path)
+
+
+def test_a_spool_that_a_full_disk_kept_is_written_at_the_start_after(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At the first start there is no room for it, and its session is closed as lost."""
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    directory = create_session(NewSession(tmp_path, INFO, ""))
+    header = Header(INFO, "", str(tmp_path), str(directory))
+    record_messages(directory, header, make_batch([make_tick(0)]))
+    write_info(directory, msgspec.structs.replace(INFO, ended=Ending.OPEN))
+    spool_path(tmp_path, INFO).write_bytes(stream(header, make_batch([make_tick(1)])))
+    with monkeypatch.context() as disk:
+        disk.setattr(streams.StreamWriter, "write", refuse)
+        told = next_start(tmp_path)
+    assert any("is left as it is" in sentence for sentence in told)
+    assert read_info(directory).ended is Ending.LOST
+    next_start(tmp_path)
+    assert sequences(read_session(directory)) == [0, 1]
+    assert sum(read_info(directory).histograms["lateness_us"]) == 2
+    assert verify(read_session(directory)).whole
+    assert not left_spools(tmp_path)
+
+
+def test_an_end_that_was_left_to_the_next_start_is_an_orderly_one(tmp_path: Path) -> None:
+    directory = create_session(NewSession(tmp_path, INFO, ""))
+    last = msgspec.structs.replace(make_batch([make_tick(0)], last=True), dropped=Dropped(77))
+    header = Header(INFO, "", str(tmp_path), str(directory))
+    spool_path(tmp_path, INFO).write_bytes(stream(header, last))
+    told = next_start(tmp_path)
+    assert read_info(directory).ended is Ending.ORDERLY
+    assert read_info(directory).dropped == Dropped(77)
+    assert not any(directory.name in sentence for sentence in told)
+
+
+def test_what_a_lost_session_lacks_is_told(tmp_path: Path) -> None:
+    directory = create_session(NewSession(tmp_path, INFO, ""))
+    batch = msgspec.structs.replace(make_batch([make_tick(0)]), dropped=Dropped(77))
+    header = Header(INFO, "", str(tmp_path), str(directory))
+    spool_path(tmp_path, INFO).write_bytes(stream(header, batch))
+    next_start(tmp_path)
+    assert read_info(directory).ended is Ending.LOST
+    assert read_info(directory).dropped == Dropped(77)
+
+
+def test_a_spool_that_cannot_be_read_is_kept_and_reported_once(tmp_path: Path) -> None:
+    path = spool_path(tmp_path, INFO)
+    path.write_bytes(b"\x02\x00\x00\x00\xc1\xc1")
+    kept = path.with_name(f"damaged{path.name}")
+    assert any(str(kept) in sentence for sentence in next_start(tmp_path))
+    assert kept.read_bytes() == b"\x02\x00\x00\x00\xc1\xc1"
+    assert not any(str(kept) in sentence for sentence in next_start(tmp_path))
+
+
+def test_a_spool_that_another_process_reads_is_left_to_the_next_start(tmp_path: Path) -> None:
+    """As when the daemon was restarted at once: its recorder looks at each spool that is left."""
+    directory = create_session(NewSession(tmp_path, INFO, ""))
+    header = Header(INFO, "", str(tmp_path), str(directory))
+    batches = [make_batch([make_tick(number)]) for number in range(2)]
+    path = spool_path(tmp_path, INFO)
+    path.write_bytes(stream(header, *batches))
+    with path.open("rb") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        record(io.BytesIO(stream(header, batches[0])), lambda _news: None)
+    assert read_info(directory).ended is Ending.OPEN
+    next_start(tmp_path)
+    assert sequences(read_session(directory)) == [0, 1]
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, Path.mkdir], ids=["FIFO", "directory"])

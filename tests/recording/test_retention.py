@@ -1,11 +1,14 @@
 """What is removed, what is closed later, and what is reported of it."""
 
+import errno
+import shutil
 from datetime import timedelta
 from pathlib import Path
 
 import msgspec
 import pytest
 
+from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import Header, Keep
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.repair import repair
@@ -74,6 +77,27 @@ def test_the_oldest_go_until_the_rest_fits(tmp_path: Path) -> None:
     size = sum(path.stat().st_size for path in directories[2].iterdir())
     list(prune(tmp_path, Keep(bytes=2 * size + 100), NOW))
     assert names(tmp_path) == [path.name for path in directories[1:]]
+
+
+def test_a_session_that_cannot_be_removed_keeps_no_other_from_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As one that another user has put there."""
+    foreign, old, young = [recorded(tmp_path, age_days) for age_days in (9.0, 8.0, 6.0)]
+    remove = shutil.rmtree
+
+    def removed(directory: Path) -> None:
+        if directory == foreign:
+            raise PermissionError(errno.EACCES, "Permission denied", str(directory / "config.toml"))
+        remove(directory)
+
+    removals = prune(tmp_path, Keep(days=7.0), NOW)
+    with monkeypatch.context() as system:
+        system.setattr(shutil, "rmtree", removed)
+        assert next(removals).startswith(f"session {old.name} removed")
+        with pytest.raises(RecordingError, match=rf"{foreign.name}.*Permission denied"):
+            next(removals)
+    assert names(tmp_path) == [foreign.name, young.name]
 
 
 def test_a_session_in_progress_loses_its_oldest_segments_only(tmp_path: Path) -> None:

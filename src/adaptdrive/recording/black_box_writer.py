@@ -21,7 +21,7 @@ from adaptdrive.recording import reserve
 from adaptdrive.recording.batches import Batch, EventRow, Header, News, read_frames
 from adaptdrive.recording.black_box import NO_FIGURE, TRIP
 from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
-from adaptdrive.recording.session import Dropped, Ending
+from adaptdrive.recording.session import TRIP_PREFIX, Dropped, Ending
 from adaptdrive.recording.session_writer import SessionWriter
 from adaptdrive.recording.writer import send_to_parent, step_aside
 from adaptdrive.runtime.reports import Severity
@@ -49,7 +49,8 @@ def write_trip(source: BinaryIO, number: int) -> Path:
     batches = [msgspec.msgpack.decode(frame, type=Batch) for frame in frames]
     parent = Path(decoded.directory or decoded.sessions)
     parent.mkdir(parents=True, exist_ok=True)
-    return _with_reserve(parent.parent, lambda: _write(decoded, batches, number))
+    sessions = parent.parent if decoded.directory else parent
+    return _with_reserve(sessions, lambda: _write(decoded, batches, number))
 
 
 def _with_reserve(sessions: Path, write: Callable[[], Path]) -> Path:
@@ -67,7 +68,7 @@ def _write(header: Header, batches: Sequence[Batch], number: int) -> Path:
     trip = next((one for one in events if one.kind == TRIP and one.number == number), None)
     if trip is None:
         raise OSError("the batches hold no trip")
-    directory = parent / f"trip-{trip.time:%Y%m%dT%H%M%S%fZ}-{number}"
+    directory = parent / f"{TRIP_PREFIX}{trip.time:%Y%m%dT%H%M%S%fZ}-{number}"
     if directory.exists():
         return directory  # the process before this was ended while it drew the figure
     unfinished = parent / ".trip"

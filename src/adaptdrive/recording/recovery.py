@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -14,12 +14,20 @@ import msgspec
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import Batch, Header, read_frames
 from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
-from adaptdrive.recording.session import Ending, SessionLock, read_info, session_directories
+from adaptdrive.recording.session import (
+    Ending,
+    SessionLock,
+    read_info,
+    session_directories,
+    write_info,
+)
 from adaptdrive.recording.session_writer import Report, SessionWriter
 from adaptdrive.recording.spool import left_spools
 from adaptdrive.runtime.reports import Severity
 
 _LOOKS, _LOOK_S = 20, 0.05
+_UNFINISHED = {Ending.OPEN, Ending.LOST}
+"""Endings of a session that a spool may go on with: it was closed without one, if at all."""
 
 
 def recover(own: Path, report: Report, housekeeper: Housekeeper) -> None:
@@ -35,33 +43,47 @@ def recover(own: Path, report: Report, housekeeper: Housekeeper) -> None:
     for path in left_spools(own.parent):
         if path != own and path.is_file():
             try:
-                _recover(path, lambda header: SessionWriter(header, report, housekeeper))
+                _recover(path, report, housekeeper)
             except ERRORS as problem:
                 report(Severity.WARNING, f"{path} is left as it is: {problem}")
 
 
-def _recover(path: Path, open_session: Callable[[Header], SessionWriter]) -> None:
+def _recover(path: Path, report: Report, housekeeper: Housekeeper) -> None:
     with path.open("rb") as source:
-        if _is_free(source) and _write(source, path.parent, open_session):
+        if not _is_free(source):
+            return
+        header, batches = _read(source)
+        if header is None and path.stat().st_size:
+            kept = path.rename(path.with_name(f"damaged{path.name}"))
+            report(Severity.WARNING, f"{kept} was not written into a session: it cannot be read")
+        elif header is None or not batches:
             path.unlink(missing_ok=True)
+        else:
+            header = msgspec.structs.replace(header, sessions=str(path.parent))
+            if _write(header, batches, lambda of: SessionWriter(of, report, housekeeper)):
+                path.unlink(missing_ok=True)
 
 
-def left_batches(path: Path) -> list[Batch]:
-    """Return the whole batches in the spool of a control process that has ended; none without it.
+def left_batches(path: Path) -> list[Batch] | None:
+    """Return the whole batches in the spool of a control process that has ended.
 
     Args:
         path: The spool.
+
+    Returns:
+        The batches, none without a spool; None where another process has it or it cannot be read.
     """
     try:
-        source = path.open("rb")
-    except OSError:
+        with path.open("rb") as source:
+            for _ in range(_LOOKS):  # its files are closed one after another
+                if _is_free(source):
+                    return _read(source)[1]
+                time.sleep(_LOOK_S)
+    except FileNotFoundError:
         return []
-    with source:
-        for _ in range(_LOOKS):  # its files are closed one after another
-            if _is_free(source):
-                return _read(source)[1]
-            time.sleep(_LOOK_S)
-    return []
+    except OSError:
+        return None
+    return None
 
 
 def _is_free(source: BinaryIO) -> bool:
@@ -73,29 +95,51 @@ def _is_free(source: BinaryIO) -> bool:
 
 
 def _write(
-    source: BinaryIO, sessions: Path, open_session: Callable[[Header], SessionWriter]
+    header: Header, batches: Sequence[Batch], open_session: Callable[[Header], SessionWriter]
 ) -> bool:
     """Write what a spool holds; False where another recorder still writes the session.
 
     Its session is beside it, also where the folder of both has been moved since.
     """
-    header, batches = _read(source)
-    if header is None or not batches:
-        return True
-    header = msgspec.structs.replace(header, sessions=str(sessions))
     directory = _session_of(header)
-    if directory is not None and read_info(directory).ended is not Ending.OPEN:
-        return True
-    if directory is not None and not _is_left(directory):
-        return False
+    if directory is not None:
+        if read_info(directory).ended not in _UNFINISHED:
+            return True
+        if not _is_left(directory):
+            return False
+        _reopen(directory)
     name = "" if directory is None else str(directory)
-    writer = open_session(msgspec.structs.replace(header, directory=name))
+    _write_batches(open_session(msgspec.structs.replace(header, directory=name)), batches)
+    return True
+
+
+def _reopen(directory: Path) -> None:
+    """Mark a session as open, all of which is to be counted again."""
+    info = read_info(directory)
+    write_info(
+        directory,
+        msgspec.structs.replace(info, ended=Ending.OPEN, histograms={}, rows={}, segments=0),
+    )
+
+
+def _write_batches(writer: SessionWriter, batches: Sequence[Batch]) -> None:
+    """Write batches and close the session, if the last one says so.
+
+    Otherwise it is closed with the other sessions whose recorder has died.
+    """
+    last = batches[-1]
     try:
         for batch in batches:
             writer.write(batch)
-    finally:
-        writer.abandon()  # it is closed with the other sessions whose recorder has died
-    return True
+        if last.last:
+            writer.close(Ending.ORDERLY, last.dropped)
+    except BaseException:
+        writer.abandon()
+        raise
+    if not last.last:
+        writer.abandon()
+        info = read_info(writer.directory)
+        write_info(writer.directory, msgspec.structs.replace(info, dropped=last.dropped))
 
 
 def _is_left(directory: Path) -> bool:

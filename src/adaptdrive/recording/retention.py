@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import shutil
+import stat
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
@@ -36,11 +37,15 @@ def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None
 
     Yields:
         A sentence for each removal.
+
+    Raises:
+        RecordingError: A session cannot be removed; the others are.
     """
     directories = list(session_directories(sessions))
     older = [path for path in directories if path != current]
     outdated = _too_old(directories, keep, now, by_person=current is None)
     excess = _size(sessions) - keep.bytes if keep.bytes is not None else 0
+    failed: list[RecordingError] = []
     for directory in older:
         size = _size(directory)
         if excess > 0:
@@ -49,11 +54,18 @@ def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None
             cause = f"it is older than {keep.days:g} days"
         else:
             continue
-        if _remove(directory):
+        try:
+            removed = _remove(directory)
+        except OSError as problem:
+            failed.append(RecordingError(directory, f"the session cannot be removed: {problem}"))
+            continue
+        if removed:
             excess -= size
             yield f"session {directory.name} removed: {cause}"
     if current is not None and excess > 0:
         yield from _prune_segments(current, excess)
+    if failed:
+        raise failed[0]
 
 
 def _prune_segments(directory: Path, excess: int) -> Iterator[str]:
@@ -100,4 +112,13 @@ def _age_days(directory: Path, now: datetime) -> float:
 
 
 def _size(directory: Path) -> int:
-    return sum(path.stat().st_size for path in directory.rglob("*") if path.is_file())
+    return sum(map(_file_size, directory.rglob("*")))
+
+
+def _file_size(path: Path) -> int:
+    """Return the bytes of a file, 0 for what is none or has just been removed."""
+    try:
+        found = path.stat()
+    except OSError:
+        return 0
+    return found.st_size if stat.S_ISREG(found.st_mode) else 0

@@ -32,6 +32,9 @@ FORMATS = (1, 2)
 INFO_FILE = "session.json"
 CONFIG_FILE = "config.toml"
 EVENTS_FILE = "events.sqlite"
+TRIP_PREFIX = "trip-"
+"""Beginning of the name of a trip's record; before there is a session it is beside the sessions."""
+
 TICKS = "ticks"
 SLOW = "slow"
 SENSORS = "sensors"
@@ -207,7 +210,8 @@ def session_directories(sessions: Path) -> Iterator[Path]:
     """Yield the directories of sessions in a folder, the oldest first."""
     if sessions.is_dir():
         found = (path.parent for path in sessions.glob(f"*/{INFO_FILE}"))
-        yield from sorted(path for path in found if not path.name.startswith("."))  # unfinished
+        finished = (path for path in found if not path.name.startswith("."))
+        yield from sorted(finished, key=lambda path: path.name.removeprefix(TRIP_PREFIX))
 
 
 def find_session(name: str, sessions: Path) -> Path:

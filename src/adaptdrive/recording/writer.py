@@ -75,6 +75,12 @@ class PatientWriter:
         """
         self._insist(lambda writer: writer.close(ending, dropped))
 
+    def leave(self) -> None:
+        """Leave the session as it is, to be gone on with at the next start."""
+        if self._writer is not None:
+            self._writer.abandon()
+            self._writer = None
+
     def finish(self) -> None:
         """Wait until the closed session is in order."""
         self._housekeeper.finish()
@@ -121,9 +127,7 @@ class PatientWriter:
     def _give_up(self, problem: Exception, waited_s: float) -> None:
         """Leave the files as they are; end when the control process has ended."""
         self._was_full |= reserve.is_full(problem)
-        if self._writer is not None:
-            self._writer.abandon()
-            self._writer = None
+        self.leave()
         if os.getppid() != self._parent and waited_s > _ORPHAN_PATIENCE_S:
             raise problem
 
@@ -165,8 +169,15 @@ def _write_new(writer: PatientWriter, batches: Iterable[Batch], last: Batch | No
 
 
 def _write_rest(writer: PatientWriter, spool: Path, last: Batch | None) -> None:
-    """Write what a control process that was killed had not put into the pipe, and close."""
-    last = _write_new(writer, left_batches(spool), last)
+    """Write what a control process that was killed had not put into the pipe, and close.
+
+    What cannot be read is left to the next start, and the end of the session with it.
+    """
+    left = left_batches(spool)
+    if left is None:
+        writer.leave()
+        return
+    last = _write_new(writer, left, last)
     if last is None or not last.last:
         writer.close(Ending.CUT, Dropped() if last is None else last.dropped)
     spool.unlink(missing_ok=True)
