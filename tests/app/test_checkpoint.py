@@ -4,6 +4,7 @@ import asyncio
 import json
 import math
 import os
+import threading
 from pathlib import Path
 
 import pytest
@@ -225,6 +226,27 @@ async def test_a_full_disk_is_told_once_and_stops_nothing() -> None:
     assert isinstance(event, Event)
     assert event.severity is Severity.WARNING
     assert "No space left" in event.detail
+
+
+async def test_a_disk_that_hangs_holds_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    hub, clock, learner = Hub(), Clock(), Learner()
+    begun: list[cp.Learnt] = []
+    answers = threading.Event()
+
+    def hang(learnt: cp.Learnt) -> None:
+        begun.append(learnt)
+        assert answers.wait(60.0)
+
+    monkeypatch.setattr(cp, "PATIENCE_S", 0.01)
+    keeper = cp.Keeper(hang, learner, hub, clock)
+    for value in range(20):
+        learner.trusted = (float(value),)
+        await keeper.save()
+    assert len(begun) == 1
+    answers.set()
+    await until(lambda: keeper._writing is not None and keeper._writing.done())
+    await keeper.save()
+    assert [learnt.values for learnt in begun] == [(0.0,), (19.0,)]
 
 
 def test_a_restarted_daemon_knows_the_resolution_of_its_sensor_from_the_first_period(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import fcntl
 import io
@@ -14,6 +15,7 @@ import sys
 import threading
 from array import array
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -245,6 +247,24 @@ def test_a_spool_that_another_process_reads_is_left_to_the_next_start(tmp_path: 
     assert read_info(directory).ended is Ending.OPEN
     next_start(tmp_path)
     assert sequences(read_session(directory)) == [0, 1]
+
+
+async def test_the_end_waits_for_no_helper_thread(tmp_path: Path) -> None:
+    """Each of them waits for a disk that hangs, and the recorder has no folder to write to."""
+    (tmp_path / "sessions").write_text("in the way")
+    reported: list[tuple[Severity, str]] = []
+    header = Header(INFO, "", str(tmp_path / "sessions"))
+    delivery = Delivery(header, 1 << 20, lambda *report: reported.append(report))
+    delivery.offer(make_batch([make_tick(0)]))
+    answers, loop = threading.Event(), asyncio.get_running_loop()
+    with ThreadPoolExecutor(1) as pool:
+        loop.set_default_executor(pool)
+        pool.submit(answers.wait)
+        async with asyncio.timeout(PATIENCE_S):
+            assert await delivery.finish(Dropped(), 0.5) == Dropped(ticks=1)
+        answers.set()
+    assert reported[-1][0] is Severity.ALARM
+    assert "the end of the session is not recorded" in reported[-1][1]
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, Path.mkdir], ids=["FIFO", "directory"])

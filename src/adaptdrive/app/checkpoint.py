@@ -243,6 +243,7 @@ class Keeper:
         self._written: Learnt | None = None
         self._next_s = clock()
         self._failed = False
+        self._writing: asyncio.Future[None] | None = None
 
     async def run(self) -> None:
         """Keep what is accepted until cancelled."""
@@ -260,9 +261,12 @@ class Keeper:
         if learnt == self._written:
             return
         self._next_s = self._clock() + _EVERY_S
+        if self._writing is not None and not self._writing.done():
+            return  # a disk that hangs gets one thread, not one a minute
+        self._writing = asyncio.get_running_loop().run_in_executor(None, self._write, learnt)
         try:
             async with asyncio.timeout(PATIENCE_S):
-                await asyncio.to_thread(self._write, learnt)
+                await asyncio.shield(self._writing)
         except OSError as problem:
             self._report_once(problem)
         else:

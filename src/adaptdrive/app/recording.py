@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from datetime import UTC, datetime
+from pathlib import Path
 
 from adaptdrive import __version__
 from adaptdrive.app.checkpoint import Learnt
@@ -12,6 +13,7 @@ from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import SignalSource
 from adaptdrive.config.units import si_unit
+from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import Header, Keep, SensorColumn
 from adaptdrive.recording.recorder import Clocks, Feed, Recorder, WritePace
 from adaptdrive.recording.session import SessionInfo, sessions_directory
@@ -36,6 +38,9 @@ def build_recorder(
 
     Returns:
         The recorder, None where nothing is to be recorded.
+
+    Raises:
+        RecordingError: The name of the folder of sessions is not UTF-8.
     """
     recording = configuration.recording
     if not recording.enabled:
@@ -44,7 +49,7 @@ def build_recorder(
     header = Header(
         info=_info(configuration, learnt),
         config_text=text,
-        sessions=str(sessions_directory(recording.directory, os.environ).absolute()),
+        sessions=_sessions(recording.directory),
         sensors=sensor_columns(configuration),
         segment_s=recording.segment_s,
         keep=Keep(recording.keep_days, None if size is None else round(size * 1e6)),
@@ -53,6 +58,19 @@ def build_recorder(
     feed = Feed.of(hub, recording.flush_s)
     pace = WritePace(flush_s=recording.flush_s, start_thread=start_thread)
     return Recorder(header, feed, hub.publish, clocks, pace)
+
+
+def _sessions(configured: Path | None) -> str:
+    """Return the folder of sessions, whose name goes to the recorder process as text."""
+    sessions = str(sessions_directory(configured, os.environ).absolute())
+    try:
+        sessions.encode()
+    except UnicodeEncodeError as problem:
+        raise RecordingError(
+            sessions.encode(errors="backslashreplace").decode(),
+            "the name of the folder of sessions is not UTF-8; recording.directory may name another",
+        ) from problem
+    return sessions
 
 
 def sensor_columns(configuration: Configuration) -> tuple[SensorColumn, ...]:

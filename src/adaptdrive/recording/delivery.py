@@ -157,13 +157,21 @@ class Delivery:
 
     async def _give_up(self, dropped: Dropped, cause: str, timeout_s: float) -> Dropped:
         left = sum((sent.rows for sent in self._unwritten), start=Dropped())
-        if await asyncio.to_thread(self._spool.flushed, timeout_s):
+        if await self._flushed(timeout_s):
             detail = f"the next start records the end of the session, {left}: {cause}"
             self._report(Severity.WARNING, detail)
             return Dropped()
         self._report(Severity.ALARM, f"the end of the session is not recorded, {left}: {cause}")
         await self._close_short(dropped + left, timeout_s)
         return left
+
+    async def _flushed(self, timeout_s: float) -> bool:
+        """Return whether the file has everything; False, too, where no helper thread is free."""
+        try:
+            async with asyncio.timeout(2.0 * timeout_s):
+                return await asyncio.to_thread(self._spool.flushed, timeout_s)
+        except TimeoutError:
+            return False
 
     @property
     def _number_written(self) -> int:

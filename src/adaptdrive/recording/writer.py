@@ -198,6 +198,9 @@ def step_aside() -> None:
 
 def send_to_parent(news: News) -> None:
     """Report to the control process, if it is still there."""
+    # the name of a file may be no UTF-8
+    detail = news.detail.encode(errors="backslashreplace").decode()
+    news = msgspec.structs.replace(news, detail=detail)
     with contextlib.suppress(OSError):
         os.write(sys.stdout.fileno(), msgspec.json.encode(news) + b"\n")
 
