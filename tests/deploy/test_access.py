@@ -62,13 +62,24 @@ def test_a_drive_hears_its_own_commands_only(guarded: GuardedBroker, listen: Lis
     assert heard(guarded, listen, "motor", "motor", OWN) == telemetry
 
 
-def test_a_drive_announces_itself_alone(guarded: GuardedBroker) -> None:
-    for drive, denied in (("motor", False), ("bath", True)):
-        topic = f"homeassistant/device/adaptdrive-{drive}/config"
-        words = ("-V", "mqttv5", "-q", "1", "-t", topic, "-m", "{}")
-        command = guarded.client("mosquitto_pub", *guarded.credentials("motor"), *words)
-        tried = subprocess.run(command, check=False, capture_output=True, text=True, timeout=20)
-        assert ("Not authorized" in tried.stderr) is denied
+@pytest.mark.parametrize(
+    ("user", "drive", "denied"),
+    [
+        ("motor", "motor", False),
+        ("motor", "bath", True),
+        ("viewer", "viewer", True),
+        ("operator", "operator", True),
+        ("operator", "motor", True),
+    ],
+)
+def test_a_drive_announces_itself_alone(
+    guarded: GuardedBroker, user: str, drive: str, *, denied: bool
+) -> None:
+    topic = f"homeassistant/device/adaptdrive-{drive}/config"
+    words = ("-V", "mqttv5", "-q", "1", "-t", topic, "-m", "{}")
+    command = guarded.client("mosquitto_pub", *guarded.credentials(user), *words)
+    tried = subprocess.run(command, check=False, capture_output=True, text=True, timeout=20)
+    assert ("Not authorized" in tried.stderr) is denied
 
 
 def test_a_drive_hears_what_it_is_asked(guarded: GuardedBroker, listen: Listen) -> None:
