@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pandas as pd
 import polars as pl
@@ -15,10 +18,13 @@ from mcap.reader import make_reader
 from scipy.io import loadmat
 
 from adaptdrive.analysis.export import export
+from adaptdrive.recording.batches import Header, SensorColumn
 from adaptdrive.recording.reader import read_session
-from adaptdrive.recording.session import TICKS
-from tests.recording.material import INFO
+from adaptdrive.recording.session import TICKS, NewSession, create_session
+from tests.operation.peers import load_report
+from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
+UTC_OFFSET_S = INFO.started.timestamp() - 50.0
 NAME = "20261121T012209Z_motor"
 
 
@@ -73,3 +79,40 @@ def test_mcap_opens_in_its_reader(session_path: Path, output: list[float], tmp_p
         ]
     assert [value for _, value in found] == output
     assert datetime.fromtimestamp(found[0][0] * 1e-9, UTC) == INFO.started
+
+
+SENSORS = ("2nd.inflow", "_x.inflow", "2nd-inflow", "a" * 64 + ".water", "a" * 64 + ".air")
+
+
+@pytest.fixture
+def sensed_path(tmp_path: Path) -> Path:
+    """A session with sensors, whose first slow step comes 20 s after its first tick."""
+    directory = create_session(NewSession(tmp_path / "sessions", INFO, ""))
+    columns = tuple(SensorColumn(name, "K", "temperature", "sensor bus") for name in SENSORS)
+    step = replace(load_report(1), time_s=70.0)
+    batch = msgspec.structs.replace(
+        make_batch([make_tick(0), make_tick(1)], [step], last=True),
+        sensors=[{"monotonic_s": 60.0} | dict.fromkeys(SENSORS, 288.5)],
+        utc_offset_s=UTC_OFFSET_S,
+    )
+    record_messages(directory, Header(INFO, "", sensors=columns), batch)
+    return directory
+
+
+def test_tables_have_one_time_in_mdf4(sensed_path: Path, tmp_path: Path) -> None:
+    (path,) = export(sensed_path, "mdf4", tmp_path / "files")
+    with MDF(path) as file:
+        assert file.start_time.astimezone(UTC) == INFO.started
+        begins = {name: file.get(name).timestamps[0] for name in ("applied_k", "gains_0")}
+        assert file.get("2nd.inflow").timestamps[0] == pytest.approx(10.0)
+    assert begins == {"applied_k": 0.0, "gains_0": pytest.approx(20.0)}
+
+
+def test_names_that_matlab_does_not_accept_are_replaced(sensed_path: Path, tmp_path: Path) -> None:
+    (path,) = export(sensed_path, "mat", tmp_path / "files")
+    read = loadmat(path, simplify_cells=True)
+    fields = set(read["sensors"]) - {"utc", "monotonic_s"}
+    assert {read["sensors_names"][field] for field in fields} == set(SENSORS)
+    assert all(re.fullmatch("[A-Za-z][A-Za-z0-9_]{0,62}", field) for field in fields)
+    assert all(read["sensors"][field] == 288.5 for field in fields)
+    assert "ticks_names" not in read

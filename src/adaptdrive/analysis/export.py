@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import re
 from collections.abc import Callable, Iterator
+from datetime import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -15,10 +18,13 @@ from numpy.typing import NDArray
 from pyarrow import csv
 from pyarrow import parquet as pq
 
+from adaptdrive.analysis.flat import flat_batches, flat_schema
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.session import TABLES
 
 _NANOSECONDS = 1_000_000_000
+_LONGEST_FIELD = 63
+"""Letters of the name of a field that MATLAB accepts."""
 
 
 def export(path: Path, to: str, into: Path) -> list[Path]:
@@ -45,60 +51,6 @@ def export(path: Path, to: str, into: Path) -> list[Path]:
     except OSError as problem:
         problem.filename = str(into)
         raise
-
-
-def flat_schema(session: Session, table: str) -> pa.Schema:
-    """Return the columns of a table without lists: one for each element and estimate."""
-    first = next(flat_batches(session, table), None)
-    return pa.schema([]) if first is None else first.schema
-
-
-def flat_batches(session: Session, table: str) -> Iterator[pa.RecordBatch]:
-    """Yield the rows of a table with each list spread over columns, such as `gains_0`."""
-    widths: dict[str, list[str]] = {}
-    for batch in session.batches(table):
-        columns: dict[str, tuple[pa.Field, pa.Array]] = {}
-        for field, column in zip(batch.schema, batch.columns, strict=True):
-            for name, values in _spread(field, column, widths):
-                columns[name] = pa.field(name, values.type, metadata=field.metadata), values
-        fields = [field for field, _ in columns.values()]
-        arrays = [values for _, values in columns.values()]
-        yield pa.RecordBatch.from_arrays(arrays, schema=pa.schema(fields))
-
-
-def _spread(
-    field: pa.Field, column: pa.Array, widths: dict[str, list[str]]
-) -> Iterator[tuple[str, pa.Array]]:
-    """Yield the columns of one column; which these are, the first batch decides."""
-    if pa.types.is_dictionary(field.type):
-        yield field.name, column.cast(pa.string())
-    elif not pa.types.is_list(field.type):
-        yield field.name, column
-    elif pa.types.is_struct(field.type.value_type):
-        names = widths.setdefault(field.name, _names(column))
-        for at, name in enumerate(names):
-            item = _element(column, at)
-            yield name, pc.struct_field(item, "value")
-            yield f"{name}_std", pc.struct_field(item, "std")
-    else:
-        lengths = pc.max(pc.list_value_length(column)).as_py() or 0
-        known = widths.setdefault(field.name, [str(at) for at in range(lengths)])
-        for at, _ in enumerate(known):
-            yield f"{field.name}_{at}", _element(column, at)
-
-
-def _names(column: pa.Array) -> list[str]:
-    return next(
-        (["estimate_" + one["name"] for one in row] for row in column.to_pylist() if row), []
-    )
-
-
-def _element(column: pa.Array, at: int) -> pa.Array:
-    """Return one element of each list, null where a list is shorter."""
-    if pc.all(pc.greater(pc.list_value_length(column), at)).as_py():
-        return pc.list_element(column, at)
-    items = [row[at] if row and len(row) > at else None for row in column.to_pylist()]
-    return pa.array(items, column.type.value_type)
 
 
 def _tables(session: Session) -> Iterator[tuple[str, pa.Schema]]:
@@ -136,26 +88,45 @@ def _write_mat(session: Session, into: Path) -> list[Path]:
     contents: dict[str, Any] = {}
     for table, schema in _tables(session):
         whole = pa.Table.from_batches(list(flat_batches(session, table)), schema)
-        contents[table] = {name: _matlab(whole[name]) for name in schema.names}
-        contents[f"{table}_units"] = {field.name: _unit(field) for field in schema}
+        fields = _field_names(schema.names)
+        contents[table] = {fields[name]: _matlab(whole[name]) for name in schema.names}
+        contents[f"{table}_units"] = {fields[field.name]: _unit(field) for field in schema}
+        if renamed := {field: name for name, field in fields.items() if field != name}:
+            contents[f"{table}_names"] = renamed
     path = into / f"{session.path.name}.mat"
     savemat(path, contents, do_compression=True, long_field_names=True, oned_as="column")
     return [path]
+
+
+def _field_names(columns: list[str]) -> dict[str, str]:
+    """Return a name that MATLAB accepts for a field of a struct, by the name of each column."""
+    fields: dict[str, str] = {}
+    for name in columns:
+        plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
+        whole = plain if plain[0].isalpha() else f"x{plain}"
+        field = whole[:_LONGEST_FIELD]
+        for number in itertools.count(2):
+            if field not in fields.values():
+                break
+            field = f"{whole[: _LONGEST_FIELD - 4]}_{number}"
+        fields[name] = field
+    return fields
 
 
 def _write_mdf4(session: Session, into: Path) -> list[Path]:
     from asammdf import MDF, Signal  # noqa: PLC0415 - an extra
 
     path = into / f"{session.path.name}.mf4"
+    begin_s, begun = _beginning(session)
     with MDF(version="4.10") as file:
-        file.start_time = session.info.started
+        file.start_time = begun
         for table, schema in _tables(session):
             whole = pa.Table.from_batches(list(flat_batches(session, table)), schema)
-            time_s = _floats(whole["monotonic_s"])
+            time_s = _floats(whole["monotonic_s"]) - begin_s
             signals = [
                 Signal(
                     samples=_samples(whole[field.name]),
-                    timestamps=time_s - time_s[0],
+                    timestamps=time_s,
                     name=field.name,
                     unit=_unit(field),
                     comment=_about(field, "description"),
@@ -166,6 +137,15 @@ def _write_mdf4(session: Session, into: Path) -> list[Path]:
             ]
             file.append(signals, comment=table)
         return [Path(file.save(path, overwrite=True))]
+
+
+def _beginning(session: Session) -> tuple[float, datetime]:
+    """Return the time of the first row of all tables, by the monotonic clock and in UTC."""
+    firsts = []
+    for table, _ in _tables(session):
+        row = next(flat_batches(session, table)).slice(0, 1).to_pylist()[0]
+        firsts.append((row["monotonic_s"], row["utc"] or session.info.started))
+    return min(firsts, default=(0.0, session.info.started))
 
 
 def _write_mcap(session: Session, into: Path) -> list[Path]:

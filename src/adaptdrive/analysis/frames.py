@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import pyarrow as pa
 
-from adaptdrive.analysis.export import flat_batches, flat_schema
+from adaptdrive.analysis.flat import flat_batches, flat_schema
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.session import TABLES
 
