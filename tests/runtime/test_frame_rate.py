@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adaptdrive.control.signals import SAFE_COMMAND
+from adaptdrive.control.signals import SAFE_COMMAND, Mode
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.half_cycles import HalfCycles
 from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import Enable
-from tests.runtime.bench import FAST, TICK_S, fast_bench
+from adaptdrive.runtime.requests import Enable, Reset, SetMode, SetVoltage
+from tests.runtime.bench import FAST, TICK_S, FastBench, fast_bench
 
 Frame = tuple[int | None, float]
 """Counter and arrival."""
@@ -198,3 +198,84 @@ async def test_a_drive_that_is_polled_sets_no_rate() -> None:
         for _ in range(150):
             bench.frame(0.01)
         assert bench.loop.cause is None
+
+
+def run_by_hand(bench: FastBench, hold_s: float | None) -> None:
+    """Run the drive in mode manual, where nothing moves."""
+    bench.frames(70)
+    bench.ask(SetMode(Mode.MANUAL))
+    bench.ask(Enable())
+    bench.frames(3)
+    bench.ask(SetVoltage(250.0, hold_s))
+    bench.frames(5)
+    assert bench.state() is State.RUNNING
+
+
+def stutter(bench: FastBench, frames: int, every: int) -> None:
+    """Frames of a drive whose gateway repeats one frame in place of the next, now and then."""
+    for number in range(frames):
+        bench.frame(steps={0: 0, 1: 2}.get(number % every, 1))
+
+
+async def test_a_last_frame_that_is_repeated_for_ever_trips_in_the_time_of_a_stale_one() -> None:
+    async with fast_bench() as bench:
+        run_by_hand(bench, None)
+        for _ in range(5):  # 42 ms
+            bench.frame(steps=0)
+        assert bench.state() is State.RUNNING
+        for _ in range(2):  # 58 ms
+            bench.frame(steps=0)
+        assert bench.state() is State.TRIPPED
+        assert (bench.machine.trip or "").startswith("half-cycle counter: the drive's count has ")
+        assert bench.sent[-1] == SAFE_COMMAND
+        with pytest.raises(RefusedError, match="half-cycle counter: "):
+            bench.ask(Reset())
+        bench.frame()
+        bench.ask(Reset())
+
+
+async def test_a_frame_repeated_in_place_of_a_lost_one_trips_nothing() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        stutter(bench, frames=1000, every=3)
+        assert bench.state() is State.RUNNING
+
+
+@pytest.mark.parametrize("every", [3, 20])
+async def test_the_operator_is_watched_though_the_rate_is_not_known(every: int) -> None:
+    async with fast_bench() as bench:
+        run_by_hand(bench, 2.0)
+        stutter(bench, frames=150, every=every)
+        assert bench.state() is State.RUNNING
+        stutter(bench, frames=100, every=every)
+        assert (bench.machine.trip or "").startswith("manual: no new voltage within the 2 s")
+
+
+async def test_the_precharge_is_watched_though_the_rate_is_not_known_any_more() -> None:
+    async with fast_bench() as bench:
+        bench.measured = replace(bench.measured, boost_voltage_V=150.0)
+        bench.frames(70)
+        bench.ask(Enable())
+        bench.frames(3)
+        stutter(bench, frames=660, every=5)
+        assert (bench.machine.trip or "").startswith("precharge: v_bst = 150.0 V after 5 s")
+
+
+async def test_a_count_that_stands_in_standby_trips_nothing_and_refuses_enable() -> None:
+    async with fast_bench() as bench:
+        bench.frames(70)
+        for _ in range(200):
+            bench.frame(steps=0)
+        assert bench.state() is State.STANDBY
+        with pytest.raises(RefusedError, match=r"half-cycle counter: .* stood for 1667 ms"):
+            bench.ask(Enable())
+        bench.frame()
+        assert bench.loop.cause is None
+
+
+@pytest.mark.parametrize("modulus", [4, 16, 256])
+def test_a_count_that_had_time_to_come_round_does_not_stand(modulus: int) -> None:
+    base, latest = HalfCycles(modulus, TICK_S), -1
+    for number in range(20):
+        latest = base.place(7 % modulus, 100.0 + number * modulus * TICK_S, latest)
+        assert base.rate.standing_s == 0.0

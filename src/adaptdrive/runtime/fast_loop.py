@@ -255,8 +255,9 @@ class FastLoop:
         if cause is not None:
             machine.latch(cause)
             self._stop_watch.command(now_s)
-        elif reading is not None and interlocks.rate_known:
-            machine.advance(self.tick, reading.boost_voltage_V)
+        elif reading is not None:
+            voltage_V = reading.boost_voltage_V
+            machine.advance(self.tick, voltage_V, rate_known=interlocks.rate_known)
 
     def _control(self, tick: int, reading: Reading, *, fresh: bool) -> None:
         order = self._current_order(tick)

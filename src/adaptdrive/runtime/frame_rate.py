@@ -14,6 +14,9 @@ against the configured rate counts, so that frames which a stalled bus delivers 
 like a fast drive; a rate that is wrong moves the least of the later blocks against that of the
 earlier ones. Half cycles that nobody has counted, of a counter that has jumped, begin a new window.
 Where the counter jumps all the time, only too many frames are a wrong rate: too few may be lost.
+
+A counter that stands while frames come shows no rate at all: they may be one frame, repeated. How
+long it has stood is measured apart.
 """
 
 from __future__ import annotations
@@ -74,6 +77,7 @@ class FrameRate:
     Attributes:
         judged: Whether enough readings have come at the right rate.
         cause: The wrong rate, once it has lasted.
+        standing_s: Time for which readings have come with the same count, 0 while it moves.
     """
 
     def __init__(self, tick_s: float, stride: int, *, counted: bool) -> None:
@@ -93,17 +97,24 @@ class FrameRate:
         self._began_s: float | None = None
         self._ticks = self._readings = 0
         self._wrong_since_s: float | None = None
+        self._moved_s = math.inf
         self.judged = False
         self.cause: str | None = None
+        self.standing_s = 0.0
 
-    def add(self, arrival_s: float, steps: int | None, *, stood_in: bool) -> None:
+    def add(
+        self, arrival_s: float, steps: int | None, *, stood_in: bool, repeated: bool = False
+    ) -> None:
         """Take one reading, and judge the rate anew at the end of each block.
 
         Args:
             arrival_s: Arrival of its clocking frame, monotonic clock.
             steps: Half cycles since the reading before, None where they cannot be known.
             stood_in: Whether a stand-in tick had to run before it.
+            repeated: Whether its count is that of the reading before.
         """
+        self._moved_s = self._moved_s if repeated else arrival_s
+        self.standing_s = arrival_s - self._moved_s
         if self._began_s is None:
             self._began_s = arrival_s
             return

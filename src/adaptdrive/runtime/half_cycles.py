@@ -67,7 +67,8 @@ class HalfCycles:
             latest_tick: Latest tick that has been run, stand-ins included.
         """
         steps = self._steps(counter, arrival_s)
-        self.rate.add(arrival_s, steps, stood_in=latest_tick > self._frame_tick)
+        stood_in, repeated = latest_tick > self._frame_tick, self._is_repeated(counter, arrival_s)
+        self.rate.add(arrival_s, steps, stood_in=stood_in, repeated=repeated)
         if steps is None:
             tick = self.following(latest_tick)
             self._marks.clear()
@@ -86,6 +87,12 @@ class HalfCycles:
             return max(1, int(elapsed / self._stride + 1.0 - _LATE_TICKS)) * self._stride
         steps = (counter - self._counter) % self._modulus
         return steps if steps >= 1 and abs(steps - elapsed) <= _SLACK_TICKS else None
+
+    def _is_repeated(self, counter: int | None, arrival_s: float) -> bool:
+        """Return whether the counter is where it was, and had no time to come round to it."""
+        if counter is None or counter != self._counter or self._modulus is None:
+            return False
+        return arrival_s - self._arrival_s < 0.5 * self._modulus * self.tick_period_s
 
     def _measure(self, tick: int, arrival_s: float) -> None:
         if self._stride > 1:

@@ -55,7 +55,20 @@ class InterlockBoard:
     def standing_cause(self, port: Port, reading: Reading | None, now_s: float) -> str | None:
         """Return the interlock that is active in any state; the drive's protocol comes first."""
         cause = port.complaint or find_cause(reading, now_s, self._limits, port.explain_age)
-        return cause or (None if self._rate is None else self._rate.cause)
+        if cause is not None or self._rate is None:
+            return cause
+        return self._standing_count(self._rate.standing_s) or self._rate.cause
+
+    def _standing_count(self, standing_s: float) -> str | None:
+        """Return why the readings may be one reading, repeated: its count does not move."""
+        limit_s = self._limits.stale_s
+        if standing_s <= limit_s:
+            return None
+        return (
+            f"half-cycle counter: the drive's count has stood for {standing_s * 1e3:.0f} ms while "
+            f"frames come, limit {limit_s * 1e3:g} ms: its control hangs, or its last frame is "
+            "repeated"
+        )
 
     def running_cause(
         self, port: Port, reading: Reading | None, now_s: float, *, running: bool, bridge: bool

@@ -302,11 +302,16 @@ class Machine:
         self.trip = None
         self.state = State.STANDBY if self.stopped else State.STOPPING
 
-    def advance(self, tick: int, boost_voltage_V: float) -> None:
+    def advance(self, tick: int, boost_voltage_V: float, *, rate_known: bool = True) -> None:
         """Move from `starting` to `running` at the floor of the boost voltage, and watch the hand.
 
         The first tick is always one of `starting`: it makes a controller that ran until just
         before begin anew.
+
+        Args:
+            tick: Present tick.
+            boost_voltage_V: Boost voltage.
+            rate_known: Whether the drive's rate is known; at an unknown one no precharge begins.
         """
         if self.state is _RUNNING and self.mode is _MANUAL:
             cause = self.manual.find_cause(tick)
@@ -315,7 +320,7 @@ class Machine:
         if self.state is not _STARTING:
             return
         if not self._precharging:
-            self._precharging, self._since_tick = True, tick
+            self._precharging, self._since_tick = rate_known, tick
         elif boost_voltage_V >= FLOOR_REACHED * self._limits.floor_V:
             self.state = State.RUNNING
             self.manual = replace(self.manual, since_tick=tick)  # nobody could renew it meanwhile

@@ -184,6 +184,16 @@ TRIPS = (
         "cycle, or set `bus.clock_ticks` to the half cycles between two messages",
     ),
     Trip(
+        r"^half-cycle counter: ",
+        "half-cycle counter: the drive's count has stood for 58 ms while frames come, limit 50 ms: "
+        "its control hangs, or its last frame is repeated",
+        "`signals.counter` has not moved for `interlocks.stale_s`, although the drive's frames "
+        "come: its measurements may be old",
+        "restart the drive; look for a gateway that repeats the last frame of a drive that is "
+        "silent; leave `signals.counter` out where it does not count each half cycle, also with "
+        "the bridge off",
+    ),
+    Trip(
         r"^refused frames: ",
         "refused frames: drive: 52% of the last 1190 frames were refused, most for wrong_checksum "
         "(619): …, limit 50%",
