@@ -425,6 +425,74 @@ async def test_without_a_bus_a_command_is_a_counted_drop(port: CanPort, ear: Ear
     assert (port.statistics.sent, port.statistics.send_drops) == (1, 2)
 
 
+def refuse_to_send(port: CanPort, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the adapter receive, and send nothing any more."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise can.CanOperationError("Transmit buffer full")
+
+    assert port._connection.bus is not None
+    monkeypatch.setattr(port._connection.bus, "send", refuse)
+
+
+async def answer(port: CanPort, drive: Drive, ear: Ear, command: Command, count: int) -> list[bool]:
+    """Command the drive after each of its readings; whether there was a complaint after each."""
+    found = []
+    for _ in range(count):
+        known = len(ear.readings)
+        drive.send_both()
+        await ear.hears(known + 1)
+        port.send(command)
+        found.append(port.complaint is not None)
+    return found
+
+
+@pytest.mark.parametrize("command", [COMMAND, SAFE_COMMAND])
+async def test_commands_that_the_bus_does_not_take_are_a_complaint_until_it_takes_one(
+    port: CanPort, drive: Drive, ear: Ear, monkeypatch: pytest.MonkeyPatch, command: Command
+) -> None:
+    async with running(port, ear):
+        for _ in range(2):
+            with monkeypatch.context() as stuck:
+                refuse_to_send(port, stuck)
+                assert await answer(port, drive, ear, command, 4) == [False, False, True, True]
+                assert (port.complaint or "").startswith(
+                    "the bus does not take commands: 4 in a row were refused while the drive's "
+                )
+            assert await answer(port, drive, ear, command, 1) == [False]
+
+
+async def test_a_full_queue_of_a_moment_is_no_complaint(
+    port: CanPort, drive: Drive, ear: Ear, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with running(port, ear):
+        for _ in range(5):
+            with monkeypatch.context() as stuck:
+                refuse_to_send(port, stuck)
+                assert not any(await answer(port, drive, ear, COMMAND, 2))
+            assert not any(await answer(port, drive, ear, COMMAND, 1))
+
+
+async def test_commands_into_a_silent_or_a_lost_bus_are_no_complaint(
+    port: CanPort, drive: Drive, ear: Ear, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A drive that is off acknowledges no frame, and its silence is reported by itself."""
+    for _ in range(10):
+        assert not port.send(SAFE_COMMAND)
+    async with running(port, ear):
+        await answer(port, drive, ear, SAFE_COMMAND, 1)
+        refuse_to_send(port, monkeypatch)
+        for _ in range(10):
+            assert not port.send(SAFE_COMMAND)
+        assert port.complaint is None
+        await answer(port, drive, ear, SAFE_COMMAND, 3)
+        assert port.complaint is not None
+        assert port._connection.bus is not None
+        port._connection.bus.shutdown()
+        await until(lambda: len(ear.bus) == 2)
+        assert port.complaint is None
+
+
 async def test_a_bus_closed_under_the_reader_is_reported_and_opened_again(
     port: CanPort, drive: Drive, ear: Ear
 ) -> None:

@@ -249,6 +249,16 @@ TRIPS = (
         "check write access; look at `timeouts` in `bus`",
     ),
     Trip(
+        r"^the bus does not take commands: ",
+        "the bus does not take commands: 3 in a row were refused while the drive's messages came; "
+        "look for another sender that keeps the bus busy, and for an adapter that sends nothing",
+        "CAN, CANopen: the interface refused three commands in a row, because its queue is full or "
+        "it cannot send; the drive stops by its own time-out",
+        "look for a sender of higher priority that keeps the bus busy (`candump`), at "
+        "`ip -details -statistics link show can0`, and reset the adapter; the queue of the "
+        "interface (`txqueuelen`) must hold more frames than one command has",
+    ),
+    Trip(
         r"^drive stopped: ",
         "drive stopped: its bridge is off although it was commanded on",
         "the drive has reported its bridge off for 30 ticks, or the bridge went off while the "

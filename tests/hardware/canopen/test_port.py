@@ -397,6 +397,26 @@ async def test_another_master_of_the_node_is_a_complaint(peer: Peer) -> None:
         await bench.complains("another sender commands this drive: 2 x frame 0x205")
 
 
+async def test_commands_that_the_bus_does_not_take_are_a_complaint_until_it_takes_one(
+    peer: Peer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with running(peer) as bench:
+        await bench.run_drive()
+        bus = bench.port._connection.bus
+        assert bus is not None
+        take = bus.send
+
+        def refuse(frame: can.Message, timeout: float | None = None) -> None:
+            if frame.arbitration_id & 0x780 == 0x200:  # RPDO1; SYNC and heartbeat go out
+                raise can.CanOperationError("Transmit buffer full")
+            take(frame, timeout)
+
+        with monkeypatch.context() as stuck:
+            stuck.setattr(bus, "send", refuse)
+            await bench.complains("the bus does not take commands: ")
+        await until(lambda: bench.port.complaint is None)
+
+
 async def test_a_node_that_leaves_operational_for_a_moment_is_set_up_again(peer: Peer) -> None:
     """Both heartbeats come before the port has looked once."""
     async with running(peer) as bench:

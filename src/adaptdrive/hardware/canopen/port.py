@@ -102,7 +102,8 @@ class CanOpenPort:
     @property
     def complaint(self) -> str | None:
         """Reason not to energise the drive, None for no reason."""
-        if (seen := self._rival.complaint or self._faults.complaint) is not None:
+        seen = self._rival.complaint or self._faults.complaint or self._connection.uptake.complaint
+        if seen is not None:
             return seen
         if self._connection.bus is None and self._control.fallen is None:
             return None  # without a bus there are no readings, which is a cause of its own
@@ -156,6 +157,7 @@ class CanOpenPort:
         if not self._disobeyed:
             self._beat()
         taken = [self._put(*frame) for frame in frames]
+        self._connection.uptake.note(taken=all(taken))
         if not all(taken):
             return False
         if command == SAFE_COMMAND and self._safe_s == math.inf:
@@ -275,6 +277,7 @@ class CanOpenPort:
         reading, self._newest = self._newest, None
         if reading is not None and (listener := self._connection.listener) is not None:
             self._faults.clear(reading.fault)
+            self._connection.uptake.hear()
             listener.on_reading(reading)
 
     def _send_sync(self) -> None:

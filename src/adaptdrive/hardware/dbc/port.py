@@ -91,8 +91,12 @@ class CanPort:
 
     @property
     def complaint(self) -> str | None:
-        """Another sender that commands the drive, else a fault that no reading has carried yet."""
-        return self._rival.complaint or self._assembly.faults.complaint
+        """Another sender, a fault that no reading has carried yet, or commands not taken."""
+        return (
+            self._rival.complaint
+            or self._assembly.faults.complaint
+            or self._connection.uptake.complaint
+        )
 
     @property
     def safe_s(self) -> float:
@@ -140,6 +144,7 @@ class CanPort:
         taken = 0
         for frame in frames:
             taken += self._connection.send(frame)
+        self._connection.uptake.note(taken=taken == len(frames))
         if taken < len(frames):
             return False
         self._bridge_sent = command.bridge
@@ -234,6 +239,7 @@ class CanPort:
         reading, self._newest = self._newest, None
         if reading is not None and (listener := self._connection.listener) is not None:
             self._assembly.faults.clear(reading.fault)
+            self._connection.uptake.hear()
             listener.on_reading(reading)
 
     @property

@@ -16,6 +16,7 @@ from adaptdrive.hardware.backoff import BusBackoff
 from adaptdrive.hardware.link.arrival import ArrivalClock
 from adaptdrive.hardware.link.bus import open_bus
 from adaptdrive.hardware.link.reader import FrameReader, FrameTaker
+from adaptdrive.hardware.link.uptake import Uptake
 from adaptdrive.hardware.port import Listener
 
 Serve = Callable[[Callable[[], None]], Awaitable[str]]
@@ -39,6 +40,7 @@ class CanConnection:
     Attributes:
         bus: The open bus, None while it is lost.
         listener: Receiver of readings and of the state of the bus, None before `run`.
+        uptake: Whether the open bus takes the commands of its drive.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class CanConnection:
         self._reader: FrameReader | None = None
         self.bus: can.BusABC | None = None
         self.listener: Listener | None = None
+        self.uptake = Uptake()
 
     async def run(
         self, ids: Iterable[int], serve: Serve, listener: Listener, opened: Callable[[], None]
@@ -132,6 +135,7 @@ class CanConnection:
             return await serve(announce)
         finally:
             self.bus = self._reader = None
+            self.uptake.forget()
             bus.shutdown()
 
     def _return(self) -> None:
