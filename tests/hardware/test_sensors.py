@@ -213,14 +213,44 @@ async def test_loss_and_return_of_a_sensor_bus_are_told_with_its_name() -> None:
         assert (report.up, report.detail, report.values) == (False, "unplugged", {})
 
 
-async def test_when_the_task_of_a_sensor_bus_dies_so_does_the_port() -> None:
-    one = Bench()
+async def run_until_the_sensors_die(one: Bench, meanwhile: Callable[[], None]) -> None:
+    """Run the drive, let the task of its sensors die, and wait until the port has ended."""
     serving = asyncio.create_task(one.port.run(one, one.loop.begin))
     await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    one.say(hot=302.5, cold=300.0)
+    one.frames(3)
+    one.machine.carry_out(Enable(), one.loop.tick, 2.5, one.loop.cause)
+    one.frames(5)
+    assert one.sent[-1].bridge
     one.sensors.failure.set_exception(RuntimeError("a bug"))
+    while not serving.done():
+        await asyncio.sleep(0)
+        meanwhile()
     (outcome,) = await asyncio.gather(serving, return_exceptions=True)
     assert isinstance(outcome, BaseExceptionGroup)
-    assert not one.drive.send(SAFE_COMMAND)
+    assert outcome.subgroup(RuntimeError) is not None
+    assert not one.drive.send(SAFE_COMMAND)  # its bus is closed
+
+
+async def test_when_the_task_of_a_sensor_bus_dies_the_drive_is_left_safe() -> None:
+    one = Bench()
+    await run_until_the_sensors_die(one, lambda: None)
+    assert one.sent[-3:] == [SAFE_COMMAND] * 3
+
+
+async def test_frames_that_come_while_a_sensor_bus_dies_energise_nothing() -> None:
+    one, commands = Bench(), 0
+
+    def frame() -> None:
+        nonlocal commands
+        commands = commands or len(one.sent)
+        if one.drive.statistics.received < 50:
+            one.frames(1)
+
+    await run_until_the_sensors_die(one, frame)
+    assert len(one.sent) > commands
+    assert set(one.sent[commands:]) == {SAFE_COMMAND}
 
 
 @given(values=st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=5))

@@ -17,6 +17,12 @@ from adaptdrive.control.signals import Command
 OBEY_S = 1.0
 """Time that a drive has for the safe command before nothing keeps its own watchdog quiet."""
 
+FAREWELLS = 3
+"""Safe commands at the end: two of them may be lost."""
+
+FAREWELL_GAP_S = 0.005
+"""Time between them, so that one disturbance of the bus does not hit all."""
+
 
 @dataclass(slots=True, init=False)
 class Reading:

@@ -12,8 +12,15 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from adaptdrive.control.signals import Command
-from adaptdrive.hardware.port import Listener, Port, PortStatistics, Reading
+from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.hardware.port import (
+    FAREWELL_GAP_S,
+    FAREWELLS,
+    Listener,
+    Port,
+    PortStatistics,
+    Reading,
+)
 from adaptdrive.hardware.sensors import Derivation, SensorBus
 
 QUANTITIES = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
@@ -42,6 +49,7 @@ class SensoredPort:
         self._derivations = tuple(derivations)
         self._clock = clock
         self._listener: Listener | None = None
+        self._ends = False
         self.sampled: Callable[[], None] = lambda: None
         """Called after a reading of the drive that had new values of a sensor bus."""
 
@@ -94,12 +102,27 @@ class SensoredPort:
             bus.report = listener.on_bus
         async with asyncio.TaskGroup() as tasks:
             for bus in self.buses:
-                tasks.create_task(bus.port.run(bus), name=f"sensor bus {bus.name}")
+                tasks.create_task(self._sense(bus), name=f"sensor bus {bus.name}")
             tasks.create_task(self._drive.run(self, opened), name="drive")
 
+    async def _sense(self, bus: SensorBus) -> None:
+        """Serve a sensor bus; an error in that leaves the drive safe before its bus is closed."""
+        try:
+            await bus.port.run(bus)
+        except Exception:
+            await self._say_farewell()
+            raise
+
+    async def _say_farewell(self) -> None:
+        """Send the safe command more than once, and no other from now on."""
+        self._ends = True
+        for _ in range(FAREWELLS):
+            self._drive.send(SAFE_COMMAND)
+            await asyncio.sleep(FAREWELL_GAP_S)
+
     def send(self, command: Command) -> bool:
-        """Send one command to the drive now."""
-        return self._drive.send(command)
+        """Send one command to the drive now, the safe one once a sensor bus has failed."""
+        return self._drive.send(SAFE_COMMAND if self._ends else command)
 
     def catch_up(self) -> None:
         """Have the drive's port hand over what has arrived; sensors are never caught up with."""

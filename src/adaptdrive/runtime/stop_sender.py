@@ -7,16 +7,11 @@ import itertools
 import math
 from collections.abc import Callable
 
+from adaptdrive.hardware.port import FAREWELL_GAP_S, FAREWELLS
 from adaptdrive.runtime.fast_loop import FastLoop
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable
-
-_FAREWELLS = 3
-"""Safe commands at the end: two of them may be lost."""
-
-_FAREWELL_GAP_S = 0.005
-"""Time between them, so that one disturbance of the bus does not hit all."""
 
 _STOP_GAP_S = 0.004
 """Least time between the safe commands of a flood of stops: half a tick, for the bus's sake."""
@@ -52,17 +47,17 @@ class StopSender:
 
     async def await_stop(self) -> None:
         """Send safe commands until the drive confirms its stop, or has had the time to."""
-        end_s = self._clock() + self._fast.stop_limit_s + _FAREWELL_GAP_S
+        end_s = self._clock() + self._fast.stop_limit_s + FAREWELL_GAP_S
         for number in itertools.count():
             late = self._clock() > end_s  # judged once more then, however long this process slept
             self._fast.send_safe()
             ended = late or self._machine.state is not State.STOPPING
-            if ended and number >= _FAREWELLS:
+            if ended and number >= FAREWELLS:
                 break
-            await asyncio.sleep(_FAREWELL_GAP_S)
+            await asyncio.sleep(FAREWELL_GAP_S)
 
     async def say_farewell(self) -> None:
         """Stop the drive more than once: a frame can be lost."""
-        for _ in range(_FAREWELLS):
+        for _ in range(FAREWELLS):
             self.stop()
-            await asyncio.sleep(_FAREWELL_GAP_S)
+            await asyncio.sleep(FAREWELL_GAP_S)

@@ -131,6 +131,32 @@ async def test_a_port_that_is_closed_leaves_the_drive_safe(
     assert one.told() == [0, 0]
 
 
+class FailingEar(Ear):
+    """Takes no reading once the drive has had a command."""
+
+    def __init__(self, peer: TcpPeer) -> None:
+        super().__init__()
+        self.peer = peer
+
+    def on_reading(self, reading: Reading) -> None:
+        if self.peer.writes:
+            assert self.peer.writes[-1][1][1], "the drive was to run"
+            raise ZeroDivisionError
+        super().on_reading(reading)
+
+
+async def test_a_port_that_fails_leaves_the_drive_safe(free_tcp_port: int) -> None:
+    peer, port = TcpPeer(free_tcp_port), build(bus__port=str(free_tcp_port))
+    await peer.start()
+    port.send(RUN)
+    try:
+        with pytest.raises(ZeroDivisionError):
+            await port.run(FailingEar(peer), lambda: None)
+        assert peer.writes[-1][1][:2] == [0, 0]
+    finally:
+        await peer.stop()
+
+
 @both
 async def test_what_a_register_cannot_hold_is_not_sent(
     kind: str, tmp_path: Path, free_tcp_port: int

@@ -208,6 +208,10 @@ class ModbusPort:
                 next_s = self._next(next_s)
                 await self._idle(link, next_s)
             await self._commander.leave_safe(link)
+        except Exception:
+            with contextlib.suppress(Exception):  # the first problem counts
+                await self._commander.leave_safe(link)
+            raise
         finally:
             self._link = None
             link.close()
