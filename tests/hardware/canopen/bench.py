@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.canopen.mapping import map_drive
@@ -21,13 +21,18 @@ RUN = Command(current_scale_S=0.0, boost_reference_V=300.0, bridge=True)
 
 
 class Ear:
-    """Listens to a port and answers each reading with a command."""
+    """Listens to a port and answers each reading with a command.
+
+    Attributes:
+        lost: Called once, when the loop is next free after the node was lost.
+    """
 
     def __init__(self) -> None:
         self.readings: list[Reading] = []
         self.bus: list[tuple[bool, str]] = []
         self.command: Command | None = SAFE_COMMAND
         self.port: CanOpenPort | None = None
+        self.lost: Callable[[], object] | None = None
 
     def on_reading(self, reading: Reading) -> None:
         self.readings.append(reading)
@@ -36,6 +41,9 @@ class Ear:
 
     def on_bus(self, up: bool, detail: str) -> None:
         self.bus.append((up, detail))
+        if not up and self.lost is not None:
+            asyncio.get_running_loop().call_soon(self.lost)
+            self.lost = None
 
 
 class Bench:
@@ -67,6 +75,10 @@ class Bench:
         """Wait for a complaint."""
         await until(lambda: text in (self.port.complaint or ""))
         return self.port.complaint or ""
+
+    async def reports(self, text: str) -> None:
+        """Wait for the report that the node is lost, or cannot be set up."""
+        await until(lambda: any(text in detail for up, detail in self.ear.bus if not up))
 
 
 @contextlib.asynccontextmanager

@@ -6,7 +6,9 @@ statusword is written here, and it does what a test tells it to.
 
 from __future__ import annotations
 
+import math
 import struct
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,6 +23,31 @@ MEASURED = {"0x6079": 250_000, "0x2000.1": 1203, "0x2001.1": 431_700, "0x2001.2"
 _ANSWERS = {0x00: REST, 0x06: READY, 0x07: SWITCHED_ON, 0x0F: ENABLED}
 
 
+class Watch:
+    """A heartbeat consumer of CiA 301: a write of its entry makes it wait for a first heartbeat."""
+
+    def __init__(self, timeout_s: Callable[[], float]) -> None:
+        self._timeout_s = timeout_s
+        self._due_s = math.inf
+        self._expired = False
+
+    @property
+    def expired(self) -> bool:
+        """Whether a heartbeat has stayed away for the time-out, now or before."""
+        self._expired = self._expired or time.monotonic() > self._due_s
+        return self._expired
+
+    def hear(self) -> None:
+        """Take a heartbeat."""
+        if not self.expired:
+            self._due_s = time.monotonic() + self._timeout_s()
+
+    def restart(self) -> None:
+        """Forget the heartbeats: the entry is written."""
+        if not self.expired:
+            self._due_s = math.inf
+
+
 class Peer:
     """One node on a bus, which is in this process unless told otherwise.
 
@@ -32,6 +59,8 @@ class Peer:
         silent: Names of PDOs that are not sent.
         copies: How often the PDOs come after a SYNC, one set after the other.
         syncs: SYNCs that were received.
+        deaf: Whether it takes no PDO outside the state operational, as CiA 301 asks for.
+        watch: Its watch over the daemon's heartbeat, which switches it off; None for none.
     """
 
     def __init__(self, channel: str, eds: Path = EDS, interface: str = "virtual") -> None:
@@ -52,6 +81,8 @@ class Peer:
         self.silent: set[int] = set()
         self.copies = 1
         self.syncs = 0
+        self.deaf = False
+        self.watch: Watch | None = None
 
     def join(self) -> None:
         """Go on the bus."""
@@ -111,7 +142,24 @@ class Peer:
                 variable.raw = MEASURED.get(label, self.statusword)
             pdo.transmit()
 
+    def arm(self) -> None:
+        """Watch over the daemon's heartbeat from its next one on."""
+        self.watch = Watch(lambda: (self.number(0x1016, 1) & 0xFFFF) * 1e-3)
+        self.node.add_write_callback(self._restart_watch)
+
+    @property
+    def powered(self) -> bool:
+        """Whether its power stage is on; it stays on when the node leaves the state operational."""
+        expired = self.watch is not None and self.watch.expired
+        return self.statusword == ENABLED and not expired
+
+    def _restart_watch(self, *, index: int, **_: object) -> None:
+        if self.watch is not None and index == 0x1016:
+            self.watch.restart()
+
     def _receive(self, _: int, data: bytearray, __: float) -> None:
+        if self.deaf and self.node.nmt.state != "OPERATIONAL":
+            return
         word, _reference = struct.unpack("<Hf", data)
         self.words.append(word)
         if self.obeys:
@@ -119,3 +167,5 @@ class Peer:
 
     def _beat(self, _: int, data: bytearray, __: float) -> None:
         self.beats.append(bytes(data))
+        if self.watch is not None:
+            self.watch.hear()

@@ -12,6 +12,7 @@ from typing import Any
 
 import can
 import pytest
+from canopen.sdo.exceptions import SdoAbortedError
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
@@ -139,6 +140,88 @@ async def test_a_lost_node_that_no_command_reaches_hears_no_heartbeat(peer: Peer
             assert not bench.port.send(SAFE_COMMAND)
             await asyncio.sleep(0.05)
         assert len(peer.beats) == known
+
+
+def refuse_mapping(*, index: int, **_: object) -> None:
+    """Refuse what a drive refuses that is energised: its PDOs stay as they are."""
+    if index == 0x1400:
+        raise SdoAbortedError(0x08000022)
+
+
+async def test_a_lost_node_is_commanded_safe_before_it_is_made_pre_operational(peer: Peer) -> None:
+    """Its heartbeat stays away, but it goes on: there it takes its last command."""
+    peer.deaf = True
+    async with running(peer, heartbeat_timeout_s=0.5) as bench:
+        await bench.run_drive()
+        peer.node.add_write_callback(refuse_mapping)
+        bench.ear.command = None
+        peer.node.nmt.stop_heartbeat()
+        await bench.reports("cannot write 0x1400.1")
+        assert peer.node.nmt.state == "PRE-OPERATIONAL"
+        assert peer.words[-1] == 0x00
+        assert not peer.powered
+
+
+async def test_a_lost_node_has_time_for_the_safe_command(peer: Peer) -> None:
+    """One that misses the first takes that of the next tick, still in the state operational."""
+    peer.deaf = True
+    async with running(peer, heartbeat_timeout_s=0.5) as bench:
+        await bench.run_drive()
+        peer.node.add_write_callback(refuse_mapping)
+        bench.ear.command = None
+        bench.ear.lost = lambda: bench.port.send(SAFE_COMMAND)
+        peer.node.nmt.stop_heartbeat()
+        await bench.reports("cannot write 0x1400.1")
+        assert peer.words[-3:] == [0x0F, 0x00, 0x00]
+
+
+async def test_a_lost_node_takes_the_safe_command_of_each_tick_and_no_other(peer: Peer) -> None:
+    async with running(peer, heartbeat_timeout_s=0.5) as bench:
+        await bench.run_drive()
+        peer.override(0x1018, 1, b"\xff\xff\xff\x7f")
+        peer.node.nmt.state = "PRE-OPERATIONAL"
+        await bench.reports("not operational any more")
+        bench.ear.command = None
+        await bench.reports("its vendor is")
+        await asyncio.sleep(0.05)
+        told, known = len(peer.words), len(peer.beats)
+        for command in (SAFE_COMMAND, RUN, SAFE_COMMAND):
+            assert not bench.port.send(command)
+        await until(lambda: len(peer.words) == told + 2)
+        assert peer.words[told:] == [0x00, 0x00]
+        assert len(peer.beats) == known
+        assert bench.port.safe_s == math.inf
+
+
+async def test_a_lost_node_that_obeys_nothing_is_switched_off_by_its_own_watch(peer: Peer) -> None:
+    """Its set-up ends no time-out of it that runs, however often it is tried."""
+    peer.deaf = True
+    peer.arm()
+    async with running(peer, heartbeat_timeout_s=0.5) as bench:
+        await bench.run_drive()
+        await until(lambda: len(peer.beats) > 2)
+        peer.node.add_write_callback(refuse_mapping)
+        peer.obeys = False
+        peer.node.nmt.stop_heartbeat()
+        await bench.reports("cannot write 0x1400.1")
+        async with asyncio.timeout(10.0):
+            await until(lambda: not peer.powered)
+
+
+async def test_a_restarted_node_gets_no_command_before_it_is_set_up(peer: Peer) -> None:
+    """Its RPDOs are those of the manufacturer again."""
+    async with running(peer) as bench:
+        await bench.ready()
+        peer.override(0x1018, 1, b"\xff\xff\xff\x7f")
+        bench.ear.command = None
+        await asyncio.sleep(0.05)
+        peer.node.nmt.state = "INITIALISING"
+        peer.node.nmt.state = "PRE-OPERATIONAL"
+        await bench.reports("its vendor is")
+        known = len(peer.words)
+        assert not bench.port.send(SAFE_COMMAND)
+        await asyncio.sleep(0.05)
+        assert len(peer.words) == known
 
 
 async def test_a_command_that_no_object_can_hold_is_not_sent(peer: Peer) -> None:

@@ -1,8 +1,8 @@
 """The daemon as NMT master of one node: bringing it up, watching it, and doing so again.
 
 A node is set up in state pre-operational and started then. It is lost when it is restarted, leaves
-the state operational, or its heartbeat stays away; it is then set up again, and the port is
-notified first.
+the state operational, or its heartbeat stays away; it is then set up again. The port is notified
+first, and a node that may still take commands has time for the safe one.
 """
 
 from __future__ import annotations
@@ -33,6 +33,11 @@ _LOOK_AGAIN_S = 0.002
 whatever loop it is and whether it looks at timers or at sockets first."""
 
 
+_TAKING_S = 0.05
+"""Time that a lost node has for the safe command before it is made pre-operational, where it takes
+none: several commands, and several cycles of its own."""
+
+
 class NodeState(IntEnum):
     """State of a node in its heartbeat."""
 
@@ -54,6 +59,7 @@ class Master:
 
     Attributes:
         ready: Whether the node is set up and operational.
+        mapped: Whether it has been set up on this bus and not restarted since: its RPDOs are known.
         problem: Why it is not.
     """
 
@@ -84,7 +90,7 @@ class Master:
         self._heard_s = 0.0
         self._state: int | None = None
         self._booted = False
-        self.ready = False
+        self.ready = self.mapped = False
         self.problem = "not heard yet"
 
     async def run(self, report: NodeListener) -> None:
@@ -109,12 +115,15 @@ class Master:
             self._lose(await self._watch())
             reported = self.problem
             report(up=False, detail=reported)
+            if self.mapped:
+                await asyncio.sleep(_TAKING_S)
 
     def hear(self, state: int) -> None:
         """Take a heartbeat or a boot-up message."""
         self._heard_s = self._clock()
         self._state = state
-        self._booted = self._booted or state == NodeState.BOOT_UP
+        if state == NodeState.BOOT_UP:
+            self._booted, self.mapped = True, False
         if self.ready and state != NodeState.OPERATIONAL:
             self._lose(self._departure())
         self._heard.set()
@@ -122,6 +131,7 @@ class Master:
     def leave(self, problem: str) -> None:
         """The bus is gone, and the node with it."""
         self._lose(problem)
+        self.mapped = False
 
     def take_reply(self, can_id: int, data: bytes) -> None:
         """Take a frame of the node's SDO server."""
@@ -147,6 +157,7 @@ class Master:
         await self._set_up()
         if self._booted:
             raise BusError(describe_node(self._bus), "was restarted while it was set up")
+        self.mapped = True
         self._command(_START)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_STARTED_S + self._bus.heartbeat_s):

@@ -3,8 +3,8 @@
 A reading is what the drive's PDOs carry after one SYNC, as old as that SYNC; of readings that piled
 up while the process did not run, only the newest is handed out. A command is a
 controlword and the commanded values. The daemon's heartbeat goes out with commands only: a daemon
-that commands no more, or cannot as the node is lost, falls silent, and the drive makes itself safe.
-So does one whose drive does not obey the safe command.
+that commands no more, or whose node is lost, falls silent, and the drive makes itself safe. So does
+one whose drive does not obey the safe command. A lost node gets the safe command alone.
 """
 
 from __future__ import annotations
@@ -25,7 +25,12 @@ from adaptdrive.hardware.canopen.health import Health
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping, StatusPdo
 from adaptdrive.hardware.canopen.master import Master, NodeState
 from adaptdrive.hardware.canopen.orders import ForeignCommands, command_frames
-from adaptdrive.hardware.canopen.profile import POWERED, STATUSWORD, DriveControl
+from adaptdrive.hardware.canopen.profile import (
+    DISABLE_VOLTAGE,
+    POWERED,
+    STATUSWORD,
+    DriveControl,
+)
 from adaptdrive.hardware.canopen.sdo import describe_node
 from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
 from adaptdrive.hardware.canopen.sync import SyncProducer
@@ -142,7 +147,8 @@ class CanOpenPort:
             command: Command to the drive; it must have passed the guard.
 
         Returns:
-            Whether the bus took it; False is counted, and nothing is sent again.
+            Whether the bus took it; False is counted, and nothing is sent again. It is False, too,
+            for a node that is lost, although the safe command is sent to it.
 
         Raises:
             ValueError: A value is not finite, or its object cannot hold it; nothing is sent.
@@ -153,6 +159,8 @@ class CanOpenPort:
             self._safe_s = math.inf
         if not self._master.ready:
             self._counts["send_drops"] += 1
+            if command == SAFE_COMMAND:
+                self._disable_lost()
             return False
         if not self._disobeyed:
             self._beat()
@@ -291,6 +299,12 @@ class CanOpenPort:
         """True if the drive is still energised long after it was commanded safe."""
         return self._clock() - self._safe_s > OBEY_S and self._control.state in POWERED
 
+    def _disable_lost(self) -> None:
+        """Send the safe command, and no heartbeat, to a lost node that may still take it."""
+        if self._master.mapped:
+            for frame in command_frames(self._mapping, SAFE_COMMAND, DISABLE_VOLTAGE):
+                self._put(*frame)
+
     def _beat(self) -> None:
         """Send the daemon's heartbeat when it is due."""
         now_s = self._clock()
@@ -330,6 +344,8 @@ class CanOpenPort:
         if up:
             self._counts["reconnects"] += self._been_up
             self._been_up = True
+        else:
+            self._disable_lost()
         self._on_node(up=up, detail=detail)
         self._connection.report(up=up, detail=detail)
 

@@ -1,6 +1,7 @@
 """Set-up of a node over SDO: identity, heartbeats, SYNC and PDO mapping.
 
-The drive is not energised meanwhile.
+The daemon energises no drive meanwhile. One that is still energised is switched off by its own
+watch, which the set-up leaves running.
 """
 
 from __future__ import annotations
@@ -48,7 +49,9 @@ def set_up(server: Server, bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_
     """
     _identify(server, bus, mapping)
     for address, data in watch_writes(bus, mapping):
-        server.write_surely(address, data)
+        # a consumer that is written anew waits for a first heartbeat: its time-out would not end
+        if address != HEARTBEATS_HEARD or server.read(address) != data:
+            server.write_surely(address, data)
     for address, data in sync_writes(bus, mapping, half_cycle_s):
         server.write(address, data)
     for channel in mapping.unused:
