@@ -65,6 +65,8 @@ def _judged(codec: MessageCodec, data: bytes) -> Decoded:
     decoded = codec.decode(data)
     if decoded.verdict is not FrameVerdict.GOOD:
         assert not decoded.values, decoded.verdict
+    if decoded.verdict is not FrameVerdict.OUT_OF_RANGE:
+        assert not decoded.words, decoded.verdict
     if decoded.verdict in {FrameVerdict.WRONG_LENGTH, FrameVerdict.WRONG_CHECKSUM}:
         assert codec._alive._last == last, decoded.verdict
     return decoded

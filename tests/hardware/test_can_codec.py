@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from adaptdrive.config.bus import FrameIntegrity
 from adaptdrive.hardware.link.codec import MessageCodec
 from adaptdrive.hardware.link.integrity import FrameVerdict
-from tests.hardware.bench import motor_bus, odd_database, reference_database
+from tests.hardware.bench import motor_bus, odd_database, reference_database, with_crc
 
 SCALES = st.sampled_from([1, 2, 0.5, 0.1, 0.01, 1e-6, -0.25])
 OFFSETS = st.sampled_from([0, -40, 273.15])
@@ -253,6 +253,43 @@ def test_a_frame_of_another_length_is_refused(length: int) -> None:
 def test_a_measurement_that_is_not_available_is_refused(message: str, signal: str) -> None:
     frame = reference(message).encode({signal: None})
     assert reference(message).decode(frame).verdict is FrameVerdict.OUT_OF_RANGE
+
+
+WORDS = """ SG_ Volts : 0|16@1+ (0.1,0) [0|6553.4] "V" X
+ SG_ Amps : 16|16@1+ (0.1,0) [0|6553.4] "A" X
+ SG_ Fault : 32|8@1+ (1,0) [0|255] "" X
+ SG_ State : 40|4@1+ (1,0) [0|8] "" X
+ SG_ On : 44|1@1+ (1,0) [0|1] "" X
+ SG_ Alive : 48|4@1+ (1,0) [0|14] "" X
+ SG_ Crc : 56|8@1+ (1,0) [0|255] "" X"""
+
+
+@pytest.mark.parametrize(
+    ("status", "words"),
+    [
+        ("0214", {"Fault": 2, "State": 4, "On": 1}),
+        ("0009", {"Fault": 0, "On": 0}),
+        ("ffff", {"On": 1}),
+    ],
+    ids=["in range", "one out of range", "all bits set"],
+)
+def test_the_words_beside_a_refused_value_are_those_in_range(
+    status: str, words: dict[str, float]
+) -> None:
+    integrity = FrameIntegrity(counter="Alive", checksum="Crc", algorithm="sae-j1850")
+    codec = MessageCodec(dbc(WORDS), integrity, measured={"Volts", "Amps"})
+    frame = with_crc(bytes.fromhex("ffff 0100") + bytes.fromhex(status) + bytes(2))
+    decoded = codec.decode(frame)
+    assert (decoded.verdict, decoded.values) == (FrameVerdict.OUT_OF_RANGE, {})
+    assert decoded.words == words
+
+
+@pytest.mark.parametrize("alive", [0, 15], ids=["repeated", "beyond its end"])
+def test_a_frame_whose_counter_is_wrong_has_no_words(alive: int) -> None:
+    codec = MessageCodec(dbc(WORDS), FrameIntegrity(counter="Alive"), measured={"Volts", "Amps"})
+    frame = bytes.fromhex("ffff 0100 0214")
+    assert codec.decode(frame + bytes(2)).words
+    assert not codec.decode(frame + bytes((alive, 0))).words
 
 
 @pytest.mark.parametrize("declared", ["[0|0]", "[0|6553.5]"])

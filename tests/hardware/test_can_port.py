@@ -19,6 +19,7 @@ from adaptdrive.hardware.rival import QUIET_S
 from tests.hardware.bench import (
     EXAMPLES,
     PATIENCE_S,
+    STATUS,
     TIMING,
     Clock,
     Drive,
@@ -718,6 +719,46 @@ async def test_a_fault_is_kept_when_the_clocking_frame_is_lost(
         drive.send_both()
         await ear.hears(12)
         assert ear.readings[-1].fault == 0
+
+
+async def test_the_words_beside_a_value_that_is_not_available_are_used(
+    port: CanPort, drive: Drive, ear: Ear, clock: Clock
+) -> None:
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        clock.now_s += 0.01
+        spoilt = drive.frame("DriveStatus", **{**STATUS, "Fault": 2, "BridgeOn": 0})
+        drive.put("DriveStatus", with_crc(b"\xff\xff" + spoilt[2:]))
+        await until(lambda: "drive fault: word 0x2" in str(port.complaint))
+        drive.send_load()
+        await ear.hears(2)
+    good, reading = ear.readings
+    assert (reading.fault, reading.bridge, reading.bridge_s) == (2, False, clock.now_s)
+    assert reading.boost_voltage_V == good.boost_voltage_V
+    assert reading.line_voltage_V == good.line_voltage_V
+    assert reading.oldest_s == good.oldest_s
+    assert port.statistics.out_of_range == 1
+
+
+async def test_a_clock_message_without_values_is_a_reading_for_a_drive_at_rest_only(
+    port: CanPort, drive: Drive, ear: Ear, clock: Clock
+) -> None:
+    """A drive at rest may confirm its stop; one that runs is not controlled by old values."""
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        port.send(COMMAND)
+        for heard, command in ((3, COMMAND), (5, SAFE_COMMAND)):
+            port.send(command)
+            clock.now_s += 0.01
+            drive.send_status(BridgeOn=0)
+            drive.put("DriveLoad", unavailable(drive, "DriveLoad"))
+            await heard_by(port, heard + 1)
+        await ear.hears(2)
+    good, reading = ear.readings
+    assert (reading.bridge, reading.bridge_s) == (False, clock.now_s)
+    assert (reading.output, reading.oldest_s) == (good.output, good.oldest_s)
 
 
 async def test_a_drive_that_does_not_obey_the_safe_command_hears_nothing_every_other_second(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,11 +15,12 @@ import pytest
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import Disable, Enable, Reset
-from tests.hardware.canopen.documents import parse
-from tests.hardware.canopen.peer import ENABLED, MEASURED, Peer
+from tests.hardware import bench as can_bench
+from tests.hardware.canopen.documents import other_eds, parse
+from tests.hardware.canopen.peer import ENABLED, FAULT, MEASURED, Peer
 from tests.wire.rig import Rig, rigged, until
 from tests.wire.test_matrix import note, run_steadily
-from tests.wire.wires import CanWire, PATIENT_s, modbus_wire, motor_text, strung
+from tests.wire.wires import CanWire, Frames, PATIENT_s, modbus_wire, motor_text, strung
 
 ANNOUNCED_s = 1.0
 BUSY_s = 10.0
@@ -117,6 +119,49 @@ async def test_a_node_that_does_not_leave_a_powered_state_is_announced(
             peer.statusword = statusword
             trip, _ = await alarm(rig, "trip", time.monotonic())
             assert trip.startswith("the drive does not stop: its bridge is still on ")
+
+
+@pytest.mark.parametrize("messages", [1, 2], ids=["the values beside it", "every value"])
+async def test_a_fault_beside_values_that_are_not_available_trips_and_the_stop_is_confirmed(
+    messages: int, free_udp_port: int
+) -> None:
+    wire = CanWire(free_udp_port, motor_text(free_udp_port, stale_s=PATIENT_s))
+
+    def without_values(frames: Frames) -> Iterator[tuple[float, Frames]]:
+        """Send no voltage, and no output either where both messages are without values."""
+        none = [b"\xff\xff", b"\xff\xff\x7f" if messages == 2 else b""]
+        for spoilt, (name, data) in zip(none, frames, strict=True):
+            yield 0.0, [(name, can_bench.with_crc(spoilt + data[len(spoilt) :]))]
+
+    async with strung(wire), rigged(wire.configuration) as rig:
+        await run_steadily(wire, rig)
+        began_s = time.monotonic()
+        wire.values["Fault"], wire.spoil = 2, without_values
+        trip, _ = await alarm(rig, "trip", began_s)
+        assert trip.startswith("drive fault: word 0x2 (Overtemperature)")
+        await until(lambda: rig.state is not None and rig.state.stop is StopWord.CONFIRMED)
+        await until(lambda: rig.heard("trip", began_s))
+        assert not any("does not stop" in event.detail for _, event in rig.events)
+
+
+async def test_a_node_in_a_fault_without_values_trips_and_its_stop_is_confirmed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(MEASURED, "0x2001.2", 1_000_000)
+    limited = "ParameterName=DC link circuit voltage\n"
+    eds = other_eds(tmp_path, (limited, f"{limited}HighLimit=400000\n"))
+    with contextlib.closing(Peer(f"canopen {tmp_path.name}", eds)) as peer:
+        bus = {"bus/interface": peer.interface, "bus/channel": peer.channel, "bus/eds": str(eds)}
+        async with rigged(parse({**_PATIENT_NODE, **bus})) as rig:
+            await rig.run()
+            await until(lambda: peer.statusword == ENABLED)
+            began_s = time.monotonic()
+            monkeypatch.setitem(MEASURED, "0x6079", 0xFFFFFFFF)
+            peer.obeys, peer.statusword = False, FAULT
+            trip, _ = await alarm(rig, "trip", began_s)
+            assert trip == "node 5: the drive left its state by itself: fault"
+            await until(lambda: rig.state is not None and rig.state.stop is StopWord.CONFIRMED)
+            assert not any("does not stop" in event.detail for _, event in rig.events)
 
 
 async def test_a_bridge_switched_on_by_others_trips(free_udp_port: int) -> None:

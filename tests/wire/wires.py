@@ -123,7 +123,7 @@ class CanWire:
     def frames(self) -> Frames:
         """The good frames of the next half cycle."""
         drive, bridge = self.drive, time.monotonic() - self._told[0] < 0.5 and self._told[1]
-        status = {**can_bench.STATUS, "BridgeOn": int(bridge)}
+        status = {**can_bench.STATUS, "BridgeOn": int(bridge), "Fault": 0}
         load = {"Tachometer": OUTPUT_V, "HalfCycle": drive.half_cycle}
         drive.half_cycle = (drive.half_cycle + 1) % 65536
         for values in (status, load):

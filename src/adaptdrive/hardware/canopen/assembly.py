@@ -28,9 +28,14 @@ class Assembly:
         return self._sampled_s is not None
 
     @property
+    def sampled_s(self) -> float | None:
+        """Time of the last SYNC, None after the reading that followed it."""
+        return self._sampled_s
+
+    @property
     def missing(self) -> list[str]:
-        """Names of the PDOs that have not come since the last SYNC."""
-        return [name for name in self._statuses if name not in self._heard]
+        """Names of the PDOs that have not come since the last SYNC, or were refused."""
+        return [name for name in self._statuses if not self._heard.get(name)]
 
     def begin(self, sampled_s: float) -> None:
         """Begin a reading: a SYNC has passed, and the drive measures now."""
@@ -47,10 +52,10 @@ class Assembly:
 
         Args:
             name: Its name.
-            values: Raw values by label.
+            values: Raw values by label, none where the PDO is refused.
 
         Returns:
-            Whether the collection is complete.
+            Whether all have come; with one of them refused there is no reading of them.
         """
         if name in self._heard:
             self.forget()

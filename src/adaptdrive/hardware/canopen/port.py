@@ -13,7 +13,8 @@ import asyncio
 import functools
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import can
 
@@ -85,6 +86,8 @@ class CanOpenPort:
         self._safe_s = math.inf
         self._been_up = False
         self._newest: Reading | None = None
+        self._handed_out: Reading | None = None
+        self._stated_s: float | None = None
         self._takers = self._make_takers()
         self._rival = Rival(clock)
         self._foreign = ForeignCommands(mapping, config, self._rival)
@@ -260,25 +263,49 @@ class CanOpenPort:
         if not self._master.ready:
             return  # whatever it carries, it is not what the drive has been set up for
         decoded = status.codec.decode(bytes(frame.data))
+        waited_s = self._arrivals.waited_s(frame)
+        self._hear_words(status, decoded.values or decoded.words)
         if decoded.verdict is not FrameVerdict.GOOD:
             self._counts[decoded.verdict] += 1
-            return
-        statusword = decoded.values.get(_STATUSWORD)
-        if statusword is not None:
-            self._control.hear(int(statusword))
-        for source in status.sources:
-            if source.quantity == "fault":
-                self._faults.see(decoded.values[source.entry.label])
-        waited_s = self._arrivals.waited_s(frame)
-        arrival_s = self._clock() - waited_s
-        if not self._assembly.waits:
+            if decoded.verdict is not FrameVerdict.OUT_OF_RANGE:
+                return
+        elif not self._assembly.waits:
             self._counts["counter_stuck"] += 1
         if self._assembly.take(status.codec.name, decoded.values):
-            bridge = self._control.state in POWERED
-            faults = self._faults.word
-            self._newest = self._assembly.reading(arrival_s, bridge=bridge, fault=faults)
+            self._newest = self._compose(self._clock() - waited_s) or self._newest
             if frame.timestamp and waited_s < PROMPT_S:
                 self.hand_out()
+
+    def _hear_words(self, status: StatusPdo, values: Mapping[str, float]) -> None:
+        """Follow the statusword and the fault word of a PDO."""
+        statusword = values.get(_STATUSWORD)
+        if statusword is not None:
+            self._control.hear(int(statusword))
+            self._stated_s = self._assembly.sampled_s
+        for source in status.sources:
+            if source.quantity == "fault":
+                self._faults.see(values.get(source.entry.label))
+
+    def _compose(self, arrival_s: float) -> Reading | None:
+        """Return the reading of the PDOs after a SYNC, None for refused ones of a driven drive.
+
+        A drive at rest may confirm its stop although its measurements are refused: it has a reading
+        of those before.
+        """
+        bridge, fault = self._control.state in POWERED, self._faults.word
+        if not self._assembly.missing:
+            return self._assembly.reading(arrival_s, bridge=bridge, fault=fault)
+        last = self._handed_out
+        if last is None or self._safe_s == math.inf:
+            return None
+        return replace(
+            last,
+            arrival_s=arrival_s,
+            counter=None,
+            fault=fault,
+            bridge=bridge,
+            bridge_s=self._stated_s,
+        )
 
     def hand_out(self) -> None:
         """Pass the newest reading on: no more frames wait."""
@@ -286,6 +313,7 @@ class CanOpenPort:
         if reading is not None and (listener := self._connection.listener) is not None:
             self._faults.clear(reading.fault)
             self._connection.uptake.hear()
+            self._handed_out = reading
             listener.on_reading(reading)
 
     def _send_sync(self) -> None:
@@ -356,4 +384,4 @@ class CanOpenPort:
             self._safe_s = math.inf
         self._control.forget()
         self._assembly.forget()
-        self._newest = None
+        self._newest = self._handed_out = None

@@ -60,7 +60,7 @@ class StatusAssembly:
             self._dues[source.quantity] = -math.inf, 0.0
 
     def keep(self, status: StatusFrame, found: Mapping[str, float], arrival_s: float) -> None:
-        """Keep the values of a good message.
+        """Keep the values of a good message, or the words of one whose measurements are refused.
 
         Args:
             status: The message.

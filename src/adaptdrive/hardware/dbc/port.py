@@ -4,7 +4,9 @@ Every message keeps its last good values and their arrival. When a good clocking
 every quantity has been heard once, there is a reading, as old as its oldest value. One whose frame
 was read as soon as it came is handed out at once. One whose frame has waited is held back until no
 more frames wait: of readings that piled up while the process did not run, only the newest is worth
-a tick. A frame that fails a check changes nothing and is counted.
+a tick. A frame that fails a check is counted and changes nothing, but for the words of one that is
+whole and has another value out of range: its fault word and its bridge are believed. A drive at
+rest that sends such clocking frames has readings of old values, so that it can confirm its stop.
 """
 
 from __future__ import annotations
@@ -219,20 +221,33 @@ class CanPort:
         decoded = status.codec.decode(bytes(frame.data))
         if decoded.lost:
             self._counts["counter_lost"] += decoded.lost
-        if decoded.verdict is not _GOOD:
-            # a counter that leapt is in `counter_lost` already, with the length of its leap
-            if decoded.verdict is not FrameVerdict.COUNTER_LOST:
-                self._counts[decoded.verdict] += 1
-            self._refusals.note(_label(status.codec), decoded.verdict, bytes(frame.data))
-            return
-        if self._refusals.any:
-            self._refusals.accept(_label(status.codec))
-        self._assembly.keep(status, decoded.values, arrival_s)
+        if decoded.verdict is _GOOD:
+            if self._refusals.any:
+                self._refusals.accept(_label(status.codec))
+            self._assembly.keep(status, decoded.values, arrival_s)
+        else:
+            self._refuse(status, decoded.verdict, frame)
+            if decoded.words:
+                self._assembly.keep(status, decoded.words, arrival_s)
+            if decoded.verdict is not FrameVerdict.OUT_OF_RANGE or not self._awaits_bridge:
+                return
         if status is self._clocking:
             reading = self._assembly.reading(arrival_s, bridge_sent=self._bridge_sent)
             self._newest = reading or self._newest
             if frame.timestamp and waited_s < PROMPT_S:
                 self.hand_out()
+
+    def _refuse(self, status: StatusFrame, verdict: FrameVerdict, frame: can.Message) -> None:
+        """Count a frame that failed a check, and remember it for reports."""
+        # a counter that leapt is in `counter_lost` already, with the length of its leap
+        if verdict is not FrameVerdict.COUNTER_LOST:
+            self._counts[verdict] += 1
+        self._refusals.note(_label(status.codec), verdict, bytes(frame.data))
+
+    @property
+    def _awaits_bridge(self) -> bool:
+        """True if the safe command is in force, and the drive reports whether it obeys."""
+        return self._safe_s < math.inf and self._assembly.bridge_slack_s is not None
 
     def hand_out(self) -> None:
         """Pass the newest reading on: no more frames wait."""

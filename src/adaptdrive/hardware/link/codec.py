@@ -44,16 +44,23 @@ class Decoded:
         values: Physical values by signal, in the units of the DBC; empty unless `GOOD`. A
             multiplexed frame gives those that it carries.
         lost: Frames that went missing before this one, as far as the alive counter shows.
+        words: Words, such as a fault word, of a whole frame that is `OUT_OF_RANGE` for another
+            value; empty otherwise.
     """
 
-    __slots__ = ("lost", "values", "verdict")
+    __slots__ = ("lost", "values", "verdict", "words")
 
     def __init__(
-        self, verdict: FrameVerdict, values: Mapping[str, float] = _NOTHING, lost: int = 0
+        self,
+        verdict: FrameVerdict,
+        values: Mapping[str, float] = _NOTHING,
+        lost: int = 0,
+        words: Mapping[str, float] = _NOTHING,
     ) -> None:
         self.verdict = verdict
         self.values = values
         self.lost = lost
+        self.words = words
 
 
 class MessageCodec:
@@ -93,6 +100,7 @@ class MessageCodec:
         idle = {name: one.idle for name, one in self._fields.items()}
         self._pack = compile_pack(message, {**idle, **self._fixed})
         self._prepare_decoding(message, wanted)
+        self._words = [one for one in self._wanted if one.integer and one.name not in measured]
 
     def _prepare_integrity(self, message: Message, integrity: FrameIntegrity) -> None:
         self._counter = integrity.counter
@@ -193,9 +201,23 @@ class MessageCodec:
             if value is None:
                 continue
             if not field_.low <= value <= field_.high:
-                return Decoded(FrameVerdict.OUT_OF_RANGE, lost=lost)
+                return Decoded(FrameVerdict.OUT_OF_RANGE, lost=lost, words=self._find_words(raw))
             values[field_.name] = value * field_.scale + field_.offset
         return Decoded(_GOOD, values, lost)
+
+    def _find_words(self, raw: Mapping[str, Raw]) -> dict[str, float]:
+        """Return the words of a frame with a refused value that are in range themselves.
+
+        All bits set are no word beside such a value, except in a word of one bit.
+        """
+        words = {}
+        for field_ in self._words:
+            value = raw.get(field_.name)
+            if value is None or not field_.low <= value <= field_.high:
+                continue
+            if value < field_.unavailable or value == 1:
+                words[field_.name] = value * field_.scale + field_.offset
+        return words
 
     def _follow(self, raw: Mapping[str, Raw]) -> tuple[FrameVerdict, int]:
         if not self._counter:
