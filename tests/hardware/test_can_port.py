@@ -1,5 +1,6 @@
 import asyncio
 import itertools
+import re
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
@@ -719,6 +720,41 @@ async def test_a_fault_is_kept_when_the_clocking_frame_is_lost(
         drive.send_both()
         await ear.hears(12)
         assert ear.readings[-1].fault == 0
+
+
+def with_fault_codes(config: CanBus, folder: Path) -> CanBus:
+    """The bus of a drive whose fault word holds one code, as its value table says."""
+    text, count = re.subn(
+        "VAL_ 256 Fault .*;",
+        'VAL_ 256 Fault 0 "None" 1 "Overcurrent" 2 "Overtemperature" 3 "Earth fault" ;',
+        (EXAMPLES / "adaptdrive.dbc").read_text(),
+    )
+    assert count == 1
+    database = folder / "codes.dbc"
+    database.write_text(text)
+    return config.model_copy(update={"database": database})
+
+
+async def test_of_two_fault_codes_between_two_readings_the_first_is_told(
+    config: CanBus, drive: Drive, ear: Ear, clock: Clock, tmp_path: Path
+) -> None:
+    """Added up they would name a fault that never was."""
+    port = build_port(with_fault_codes(config, tmp_path), clock)
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        drive.send_status(Fault=1)
+        drive.send_status(Fault=2)
+        await heard_by(port, 4)
+        assert port.complaint == "drive fault: word 0x1 (Overcurrent)"
+        for count in (2, 3):
+            drive.send_load()
+            await ear.hears(count)
+            drive.send_status(Fault=6)
+            await heard_by(port, 2 * count + 2)
+        assert port.complaint == "drive fault: word 0x6"
+    faults = [(reading.fault, reading.fault_name) for reading in ear.readings]
+    assert faults == [(0, ""), (1, "Overcurrent"), (6, "")]
 
 
 async def test_the_words_beside_a_value_that_is_not_available_are_used(

@@ -8,8 +8,10 @@ from collections.abc import Mapping
 class FaultLatch:
     """The faults seen since the last reading: a frame that is lost must not hide them.
 
+    Bits add up. Codes do not, as two of them would make a third: the first one is kept.
+
     Attributes:
-        word: All of them, 0 for none.
+        word: All bits, or the first code, 0 for none.
     """
 
     def __init__(self, names: Mapping[int, str] | None = None) -> None:
@@ -19,11 +21,12 @@ class FaultLatch:
             names: What the drive's description calls its faults, by word or bit.
         """
         self._names = names or {}
+        self._lists_codes = any(word & (word - 1) for word in self._names)
         self.word = 0
 
     def see(self, word: float | None) -> None:
         """Keep a fault word, None where a frame carries none."""
-        if word:
+        if word and not (self._lists_codes and self.word):
             self.word |= int(word)
 
     def clear(self, carried: int) -> None:
@@ -32,13 +35,14 @@ class FaultLatch:
         Args:
             carried: The reading's fault word.
         """
-        self.word &= ~carried
+        if not self._lists_codes or carried == self.word:
+            self.word &= ~carried
 
     @property
     def name(self) -> str:
         """The word's name, or the names of its bits; empty where there is none."""
-        if self.word in self._names:
-            return self._names[self.word]
+        if self._lists_codes or self.word in self._names:
+            return self._names.get(self.word, "")
         bits = (1 << number for number in range(self.word.bit_length()))
         return ", ".join(self._names[bit] for bit in bits if self.word & bit and bit in self._names)
 
