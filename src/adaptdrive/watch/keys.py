@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
+from adaptdrive.operation.commands import STOP
 from adaptdrive.operation.listener import number, part
 from adaptdrive.watch.record import WatchRecord
 
@@ -22,7 +23,7 @@ CONFIRM_S = 5.0
 
 _LONGEST_READ = 64
 _STEP = 0.01
-_PLAIN = {"s": ("disable", None), "r": ("reset", None)}
+_PLAIN = {"s": (STOP, None), "r": ("reset", None)}
 _MODES = {"f": "fixed", "a": "adaptive", "m": "manual"}
 _STEPS = {"+": 1, "-": -1}
 
@@ -40,6 +41,11 @@ class KeyCommand:
     verb: str
     value: object = None
     disturbance: Mapping[str, Any] | None = None
+
+    @property
+    def stops(self) -> bool:
+        """True for the command that stops the drive."""
+        return self.verb == STOP and self.disturbance is None
 
 
 class KeyReader:

@@ -1,0 +1,70 @@
+"""Commands of the live view that are under way; a stop withdraws all that were sent before it."""
+
+from __future__ import annotations
+
+import asyncio
+
+from adaptdrive.config.services import Mqtt
+from adaptdrive.operation.conversation import NoAnswerError
+from adaptdrive.operation.messages import Reply
+from adaptdrive.operation.sender import disturb, send_command
+from adaptdrive.operation.simulator import DeviceReply
+from adaptdrive.watch.keys import KeyCommand
+from adaptdrive.watch.record import WatchRecord
+
+
+class CommandsUnderWay:
+    """Sends each command in a task of its own, and shows what came of it."""
+
+    def __init__(self, broker: Mqtt, record: WatchRecord, timeout_s: float) -> None:
+        """Prepare to send.
+
+        Args:
+            broker: Where the broker is.
+            record: Names the drive, and takes the answers.
+            timeout_s: Longest wait for the answer to a command.
+        """
+        self._broker = broker
+        self._record = record
+        self._timeout_s = timeout_s
+        self._tasks: dict[asyncio.Task[None], KeyCommand] = {}
+
+    def send(self, command: KeyCommand) -> None:
+        """Send a command; a stop first withdraws all others, which could arrive after it."""
+        if command.stops:
+            self._withdraw()
+        task = asyncio.create_task(self._send(command))
+        self._tasks[task] = command
+        task.add_done_callback(self._tasks.pop)
+
+    async def end(self) -> None:
+        """Withdraw everything."""
+        tasks = list(self._tasks)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    def _withdraw(self) -> None:
+        """Withdraw all commands but stops."""
+        for task, command in self._tasks.items():
+            if not command.stops:
+                task.cancel()
+
+    async def _send(self, command: KeyCommand) -> None:
+        """Send a command; show that it was sent, then the answer, never what was hoped for."""
+        value = "" if command.value is None else f" {command.value}"
+        asked = f"{command.verb}{value}"
+        self._record.answer = f"{asked}: sent"
+        try:
+            reply = await self._reply(command)
+        except NoAnswerError as problem:
+            self._record.answer = f"{asked}: {problem.problem}"
+        else:
+            outcome = "accepted" if reply.accepted else reply.reason
+            self._record.answer = f"{asked}: {outcome}"
+
+    async def _reply(self, command: KeyCommand) -> Reply | DeviceReply:
+        broker, drive, timeout_s = self._broker, self._record.drive, self._timeout_s
+        if command.disturbance is not None:
+            return await disturb(broker, drive, dict(command.disturbance), timeout_s)
+        return await send_command(broker, drive, command.verb, command.value, timeout_s)
