@@ -37,3 +37,20 @@ async def test_nothing_that_was_asked_before_a_stop_acts_after_it(
         await until_asked(bench, Reset())
         await under_way.end()
     assert bench.host.asked == [Disable(), Reset()]
+
+
+async def test_a_command_is_called_accepted_when_it_was_answered_and_not_before(
+    mosquitto: Broker, tmp_path: Path
+) -> None:
+    record = WatchRecord("awaited", time.monotonic)
+    settings = Mqtt(host=mosquitto.host, port=mosquitto.port)
+    under_way = CommandsUnderWay(settings, record, PATIENCE_S)
+    async with serving(mosquitto, "awaited", tmp_path) as bench:
+        under_way.send(KeyCommand("enable"))
+        under_way.send(KeyCommand("disable"))
+        await asyncio.sleep(0)
+        assert record.answer == "disable: sending…"
+        ended = await under_way.end()
+        assert record.answer == "disable: accepted"
+    assert bench.host.asked == [Disable()]
+    assert [line.partition(": ")[0] for line in ended] == ["enable"]

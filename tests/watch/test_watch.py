@@ -23,6 +23,7 @@ from adaptdrive.watch.keys import CONFIRM_S, KeyCommand, KeyReader
 from adaptdrive.watch.record import LIVE_S, WatchRecord
 from adaptdrive.watch.view import screen
 from tests.operation.peers import PATIENCE_S, Bench, drive_report, load_report, serving
+from tests.operation.test_sender import mute_drive
 from tests.support import Broker
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
@@ -224,12 +225,12 @@ class Terminal:
         self.hang_up()
 
 
-async def terminal(broker: Broker, drive: str) -> Terminal:
+async def terminal(broker: Broker, drive: str, *more: str) -> Terminal:
     own, other = pty.openpty()
     around = {"PYTHONPATH": os.pathsep.join(sys.path), "TERM": "xterm", "LINES": "40"}
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "adaptdrive.cli", "watch", drive),
-        *("--broker", f"{broker.host}:{broker.port}"),
+        *("--broker", f"{broker.host}:{broker.port}", *more),
         stdin=other,
         stdout=other,
         stderr=other,
@@ -261,9 +262,37 @@ async def test_a_drive_is_watched_and_commanded_from_a_terminal(
             await until_asked(bench, Disable(), Enable())
             seen.press("a")
             await until_asked(bench, Disable(), Enable(), SetMode(Mode.ADAPTIVE))
+            await seen.shows("mode adaptive: accepted")
             seen.press("q")
             async with asyncio.timeout(PATIENCE_S):
                 assert await seen.process.wait() == 0
+        finally:
+            await seen.close()
+
+
+async def test_a_view_that_is_left_still_stops_the_drive(mosquitto: Broker, tmp_path: Path) -> None:
+    async with serving(mosquitto, "stopped", tmp_path) as bench:
+        seen = await terminal(mosquitto, "stopped", "--timeout", f"{PATIENCE_S}")
+        try:
+            await seen.shows("standby")
+            seen.press("sq")
+            async with asyncio.timeout(PATIENCE_S):
+                assert await seen.process.wait() == 0
+        finally:
+            await seen.close()
+    assert bench.host.asked == [Disable()]
+
+
+async def test_a_stop_that_nobody_answers_is_told_at_the_end(mosquitto: Broker) -> None:
+    async with mute_drive(mosquitto, "deaf") as heard:
+        seen = await terminal(mosquitto, "deaf", "--timeout", "2")
+        try:
+            await seen.shows("waiting for the drive")
+            seen.press("sq")
+            await seen.shows("adaptdrive: deaf: disable: no answer")
+            async with asyncio.timeout(PATIENCE_S):
+                assert await seen.process.wait() == 3
+                assert (await heard.get())["value"] is None
         finally:
             await seen.close()
 

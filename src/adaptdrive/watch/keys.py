@@ -43,6 +43,11 @@ class KeyCommand:
     disturbance: Mapping[str, Any] | None = None
 
     @property
+    def text(self) -> str:
+        """The command in words."""
+        return self.verb if self.value is None else f"{self.verb} {self.value}"
+
+    @property
     def stops(self) -> bool:
         """True for the command that stops the drive."""
         return self.verb == STOP and self.disturbance is None

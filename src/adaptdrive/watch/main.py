@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import functools
 import time
+from collections.abc import Callable
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.listener import follow
+from adaptdrive.operation.listener import follow, printable
 from adaptdrive.watch.keys import QUIT, KeyReader, pressed_keys
 from adaptdrive.watch.record import WatchRecord
 from adaptdrive.watch.sending import CommandsUnderWay
@@ -17,13 +18,19 @@ from adaptdrive.watch.view import draw, screen
 _RETRY_S = 2.0
 
 
-async def watch(broker: Mqtt, drive: str, timeout_s: float) -> None:
-    """Show a drive until `q` is pressed.
+async def watch(
+    broker: Mqtt, drive: str, timeout_s: float, complain: Callable[[str], None]
+) -> bool:
+    """Show a drive until `q` is pressed; a stop that is under way is waited for.
 
     Args:
         broker: Where the broker is.
         drive: Name of the drive.
         timeout_s: Longest wait for the answer to a command.
+        complain: Called, after the view, with a line for each command that was not answered.
+
+    Returns:
+        False where a command that was under way at the end is not known to be carried out.
     """
     record, ended = WatchRecord(drive, time.monotonic), asyncio.Event()
     reader, under_way = KeyReader(record), CommandsUnderWay(broker, record, timeout_s)
@@ -40,12 +47,15 @@ async def watch(broker: Mqtt, drive: str, timeout_s: float) -> None:
         with pressed_keys(on_key):
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
-        await under_way.end()
+        unanswered = await under_way.end()
         for task in tasks:
             task.cancel()
         await asyncio.wait(tasks)
+        for line in unanswered:
+            complain(f"{drive}: {printable(line)}")
     for task in done:
         await task  # a service that has failed ends the view with its error
+    return not unanswered
 
 
 async def _follow(broker: Mqtt, record: WatchRecord) -> None:

@@ -12,6 +12,8 @@ from adaptdrive.operation.simulator import DeviceReply
 from adaptdrive.watch.keys import KeyCommand
 from adaptdrive.watch.record import WatchRecord
 
+_WITHDRAWN = "the view ended before the answer; whether it took effect is not known"
+
 
 class CommandsUnderWay:
     """Sends each command in a task of its own, and shows what came of it."""
@@ -27,7 +29,7 @@ class CommandsUnderWay:
         self._broker = broker
         self._record = record
         self._timeout_s = timeout_s
-        self._tasks: dict[asyncio.Task[None], KeyCommand] = {}
+        self._tasks: dict[asyncio.Task[str], KeyCommand] = {}
 
     def send(self, command: KeyCommand) -> None:
         """Send a command; a stop first withdraws all others, which could arrive after it."""
@@ -37,12 +39,20 @@ class CommandsUnderWay:
         self._tasks[task] = command
         task.add_done_callback(self._tasks.pop)
 
-    async def end(self) -> None:
-        """Withdraw everything."""
-        tasks = list(self._tasks)
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+    async def end(self) -> list[str]:
+        """Withdraw all commands but stops, and wait for the answers to these.
+
+        Returns:
+            A line for each command that is not known to be carried out.
+        """
+        under_way = dict(self._tasks)
+        self._withdraw()
+        outcomes = await asyncio.gather(*under_way, return_exceptions=True)
+        return [
+            outcome if isinstance(outcome, str) else f"{command.text}: {_WITHDRAWN}"
+            for command, outcome in zip(under_way.values(), outcomes, strict=True)
+            if outcome != ""
+        ]
 
     def _withdraw(self) -> None:
         """Withdraw all commands but stops."""
@@ -50,18 +60,21 @@ class CommandsUnderWay:
             if not command.stops:
                 task.cancel()
 
-    async def _send(self, command: KeyCommand) -> None:
-        """Send a command; show that it was sent, then the answer, never what was hoped for."""
-        value = "" if command.value is None else f" {command.value}"
-        asked = f"{command.verb}{value}"
-        self._record.answer = f"{asked}: sent"
+    async def _send(self, command: KeyCommand) -> str:
+        """Send a command, and show its answer when it is there, never what was hoped for.
+
+        Returns:
+            What came of it, empty where the command was accepted.
+        """
+        self._record.answer = f"{command.text}: sending…"
         try:
             reply = await self._reply(command)
         except NoAnswerError as problem:
-            self._record.answer = f"{asked}: {problem.problem}"
+            outcome, accepted = problem.problem, False
         else:
-            outcome = "accepted" if reply.accepted else reply.reason
-            self._record.answer = f"{asked}: {outcome}"
+            outcome, accepted = "accepted" if reply.accepted else reply.reason, reply.accepted
+        self._record.answer = f"{command.text}: {outcome}"
+        return "" if accepted else self._record.answer
 
     async def _reply(self, command: KeyCommand) -> Reply | DeviceReply:
         broker, drive, timeout_s = self._broker, self._record.drive, self._timeout_s
