@@ -71,6 +71,34 @@ def test_an_operator_runs_the_drive_and_sees_the_estimate_move(
     operator.expect_state("standby")
 
 
+def test_the_stop_key_stops_from_a_field_of_a_number_and_with_caps_lock(
+    operator: Panel, panel_site: PanelSite
+) -> None:
+    setpoint = operator.page.get_by_label("set-point, V")
+    for key in ("s", "S"):
+        panel_site.site.run_drive()
+        operator.expect_state("running")
+        setpoint.fill("3.2")
+        setpoint.press("Enter")
+        operator.expect_text(".answer", "setpoint 3.2: accepted")
+        setpoint.press(key)
+        operator.expect_state("standby")
+        expect(setpoint).to_have_value("3.2")
+
+
+def test_a_letter_that_chooses_a_shape_is_no_stop(operator: Panel, panel_site: PanelSite) -> None:
+    panel_site.site.run_drive()
+    operator.expect_state("running")
+    operator.page.get_by_text("Waveform", exact=True).click()
+    shape = operator.page.get_by_label("shape")
+    shape.press("s")
+    operator.page.get_by_role("button", name="fixed").click()  # whose answer comes after any other
+    operator.expect_text(".answer", "mode fixed: accepted")
+    expect(shape).to_have_value("sine")
+    assert panel_site.site.state["state"] == "running"
+    rest(panel_site)
+
+
 def test_a_simulated_plant_is_disturbed_from_the_page(
     operator: Panel, make_panel: MakePanel, panel_site: PanelSite
 ) -> None:

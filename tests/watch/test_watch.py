@@ -156,6 +156,7 @@ def test_keys_send_commands_and_enable_needs_two() -> None:
     clock = Clock()
     reader = KeyReader(live_record(clock))
     assert reader.press("s") == KeyCommand("disable")
+    assert reader.press("S") == KeyCommand("disable")
     assert reader.press("m") == KeyCommand("mode", "manual")
     assert reader.press("+") == KeyCommand("setpoint", pytest.approx(3.04))
     assert reader.press("e") is None

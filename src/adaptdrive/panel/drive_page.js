@@ -39,11 +39,18 @@ const DrivePage = (() => {
 
     /** @param {KeyboardEvent} key */
     function press(key) {
-      if (key.target instanceof HTMLInputElement || key.ctrlKey || key.metaKey || key.altKey) return;
-      if (key.key === "s") Controls.ask(drive, answer, "disable");
+      if (key.key.toLowerCase() !== "s" || key.ctrlKey || key.metaKey || key.altKey || takesLetters(key.target)) return;
+      key.preventDefault(); // some browsers write the letter into a field of a number
+      Controls.ask(drive, answer, "disable");
     }
     document.addEventListener("keydown", press);
     return { draw, outdated: () => drive.build !== built, end() { document.removeEventListener("keydown", press); plots.end(); } };
+  }
+
+  /** Whether a letter that is typed there means something else. @param {EventTarget|null} target */
+  function takesLetters(target) {
+    if (target instanceof HTMLInputElement) return target.type !== "number";
+    return target instanceof HTMLSelectElement || target instanceof HTMLTextAreaElement;
   }
 
   /** @param {DriveView} drive @param {HTMLElement} chip @param {HTMLElement} age @param {HTMLElement} alarm */

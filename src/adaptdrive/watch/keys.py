@@ -23,7 +23,7 @@ CONFIRM_S = 5.0
 
 _LONGEST_READ = 64
 _STEP = 0.01
-_PLAIN = {"s": (STOP, None), "r": ("reset", None)}
+_PLAIN = {"s": (STOP, None), "S": (STOP, None), "r": ("reset", None)}
 _MODES = {"f": "fixed", "a": "adaptive", "m": "manual"}
 _STEPS = {"+": 1, "-": -1}
 
