@@ -99,6 +99,29 @@ def test_a_letter_that_chooses_a_shape_is_no_stop(operator: Panel, panel_site: P
     rest(panel_site)
 
 
+def test_a_double_click_and_a_held_key_are_one_press(
+    operator: Panel, panel_site: PanelSite
+) -> None:
+    keyboard = operator.page.keyboard
+    enable, again = (
+        operator.page.get_by_role("button", name=name, exact=True)
+        for name in ("Enable", "Enable: press again")
+    )
+    enable.dblclick()
+    expect(again).to_be_visible()
+    again.click()
+    operator.expect_state("running")
+    rest(panel_site)
+    enable.focus()
+    for _ in range(3):
+        keyboard.down("Enter")
+    keyboard.up("Enter")
+    expect(again).to_be_visible()
+    keyboard.press("Enter")
+    operator.expect_state("running")
+    rest(panel_site)
+
+
 def test_a_simulated_plant_is_disturbed_from_the_page(
     operator: Panel, make_panel: MakePanel, panel_site: PanelSite
 ) -> None:

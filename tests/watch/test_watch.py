@@ -19,7 +19,7 @@ from adaptdrive.operation.history import KEYS
 from adaptdrive.operation.messages import drive_message, encode, load_message
 from adaptdrive.operation.profile import Output
 from adaptdrive.runtime.requests import Disable, Enable, SetMode
-from adaptdrive.watch.keys import CONFIRM_S, KeyCommand, KeyReader
+from adaptdrive.watch.keys import CONFIRM_S, DELIBERATE_S, KeyCommand, KeyReader
 from adaptdrive.watch.record import LIVE_S, WatchRecord
 from adaptdrive.watch.view import screen
 from tests.operation.peers import PATIENCE_S, Bench, drive_report, load_report, serving
@@ -162,10 +162,33 @@ def test_keys_send_commands_and_enable_needs_two() -> None:
     assert reader.press("e") is None
     assert reader.press("x") is None
     assert reader.press("e") is None
+    clock.now_s += DELIBERATE_S
     assert reader.press("e") == KeyCommand("enable")
     assert reader.press("e") is None
     clock.now_s += CONFIRM_S + 0.1
     assert reader.press("e") is None
+
+
+@pytest.mark.parametrize("delay_s", [0.25, 0.66])
+def test_a_key_that_is_held_is_one_press(delay_s: float) -> None:
+    clock = Clock()
+    reader = KeyReader(live_record(clock))
+    assert reader.press("e") is None
+    clock.now_s += delay_s
+    for _ in range(100):
+        assert reader.press("e") is None
+        clock.now_s += 0.03
+    clock.now_s += DELIBERATE_S
+    assert reader.press("e") == KeyCommand("enable")
+
+
+def test_keys_that_come_together_confirm_nothing() -> None:
+    clock = Clock()
+    reader = KeyReader(live_record(clock))
+    assert reader.press("e") is None
+    clock.now_s += DELIBERATE_S
+    assert [reader.press(key, alone=False) for key in "ee"] == [None, None]
+    assert reader.press("s", alone=False) == KeyCommand("disable")
 
 
 def test_a_simulated_device_is_disturbed_by_the_digits_that_it_offers() -> None:
@@ -259,6 +282,8 @@ async def test_a_drive_is_watched_and_commanded_from_a_terminal(
             await seen.shows("disable: accepted")
             seen.press("e")
             await seen.shows("press e again")
+            seen.press("eee")
+            await asyncio.sleep(1.5 * DELIBERATE_S)
             seen.press("e")
             await until_asked(bench, Disable(), Enable())
             seen.press("a")

@@ -28,17 +28,25 @@ const Controls = (() => {
     }, "STOP");
   }
 
-  /** A button that needs a second press, for everything that energises.
+  /** Keep an Enter that is held from clicking again and again. @param {Event} event */
+  function ignoreRepeats(event) {
+    const { key, repeat } = /** @type {KeyboardEvent} */ (event);
+    if (key === "Enter" && repeat) event.preventDefault();
+  }
+
+  /** A button that needs a second press by itself, for everything that energises.
    * @param {string} text @param {() => void} act */
   function twice(text, act) {
     let timer = 0;
     const reset = () => { clearTimeout(timer); timer = 0; Dom.say(button, text); button.classList.remove("armed"); };
-    const button = Dom.make("button", { type: "button", onclick: () => {
+    const press = (/** @type {Event} */ event) => {
+      if (/** @type {MouseEvent} */ (event).detail > 1) return; // the second click of a double click
       if (timer) { reset(); act(); return; }
       Dom.say(button, `${text}: press again`);
       button.classList.add("armed");
       timer = window.setTimeout(reset, 1000 * CONFIRM_S);
-    } }, text);
+    };
+    const button = Dom.make("button", { type: "button", onclick: press, onkeydown: ignoreRepeats }, text);
     return button;
   }
 

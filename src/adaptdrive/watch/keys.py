@@ -21,6 +21,9 @@ QUIT = "q"
 CONFIRM_S = 5.0
 """Time for the second press of a key that energises."""
 
+DELIBERATE_S = 0.8
+"""Shortest time to the second press: a key that is held repeats itself after 0.25 to 0.66 s."""
+
 _LONGEST_READ = 64
 _STEP = 0.01
 _PLAIN = {"s": (STOP, None), "S": (STOP, None), "r": ("reset", None)}
@@ -60,8 +63,13 @@ class KeyReader:
         self._record = record
         self._armed_s: float | None = None
 
-    def press(self, key: str) -> KeyCommand | None:
-        """Return the command of a key, None for none."""
+    def press(self, key: str, *, alone: bool = True) -> KeyCommand | None:
+        """Return the command of a key, None for none.
+
+        Args:
+            key: The key.
+            alone: False where other keys came with it, as from a clipboard: it confirms nothing.
+        """
         armed_s, self._armed_s = self._armed_s, None
         if key in _PLAIN:
             return KeyCommand(*_PLAIN[key])
@@ -70,7 +78,7 @@ class KeyReader:
         if key in _STEPS:
             return self._step(_STEPS[key])
         if key == "e":
-            return self._enable(armed_s)
+            return self._enable(armed_s, alone=alone)
         return self._disturbance(key)
 
     def _disturbance(self, key: str) -> KeyCommand | None:
@@ -81,12 +89,13 @@ class KeyReader:
         chosen = features[int(key) - 1]
         return KeyCommand(str(chosen.get("text")), disturbance=chosen["request"])
 
-    def _enable(self, armed_s: float | None) -> KeyCommand | None:
+    def _enable(self, armed_s: float | None, *, alone: bool) -> KeyCommand | None:
+        """Return the command for the second of two separate presses; each other one is a first."""
         now_s = self._record.monotonic()
-        if armed_s is not None and now_s - armed_s <= CONFIRM_S:
+        if alone and armed_s is not None and DELIBERATE_S <= now_s - armed_s <= CONFIRM_S:
             return KeyCommand("enable")
         self._armed_s = now_s
-        self._record.answer = "enable: press e again"
+        self._record.answer = "enable: press e again after a second"
         return None
 
     def _step(self, sign: int) -> KeyCommand | None:
@@ -100,11 +109,11 @@ class KeyReader:
 
 
 @contextmanager
-def pressed_keys(on_key: Callable[[str], None]) -> Iterator[None]:
+def pressed_keys(on_key: Callable[[str, bool], None]) -> Iterator[None]:
     """Call a function with each key that is pressed, until the block ends.
 
     Args:
-        on_key: Called in the event loop with one character.
+        on_key: Called in the event loop with one character, and whether it came alone.
     """
     loop, file = asyncio.get_running_loop(), sys.stdin.fileno()
     usual = termios.tcgetattr(file)
@@ -116,9 +125,9 @@ def pressed_keys(on_key: Callable[[str], None]) -> Iterator[None]:
             keys = os.read(file, _LONGEST_READ)
         if not keys:  # the terminal is gone
             loop.remove_reader(file)
-            on_key(QUIT)
+            on_key(QUIT, True)  # noqa: FBT003 - the signature of a callback
         for key in keys.decode(errors="ignore"):
-            on_key(key)
+            on_key(key, len(keys) == 1)
 
     loop.add_reader(file, read)
     try:

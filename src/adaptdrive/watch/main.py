@@ -35,10 +35,10 @@ async def watch(
     record, ended = WatchRecord(drive, time.monotonic), asyncio.Event()
     reader, under_way = KeyReader(record), CommandsUnderWay(broker, record, timeout_s)
 
-    def on_key(key: str) -> None:
+    def on_key(key: str, alone: bool) -> None:
         if key == QUIT:
             ended.set()
-        elif (command := reader.press(key)) is not None:
+        elif (command := reader.press(key, alone=alone)) is not None:
             under_way.send(command)
 
     services = (_follow(broker, record), draw(functools.partial(screen, record)), ended.wait())
