@@ -199,6 +199,25 @@ def test_a_viewer_sees_everything_and_changes_nothing(
     rest(panel_site)
 
 
+def test_a_drive_that_answers_no_command_is_shown_with_both_causes(
+    operator: Panel, panel_site: PanelSite
+) -> None:
+    port = panel_site.site.broker_port
+    publish(port, "adaptdrive/deaf/availability", "online")
+    operator.page.get_by_role("link", name="all drives").click()
+    operator.open_drive("deaf")
+
+    def told() -> bool:
+        hostile(port, "adaptdrive/deaf/telemetry/drive", {"time": NOW, "age_s": 0.0})
+        return operator.page.get_by_text("No command is answered.").is_visible()
+
+    until(told, "the page names why no command is answered", 60.0)
+    viewer = operator.page.locator(".viewer")
+    expect(viewer).to_contain_text("this user may look and not command")
+    expect(viewer).to_contain_text("the daemon receives no commands")
+    publish(port, "adaptdrive/deaf/availability", "offline")
+
+
 MARKUP = "<img src=x onerror=alert(1)><script>alert(2)</script>"
 KEYS = {
     "state": (

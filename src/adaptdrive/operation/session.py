@@ -105,9 +105,19 @@ class BrokerSession:
             for code in await self._client.subscribe(topic, **wishes):
                 value = code.value if isinstance(code, ReasonCode) else code
                 if value >= LOWEST_FAILURE_CODE:
-                    structlog.get_logger().error(
-                        "broker does not allow to subscribe", topic=topic, code=str(code)
-                    )
+                    self._report_refusal(topic, str(code))
+
+    def _report_refusal(self, topic: str, code: str) -> None:
+        """Log a refused subscription, and report it where no command arrives without it."""
+        structlog.get_logger().error("broker does not allow to subscribe", topic=topic, code=code)
+        if topic == self._topics.commands:
+            self._intake.report(
+                "broker",
+                Severity.ALARM,
+                f"no commands: the broker refuses the subscription to {topic} ({code}); no command "
+                "arrives over MQTT, no disable either: give this daemon's user the right to read "
+                "that topic",
+            )
 
     async def _publish_state(self) -> None:
         if (message := self._intake.board.message) is not None:

@@ -111,12 +111,12 @@ const Controls = (() => {
     return async () => {
       if (known || asking) return;
       asking = true;
-      const may = await Link.mayCommand(drive.name);
+      const obstacle = await Link.obstacle(drive.name);
       asking = false;
-      known = may !== null;
-      viewer.hidden = may === true;
-      body.hidden = may === false;
-      Dom.say(viewer, known ? "This user may look and not command." : "The daemon does not answer.");
+      known = obstacle !== null;
+      viewer.hidden = obstacle === "";
+      body.hidden = Boolean(obstacle);
+      Dom.say(viewer, obstacle ?? "The daemon does not answer.");
     };
   }
 

@@ -8,6 +8,9 @@ const Link = (() => {
   const RETRY_MS = 2000;
   const UNSUPPORTED = new Set([1, 0x84]); // unacceptable protocol version, in MQTT 3.1.1 and 5
   const DENIED = new Set([0x80, 0x87]); // MQTT 5: unspecified error, not authorized
+  const FORBIDDEN = "This user may look and not command.";
+  const UNANSWERED = "No command is answered. Either this user may look and not command (a broker of MQTT 3.1.1 does not say so), " +
+    "or the daemon receives no commands: see its event broker, and the access list of the broker.";
 
   /** @type {any} */ let client = null;
   /** @type {Map<string, (reply: Reply|null) => void>} */ const waiting = new Map();
@@ -17,7 +20,7 @@ const Link = (() => {
   let heardMs = 0;
   let patienceMs = SILENCE_MS;
   let problem = "";
-  /** @type {Map<string, boolean>} */ const allowed = new Map();
+  /** @type {Map<string, string>} */ const obstacles = new Map(); // by drive, empty for none
 
   /** Connect and stay connected.
    * @param {{url: string, username: string, password: string}} account @param {4|5} [version] MQTT 3.1.1 or 5
@@ -41,7 +44,7 @@ const Link = (() => {
       own.on("connect", () => {
         own.subscribe(Contract.SUBSCRIPTIONS, { qos: 1 });
         for (const drive of remembered) askHistory(drive);
-        allowed.clear();
+        obstacles.clear();
         heardMs = performance.now();
         tell("online", "");
         resolve();
@@ -147,18 +150,18 @@ const Link = (() => {
     return view.live && Number.isFinite(view.clockS) ? 1000 * (view.clockS + view.ageS) : Date.now();
   }
 
-  /** Find out whether this user may command a drive, by a request that does nothing.
-   * @param {string} drive @returns {Promise<boolean|null>} null while it is not known */
-  async function mayCommand(drive) {
-    const known = allowed.get(drive);
+  /** Find out why no command of this user is answered, by a request that does nothing.
+   * @param {string} drive @returns {Promise<string|null>} empty where one is, null while it is not known */
+  async function obstacle(drive) {
+    const known = obstacles.get(drive);
     if (known !== undefined) return known;
     const { text } = await ask(drive, "ping");
     if (text.startsWith("not sent")) return null;
     const silent = text.startsWith("no answer");
     if (silent && !Drives.named(drive).live) return null;
-    const may = !silent && !text.startsWith("not allowed"); // a broker of MQTT 3.1.1 refuses silently
-    allowed.set(drive, may);
-    return may;
+    const found = silent ? UNANSWERED : text.startsWith("not allowed") ? FORBIDDEN : "";
+    obstacles.set(drive, found);
+    return found;
   }
 
   /** @param {string} now @param {string} why */
@@ -169,7 +172,7 @@ const Link = (() => {
   }
 
   return {
-    open, close, ask, disturb, askHistory, mayCommand,
+    open, close, ask, disturb, askHistory, obstacle,
     /** @param {() => void} listener */ watch: (listener) => listeners.add(listener),
     get online() { return status === "online"; },
     get problem() { return problem; },
