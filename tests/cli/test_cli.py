@@ -153,12 +153,40 @@ async def test_the_answers_to_others_are_not_mine(mosquitto: Broker) -> None:
     assert (await asking).status == 3
 
 
+async def status_of(bench: Bench, *more: str) -> Outcome:
+    """What `status` says while the daemon publishes."""
+    asking = asyncio.create_task(adaptdrive("status", bench.drive, *more, *at(bench.broker)))
+    while not asking.done():
+        bench.hub.publish(drive_report(600))
+        await asyncio.sleep(0.05)
+    return await asking
+
+
 async def test_status_tells_people(bench: Bench) -> None:
-    outcome = await adaptdrive("status", "bench", *at(bench.broker))
+    outcome = await status_of(bench)
     assert (outcome.status, outcome.errors) == (0, "")
-    assert outcome.output.startswith("bench is online\n")
-    assert "standby" in outcome.output
+    assert outcome.output.startswith("bench is online\n  state       standby")
     assert "fixed (asked for fixed)" in outcome.output
+
+
+async def test_a_drive_that_only_the_broker_remembers_is_not_shown_as_running(
+    mosquitto: Broker,
+) -> None:
+    """A broker that keeps messages on disk has restarted with the machine, the daemon has not."""
+    for name, payload in {
+        "availability": "online",
+        "state": '{"state": "running"}',
+        "telemetry/load": '{"k": 5, "estimates": {}}',
+    }.items():
+        await publish(mosquitto, f"adaptdrive/remembered/{name}", payload, "-r")
+    outcome = await adaptdrive("status", "remembered", *at(mosquitto))
+    assert (outcome.status, outcome.errors) == (3, "")
+    first, state, *_ = outcome.output.splitlines()
+    assert "online by the broker, but no telemetry came: the daemon may be gone" in first
+    assert state.startswith("  last state  running")
+    outcome = await adaptdrive("status", "remembered", "--json", *at(mosquitto))
+    assert outcome.status == 3
+    assert json.loads(outcome.output)["live"] is False
 
 
 async def test_status_is_complete_at_once_with_units_and_the_remedy(bench: Bench) -> None:
@@ -169,7 +197,7 @@ async def test_status_is_complete_at_once_with_units_and_the_remedy(bench: Bench
         await ear.on(bench.topic("telemetry/load"))
         bench.host.trip(trip)
         await ear.until(lambda message: '"tripped"' in message.payload)
-    output = (await adaptdrive("status", "bench", *at(bench.broker))).output
+    output = (await status_of(bench)).output
     assert "  slow step   5 at " in output
     assert "  reference   3 V\n" in output
     assert "  set-point   0 V\n" in output
@@ -177,17 +205,17 @@ async def test_status_is_complete_at_once_with_units_and_the_remedy(bench: Bench
     bench.host.show(STANDBY)
     async with listening(bench.broker, bench.topic("state")) as ear:
         await ear.until(lambda message: '"standby"' in message.payload)
-    output = (await adaptdrive("status", "bench", *at(bench.broker))).output
+    output = (await status_of(bench)).output
     assert re.search(r"  last trip   \S+Z: over-voltage", output)
 
 
 async def test_status_tells_programs_with_telemetry(bench: Bench) -> None:
-    asking = asyncio.create_task(adaptdrive("status", "bench", "--json", *at(bench.broker)))
-    while not asking.done():
+    async with listening(bench.broker, bench.topic("telemetry/load")) as ear:
         bench.hub.publish(load_report(5))
-        bench.hub.publish(drive_report(600))
-        await asyncio.sleep(0.05)
-    found = json.loads((await asking).output)
+        await ear.on(bench.topic("telemetry/load"))
+    outcome = await status_of(bench, "--json")
+    found = json.loads(outcome.output)
+    assert (outcome.status, found["live"]) == (0, True)
     assert found["availability"] == "online"
     assert found["state"]["state"] == "standby"
     assert found["telemetry"]["load"]["k"] == 5

@@ -35,8 +35,9 @@ def test_a_refusal_for_a_trip_carries_its_remedy(reason: str, advice: str) -> No
 )
 def test_a_drive_with_values_of_another_shape_hides_no_other_drive(junk: object) -> None:
     telemetry = {"load": dict.fromkeys(_LOAD, junk), "drive": dict.fromkeys(_DRIVE, junk)}
-    odd = DriveStatus("online", dict.fromkeys(_STATE, junk), telemetry)
-    good = DriveStatus("online", {"state": "running", "output": {"unit": "V"}, "setpoint": 3.0})
+    odd = DriveStatus("online", dict.fromkeys(_STATE, junk), telemetry, live=True)
+    state = {"state": "running", "output": {"unit": "V"}, "setpoint": 3.0}
+    good = DriveStatus("online", state, live=True)
     table = site_table({"odd": odd, "good": good})
     assert "good   running" in table
     assert "3 V" in table

@@ -27,6 +27,8 @@ async def test_the_list_has_every_drive_with_units_and_the_tripped_one_first(
             pass
         await publish(broker, "adaptdrive/no drive/state", "{}", "-r")
         await publish(broker, "adaptdrive/broken/state", "[]", "-r")
+        await publish(broker, "adaptdrive/remembered/availability", "online", "-r")
+        await publish(broker, "adaptdrive/remembered/state", '{"state": "running"}', "-r")
         async with (
             serving(broker, "alpha", tmp_path) as alpha,
             serving(broker, "beta", tmp_path) as beta,
@@ -36,7 +38,8 @@ async def test_the_list_has_every_drive_with_units_and_the_tripped_one_first(
                 await ear.until(lambda message: "tripped" in message.payload)
             asking = asyncio.create_task(adaptdrive("list", *at(broker)))
             while not asking.done():
-                alpha.hub.publish(drive_report(600))
+                for one in (alpha, beta):
+                    one.hub.publish(drive_report(600))
                 await asyncio.sleep(0.05)
             outcome = await asking
             found = json.loads((await adaptdrive("list", "--json", *at(broker))).output)
@@ -45,16 +48,19 @@ async def test_the_list_has_every_drive_with_units_and_the_tripped_one_first(
     assert (outcome.status, outcome.errors) == (0, "")
     head, *rows = outcome.output.splitlines()
     assert head.split()[:3] == ["drive", "state", "output"]
-    *rows, advice = rows
+    *rows, doubt, advice = rows
+    assert doubt.startswith("remembered is online by the broker, but no telemetry came")
     assert advice.startswith("beta: what to do: ")
     assert [row.split()[:2] for row in rows] == [
         ["beta", "tripped"],
         ["alpha", "standby"],
         ["gone", "offline"],
+        ["remembered", "running"],
     ]
+    assert rows[3].startswith("remembered  running (last known)  -")
     assert "  3.1 V  " in rows[1]
     assert rows[0].endswith("over-voltage: v_bst = 431 V, limit 430 V")
-    assert found.keys() == {"alpha", "beta", "gone"}
+    assert found.keys() == {"alpha", "beta", "gone", "remembered"}
     assert found["beta"]["state"]["last_trip"]["remedy"]
 
 

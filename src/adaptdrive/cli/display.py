@@ -12,6 +12,10 @@ from adaptdrive.operation.listener import DriveStatus, number, part, printable
 from adaptdrive.runtime.trips import remedy
 
 _FRACTION = re.compile(r"\.\d+(?=Z)")
+_SILENT = (
+    "online by the broker, but no telemetry came: the daemon may be gone, or this user may not "
+    "read telemetry"
+)
 _AROUND_TRIP = (("cause is still there: ", ""), ("tripped (", "); reset first"))
 
 
@@ -22,10 +26,10 @@ def describe(drive: str, status: DriveStatus) -> str:
         drive: Name of the drive.
         status: The messages that it published.
     """
-    lines = [f"{drive} is {status.availability}"]
+    lines = [f"{drive} is {_SILENT if status.silent else status.availability}"]
     unit = _unit(status.state or {})
     if status.state is not None:
-        lines += _state(status.state, unit, live=status.availability == "online")
+        lines += _state(status.state, unit, live=status.online and status.live)
     if "load" in status.telemetry:
         lines += _load(status.telemetry["load"], unit)
     if "drive" in status.telemetry:
@@ -44,6 +48,7 @@ def site_table(site: Mapping[str, DriveStatus]) -> str:
     rows = [heads, *(_site_row(name, site[name]) for name in ordered)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(heads))]
     lines = [_columns(row, widths) for row in rows]
+    lines += [f"{name} is {_SILENT}" for name in ordered if site[name].silent]
     advice = ((name, _advice(site[name].state or {})) for name in ordered)
     lines += [f"{name}: what to do: {printable(text)}" for name, text in advice if text]
     return "\n".join(lines)
@@ -77,18 +82,24 @@ def _unit(state: dict[str, Any]) -> str:
 
 
 def _site_row(name: str, status: DriveStatus) -> tuple[str, ...]:
-    state, online = status.state or {}, status.availability == "online"
+    state, live = status.state or {}, status.online and status.live
     unit = _unit(state)
     output = status.telemetry.get("drive", {}).get("output")
     return (
         name,
-        str(state.get("state")) if online else str(status.availability),
-        _number(output, unit) if online and output is not None else "-",
+        _site_state(str(state.get("state")), status),
+        _number(output, unit) if live and output is not None else "-",
         _setpoint(state, unit) if state else "-",
         str(state.get("controller") or "-"),
         _moment(state.get("since")),
         str(state.get("trip") or ""),
     )
+
+
+def _site_state(state: str, status: DriveStatus) -> str:
+    if not status.online:
+        return str(status.availability)
+    return state if status.live else f"{state} (last known)"
 
 
 def _state(state: dict[str, Any], unit: str, *, live: bool) -> list[str]:

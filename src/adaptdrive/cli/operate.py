@@ -18,7 +18,6 @@ from adaptdrive.cli.display import describe, refusal_advice
 from adaptdrive.cli.standard_files import discard_output
 from adaptdrive.operation.conversation import NoAnswerError
 from adaptdrive.operation.listener import read_status
-from adaptdrive.operation.messages import ONLINE
 from adaptdrive.operation.sender import send_command
 
 ACCEPTED, REFUSED, UNUSABLE, NO_ANSWER = 0, 1, 2, 3
@@ -154,13 +153,16 @@ def status(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
     Args:
         drive: Name of the drive.
         contact: Broker.
+
+    Returns:
+        0 when the daemon is online and publishes telemetry, 3 when it does not.
     """
     try:
         found = asyncio.run(read_status(contact.settings, drive, contact.timeout))
     except NoAnswerError as problem:
         return no_answer(problem)
     print(json.dumps(asdict(found), indent=2) if contact.as_json else describe(drive, found))
-    return ACCEPTED if found.availability == ONLINE.decode() else NO_ANSWER
+    return ACCEPTED if found.online and found.live else NO_ANSWER
 
 
 def _ask(drive: str, verb: str, value: object, contact: Contact, **fields: object) -> int:

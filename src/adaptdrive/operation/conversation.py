@@ -17,8 +17,8 @@ from adaptdrive.operation.link import connection
 
 T = TypeVar("T")
 
-TELEMETRY_WAIT_S = 1.0
-"""Longest wait for telemetry, which comes each 0.1 s where a drive publishes."""
+TELEMETRY_WAIT_S = 1.5
+"""Longest wait for telemetry, which comes at least once a second where a drive publishes."""
 
 _SHORTEST_S = 1e-3  # paho takes no wait of 0
 

@@ -10,10 +10,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
-from aiomqtt import Client
+from aiomqtt import Client, Message
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.conversation import TELEMETRY_WAIT_S, conversation, end_of, json_object
+from adaptdrive.operation.conversation import conversation, end_of, json_object
 from adaptdrive.operation.messages import ONLINE
 from adaptdrive.operation.simulator import TRUTH, simulator_topic
 from adaptdrive.operation.topics import Topics
@@ -24,6 +24,9 @@ SIMULATOR = "simulator"
 _DRIVE = re.compile("[A-Za-z0-9_-]{1,64}")
 SITE_WAIT_S = 0.5
 """From the last message of a new drive: retained messages come at once, telemetry in 0.1 s."""
+
+LIFE_WAIT_S = 3.0
+"""Longest wait for telemetry of a drive that is online: it comes at least once a second."""
 
 _LARGEST = 1e100
 """Least number that no quantity has: sums and differences of smaller ones are numbers still."""
@@ -37,11 +40,23 @@ class DriveStatus:
         availability: `online` or `offline`.
         state: Payload of `state`.
         telemetry: Payloads of `telemetry/load` and `telemetry/drive`, by their last part.
+        live: Whether telemetry came that the broker had not kept from an earlier time.
     """
 
     availability: str | None = None
     state: dict[str, Any] | None = None
     telemetry: dict[str, dict[str, Any]] = field(default_factory=dict)
+    live: bool = False
+
+    @property
+    def online(self) -> bool:
+        """True if the broker says that the daemon is there; it can have kept that, too."""
+        return self.availability == ONLINE.decode()
+
+    @property
+    def silent(self) -> bool:
+        """True if the daemon is online by the broker's word only."""
+        return self.online and not self.live
 
 
 async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> DriveStatus:
@@ -61,7 +76,7 @@ async def read_status(broker: Mqtt, drive: str, timeout_s: float) -> DriveStatus
             await client.subscribe(topics.availability, qos=1)
             await client.subscribe(topics.state, qos=1)
             await _listen(client, topics, status, _complete)
-        if status.availability == ONLINE.decode():
+        if status.online:
             await _add_telemetry(client, topics, status, end_s)
     return status
 
@@ -82,7 +97,7 @@ async def telemetry(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[
         await client.subscribe(topics.drive_telemetry)
         async for message in client.messages:
             status.telemetry.clear()
-            _note(message.topic.value, bytes(message.payload), topics, status)
+            _note(message, topics, status)
             for name, content in status.telemetry.items():
                 yield name, content
 
@@ -104,9 +119,13 @@ async def read_site(broker: Mqtt, timeout_s: float) -> dict[str, DriveStatus]:
         retained = (every.availability, every.state, every.load_telemetry)
         async with asyncio.timeout_at(end_s):
             await client.subscribe([(topic, 1) for topic in (*retained, every.drive_telemetry)])
+        life_s = end_of(LIFE_WAIT_S)
         with suppress(TimeoutError):
             async with asyncio.timeout_at(end_s), asyncio.timeout(SITE_WAIT_S) as quiet:
                 await _listen_to_all(client, site, quiet)
+        with suppress(TimeoutError):
+            async with asyncio.timeout_at(min(end_s, life_s)):
+                await _await_life(client, site)
     return {name: status for name, status in site.items() if status.availability or status.state}
 
 
@@ -115,13 +134,20 @@ async def _listen_to_all(
 ) -> None:
     """Note all messages; each drive that is new prolongs the wait."""
     async for message in client.messages:
-        _, drive, *_ = message.topic.value.split("/")
-        if _DRIVE.fullmatch(drive) is None:
-            continue
-        if drive not in site:
+        known = len(site)
+        _note_of_any(message, site)
+        if len(site) > known:
             quiet.reschedule(asyncio.get_running_loop().time() + SITE_WAIT_S)
-        status = site.setdefault(drive, DriveStatus())
-        _note(message.topic.value, bytes(message.payload), Topics(drive), status)
+
+
+async def _await_life(client: Client, site: dict[str, DriveStatus]) -> None:
+    """Note all messages until each drive that is online has sent telemetry."""
+    if not any(status.silent for status in site.values()):
+        return
+    async for message in client.messages:
+        _note_of_any(message, site)
+        if not any(status.silent for status in site.values()):
+            return
 
 
 async def follow(broker: Mqtt, drive: str) -> AsyncIterator[tuple[str, dict[str, Any]]]:
@@ -177,24 +203,35 @@ def _complete(status: DriveStatus) -> bool:
     return status.state is not None and status.availability is not None
 
 
+def _alive(status: DriveStatus) -> bool:
+    return status.live and "drive" in status.telemetry
+
+
 async def _add_telemetry(client: Client, topics: Topics, status: DriveStatus, end_s: float) -> None:
     with suppress(TimeoutError):
-        async with asyncio.timeout_at(min(end_s, end_of(TELEMETRY_WAIT_S))):
+        async with asyncio.timeout_at(min(end_s, end_of(LIFE_WAIT_S))):
             await client.subscribe(topics.load_telemetry)
             await client.subscribe(topics.drive_telemetry)
-            await _listen(client, topics, status, lambda status: len(status.telemetry) == 2)
+            await _listen(client, topics, status, _alive)
 
 
 async def _listen(
     client: Client, topics: Topics, status: DriveStatus, enough: Callable[[DriveStatus], bool]
 ) -> None:
     async for message in client.messages:
-        _note(message.topic.value, bytes(message.payload), topics, status)
+        _note(message, topics, status)
         if enough(status):
             return
 
 
-def _note(topic: str, payload: bytes, topics: Topics, status: DriveStatus) -> None:
+def _note_of_any(message: Message, site: dict[str, DriveStatus]) -> None:
+    _, drive, *_ = message.topic.value.split("/")
+    if _DRIVE.fullmatch(drive) is not None:
+        _note(message, Topics(drive), site.setdefault(drive, DriveStatus()))
+
+
+def _note(message: Message, topics: Topics, status: DriveStatus) -> None:
+    topic, payload = message.topic.value, bytes(message.payload)
     if topic == topics.availability:
         status.availability = payload.decode("utf-8", "replace")
         return
@@ -204,3 +241,4 @@ def _note(topic: str, payload: bytes, topics: Topics, status: DriveStatus) -> No
         status.state = content
     else:
         status.telemetry[topic.rpartition("/")[2]] = content
+        status.live = status.live or not message.retain
