@@ -149,6 +149,22 @@ async def test_an_id_of_another_verb_is_refused_and_does_nothing(office: Office)
     assert office.host.done == ["enable"]
 
 
+@pytest.mark.parametrize(
+    "other", [{"value": 4}, {"value": 3, "hold_s": 6}, {"value": "3"}, {}], ids=repr
+)
+async def test_an_id_of_another_value_is_refused_and_does_nothing(
+    office: Office, other: dict[str, object]
+) -> None:
+    first = await office.send("voltage", {"id": "a", "value": 3})
+    reply = await office.send("voltage", {"id": "a"} | other)
+    assert not reply.accepted
+    assert reply.reason == "id 'a' was used with another value; give each command an id of its own"
+    assert office.host.done == ["voltage"]
+    again = {"id": "a", "value": 3.0, "user": "b", "expires": "2030-01-01T00:00:00Z"}
+    assert await office.send("voltage", again) == first
+    assert office.host.done == ["voltage"]
+
+
 async def test_what_the_drive_refuses_is_answered_with_reason_and_state(office: Office) -> None:
     office.host.refusal = "tripped\x1b; reset first"
     reply = await office.send("enable", {"id": "a"})

@@ -21,7 +21,7 @@ from adaptdrive.operation.archive import Archive
 from adaptdrive.operation.desk import INTERRUPTED, Desk
 from adaptdrive.operation.journal import Journal
 from adaptdrive.operation.memory import LIFETIME_S, ReplyMemory
-from adaptdrive.operation.messages import LastTrip, Reply
+from adaptdrive.operation.messages import LastTrip, Reply, encode
 from adaptdrive.operation.outbox import Outbox
 from adaptdrive.operation.pace import LogRation
 from adaptdrive.operation.trip_memory import TripMemory
@@ -82,6 +82,26 @@ async def test_the_last_replies_are_remembered_across_restarts(path: Path) -> No
     async with remembering(path, Time(), limit=10) as memory:
         known = [number for number in range(12) if memory.recall(f"id-{number}")]
     assert known == list(range(2, 12))
+
+
+async def test_what_was_asked_is_remembered_across_restarts_and_a_disk_that_failed(
+    path: Path,
+) -> None:
+    async with remembering(path, Time()) as memory:
+        await memory.keep("a", _reply("a"), "3.0")
+    async with remembering(path, Time()) as memory:
+        assert memory.asked("a") == "3.0"
+        memory.rewrite()
+    async with remembering(path, Time()) as memory:
+        assert (memory.recall("a"), memory.asked("a")) == (_reply("a"), "3.0")
+
+
+async def test_a_reply_that_an_older_version_wrote_is_remembered(path: Path) -> None:
+    async with open_journal(path) as journal:
+        row = "a", wall().timestamp(), encode(_reply("a"))
+        journal.post("INSERT INTO reply VALUES (?, ?, ?)", row)
+    async with remembering(path, Time()) as memory:
+        assert (memory.recall("a"), memory.asked("a")) == (_reply("a"), None)
 
 
 @pytest.mark.parametrize(("idle_s", "known"), [(LIFETIME_S - 1.0, True), (LIFETIME_S + 1.0, False)])

@@ -81,6 +81,14 @@ class Payload:
         user = self._field("user")
         return user[:LONGEST_USER] if isinstance(user, str) and user.isprintable() else ""
 
+    def asked(self, verb: str) -> str | None:
+        """Return what a command asks for beside its verb, as JSON; None where it is malformed."""
+        try:
+            request, _ = self.request(verb)
+        except RefusedError:
+            return None
+        return msgspec.json.encode(request).decode()
+
     def _field(self, name: str) -> Any:  # noqa: ANN401 - whatever was sent
         return self._document.get(name) if isinstance(self._document, dict) else None
 

@@ -154,7 +154,7 @@ class Desk:
         flaw = self._flaw(command, payload)
         reason = _clean(f"carried out, although: {flaw}") if flaw else ""
         reply = replace(_refusal(command, payload), accepted=True, reason=reason, state=state)
-        if _memorable(payload.id) and self._other_verb(command, payload) is None:
+        if _memorable(payload.id) and self._other_use(command, payload) is None:
             self._memory.note(str(payload.id), reply)
         self._report(_report_of(payload, reply))
         return reply
@@ -166,7 +166,7 @@ class Desk:
             self._read(command, payload)
         except AdaptdriveError as problem:
             return str(problem)
-        return self._other_verb(command, payload) or ""
+        return self._other_use(command, payload) or ""
 
     def _log_unreadable(self, command: OperatorCommand) -> None:
         if (withheld := self._ration.take()) is not None:
@@ -191,16 +191,22 @@ class Desk:
 
     def _repeated(self, command: OperatorCommand, payload: Payload) -> Reply | None:
         """Return the reply to a command whose id is known, None for a new one."""
-        flaw = self._other_verb(command, payload)
+        flaw = self._other_use(command, payload)
         return self._recall(payload) if flaw is None else self._refused(command, payload, flaw)
 
-    def _other_verb(self, command: OperatorCommand, payload: Payload) -> str | None:
+    def _other_use(self, command: OperatorCommand, payload: Payload) -> str | None:
+        """Return what else the id of a command was used for, None where it was not."""
         known = self._recall(payload)
-        if known is None or known.verb == command.verb:
+        if known is None:
             return None
-        return _clean(
-            f"id {payload.id!r} was used by {known.verb!r}; give each command an id of its own"
-        )
+        asked = self._memory.asked(str(payload.id))
+        if known.verb != command.verb:
+            use = f"by {known.verb!r}"
+        elif asked is not None and asked != payload.asked(command.verb):
+            use = "with another value"
+        else:
+            return None
+        return _clean(f"id {payload.id!r} was used {use}; give each command an id of its own")
 
     def _recall(self, payload: Payload) -> Reply | None:
         """Return the reply to the first command with this id; only text identifies one."""
@@ -210,14 +216,13 @@ class Desk:
         reply = _refusal(command, payload)
         try:
             request, expires = self._read(command, payload)
-            doubt = replace(reply, reason=INTERRUPTED)
-            state = await self._carry_out(request, expires, command, doubt)
+            state = await self._carry_out(request, expires, command, payload)
         except AdaptdriveError as problem:
             reply = replace(reply, reason=_clean(str(problem)), state=self._present_state())
         else:
             reply = replace(reply, accepted=True, state=state)
         if _memorable(payload.id):
-            self._memory.note(str(payload.id), reply)
+            self._memory.note(str(payload.id), reply, payload.asked(command.verb))
             if reply.reason != OVERTAKEN:  # a hundred may wait, and none had an effect
                 await self._memory.written()
         self._report(_report_of(payload, reply))
@@ -231,11 +236,16 @@ class Desk:
         return request, expires
 
     async def _carry_out(
-        self, request: Request, expires: datetime | None, command: OperatorCommand, doubt: Reply
+        self,
+        request: Request,
+        expires: datetime | None,
+        command: OperatorCommand,
+        payload: Payload,
     ) -> State:
         self._refuse_overtaken(command)
+        doubt = replace(_refusal(command, payload), reason=INTERRUPTED)
         # Written first: a daemon that dies in between must not act a second time on a repeat.
-        await self._memory.keep(str(doubt.id), doubt)
+        await self._memory.keep(str(doubt.id), doubt, payload.asked(command.verb))
         self._refuse_overtaken(command)
         self._refuse_expired(expires)
         return await self._host.execute(request)

@@ -24,6 +24,13 @@ UNREADABLE = "the reply to the first command with this id cannot be read any mor
 class _Entry:
     reply: Reply
     born_s: float
+    asked: str | None = None
+
+
+class _Asked(msgspec.Struct):
+    """The part of a row beside the reply; the rows of older versions have none."""
+
+    asked: str | None = None
 
 
 class ReplyMemory:
@@ -50,21 +57,22 @@ class ReplyMemory:
             Rows that cannot be read; an id that still can be is refused when it comes again.
         """
         rows = await self._journal.rows("SELECT id, time_s, body FROM reply ORDER BY rowid")
-        replies = [(identity, time_s, _reply(identity, body)) for identity, time_s, body in rows]
+        kept = [(identity, time_s, _kept(identity, body)) for identity, time_s, body in rows]
         held, self._entries = self._entries, OrderedDict()
-        for identity, time_s, reply in replies:
+        for identity, time_s, known in kept:
             if isinstance(identity, str):
-                self._entries[identity] = self._entry(reply or _unreadable(identity), time_s)
+                reply, asked = known or (_unreadable(identity), None)
+                self._entries[identity] = _Entry(reply, self._born_s(time_s), asked)
         self._entries.update(held)
         self._forget()
-        return sum(reply is None for _, _, reply in replies)
+        return sum(known is None for _, _, known in kept)
 
     def rewrite(self) -> None:
         """Write all that is remembered; the disk has missed some of it."""
         self._journal.post("DELETE FROM reply")
         now_s, wall_s = self._monotonic(), self._wall().timestamp()
         for identity, entry in self._entries.items():
-            self._post(identity, wall_s - (now_s - entry.born_s), entry.reply)
+            self._post(identity, wall_s - (now_s - entry.born_s), entry)
 
     def begin(self) -> None:
         """Let commands in: what an earlier run replied is known, or cannot be."""
@@ -83,30 +91,41 @@ class ReplyMemory:
         entry = self._entries.get(identity)
         return entry.reply if entry else None
 
-    async def keep(self, identity: str, reply: Reply) -> None:
+    def asked(self, identity: str) -> str | None:
+        """What the first command with this id asked for, None where that is not known."""
+        entry = self._entries.get(identity)
+        return entry.asked if entry else None
+
+    async def keep(self, identity: str, reply: Reply, asked: str | None = None) -> None:
         """Remember the reply to a command; returns when it is on disk, or the disk too slow."""
-        self.note(identity, reply)
+        self.note(identity, reply, asked)
         await self.written()
 
     async def written(self) -> None:
         """Wait until all that was noted is on disk, or the disk too slow."""
         await self._journal.written(PATIENCE_S)
 
-    def note(self, identity: str, reply: Reply) -> None:
-        """Remember the reply to a command; returns at once, the disk follows."""
-        self._entries[identity] = _Entry(reply, self._monotonic())
-        self._post(identity, self._wall().timestamp(), reply)
+    def note(self, identity: str, reply: Reply, asked: str | None = None) -> None:
+        """Remember the reply to a command; returns at once, the disk follows.
+
+        Args:
+            identity: Id of the command.
+            reply: The reply.
+            asked: What the command asked for beside its verb, None where nobody compares it.
+        """
+        entry = self._entries[identity] = _Entry(reply, self._monotonic(), asked)
+        self._post(identity, self._wall().timestamp(), entry)
         self._forget()
 
-    def _post(self, identity: str, time_s: float, reply: Reply) -> None:
-        self._journal.post(
-            "INSERT OR REPLACE INTO reply VALUES (?, ?, ?)", (identity, time_s, encode(reply))
-        )
+    def _post(self, identity: str, time_s: float, entry: _Entry) -> None:
+        body = encode(msgspec.structs.asdict(entry.reply) | {"asked": entry.asked})
+        row = identity, time_s, body
+        self._journal.post("INSERT OR REPLACE INTO reply VALUES (?, ?, ?)", row)
 
-    def _entry(self, reply: Reply, time_s: object) -> _Entry:
+    def _born_s(self, time_s: object) -> float:
+        """Return the monotonic time of a row."""
         now_s, wall_s = self._monotonic(), self._wall().timestamp()
-        age_s = max(0.0, wall_s - time_s) if isinstance(time_s, int | float) else 0.0
-        return _Entry(reply, now_s - age_s)
+        return now_s - (max(0.0, wall_s - time_s) if isinstance(time_s, int | float) else 0.0)
 
     def _forget(self) -> None:
         oldest_s = self._monotonic() - LIFETIME_S
@@ -118,12 +137,12 @@ class ReplyMemory:
             self._journal.post("DELETE FROM reply WHERE id = ?", (identity,))
 
 
-def _reply(identity: object, body: object) -> Reply | None:
-    """Return the reply in a row, None where it cannot be read."""
+def _kept(identity: object, body: object) -> tuple[Reply, str | None] | None:
+    """Return the reply in a row and what was asked, None where they cannot be read."""
     if not isinstance(identity, str) or not isinstance(body, bytes | str):
         return None
     try:
-        return msgspec.json.decode(body, type=Reply)
+        return msgspec.json.decode(body, type=Reply), msgspec.json.decode(body, type=_Asked).asked
     except NOT_JSON:
         return None
 
