@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncGenerator, Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,6 +14,7 @@ from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive.control.signals import Mode
 from adaptdrive.errors import RefusedError
+from adaptdrive.operation.conversation import NoAnswerError
 from adaptdrive.operation.listener import read_status, telemetry
 from adaptdrive.operation.messages import Reply
 from adaptdrive.operation.sender import send_command
@@ -133,11 +134,24 @@ class Drive:
         self._timeout_s = timeout_s
 
     async def state(self) -> dict[str, Any]:
-        """Return the state, as on the topic `state`."""
-        return (await read_status(self._broker, self._name, self._timeout_s)).state or {}
+        """Return the present state, as on the topic `state`.
 
-    def telemetry(self) -> AsyncIterator[tuple[str, dict[str, Any]]]:
-        """Yield `load` and `drive` telemetry as it is published, until the caller stops."""
+        Raises:
+            NoAnswerError: The daemon is offline or publishes no telemetry: the state that the
+                broker holds is of an earlier time; or no state in time, or no broker.
+        """
+        found = await read_status(self._broker, self._name, self._timeout_s)
+        if not found.online:
+            raise NoAnswerError(self._name, f"its daemon is {found.availability}")
+        if found.silent:
+            raise NoAnswerError(self._name, "its daemon publishes no telemetry: it may be gone")
+        return found.state or {}
+
+    def telemetry(self) -> AsyncGenerator[tuple[str, dict[str, Any]], None]:
+        """Yield `load` and `drive` telemetry as it is published, until the caller stops.
+
+        There is no time-out: where nothing is published, nothing is yielded.
+        """
         return telemetry(self._broker, self._name)
 
     async def set_setpoint(self, value: float) -> Reply:

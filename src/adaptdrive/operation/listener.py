@@ -96,6 +96,8 @@ async def telemetry(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[
         await client.subscribe(topics.load_telemetry)
         await client.subscribe(topics.drive_telemetry)
         async for message in client.messages:
+            if message.retain:
+                continue  # kept by the broker, of an earlier time
             status.telemetry.clear()
             _note(message, topics, status)
             for name, content in status.telemetry.items():
