@@ -19,8 +19,13 @@ def state(voltage_V: float) -> fast.FastState:
     return fast.FastState(tick=0, boost_reference_V=voltage_V, error_sum=0.0)
 
 
-def kicked(of: fast.FastState, ticks: int) -> list[float]:
-    return [fast.kick(of, KICKING, of.boost_reference_V) for _ in range(ticks)]
+def kicked(of: fast.FastState, ticks: int, stride: int = 1) -> list[float]:
+    """V_c at each reading of so many ticks."""
+    sent = []
+    for _ in range(0, ticks, stride):
+        of.tick += stride
+        sent.append(fast.kick(of, KICKING, of.boost_reference_V, of.tick))
+    return sent
 
 
 def test_a_change_of_V_c_is_exaggerated_in_two_parts_and_then_held() -> None:
@@ -32,6 +37,13 @@ def test_a_change_of_V_c_is_exaggerated_in_two_parts_and_then_held() -> None:
     assert kicked(of, 4) == [280.0] * 3 + [288.0]
     of.boost_reference_V = 288.0
     assert kicked(of, 2) == [291.0] * 2
+
+
+def test_a_kick_of_a_polled_drive_lasts_as_many_half_cycles() -> None:
+    of = state(280.0)
+    kicked(of, 9, stride=3)
+    of.boost_reference_V = 290.0
+    assert kicked(of, 12, stride=3) == [305.0, 285.0, 290.0, 290.0]
 
 
 def test_a_kick_stays_within_the_limits_of_the_drive_and_of_its_power() -> None:

@@ -68,13 +68,13 @@ class FastState:
         error_sum: Sum of the voltage loop.
         limit: 1, -1 or 0: the limit at which k is held.
         voltage_sum: Sum of v_bst over the slow period so far.
-        ticks: Ticks in `voltage_sum`.
-        limited_ticks: Those of them with k at a limit.
-        held_ticks: Those of them without a fresh measurement.
+        readings: Measurements in `voltage_sum`.
+        limited_ticks: Ticks of the slow period so far with k or V_c at a limit.
+        held_ticks: Ticks of the slow period so far without a fresh measurement.
         by_hand: Whether the operator has set V_c in the slow period so far.
         kicked_V: V_c whose last change has been kicked; NaN before the first one.
         kick_V: That change.
-        kick_age: Ticks since.
+        kick_tick: Tick at which it came.
     """
 
     tick: int
@@ -83,13 +83,13 @@ class FastState:
     ceiling_V: float = math.inf
     limit: int = 0
     voltage_sum: float = 0.0
-    ticks: int = 0
+    readings: int = 0
     limited_ticks: int = 0
     held_ticks: int = 0
     by_hand: bool = False
     kicked_V: float = math.nan
     kick_V: float = 0.0
-    kick_age: int = 0
+    kick_tick: int = 0
 
 
 def new_filter_bank(
@@ -146,13 +146,14 @@ def take_in(
     rates, tick = settings.rates, measurement.tick
     load_input = to_input(measurement.boost_voltage_V, load.input_gain, load.input_exponent)
     elapsed = tick - state.tick
+    counted = min(max(elapsed, 1), rates.ticks_per_period)
     if elapsed > 0:
         output = measurement.output
-        note_sample(bank.grid, output, settings.learning.output_scale)
+        note_sample(bank.grid, output, settings.learning.output_scale, counted)
         if rates.clip > 0.0:
             output = pass_sample(bank.screen, output, rates.clip, elapsed)
-        filter_sample(bank, output, load_input, min(elapsed, rates.ticks_per_period))
-    count_tick(state, measurement.boost_voltage_V, measurement.fresh)
+        filter_sample(bank, output, load_input, counted)
+    count_tick(state, measurement.boost_voltage_V, measurement.fresh, counted)
     into_period = tick % rates.ticks_per_period
     if into_period == 0 or into_period > rates.ticks_per_period - rates.samples:
         accumulate(bank)
@@ -219,7 +220,7 @@ def drive(state: FastState, stage: PowerStage, measurement: Measurement) -> tupl
     voltage_V, power_W = measurement.boost_voltage_V, measurement.load_power_W
     reference_V = limit_power(state, stage, voltage_V, power_W)
     if stage.kick_ticks > 0:
-        reference_V = kick(state, stage, reference_V)
+        reference_V = kick(state, stage, reference_V, measurement.tick)
     if stage.holds_voltage:
         return 0.0, reference_V
     line_V, tick_s = measurement.line_voltage_V, measurement.tick_period_s
@@ -227,14 +228,14 @@ def drive(state: FastState, stage: PowerStage, measurement: Measurement) -> tupl
     return scale_S, reference_V
 
 
-def kick(state: FastState, stage: PowerStage, reference_V: float) -> float:
+def kick(state: FastState, stage: PowerStage, reference_V: float, tick: int) -> float:
     """Exaggerate the last change of V_c, so that the impulse-invariant model holds."""
     if math.isnan(state.kicked_V) or state.by_hand:
         state.kicked_V, state.kick_V = state.boost_reference_V, 0.0
     elif state.kicked_V != state.boost_reference_V:
-        state.kick_V, state.kick_age = state.boost_reference_V - state.kicked_V, 0
+        state.kick_V, state.kick_tick = state.boost_reference_V - state.kicked_V, tick
         state.kicked_V = state.boost_reference_V
-    part, state.kick_age = state.kick_age // stage.kick_ticks, state.kick_age + 1
+    part = (tick - state.kick_tick) // stage.kick_ticks
     if part == 0:
         reference_V += stage.kick_first * state.kick_V
     elif part == 1:
@@ -315,22 +316,29 @@ def regulate_voltage(
     return scale
 
 
-def count_tick(state: FastState, boost_voltage_V: float, fresh: bool) -> None:
-    """Keep the books of the slow period."""
+def count_tick(state: FastState, boost_voltage_V: float, fresh: bool, ticks: int = 1) -> None:
+    """Keep the books of the slow period.
+
+    Args:
+        state: Overwritten.
+        boost_voltage_V: v_bst.
+        fresh: Whether it was measured now, not held.
+        ticks: Since the last reading: more than 1 where a drive is polled.
+    """
     state.voltage_sum += boost_voltage_V
-    state.ticks += 1
+    state.readings += 1
     if state.limit != 0 or state.ceiling_V < state.boost_reference_V:
-        state.limited_ticks += 1
+        state.limited_ticks += ticks
     if not fresh:
-        state.held_ticks += 1
+        state.held_ticks += ticks
 
 
 def close_period(state: FastState, settings: ControllerSettings) -> tuple[float, bool, int]:
     """Books of the elapsed slow period: mean voltage, whether it followed V_c, held ticks."""
-    applied_V = state.voltage_sum / state.ticks if state.ticks else math.nan
+    applied_V = state.voltage_sum / state.readings if state.readings else math.nan
     followed = state.limited_ticks <= _LIMITED_SHARE * settings.rates.ticks_per_period
     held = state.held_ticks
     state.voltage_sum = 0.0
-    state.ticks = state.limited_ticks = state.held_ticks = 0
+    state.readings = state.limited_ticks = state.held_ticks = 0
     state.by_hand = False
     return applied_V, followed, held

@@ -59,7 +59,7 @@ class Grid:
         last: Last sample; NaN where only the step is known.
         candidate: Step that is being tried, in the unit of the output; 0 for none.
         score: Differences that agreed with it, less those that did not.
-        changes: Samples of the slow period so far that differ from the one before.
+        changes: Ticks of the slow period so far whose sample differs from the one before.
         share: p, over the slow periods so far.
         periods: Slow periods in it, up to its memory.
     """
@@ -77,19 +77,20 @@ def remembered_grid(step: float) -> Grid:
     return Grid(math.nan, step, _SURE) if step > 0.0 else Grid(0.0)
 
 
-def note_sample(grid: Grid, sample: float, scale: float) -> None:
+def note_sample(grid: Grid, sample: float, scale: float, ticks: int = 1) -> None:
     """Compare a raw sample with the one before it.
 
     Args:
         grid: Overwritten.
         sample: y as the sensor gave it.
         scale: Output of order one.
+        ticks: Since the last sample: more than 1 where a drive is polled.
     """
     if sample == grid.last:
         return
     difference = abs(sample - grid.last)
     grid.last = sample
-    grid.changes += 1
+    grid.changes += ticks
     finest = FINEST * scale
     if not grid.candidate > 0.0:
         grid.candidate = difference if finest <= difference < 1.0 / FINEST * scale else 0.0
@@ -125,7 +126,7 @@ def close_share(grid: Grid, ticks: int) -> None:
 
     Args:
         grid: Overwritten.
-        ticks: Samples of the period.
+        ticks: Of the period.
     """
     grid.periods = min(grid.periods + 1.0, MEMORY)
     grid.share += (min(1.0, grid.changes / ticks) - grid.share) / grid.periods
