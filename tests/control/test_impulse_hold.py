@@ -91,7 +91,8 @@ def test_a_change_of_v_c_is_exaggerated_in_two_parts_and_a_rest_is_not() -> None
     state = FastState(tick=0, boost_reference_V=280.0, error_sum=0.0)
 
     def ticks(count: int) -> list[float]:
-        return [kick(state, stage, state.boost_reference_V) for _ in range(count)]
+        start, state.tick = state.tick, state.tick + count
+        return [kick(state, stage, state.boost_reference_V, start + i) for i in range(count)]
 
     assert ticks(3) == [280.0] * 3
     state.boost_reference_V = 290.0

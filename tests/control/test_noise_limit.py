@@ -77,6 +77,22 @@ def test_the_noise_of_the_input_is_just_within_its_limit(disks: int, times: floa
     assert 0.8 * limit <= found <= limit
 
 
+@pytest.mark.parametrize(
+    ("tau_motor_s", "tau_filter_s", "pole"),
+    [(11.7, 2.0, 0.93), (5.0, 1.0, 0.9), (11.7, 10.0, 0.93), (35.1, 10.0, 0.97), (0.5, 0.3, 0.98)],
+)
+@pytest.mark.parametrize("times", [1.01, 1.05, 3.0, 1000.0])
+def test_a_limit_makes_no_loop_louder_than_the_poles_asked_for(
+    tau_motor_s: float, tau_filter_s: float, pole: float, times: float
+) -> None:
+    """Poles slower than the load's own take gains that pass more noise, not less."""
+    values = [0.011, tau_motor_s + tau_filter_s, tau_motor_s * tau_filter_s]
+    a, b = discrete_model(EXACT, MOTOR, *MOTOR.realise(values), 1.0)
+    asked = noise_gain(a, b, asked_loop(b, MOTOR.order, pole))
+    found = noise_gain(a, b, quiet_loop(a, b, MOTOR.order, pole, 1.0, asked / times))
+    assert found <= asked * (1.0 + 1e-9)
+
+
 def test_observer_poles_come_first() -> None:
     a, b = model(3)
     asked = noise_gain(a, b, asked_loop(b, MOTOR.order, POLE))

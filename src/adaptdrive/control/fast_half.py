@@ -20,7 +20,7 @@ from adaptdrive.control.signals import Measurement
 from adaptdrive.control.vectors import Vector
 
 _CEILING_RISE = 1.002
-"""Rise of the ceiling of V_c for each tick: slow, so that the power limit does not oscillate."""
+"""Rise of the ceiling of V_c for each reading: slow, so that the power limit does not oscillate."""
 
 _LIMITED_SHARE = 0.25
 """Share of a slow period with k or V_c at a limit above which V_c counts as not followed."""

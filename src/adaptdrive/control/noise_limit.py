@@ -10,6 +10,9 @@ Where σ_u would be above its limit, the poles that are free, at 0 otherwise, be
 first, up to 0.8; where that does not suffice, the asked poles p become slower, 1 - p down to a
 quarter. A zero that is cancelled stays where it is.
 
+Slower poles are quieter down to about the load's own; gains that keep a load slower than it is rise
+again. Where no slowness on the way meets the limit, the quietest of a few takes its place.
+
 The norm is the sum of the squared impulse response (K. J. Åström, Introduction to Stochastic
 Control Theory, 1970, section 5.2): with a, b of degree n, the recursion
 
@@ -38,6 +41,9 @@ _BOTH = 2.0
 _FINE = 0.04
 """Slowness that is close enough: the observer pole within 0.03."""
 
+_TRIED = 5
+"""Slownesses that are compared where none meets the limit: two steps for each kind of poles."""
+
 
 def quiet_loop(a: Vector, b: Vector, order: int, pole: float, noise: float, limit: float) -> Vector:
     """Return A_c with the fastest poles that keep the noise of the input within its limit.
@@ -60,7 +66,23 @@ def quiet_loop(a: Vector, b: Vector, order: int, pole: float, noise: float, limi
         else:
             low = slowness
         slowness = 0.5 * (low + high)
-    return slowed_loop(kept, order, free, pole, high)
+    loop = slowed_loop(kept, order, free, pole, high)
+    if high < _BOTH or noise * noise_gain(a, b, loop) <= limit:
+        return loop
+    return _quietest_loop(a, b, kept, order, free, pole)
+
+
+def _quietest_loop(
+    a: Vector, b: Vector, kept: Vector, order: int, free: int, pole: float
+) -> Vector:
+    """Return the A_c that lets the least noise through: never more than the poles asked for do."""
+    quietest, least = slowed_loop(kept, order, free, pole, 0.0), math.inf
+    for i in range(_TRIED):
+        loop = slowed_loop(kept, order, free, pole, _BOTH * i / (_TRIED - 1))
+        gain = noise_gain(a, b, loop)
+        if gain < least:
+            quietest, least = loop, gain
+    return quietest
 
 
 def slowed_loop(kept: Vector, order: int, free: int, pole: float, slowness: float) -> Vector:
