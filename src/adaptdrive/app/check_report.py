@@ -21,7 +21,7 @@ def sound_report(configuration: Configuration, source: Path) -> Report:
         configuration: The configuration.
         source: Its file.
     """
-    load, reach = configuration.load, daemon_settings(configuration).machine.reach
+    load, machine = configuration.load, daemon_settings(configuration).machine
     return {
         "config": str(source),
         "valid": True,
@@ -29,7 +29,8 @@ def sound_report(configuration: Configuration, source: Path) -> Report:
         "warnings": [str(one) for one in advice(configuration)],
         "drive": configuration.drive.name,
         "output": {"name": load.output_name, "unit": load.output_unit},
-        "reach": [reach.low, reach.high],
+        "reach": [machine.reach.low, machine.reach.high],
+        "poles": [machine.pole_min, machine.pole_max],
         "time_limits": [
             {"of": what, "limit_s": limit_s, "keys": keys}
             for what, limit_s, keys in time_limits(configuration, source)

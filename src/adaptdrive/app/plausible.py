@@ -6,9 +6,10 @@ import math
 from collections.abc import Iterator
 
 from adaptdrive.app.loads import build_load, total_lag_s
+from adaptdrive.app.pole_range import MODEL_ERROR, standing_poles
 from adaptdrive.app.settings import controller_settings, tick_s
 from adaptdrive.config import Configuration
-from adaptdrive.config.load import BatterySection
+from adaptdrive.config.load import AnyLoad, BatterySection
 from adaptdrive.control.design import compensator_gains, discrete_model
 from adaptdrive.control.load import Load
 from adaptdrive.control.reach import nominal_reach
@@ -83,6 +84,23 @@ def _pace_flaws(configuration: Configuration, load: Load) -> Iterator[Flaw]:
         yield Flaw(
             "load.model", f"no gains place the poles at load.pole = {configuration.load.pole}"
         )
+        return
+    yield from _pole_flaws(configuration.load, standing_poles(settings, load, configuration.load))
+
+
+def _pole_flaws(section: AnyLoad, standing: list[float]) -> Iterator[Flaw]:
+    """The fixed controller stands an error of the model with the pole of the file."""
+    if section.pole in standing:
+        return
+    problem = (
+        f"{section.pole:g}: the fixed controller must keep a load stable whose parameters are "
+        f"{100.0 * MODEL_ERROR:g} % beside load.model"
+    )
+    if standing:
+        remedy = f"poles of {standing[0]:g}…{standing[-1]:g} do"
+    else:
+        remedy = "no pole of load.pole_min…load.pole_max does: compare load.period_s and load.model"
+    yield Flaw("load.pole", f"{problem}; {remedy}")
 
 
 def _capacitor_flaws(configuration: Configuration) -> Iterator[Flaw]:

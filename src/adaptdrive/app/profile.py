@@ -20,7 +20,7 @@ def operator_profile(configuration: Configuration) -> Profile:
         limits={
             "setpoint": (load.reference_min, load.reference_max),
             "output_trip": (trips.output_min, trips.output_max),
-            "pole": (load.pole_min, load.pole_max),
+            "pole": (machine.pole_min, machine.pole_max),
             "period_s": (machine.period_min_s, None),
             "boost_V": (drive.boost_reference_min_V, drive.boost_reference_max_V),
             "boost_trip_V": (None, trips.boost_voltage_max_V),

@@ -1,4 +1,4 @@
-"""The set-points that V_c can hold by the nominal model, as `check` shows them."""
+"""The set-points and poles that the nominal model allows, as `check` shows them."""
 
 from __future__ import annotations
 
@@ -25,6 +25,17 @@ def reach_table(configuration: Configuration) -> str:
     if load.reference_max > reach.high:
         lines.append(_line("set-points above this range", "refused", "load.reference_max"))
     return "\n".join(lines)
+
+
+def pole_line(configuration: Configuration) -> str:
+    """Return the poles that an operator may ask for as a line of text.
+
+    Args:
+        configuration: A valid configuration.
+    """
+    limits = daemon_settings(configuration).machine
+    poles = f"{limits.pole_min:g}…{limits.pole_max:g}"
+    return _line("poles an operator may ask for", poles, "load.pole_min, load.pole_max, load.model")
 
 
 def _line(what: str, value: str, key: str) -> str:

@@ -7,6 +7,7 @@ import math
 from adaptdrive.app.interlocks import trip_limits, watches
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.paper_design import PAPER_COVARIANCE, paper_jacket, paper_learning
+from adaptdrive.app.pole_range import pole_range
 from adaptdrive.config import Configuration
 from adaptdrive.config.estimator import ERROR_SHARE, FORGETTING, Supervisor
 from adaptdrive.config.load import NOISE_SHARE, BathSection, BatterySection, MotorSection
@@ -246,12 +247,14 @@ def _periods(configuration: Configuration, time_s: float) -> int:
 
 def _machine_limits(configuration: Configuration) -> MachineLimits:
     load, tick = configuration.load, tick_s(configuration)
+    settings, model = controller_settings(configuration), build_load(configuration)
+    pole_min, pole_max = pole_range(settings, model, load)
     return MachineLimits(
         reference_min=load.reference_min,
         reference_max=load.reference_max,
         unit=load.output_unit,
-        pole_min=load.pole_min,
-        pole_max=load.pole_max,
+        pole_min=pole_min,
+        pole_max=pole_max,
         period_min_s=_SHORTEST_WAVE_PERIODS * load.period_s,
         floor_V=configuration.drive.limits.boost_reference_min_V,
         ceiling_V=configuration.drive.limits.boost_reference_max_V,
@@ -259,7 +262,7 @@ def _machine_limits(configuration: Configuration) -> MachineLimits:
         boost_needs_bridge=configuration.drive.enable_bit == "bridge-and-boost",
         starting_ticks=round(configuration.interlocks.precharge_timeout_s / tick),
         tick_s=tick,
-        reach=nominal_reach(build_load(configuration), _power_stage(configuration)),
+        reach=nominal_reach(model, settings.stage),
         govern=load.govern,
     )
 

@@ -35,7 +35,7 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
     from adaptdrive.app.advice import advice  # noqa: PLC0415 - `schema` needs no bus
     from adaptdrive.app.examine import load_examined  # noqa: PLC0415
     from adaptdrive.app.interlocks import response_limits  # noqa: PLC0415
-    from adaptdrive.app.reach_table import reach_table  # noqa: PLC0415
+    from adaptdrive.app.reach_table import pole_line, reach_table  # noqa: PLC0415
     from adaptdrive.app.response_table import response_table  # noqa: PLC0415
     from adaptdrive.app.settings import tick_s  # noqa: PLC0415
     from adaptdrive.app.time_limits import limits_table, time_limits  # noqa: PLC0415
@@ -47,6 +47,7 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
         print(f"{config}: signals.bridge is missing: the drive cannot confirm that it has stopped")
     print(limits_table(time_limits(configuration, config), tick_s(configuration)))
     print(reach_table(configuration))
+    print(pole_line(configuration))
     print(response_table(response_limits(configuration)))
     print(f"{config}: drive {configuration.drive.name} is configured correctly")
     return 0

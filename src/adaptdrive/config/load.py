@@ -54,8 +54,14 @@ class LoadSection(Section):
         default=1.0, description="slow period T_k, a whole number of half line cycles"
     )
     pole: Fraction = Field(default=0.70, description="closed-loop pole of the load loop")
-    pole_min: Fraction = Field(default=0.50, description="fastest pole an operator may ask for")
-    pole_max: Fraction = Field(default=0.98, description="slowest pole an operator may ask for")
+    pole_min: Fraction = Field(
+        default=0.50,
+        description="fastest pole an operator may ask for, where the fixed controller stands an "
+        "error of the model with it; `check` shows the range",
+    )
+    pole_max: Fraction = Field(
+        default=0.98, description="slowest pole an operator may ask for, likewise"
+    )
     design: Literal["exact", "paper"] = Field(
         default="exact",
         description="`exact`: held input, delays and filter in the model; "

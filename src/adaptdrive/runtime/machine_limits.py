@@ -24,8 +24,8 @@ class MachineLimits:
         reference_min: Lowest set-point.
         reference_max: Highest set-point.
         unit: Unit of the set-point, for refusals.
-        pole_min: Fastest pole.
-        pole_max: Slowest pole.
+        pole_min: Fastest pole whose fixed gains stand an error of the model.
+        pole_max: Slowest such pole.
         period_min_s: Shortest period of a waveform.
         floor_V: Boost voltage at which starting ends, and lowest V_c.
         ceiling_V: Highest V_c.

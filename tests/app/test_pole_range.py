@@ -1,0 +1,108 @@
+"""Poles whose fixed gains stand an error of the model: the file's must, and a command's too."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adaptdrive.app.check_report import sound_report
+from adaptdrive.app.loads import build_load
+from adaptdrive.app.plausible import implausible
+from adaptdrive.app.profile import operator_profile
+from adaptdrive.app.reach_table import pole_line
+from adaptdrive.app.settings import controller_settings, daemon_settings
+from adaptdrive.config import Configuration, load_configuration
+from adaptdrive.control.design import compensator_gains, discrete_model
+from adaptdrive.errors import RefusedError
+from adaptdrive.recording.what_if import reconfigured
+from adaptdrive.runtime.machine import Machine
+from adaptdrive.runtime.requests import SetPole
+
+EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
+
+
+def configured(name: str, *changes: str) -> Configuration:
+    path = EXAMPLES / f"{name}.toml"
+    return reconfigured(path.read_text(encoding="utf-8"), path, changes)
+
+
+def ask(configuration: Configuration, pole: float) -> float:
+    """The pole in force after a command."""
+    settings = daemon_settings(configuration)
+    machine = Machine(settings.machine, settings.pole)
+    machine.carry_out(SetPole(pole), 0, math.nan, None)
+    return machine.pole
+
+
+def worst_radius(configuration: Configuration, pole: float, error: float) -> float:
+    """Largest pole of the fixed loop with the loads at the corners of the box, by numpy."""
+    settings, load = controller_settings(configuration), build_load(configuration)
+    values, period_s = load.physical([*load.numerator], [*load.denominator]), 1.0
+    models = [
+        discrete_model(settings, load, *load.realise(list(np.multiply(values, shares))), period_s)
+        for shares in itertools.product((1.0, 1.0 - error, 1.0 + error), repeat=len(values))
+    ]
+    gains = compensator_gains(*models[0], load.order, pole)
+    taps = len(gains) - load.order - 1
+    radii = []
+    for a, b in models:
+        forward, back = np.convolve(a, [1.0, *gains[:taps]]), np.convolve(b, gains[taps:])
+        length = max(len(forward), len(back))
+        padded = [np.pad(one, (0, length - len(one))) for one in (forward, back)]
+        radii.append(float(np.abs(np.roots(padded[0] + padded[1])).max()))
+    return max(radii)
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
+def test_every_example_may_be_asked_for_its_own_pole(path: Path) -> None:
+    configuration = load_configuration(path)
+    assert ask(configuration, configuration.load.pole) == configuration.load.pole
+
+
+@pytest.mark.parametrize(("filter_s", "slowest"), [(10.0, 0.97), (5.0, 0.95), (2.0, 0.92)])
+def test_a_pole_too_slow_for_an_error_of_the_model_is_refused(
+    filter_s: float, slowest: float
+) -> None:
+    configuration = configured("motor", f"load.model.tau_filter_s={filter_s}")
+    assert ask(configuration, slowest) == slowest
+    assert worst_radius(configuration, slowest, 0.1) < 1.0
+    assert worst_radius(configuration, slowest + 0.01, 0.1) > 1.0
+    with pytest.raises(RefusedError, match=f"is outside 0.5…{slowest:g}"):
+        ask(configuration, slowest + 0.01)
+
+
+def test_a_load_that_any_pole_suits_may_be_asked_for_each_of_the_file() -> None:
+    for name in ("bath", "battery"):
+        machine = daemon_settings(configured(name)).machine
+        assert (machine.pole_min, machine.pole_max) == (0.5, 0.98)
+
+
+def test_the_file_limits_the_poles_further() -> None:
+    machine = daemon_settings(
+        configured("motor", "load.pole_min=0.655", "load.pole_max=0.705")
+    ).machine
+    assert (machine.pole_min, machine.pole_max) == (0.655, 0.705)
+
+
+def test_a_file_whose_pole_does_not_stand_is_refused_with_those_that_do() -> None:
+    flaws = list(implausible(configured("motor-modbus-tcp", "load.pole=0.98")))
+    assert [one.place for one in flaws] == ["load.pole"]
+    assert "poles of 0.5…0.97 do" in flaws[0].message
+
+
+def test_a_file_without_a_pole_that_stands_says_so() -> None:
+    flaws = list(implausible(configured("motor", "load.pole=0.98", "load.pole_min=0.98")))
+    assert "no pole of load.pole_min…load.pole_max does" in flaws[0].message
+
+
+def test_check_and_operators_see_the_poles_that_may_be_asked_for() -> None:
+    configuration = configured("motor")
+    assert "0.5…0.97" in pole_line(configuration)
+    assert sound_report(configuration, EXAMPLES / "motor.toml")["poles"] == [0.5, 0.97]
+    limits = operator_profile(configuration).limits
+    assert limits is not None
+    assert limits["pole"] == (0.5, 0.97)
