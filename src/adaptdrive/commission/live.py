@@ -41,13 +41,13 @@ async def _with_picture(guide: Guide, experiment: LoadExperiment, picture: Pictu
     drawing = asyncio.create_task(draw(functools.partial(screen, picture)))
     pressed = asyncio.Event()
 
-    def on_key(key: str) -> None:
-        if key == QUIT:
+    def on_keys(keys: str) -> None:
+        if QUIT in keys:
             pressed.set()
             work.cancel()
 
     try:
-        with pressed_keys(on_key):
+        with pressed_keys(on_keys):
             await work
     except asyncio.CancelledError:
         if pressed.is_set():

@@ -82,7 +82,7 @@ class Payload:
         return user[:LONGEST_USER] if isinstance(user, str) and user.isprintable() else ""
 
     def asked(self, verb: str) -> str | None:
-        """Return what a command asks for beside its verb, as JSON; None where it is malformed."""
+        """Return the content of a command beside its verb, as JSON; None where it is malformed."""
         try:
             request, _ = self.request(verb)
         except RefusedError:

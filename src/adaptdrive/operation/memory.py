@@ -92,7 +92,7 @@ class ReplyMemory:
         return entry.reply if entry else None
 
     def asked(self, identity: str) -> str | None:
-        """What the first command with this id asked for, None where that is not known."""
+        """Return the content of the first command with this id, None where it is not known."""
         entry = self._entries.get(identity)
         return entry.asked if entry else None
 

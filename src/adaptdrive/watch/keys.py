@@ -109,11 +109,11 @@ class KeyReader:
 
 
 @contextmanager
-def pressed_keys(on_key: Callable[[str, bool], None]) -> Iterator[None]:
-    """Call a function with each key that is pressed, until the block ends.
+def pressed_keys(on_keys: Callable[[str], None]) -> Iterator[None]:
+    """Call a function with the keys that are pressed, until the block ends.
 
     Args:
-        on_key: Called in the event loop with one character, and whether it came alone.
+        on_keys: Called in the event loop with a character for each key that came in one read.
     """
     loop, file = asyncio.get_running_loop(), sys.stdin.fileno()
     usual = termios.tcgetattr(file)
@@ -125,9 +125,9 @@ def pressed_keys(on_key: Callable[[str, bool], None]) -> Iterator[None]:
             keys = os.read(file, _LONGEST_READ)
         if not keys:  # the terminal is gone
             loop.remove_reader(file)
-            on_key(QUIT, True)  # noqa: FBT003 - the signature of a callback
-        for key in keys.decode(errors="ignore"):
-            on_key(key, len(keys) == 1)
+            on_keys(QUIT)
+        else:
+            on_keys(keys.decode(errors="ignore"))
 
     loop.add_reader(file, read)
     try:

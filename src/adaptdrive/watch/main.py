@@ -35,16 +35,17 @@ async def watch(
     record, ended = WatchRecord(drive, time.monotonic), asyncio.Event()
     reader, under_way = KeyReader(record), CommandsUnderWay(broker, record, timeout_s)
 
-    def on_key(key: str, alone: bool) -> None:
-        if key == QUIT:
-            ended.set()
-        elif (command := reader.press(key, alone=alone)) is not None:
-            under_way.send(command)
+    def on_keys(keys: str) -> None:
+        for key in keys:
+            if key == QUIT:
+                ended.set()
+            elif (command := reader.press(key, alone=len(keys) == 1)) is not None:
+                under_way.send(command)
 
     services = (_follow(broker, record), draw(functools.partial(screen, record)), ended.wait())
     tasks = [asyncio.ensure_future(service) for service in services]
     try:
-        with pressed_keys(on_key):
+        with pressed_keys(on_keys):
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
         unanswered = await under_way.end()
