@@ -1,46 +1,97 @@
-"""The guide against a drive whose sensor is no longer heard, on a real broker."""
+"""The guide against a drive that is not heard, or whose clock is set, on a real broker."""
 
 from __future__ import annotations
 
 import asyncio
 import json
+import re
 import uuid
-from datetime import UTC, datetime
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from typing import Any
 
 import pytest
 from aiomqtt import Client
 
 from adaptdrive.commission.guide import Guide
+from adaptdrive.commission.samples import Samples
 from adaptdrive.config.services import Mqtt
+from adaptdrive.errors import CommissionError
 from adaptdrive.operation.conversation import NoAnswerError
 from tests.support import Broker
 
 PATIENCE_S = 60.0
+STEADY_S = 2.0
+"""Time between two moments at which the clock of a drive is set."""
 
 
-async def publish_a_held_value(broker: Broker, drive: str) -> None:
-    """Publish a drive in standby whose output is that of one measurement, which becomes older."""
+MEASUREMENT = {"boost_voltage_V": 280.0, "output": 1.0, "command": {"bridge": False}}
+
+Telemetry = Callable[[float], dict[str, Any]]
+"""Returns a message of a drive at a time since the begin, in s."""
+
+
+async def publish(broker: Broker, drive: str, telemetry: Telemetry) -> None:
+    """Publish a drive in standby, and its telemetry twenty times a second."""
     place, begin_s = f"adaptdrive/{drive}", asyncio.get_running_loop().time()
-    content = {"boost_voltage_V": 280.0, "output": 1.0, "command": {"bridge": False}}
     async with Client(broker.host, broker.port) as client:
         await client.publish(f"{place}/availability", "online", retain=True)
         await client.publish(f"{place}/state", json.dumps({"state": "standby"}), retain=True)
         while True:
-            age_s = asyncio.get_running_loop().time() - begin_s
-            message = content | {"time": datetime.now(UTC).isoformat(), "age_s": age_s}
+            message = telemetry(asyncio.get_running_loop().time() - begin_s)
             await client.publish(f"{place}/telemetry/drive", json.dumps(message))
             await asyncio.sleep(0.05)
 
 
-async def test_a_value_that_is_held_is_no_measurement(mosquitto: Broker) -> None:
-    drive = f"held-{uuid.uuid4()}"
-    publishing = asyncio.create_task(publish_a_held_value(mosquitto, drive))
-    await asyncio.sleep(1.0)
-    settings = Mqtt(host=mosquitto.host, port=mosquitto.port)
+async def watch(broker: Broker, telemetry: Telemetry, duration_s: float) -> Samples:
+    """Return what the guide sees of a drive in standby that publishes some telemetry."""
+    drive = f"heard-{uuid.uuid4()}"
+    publishing = asyncio.create_task(publish(broker, drive, telemetry))
     try:
         async with asyncio.timeout(PATIENCE_S):
-            with pytest.raises(NoAnswerError, match="no measurement for 4 s"):
-                await Guide(settings, drive, 20.0).watch_standby(30.0)
+            guide = Guide(Mqtt(host=broker.host, port=broker.port), drive, 20.0)
+            return await guide.watch_standby(duration_s)
     finally:
         publishing.cancel()
         await asyncio.wait([publishing])
+
+
+def stamped(time: datetime, **fields: object) -> dict[str, Any]:
+    """Return a message of a drive by the clock of its host."""
+    return MEASUREMENT | {"time": time.isoformat(), "age_s": 0.0} | fields
+
+
+async def test_a_value_that_is_held_is_no_measurement(mosquitto: Broker) -> None:
+    def held(passed_s: float) -> dict[str, Any]:
+        return stamped(datetime.now(UTC), age_s=passed_s)
+
+    with pytest.raises(NoAnswerError, match="no measurement for 4 s"):
+        await watch(mosquitto, held, 30.0)
+
+
+@pytest.mark.parametrize("step_s", [-600.0, 600.0])
+async def test_a_clock_that_is_set_ends_the_experiment(mosquitto: Broker, step_s: float) -> None:
+    def telemetry(passed_s: float) -> dict[str, Any]:
+        return stamped(datetime.now(UTC) + passed_s // STEADY_S * timedelta(seconds=step_s))
+
+    with pytest.raises(CommissionError, match=re.escape(f"moved by {step_s:+.0f} s against")):
+        await watch(mosquitto, telemetry, 60.0)
+
+
+async def test_a_clock_that_is_slewed_or_set_by_one_second_ends_nothing(
+    mosquitto: Broker,
+) -> None:
+    def telemetry(passed_s: float) -> dict[str, Any]:
+        step_s = passed_s // STEADY_S % 2.0
+        return stamped(datetime.now(UTC) + timedelta(seconds=step_s + 5e-4 * passed_s))
+
+    samples = await watch(mosquitto, telemetry, 4.0)
+    assert samples.times_s[-1] - samples.times_s[0] >= 4.0
+
+
+async def test_a_message_without_a_voltage_is_no_measurement(mosquitto: Broker) -> None:
+    def telemetry(passed_s: float) -> dict[str, Any]:
+        return stamped(datetime.now(UTC), boost_voltage_V=None)
+
+    with pytest.raises(NoAnswerError, match="no measurement for 4 s"):
+        await watch(mosquitto, telemetry, 30.0)

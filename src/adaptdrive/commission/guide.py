@@ -12,7 +12,12 @@ from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import aclosing, suppress
 from typing import Any
 
-from adaptdrive.commission.exchange import FastReading, WantedVoltage, reading_of
+from adaptdrive.commission.exchange import (
+    FastReading,
+    ReadingClock,
+    WantedVoltage,
+    reading_of,
+)
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.samples import Samples
 from adaptdrive.config.services import Mqtt
@@ -27,7 +32,7 @@ HOLD_S = 5.0
 
 _REFRESH_S = 1.0
 _SILENCE_S = 4.0
-"""Longest time without telemetry, and without a measurement in it."""
+"""Longest time without telemetry, and without a measurement in it; largest step of its time."""
 
 _START_S = 60.0
 """Longest time from `enable` to state `running`."""
@@ -147,20 +152,29 @@ class Guide:
 
         Raises:
             NoAnswerError: The newest measurement is too old.
+            CommissionError: Their time does not pass as it does here.
         """
-        last_s, heard_s = -math.inf, time.monotonic()
+        last_s, heard_s, clock = -math.inf, time.monotonic(), ReadingClock()
         async with aclosing(telemetry(self._broker, self._drive)) as messages:
             while True:
                 name, content = await self._next(messages)
-                if name == "drive" and content.get("output") is not None:
-                    heard_s = time.monotonic() - (content.get("age_s") or 0.0)
-                    reading = reading_of(content)
+                reading = reading_of(content) if name == "drive" else None
+                if reading is not None:
+                    now_s = time.monotonic()
+                    self._look_at_time(clock.lead_s(reading.time_s, now_s))
                     if reading.time_s > last_s:
-                        last_s = reading.time_s
+                        last_s, heard_s = reading.time_s, now_s - (content.get("age_s") or 0.0)
                         yield reading
                 if time.monotonic() - heard_s > _SILENCE_S:
                     silence = f"no measurement for {_SILENCE_S:g} s: adaptdrive probe shows why"
                     raise NoAnswerError(self._drive, silence)
+
+    def _look_at_time(self, lead_s: float) -> None:
+        if abs(lead_s) > _SILENCE_S:
+            raise CommissionError(
+                f"the time of {self._drive}'s telemetry moved by {lead_s:+.4g} s against this "
+                "program's clock: a clock was set, or messages come late"
+            )
 
     async def _next(
         self, messages: AsyncIterator[tuple[str, dict[str, Any]]]
