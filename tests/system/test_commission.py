@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import pty
 import signal
 import subprocess
 import sys
@@ -12,6 +10,7 @@ import tomllib
 
 import pytest
 
+from tests.pseudo_terminal import Screen
 from tests.system.conftest import MakeSite
 from tests.system.site import PATIENT_DRIVE, Site, motor_configuration, until
 
@@ -25,29 +24,6 @@ BEGIN_S = 90.0
 """The program starts, watches the sensor, and enables the drive."""
 
 LONGEST_S = 800.0
-
-
-class Screen:
-    """A pseudo-terminal; what was written to it."""
-
-    def __init__(self) -> None:
-        self._own, self.inner = pty.openpty()
-        os.set_blocking(self._own, False)
-        self._text = ""
-
-    def read(self) -> str:
-        """All that was written so far."""
-        with contextlib.suppress(BlockingIOError, OSError):
-            while chunk := os.read(self._own, 65536):
-                self._text += chunk.decode(errors="replace")
-        return self._text
-
-    def press(self, key: str) -> None:
-        os.write(self._own, key.encode())
-
-    def close(self) -> None:
-        os.close(self._own)
-        os.close(self.inner)
 
 
 def commission(site: Site, *options: str, terminal: int | None = None) -> subprocess.Popen[str]:

@@ -10,9 +10,6 @@ from typing import Any
 
 from adaptdrive.operation.listener import number, part
 
-_SLEW = 1.0e-3
-"""Largest rate of a clock that is kept right, twice what NTP allows, as a share of the time."""
-
 
 @dataclass(frozen=True, slots=True)
 class FastReading:
@@ -48,27 +45,6 @@ class WantedVoltage:
         if voltage_V != self.voltage_V:
             self.voltage_V = voltage_V
             self.changed.set()
-
-
-class ReadingClock:
-    """The time of the readings beside a clock that nobody sets."""
-
-    def __init__(self) -> None:
-        self._first: tuple[float, float] | None = None
-
-    def lead_s(self, time_s: float, now_s: float) -> float:
-        """Return by how much the time of the readings has left the clock since the first reading.
-
-        What a clock may drift until then, or be slewed, does not count.
-
-        Args:
-            time_s: Time of a reading.
-            now_s: Time of its arrival by the clock that nobody sets.
-        """
-        self._first = self._first or (time_s, now_s)
-        elapsed_s = now_s - self._first[1]
-        lead_s = time_s - self._first[0] - elapsed_s
-        return math.copysign(max(0.0, abs(lead_s) - _SLEW * elapsed_s), lead_s)
 
 
 def reading_of(content: dict[str, Any]) -> FastReading | None:

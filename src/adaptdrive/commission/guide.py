@@ -6,24 +6,19 @@ Each voltage has a time to live: when this program or its connection dies, the d
 from __future__ import annotations
 
 import asyncio
-import math
 import time
-from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from collections.abc import Callable, Coroutine
 from contextlib import aclosing, suppress
 from typing import Any
 
-from adaptdrive.commission.exchange import (
-    FastReading,
-    ReadingClock,
-    WantedVoltage,
-    reading_of,
-)
+from adaptdrive.commission.exchange import FastReading, WantedVoltage
 from adaptdrive.commission.experiment import LoadExperiment
+from adaptdrive.commission.readings import fast_readings
 from adaptdrive.commission.samples import Samples
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import AdaptdriveError, CommissionError, first_error
 from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.listener import read_status, telemetry
+from adaptdrive.operation.listener import read_status
 from adaptdrive.operation.messages import ONLINE
 from adaptdrive.operation.sender import send_command
 
@@ -31,8 +26,6 @@ HOLD_S = 5.0
 """Time to live of a voltage."""
 
 _REFRESH_S = 1.0
-_SILENCE_S = 4.0
-"""Longest time without telemetry, and without a measurement in it; largest step of its time."""
 
 _START_S = 60.0
 """Longest time from `enable` to state `running`."""
@@ -43,7 +36,11 @@ _ENERGISED = frozenset({"starting", "running"})
 
 
 class Guide:
-    """Commands one drive for an experiment."""
+    """Commands one drive for an experiment.
+
+    Attributes:
+        unstopped: Why the stop at the end is not confirmed; empty where it is.
+    """
 
     def __init__(self, broker: Mqtt, drive: str, timeout_s: float) -> None:
         """Name a drive; nothing is connected yet.
@@ -56,6 +53,7 @@ class Guide:
         self._broker = broker
         self._drive = drive
         self._timeout_s = timeout_s
+        self.unstopped = ""
 
     async def watch_standby(self, duration_s: float) -> Samples:
         """Return what the sensors show while the drive is off.
@@ -74,7 +72,7 @@ class Guide:
                 f"adaptdrive disable {self._drive}, or reset"
             )
         samples = Samples()
-        async with aclosing(self._readings()) as readings:
+        async with aclosing(fast_readings(self._broker, self._drive)) as readings:
             async for one in readings:
                 samples.append(one.time_s, one.boost_voltage_V, one.output)
                 if one.time_s - samples.times_s[0] >= duration_s:
@@ -103,7 +101,7 @@ class Guide:
             await self._await_running(coasting=False)
             await self._follow(experiment, show)
         finally:
-            await asyncio.shield(self._leave(str(before.get("mode", "fixed"))))
+            await _whole(self._leave(str(before.get("mode", "fixed"))))
 
     async def _follow(
         self, experiment: LoadExperiment, show: Callable[[FastReading, float], None]
@@ -128,7 +126,7 @@ class Guide:
         show: Callable[[FastReading, float], None],
     ) -> None:
         """Take readings until the experiment is complete."""
-        async with aclosing(self._readings()) as readings:
+        async with aclosing(fast_readings(self._broker, self._drive)) as readings:
             async for one in readings:
                 if not one.bridge:
                     raise CommissionError(await self._end())
@@ -146,46 +144,6 @@ class Guide:
             with suppress(TimeoutError):
                 async with asyncio.timeout(_REFRESH_S):
                     await wanted.changed.wait()
-
-    async def _readings(self) -> AsyncGenerator[FastReading, None]:
-        """Yield one reading for each message, in the order of their times.
-
-        Raises:
-            NoAnswerError: The newest measurement is too old.
-            CommissionError: Their time does not pass as it does here.
-        """
-        last_s, heard_s, clock = -math.inf, time.monotonic(), ReadingClock()
-        async with aclosing(telemetry(self._broker, self._drive)) as messages:
-            while True:
-                name, content = await self._next(messages)
-                reading = reading_of(content) if name == "drive" else None
-                if reading is not None:
-                    now_s = time.monotonic()
-                    self._look_at_time(clock.lead_s(reading.time_s, now_s))
-                    if reading.time_s > last_s:
-                        last_s, heard_s = reading.time_s, now_s - (content.get("age_s") or 0.0)
-                        yield reading
-                if time.monotonic() - heard_s > _SILENCE_S:
-                    silence = f"no measurement for {_SILENCE_S:g} s: adaptdrive probe shows why"
-                    raise NoAnswerError(self._drive, silence)
-
-    def _look_at_time(self, lead_s: float) -> None:
-        if abs(lead_s) > _SILENCE_S:
-            raise CommissionError(
-                f"the time of {self._drive}'s telemetry moved by {lead_s:+.4g} s against this "
-                "program's clock: a clock was set, or messages come late"
-            )
-
-    async def _next(
-        self, messages: AsyncIterator[tuple[str, dict[str, Any]]]
-    ) -> tuple[str, dict[str, Any]]:
-        """Return the next message, which must come in time."""
-        try:
-            async with asyncio.timeout(_SILENCE_S):
-                return await anext(messages)
-        except TimeoutError as problem:
-            silence = f"no telemetry for {_SILENCE_S:g} s"
-            raise NoAnswerError(self._drive, silence) from problem
 
     async def _await_running(self, *, coasting: bool) -> None:
         """Wait until the drive runs, with its load fed unless it may coast."""
@@ -206,8 +164,17 @@ class Guide:
 
     async def _leave(self, mode: str) -> None:
         """Bring the drive into its safe state, and its mode back."""
+        try:
+            async with asyncio.timeout(HOLD_S):
+                await self._ask("disable")
+        except (AdaptdriveError, TimeoutError) as problem:
+            why = str(problem) or f"no reply within {HOLD_S:g} s"
+            self.unstopped = (
+                f"the stop is unanswered ({why}): where {self._drive} is energised, it trips "
+                f"within {HOLD_S:g} s of its last voltage. Look at it, and disable it"
+            )
+            return
         with suppress(AdaptdriveError):
-            await self._ask("disable")
             await self._ask("mode", mode)
 
     async def _state(self) -> dict[str, Any]:
@@ -231,3 +198,16 @@ class Guide:
 def _end(drive: str, state: dict[str, Any]) -> str:
     why = state.get("trip") or "disabled by another operator"
     return f"{drive} is {state.get('state')}: {why}"
+
+
+async def _whole(work: Coroutine[Any, Any, None]) -> None:
+    """Await work that no cancellation interrupts; a cancellation counts when the work is done."""
+    task, cancelled = asyncio.create_task(work), False
+    while not task.done():
+        try:
+            await asyncio.wait([task])
+        except asyncio.CancelledError:
+            cancelled = True
+    if cancelled:
+        raise asyncio.CancelledError
+    task.result()

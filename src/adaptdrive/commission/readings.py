@@ -1,0 +1,89 @@
+"""The readings of an experiment: none is old, and their time passes as it does here."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import AsyncGenerator, AsyncIterator
+from contextlib import aclosing
+from typing import Any
+
+from adaptdrive.commission.exchange import FastReading, reading_of
+from adaptdrive.config.services import Mqtt
+from adaptdrive.errors import CommissionError
+from adaptdrive.operation.conversation import NoAnswerError
+from adaptdrive.operation.listener import telemetry
+
+_SILENCE_S = 4.0
+"""Longest time without telemetry, and without a measurement in it; largest step of its time."""
+
+_SLEW = 1.0e-3
+"""Largest rate of a clock that is kept right, twice what NTP allows, as a share of the time."""
+
+
+async def fast_readings(broker: Mqtt, drive: str) -> AsyncGenerator[FastReading, None]:
+    """Yield one reading for each message of a drive, in the order of their times.
+
+    Args:
+        broker: The broker.
+        drive: Name of the drive.
+
+    Raises:
+        NoAnswerError: The newest measurement is too old.
+        CommissionError: A clock was set.
+    """
+    last_s, heard_s, clock = -math.inf, time.monotonic(), ReadingClock()
+    async with aclosing(telemetry(broker, drive)) as messages:
+        while True:
+            name, content = await _next(messages, drive)
+            reading = reading_of(content) if name == "drive" else None
+            if reading is not None:
+                now_s = time.monotonic()
+                _look_at_time(drive, clock.lead_s(reading.time_s, now_s))
+                if reading.time_s > last_s:
+                    last_s, heard_s = reading.time_s, now_s - (content.get("age_s") or 0.0)
+                    yield reading
+            if time.monotonic() - heard_s > _SILENCE_S:
+                silence = f"no measurement for {_SILENCE_S:g} s: adaptdrive probe shows why"
+                raise NoAnswerError(drive, silence)
+
+
+class ReadingClock:
+    """The time of the readings beside a clock that nobody sets."""
+
+    def __init__(self) -> None:
+        self._first: tuple[float, float] | None = None
+
+    def lead_s(self, time_s: float, now_s: float) -> float:
+        """Return by how much the time of the readings has left the clock since the first reading.
+
+        What a clock may drift until then, or be slewed, does not count.
+
+        Args:
+            time_s: Time of a reading.
+            now_s: Time of its arrival by the clock that nobody sets.
+        """
+        self._first = self._first or (time_s, now_s)
+        elapsed_s = now_s - self._first[1]
+        lead_s = time_s - self._first[0] - elapsed_s
+        return math.copysign(max(0.0, abs(lead_s) - _SLEW * elapsed_s), lead_s)
+
+
+async def _next(
+    messages: AsyncIterator[tuple[str, dict[str, Any]]], drive: str
+) -> tuple[str, dict[str, Any]]:
+    """Return the next message, which must come in time."""
+    try:
+        async with asyncio.timeout(_SILENCE_S):
+            return await anext(messages)
+    except TimeoutError as problem:
+        raise NoAnswerError(drive, f"no telemetry for {_SILENCE_S:g} s") from problem
+
+
+def _look_at_time(drive: str, lead_s: float) -> None:
+    if abs(lead_s) > _SILENCE_S:
+        raise CommissionError(
+            f"the time of {drive}'s telemetry moved by {lead_s:+.4g} s against this program's "
+            "clock: a clock was set, or messages come late"
+        )

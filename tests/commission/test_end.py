@@ -1,0 +1,124 @@
+"""The end of an experiment that its operator ends: a drive whose stop is confirmed, or named."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.commission.answering_drive import answering_drive
+from tests.pseudo_terminal import Screen
+from tests.support import Broker
+
+MOTOR = Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml"
+PATIENCE_S = 120.0
+HELD_S = 1.0
+"""Time for which an answer is kept back after the operator asked for the end again."""
+
+Command = subprocess.Popen[bytes]
+
+
+@contextmanager
+def commissioning(broker: Broker, drive: str, terminal: int | None = None) -> Iterator[Command]:
+    """Run the command on a drive; it ends with the test."""
+    words = ["commission", drive, "--config", str(MOTOR), "--yes"]
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-m",
+            "adaptdrive.cli",
+            *words,
+            "--broker",
+            f"{broker.host}:{broker.port}",
+        ],
+        env=os.environ | {"TERM": "xterm", "LINES": "24", "COLUMNS": "80"},
+        stdin=subprocess.DEVNULL if terminal is None else terminal,
+        stdout=subprocess.DEVNULL if terminal is None else terminal,
+        stderr=subprocess.STDOUT,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+async def until(find: Callable[[], object]) -> None:
+    """Wait until something is found."""
+    async with asyncio.timeout(PATIENCE_S):
+        while not find():  # noqa: ASYNC110 - a process sets no event
+            await asyncio.sleep(0.02)
+
+
+def has_ended(process: Command, screen: Screen) -> bool:
+    """Return whether a process has ended, which waits until its screen was read."""
+    screen.read()
+    return process.poll() is not None
+
+
+@pytest.fixture
+def screen() -> Iterator[Screen]:
+    screen = Screen()
+    yield screen
+    screen.close()
+
+
+async def test_a_key_that_is_held_down_ends_an_experiment_once(
+    mosquitto: Broker, screen: Screen
+) -> None:
+    name = f"key-{uuid.uuid4()}"
+    async with answering_drive(mosquitto, name) as drive:
+        with commissioning(mosquitto, name, screen.inner) as process:
+            await until(lambda: "waiting for rest" in screen.read())
+            screen.press("q")
+            await until(drive.stopped.is_set)
+            screen.press("q")
+            await asyncio.sleep(HELD_S)
+            drive.answers_stop.set()
+            await until(lambda: has_ended(process, screen))
+    assert process.returncode == 1
+    assert "ended by a key: the drive is off" in screen.read()
+    assert drive.verbs == ["mode", "enable", "voltage", "disable", "mode"]
+    assert drive.mode == "fixed"
+
+
+async def test_a_stop_that_nobody_answers_is_named(mosquitto: Broker, screen: Screen) -> None:
+    name = f"key-{uuid.uuid4()}"
+    async with answering_drive(mosquitto, name) as drive:
+        with commissioning(mosquitto, name, screen.inner) as process:
+            await until(lambda: "waiting for rest" in screen.read())
+            screen.press("q")
+            await until(lambda: has_ended(process, screen))
+    assert process.returncode == 1
+    assert drive.stopped.is_set()
+    shown = screen.read()
+    assert f"where {name} is energised, it trips within 5 s" in shown
+    assert "ended by a key" in shown
+    assert "the drive is off" not in shown.partition("the stop is unanswered")[2]
+
+
+@pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+async def test_signals_that_are_repeated_end_an_experiment_once(
+    mosquitto: Broker, first: signal.Signals
+) -> None:
+    name = f"signal-{uuid.uuid4()}"
+    async with answering_drive(mosquitto, name) as drive:
+        with commissioning(mosquitto, name) as process:
+            await until(lambda: "voltage" in drive.verbs)
+            process.send_signal(first)
+            await until(drive.stopped.is_set)
+            process.send_signal(signal.SIGINT)
+            await asyncio.sleep(HELD_S)
+            drive.answers_stop.set()
+            await until(lambda: process.poll() is not None)
+    assert process.returncode == 130
+    assert drive.verbs == ["mode", "enable", "voltage", "disable", "mode"]
+    assert drive.mode == "fixed"
