@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,7 +19,7 @@ from tests.commission.answering_drive import answering_drive
 from tests.pseudo_terminal import Screen
 from tests.support import Broker
 
-MOTOR = Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml"
+EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 PATIENCE_S = 120.0
 HELD_S = 1.0
 """Time for which an answer is kept back after the operator asked for the end again."""
@@ -26,10 +27,21 @@ HELD_S = 1.0
 Command = subprocess.Popen[bytes]
 
 
+@pytest.fixture
+def motor(tmp_path: Path) -> Path:
+    """The configuration of a motor drive in a folder of its own."""
+    shutil.copy(EXAMPLES / "adaptdrive.dbc", tmp_path)
+    name = f"motor-{uuid.uuid4()}"
+    text = (EXAMPLES / "motor.toml").read_text(encoding="utf-8")
+    file = tmp_path / f"{name}.toml"
+    file.write_text(text.replace('"motor"  ', f'"{name}"  ', 1), encoding="utf-8")
+    return file
+
+
 @contextmanager
-def commissioning(broker: Broker, drive: str, terminal: int | None = None) -> Iterator[Command]:
+def commissioning(broker: Broker, motor: Path, terminal: int | None = None) -> Iterator[Command]:
     """Run the command on a drive; it ends with the test."""
-    words = ["commission", drive, "--config", str(MOTOR), "--yes"]
+    words = ["commission", motor.stem, "--config", str(motor), "--yes"]
     process = subprocess.Popen(
         [
             sys.executable,
@@ -39,6 +51,7 @@ def commissioning(broker: Broker, drive: str, terminal: int | None = None) -> It
             "--broker",
             f"{broker.host}:{broker.port}",
         ],
+        cwd=motor.parent,
         env=os.environ | {"TERM": "xterm", "LINES": "24", "COLUMNS": "80"},
         stdin=subprocess.DEVNULL if terminal is None else terminal,
         stdout=subprocess.DEVNULL if terminal is None else terminal,
@@ -72,11 +85,10 @@ def screen() -> Iterator[Screen]:
 
 
 async def test_a_key_that_is_held_down_ends_an_experiment_once(
-    mosquitto: Broker, screen: Screen
+    mosquitto: Broker, motor: Path, screen: Screen
 ) -> None:
-    name = f"key-{uuid.uuid4()}"
-    async with answering_drive(mosquitto, name) as drive:
-        with commissioning(mosquitto, name, screen.inner) as process:
+    async with answering_drive(mosquitto, motor.stem) as drive:
+        with commissioning(mosquitto, motor, screen.inner) as process:
             await until(lambda: "waiting for rest" in screen.read())
             screen.press("q")
             await until(drive.stopped.is_set)
@@ -90,28 +102,28 @@ async def test_a_key_that_is_held_down_ends_an_experiment_once(
     assert drive.mode == "fixed"
 
 
-async def test_a_stop_that_nobody_answers_is_named(mosquitto: Broker, screen: Screen) -> None:
-    name = f"key-{uuid.uuid4()}"
-    async with answering_drive(mosquitto, name) as drive:
-        with commissioning(mosquitto, name, screen.inner) as process:
+async def test_a_stop_that_nobody_answers_is_named(
+    mosquitto: Broker, motor: Path, screen: Screen
+) -> None:
+    async with answering_drive(mosquitto, motor.stem) as drive:
+        with commissioning(mosquitto, motor, screen.inner) as process:
             await until(lambda: "waiting for rest" in screen.read())
             screen.press("q")
             await until(lambda: has_ended(process, screen))
     assert process.returncode == 1
     assert drive.stopped.is_set()
     shown = screen.read()
-    assert f"where {name} is energised, it trips within 5 s" in shown
+    assert f"where {motor.stem} is energised, it trips within 5 s" in shown
     assert "ended by a key" in shown
     assert "the drive is off" not in shown.partition("the stop is unanswered")[2]
 
 
 @pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 async def test_signals_that_are_repeated_end_an_experiment_once(
-    mosquitto: Broker, first: signal.Signals
+    mosquitto: Broker, motor: Path, first: signal.Signals
 ) -> None:
-    name = f"signal-{uuid.uuid4()}"
-    async with answering_drive(mosquitto, name) as drive:
-        with commissioning(mosquitto, name) as process:
+    async with answering_drive(mosquitto, motor.stem) as drive:
+        with commissioning(mosquitto, motor) as process:
             await until(lambda: "voltage" in drive.verbs)
             process.send_signal(first)
             await until(drive.stopped.is_set)

@@ -8,18 +8,24 @@ import re
 import uuid
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import pytest
 from aiomqtt import Client
 
+from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.guide import Guide
 from adaptdrive.commission.samples import Samples
+from adaptdrive.commission.target import build_target
+from adaptdrive.config.file import load_configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import CommissionError
 from adaptdrive.operation.conversation import NoAnswerError
+from tests.commission.answering_drive import answering_drive
 from tests.support import Broker
 
+EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 PATIENCE_S = 60.0
 STEADY_S = 2.0
 """Time between two moments at which the clock of a drive is set."""
@@ -95,3 +101,14 @@ async def test_a_message_without_a_voltage_is_no_measurement(mosquitto: Broker) 
 
     with pytest.raises(NoAnswerError, match="no measurement for 4 s"):
         await watch(mosquitto, telemetry, 30.0)
+
+
+async def test_a_drive_that_another_operator_has_enabled_is_left_alone(mosquitto: Broker) -> None:
+    name = f"taken-{uuid.uuid4()}"
+    target = build_target(load_configuration(EXAMPLES / "motor.toml"), 0.05)
+    async with answering_drive(mosquitto, name) as drive:
+        drive.state = "running"
+        guide = Guide(Mqtt(host=mosquitto.host, port=mosquitto.port), name, 20.0)
+        with pytest.raises(CommissionError, match="is running: commissioning begins in standby"):
+            await guide.carry_out(LoadExperiment(target), lambda *_: None)
+    assert drive.verbs == []

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import resource
+import shutil
 import stat
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,9 +12,11 @@ from typing import cast
 
 import pytest
 
-from adaptdrive.commission.file import write_values
-from adaptdrive.commission.run import Commissioned, write
+from adaptdrive.commission.file import refuse_unwritable, write_values
+from adaptdrive.commission.run import Commissioned, CommissionRequest, announcement, write
 from adaptdrive.errors import ConfigurationError
+
+EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 
 
 def test_a_file_that_became_invalid_is_left_as_it_is(tmp_path: Path) -> None:
@@ -23,6 +27,41 @@ def test_a_file_that_became_invalid_is_left_as_it_is(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="TOML"):
         write(file, proposed)
     assert [one.read_text(encoding="utf-8") for one in tmp_path.iterdir()] == ["drive = {"]
+
+
+def test_a_file_that_the_settings_no_longer_suit_is_left_as_it_is(tmp_path: Path) -> None:
+    file = tmp_path / "motor.toml"
+    shutil.copy(EXAMPLES / "adaptdrive.dbc", tmp_path)
+    text = (EXAMPLES / "motor.toml").read_text(encoding="utf-8")
+    file.write_text(text.replace("[load]", "[load]\npole_max = 0.85", 1), encoding="utf-8")
+    before = file.read_bytes()
+    proposal = SimpleNamespace(values={"load.pole": 0.9})
+    with pytest.raises(ConfigurationError, match="pole"):
+        write(file, cast("Commissioned", SimpleNamespace(proposal=proposal)))
+    assert file.read_bytes() == before
+    assert not file.with_name("motor.toml.bak").exists()
+
+
+def test_a_full_disk_is_found_before_the_experiment(tmp_path: Path) -> None:
+    file = tmp_path / "motor.toml"
+    file.write_text("name = 1\n", encoding="utf-8")
+    refuse_unwritable(file)
+    usual = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, usual[1]))
+    try:
+        with pytest.raises(ConfigurationError, match="cannot be written"):
+            refuse_unwritable(file)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+    assert [one.name for one in tmp_path.iterdir()] == ["motor.toml"]
+    assert file.read_text(encoding="utf-8") == "name = 1\n"
+
+
+def test_the_configuration_of_another_drive_is_refused() -> None:
+    wanted = CommissionRequest(EXAMPLES / "motor.toml", 0.05, None, 5.0)
+    assert "motor is enabled in mode manual" in announcement(wanted, "motor")
+    with pytest.raises(ConfigurationError, match=r"drive\.name: is motor, and bath was named"):
+        announcement(wanted, "bath")
 
 
 def test_the_file_keeps_its_owner_its_rights_and_the_link_to_it(tmp_path: Path) -> None:

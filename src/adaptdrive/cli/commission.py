@@ -9,7 +9,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from adaptdrive.app.state_file import replace_regular
+from adaptdrive.app.state_file import directory_flaw, replace_regular
 from adaptdrive.cli.contact import Contact, DriveName
 from adaptdrive.cli.extra import Extra
 from adaptdrive.errors import ConfigurationError, Flaw
@@ -61,7 +61,9 @@ def commission(  # noqa: PLR0913 - the words of the command line
     wanted = run.CommissionRequest(path, move / 100.0, patience, _STANDBY_S)
     if not yes and not _agreed(run.announcement(wanted, drive)):
         return 1
-    into.mkdir(parents=True, exist_ok=True)
+    _refuse_unwritable_folder(into)
+    if write:
+        run.refuse_unwritable(path)
     commissioned = asyncio.run(run.commission(wanted, drive, contact.settings, contact.timeout))
     print(run.as_text(commissioned))
     if write:
@@ -79,6 +81,11 @@ def _configuration(drive: str, config: Path | None) -> Path:
         if path.is_file():
             return path
     raise ConfigurationError(found[0], [Flaw("file", "is not there; name one with --config")])
+
+
+def _refuse_unwritable_folder(folder: Path) -> None:
+    if (flaw := directory_flaw(folder)) is not None:
+        raise ConfigurationError("--into", [Flaw(str(folder), f"cannot be written: {flaw}")])
 
 
 def _agreed(announcement: str) -> bool:

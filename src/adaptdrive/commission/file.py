@@ -50,12 +50,39 @@ def write_values(path: Path, text: str) -> Path:
         _replace(backup, file.read_bytes(), like=file)
         _replace(file, text.encode("utf-8"), like=file)
     except OSError as problem:
-        raise ConfigurationError(path, [Flaw("file", f"cannot be written: {problem}")]) from problem
+        raise _unwritable(path, problem) from problem
     return backup
+
+
+def refuse_unwritable(path: Path) -> None:
+    """Make sure that a file can be replaced; it is as before.
+
+    Raises:
+        ConfigurationError: It cannot.
+    """
+    try:
+        file = path.resolve(strict=True)
+        _written(file, file.read_bytes(), like=file).unlink()
+    except OSError as problem:
+        raise _unwritable(path, problem) from problem
+
+
+def _unwritable(path: Path, problem: OSError) -> ConfigurationError:
+    return ConfigurationError(path, [Flaw("file", f"cannot be written: {problem}")])
 
 
 def _replace(file: Path, content: bytes, like: Path) -> None:
     """Replace a file by one with the owner, group and rights of another."""
+    new = _written(file, content, like)
+    try:
+        new.replace(file)
+    except OSError:
+        new.unlink(missing_ok=True)
+        raise
+
+
+def _written(file: Path, content: bytes, like: Path) -> Path:
+    """Write a file beside another, with the owner, group and rights of a third, and return it."""
     handle, name = tempfile.mkstemp(dir=file.parent, prefix=f".{file.name}.")
     try:
         with os.fdopen(handle, "wb") as stream:
@@ -65,7 +92,7 @@ def _replace(file: Path, content: bytes, like: Path) -> None:
             stream.write(content)
             stream.flush()
             os.fsync(stream.fileno())
-        Path(name).replace(file)
     except OSError:
         Path(name).unlink(missing_ok=True)
         raise
+    return Path(name)

@@ -65,12 +65,7 @@ class Guide:
             CommissionError: The drive is not in standby.
             NoAnswerError: No answer.
         """
-        state = await self._state()
-        if state.get("state") != "standby":
-            raise CommissionError(
-                f"{self._drive} is {state.get('state')}: commissioning begins in standby; "
-                f"adaptdrive disable {self._drive}, or reset"
-            )
+        await self._standby()
         samples = Samples()
         async with aclosing(fast_readings(self._broker, self._drive)) as readings:
             async for one in readings:
@@ -91,7 +86,7 @@ class Guide:
         Raises:
             AdaptdriveError: The experiment cannot go on, or the drive tripped or was disabled.
         """
-        before = await self._state()
+        before = await self._standby()
         try:
             await self._ask("mode", "manual")
             await self._ask("enable")
@@ -176,6 +171,16 @@ class Guide:
             return
         with suppress(AdaptdriveError):
             await self._ask("mode", mode)
+
+    async def _standby(self) -> dict[str, Any]:
+        """Return the state, which must be standby: another operator may have enabled the drive."""
+        state = await self._state()
+        if state.get("state") != "standby":
+            raise CommissionError(
+                f"{self._drive} is {state.get('state')}: commissioning begins in standby; "
+                f"adaptdrive disable {self._drive}, or reset"
+            )
+        return state
 
     async def _state(self) -> dict[str, Any]:
         status = await read_status(self._broker, self._drive, self._timeout_s)

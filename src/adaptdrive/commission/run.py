@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from adaptdrive.app.examine import examine_text, load_examined
+from adaptdrive.app.examine import examine_text
 from adaptdrive.app.loads import build_load
 from adaptdrive.commission.evaluate import evaluate
 from adaptdrive.commission.experiment import LoadExperiment
-from adaptdrive.commission.file import with_values, write_values
+from adaptdrive.commission.file import refuse_unwritable, with_values, write_values
 from adaptdrive.commission.guide import HOLD_S, Guide
 from adaptdrive.commission.live import carry_out
 from adaptdrive.commission.picture import Picture
@@ -19,8 +19,9 @@ from adaptdrive.commission.report import Commissioned, as_text, draw
 from adaptdrive.commission.sensor import judge_sensor
 from adaptdrive.commission.target import build_target
 from adaptdrive.config.file import parse_configuration, read_text
+from adaptdrive.config.root import Configuration
 from adaptdrive.config.services import Mqtt
-from adaptdrive.errors import CommissionError
+from adaptdrive.errors import CommissionError, ConfigurationError, Flaw
 
 __all__ = [
     "CommissionRequest",
@@ -29,6 +30,7 @@ __all__ = [
     "as_text",
     "commission",
     "draw",
+    "refuse_unwritable",
     "write",
 ]
 
@@ -54,9 +56,9 @@ def announcement(wanted: CommissionRequest, drive: str) -> str:
     """Return what the experiment will do.
 
     Raises:
-        ConfigurationError: The configuration is not valid.
+        ConfigurationError: The configuration is not valid, or that of another drive.
     """
-    configuration = load_examined(wanted.path)
+    configuration = _configuration_of(drive, read_text(wanted.path), wanted.path)
     target = build_target(configuration, wanted.move_share, wanted.patience_s)
     onset = "" if target.onset is None else ", until a current flows,"
     return (
@@ -82,7 +84,7 @@ async def commission(
         AdaptdriveError: The drive refused or tripped, or the load cannot be identified.
     """
     text = read_text(wanted.path)
-    configuration = examine_text(text, wanted.path)
+    configuration = _configuration_of(drive, text, wanted.path)
     target = build_target(configuration, wanted.move_share, wanted.patience_s)
     guide = Guide(broker, drive, timeout_s)
     standby = await guide.watch_standby(wanted.standby_s)
@@ -100,6 +102,15 @@ async def commission(
     return Commissioned(sensor, outcome, identified, proposal, prediction, configuration)
 
 
+def _configuration_of(drive: str, text: str, path: Path) -> Configuration:
+    """Return the configuration of a drive; the limits of another one do not hold for it."""
+    configuration = examine_text(text, path)
+    if configuration.drive.name != drive:
+        flaw = Flaw("drive.name", f"is {configuration.drive.name}, and {drive} was named")
+        raise ConfigurationError(path, [flaw])
+    return configuration
+
+
 def write(path: Path, commissioned: Commissioned) -> Path:
     """Write the proposed settings to the configuration.
 
@@ -107,8 +118,11 @@ def write(path: Path, commissioned: Commissioned) -> Path:
         A copy of the file before.
 
     Raises:
-        ConfigurationError: The file was changed and is not valid any more, or cannot be written.
+        ConfigurationError: The file was changed and is not valid with the settings, or cannot be
+            written.
     """
     text = read_text(path)
     parse_configuration(text, path)
-    return write_values(path, with_values(text, commissioned.proposal.values))
+    proposed = with_values(text, commissioned.proposal.values)
+    examine_text(proposed, path)
+    return write_values(path, proposed)
