@@ -1,10 +1,11 @@
 """The control law at rest and at its limits."""
 
+import math
 from typing import Final
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
@@ -33,6 +34,7 @@ def test_at_rest_any_gains_of_the_design_keep_the_input(
 ) -> None:
     a, b = held_model(system.numerator, system.denominator, 1.0, 0.1, 0.5)
     r, s = place_poles(a, b, desired_polynomial(pole, 2 * system.order))
+    assume(all(map(math.isfinite, r)))  # a pole that a zero cancels has no gains
     inputs, outputs = [rest_input] * (len(r) - 1), [rest_output] * len(s)
     rounding = 1e-13 * sum(abs(x) for x in r) * (1.0 + abs(rest_input))
     assert control_law([*r[1:], *s], inputs, outputs, rest_output) == pytest.approx(
