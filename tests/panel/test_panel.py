@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import time
 from datetime import datetime
 from typing import Any
@@ -177,6 +179,28 @@ def test_what_was_lost_comes_back(operator: Panel, panel_site: PanelSite) -> Non
     site.start_daemon()
     operator.expect_state("standby")
     operator.expect_text(".age", "live")
+
+
+def test_what_was_asked_before_a_loss_of_the_broker_does_not_act_after_it(
+    operator: Panel, panel_site: PanelSite
+) -> None:
+    """The broker hangs and dies with the enable; STOP is pressed before the page is connected again."""
+    site = panel_site.site
+    os.kill(site.broker.pid, signal.SIGSTOP)
+    for name in ("Enable", "Enable: press again"):
+        operator.page.get_by_role("button", name=name, exact=True).click()
+    site.kill(site.broker)
+    operator.expect_text(".answer", "enable: no answer: the connection to the broker was lost")
+    operator.page.get_by_role("button", name="STOP").click()
+    operator.expect_text(".answer", "disable: not sent: no broker")
+    site.start_broker()
+    expect(operator.page.locator(".notice")).to_be_hidden(timeout=PATIENCE_MS)
+    site.await_availability("online")
+    operator.expect_text(".age", "live")
+    operator.page.get_by_role("button", name="fixed").click()  # after what would be sent again
+    operator.expect_text(".answer", "mode fixed: accepted")
+    assert not site.state["enabled"]
+    operator.expect_state("standby")
 
 
 def test_a_viewer_sees_everything_and_changes_nothing(

@@ -15,7 +15,7 @@ const Controls = (() => {
   /** @param {HTMLElement} answer @param {string} asked @param {() => ReturnType<typeof Link.ask>} send */
   async function report(answer, asked, send) {
     Dom.mark(answer, "data-kind", "sent");
-    Dom.say(answer, `${asked}: sent`);
+    Dom.say(answer, `${asked}: sending…`);
     const { accepted, text } = await send();
     Dom.mark(answer, "data-kind", accepted ? "accepted" : "refused");
     Dom.say(answer, `${asked}: ${text}`);

@@ -14,6 +14,7 @@ const Link = (() => {
 
   /** @type {any} */ let client = null;
   /** @type {Map<string, (reply: Reply|null) => void>} */ const waiting = new Map();
+  /** @type {Set<number>} */ const fleeting = new Set(); // packets that no later connection may carry
   /** @type {Set<() => void>} */ const listeners = new Set();
   /** @type {Set<string>} */ const remembered = new Set(); // drives whose last hour is shown
   let status = "offline";
@@ -51,6 +52,8 @@ const Link = (() => {
       });
       own.on("message", take);
       own.on("close", () => {
+        for (const packet of fleeting) own.removeOutgoingMessage(packet);
+        fleeting.clear();
         Drives.lose();
         if (status !== "closed") tell("offline", problem);
       });
@@ -101,12 +104,13 @@ const Link = (() => {
   }
   window.setInterval(endSilence, RETRY_MS);
 
-  /** Send a command and wait for the daemon's answer.
+  /** Send a command and wait for the daemon's answer. Only a stop is sent again after a loss of the broker.
    * @param {string} drive @param {string} verb @param {unknown} [value]
    * @returns {Promise<{accepted: boolean, text: string}>} what the daemon said, or that it did not */
   function ask(drive, verb, value) {
     const expires = verb === "disable" ? {} : { expires: new Date(clockMs(drive) + 1000 * ANSWER_S).toISOString() };
-    return request(Contract.command(drive, verb), { ...(value === undefined ? {} : { value }), ...expires });
+    const content = { ...(value === undefined ? {} : { value }), ...expires };
+    return request(Contract.command(drive, verb), content, verb === "disable");
   }
 
   /** Disturb a simulated device and wait for its answer.
@@ -116,8 +120,9 @@ const Link = (() => {
   }
 
   /** @param {string} topic @param {Record<string, unknown>} content
+   * @param {boolean} [again] whether it is sent again where the connection is lost
    * @returns {Promise<{accepted: boolean, text: string}>} */
-  function request(topic, content) {
+  function request(topic, content, again = false) {
     const id = `panel-${crypto.getRandomValues(new Uint32Array(3)).join("-")}`;
     const payload = JSON.stringify({ ...content, id });
     return new Promise((resolve) => {
@@ -131,8 +136,11 @@ const Link = (() => {
       if (!client?.connected) return end(false, "not sent: no broker");
       client.publish(topic, payload, { qos: 1 }, (/** @type {any} */ error, /** @type {any} */ packet) => {
         const code = packet?.reasonCode ?? error?.code;
-        if (error || DENIED.has(code)) end(false, DENIED.has(code) ? "not allowed for this user" : `not sent: ${error.message}`);
+        fleeting.delete(number);
+        if (error || DENIED.has(code)) end(false, DENIED.has(code) ? "not allowed for this user" : "no answer: the connection to the broker was lost");
       });
+      const number = client.getLastMessageId();
+      if (!again) fleeting.add(number);
     });
   }
 
