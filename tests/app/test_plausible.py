@@ -34,6 +34,7 @@ def test_every_example_is_plausible(path: Path) -> None:
             "load.model",
             "V_c = 200…400 V gives speed = 2200…4400 V, which misses every set-point of 0…4.5 V",
         ),
+        ("motor.toml", "[mqtt]\n", "[mqtt]\ntelemetry_Hz = 0.9\n", "mqtt.telemetry_Hz", "as live"),
         ("bath.toml", "_per_W = 0.02104", "_per_W = 21.04", "load.model", "misses every set-point"),
         ("bath.toml", "tau_s = 200.0", "tau_s = 2e6", "load.model", "1e+05 slow periods"),
         ("motor.toml", "tau_motor_s = 11.7", "tau_motor_s = 1.17e5", "load.model", "1.17e+05 s"),

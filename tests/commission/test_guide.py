@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from aiomqtt import Client
 
+from adaptdrive.commission import guide as guide_module
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.guide import Guide
 from adaptdrive.commission.samples import Samples
@@ -112,3 +113,21 @@ async def test_a_drive_that_another_operator_has_enabled_is_left_alone(mosquitto
         with pytest.raises(CommissionError, match="is running: commissioning begins in standby"):
             await guide.carry_out(LoadExperiment(target), lambda *_: None)
     assert drive.verbs == []
+
+
+@pytest.mark.parametrize("complete", [False, True])
+async def test_a_key_at_the_end_of_an_experiment_discards_nothing_that_is_complete(
+    *, complete: bool
+) -> None:
+    begun, answered = asyncio.Event(), asyncio.Event()
+
+    async def stop() -> None:
+        begun.set()
+        await answered.wait()
+
+    ending = asyncio.create_task(guide_module._whole(stop(), complete=complete))
+    await begun.wait()
+    ending.cancel()
+    answered.set()
+    (outcome,) = await asyncio.gather(ending, return_exceptions=True)
+    assert isinstance(outcome, asyncio.CancelledError) is not complete

@@ -290,9 +290,3 @@ def test_a_course_of_impulses_needs_the_papers_design_and_a_quick_voltage_loop()
         "signals__command__boost_reference_V__signal": '"DriveCommand.BoostReference"',
     }
     assert flaws(**impulse, load__design='"paper"', **slow).keys() == {"load.boost_course"}
-
-
-def test_telemetry_that_clients_would_take_for_old_is_refused() -> None:
-    """The page shows an output of less than 3 s ago as live, and takes the clock from it."""
-    assert set(flaws(mqtt__telemetry_Hz="0.9")) == {"mqtt.telemetry_Hz"}
-    assert parse(mqtt__telemetry_Hz="1.0").mqtt.telemetry_Hz == 1.0

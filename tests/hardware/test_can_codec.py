@@ -284,6 +284,15 @@ def test_the_words_beside_a_refused_value_are_those_in_range(
     assert decoded.words == words
 
 
+def test_a_frame_with_nothing_available_has_no_words() -> None:
+    """As a drive sends while its control starts; a word of one bit looks like a 1 there."""
+    codec = MessageCodec(dbc(WORDS), FrameIntegrity(), measured={"Volts", "Amps"})
+    assert codec.decode(b"\xff" * 7 + b"\x7f").words["On"] == 1
+    decoded = codec.decode(b"\xff" * 8)
+    assert decoded.verdict is FrameVerdict.OUT_OF_RANGE
+    assert not decoded.words
+
+
 @pytest.mark.parametrize("alive", [0, 15], ids=["repeated", "beyond its end"])
 def test_a_frame_whose_counter_is_wrong_has_no_words(alive: int) -> None:
     codec = MessageCodec(dbc(WORDS), FrameIntegrity(counter="Alive"), measured={"Volts", "Amps"})

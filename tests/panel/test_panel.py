@@ -184,8 +184,9 @@ def test_what_was_lost_comes_back(operator: Panel, panel_site: PanelSite) -> Non
 def test_what_was_asked_before_a_loss_of_the_broker_does_not_act_after_it(
     operator: Panel, panel_site: PanelSite
 ) -> None:
-    """The broker hangs and dies with the enable; STOP is pressed before the page is connected again."""
+    """The broker hangs and dies with the enable; STOP is pressed before the page is back."""
     site = panel_site.site
+    assert site.broker is not None
     os.kill(site.broker.pid, signal.SIGSTOP)
     for name in ("Enable", "Enable: press again"):
         operator.page.get_by_role("button", name=name, exact=True).click()

@@ -73,10 +73,13 @@ def test_a_session_of_a_version_that_counted_no_rows_lacks_none(tmp_path: Path) 
     assert verdict(tmp_path).whole
 
 
-def test_a_stream_that_broke_off_leaves_no_session_whole(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("segment", "whole"), [(1, True), (3, False)])
+def test_a_stream_that_broke_off_at_the_end_leaves_no_session_whole(
+    tmp_path: Path, segment: int, *, whole: bool
+) -> None:
+    """What an earlier one lacks, as where the disk was full, is in the next."""
     record_in_two_parts(tmp_path)
-    (tmp_path / "ticks-0003.arrows").write_bytes(b"what a power cut left")
-    close_segments(tmp_path)
-    assert verdict(tmp_path).problems == (
-        "ticks-0003.torn: it breaks off within a batch, which is left out",
-    )
+    torn = tmp_path / f"ticks-{segment:04}.torn"
+    torn.write_bytes(b"what a power cut left")
+    named = (f"{torn.name}: it breaks off within a batch, which is left out",)
+    assert verdict(tmp_path).problems == (() if whole else named)

@@ -21,6 +21,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from pyarrow import parquet as pq
 
 from adaptdrive.recording import streams
 from adaptdrive.recording.batches import Batch, Header, News, framed, read_frames
@@ -202,6 +203,26 @@ def test_a_spool_that_a_full_disk_kept_is_written_at_the_start_after(
     assert sum(read_info(directory).histograms["lateness_us"]) == 2
     assert verify(read_session(directory)).whole
     assert not left_spools(tmp_path)
+
+
+@pytest.mark.parametrize("ended", [Ending.OPEN, Ending.LOST])
+def test_a_damaged_or_removed_segment_keeps_no_rest_from_its_session(
+    tmp_path: Path, ended: Ending
+) -> None:
+    """The counts of the segments that are closed stay those of their time."""
+    directory = create_session(NewSession(tmp_path, INFO, ""))
+    header = Header(INFO, "", str(tmp_path), str(directory))
+    for number in range(3):
+        record_messages(directory, header, make_batch([make_tick(number)]))
+    write_info(directory, msgspec.structs.replace(read_info(directory), ended=ended))
+    (directory / "ticks-0001.parquet").write_bytes(b"damaged")
+    (directory / "ticks-0002.parquet").unlink()
+    spool_path(tmp_path, INFO).write_bytes(stream(header, make_batch([make_tick(3)])))
+    next_start(tmp_path)
+    assert not left_spools(tmp_path)
+    assert read_info(directory).ended is Ending.LOST
+    assert sum(read_info(directory).histograms["lateness_us"]) == 4
+    assert pq.read_table(directory / "ticks-0004.parquet")["sequence"].to_pylist() == [3]
 
 
 def test_an_end_that_was_left_to_the_next_start_is_an_orderly_one(tmp_path: Path) -> None:

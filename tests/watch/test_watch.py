@@ -19,7 +19,7 @@ from adaptdrive.operation.history import KEYS
 from adaptdrive.operation.messages import drive_message, encode, load_message
 from adaptdrive.operation.profile import Output
 from adaptdrive.runtime.requests import Disable, Enable, SetMode
-from adaptdrive.watch.keys import CONFIRM_S, DELIBERATE_S, KeyCommand, KeyReader
+from adaptdrive.watch.keys import CONFIRM_S, DELIBERATE_S, KeyCommand, KeyReader, pressed_keys
 from adaptdrive.watch.record import LIVE_S, WatchRecord
 from adaptdrive.watch.view import screen
 from tests.operation.peers import PATIENCE_S, Bench, drive_report, load_report, serving
@@ -189,6 +189,22 @@ def test_keys_that_come_together_confirm_nothing() -> None:
     clock.now_s += DELIBERATE_S
     assert [reader.press(key, alone=False) for key in "ee"] == [None, None]
     assert reader.press("s", alone=False) == KeyCommand("disable")
+
+
+async def test_a_key_without_a_letter_is_no_key_with_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """F4 comes as ESC O S, and `S` stops."""
+    master, slave = pty.openpty()
+    heard: list[str] = []
+    with os.fdopen(slave) as terminal, monkeypatch.context() as process:
+        process.setattr(sys, "stdin", terminal)
+        with pressed_keys(heard.append):
+            for keys in (b"\x1bOS", b"\x1b[15~", b"\x1b[A\x1b[As", b"q"):
+                os.write(master, keys)
+                known = len(heard)
+                while len(heard) == known:  # noqa: ASYNC110 - a terminal sets no event
+                    await asyncio.sleep(0.001)
+    os.close(master)
+    assert heard == ["", "", "s", "q"]
 
 
 def test_a_simulated_device_is_disturbed_by_the_digits_that_it_offers() -> None:

@@ -18,6 +18,9 @@ from adaptdrive.errors import Flaw
 _LONGEST_PERIODS, _SHORTEST_PERIODS = 5000.0, 0.02
 """Slow periods in the longest time constant: the examples have 10 to 30."""
 
+_LOWEST_TELEMETRY_HZ = 1.0
+"""Page, `status` and `watch` take a drive for gone that is not heard for 3 s."""
+
 _LOWEST_CHARGE = 0.5
 """Share of its highest voltage to which no battery that can be charged is empty."""
 
@@ -29,11 +32,20 @@ def implausible(configuration: Configuration) -> Iterator[Flaw]:
         configuration: A valid configuration.
     """
     load = build_load(configuration)
+    yield from _telemetry_flaws(configuration)
     yield from _battery_flaws(configuration)
     yield from _reach_flaws(configuration, load)
     yield from _pace_flaws(configuration, load)
     if configuration.voltage_loop.where == "daemon":
         yield from _capacitor_flaws(configuration)
+
+
+def _telemetry_flaws(configuration: Configuration) -> Iterator[Flaw]:
+    """Telemetry comes often enough to be taken for live."""
+    rate_Hz = configuration.mqtt.telemetry_Hz
+    if rate_Hz < _LOWEST_TELEMETRY_HZ:
+        problem = f"{rate_Hz:g}: below {_LOWEST_TELEMETRY_HZ:g} an old output is shown as live"
+        yield Flaw("mqtt.telemetry_Hz", f"{problem}, and commands are refused as expired")
 
 
 def _reach_flaws(configuration: Configuration, load: Load) -> Iterator[Flaw]:

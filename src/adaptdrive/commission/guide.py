@@ -96,7 +96,8 @@ class Guide:
             await self._await_running(coasting=False)
             await self._follow(experiment, show)
         finally:
-            await _whole(self._leave(str(before.get("mode", "fixed"))))
+            leaving = self._leave(str(before.get("mode", "fixed")))
+            await _whole(leaving, complete=experiment.done)
 
     async def _follow(
         self, experiment: LoadExperiment, show: Callable[[FastReading, float], None]
@@ -205,14 +206,17 @@ def _end(drive: str, state: dict[str, Any]) -> str:
     return f"{drive} is {state.get('state')}: {why}"
 
 
-async def _whole(work: Coroutine[Any, Any, None]) -> None:
-    """Await work that no cancellation interrupts; a cancellation counts when the work is done."""
+async def _whole(work: Coroutine[Any, Any, None], *, complete: bool) -> None:
+    """Await work that no cancellation interrupts.
+
+    A cancellation counts when the work is done, unless what precedes it is complete.
+    """
     task, cancelled = asyncio.create_task(work), False
     while not task.done():
         try:
             await asyncio.wait([task])
         except asyncio.CancelledError:
             cancelled = True
-    if cancelled:
+    if cancelled and not complete:
         raise asyncio.CancelledError
     task.result()

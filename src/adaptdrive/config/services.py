@@ -130,10 +130,10 @@ class Mqtt(Section):
     password_file: FilePath | None = Field(default=None, description="file that holds the password")
     telemetry_Hz: float = Field(
         default=10.0,
-        ge=1.0,
+        ge=0.01,
         le=10.0,
-        description="rate of `telemetry/drive`; the page, `status` and `watch` take a drive that "
-        "is not heard for 3 s for gone",
+        description="rate of `telemetry/drive`, 1 at least where a daemon runs: the page, `status` "
+        "and `watch` take a drive that is not heard for 3 s for gone",
     )
     home_assistant: str | None = Field(
         default=None,

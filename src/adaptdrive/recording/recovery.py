@@ -14,6 +14,7 @@ import msgspec
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import Batch, Header, read_frames
 from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
+from adaptdrive.recording.segments import segments
 from adaptdrive.recording.session import (
     Ending,
     SessionLock,
@@ -103,23 +104,23 @@ def _write(
     """
     directory = _session_of(header)
     if directory is not None:
-        if read_info(directory).ended not in _UNFINISHED:
+        ended = read_info(directory).ended
+        if ended not in _UNFINISHED:
             return True
         if not _is_left(directory):
             return False
-        _reopen(directory)
+        if ended is Ending.LOST:
+            _reopen(directory)
     name = "" if directory is None else str(directory)
     _write_batches(open_session(msgspec.structs.replace(header, directory=name)), batches)
     return True
 
 
 def _reopen(directory: Path) -> None:
-    """Mark a session as open, all of which is to be counted again."""
+    """Mark a lost session as open; its counts include all segments since its close."""
     info = read_info(directory)
-    write_info(
-        directory,
-        msgspec.structs.replace(info, ended=Ending.OPEN, histograms={}, rows={}, segments=0),
-    )
+    newest = max((segment.number for segment in segments(directory)), default=0)
+    write_info(directory, msgspec.structs.replace(info, ended=Ending.OPEN, segments=newest))
 
 
 def _write_batches(writer: SessionWriter, batches: Sequence[Batch]) -> None:

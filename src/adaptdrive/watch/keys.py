@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import sys
 import termios
 import tty
@@ -25,6 +26,9 @@ DELIBERATE_S = 0.8
 """Shortest time to the second press: a key that is held repeats itself after 0.25 to 0.66 s."""
 
 _LONGEST_READ = 64
+_NAMED_KEY = re.compile(r"\x1b(?:[NO].|\[[0-?]*[ -/]*[@-~])")
+"""What a terminal sends for a key without a letter (ECMA-48), such as ESC O S for F4."""
+
 _STEP = 0.01
 _PLAIN = {"s": (STOP, None), "S": (STOP, None), "r": ("reset", None)}
 _MODES = {"f": "fixed", "a": "adaptive", "m": "manual"}
@@ -127,7 +131,7 @@ def pressed_keys(on_keys: Callable[[str], None]) -> Iterator[None]:
             loop.remove_reader(file)
             on_keys(QUIT)
         else:
-            on_keys(keys.decode(errors="ignore"))
+            on_keys(_NAMED_KEY.sub("", keys.decode(errors="ignore")))
 
     loop.add_reader(file, read)
     try:

@@ -167,7 +167,10 @@ class MessageCodec:
             raw = self._unpack(data)
         except DecodeError:
             return Decoded(FrameVerdict.OUT_OF_RANGE)
-        return self._judge(raw)
+        decoded = self._judge(raw)
+        if decoded.words and not data.strip(b"\xff"):  # nothing is available, the words neither
+            return Decoded(decoded.verdict, lost=decoded.lost)
+        return decoded
 
     def reset(self) -> None:
         """Forget the alive counter received last; the next frame starts anew."""
