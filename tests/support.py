@@ -8,6 +8,7 @@ import json
 import os
 import random
 import shutil
+import signal
 import socket
 import subprocess
 import time
@@ -210,3 +211,13 @@ def _await_listener(process: Process, port: int, log: Path) -> None:
         else:
             return
     raise AssertionError(f"mosquitto does not listen on port {port}: {log.read_text()}")
+
+
+@contextlib.contextmanager
+def acting(number: signal.Signals) -> Iterator[None]:
+    """Let programs that start here not inherit that a signal is ignored, as under `nohup`."""
+    before = signal.signal(number, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(number, before)

@@ -17,7 +17,7 @@ import pytest
 
 from tests.commission.answering_drive import answering_drive
 from tests.pseudo_terminal import Screen
-from tests.support import Broker
+from tests.support import Broker, acting
 
 EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 PATIENCE_S = 120.0
@@ -123,7 +123,7 @@ async def test_signals_that_are_repeated_end_an_experiment_once(
     mosquitto: Broker, motor: Path, first: signal.Signals
 ) -> None:
     async with answering_drive(mosquitto, motor.stem) as drive:
-        with commissioning(mosquitto, motor) as process:
+        with acting(first), acting(signal.SIGINT), commissioning(mosquitto, motor) as process:
             await until(lambda: "voltage" in drive.verbs)
             process.send_signal(first)
             await until(drive.stopped.is_set)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 import signal
-from collections.abc import Iterator
 
 import pytest
 
 from adaptdrive.recording.session import Ending
+from tests.support import acting
 from tests.system.bus_ear import BusEar
 from tests.system.conftest import MakeSite
 from tests.system.site import PATIENCE_S, Site, until
@@ -47,16 +46,6 @@ def _comes_back_in_standby(site: Site) -> None:
         assert all(command.safe for command in bus.commands())
         site.run_drive()
         until(lambda: bus.commands()[-1].bridge, "the bridge is commanded on")
-
-
-@contextlib.contextmanager
-def acting(number: signal.Signals) -> Iterator[None]:
-    """Let programs that start here not inherit that a signal is ignored, as under `nohup`."""
-    before = signal.signal(number, signal.SIG_DFL)
-    try:
-        yield
-    finally:
-        signal.signal(number, before)
 
 
 @pytest.mark.parametrize(

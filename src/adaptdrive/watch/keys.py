@@ -27,7 +27,7 @@ DELIBERATE_S = 0.8
 
 _LONGEST_READ = 64
 _NAMED_KEY = re.compile(r"\x1b(?:[NO].|\[[0-?]*[ -/]*[@-~])")
-"""What a terminal sends for a key without a letter (ECMA-48), such as ESC O S for F4."""
+"""Sequence of a terminal for a key without a letter (ECMA-48), such as ESC O S for F4."""
 
 _STEP = 0.01
 _PLAIN = {"s": (STOP, None), "S": (STOP, None), "r": ("reset", None)}

@@ -12,7 +12,7 @@ cycle of 60 Hz, well within its own time-out."""
 
 
 class Uptake:
-    """What one open bus does with the commands of one drive."""
+    """Count of the commands of one drive that its open bus has refused in a row."""
 
     def __init__(self) -> None:
         self._untaken = 0
