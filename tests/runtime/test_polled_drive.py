@@ -110,3 +110,18 @@ async def test_a_bridge_that_stays_off_has_three_polls_to_close() -> None:
         poll(bench, 60 * TICK_S, bridge=False)
         assert bench.state() is State.TRIPPED
         assert "bridge" in (bench.machine.trip or "")
+
+
+async def test_what_a_poll_leaves_to_be_written_is_safe_when_the_slow_loop_trips_in_its_tick() -> (
+    None
+):
+    async with fast_bench(POLLED, modulus=None) as bench:
+        polls(bench, 3)
+        bench.ask(Enable())
+        polls(bench, 3)
+        bench.around.room = False
+        while bench.state() is State.RUNNING:
+            assert bench.sent[-1].bridge
+            poll(bench)
+        assert (bench.machine.trip or "").startswith("slow loop: ")
+        assert bench.sent[-1] == bench.loop.command == SAFE_COMMAND

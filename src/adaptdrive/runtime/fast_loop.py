@@ -221,9 +221,11 @@ class FastLoop:
         self._keep_time(due_s, began_s, ended_s, fresh=fresh)
 
     def _hand_over_snapshot(self) -> None:
+        """Give the slow loop its snapshot; the safe command replaces this tick's if that trips."""
         snapshot = self._schedule.take_snapshot()
         if snapshot is not None and not self._surroundings.snapshot_taken(snapshot):
             self._machine.latch("slow loop: no decision for three slow periods")
+            self.send_safe()
 
     def _count(self, passed: int) -> None:
         """Count a tick, and the readings that should have had one since the last."""
