@@ -21,13 +21,20 @@ class Seen:
         self.cause: str | None = None
 
     def look(
-        self, ticks: float, *, bridge: bool, commanded: bool = True, unwatched: float = 1.0
+        self,
+        ticks: float,
+        *,
+        bridge: bool,
+        commanded: bool = True,
+        unwatched: float = 1.0,
+        old: float = 0.0,
     ) -> bool:
-        """Return whether it has stopped, some half cycles after 64 s."""
-        time_s = 64.0 + ticks * TICK_S
+        """Return whether it has stopped, some half cycles after 64 s, by a report of that age."""
+        now_s = 64.0 + ticks * TICK_S
+        time_s = now_s - old * TICK_S
         reading = replace(CALM, arrival_s=time_s, oldest_s=time_s, bridge=bridge)
         self.cause = self._watch.find_cause(
-            reading, commanded=commanded, unwatched_s=unwatched * TICK_S
+            reading, commanded=commanded, unwatched_s=unwatched * TICK_S, now_s=now_s
         )
         assert self.cause is None or self.cause.startswith(STOPPED)
         return self.cause is not None
@@ -69,3 +76,37 @@ def test_a_bridge_that_was_never_on_for_this_daemon_has_its_time(*, commanded: b
     if not commanded:
         seen.look(-1.0, bridge=True, commanded=False)
     assert not seen.look(0.0, bridge=False, unwatched=100.0)
+
+
+@pytest.mark.parametrize("looks", [1, 3])
+def test_a_report_from_before_the_time_unwatched_does_not_end_it(looks: int) -> None:
+    seen = Seen()
+    seen.look(0.0, bridge=True)
+    for number in range(looks):
+        age = 10.0 + number
+        assert not seen.look(age, bridge=True, old=age, unwatched=1.0 if number else 10.0)
+    assert not seen.look(13.0, bridge=True, old=3.0)  # it had not arrived when that time ended
+    assert seen.look(14.0, bridge=False)
+    assert seen.cause == f"{STOPPED}; the daemon had not run for {1e4 * TICK_S:.0f} ms"
+
+
+def test_the_longest_of_the_times_unwatched_is_named_and_the_last_of_them_counts() -> None:
+    seen = Seen()
+    seen.look(0.0, bridge=True)
+    assert not seen.look(10.0, bridge=True, old=10.0, unwatched=10.0)
+    assert not seen.look(15.0, bridge=True, old=2.0, unwatched=5.0)
+    assert not seen.look(16.0, bridge=True, old=2.0)
+    assert seen.look(17.0, bridge=False)
+    assert seen.cause == f"{STOPPED}; the daemon had not run for {1e4 * TICK_S:.0f} ms"
+
+
+@pytest.mark.parametrize("commanded", [False, True])
+def test_a_bridge_that_was_on_after_the_time_unwatched_or_off_by_command_has_its_time_again(
+    *, commanded: bool
+) -> None:
+    seen = Seen()
+    seen.look(0.0, bridge=True)
+    assert not seen.look(10.0, bridge=True, old=10.0, unwatched=10.0)
+    assert not seen.look(11.0, bridge=True, commanded=commanded, old=0.0 if commanded else 11.0)
+    assert not seen.look(12.0, bridge=True, old=1.0)
+    assert not seen.look(13.0, bridge=False)

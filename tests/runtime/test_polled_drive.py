@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -125,3 +126,53 @@ async def test_what_a_poll_leaves_to_be_written_is_safe_when_the_slow_loop_trips
             poll(bench)
         assert (bench.machine.trip or "").startswith("slow loop: ")
         assert bench.sent[-1] == bench.loop.command == SAFE_COMMAND
+
+
+@pytest.mark.parametrize(
+    ("stride", "stale_s", "frozen_s"), [(6, 0.25, 0.18), (12, 2.0, 1.2)], ids=["short", "long"]
+)
+async def test_a_drive_that_stopped_while_nothing_ran_is_not_energised_when_the_timer_is_first(
+    stride: int, stale_s: float, frozen_s: float
+) -> None:
+    """The stand-in tick judges the reading of before the freeze, which is not stale yet."""
+    settings = replace(
+        POLLED,
+        ticks_per_reading=stride,
+        latency_ticks=stride,
+        limits=replace(FAST.limits, stale_s=stale_s),
+    )
+    poll_s = stride * TICK_S
+    async with fast_bench(settings, modulus=None) as bench:
+        for _ in range(3):
+            poll(bench, poll_s)
+        bench.ask(Enable())
+        for _ in range(8):
+            poll(bench, poll_s)
+        assert bench.state() is State.RUNNING
+        deadline_s = bench.around.deadline_s
+        bench.around.now += frozen_s
+        bench.loop.on_deadline(deadline_s)
+        assert bench.state() is State.RUNNING
+        stopped = replace(bench.measured, counter=None, bridge=False)
+        for number in range(2):
+            bench.around.now += 0.001 + number * poll_s
+            now_s = bench.around.now
+            bench.port.deliver(replace(stopped, arrival_s=now_s, oldest_s=now_s))
+        assert (bench.machine.trip or "").startswith("drive stopped: ")
+        assert "; the daemon had not run for " in (bench.machine.trip or "")
+        assert bench.sent[-1] == SAFE_COMMAND
+
+
+async def test_a_drive_that_went_on_while_nothing_ran_is_driven_on() -> None:
+    settings = replace(POLLED, limits=replace(FAST.limits, stale_s=2.0))
+    async with fast_bench(settings, modulus=None) as bench:
+        polls(bench, 3)
+        bench.ask(Enable())
+        polls(bench, 8)
+        deadline_s = bench.around.deadline_s
+        bench.around.now += 1.2
+        bench.loop.on_deadline(deadline_s)
+        polls(bench, 5)
+        poll(bench, bridge=False)
+        polls(bench, 5)
+        assert bench.state() is State.RUNNING

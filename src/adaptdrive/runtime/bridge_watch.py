@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from adaptdrive.hardware.port import Reading
 
 _GRACE_TICKS = 30
@@ -30,29 +32,44 @@ class BridgeWatch:
         """
         self._reading_s = ticks_per_reading * tick_s
         self._grace_s = max(_GRACE_TICKS * tick_s, _GRACE_READINGS * self._reading_s)
+        self._gap_limit_s = _GAP_READINGS * self._reading_s
         self._off_s: float | None = None
         self._been_on = False
+        self._gap_s = 0.0
+        self._gap_end_s = -math.inf
 
-    def find_cause(self, reading: Reading, *, commanded: bool, unwatched_s: float) -> str | None:
+    def find_cause(
+        self, reading: Reading, *, commanded: bool, unwatched_s: float, now_s: float
+    ) -> str | None:
         """Return the cause of a trip, None for none.
 
         Only reports of the drive count: one that has fallen silent is stale, not off. A bridge that
         went off unwatched is a stop at once: a drive that stopped because this process did not run
-        gets no command that energises it anew.
+        gets no command that energises it anew. A report from before the end of that time says
+        nothing of it.
 
         Args:
             reading: The newest reading.
             commanded: Whether the last command had the bridge on.
             unwatched_s: Time since the last look.
+            now_s: Monotonic time of this look.
         """
+        self._note_gap(unwatched_s, now_s)
+        reported_s = reading.bridge_reported_s
         if reading.bridge or not commanded:
             self._off_s, self._been_on = None, commanded
+            if reported_s > self._gap_end_s or not commanded:
+                self._gap_s = 0.0
             return None
-        reported_s = reading.bridge_reported_s
         if self._off_s is None:
             self._off_s = reported_s - self._reading_s
-        slept = self._been_on and unwatched_s > _GAP_READINGS * self._reading_s
+        slept = self._been_on and self._gap_s > 0.0
         if reported_s - self._off_s <= self._grace_s + _SLACK_S and not slept:
             return None
-        gap = f"; the daemon had not run for {unwatched_s * 1e3:.0f} ms" if slept else ""
+        gap = f"; the daemon had not run for {self._gap_s * 1e3:.0f} ms" if slept else ""
         return f"drive stopped: its bridge is off although it was commanded on{gap}"
+
+    def _note_gap(self, unwatched_s: float, now_s: float) -> None:
+        """Keep the longest time in which a bridge may have gone off, until a report from after."""
+        if unwatched_s > self._gap_limit_s:
+            self._gap_s, self._gap_end_s = max(self._gap_s, unwatched_s), now_s
