@@ -29,6 +29,7 @@ from adaptdrive.runtime.reports import (
     Severity,
     State,
     StateReport,
+    StopWord,
 )
 from adaptdrive.runtime.requests import (
     Disable,
@@ -211,6 +212,7 @@ async def test_the_state_is_reported_when_it_changes_and_only_then() -> None:
         seen = [(report.state, report.setpoint, report.pole) for report in states]
         assert seen == [
             (State.STANDBY, 0.0, 0.7),
+            (State.STANDBY, 0.0, 0.7),  # the drive has confirmed that it is off
             (State.STARTING, 2.3, 0.7),
             (State.RUNNING, 2.3, 0.7),
             (State.RUNNING, 3.0, 0.7),
@@ -321,6 +323,24 @@ async def test_a_trip_is_an_alarm_and_stays_until_reset() -> None:
         bench.frame()
         assert await bench.daemon.execute(Reset()) is State.STANDBY
         assert bench.states[-1].trip is None
+
+
+async def test_the_confirmation_of_a_stop_is_reported_when_the_drive_gives_it() -> None:
+    async with daemon_bench(settings=replace(PATIENT, report_s=1e6)) as bench:
+        bench.frames(3)
+        assert bench.states[-1].stop is StopWord.CONFIRMED
+        await bench.start()
+        bench.frame(fault=2, bridge=True)
+        known = len(bench.states)
+        assert (bench.states[-1].state, bench.states[-1].stop) == (
+            State.TRIPPED,
+            StopWord.AWAITED,
+        )
+        bench.frame(bridge=True)
+        bench.frame(bridge=False)
+        bench.frames(10)
+        (confirmed,) = bench.states[known:]
+        assert confirmed.stop is StopWord.CONFIRMED
 
 
 async def test_each_slow_period_is_reported_with_its_decision() -> None:

@@ -101,6 +101,17 @@ async def test_a_trip_that_does_not_stop_the_drive_keeps_its_cause(running: Fast
         running.ask(Reset())
 
 
+async def test_the_word_of_the_stop_before_is_void_in_the_tick_of_a_trip(
+    running: FastBench,
+) -> None:
+    running.frame(bridge=True, fault=4)
+    assert (running.state(), running.loop.stop) == (State.TRIPPED, StopWord.AWAITED)
+    running.frame(bridge=True)
+    assert running.loop.stop is StopWord.AWAITED
+    running.frame(bridge=False)
+    assert running.loop.stop is StopWord.CONFIRMED
+
+
 async def test_a_bridge_switched_on_by_others_is_an_alarm() -> None:
     async with fast_bench() as bench:
         bench.frames(20)

@@ -51,6 +51,12 @@ class Announcer:
         self.shutting_down = False
         self.published = state_report(machine, None, fast.stop)
 
+    @property
+    def outdated(self) -> bool:
+        """True if the state, or the confirmation of a stop, is another than the published one."""
+        stop = self._fast.stop if self._machine.commanded_off else None
+        return self._machine.state is not self.published.state or stop is not self.published.stop
+
     def publish_state(self) -> None:
         """Publish the state if it has changed, and the event of its change."""
         last = self.published

@@ -237,7 +237,7 @@ class Daemon:
     def ticked(self, report: TickReport) -> None:
         """Publish a tick that is complete."""
         self._hub.publish(report)
-        if self._machine.state is not self._announcer.published.state:
+        if self._announcer.outdated:
             self._announcer.publish_state()
         if self._support is not None:
             self._support.ticked(report)

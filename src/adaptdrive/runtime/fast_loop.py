@@ -248,7 +248,7 @@ class FastLoop:
         if machine.commanded_off:
             self._stopping.judge(self._port, reading, now_s)
         else:
-            self._stop_watch.release()
+            self._stopping.release()
         if not machine.energised:
             interlocks.look(now_s)
             return

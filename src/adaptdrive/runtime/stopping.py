@@ -35,6 +35,11 @@ class Stopping:
         self._report = report
         self.word = StopWord.AWAITED
 
+    def release(self) -> None:
+        """Note that the drive is energised: its word of the stop before says nothing any more."""
+        self._watch.release()
+        self.word = StopWord.AWAITED
+
     def judge(self, port: Port, reading: Reading | None, now_s: float) -> None:
         """Compare what the drive reports of its bridge with the stop that it was commanded."""
         watch, machine = self._watch, self._machine
