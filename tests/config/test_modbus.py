@@ -144,6 +144,51 @@ def test_what_does_not_fit_is_a_flaw(
 
 
 @pytest.mark.parametrize(
+    ("register", "on", "words"),
+    [
+        ("bit = 3", 8, "8 is never read from 'state', which gives 0…1"),
+        ("bit = 3", -1, "gives 0…1"),
+        ("type = 'uint16'", 65536, "gives 0…65535"),
+        ("type = 'uint16'", -1, "gives 0…65535"),
+        ("type = 'int16'", 32768, "gives -32768…32767"),
+        ("type = 'int32'", -2147483649, "gives -2147483648…2147483647"),
+        ("range = { low = 0.5, high = 7.5 }", 8, "gives 1…7"),
+        ("range = { low = -1e6, high = 1e6 }", 65536, "gives 0…65535"),
+        ("not_available = 8", 8, "8 is the count of 'state' for no value"),
+    ],
+)
+def test_a_count_that_no_reading_of_the_bridge_can_be_is_a_flaw(
+    register: str, on: int, words: str
+) -> None:
+    found = flaws(
+        bus__registers__state=f"{{ address = 6, table = 'input', {register} }}",
+        signals__bridge=f"{{ signal = 'state', on = {on} }}",
+    )
+    assert set(found) == {"signals.bridge.on"}
+    assert words in found["signals.bridge.on"]
+
+
+@pytest.mark.parametrize(
+    ("register", "on"),
+    [
+        ("bit = 3", 0),
+        ("bit = 3", 1),
+        ("bit = 3, not_available = 1", 1),
+        ("type = 'uint16'", 65535),
+        ("type = 'int16'", -32768),
+        ("type = 'uint32'", 4294967295),
+        ("range = { low = 1.0, high = 8.0 }", 8),
+    ],
+)
+def test_a_count_that_a_reading_of_the_bridge_can_be_is_taken(register: str, on: int) -> None:
+    given = f"{{ address = 6, table = 'input', {register} }}"
+    assert (
+        flaws(bus__registers__state=given, signals__bridge=f"{{ signal = 'state', on = {on} }}")
+        == {}
+    )
+
+
+@pytest.mark.parametrize(
     "other",
     [
         "{ address = 4, table = 'input' }",  # the second register of the float at 3

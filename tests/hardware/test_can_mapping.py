@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.config.bus import CommandSignals, FrameIntegrity, SignalSource
+from adaptdrive.config.bus import CommandSignals, FrameIntegrity, SignalSource, SwitchSource
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.dbc.database import load_database, message_codec
 from adaptdrive.hardware.dbc.mapping import map_drive
@@ -44,6 +44,12 @@ def test_a_drive_without_a_counter_has_no_modulus() -> None:
         ({}, {"fault": "Nothing.Fault"}, "signals.fault", "no message 'Nothing'"),
         ({}, {"fault": "DriveStatus.LoadPower"}, "signals.fault", "factor 1"),
         ({}, {"bridge": "DriveLoad.Tachometer"}, "signals.bridge", "factor 1"),
+        (
+            {},
+            {"bridge": SwitchSource(signal="DriveStatus.BridgeOn", on=8)},
+            "signals.bridge.on",
+            "the bridge would never be on: BridgeOn = 8 is outside 0…1",
+        ),
         ({}, {"counter": "DriveLoad.Tachometer"}, "signals.counter", "cannot count"),
         ({}, {"counter": "DriveStatus.BridgeOn"}, "signals.counter", "cannot count"),
         (
@@ -145,6 +151,19 @@ def test_a_signal_that_excludes_zero_cannot_command(tmp_path: Path) -> None:
     changed.write_text(text.replace("(0.01,0) [0|600]", "(0.01,0) [200|600]"))
     with pytest.raises(ConfigurationError, match=r"signals\.command\.boost_reference_V.*200…600"):
         map_drive(motor_bus(database=changed), MOTOR.signals, TIMING)
+
+
+def test_a_signed_bit_is_on_at_minus_one(tmp_path: Path) -> None:
+    """At 1, the value where `on` is left out, each reading would have the bridge off."""
+    text = (EXAMPLES / "adaptdrive.dbc").read_text()
+    bus = motor_bus(database=tmp_path / "signed.dbc")
+    bus.database.write_text(text.replace("44|1@1+ (1,0) [0|1]", "44|1@1- (1,0) [-1|0]"))
+    with pytest.raises(
+        ConfigurationError, match=r"signals\.bridge\.on.* BridgeOn = 1 is outside -1…0"
+    ):
+        map_drive(bus, MOTOR.signals, TIMING)
+    signals = motor_signals(bridge=SwitchSource(signal="DriveStatus.BridgeOn", on=-1))
+    assert map_drive(bus, signals, TIMING).bridge_on == -1.0
 
 
 def test_what_selects_a_page_cannot_be_commanded_itself(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Iterator, Mapping
 
@@ -41,6 +42,7 @@ def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
             yield Flaw(place, f"{name!r} cannot be written: it must be a whole holding register")
     yield from _word_flaws(bus, signals)
     yield from _switch_flaws(signals)
+    yield from _on_flaws(bus, signals)
     yield from _overlap_flaws(bus, signals)
 
 
@@ -192,6 +194,33 @@ def _switch_flaws(signals: Signals) -> Iterator[Flaw]:
         yield Flaw("signals.command.bridge", "on Modbus `on` and `off` stand with the register")
     if signals.command.constants:
         yield Flaw("signals.command.constants", "are for CAN")
+
+
+def _on_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
+    """A count that the register never gives: every reading would say that the bridge is off."""
+    given = signals.bridge
+    register = None if given is None else bus.registers.get(given.signal)
+    if given is None or register is None or not isinstance(given.on, int):
+        return
+    low, high = _counts(register)
+    if not low <= given.on <= high:
+        problem = f"{given.on} is never read from {given.signal!r}, which gives {low}…{high}"
+        yield Flaw("signals.bridge.on", problem)
+    elif register.bit is None and given.on == register.not_available:
+        problem = f"{given.on} is the count of {given.signal!r} for no value"
+        yield Flaw("signals.bridge.on", problem)
+
+
+def _counts(register: Register) -> tuple[int, int]:
+    """Return the lowest and the highest count that an integer register gives."""
+    if register.bit is not None:
+        return 0, 1
+    span = 1 << 16 * register.words
+    low = -span // 2 if register.type.startswith("int") else 0
+    high, bounds = low + span - 1, register.range
+    if bounds is None:
+        return low, high
+    return math.ceil(max(low, bounds.low)), math.floor(min(high, bounds.high))
 
 
 def _overlap_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:

@@ -215,10 +215,23 @@ def _note_slow(catalogue: SignalCatalogue, message: Message, place: str) -> None
 
 def _bridge_on(catalogue: SignalCatalogue, bridge: SwitchSource | None, sources: _Sources) -> float:
     source = _source(sources, "bridge")
-    if bridge is None or bridge.on is None or source is None:
+    if bridge is None or source is None:
         return 1.0
-    value = resolve(catalogue, source.signal, bridge.on, "signals.bridge.on")
-    return 1.0 if value is None else float(value)
+    given = 1 if bridge.on is None else bridge.on
+    value = resolve(catalogue, source.signal, given, "signals.bridge.on")
+    if value is None:
+        return 1.0
+    if is_word(source.signal):
+        _check_on(catalogue, source.signal, value)
+    return float(value)
+
+
+def _check_on(catalogue: SignalCatalogue, signal: Signal, value: float) -> None:
+    """Refuse a value that no good frame has: every reading would say that the bridge is off."""
+    try:
+        compile_field(signal).raw(value)
+    except ValueError as problem:
+        catalogue.note("signals.bridge.on", f"the bridge would never be on: {problem}")
 
 
 def _check_word(catalogue: SignalCatalogue, signal: Signal, place: str, *, plain: bool) -> None:
