@@ -73,6 +73,9 @@ class Peer:
         speed: The regulated quantity.
         voltage: Counts of the boost voltage.
         state: The heartbeat; None to count samples.
+        devices: Ids of the devices on the wire, all with the same registers.
+        dead: Those of them that do not answer.
+        asked: Id of the device of each request.
     """
 
     def __init__(self, first: int = 0) -> None:
@@ -81,6 +84,9 @@ class Peer:
         self.answer: Callable[[bytes], bytes] = lambda pdu: pdu
         self.writes: list[tuple[int, list[int]]] = []
         self.requests: list[bytes] = []
+        self.devices = {1}
+        self.dead: set[int] = set()
+        self.asked: list[int] = []
         self.taken: dict[int, float] = {}
         self.speed = 3.25
         self.voltage = 30012
@@ -155,8 +161,12 @@ class TcpPeer(Peer):
             while True:
                 header = await reader.readexactly(7)
                 transaction, protocol, length, device = struct.unpack(">HHHB", header)
-                assert (protocol, device) == (0, 1)
+                assert protocol == 0
+                assert device in self.devices
+                self.asked.append(device)
                 pdu = self.reply(await reader.readexactly(length - 1))
+                if device in self.dead:
+                    continue
                 adu = struct.pack(">HHHB", transaction, 0, len(pdu) + 1, device) + pdu
                 task = asyncio.create_task(self.send(adu, writer.write))
                 self._tasks.add(task)
@@ -214,9 +224,12 @@ class RtuPeer(Peer):
             return
         request, self._buffer = self._buffer[:length], b""
         assert framed(request[:-2]) == request
-        assert request[0] == 1
+        assert request[0] in self.devices
+        self.asked.append(request[0])
         pdu = self.reply(request[1:-2])
-        task = asyncio.create_task(self.send(framed(bytes((1,)) + pdu), self.put))
+        if request[0] in self.dead:
+            return
+        task = asyncio.create_task(self.send(framed(request[:1] + pdu), self.put))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import struct
 import time
 from collections.abc import AsyncIterator, Mapping
+from collections.abc import Set as AbstractSet
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.modbus.sensors import ModbusSensorPort, build_modbus_sensors
+from adaptdrive.hardware.modbus.turns import SELDOM_CYCLES
 from tests.hardware.modbus.bench import Pieces, RtuPeer, TcpPeer, until
 
 CYCLE_s = 0.1
@@ -80,7 +84,13 @@ class Bench:
 
 @contextlib.asynccontextmanager
 async def bench(
-    kind: str, folder: Path, tcp_port: int, *, there: bool = True, **changes: object
+    kind: str,
+    folder: Path,
+    tcp_port: int,
+    *,
+    there: bool = True,
+    dead: AbstractSet[int] = frozenset(),
+    **changes: object,
 ) -> AsyncIterator[Bench]:
     peer: TcpPeer | RtuPeer
     config: ModbusTcpSensors | ModbusRtuSensors
@@ -94,6 +104,7 @@ async def bench(
         config = ModbusRtuSensors.model_validate(COMMON | line | changes)
     port = build_modbus_sensors(config, "sensor_bus.0", time.monotonic)
     ear = Ear()
+    peer.devices, peer.dead = {1, 2, 3, 4}, set(dead)
     if there:
         await peer.start()
     task = asyncio.create_task(port.run(ear))
@@ -208,6 +219,125 @@ async def test_a_bus_that_is_not_there_is_told_waited_for_and_found_again(
         assert [up for up, _ in one.ear.bus] == [False, True, False, True]
         assert one.port.statistics.reconnects >= 1
         one.check_honesty()
+
+
+def modules(*devices: int) -> dict[str, Any]:
+    """Modules of three blocks each, `number` of device 2 is `number_2`."""
+    registers = {
+        f"{name}_{device}": {"address": address, "table": "input", "device_id": device}
+        for device in devices
+        for name, address in (("voltage", 0), ("number", 2), ("state", 5))
+    }
+    signals = {name: {"signal": name} for name in registers}
+    return {"registers": registers, "signals": signals, "max_gap": 0}
+
+
+def hears_of(one: Bench, device: int) -> int:
+    """How many samples of a device have come."""
+    return sum(f"number_{device}" in values for values, *_ in one.ear.heard)
+
+
+@pytest.mark.parametrize("timeout_s", [0.08, 0.02])
+@pytest.mark.parametrize("living", [1, 2, 4])
+async def test_silent_modules_behind_a_gateway_leave_the_living_one_and_the_link_alone(
+    tmp_path: Path, free_tcp_port: int, living: int, timeout_s: float
+) -> None:
+    given = modules(1, 2, 3, 4) | {"timeout_s": timeout_s}
+    dead = {1, 2, 3, 4} - {living}
+    async with bench("tcp", tmp_path, free_tcp_port, dead=dead, **given) as one:
+        await until(lambda: hears_of(one, living) >= 30 or len(one.ear.bus) > 0)
+        assert one.ear.bus == []
+        assert isinstance(one.peer, TcpPeer)
+        assert one.peer.connections == 1
+
+
+async def test_a_gateway_behind_which_no_module_answers_is_connected_anew(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with bench("tcp", tmp_path, free_tcp_port, **modules(1, 2)) as one:
+        await until(lambda: hears_of(one, 1) >= 3)
+        one.peer.dead = {1, 2}
+        await until(lambda: bool(one.ear.bus))
+        assert "requests in a row" in one.ear.bus[0][1]
+        one.peer.dead = set()
+        await until(lambda: one.ear.bus[-1][0])
+        assert one.port.statistics.reconnects >= 1
+
+
+async def test_a_missing_reply_of_a_silent_module_keeps_no_living_one_waiting_for_another(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with bench("rtu", tmp_path, free_tcp_port, **modules(1, 2)) as one:
+        await until(lambda: hears_of(one, 1) >= 3)
+        one.peer.dead = {2}
+        first = len(one.peer.asked)
+        await until(lambda: one.peer.asked[first:].count(2) >= 11)
+        asked = one.peer.asked[first:]
+        assert (2, 2) not in list(itertools.pairwise(asked[asked.index(2) :]))
+
+
+async def test_a_silent_module_is_asked_seldom_and_found_again(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    registers = {
+        f"number_{device}": {"address": 2, "table": "input", "device_id": device}
+        for device in (1, 2)
+    }
+    signals = {name: {"signal": name} for name in registers}
+    given: dict[str, Any] = {"registers": registers, "signals": signals}
+    async with bench("rtu", tmp_path, free_tcp_port, dead={1}, **given) as one:
+        await until(lambda: one.peer.asked.count(1) >= 5)
+        asked = one.peer.asked
+        last = len(asked) - 1 - asked[::-1].index(1)
+        before = last - 1 - asked[:last][::-1].index(1)
+        assert asked[before + 1 : last].count(2) == SELDOM_CYCLES
+        assert hears_of(one, 1) == 0
+        one.peer.dead = set()
+        start = hears_of(one, 2)
+        await until(lambda: hears_of(one, 1) > 0)
+        assert hears_of(one, 2) - start <= SELDOM_CYCLES + 1
+        known = hears_of(one, 1)
+        await until(lambda: hears_of(one, 2) >= start + SELDOM_CYCLES + 6)
+        assert hears_of(one, 1) >= known + 3
+        one.check_honesty()
+
+
+async def test_a_silent_module_for_which_there_is_time_is_asked_in_every_cycle(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    given = modules(1, 2) | {"timeout_s": 0.02}
+    async with bench("tcp", tmp_path, free_tcp_port, dead={1}, **given) as one:
+        await until(lambda: one.peer.asked.count(1) >= 12)
+        asked = len(one.peer.asked)
+        await until(lambda: hears_of(one, 2) >= 30)
+        assert one.peer.asked[asked:].count(1) >= 10
+
+
+async def test_a_module_that_stays_silent_to_one_block_gives_its_others(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with bench("rtu", tmp_path, free_tcp_port, **modules(1)) as one:
+        one.peer.spoil = lambda reply: (
+            [] if one.peer.requests[-1][1:3] == bytes(2) else [(0.0, reply)]
+        )
+        await one.hears(4)
+        start = hears_of(one, 1)
+        await until(lambda: hears_of(one, 1) >= start + 15)
+        later = [values for values, *_ in one.ear.heard]
+        assert sum("state_1" in values for values in later) >= hears_of(one, 1) - 3
+        assert one.ear.bus == []
+
+
+async def test_a_value_that_waited_for_a_silent_line_is_as_old_as_its_request_on_the_wire(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    given = modules(1, 2) | {"cycle_s": 0.25, "timeout_s": 0.2}
+    async with bench("rtu", tmp_path, free_tcp_port, dead={2}, **given) as one:
+        await until(lambda: one.port.statistics.timeouts >= 3 and hears_of(one, 1) >= 4)
+        one.check_honesty()
+        for values, taken_s, _ in one.ear.heard:
+            if "number_1" in values:
+                assert one.peer.taken[round(values["number_1"])] - taken_s < 0.2
 
 
 def test_each_device_on_the_line_is_asked_for_its_own_registers() -> None:

@@ -6,6 +6,7 @@ import contextlib
 import logging
 import socket
 import struct
+import sys
 import termios
 from collections.abc import Callable
 
@@ -116,6 +117,8 @@ def unconnected_client(config: TcpLink | RtuLink, trace: Trace) -> Client:
     client = _client(config, trace)
     framer = client.ctx.framer
     vars(framer)["handleFrame"] = _without_errors(framer.handleFrame)
+    # pymodbus closes after five missing replies, were it one of many devices: the link judges that
+    client.ctx.max_until_disconnect = client.ctx.count_until_disconnect = sys.maxsize
     return client
 
 

@@ -73,16 +73,31 @@ class ExchangeError(AdaptdriveError):
 
 
 class ModbusConnection:
-    """An open link to one device.
+    """An open link to one device, or to several that share it.
 
     Attributes:
         lost: Why the link can no longer be used, None while it can.
+        asked_s: When the last request was sent; monotonic.
     """
 
     def __init__(
-        self, config: TcpLink | RtuLink, counts: Counter[str], clock: Callable[[], float]
+        self,
+        config: TcpLink | RtuLink,
+        counts: Counter[str],
+        clock: Callable[[], float],
+        *,
+        shared: bool = False,
     ) -> None:
+        """Prepare a link; nothing is opened yet.
+
+        Args:
+            config: Which link.
+            counts: What is counted on it.
+            clock: Monotonic clock in seconds.
+            shared: Whether the link outlives a silent device: `note_silence` tells when all are.
+        """
         self._config = config
+        self._shared = shared
         self._counts = counts
         self._clock = clock
         self._serial = isinstance(config, RtuLink)
@@ -96,6 +111,13 @@ class ModbusConnection:
         self._missed = 0
         self._commands = False
         self.lost: str | None = None
+        self.asked_s = clock()
+
+    @property
+    def miss_s(self) -> float:
+        """Time for which a missing reply keeps the link busy."""
+        silent_timeouts = _SILENT_TIMEOUTS if self._serial else 0.0
+        return (1.0 + silent_timeouts) * self._config.timeout_s
 
     async def open(self) -> None:
         """Connect.
@@ -141,7 +163,8 @@ class ModbusConnection:
         if exchange.write is not None and not self._commands:
             self._commands = True
             drop_unsent(client, drop=True)
-        hasty = self._unsettled_s() > 0.0
+        hasty = self.unsettled_s() > 0.0
+        self.asked_s = self._clock()
         reply = await self._reply_to(client, exchange, words)
         await asyncio.sleep(silence_s(self._config))
         registers = self._checked(reply, exchange)
@@ -193,11 +216,16 @@ class ModbusConnection:
         self._counts["timeouts"] += 1
         if self._client is None or not self._client.connected:
             self.lost = "the device closed the connection"
-        elif not self._serial and self._missed >= _PATIENCE:
-            self.lost = f"no reply to {_PATIENCE} requests in a row"
         elif self._serial and self._heard:
             short = len(self._heard) < exchange.reply_bytes + RTU_FRAME
             self._counts["wrong_length" if short else "wrong_checksum"] += 1
+        elif not self._shared:
+            self.note_silence()
+
+    def note_silence(self) -> None:
+        """Take a TCP connection on which no device answers for half open, after some replies."""
+        if self.lost is None and not self._serial and self._missed >= _PATIENCE:
+            self.lost = f"no reply to {self._missed} requests in a row"
 
     def _came_instead(self, exchange: Exchange) -> str:
         """Return what came on TCP in place of a reply, empty where nothing came."""
@@ -241,14 +269,14 @@ class ModbusConnection:
             ExchangeError: The line is never silent, or the exchange is void.
         """
         end_s = self._clock() + _NOISE_ROUNDS * _SILENT_TIMEOUTS * self._config.timeout_s
-        while (left_s := self._unsettled_s()) > 0.0 and not void():
+        while (left_s := self.unsettled_s()) > 0.0 and not void():
             if self._clock() > end_s:
                 raise ExchangeError("the line is never silent")
             await asyncio.sleep(min(left_s, _LOOK_S))
         if void():
             raise ExchangeError("the safe command goes first")
 
-    def _unsettled_s(self) -> float:
+    def unsettled_s(self) -> float:
         """Return how much longer a serial line must be silent before a reply is its request's."""
         if self._suspect_s is None:
             return 0.0

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from itertools import groupby
+from itertools import combinations, groupby
 from pathlib import Path
 
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
@@ -23,19 +23,15 @@ from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange, cycle_flaws
 from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, are_alike
 from adaptdrive.hardware.modbus.mapping import RegisterSource
+from adaptdrive.hardware.modbus.turns import SensorBlock, Turn, Turns
 from adaptdrive.hardware.port import PortStatistics, SensorListener
 from adaptdrive.hardware.presence import Presence
 
 _SILENT_CYCLES = 3
 """Cycles without any reply after which the modules are reported lost."""
 
-
-@dataclass(frozen=True, slots=True)
-class SensorBlock:
-    """Registers that are asked for at once, and what is taken from them."""
-
-    exchange: Exchange
-    sources: tuple[RegisterSource, ...]
+_GATEWAY_CODES = frozenset({10, 11})
+"""Exception codes with which a gateway says that the device behind it does not answer."""
 
 
 def build_modbus_sensors(
@@ -78,7 +74,9 @@ class ModbusSensorPort:
         self._closing = asyncio.Event()
         self._silent = 0
         self._foreign = 0
-        self._alike = are_alike(config, [block.exchange for block in blocks])
+        pairs = combinations([block.exchange for block in blocks], 2)
+        self._alike = any(are_alike(config, pair) for pair in pairs)  # their order may change
+        self._patience = math.ceil(config.oldest_s / config.cycle_s - 1e-6)
         self._presence = Presence(self.description)
 
     @property
@@ -113,7 +111,7 @@ class ModbusSensorPort:
 
     async def _try(self, listener: SensorListener) -> str:
         """Open the link and poll it until it is lost; why it was."""
-        link = ModbusConnection(self._config, self._counts, self._clock)
+        link = ModbusConnection(self._config, self._counts, self._clock, shared=True)
         try:
             await link.open()
         except BusError as problem:
@@ -127,33 +125,51 @@ class ModbusSensorPort:
 
     async def _serve(self, link: ModbusConnection, listener: SensorListener) -> str:
         next_s = self._clock()
+        turns = Turns(self._blocks, self._patience)
         while link.lost is None and not self._closing.is_set():
-            await self._poll(link, listener)
+            await self._poll(link, turns, listener)
             late_s = max(0.0, self._clock() - next_s)
             next_s += (1 + int(late_s / self._config.cycle_s)) * self._config.cycle_s
             await self._sleep(next_s - self._clock())
         return link.lost or "closed"
 
-    async def _poll(self, link: ModbusConnection, listener: SensorListener) -> None:
-        """Ask for every block; one that does not come leaves the others alone."""
+    async def _poll(self, link: ModbusConnection, turns: Turns, listener: SensorListener) -> None:
+        """Ask for the blocks that are due; one that does not come leaves the others alone."""
+        end_s = self._clock() + self._config.cycle_s
         heard, problem = False, ""
         known, self._foreign = self._foreign, self._counts["foreign"]
-        for block in self._blocks:
+        for turn in turns.due(lambda: end_s - self._clock() - link.unsettled_s(), link.miss_s):
             if link.lost is not None or self._closing.is_set():
                 return
-            start_s = self._clock()
             try:
-                words = await link.exchange(block.exchange, [])
+                words = await self._ask(link, turns, turn)
             except ExchangeError as failure:
                 problem = failure.problem
                 continue
             heard = True
             self._report(listener, up=True)
             if not self._alike or self._counts["foreign"] == known:  # since the last cycle began
-                listener.on_values(self._values(block, words), start_s)
+                listener.on_values(self._values(turn.block, words), link.asked_s)
         self._silent = 0 if heard else self._silent + 1
         if self._silent >= _SILENT_CYCLES:
             self._report(listener, up=False, problem=problem)
+
+    async def _ask(self, link: ModbusConnection, turns: Turns, turn: Turn) -> list[int]:
+        """Return the registers of a block, and note whether its device answers.
+
+        Raises:
+            ExchangeError: They did not come.
+        """
+        try:
+            words = await link.exchange(turn.block.exchange, [])
+        except ExchangeError as failure:
+            silent = failure.code is None or failure.code in _GATEWAY_CODES
+            turns.note(turn, answered=not silent)
+            if turns.all_missed:
+                link.note_silence()
+            raise
+        turns.note(turn, answered=True)
+        return words
 
     def _values(self, block: SensorBlock, words: list[int]) -> dict[str, float]:
         """The values of a block that may be used, by name."""
