@@ -221,12 +221,16 @@ async def test_a_bus_that_is_not_there_is_told_waited_for_and_found_again(
         one.check_honesty()
 
 
-def modules(*devices: int) -> dict[str, Any]:
-    """Modules of three blocks each, `number` of device 2 is `number_2`."""
+THREE_BLOCKS = {"voltage": 0, "number": 2, "state": 5}
+ONE_BLOCK = {"number": 2}
+
+
+def modules(*devices: int, blocks: Mapping[str, int] = THREE_BLOCKS) -> dict[str, Any]:
+    """Modules with a block of one register each; `number` of device 2 is `number_2`."""
     registers = {
         f"{name}_{device}": {"address": address, "table": "input", "device_id": device}
         for device in devices
-        for name, address in (("voltage", 0), ("number", 2), ("state", 5))
+        for name, address in blocks.items()
     }
     signals = {name: {"signal": name} for name in registers}
     return {"registers": registers, "signals": signals, "max_gap": 0}
@@ -279,12 +283,7 @@ async def test_a_missing_reply_of_a_silent_module_keeps_no_living_one_waiting_fo
 async def test_a_silent_module_is_asked_seldom_and_found_again(
     tmp_path: Path, free_tcp_port: int
 ) -> None:
-    registers = {
-        f"number_{device}": {"address": 2, "table": "input", "device_id": device}
-        for device in (1, 2)
-    }
-    signals = {name: {"signal": name} for name in registers}
-    given: dict[str, Any] = {"registers": registers, "signals": signals}
+    given = modules(1, 2, blocks=ONE_BLOCK)
     async with bench("rtu", tmp_path, free_tcp_port, dead={1}, **given) as one:
         await until(lambda: one.peer.asked.count(1) >= 5)
         asked = one.peer.asked
@@ -299,7 +298,6 @@ async def test_a_silent_module_is_asked_seldom_and_found_again(
         known = hears_of(one, 1)
         await until(lambda: hears_of(one, 2) >= start + SELDOM_CYCLES + 6)
         assert hears_of(one, 1) >= known + 3
-        one.check_honesty()
 
 
 async def test_a_silent_module_for_which_there_is_time_is_asked_in_every_cycle(
@@ -331,13 +329,11 @@ async def test_a_module_that_stays_silent_to_one_block_gives_its_others(
 async def test_a_value_that_waited_for_a_silent_line_is_as_old_as_its_request_on_the_wire(
     tmp_path: Path, free_tcp_port: int
 ) -> None:
-    given = modules(1, 2) | {"cycle_s": 0.25, "timeout_s": 0.2}
+    given = modules(1, 2, blocks=ONE_BLOCK) | {"cycle_s": 0.25, "timeout_s": 0.2}
     async with bench("rtu", tmp_path, free_tcp_port, dead={2}, **given) as one:
         await until(lambda: one.port.statistics.timeouts >= 3 and hears_of(one, 1) >= 4)
-        one.check_honesty()
         for values, taken_s, _ in one.ear.heard:
-            if "number_1" in values:
-                assert one.peer.taken[round(values["number_1"])] - taken_s < 0.2
+            assert 0.0 <= one.peer.taken[round(values["number_1"])] - taken_s < 0.2
 
 
 def test_each_device_on_the_line_is_asked_for_its_own_registers() -> None:
