@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import uuid
 from contextlib import aclosing
 
 import pytest
@@ -14,7 +15,7 @@ from tests.operation.peers import publish
 from tests.support import Broker
 
 
-async def leave_behind(broker: Broker, availability: str) -> None:
+async def leave_behind(broker: Broker, drive: str, availability: str) -> None:
     """What a broker keeps of a daemon that lost its power while the drive ran."""
     kept = {
         "availability": availability,
@@ -22,7 +23,7 @@ async def leave_behind(broker: Broker, availability: str) -> None:
         "telemetry/load": '{"time": "2026-11-21T01:22:09Z", "output": 3.1}',
     }
     for topic, payload in kept.items():
-        await publish(broker, f"adaptdrive/motor/{topic}", payload, "-r")
+        await publish(broker, f"adaptdrive/{drive}/{topic}", payload, "-r")
 
 
 @pytest.mark.parametrize(
@@ -31,18 +32,20 @@ async def leave_behind(broker: Broker, availability: str) -> None:
 async def test_the_state_of_a_daemon_that_is_gone_is_no_state(
     mosquitto: Broker, availability: str, problem: str
 ) -> None:
-    await leave_behind(mosquitto, availability)
-    drive = Drive("motor", Mqtt(host=mosquitto.host, port=mosquitto.port))
+    name = str(uuid.uuid4())
+    await leave_behind(mosquitto, name, availability)
+    drive = Drive(name, Mqtt(host=mosquitto.host, port=mosquitto.port))
     with pytest.raises(NoAnswerError, match=problem):
         await drive.state()
 
 
 async def test_telemetry_that_the_broker_has_kept_is_not_yielded(mosquitto: Broker) -> None:
-    await leave_behind(mosquitto, "online")
-    drive = Drive("motor", Mqtt(host=mosquitto.host, port=mosquitto.port))
+    name = str(uuid.uuid4())
+    await leave_behind(mosquitto, name, "online")
+    drive = Drive(name, Mqtt(host=mosquitto.host, port=mosquitto.port))
     async with aclosing(drive.telemetry()) as messages:
         first = asyncio.ensure_future(anext(messages))
         while not first.done():  # until it has subscribed
-            await publish(mosquitto, "adaptdrive/motor/telemetry/drive", '{"output": 3.2}')
+            await publish(mosquitto, f"adaptdrive/{name}/telemetry/drive", '{"output": 3.2}')
             await asyncio.wait([first], timeout=0.1)
         assert await first == ("drive", {"output": 3.2})
