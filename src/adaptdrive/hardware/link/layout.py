@@ -64,7 +64,7 @@ class SignalField:
             raw = round(raw)
         if not self.low <= raw <= self.high:
             ends = f"{self.physical(self.low):g}…{self.physical(self.high):g}"
-            raise ValueError(f"{self.name} = {value} is outside {ends}")
+            raise ValueError(f"{self.name} = {value:.10g} is outside {ends}")
         return raw
 
 
