@@ -36,6 +36,20 @@ def rest(panel_site: PanelSite) -> None:
     panel_site.site.await_state(state="standby")
 
 
+def stop_in_vain(operator: Panel) -> None:
+    """Press STOP while there is no broker."""
+    operator.page.get_by_role("button", name="STOP").click()
+    operator.expect_text(".answer", "disable: not sent: no broker")
+
+
+def restart_broker(operator: Panel, panel_site: PanelSite) -> None:
+    """Start the broker again, and wait until page and daemon are connected to it."""
+    panel_site.site.start_broker()
+    expect(operator.page.locator(".notice")).to_be_hidden(timeout=PATIENCE_MS)
+    panel_site.site.await_availability("online")
+    operator.expect_text(".age", "live")
+
+
 def test_a_wrong_password_is_refused(make_panel: MakePanel, panel_site: PanelSite) -> None:
     panel = make_panel()
     panel.log_in(panel_site.address, "operator", "guess")
@@ -168,12 +182,8 @@ def test_what_was_lost_comes_back(operator: Panel, panel_site: PanelSite) -> Non
     site = panel_site.site
     site.kill(site.broker)
     operator.expect_text(".notice", "The broker cannot be reached")
-    operator.page.get_by_role("button", name="STOP").click()
-    operator.expect_text(".answer", "disable: not sent: no broker")
-    site.start_broker()
-    expect(operator.page.locator(".notice")).to_be_hidden(timeout=PATIENCE_MS)
-    site.await_availability("online")
-    operator.expect_text(".age", "live")
+    stop_in_vain(operator)
+    restart_broker(operator, panel_site)
     site.kill(site.daemon)
     operator.expect_state("offline")
     site.start_daemon()
@@ -192,12 +202,8 @@ def test_what_was_asked_before_a_loss_of_the_broker_does_not_act_after_it(
         operator.page.get_by_role("button", name=name, exact=True).click()
     site.kill(site.broker)
     operator.expect_text(".answer", "enable: no answer: the connection to the broker was lost")
-    operator.page.get_by_role("button", name="STOP").click()
-    operator.expect_text(".answer", "disable: not sent: no broker")
-    site.start_broker()
-    expect(operator.page.locator(".notice")).to_be_hidden(timeout=PATIENCE_MS)
-    site.await_availability("online")
-    operator.expect_text(".age", "live")
+    stop_in_vain(operator)
+    restart_broker(operator, panel_site)
     operator.page.get_by_role("button", name="fixed").click()  # after what would be sent again
     operator.expect_text(".answer", "mode fixed: accepted")
     assert not site.state["enabled"]
@@ -232,11 +238,11 @@ def test_a_drive_that_answers_no_command_is_shown_with_both_causes(
     operator.page.get_by_role("link", name="all drives").click()
     operator.open_drive("deaf")
 
-    def told() -> bool:
+    def names_both() -> bool:
         hostile(port, "adaptdrive/deaf/telemetry/drive", {"time": NOW, "age_s": 0.0})
         return operator.page.get_by_text("No command is answered.").is_visible()
 
-    until(told, "the page names why no command is answered", 60.0)
+    until(names_both, "the page names why no command is answered", 60.0)
     viewer = operator.page.locator(".viewer")
     expect(viewer).to_contain_text("this user may look and not command")
     expect(viewer).to_contain_text("the daemon receives no commands")

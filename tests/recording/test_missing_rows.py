@@ -83,3 +83,9 @@ def test_a_stream_that_broke_off_at_the_end_leaves_no_session_whole(
     torn.write_bytes(b"what a power cut left")
     named = (f"{torn.name}: it breaks off within a batch, which is left out",)
     assert verdict(tmp_path).problems == (() if whole else named)
+
+
+def test_a_foreign_file_beside_the_segments_is_no_segment(tmp_path: Path) -> None:
+    record_in_two_parts(tmp_path)
+    (tmp_path / "ticks-copy.torn").touch()
+    assert verdict(tmp_path).whole

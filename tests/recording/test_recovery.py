@@ -195,8 +195,8 @@ def test_a_spool_that_a_full_disk_kept_is_written_at_the_start_after(
     spool_path(tmp_path, INFO).write_bytes(stream(header, make_batch([make_tick(1)])))
     with monkeypatch.context() as disk:
         disk.setattr(streams.StreamWriter, "write", refuse)
-        told = next_start(tmp_path)
-    assert any("is left as it is" in sentence for sentence in told)
+        reported = next_start(tmp_path)
+    assert any("is left as it is" in sentence for sentence in reported)
     assert read_info(directory).ended is Ending.LOST
     next_start(tmp_path)
     assert sequences(read_session(directory)) == [0, 1]
@@ -230,10 +230,10 @@ def test_an_end_that_was_left_to_the_next_start_is_an_orderly_one(tmp_path: Path
     last = msgspec.structs.replace(make_batch([make_tick(0)], last=True), dropped=Dropped(77))
     header = Header(INFO, "", str(tmp_path), str(directory))
     spool_path(tmp_path, INFO).write_bytes(stream(header, last))
-    told = next_start(tmp_path)
+    reported = next_start(tmp_path)
     assert read_info(directory).ended is Ending.ORDERLY
     assert read_info(directory).dropped == Dropped(77)
-    assert not any(directory.name in sentence for sentence in told)
+    assert not any(directory.name in sentence for sentence in reported)
 
 
 def test_what_a_lost_session_lacks_is_told(tmp_path: Path) -> None:

@@ -76,7 +76,7 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
     """
     from adaptdrive.recording.reader import read_session  # noqa: PLC0415 - see above
     from adaptdrive.recording.repair import last_tick_time  # noqa: PLC0415
-    from adaptdrive.recording.segments import segments  # noqa: PLC0415
+    from adaptdrive.recording.segments import newest_number, segments  # noqa: PLC0415
 
     found = read_session(_find(session, directory))
     info, last = found.info, last_tick_time(found.path)
@@ -89,7 +89,7 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
         ("last tick", last.isoformat() if last else "not known"),
         ("ended", info.ended.value),
         ("not recorded", str(info.dropped)),
-        ("segments", str(max((one.number for one in segments(found.path)), default=0))),
+        ("segments", str(newest_number(segments(found.path)))),
         ("events", unread or str(len(found.events))),
         ("commands", unread or str(len(found.commands))),
         ("trips", ", ".join(_trips(found.path)) or "none"),

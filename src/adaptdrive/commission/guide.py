@@ -19,7 +19,6 @@ from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import AdaptdriveError, CommissionError, first_error
 from adaptdrive.operation.conversation import NoAnswerError
 from adaptdrive.operation.listener import read_status
-from adaptdrive.operation.messages import ONLINE
 from adaptdrive.operation.sender import send_command
 
 HOLD_S = 5.0
@@ -185,7 +184,7 @@ class Guide:
 
     async def _state(self) -> dict[str, Any]:
         status = await read_status(self._broker, self._drive, self._timeout_s)
-        if status.availability != ONLINE.decode() or status.state is None:
+        if not status.online or status.state is None:
             raise NoAnswerError(self._drive, "it is not online")
         return status.state
 

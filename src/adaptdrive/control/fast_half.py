@@ -323,7 +323,7 @@ def count_tick(state: FastState, boost_voltage_V: float, fresh: bool, ticks: int
         state: Overwritten.
         boost_voltage_V: v_bst.
         fresh: Whether it was measured now, not held.
-        ticks: Since the last reading: more than 1 where a drive is polled.
+        ticks: Half line cycles since the last reading: more than 1 where a drive is polled.
     """
     state.voltage_sum += boost_voltage_V
     state.readings += 1

@@ -84,7 +84,7 @@ def note_sample(grid: Grid, sample: float, scale: float, ticks: int = 1) -> None
         grid: Overwritten.
         sample: y as the sensor gave it.
         scale: Output of order one.
-        ticks: Since the last sample: more than 1 where a drive is polled.
+        ticks: Half line cycles since the last sample: more than 1 where a drive is polled.
     """
     if sample == grid.last:
         return
@@ -126,7 +126,7 @@ def close_share(grid: Grid, ticks: int) -> None:
 
     Args:
         grid: Overwritten.
-        ticks: Of the period.
+        ticks: Half line cycles of the period.
     """
     grid.periods = min(grid.periods + 1.0, MEMORY)
     grid.share += (min(1.0, grid.changes / ticks) - grid.share) / grid.periods

@@ -14,7 +14,7 @@ import msgspec
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import Batch, Header, read_frames
 from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
-from adaptdrive.recording.segments import segments
+from adaptdrive.recording.segments import newest_number, segments
 from adaptdrive.recording.session import (
     Ending,
     SessionLock,
@@ -119,7 +119,7 @@ def _write(
 def _reopen(directory: Path) -> None:
     """Mark a lost session as open; its counts include all segments since its close."""
     info = read_info(directory)
-    newest = max((segment.number for segment in segments(directory)), default=0)
+    newest = newest_number(segments(directory))
     write_info(directory, msgspec.structs.replace(info, ended=Ending.OPEN, segments=newest))
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from adaptdrive.recording.segments import Segment, segments
+from adaptdrive.recording.segments import Segment, newest_number, segments
 from adaptdrive.recording.session import SENSORS, SLOW, TICKS, SessionInfo
 from adaptdrive.recording.tick_times import TickTimes
 
@@ -47,7 +47,7 @@ def find_written(directory: Path, info: SessionInfo) -> Written:
     """
     found = segments(directory)
     written = Written(
-        max((segment.number for segment in found), default=0),
+        newest_number(found),
         times=TickTimes(info.histograms),
         rows=dict(info.rows),
     )

@@ -8,7 +8,7 @@ file is complete on disk, and not before. Sessions of format 1 have one segment 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -104,6 +104,11 @@ def segments(directory: Path, table: str | None = None) -> list[Segment]:
             number = int(match[2] or 0)
             found[number, match[1]] = Segment(number, match[1], path)
     return sorted(found.values())
+
+
+def newest_number(found: Iterable[Segment]) -> int:
+    """Return the number of the last of some segments, 0 for none."""
+    return max((segment.number for segment in found), default=0)
 
 
 def _stream_batches(path: Path, *, strict: bool) -> Iterator[pa.RecordBatch]:

@@ -74,7 +74,8 @@ def _torn_ends(directory: Path) -> Iterator[str]:
     last = {segment.table: segment.number for segment in segments(directory)}
     for path in sorted(directory.glob(f"*{TORN}")):
         table, _, number = path.stem.partition("-")
-        if int(number or 0) >= last.get(table, 0):
+        number = number or "0"  # of format 1
+        if number.isdecimal() and int(number) >= last.get(table, 0):
             yield f"{path.name}: it breaks off within a batch, which is left out"
 
 

@@ -108,8 +108,8 @@ async def test_a_drive_that_does_not_obey_the_safe_command_gets_no_heartbeat(pee
         bench.ear.command = SAFE_COMMAND
         await until(lambda: peer.words[-1] == 0x00)
         await asyncio.sleep(1.2)
-        told, known = len(peer.words), len(peer.beats)
-        await until(lambda: len(peer.words) > told + 10)
+        heard, known = len(peer.words), len(peer.beats)
+        await until(lambda: len(peer.words) > heard + 10)
         assert len(peer.beats) <= known + 1
         peer.statusword = REST
         await until(lambda: len(peer.beats) > known + 2)
@@ -184,11 +184,11 @@ async def test_a_lost_node_takes_the_safe_command_of_each_tick_and_no_other(peer
         bench.ear.command = None
         await bench.reports("its vendor is")
         await asyncio.sleep(0.05)
-        told, known = len(peer.words), len(peer.beats)
+        heard, known = len(peer.words), len(peer.beats)
         for command in (SAFE_COMMAND, RUN, SAFE_COMMAND):
             assert not bench.port.send(command)
-        await until(lambda: len(peer.words) == told + 2)
-        assert peer.words[told:] == [0x00, 0x00]
+        await until(lambda: len(peer.words) == heard + 2)
+        assert peer.words[heard:] == [0x00, 0x00]
         assert len(peer.beats) == known
         assert bench.port.safe_s == math.inf
 

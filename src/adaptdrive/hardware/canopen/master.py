@@ -32,7 +32,6 @@ _LOOK_AGAIN_S = 0.002
 """Wait before a heartbeat is called lost: one that came while the loop was busy is read meanwhile,
 whatever loop it is and whether it looks at timers or at sockets first."""
 
-
 _TAKING_S = 0.05
 """Time that a lost node has for the safe command before it is made pre-operational, where it takes
 none: several commands, and several cycles of its own."""

@@ -94,7 +94,8 @@ class ModbusConnection:
             config: Which link.
             counts: What is counted on it.
             clock: Monotonic clock in seconds.
-            shared: Whether the link outlives a silent device: `note_silence` tells when all are.
+            shared: Whether the link is kept while one device is silent; its owner then calls
+                `note_silence` when none answers.
         """
         self._config = config
         self._shared = shared
