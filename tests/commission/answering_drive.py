@@ -9,8 +9,7 @@ from contextlib import asynccontextmanager
 from datetime import UTC, datetime
 from typing import Any
 
-from aiomqtt import Client
-
+from adaptdrive.operation.steady import SteadyClient
 from tests.support import Broker
 
 PERIOD_S = 0.05
@@ -27,7 +26,7 @@ class AnsweringDrive:
         answers_stop: Lets the answer to it go.
     """
 
-    def __init__(self, client: Client, name: str) -> None:
+    def __init__(self, client: SteadyClient, name: str) -> None:
         self.verbs: list[str] = []
         self.mode, self.state, self.coasting = "fixed", "standby", False
         self.stopped, self.answers_stop = asyncio.Event(), asyncio.Event()
@@ -82,7 +81,7 @@ class AnsweringDrive:
 @asynccontextmanager
 async def answering_drive(broker: Broker, name: str) -> AsyncIterator[AnsweringDrive]:
     """Keep such a drive on a broker."""
-    async with Client(broker.host, broker.port) as client:
+    async with SteadyClient(broker.host, broker.port) as client:
         drive = AnsweringDrive(client, name)
         running = asyncio.create_task(drive.run())
         try:

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from aiomqtt import Client
 
 from adaptdrive.commission import guide as guide_module
 from adaptdrive.commission.experiment import LoadExperiment
@@ -23,6 +22,7 @@ from adaptdrive.config.file import load_configuration
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import CommissionError
 from adaptdrive.operation.conversation import NoAnswerError
+from adaptdrive.operation.steady import SteadyClient
 from tests.commission.answering_drive import answering_drive
 from tests.support import Broker
 
@@ -41,7 +41,7 @@ Telemetry = Callable[[float], dict[str, Any]]
 async def publish(broker: Broker, drive: str, telemetry: Telemetry) -> None:
     """Publish a drive in standby, and its telemetry twenty times a second."""
     place, begin_s = f"adaptdrive/{drive}", asyncio.get_running_loop().time()
-    async with Client(broker.host, broker.port) as client:
+    async with SteadyClient(broker.host, broker.port) as client:
         await client.publish(f"{place}/availability", "online", retain=True)
         await client.publish(f"{place}/state", json.dumps({"state": "standby"}), retain=True)
         while True:

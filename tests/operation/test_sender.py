@@ -17,6 +17,7 @@ from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.conversation import NoAnswerError
 from adaptdrive.operation.listener import read_site, read_status
 from adaptdrive.operation.sender import send_command
+from adaptdrive.operation.steady import SteadyClient
 from tests.support import Broker
 
 TIMEOUT_S = 4.0
@@ -93,7 +94,7 @@ async def test_the_time_of_the_end_is_by_the_clock_of_the_drive(
     drive, ahead = f"mute-{uuid.uuid4()}", timedelta(seconds=ahead_s)
 
     async def tell() -> None:
-        async with Client(mosquitto.host, mosquitto.port) as client:
+        async with SteadyClient(mosquitto.host, mosquitto.port) as client:
             while True:
                 time = (datetime.now(UTC) + ahead).isoformat()
                 topic = f"adaptdrive/{drive}/telemetry/drive"

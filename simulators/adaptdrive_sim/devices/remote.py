@@ -17,6 +17,7 @@ import msgspec
 
 from adaptdrive.errors import RefusedError
 from adaptdrive.operation.simulator import DeviceReply, simulator_topic
+from adaptdrive.operation.steady import SteadyClient
 from adaptdrive_sim.broker import BrokerAddress
 from adaptdrive_sim.devices.drive import Report, SimulatedDrive
 from adaptdrive_sim.disturbances import apply_request, parse_request, read_id
@@ -56,7 +57,7 @@ class Remote:
         truth = simulator_topic(self._name, "truth")
         will = aiomqtt.Will(truth, payload=b"", qos=1, retain=True)
         address = self._broker
-        async with aiomqtt.Client(address.host, address.port, will=will) as client:
+        async with SteadyClient(address.host, address.port, will=will) as client:
             self._report("broker found", broker=f"{address.host}:{address.port}")
             self._retry_s = RETRY_FIRST_s
             try:
@@ -68,13 +69,13 @@ class Remote:
                     async with asyncio.timeout(FAREWELL_s):
                         await client.publish(truth, b"", qos=1, retain=True)
 
-    async def _publish_truth(self, client: aiomqtt.Client, truth: str) -> None:
+    async def _publish_truth(self, client: SteadyClient, truth: str) -> None:
         while True:
             payload = msgspec.json.encode(self.state())
             await client.publish(truth, payload, qos=0, retain=True)
             await asyncio.sleep(TRUTH_PERIOD_s)
 
-    async def _answer(self, client: aiomqtt.Client) -> None:
+    async def _answer(self, client: SteadyClient) -> None:
         await client.subscribe(simulator_topic(self._name, "disturb"), qos=1)
         async for message in client.messages:
             reply = self.carry_out(message.payload, retained=bool(message.retain))
