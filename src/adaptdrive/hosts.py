@@ -1,15 +1,12 @@
-"""Looking up the addresses of a host, each time in a thread of its own.
-
-Where no name server answers, a look-up takes half a minute. The helper threads of the event loop
-are few, everything else that blocks needs them, and the process cannot end before they do.
-"""
+"""Looking up the addresses of a host, which takes half a minute where no name server answers."""
 
 from __future__ import annotations
 
 import asyncio
 import socket
 from concurrent.futures import Future
-from threading import Thread
+
+from adaptdrive.aside import in_thread
 
 Addresses = tuple[str, ...]
 
@@ -25,19 +22,12 @@ def look_up(host: str, port: int) -> Future[Addresses]:
         The addresses in the order in which they are to be tried, or the error: an OSError, or a
         ValueError where the name cannot be one. The process need not wait for it to end.
     """
-    future: Future[Addresses] = Future()
-    future.set_running_or_notify_cancel()  # whoever gives up cannot cancel it any more
 
-    def run() -> None:
-        try:
-            found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-        except (OSError, ValueError) as problem:
-            future.set_exception(problem)
-        else:
-            future.set_result(tuple(dict.fromkeys(str(entry[4][0]) for entry in found)))
+    def addresses() -> Addresses:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        return tuple(dict.fromkeys(str(entry[4][0]) for entry in found))
 
-    Thread(target=run, name="look-up", daemon=True).start()
-    return future
+    return in_thread(addresses, "look-up")
 
 
 async def find(host: str, port: int, timeout_s: float) -> Addresses:

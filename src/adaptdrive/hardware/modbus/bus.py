@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import logging
 import socket
@@ -9,12 +10,14 @@ import struct
 import sys
 import termios
 from collections.abc import Callable
+from functools import partial
 
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.pdu import ModbusPDU
 
 from adaptdrive.config.modbus import ModbusLink, RtuLink, TcpLink
 from adaptdrive.errors import BusError
+from adaptdrive.hardware.modbus.serial_port import PATIENCE_S, SerialPort
 from adaptdrive.hosts import find
 
 Client = AsyncModbusTcpClient | AsyncModbusSerialClient
@@ -33,12 +36,15 @@ def describe_bus(config: ModbusLink) -> str:
     return f"{_medium(config)} device {config.device_id}"
 
 
-async def open_client(config: TcpLink | RtuLink, trace: Trace) -> Client:
+async def open_client(
+    config: TcpLink | RtuLink, trace: Trace, serial: SerialPort | None = None
+) -> Client:
     """Connect; the caller must close the client.
 
     Args:
         config: Which link.
         trace: Sees every packet: whether it is sent, and its bytes as far as they have come.
+        serial: Port of a serial link, which whoever opens the link again must keep.
 
     Raises:
         BusError: There is no connection.
@@ -46,7 +52,7 @@ async def open_client(config: TcpLink | RtuLink, trace: Trace) -> Client:
     problem = BusError(describe_bus(config), "it has no address")
     for one in await _addressed(config):
         try:
-            return await _connected(one, config, trace)
+            return await _connected(unconnected_client(one, trace, serial), config)
         except BusError as failure:
             problem = failure
     raise problem
@@ -67,13 +73,12 @@ async def _addressed(config: TcpLink | RtuLink) -> list[TcpLink | RtuLink]:
     return [config.model_copy(update={"host": address}) for address in addresses]
 
 
-async def _connected(one: TcpLink | RtuLink, config: TcpLink | RtuLink, trace: Trace) -> Client:
-    """Connect to one address of a link.
+async def _connected(client: Client, config: TcpLink | RtuLink) -> Client:
+    """Connect a client to its address of a link.
 
     Raises:
         BusError: There is no connection.
     """
-    client = unconnected_client(one, trace)
     try:
         connected = await client.connect()
     except termios.error as problem:
@@ -105,16 +110,19 @@ def drop_unsent(client: Client, *, drop: bool) -> None:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.pack(drop, 0))
 
 
-def unconnected_client(config: TcpLink | RtuLink, trace: Trace) -> Client:
+def unconnected_client(
+    config: TcpLink | RtuLink, trace: Trace, serial: SerialPort | None = None
+) -> Client:
     """Return a client of a link, which is not connected yet.
 
     Args:
         config: Which link.
         trace: Sees every packet.
+        serial: Port of a serial link, None for a new one.
     """
     # a reply that is missing is counted; a line in the log each time would wear out the disk
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
-    client = _client(config, trace)
+    client = _client(config, trace, serial)
     framer = client.ctx.framer
     vars(framer)["handleFrame"] = _without_errors(framer.handleFrame)
     # pymodbus closes after five missing replies, were it one of many devices: the link judges that
@@ -137,7 +145,7 @@ def _without_errors(decode: Decode) -> Decode:
     return decoded
 
 
-def _client(config: TcpLink | RtuLink, trace: Trace) -> Client:
+def _client(config: TcpLink | RtuLink, trace: Trace, serial: SerialPort | None) -> Client:
     if isinstance(config, TcpLink):
         return AsyncModbusTcpClient(
             config.host,
@@ -147,16 +155,31 @@ def _client(config: TcpLink | RtuLink, trace: Trace) -> Client:
             reconnect_delay=0,
             trace_packet=trace,
         )
-    return AsyncModbusSerialClient(
+    client = AsyncModbusSerialClient(
         str(config.device),
-        baudrate=config.baud,
-        parity=config.parity[0].upper(),
-        stopbits=config.stop_bits,
-        timeout=_CONNECT_S,
+        timeout=2.0 * PATIENCE_S,  # the port gives up first
         retries=0,
         reconnect_delay=0,
         trace_packet=trace,
     )
+    port = SerialPort(config) if serial is None else serial
+    client.ctx.call_create = partial(_open_serial, port, config, client.ctx)
+    return client
+
+
+async def _open_serial(
+    port: SerialPort, config: RtuLink, protocol: asyncio.BaseProtocol
+) -> tuple[asyncio.BaseTransport, asyncio.BaseProtocol]:
+    """Open a serial port for pymodbus, which would keep back why it hangs.
+
+    Raises:
+        BusError: It does not open in time.
+        OSError: It cannot be opened.
+    """
+    try:
+        return await port.open(protocol)
+    except TimeoutError as problem:
+        raise BusError(describe_bus(config), str(problem)) from problem
 
 
 def _medium(config: ModbusLink) -> str:

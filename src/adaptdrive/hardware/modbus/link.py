@@ -21,6 +21,7 @@ from adaptdrive.config.modbus import RtuLink, TcpLink
 from adaptdrive.errors import AdaptdriveError
 from adaptdrive.hardware.modbus.bus import Client, drop_unsent, open_client
 from adaptdrive.hardware.modbus.capacity import RTU_FRAME, Exchange, silence_s
+from adaptdrive.hardware.modbus.serial_port import SerialPort
 
 _HEADER = struct.Struct(">HHHB")
 """Head of a packet on TCP: transaction, protocol, length of all that follows it, device."""
@@ -87,6 +88,7 @@ class ModbusConnection:
         clock: Callable[[], float],
         *,
         shared: bool = False,
+        serial: SerialPort | None = None,
     ) -> None:
         """Prepare a link; nothing is opened yet.
 
@@ -96,8 +98,10 @@ class ModbusConnection:
             clock: Monotonic clock in seconds.
             shared: Whether the link is kept while one device is silent; its owner then calls
                 `note_silence` when none answers.
+            serial: Port of a serial link, kept by whoever opens the link again.
         """
         self._config = config
+        self._serial_port = serial
         self._shared = shared
         self._counts = counts
         self._clock = clock
@@ -126,7 +130,7 @@ class ModbusConnection:
         Raises:
             BusError: There is no connection.
         """
-        self._client = await open_client(self._config, self._trace)
+        self._client = await open_client(self._config, self._trace, self._serial_port)
 
     def close(self) -> None:
         """Disconnect; a command that a lost device has not received never reaches it."""

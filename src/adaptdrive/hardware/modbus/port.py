@@ -13,7 +13,7 @@ import math
 from collections import Counter
 from collections.abc import Callable
 
-from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
+from adaptdrive.config.modbus import ModbusRtu, ModbusTcp, RtuLink
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.backoff import BusBackoff
@@ -24,6 +24,7 @@ from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.commander import Commander
 from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, are_alike
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll
+from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 
 _SILENT_POLLS = 3
@@ -49,6 +50,7 @@ class ModbusPort:
         clock: Callable[[], float],
     ) -> None:
         self._config = config
+        self._serial = SerialPort(config) if isinstance(config, RtuLink) else None
         self._poll = poll
         self._poll_s = poll_s
         self._clock = clock
@@ -172,7 +174,7 @@ class ModbusPort:
             return None, problem.problem
 
     async def _open(self) -> ModbusConnection:
-        link = ModbusConnection(self._config, self._counts, self._clock)
+        link = ModbusConnection(self._config, self._counts, self._clock, serial=self._serial)
         await link.open()
         return link
 

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from itertools import combinations, groupby
 from pathlib import Path
 
+from adaptdrive.config.modbus import RtuLink
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.errors import BusError, ConfigurationError
 from adaptdrive.hardware.backoff import BusBackoff
@@ -23,6 +24,7 @@ from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange, cycle_flaws
 from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, are_alike
 from adaptdrive.hardware.modbus.mapping import RegisterSource
+from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.modbus.turns import SensorBlock, Turn, Turns
 from adaptdrive.hardware.port import PortStatistics, SensorListener
 from adaptdrive.hardware.presence import Presence
@@ -68,6 +70,7 @@ class ModbusSensorPort:
         clock: Callable[[], float],
     ) -> None:
         self._config = config
+        self._serial = SerialPort(config) if isinstance(config, RtuLink) else None
         self._blocks = blocks
         self._clock = clock
         self._counts: Counter[str] = Counter()
@@ -111,7 +114,9 @@ class ModbusSensorPort:
 
     async def _try(self, listener: SensorListener) -> str:
         """Open the link and poll it until it is lost; why it was."""
-        link = ModbusConnection(self._config, self._counts, self._clock, shared=True)
+        link = ModbusConnection(
+            self._config, self._counts, self._clock, shared=True, serial=self._serial
+        )
         try:
             await link.open()
         except BusError as problem:
