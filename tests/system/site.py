@@ -309,7 +309,11 @@ class Site:
                 return states[-1].content
             return None
 
-        return until(find, f"state {wanted}", patience_s)
+        try:
+            return until(find, f"state {wanted}", patience_s)
+        except AssertionError as late:
+            states = self.ear.on("state")
+            raise AssertionError(f"{late}; published: {states[-1:]}") from None
 
     def await_availability(self, wanted: str, after: int = 0) -> None:
         """Wait until the drive is online or offline, by a message after so many others."""
