@@ -19,6 +19,7 @@ class AnsweringDrive:
     """A drive that does at once what it is asked for.
 
     Attributes:
+        name: Name.
         verbs: Commands that came, without the repeated ones.
         mode: Mode.
         state: State, of which the coasting is a part.
@@ -30,6 +31,7 @@ class AnsweringDrive:
         self.verbs: list[str] = []
         self.mode, self.state, self.coasting = "fixed", "standby", False
         self.stopped, self.answers_stop = asyncio.Event(), asyncio.Event()
+        self.name = name
         self._client, self._place = client, f"adaptdrive/{name}"
 
     async def run(self) -> None:

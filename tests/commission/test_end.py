@@ -134,3 +134,21 @@ async def test_signals_that_are_repeated_end_an_experiment_once(
     assert process.returncode == 130
     assert drive.verbs == ["mode", "enable", "voltage", "disable", "mode"]
     assert drive.mode == "fixed"
+
+
+async def test_a_signal_ends_an_experiment_that_was_started_without_ctrl_c(
+    mosquitto: Broker, motor: Path
+) -> None:
+    """A shell starts what runs in the background so that it ignores SIGINT."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        async with answering_drive(mosquitto, motor.stem) as drive:
+            drive.answers_stop.set()
+            with acting(signal.SIGTERM), commissioning(mosquitto, motor) as process:
+                await until(lambda: "voltage" in drive.verbs)
+                process.send_signal(signal.SIGTERM)
+                await until(lambda: process.poll() is not None)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert process.returncode == 130
+    assert drive.verbs == ["mode", "enable", "voltage", "disable", "mode"]

@@ -13,7 +13,6 @@ from typing import Any
 
 import pytest
 
-from adaptdrive.commission import guide as guide_module
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.guide import Guide
 from adaptdrive.commission.samples import Samples
@@ -23,6 +22,7 @@ from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import CommissionError
 from adaptdrive.operation.conversation import NoAnswerError
 from adaptdrive.operation.steady import SteadyClient
+from adaptdrive.watch.ending import whole
 from tests.commission.answering_drive import answering_drive
 from tests.support import Broker
 
@@ -125,7 +125,7 @@ async def test_a_key_at_the_end_of_an_experiment_discards_nothing_that_is_comple
         begun.set()
         await answered.wait()
 
-    ending = asyncio.create_task(guide_module._whole(stop(), complete=complete))
+    ending = asyncio.create_task(whole(stop(), complete=complete))
     await begun.wait()
     ending.cancel()
     answered.set()

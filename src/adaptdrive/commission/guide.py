@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from contextlib import aclosing, suppress
 from typing import Any
 
@@ -20,6 +20,7 @@ from adaptdrive.errors import AdaptdriveError, CommissionError, first_error
 from adaptdrive.operation.conversation import NoAnswerError
 from adaptdrive.operation.listener import read_status
 from adaptdrive.operation.sender import send_command
+from adaptdrive.watch.ending import whole
 
 HOLD_S = 5.0
 """Time to live of a voltage."""
@@ -96,7 +97,7 @@ class Guide:
             await self._follow(experiment, show)
         finally:
             leaving = self._leave(str(before.get("mode", "fixed")))
-            await _whole(leaving, complete=experiment.done)
+            await whole(leaving, complete=experiment.done)
 
     async def _follow(
         self, experiment: LoadExperiment, show: Callable[[FastReading, float], None]
@@ -203,19 +204,3 @@ class Guide:
 def _end(drive: str, state: dict[str, Any]) -> str:
     why = state.get("trip") or "disabled by another operator"
     return f"{drive} is {state.get('state')}: {why}"
-
-
-async def _whole(work: Coroutine[Any, Any, None], *, complete: bool) -> None:
-    """Await work that no cancellation interrupts.
-
-    A cancellation counts when the work is done, unless what precedes it is complete.
-    """
-    task, cancelled = asyncio.create_task(work), False
-    while not task.done():
-        try:
-            await asyncio.wait([task])
-        except asyncio.CancelledError:
-            cancelled = True
-    if cancelled and not complete:
-        raise asyncio.CancelledError
-    task.result()

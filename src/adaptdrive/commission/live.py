@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import functools
-import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from types import FrameType
 
 from adaptdrive.commission.exchange import FastReading
 from adaptdrive.commission.experiment import LoadExperiment
@@ -16,10 +12,9 @@ from adaptdrive.commission.guide import Guide
 from adaptdrive.commission.phases import Phase
 from adaptdrive.commission.picture import Picture, screen
 from adaptdrive.errors import CommissionError
+from adaptdrive.watch.ending import ended_once
 from adaptdrive.watch.keys import QUIT, pressed_keys
 from adaptdrive.watch.view import draw
-
-_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 async def carry_out(guide: Guide, experiment: LoadExperiment, picture: Picture) -> None:
@@ -34,7 +29,7 @@ async def carry_out(guide: Guide, experiment: LoadExperiment, picture: Picture) 
         AdaptdriveError: The experiment cannot go on, or was ended.
     """
     try:
-        with _ended_once():
+        with ended_once():
             if sys.stdin.isatty() and sys.stdout.isatty():
                 await _with_picture(guide, experiment, picture)
             else:
@@ -42,29 +37,6 @@ async def carry_out(guide: Guide, experiment: LoadExperiment, picture: Picture) 
     finally:
         if guide.unstopped:
             sys.stderr.write(f"adaptdrive: {guide.unstopped}\n")
-
-
-@contextmanager
-def _ended_once() -> Iterator[None]:
-    """Let the first signal end the experiment as Ctrl-C does; more of them leave its stop alone."""
-    interrupt, asked = signal.getsignal(signal.SIGINT), False
-    if not callable(interrupt):
-        yield
-        return
-
-    def end(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        if not asked:
-            asked = True
-            interrupt(number, frame)
-
-    heeded = [one for one in _ENDING if signal.getsignal(one) is not signal.SIG_IGN]
-    usual = {one: signal.signal(one, end) for one in heeded}
-    try:
-        yield
-    finally:
-        for one, handler in usual.items():
-            signal.signal(one, handler)
 
 
 async def _with_picture(guide: Guide, experiment: LoadExperiment, picture: Picture) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.conversation import NoAnswerError
 from adaptdrive.operation.listener import follow, printable
+from adaptdrive.watch.ending import ended_once, whole
 from adaptdrive.watch.keys import QUIT, KeyReader, pressed_keys
 from adaptdrive.watch.record import WatchRecord
 from adaptdrive.watch.sending import CommandsUnderWay
@@ -21,7 +22,7 @@ _RETRY_S = 2.0
 async def watch(
     broker: Mqtt, drive: str, timeout_s: float, complain: Callable[[str], None]
 ) -> bool:
-    """Show a drive until `q` is pressed; a stop that is under way is waited for.
+    """Show a drive until `q` is pressed or a signal comes; a stop under way is waited for.
 
     Args:
         broker: Where the broker is.
@@ -33,6 +34,7 @@ async def watch(
         False where a command that was under way at the end is not known to be carried out.
     """
     record, ended = WatchRecord(drive, time.monotonic), asyncio.Event()
+    unanswered: list[str] = []
     reader, under_way = KeyReader(record), CommandsUnderWay(broker, record, timeout_s)
 
     def on_keys(keys: str) -> None:
@@ -42,18 +44,22 @@ async def watch(
             elif (command := reader.press(key, alone=len(keys) == 1)) is not None:
                 under_way.send(command)
 
-    services = (_follow(broker, record), draw(functools.partial(screen, record)), ended.wait())
-    tasks = [asyncio.ensure_future(service) for service in services]
-    try:
-        with pressed_keys(on_keys):
-            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-    finally:
-        unanswered = await under_way.end()
+    async def leave() -> None:
+        unanswered.extend(await under_way.end())
         for task in tasks:
             task.cancel()
         await asyncio.wait(tasks)
         for line in unanswered:
             complain(f"{drive}: {printable(line)}")
+
+    services = (_follow(broker, record), draw(functools.partial(screen, record)), ended.wait())
+    tasks = [asyncio.ensure_future(service) for service in services]
+    with ended_once():
+        try:
+            with pressed_keys(on_keys):
+                done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            await whole(leave(), complete=True)
     for task in done:
         await task  # a service that has failed ends the view with its error
     return not unanswered

@@ -1,0 +1,66 @@
+"""The end of a view that commands a drive: once it is asked for, nothing cuts it short."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+from collections.abc import Coroutine, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@contextmanager
+def ended_once() -> Iterator[None]:
+    """Cancel the present task at the first signal that ends a program, and ignore all later ones.
+
+    A signal that the process was started to ignore stays ignored.
+
+    Raises:
+        KeyboardInterrupt: A signal came, and the task has ended by it.
+    """
+    task, loop = asyncio.current_task(), asyncio.get_running_loop()
+    assert task is not None  # noqa: S101 - a view runs in a task
+    asked = False
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        nonlocal asked
+        if not asked:
+            asked = True
+            task.cancel()
+            loop.call_soon_threadsafe(lambda: None)  # the loop may be asleep
+
+    heeded = [one for one in _ENDING if signal.getsignal(one) is not signal.SIG_IGN]
+    usual = {one: signal.signal(one, end) for one in heeded}
+    try:
+        yield
+    except asyncio.CancelledError:
+        if asked:
+            raise KeyboardInterrupt from None
+        raise
+    finally:
+        for one, handler in usual.items():
+            signal.signal(one, handler)
+
+
+async def whole(work: Coroutine[Any, Any, None], *, complete: bool) -> None:
+    """Await work that no cancellation interrupts.
+
+    Args:
+        work: What is awaited.
+        complete: Whether a cancellation counts for nothing; else it counts when the work is done.
+
+    Raises:
+        CancelledError: The present task was cancelled meanwhile.
+    """
+    task, cancelled = asyncio.create_task(work), False
+    while not task.done():
+        try:
+            await asyncio.wait([task])
+        except asyncio.CancelledError:
+            cancelled = True
+    if cancelled and not complete:
+        raise asyncio.CancelledError
+    task.result()
