@@ -3,7 +3,7 @@ import itertools
 import re
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import can
@@ -514,6 +514,51 @@ async def test_a_bus_closed_under_the_reader_is_reported_and_opened_again(
         await ear.hears(2)
         assert port.send(COMMAND)
         assert port.statistics.reconnects == 1
+
+
+async def lose_the_bus(port: CanPort, ear: Ear) -> None:
+    """Close the bus under the port, and wait until it is open again."""
+    known = len(ear.bus)
+    assert port._connection.bus is not None
+    port._connection.bus.shutdown()
+    await until(lambda: len(ear.bus) == known + 2)
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+async def test_a_drive_that_was_on_when_its_bus_was_lost_is_heard_before_it_is_driven_on(
+    port: CanPort, drive: Drive, ear: Ear, *, stopped: bool
+) -> None:
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        assert port.send(COMMAND)
+        for _ in range(2):
+            await lose_the_bus(port, ear)
+            assert not port.send(COMMAND)
+        drive.send_status(BridgeOn=int(not stopped))
+        drive.send_load()
+        await ear.hears(2)
+        assert port.send(COMMAND) is not stopped
+        assert ("the bus was lost meanwhile" in str(port.complaint)) is stopped
+        assert port.send(SAFE_COMMAND)
+        assert port.complaint is None
+
+
+@pytest.mark.parametrize("last", [SAFE_COMMAND, replace(COMMAND, bridge=False)])
+async def test_a_drive_that_was_off_when_its_bus_was_lost_may_be_off_after_it(
+    port: CanPort, drive: Drive, ear: Ear, last: Command
+) -> None:
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        assert port.send(COMMAND)
+        assert port.send(last)
+        await lose_the_bus(port, ear)
+        assert port.send(COMMAND)
+        drive.send_status(BridgeOn=0)
+        drive.send_load()
+        await ear.hears(2)
+        assert port.complaint is None
 
 
 async def test_a_controller_that_goes_bus_off_is_reported_and_opened_again(

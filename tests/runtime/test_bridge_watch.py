@@ -39,6 +39,10 @@ class Seen:
         assert self.cause is None or self.cause.startswith(STOPPED)
         return self.cause is not None
 
+    @property
+    def awaits_report(self) -> bool:
+        return self._watch.awaits_report
+
 
 @pytest.mark.parametrize(("ticks_per_reading", "last"), [(1, 29), (10, 20), (60, 120)])
 def test_a_bridge_has_thirty_half_cycles_and_three_readings(
@@ -61,7 +65,7 @@ def test_a_bridge_that_comes_on_or_need_not_be_on_begins_anew() -> None:
         assert seen.look(70.0, bridge=False)
 
 
-@pytest.mark.parametrize(("unwatched", "stopped"), [(3.0, False), (3.1, True)])
+@pytest.mark.parametrize(("unwatched", "stopped"), [(2.0, False), (2.1, True)])
 def test_a_bridge_that_went_off_unwatched_is_a_stop(unwatched: float, *, stopped: bool) -> None:
     seen = Seen()
     seen.look(0.0, bridge=True)
@@ -110,3 +114,23 @@ def test_a_bridge_that_was_on_after_the_time_unwatched_or_off_by_command_has_its
     assert not seen.look(11.0, bridge=True, commanded=commanded, old=0.0 if commanded else 11.0)
     assert not seen.look(12.0, bridge=True, old=1.0)
     assert not seen.look(13.0, bridge=False)
+
+
+@pytest.mark.parametrize(("unwatched_s", "awaits"), [(0.079, False), (0.081, True)])
+def test_a_report_from_after_a_time_in_which_a_drive_may_have_stopped_is_waited_for(
+    unwatched_s: float, *, awaits: bool
+) -> None:
+    seen, unwatched = Seen(), unwatched_s / TICK_S
+    seen.look(0.0, bridge=True)
+    seen.look(20.0, bridge=True, old=20.0, unwatched=unwatched)
+    assert seen.awaits_report is awaits
+    seen.look(21.0, bridge=True, old=1.0)
+    assert seen.awaits_report is awaits
+    seen.look(22.0, bridge=True)
+    assert not seen.awaits_report
+
+
+def test_no_report_is_waited_for_of_a_drive_that_was_not_on() -> None:
+    seen = Seen()
+    seen.look(20.0, bridge=True, commanded=False, unwatched=20.0)
+    assert not seen.awaits_report

@@ -176,3 +176,21 @@ async def test_a_drive_that_went_on_while_nothing_ran_is_driven_on() -> None:
         poll(bench, bridge=False)
         polls(bench, 5)
         assert bench.state() is State.RUNNING
+
+
+async def test_nothing_energises_before_a_drive_has_reported_after_a_freeze() -> None:
+    """The reply of before the freeze makes a tick of its own; only the next poll is a report."""
+    settings = replace(POLLED, limits=replace(FAST.limits, stale_s=2.0))
+    async with fast_bench(settings, modulus=None) as bench:
+        polls(bench, 3)
+        bench.ask(Enable())
+        polls(bench, 8)
+        known = len(bench.sent)
+        deadline_s, asked_s = bench.around.deadline_s, bench.around.now
+        bench.around.now += 1.2
+        bench.loop.on_deadline(deadline_s)
+        poll(bench, 0.001, oldest_s=asked_s, bridge=True)
+        assert bench.sent[known:] == []
+        poll(bench, bridge=False)
+        assert (bench.machine.trip or "").startswith("drive stopped: ")
+        assert set(bench.sent[known:]) == {SAFE_COMMAND}

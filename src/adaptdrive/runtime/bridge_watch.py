@@ -12,9 +12,13 @@ _GRACE_TICKS = 30
 _GRACE_READINGS = 3
 """The same in readings, for a drive that is read seldom."""
 
-_GAP_READINGS = 3
+_GAP_READINGS = 2
 """Readings that pass unwatched before a bridge that was on and is off is a stop, not a flicker."""
 
+
+_SHORTEST_TIMEOUT_S = 0.08
+"""Time without a command after which a drive may have stopped by its own time-out: none is shorter
+than 0.1 s, and the last command was sent before the time began."""
 
 _SLACK_S = 1e-6
 """Rounding of sums of half cycles: the last one within the grace is not yet a stop."""
@@ -68,6 +72,11 @@ class BridgeWatch:
             return None
         gap = f"; the daemon had not run for {self._gap_s * 1e3:.0f} ms" if slept else ""
         return f"drive stopped: its bridge is off although it was commanded on{gap}"
+
+    @property
+    def awaits_report(self) -> bool:
+        """True while a drive that was on may have stopped by itself, and has not reported since."""
+        return self._been_on and self._gap_s > _SHORTEST_TIMEOUT_S
 
     def _note_gap(self, unwatched_s: float, now_s: float) -> None:
         """Keep the longest time in which a bridge may have gone off, until a report from after."""

@@ -278,6 +278,8 @@ class FastLoop:
         if self._overslept():
             self.send_safe()
             return
+        if command.bridge and self._interlocks.awaits_bridge:
+            return
         self._send(command)
         if self._overslept():  # between that look at the clock and the bus
             self.send_safe()

@@ -47,6 +47,11 @@ class InterlockBoard:
         """True once the rate of the drive was judged; at an unknown one it is not energised."""
         return self._rate is None or self._rate.judged
 
+    @property
+    def awaits_bridge(self) -> bool:
+        """True while nothing that energises may be sent before the drive reports its bridge."""
+        return self._bridge.awaits_report
+
     def look(self, now_s: float) -> float:
         """Note an evaluation; return the time since the one before, in s."""
         unwatched_s, self._watched_s = now_s - self._watched_s, now_s

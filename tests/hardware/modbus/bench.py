@@ -311,11 +311,10 @@ def build(**changes: str | None) -> ModbusPort:
     return port
 
 
-@contextlib.asynccontextmanager
-async def bench(
+def port_and_peer(
     kind: str, tmp_path: Path, tcp_port: int, **changes: str | None
-) -> AsyncIterator[Bench]:
-    """Run a port against a peer of its kind, `tcp` or `rtu`."""
+) -> tuple[ModbusPort, TcpPeer | RtuPeer]:
+    """A port, and a peer of its kind, `tcp` or `rtu`, neither of which runs."""
     first = 10 if "bus__read_write" in changes else 0
     peer: TcpPeer | RtuPeer
     if kind == "tcp":
@@ -325,7 +324,15 @@ async def bench(
         device = tmp_path / "drive.tty"
         peer = RtuPeer(device, first)
         link = serial(device)
-    port = build(**{**link, **changes})
+    return build(**{**link, **changes}), peer
+
+
+@contextlib.asynccontextmanager
+async def bench(
+    kind: str, tmp_path: Path, tcp_port: int, **changes: str | None
+) -> AsyncIterator[Bench]:
+    """Run a port against a peer of its kind, `tcp` or `rtu`."""
+    port, peer = port_and_peer(kind, tmp_path, tcp_port, **changes)
     ear = Ear()
     await peer.start()
     task = asyncio.create_task(port.run(ear, lambda: None))

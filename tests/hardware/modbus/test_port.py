@@ -17,10 +17,12 @@ from tests.hardware.modbus.bench import (
     Bench,
     Ear,
     Pieces,
+    RtuPeer,
     TcpPeer,
     TIMEOUT_s,
     bench,
     build,
+    port_and_peer,
     serial,
     until,
 )
@@ -262,6 +264,45 @@ async def test_after_a_freeze_nothing_energising_is_written(
         await until(lambda: thawed.is_set() and one.told()[1] == 0)
         await one.hears(3)
         assert not any(registers[1] for _, registers in one.peer.writes[written[0] :])
+
+
+@pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
+@both
+async def test_a_drive_that_was_on_when_its_link_was_lost_is_read_before_it_is_driven_on(
+    kind: str, changes: dict[str, str | None], tmp_path: Path, free_tcp_port: int
+) -> None:
+    """Its map has no bridge: it may have started anew, and cannot tell."""
+    async with bench(kind, tmp_path, free_tcp_port, **changes) as one:
+        one.port.send(RUN)
+        await until(lambda: bool(one.peer.writes))
+        assert isinstance(one.peer, TcpPeer | RtuPeer)
+        await one.peer.stop()
+        await until(lambda: bool(one.ear.bus) and not one.ear.bus[-1][0])
+        written = len(one.peer.writes)
+        one.port.send(RUN)
+        await one.peer.start()
+        await until(lambda: one.ear.bus[-1][0])
+        assert "the bus was lost meanwhile" in str(one.port.complaint)
+        assert not any(registers[1] for _, registers in one.peer.writes[written:])
+        one.port.send(SAFE_COMMAND)
+        assert one.port.complaint is None
+        await until(lambda: len(one.peer.writes) > written and one.told()[1] == 0)
+
+
+@both
+async def test_a_safe_command_that_no_poll_has_carried_is_written_at_the_end(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    """A drive may be on since the process before; with a heartbeat the first poll is no reading."""
+    port, peer = port_and_peer(kind, tmp_path, free_tcp_port)
+    await peer.start()
+    ending = asyncio.create_task(port.run(Ear(), lambda: None))
+    await until(lambda: bool(peer.requests))
+    port.send(SAFE_COMMAND)
+    ending.cancel()
+    await asyncio.gather(ending, return_exceptions=True)
+    await peer.stop()
+    assert [registers[:2] for _, registers in peer.writes][-1:] == [[0, 0]]
 
 
 def refuses_writes(pdu: bytes) -> bytes:

@@ -32,6 +32,7 @@ from adaptdrive.hardware.link.codec import MessageCodec, frame_key
 from adaptdrive.hardware.link.connection import CanConnection
 from adaptdrive.hardware.link.integrity import FrameVerdict
 from adaptdrive.hardware.port import OBEY_S, Listener, PortStatistics, Reading
+from adaptdrive.hardware.relink import Relink
 from adaptdrive.hardware.rival import Rival
 
 _GOOD: Final[FrameVerdict] = FrameVerdict.GOOD  # found at once by compiled code
@@ -72,6 +73,7 @@ class CanPort:
         self._hears_all = hears_all
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
         self._bridge_sent = False
+        self._relink = Relink()
         self._safe_s = math.inf
         self._newest: Reading | None = None
         self._made_up = list(_made_up(config, mapping))
@@ -93,11 +95,12 @@ class CanPort:
 
     @property
     def complaint(self) -> str | None:
-        """Another sender, a fault that no reading has carried yet, or commands not taken."""
+        """Another sender, a fault not carried yet, commands not taken, or a stop unheard."""
         return (
             self._rival.complaint
             or self._assembly.faults.complaint
             or self._connection.uptake.complaint
+            or self._relink.complaint
         )
 
     @property
@@ -132,16 +135,19 @@ class CanPort:
         Returns:
             Whether the bus took it. False is counted, and nothing is sent again. It is False, too,
             in every other second of a drive that stays energised after the safe command: silence
-            lets its own time-out switch it off.
+            lets its own time-out switch it off; and for a command that has the bridge on before
+            the first reading of a bus that was opened again.
 
         Raises:
             ValueError: A value is not finite, or its signal cannot hold it; nothing is sent.
         """
         frames = [self._frame(order, command) for order in self._mapping.orders]
-        safe = not command.bridge and command == SAFE_COMMAND
+        bridge = command.bridge
+        safe = not bridge and command == SAFE_COMMAND
         if not safe:
             self._safe_s = math.inf
-        if self._disobeyed:
+        self._relink.note(bridge=bridge, safe=safe)
+        if self._disobeyed or not self._relink.admits(bridge=bridge):
             return False
         taken = 0
         for frame in frames:
@@ -149,7 +155,7 @@ class CanPort:
         self._connection.uptake.note(taken=taken == len(frames))
         if taken < len(frames):
             return False
-        self._bridge_sent = command.bridge
+        self._bridge_sent = bridge
         if safe and self._safe_s == math.inf:
             self._safe_s = self._clock()
         return True
@@ -255,6 +261,7 @@ class CanPort:
         if reading is not None and (listener := self._connection.listener) is not None:
             self._assembly.faults.clear(reading.fault)
             self._connection.uptake.hear()
+            self._relink.hear(bridge=reading.bridge)
             listener.on_reading(reading)
 
     @property
@@ -276,6 +283,8 @@ class CanPort:
     def _serve(self, announce: Callable[[], None]) -> Awaitable[str]:
         """Use the open bus until it is lost; return the reason."""
         self._newest, self._safe_s = None, math.inf
+        self._relink.open(bridge=self._bridge_sent)
+        self._bridge_sent = False
         self._assembly.forget()
         return self._connection.read_after(announce, partial(self.send, SAFE_COMMAND))
 

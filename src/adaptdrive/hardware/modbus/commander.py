@@ -11,6 +11,7 @@ from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.link import EXCEPTIONS, ExchangeError, ModbusConnection
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll
 from adaptdrive.hardware.port import OBEY_S
+from adaptdrive.hardware.relink import Relink
 
 _FROZEN_POLLS = 2.0
 """Time without a step of the port, in polls, after which the process counts as having stood still.
@@ -51,7 +52,8 @@ class Commander:
         self._clock = clock
         self._command: Command | None = None
         self._written: Command | None = None
-        self._safe = True
+        self._relink = Relink()
+        self._safe = False
         self._refused = self._untaken = 0
         self._silent = False
         self._refusal = ""
@@ -67,9 +69,9 @@ class Commander:
 
     @property
     def complaint(self) -> str | None:
-        """Reason not to energise the drive: it does not accept its commands."""
+        """Reason not to energise the drive: it does not accept its commands, or has stopped."""
         if self._refused < _REFUSED_WRITES and self._untaken < _UNTAKEN_WRITES:
-            return None
+            return self._relink.complaint
         does = "refuses" if self._refused else "does not answer"
         return f"the drive {does} commands: {self._refusal}"
 
@@ -107,13 +109,15 @@ class Commander:
             self._stopped_s = math.inf
         elif self._stopped_s == math.inf:
             self._stopped_s = self._clock()
+        self._relink.note(bridge=command.bridge, safe=command == SAFE_COMMAND)
         self._command = command
         self._outdated = False
 
     def begin(self) -> None:
         """Forget what was acknowledged on the link before."""
         self.safe_s, self._refused, self._untaken = math.inf, 0, 0
-        self._silent = self._powered = False
+        self._relink.open(bridge=self.bridge)
+        self._silent = self._powered = self._safe = self.bridge = False
         self._stepped_s = self._clock()
         if self._command == SAFE_COMMAND:
             self._stopped_s = self._clock()
@@ -130,6 +134,7 @@ class Commander:
     def note_bridge(self, *, powered: bool) -> None:
         """Note whether the drive reports its bridge on, or is assumed to have it on."""
         self._powered = powered
+        self._relink.hear(bridge=powered)
 
     async def read(self, link: ModbusConnection, exchange: Exchange, *, first: bool) -> list[int]:
         """Read a block; write the command with the first one where the drive can do both at once.
@@ -178,8 +183,8 @@ class Commander:
             self._confirm(command)
 
     async def leave_safe(self, link: ModbusConnection) -> None:
-        """Write the safe command as the last one, unless it is in force or the link is lost."""
-        if link.lost is None and not self._safe:
+        """Write the safe command as the last one, unless it is in force or none was ever given."""
+        if link.lost is None and not self._safe and self._command is not None:
             self._command = SAFE_COMMAND
             await self.write(link)
 
@@ -234,10 +239,14 @@ class Commander:
     def _current(self) -> Command | None:
         """Return the command in force, None for none.
 
-        A process that did not run for long finds here what it decided before: that is void.
+        A process that did not run for long finds here what it decided before: that is void. So is
+        one for a drive that was on when its link was lost, before it was read again.
         """
+        command = self._command
+        if command is None or command == SAFE_COMMAND:
+            return command
         void = self._outdated or self._stands_still
-        return None if void and self._command != SAFE_COMMAND else self._command
+        return None if void or not self._relink.admits(bridge=command.bridge) else command
 
     @property
     def _stands_still(self) -> bool:

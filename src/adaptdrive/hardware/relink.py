@@ -1,0 +1,62 @@
+"""Keeps a drive that stopped while its bus was lost from being energised by what comes after."""
+
+from __future__ import annotations
+
+_STOPPED = (
+    "drive stopped: its bridge is off although it was commanded on; the bus was lost meanwhile"
+)
+
+
+class Relink:
+    """A drive that was on when its bus was lost, until a reading of the next connection.
+
+    The drive may have stopped by its own time-out meanwhile, or have started anew. A command that
+    has the bridge on waits for the reading; if that has the bridge off, the drive is not driven on.
+    """
+
+    def __init__(self) -> None:
+        """Begin without a connection, and without a command."""
+        self._commanded = False
+        self._was_on = False
+        self._stopped = False
+
+    @property
+    def complaint(self) -> str | None:
+        """Reason not to energise the drive, None for none."""
+        return _STOPPED if self._stopped else None
+
+    def open(self, *, bridge: bool) -> None:
+        """Begin a connection.
+
+        Args:
+            bridge: Whether the last command that reached the drive had the bridge on.
+        """
+        self._was_on = self._commanded and (self._was_on or bridge)
+
+    def hear(self, *, bridge: bool) -> None:
+        """Note a reading of the connection.
+
+        Args:
+            bridge: Whether it has the bridge on.
+        """
+        self._stopped = self._stopped or (self._was_on and not bridge)
+        self._was_on = False
+
+    def note(self, *, bridge: bool, safe: bool) -> None:
+        """Note a command, sent or not; the safe one ends what was driven.
+
+        Args:
+            bridge: Whether it has the bridge on.
+            safe: Whether it is the safe command.
+        """
+        self._commanded = bridge
+        if safe:
+            self._stopped = self._was_on = False
+
+    def admits(self, *, bridge: bool) -> bool:
+        """Return whether a command may be sent.
+
+        Args:
+            bridge: Whether it has the bridge on.
+        """
+        return not (bridge and (self._was_on or self._stopped))
