@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import jinja2
 import pytest
 
 from adaptdrive.control.signals import Mode
+from adaptdrive.operation.commands import Payload
 from adaptdrive.operation.home_assistant import discovery
 from adaptdrive.operation.messages import encode
 from adaptdrive.runtime.requests import Disable, Enable, Request, Reset, SetMode, SetSetpoint
@@ -21,8 +23,20 @@ from tests.support import Broker
 TOPIC = "homeassistant/device/adaptdrive-{}/config"
 
 
-def rendered(template: str, **names: Any) -> str:
-    names |= {"now": lambda: datetime.now(UTC)}
+COMMANDS = [
+    ("setpoint", "3.1", SetSetpoint(3.1)),
+    ("mode", "adaptive", SetMode(Mode.ADAPTIVE)),
+    ("stop", "", Disable()),
+    ("reset", "", Reset()),
+    ("enable", "", Enable()),
+]
+
+
+def rendered(template: str, *, at: datetime | None = None, **names: Any) -> str:
+    """Render a template as Home Assistant does, which has a zone of its own."""
+    then = at or datetime.now(UTC)
+    names |= {"now": lambda: then.astimezone(ZoneInfo("Europe/Berlin")), "utcnow": lambda: then}
+    names |= {"timedelta": timedelta}
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined)  # no HTML
     return environment.from_string(template).render(names)
 
@@ -48,16 +62,7 @@ async def test_the_device_is_announced_only_where_it_is_wanted(
     assert len(set(ids)) == len(ids)
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "request_"),
-    [
-        ("setpoint", "3.1", SetSetpoint(3.1)),
-        ("mode", "adaptive", SetMode(Mode.ADAPTIVE)),
-        ("stop", "", Disable()),
-        ("reset", "", Reset()),
-        ("enable", "", Enable()),
-    ],
-)
+@pytest.mark.parametrize(("name", "value", "request_"), COMMANDS)
 async def test_what_home_assistant_sends_is_accepted(
     mosquitto: Broker, tmp_path: Path, name: str, value: str, request_: Request
 ) -> None:
@@ -68,6 +73,30 @@ async def test_what_home_assistant_sends_is_accepted(
     async with serving(mosquitto, "commanded", tmp_path) as bench:
         assert (await ask(bench, verb, payload))["accepted"]
     assert bench.host.asked == [request_]
+
+
+@pytest.mark.parametrize(("name", "value", "request_"), COMMANDS)
+async def test_only_a_stop_of_home_assistant_acts_late(
+    mosquitto: Broker, tmp_path: Path, name: str, value: str, request_: Request
+) -> None:
+    """Its client sends again, after any time, what a loss of the broker has left unacknowledged."""
+    component = discovery(profile("late"), "homeassistant").payload["components"][name]
+    verb = component["command_topic"].rpartition("/")[2]
+    given = datetime.now(UTC) - timedelta(seconds=5)
+    payload = rendered(component["command_template"], at=given, value=value)
+    async with serving(mosquitto, "late", tmp_path) as bench:
+        reply = await ask(bench, verb, payload)
+    late = [request_] if name == "stop" else []
+    assert (reply["accepted"], bench.host.asked) == (name == "stop", late)
+    assert reply["reason"].startswith("" if late else "expired at ")
+
+
+def test_commands_of_home_assistant_expire_alike_when_summer_time_ends() -> None:
+    component = discovery(profile("x"), "homeassistant").payload["components"]["enable"]
+    for minutes in range(0, 180, 10):
+        given = datetime(2026, 10, 25, tzinfo=UTC) + timedelta(minutes=minutes)
+        payload = Payload(rendered(component["command_template"], at=given).encode())
+        assert payload.request("enable") == (Enable(), given + timedelta(seconds=5))
 
 
 async def test_what_home_assistant_shows_is_in_the_messages(

@@ -1,7 +1,8 @@
 """Discovery message for Home Assistant: one retained message makes the drive a device there.
 
 The keys are those of Home Assistant's MQTT discovery of devices. What Home Assistant may do is what
-its own user of the broker may do.
+its own user of the broker may do. Its client sends what a loss of the broker has left without an
+acknowledgement again, after any time: each command but a stop expires.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ _LAST_TRIP = (  # a state in Home Assistant has at most 255 characters
     "{{ value_json.last_trip.text[:255] if value_json.last_trip else 'none' }}"
 )
 _ID = '"id": "ha-{{ now().timestamp() }}"'
+_EXPIRING = (  # a sum in local time is an hour wrong in the hour that autumn repeats
+    f'{_ID}, "expires": "{{{{ (utcnow() + timedelta(seconds=5)).isoformat() }}}}"'
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,10 +120,11 @@ def _measured(name: str, topic: str, key: str, unit: str) -> Payload:
 def _controls(profile: Profile, topics: Topics) -> dict[str, Payload]:
     low, high = (profile.limits or {}).get("setpoint", (None, None))
     controls: dict[str, Payload] = {
-        "stop": _button("stop", topics.stop),
-        "reset": _button("reset trip", topics.command("reset")),
+        "stop": _button("stop", topics.stop, _ID),
+        "reset": _button("reset trip", topics.command("reset"), _EXPIRING),
         # whoever wants to energise the drive from Home Assistant switches this one on there
-        "enable": _button("enable", topics.command("enable")) | {"enabled_by_default": False},
+        "enable": _button("enable", topics.command("enable"), _EXPIRING)
+        | {"enabled_by_default": False},
         "mode": {
             "platform": "select",
             "name": "mode",
@@ -127,7 +132,7 @@ def _controls(profile: Profile, topics: Topics) -> dict[str, Payload]:
             "state_topic": topics.state,
             "value_template": "{{ value_json.mode }}",
             "command_topic": topics.command("mode"),
-            "command_template": f'{{{_ID}, "value": "{{{{ value }}}}"}}',
+            "command_template": f'{{{_EXPIRING}, "value": "{{{{ value }}}}"}}',
         },
     }
     if low is not None and high is not None:
@@ -141,17 +146,17 @@ def _controls(profile: Profile, topics: Topics) -> dict[str, Payload]:
             "state_topic": topics.state,
             "value_template": "{{ value_json.setpoint }}",
             "command_topic": topics.command("setpoint"),
-            "command_template": f'{{{_ID}, "value": {{{{ value }}}}}}',
+            "command_template": f'{{{_EXPIRING}, "value": {{{{ value }}}}}}',
         }
         if profile.output.unit:
             controls["setpoint"]["unit_of_measurement"] = profile.output.unit
     return controls
 
 
-def _button(name: str, topic: str) -> Payload:
+def _button(name: str, topic: str, content: str) -> Payload:
     return {
         "platform": "button",
         "name": name,
         "command_topic": topic,
-        "command_template": f"{{{_ID}}}",
+        "command_template": f"{{{content}}}",
     }
