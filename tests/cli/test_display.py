@@ -46,6 +46,17 @@ def test_a_drive_with_values_of_another_shape_hides_no_other_drive(junk: object)
 
 @pytest.mark.calculating
 @pytest.mark.parametrize(
+    ("age_s", "output"), [(0.004, "2.84 V"), (2.9, "2.84 V"), (3.1, "-"), (22.9, "-"), (None, "-")]
+)
+def test_the_list_shows_no_output_that_is_old(age_s: float | None, output: str) -> None:
+    state = {"state": "standby", "output": {"unit": "V"}, "setpoint": 3.0}
+    telemetry = {"drive": {"output": 2.84, "age_s": age_s}}
+    row = site_table({"motor": DriveStatus("online", state, telemetry, live=True)}).splitlines()[1]
+    assert row.startswith(f"motor  standby  {output}  ")
+
+
+@pytest.mark.calculating
+@pytest.mark.parametrize(
     "payload", [b"", b"[", b'{"a":"\xff"}', b'{"a":' + 4000 * b"[", b"7", b"\xff"], ids=repr
 )
 def test_a_payload_that_is_no_json_object_is_nothing(payload: bytes) -> None:

@@ -11,6 +11,7 @@ import pytest
 from adaptdrive.config.services import Mqtt
 from adaptdrive.lab import Drive
 from adaptdrive.operation.conversation import NoAnswerError
+from adaptdrive.operation.listener import follow
 from tests.operation.peers import publish
 from tests.support import Broker
 
@@ -49,3 +50,19 @@ async def test_telemetry_that_the_broker_has_kept_is_not_yielded(mosquitto: Brok
             await publish(mosquitto, f"adaptdrive/{name}/telemetry/drive", '{"output": 3.2}')
             await asyncio.wait([first], timeout=0.1)
         assert await first == ("drive", {"output": 3.2})
+
+
+async def test_a_live_view_takes_no_telemetry_that_the_broker_has_kept(mosquitto: Broker) -> None:
+    name = str(uuid.uuid4())
+    await leave_behind(mosquitto, name, "online")
+    await publish(mosquitto, f"adaptdrive/{name}/telemetry/drive", '{"output": 9.9}', "-r")
+    seen = []
+    async with aclosing(follow(Mqtt(host=mosquitto.host, port=mosquitto.port), name)) as messages:
+        async for one in messages:
+            seen.append(one)
+            if one == ("telemetry/drive", {"output": 3.2}):
+                break
+            if one[0] == "state":  # kept, and needed: it has subscribed
+                await publish(mosquitto, f"adaptdrive/{name}/telemetry/drive", '{"output": 3.2}')
+    outputs = [content["output"] for topic, content in seen if topic == "telemetry/drive"]
+    assert outputs == [3.2]

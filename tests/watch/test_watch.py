@@ -16,11 +16,12 @@ from rich.console import Console
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.operation.history import KEYS
+from adaptdrive.operation.listener import LIVE_S
 from adaptdrive.operation.messages import drive_message, encode, load_message
 from adaptdrive.operation.profile import Output
 from adaptdrive.runtime.requests import Disable, Enable, SetMode
 from adaptdrive.watch.keys import CONFIRM_S, DELIBERATE_S, KeyCommand, KeyReader, pressed_keys
-from adaptdrive.watch.record import LIVE_S, WatchRecord
+from adaptdrive.watch.record import WatchRecord
 from adaptdrive.watch.view import screen
 from tests.operation.peers import PATIENCE_S, Bench, drive_report, load_report, serving
 from tests.operation.test_sender import mute_drive
@@ -98,6 +99,20 @@ def test_old_data_are_unmistakable() -> None:
     record = live_record(Clock())
     record.take("availability", {"availability": "offline"})
     assert "OLD DATA" in "\n".join(shown(record))
+
+
+@pytest.mark.parametrize(
+    ("held_s", "passed_s", "old"),
+    [(2.0, 0.5, False), (2.0, 1.5, True), (22.9, 0.0, True), (None, 0.0, False)],
+)
+def test_the_last_value_of_a_silent_drive_is_old(
+    held_s: float | None, passed_s: float, old: bool
+) -> None:
+    clock = Clock()
+    record = live_record(clock)
+    record.take("telemetry/drive", record.fast | {"age_s": held_s})
+    clock.now_s += passed_s
+    assert ("OLD DATA" in "\n".join(shown(record))) is old
 
 
 @pytest.mark.parametrize("hostile", ["\x1b[2J\x1b]0;x\x07", "[bold red]x[/]", "a\nb\nc"])

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from adaptdrive.operation.estimate_names import quantity_and_unit
-from adaptdrive.operation.listener import DriveStatus, number, part, printable
+from adaptdrive.operation.listener import LIVE_S, DriveStatus, number, part, printable
 from adaptdrive.runtime.trips import remedy
 
 _FRACTION = re.compile(r"\.\d+(?=Z)")
@@ -84,11 +84,12 @@ def _unit(state: dict[str, Any]) -> str:
 def _site_row(name: str, status: DriveStatus) -> tuple[str, ...]:
     state, live = status.state or {}, status.online and status.live
     unit = _unit(state)
-    output = status.telemetry.get("drive", {}).get("output")
+    fast = status.telemetry.get("drive", {})
+    output, fresh = fast.get("output"), live and number(fast.get("age_s")) <= LIVE_S
     return (
         name,
         _site_state(str(state.get("state")), status),
-        _number(output, unit) if live and output is not None else "-",
+        _number(output, unit) if fresh and output is not None else "-",
         _setpoint(state, unit) if state else "-",
         str(state.get("controller") or "-"),
         _moment(state.get("since")),

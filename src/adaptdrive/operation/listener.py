@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import re
-from collections.abc import AsyncGenerator, AsyncIterator, Callable, Mapping
+from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -27,6 +27,9 @@ SITE_WAIT_S = 0.5
 
 LIFE_WAIT_S = 3.0
 """Longest wait for telemetry of a drive that is online: it comes at least once a second."""
+
+LIVE_S = 3.0
+"""Longest age of a measurement that is shown as live."""
 
 _LARGEST = 1e100
 """Least number that no quantity has: sums and differences of smaller ones are numbers still."""
@@ -152,7 +155,7 @@ async def _await_life(client: Client, site: dict[str, DriveStatus]) -> None:
             return
 
 
-async def follow(broker: Mqtt, drive: str) -> AsyncIterator[tuple[str, dict[str, Any]]]:
+async def follow(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[str, Any]], None]:
     """Ask for the history of a drive, and yield all that it publishes, by the name of its topic.
 
     Args:
@@ -172,6 +175,8 @@ async def follow(broker: Mqtt, drive: str) -> AsyncIterator[tuple[str, dict[str,
         await client.publish(topics.ask_history, b"", qos=1)
         async for message in client.messages:
             name, payload = topics.name(message.topic.value), bytes(message.payload)
+            if message.retain and message.topic.value == topics.drive_telemetry:
+                continue  # kept by the broker, of an earlier time
             if message.topic.value == truth:
                 yield SIMULATOR, json_object(payload) or {}
             elif name == "availability":

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any
 
-from adaptdrive.operation.listener import number, part
+from adaptdrive.operation.listener import LIVE_S, number, part
 from adaptdrive.watch.plot import PlotPoint
 
 Payload = dict[str, Any]
@@ -17,8 +17,6 @@ Payload = dict[str, Any]
 POINTS = 6000
 EVENTS = 50
 MOST_FEATURES = 9
-LIVE_S = 3.0
-"""Longest age of what is shown as live: `telemetry/drive` comes ten times a second."""
 
 _OFF = "off"
 
@@ -66,8 +64,9 @@ class WatchRecord:
 
     @property
     def age_s(self) -> float:
-        """Time since the last message of the running daemon."""
-        return self.monotonic() - self._heard_s
+        """Age of the drive's last measurement; before the first, of the daemon's last message."""
+        since_s, held_s = self.monotonic() - self._heard_s, number(self.fast.get("age_s"))
+        return since_s if math.isnan(held_s) else since_s + held_s
 
     @property
     def live(self) -> bool:
