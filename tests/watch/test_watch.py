@@ -21,7 +21,7 @@ from adaptdrive.operation.messages import drive_message, encode, load_message
 from adaptdrive.operation.profile import Output
 from adaptdrive.runtime.requests import Disable, Enable, SetMode
 from adaptdrive.watch.keys import CONFIRM_S, DELIBERATE_S, KeyCommand, KeyReader, pressed_keys
-from adaptdrive.watch.record import WatchRecord
+from adaptdrive.watch.record import POINTS, WatchRecord
 from adaptdrive.watch.view import screen
 from tests.operation.peers import PATIENCE_S, Bench, drive_report, load_report, serving
 from tests.operation.test_sender import mute_drive
@@ -165,6 +165,23 @@ def test_the_history_comes_before_what_is_known() -> None:
     record.take("history", {"rows": [{"time": "never"}, 7, {"output": 1.0}]})
     times = [point.time_s - NOW.timestamp() for point in record.points]
     assert times == [-30.0, -20.0, -10.0, 0.0]
+
+
+@pytest.mark.parametrize("room", [0, 1, 2])
+def test_the_history_leaves_what_is_newer_in_place(room: int) -> None:
+    record = live_record(Clock())
+    for k in range(1, POINTS - room):
+        moment = (NOW + timedelta(seconds=0.1 * k)).isoformat()
+        record.take("telemetry/drive", record.fast | {"time": moment})
+    known = list(record.points)
+    rows = []
+    for k in range(2):
+        message = load_message(load_report(k), NOW - timedelta(seconds=20 - 10 * k), SPEED)
+        rows.append({key: message[key] for key in KEYS})
+    record.take("history", received({"rows": rows}))
+    assert list(record.points)[room:] == known
+    times = [point.time_s - NOW.timestamp() for point in list(record.points)[:room]]
+    assert times == [-20.0, -10.0][2 - room :]
 
 
 def test_keys_send_commands_and_enable_needs_two() -> None:

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import datetime
+from itertools import islice
 from typing import Any
 
 from adaptdrive.operation.listener import LIVE_S, number, part
@@ -110,7 +111,10 @@ class WatchRecord:
             self.points.append(point)
 
     def _remember(self, content: Payload) -> None:
-        """Put the slow steps from before the first point in front of it."""
+        """Put the slow steps from before the first point in front of it, as far as there is room.
+
+        A full queue discards at its other end, where the newest points are.
+        """
         first_s = self.points[0].time_s if self.points else math.inf
         rows = content.get("rows")
         found = (
@@ -119,7 +123,8 @@ class WatchRecord:
             if isinstance(row, dict)
         )
         older = [point for point in found if point is not None and point.time_s < first_s]
-        self.points.extendleft(reversed(older))
+        room = POINTS - len(self.points)
+        self.points.extendleft(islice(reversed(older), room))
 
 
 def _features(content: Payload) -> list[Payload]:
