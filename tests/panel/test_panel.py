@@ -6,11 +6,15 @@ import json
 import os
 import signal
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import datetime
 from typing import Any
 
 import paho.mqtt.publish as paho
 import pytest
+from paho.mqtt.client import Client, MQTTMessage
+from paho.mqtt.enums import CallbackAPIVersion
 from playwright.sync_api import expect
 
 from tests.panel.browser import PATIENCE_MS, Panel, PanelSite
@@ -234,23 +238,60 @@ def test_a_viewer_sees_everything_and_changes_nothing(
     rest(panel_site)
 
 
-def test_a_drive_that_answers_no_command_is_shown_with_both_causes(
-    operator: Panel, panel_site: PanelSite
-) -> None:
-    port = panel_site.site.broker_port
+def open_deaf(operator: Panel, port: int) -> None:
+    """Open a drive that publishes and answers nothing, until the page names that."""
     publish(port, "adaptdrive/deaf/availability", "online")
     operator.page.get_by_role("link", name="all drives").click()
     operator.open_drive("deaf")
 
-    def names_both() -> bool:
+    def names_it() -> bool:
         hostile(port, "adaptdrive/deaf/telemetry/drive", {"time": NOW, "age_s": 0.0})
         return operator.page.get_by_text("No command is answered.").is_visible()
 
-    until(names_both, "the page names why no command is answered", 60.0)
+    until(names_it, "the page names why no command is answered", 60.0)
+
+
+def test_a_drive_that_answers_no_command_is_shown_with_both_causes(
+    operator: Panel, panel_site: PanelSite
+) -> None:
+    port = panel_site.site.broker_port
+    open_deaf(operator, port)
     viewer = operator.page.locator(".viewer")
     expect(viewer).to_contain_text("this user may look and not command")
     expect(viewer).to_contain_text("the daemon receives no commands")
     publish(port, "adaptdrive/deaf/availability", "offline")
+
+
+def test_the_controls_come_back_with_the_first_answer(
+    operator: Panel, panel_site: PanelSite
+) -> None:
+    port = panel_site.site.broker_port
+    open_deaf(operator, port)
+    expect(operator.page.get_by_role("button", name="Enable")).to_be_hidden()
+    with answering(port, "deaf"):
+        expect(operator.page.locator(".viewer")).to_be_hidden(timeout=PATIENCE_MS)
+        expect(operator.page.get_by_role("button", name="Enable")).to_be_visible()
+    publish(port, "adaptdrive/deaf/availability", "offline")
+
+
+@contextmanager
+def answering(port: int, drive: str) -> Iterator[None]:
+    """Accept each command of a drive, as its daemon does."""
+
+    def answer(client: Client, _: object, message: MQTTMessage) -> None:
+        reply = {"id": json.loads(message.payload)["id"], "accepted": True, "reason": ""}
+        client.publish(f"adaptdrive/{drive}/reply", json.dumps(reply), qos=1)
+
+    client = Client(CallbackAPIVersion.VERSION2)
+    client.on_message = answer
+    client.connect("127.0.0.1", port)
+    client.subscribe(f"adaptdrive/{drive}/command/+", qos=1)
+    client.loop_start()
+    try:
+        yield
+    finally:
+        client.disconnect()
+        client.loop_stop()
 
 
 MARKUP = "<img src=x onerror=alert(1)><script>alert(2)</script>"

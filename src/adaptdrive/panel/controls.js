@@ -104,7 +104,7 @@ const Controls = (() => {
     };
   }
 
-  /** Show what the user may do, asked again until the drive's answer is known.
+  /** Show what the user may do, asked again until the drive answers.
    * @param {DriveView} drive @param {HTMLElement} viewer @param {HTMLElement} body */
   function seeRights(drive, viewer, body) {
     let known = false, asking = false;
@@ -113,7 +113,7 @@ const Controls = (() => {
       asking = true;
       const obstacle = await Link.obstacle(drive.name);
       asking = false;
-      known = obstacle !== null;
+      known = obstacle !== null && obstacle !== Link.UNANSWERED;
       viewer.hidden = obstacle === "";
       body.hidden = Boolean(obstacle);
       Dom.say(viewer, obstacle ?? "The daemon does not answer.");

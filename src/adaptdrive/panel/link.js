@@ -21,7 +21,7 @@ const Link = (() => {
   let heardMs = 0;
   let patienceMs = SILENCE_MS;
   let problem = "";
-  /** @type {Map<string, string>} */ const obstacles = new Map(); // by drive, empty for none
+  /** @type {Map<string, string>} */ const obstacles = new Map(); // by drive, empty for none; only what an answer shows
 
   /** Connect and stay connected.
    * @param {{url: string, username: string, password: string}} account @param {4|5} [version] MQTT 3.1.1 or 5
@@ -159,15 +159,15 @@ const Link = (() => {
   }
 
   /** Find out why no command of this user is answered, by a request that does nothing.
-   * @param {string} drive @returns {Promise<string|null>} empty where one is, null while it is not known */
+   * @param {string} drive
+   * @returns {Promise<string|null>} empty where one is, UNANSWERED as long as none is, null while it is not known */
   async function obstacle(drive) {
     const known = obstacles.get(drive);
     if (known !== undefined) return known;
     const { text } = await ask(drive, "ping");
     if (text.startsWith("not sent")) return null;
-    const silent = text.startsWith("no answer");
-    if (silent && !Drives.named(drive).live) return null;
-    const found = silent ? UNANSWERED : text.startsWith("not allowed") ? FORBIDDEN : "";
+    if (text.startsWith("no answer")) return Drives.named(drive).live ? UNANSWERED : null;
+    const found = text.startsWith("not allowed") ? FORBIDDEN : "";
     obstacles.set(drive, found);
     return found;
   }
@@ -180,7 +180,7 @@ const Link = (() => {
   }
 
   return {
-    open, close, ask, disturb, askHistory, obstacle,
+    UNANSWERED, open, close, ask, disturb, askHistory, obstacle,
     /** @param {() => void} listener */ watch: (listener) => listeners.add(listener),
     get online() { return status === "online"; },
     get problem() { return problem; },
