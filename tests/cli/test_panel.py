@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 import struct
+import sys
 import threading
 import urllib.error
 import urllib.request
@@ -14,6 +16,7 @@ import pytest
 
 from adaptdrive.cli.panel import FOLDER, PanelError, panel_address, panel_server
 from tests.cli.test_cli import start
+from tests.operation.peers import PATIENCE_S
 
 
 @pytest.fixture
@@ -78,4 +81,29 @@ async def test_the_command_prints_the_address_and_ends_on_a_signal(tmp_path: Pat
     assert line.startswith("panel: http://127.0.0.1:")
     process.send_signal(2)
     await process.communicate()
+    assert process.returncode == 130
+
+
+async def test_the_page_is_served_while_a_browser_in_the_terminal_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The browser ends when it has the page; the command must not wait for that."""
+    browser, seen = tmp_path / "browser", tmp_path / "seen"
+    browser.write_text(
+        f"#!{sys.executable}\n"
+        "import sys, urllib.request\n"
+        "urllib.request.urlopen(sys.argv[1]).read()\n"
+        f"open({str(seen)!r}, 'xb').close()\n",
+        encoding="utf-8",
+    )
+    browser.chmod(0o755)
+    monkeypatch.setenv("BROWSER", f"{browser} %s")
+    process = await start("panel", "--port", "0")
+    try:
+        async with asyncio.timeout(PATIENCE_S):
+            while not seen.exists():  # noqa: ASYNC110 - a file sets no event
+                await asyncio.sleep(0.05)
+    finally:
+        process.send_signal(2)
+        await process.communicate()
     assert process.returncode == 130

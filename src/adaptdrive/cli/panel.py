@@ -13,6 +13,7 @@ from urllib.parse import quote
 
 from cyclopts import Parameter, validators
 
+from adaptdrive.aside import in_thread
 from adaptdrive.errors import AdaptdriveError
 
 FOLDER = Path(__file__).parents[1] / "panel"
@@ -104,7 +105,7 @@ def panel(
     with panel_server(port) as server:
         address = panel_address(server.server_port, broker)
         print(f"panel: {address}   (Ctrl-C ends)", flush=True)
-        if show:
-            webbrowser.open(address)
+        if show:  # where it is in the terminal, the call lasts until it is left
+            in_thread(functools.partial(webbrowser.open, address), "browser")
         server.serve_forever()
     return 0
