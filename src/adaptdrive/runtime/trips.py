@@ -262,7 +262,8 @@ TRIPS = (
         r"^drive stopped: ",
         "drive stopped: its bridge is off although it was commanded on",
         "the drive has reported its bridge off for 30 ticks, or the bridge went off while the "
-        "daemon did not run; the text names that time in ms then",
+        "daemon did not run, for the time that the text names in ms, or while the bus was lost, as "
+        "the text says; a Modbus drive without a bridge register cannot tell after a loss",
         "check the drive's own time-out and protection; look for lost commands on the bus; where "
         "the daemon did not run, reduce the load of the machine and see `[realtime]`",
     ),
