@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,12 +16,23 @@ import pytest
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import Disable, Enable, Reset
+from tests.config.modbus_documents import parse as modbus_parse
 from tests.hardware import bench as can_bench
 from tests.hardware.canopen.documents import other_eds, parse
 from tests.hardware.canopen.peer import ENABLED, FAULT, MEASURED, Peer
+from tests.hardware.modbus.bench import MAP, TcpPeer
 from tests.wire.rig import Rig, rigged, until
 from tests.wire.test_matrix import note, run_steadily
-from tests.wire.wires import CanWire, Frames, PATIENT_s, modbus_wire, motor_text, strung
+from tests.wire.wires import (
+    OUTPUT_V,
+    CanWire,
+    Frames,
+    ModbusWire,
+    PATIENT_s,
+    modbus_wire,
+    motor_text,
+    strung,
+)
 
 ANNOUNCED_s = 1.0
 BUSY_s = 10.0
@@ -162,6 +174,56 @@ async def test_a_node_in_a_fault_without_values_trips_and_its_stop_is_confirmed(
             assert trip == "node 5: the drive left its state by itself: fault"
             await until(lambda: rig.state is not None and rig.state.stop is StopWord.CONFIRMED)
             assert not any("does not stop" in event.detail for _, event in rig.events)
+
+
+class BlindWhenOff(TcpPeer):
+    """A Modbus drive that reports its bridge, and no speed from a stop or a fault on.
+
+    Attributes:
+        fault: Whether it has a fault, in which it is off.
+        blind: Whether it gives no speed.
+    """
+
+    fault = blind = False
+
+    def _write(self, head: bytes, data: bytes) -> None:
+        super()._write(head, data)
+        on = bool(self.writes[-1][1][1])
+        self.blind = self.blind or (bool(self.state) and not on)
+        self.state = int(on)
+
+    def _registers(self, function: int, address: int, count: int) -> bytes:
+        if self.fault:
+            self.blind, self.state = True, 2
+        self.speed = math.nan if self.blind else OUTPUT_V
+        return super()._registers(function, address, count)
+
+
+@pytest.mark.parametrize("fault", [True, False], ids=["fault", "disable"])
+async def test_a_modbus_drive_without_values_once_it_is_off_confirms_its_stop(
+    free_tcp_port: int, *, fault: bool
+) -> None:
+    bits: dict[str, str | None] = {
+        "bus__registers__on": "{ address = 5, table = 'input', bit = 0 }",
+        "bus__registers__fault": "{ address = 5, table = 'input', bit = 1 }",
+        "signals__bridge": '"on"',
+        "signals__fault": '"fault"',
+    }
+    bits |= {**MAP, "bus__port": str(free_tcp_port), "interlocks__stale_s": str(PATIENT_s)}
+    peer = BlindWhenOff(free_tcp_port)
+    wire = ModbusWire(modbus_parse(**bits), peer)
+    async with strung(wire), rigged(wire.configuration) as rig:
+        await run_steadily(wire, rig)
+        peer.blind, began_s = False, time.monotonic()
+        if fault:
+            peer.fault = True
+            trip, _ = await alarm(rig, "trip", began_s)
+            assert trip == "drive fault: word 0x1"
+        else:
+            assert await rig.daemon.execute(Disable()) is State.STOPPING
+        await until(lambda: rig.state is not None and rig.state.stop is StopWord.CONFIRMED)
+        assert peer.blind
+        assert not rig.heard("stop", began_s)
 
 
 async def test_a_bridge_switched_on_by_others_trips(free_udp_port: int) -> None:

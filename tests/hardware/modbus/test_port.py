@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from pathlib import Path
 
@@ -330,6 +331,38 @@ async def test_a_drive_that_refuses_the_safe_command_gets_no_heartbeat(
         one.peer.answer = lambda pdu: pdu
         known = len(one.peer.writes)
         await until(lambda: len(set(beats(one, int(register), known))) > 3)
+
+
+@both
+async def test_a_drive_at_rest_confirms_its_stop_by_the_bridge_beside_refused_values(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    """A driven one is not controlled by old values; all ones are no bridge."""
+    bits = {
+        "bus__registers__on": "{ address = 5, table = 'input', bit = 0 }",
+        "bus__registers__fault": "{ address = 5, table = 'input', bit = 1 }",
+        "signals__bridge": '"on"',
+        "signals__fault": '"fault"',
+    }
+    async with bench(kind, tmp_path, free_tcp_port, **bits) as one:
+        one.peer.state = 1
+        one.port.send(RUN)
+        await until(lambda: bool(one.peer.writes) and one.ear.readings[-1].bridge)
+        one.peer.speed = math.nan
+        await one.asks(12)
+        good = one.ear.readings[-1]
+        one.port.send(SAFE_COMMAND)
+        one.peer.state = 0xFFFF
+        await until(lambda: one.told() == [0, 0])
+        await one.asks(12)
+        assert one.ear.readings[-1] is good
+        one.peer.state = 2
+        await one.hears(2)
+        assert "output: " in one.port.explain_age()
+        reading = one.ear.readings[-1]
+    assert (reading.output, reading.oldest_s) == (good.output, good.oldest_s)
+    assert (reading.bridge, reading.fault) == (False, 1)
+    assert one.port.safe_s < reading.bridge_reported_s <= reading.arrival_s
 
 
 def beats(one: Bench, register: int, known: int) -> list[int]:

@@ -24,6 +24,7 @@ HEARTBEAT = "heartbeat"
 _MAX_WRITE = 121
 """Registers that function 23 can write (Modbus application protocol, 6.17)."""
 
+_ALL_ONES = 0xFFFF
 _COUNTS = (*WORDS, HEARTBEAT)
 
 
@@ -54,6 +55,14 @@ class RegisterSource:
         if self.on is not None:
             return float(value == self.on)
         return value * self.scale + self.offset
+
+    def word(self, block: Block, words: list[int]) -> float | None:
+        """The word beside values that are refused: all its bits set are no word there."""
+        taken = self._words(block, words)
+        blank = all(word == _ALL_ONES for word in taken)
+        if blank or decode_value(self.register, taken, measured=True) is None:
+            return None
+        return self.value(block, words)
 
     def explain(self, block: Block, words: list[int]) -> str:
         """Return why the quantity must not be used: its name, its place and what is there."""

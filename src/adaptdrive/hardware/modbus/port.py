@@ -1,8 +1,9 @@
 """Port of a drive on Modbus: polls it on an absolute grid, and writes the newest command.
 
 A poll that gives every value makes one reading, as old as the first of its requests; one that does
-not gives none, so that the values in use grow old until they trip the drive. A command waits for
-the end of the poll under way, the safe command only for the end of the exchange under way.
+not gives none, so that the values in use grow old until they trip the drive. A drive at rest has a
+reading of the old values then, with its bridge, so that it can confirm its stop. A command waits
+for the end of the poll under way, the safe command only for the end of the exchange under way.
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ import asyncio
 import contextlib
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp, RtuLink
 from adaptdrive.control.signals import Command
@@ -63,6 +65,7 @@ class ModbusPort:
         self._faults = FaultLatch()
         self._heartbeat: float | None = None
         self._heartbeat_s = -math.inf
+        self._handed_out: Reading | None = None
         self._silent = 0
         self._foreign = 0
         reads = [one for one in poll.exchanges() if one.read is not None]
@@ -201,6 +204,7 @@ class ModbusPort:
     async def _serve(self, link: ModbusConnection) -> str:
         """Poll over an open link until it is lost or the port is closed; why it was lost."""
         self._link, self._heartbeat, self._heartbeat_s = link, None, -math.inf
+        self._handed_out = None
         self._commander.begin()
         next_s = self._clock()
         try:
@@ -252,14 +256,13 @@ class ModbusPort:
             self._commander.note_read(answered=True)
             if self._alike and self._counts["foreign"] > known:  # since the last poll began
                 self._failure = _MIXED_UP
-            elif values is not None:
-                self._failure = ""
+            else:
                 self._take(values, start_s)
         if link.lost is None and self._commander.pending:
             await self._commander.write(link)
 
-    async def _read(self, link: ModbusConnection) -> dict[str, float] | None:
-        """Every quantity; None when one of them must not be used.
+    async def _read(self, link: ModbusConnection) -> dict[str, float | None]:
+        """Return every quantity, None for each that must not be used.
 
         Raises:
             ExchangeError: The drive did not give one of the blocks.
@@ -276,40 +279,68 @@ class ModbusPort:
             values |= found
             bad = (source for source in sources if found[source.quantity] is None)
             refused += (source.explain(block, words) for source in bad)
-        good = {name: value for name, value in values.items() if value is not None}
-        if refused:
-            self._counts["out_of_range"] += 1
-            more = f", and {len(refused) - 1} more" if len(refused) > 1 else ""
-            self._failure = f"{refused[0]}{more}"
-            return None
-        return good
+        more = f", and {len(refused) - 1} more" if len(refused) > 1 else ""
+        self._failure = f"{refused[0]}{more}" if refused else ""
+        self._counts["out_of_range"] += bool(refused)
+        return values
 
-    def _take(self, values: dict[str, float], start_s: float) -> None:
-        """Hand out a reading, unless the drive stands still."""
-        if not self._is_alive(values.get(HEARTBEAT), start_s):
+    def _take(self, values: Mapping[str, float | None], start_s: float) -> None:
+        """Hand out the reading of a poll, unless it has none or the drive stands still."""
+        good = {name: value for name, value in values.items() if value is not None}
+        if not self._is_alive(good.get(HEARTBEAT), start_s):
+            return
+        whole = len(good) == len(values)
+        reading = self._compose(good, start_s) if whole else self._compose_stop(start_s)
+        if reading is None:
             return
         self._report_up()
-        counter, bridge = values.get("counter"), values.get("bridge")
-        # a drive without a bridge signal is assumed to follow the last command
-        powered = self._commander.bridge if bridge is None else bridge != 0
-        self._commander.note_bridge(powered=powered)
+        self._commander.note_bridge(powered=reading.bridge)
         if self._listener is not None:
-            fault = self._faults.word
-            self._faults.clear(fault)
-            self._listener.on_reading(
-                Reading(
-                    arrival_s=self._clock(),
-                    oldest_s=start_s,
-                    counter=None if counter is None else int(counter),
-                    boost_voltage_V=values.get("boost_voltage_V", math.nan),
-                    line_voltage_V=values.get("line_voltage_V", math.nan),
-                    load_power_W=values.get("load_power_W", math.nan),
-                    output=values.get("output", math.nan),
-                    fault=fault,
-                    bridge=powered,
-                    other={name: values[name] for name in self._poll.other},
-                )
-            )
+            self._faults.clear(reading.fault)
+            self._handed_out = reading
+            self._listener.on_reading(reading)
+
+    def _compose(self, values: Mapping[str, float], start_s: float) -> Reading:
+        """Return the reading of a poll that gave every value."""
+        counter, bridge = values.get("counter"), values.get("bridge")
+        return Reading(
+            arrival_s=self._clock(),
+            oldest_s=start_s,
+            counter=None if counter is None else int(counter),
+            boost_voltage_V=values.get("boost_voltage_V", math.nan),
+            line_voltage_V=values.get("line_voltage_V", math.nan),
+            load_power_W=values.get("load_power_W", math.nan),
+            output=values.get("output", math.nan),
+            fault=self._faults.word,
+            # a drive without a bridge signal is assumed to follow the last command
+            bridge=self._commander.bridge if bridge is None else bridge != 0,
+            other={name: values[name] for name in self._poll.other},
+        )
+
+    def _compose_stop(self, start_s: float) -> Reading | None:
+        """Return the last reading with the bridge of a poll with refused values.
+
+        None for a driven drive: one at rest alone may confirm its stop without measurements.
+        """
+        last, bridge = self._handed_out, self._find_bridge()
+        if last is None or bridge is None or self._commander.safe_s == math.inf:
+            return None
+        return replace(
+            last,
+            arrival_s=self._clock(),
+            counter=None,
+            fault=self._faults.word,
+            bridge=bridge != 0,
+            bridge_s=start_s,
+        )
+
+    def _find_bridge(self) -> float | None:
+        """Return the bridge of a poll with refused values, None for one that is not to be used."""
+        for block, sources in self._poll.reads:
+            for source in sources:
+                if source.quantity == "bridge":
+                    return source.word(block, self._raw[block])
+        return None
 
     def _is_alive(self, heartbeat: float | None, now_s: float) -> bool:
         if self._config.heartbeat.drive is None:
