@@ -61,6 +61,8 @@ RUNTIME: dict[str, str] = {
     "if self.measurement is None and self._order is None:": _TOGETHER,
     f"{_CYCLES}__init__: self._arrival_s = 0.0 -> pass": _SET_BEFORE_USE,
     f"{_CYCLES}__init__: self._arrival_s = 0.0 -> self._arrival_s = 1.0": _SET_BEFORE_USE,
+    f"{_CYCLES}__init__: self._grid_s = 0.0 -> pass": _SET_BEFORE_USE,
+    f"{_CYCLES}__init__: self._grid_s = 0.0 -> self._grid_s = 1.0": _SET_BEFORE_USE,
     f"{_CYCLES}__init__: self._frame_tick = -1 -> self._frame_tick = -2": _NEGATIVE,
     f"{_CYCLES}_measure: if abs(period_s / self._nominal_s - 1.0) <= _PERIOD_TOLERANCE: -> "
     "if abs(period_s / self._nominal_s - 1.0) < _PERIOD_TOLERANCE:": _BOUND,

@@ -251,6 +251,17 @@ async def test_the_operator_is_watched_though_the_rate_is_not_known(every: int) 
         assert (bench.machine.trip or "").startswith("manual: no new voltage within the 2 s")
 
 
+async def test_a_voltage_holds_for_its_time_though_frames_come_in_pairs() -> None:
+    async with fast_bench(modulus=None) as bench:
+        run_by_hand(bench, 2.0)
+        began_s = bench.around.now
+        while bench.state() is State.RUNNING:
+            bench.frame(2 * TICK_S)
+            bench.frame(0.0)
+        assert bench.around.now - began_s == pytest.approx(2.0, abs=10 * TICK_S)
+        assert (bench.machine.trip or "").startswith("manual: no new voltage within the 2 s")
+
+
 async def test_the_precharge_is_watched_though_the_rate_is_not_known_any_more() -> None:
     async with fast_bench() as bench:
         bench.measured = replace(bench.measured, boost_voltage_V=150.0)

@@ -134,6 +134,67 @@ def test_without_a_counter_a_frame_may_be_three_quarters_late(late: float, tick:
     assert base.place(None, 1.0 + late * EXACT_S, first) == first + tick
 
 
+def ticks_of(arrivals: list[float], stride: int = 1) -> list[int]:
+    """Ticks of frames without a counter that come at these times, in half cycles."""
+    base, ticks = HalfCycles(None, EXACT_S, stride), [-1]
+    for arrival in arrivals:
+        ticks.append(base.place(None, 64.0 + arrival * EXACT_S, max(ticks)))
+    return ticks[1:]
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.125, 0.3, 0.6])
+@pytest.mark.parametrize("together", [2, 3, 4])
+def test_frames_that_come_together_do_not_make_time_run_faster(together: int, apart: float) -> None:
+    """A gateway, or a driver, that passes on several at once: only the last one is in time."""
+    arrivals = [group * together + one * apart for group in range(500) for one in range(together)]
+    passed = ticks_of(sorted(arrivals))[-1]
+    assert passed == pytest.approx(arrivals[-1], abs=2.0)
+
+
+@pytest.mark.parametrize("late", [0.7, 0.8, 0.95])
+def test_replies_that_are_early_and_late_in_turn_do_not_make_time_run_faster(late: float) -> None:
+    arrivals = [6.0 * (number + late * (number % 2)) for number in range(500)]
+    ticks = ticks_of(arrivals, stride=6)
+    assert ticks[-1] == pytest.approx(arrivals[-1], abs=6.0)
+    assert {tick % 6 for tick in ticks} == {0}
+
+
+@given(
+    late=st.lists(st.floats(0.0, 0.7), min_size=1, max_size=300),
+    line=st.sampled_from([0.98, 0.995, 1.0, 1.005, 1.02]),
+)
+def test_each_frame_of_a_drive_with_jitter_is_a_half_cycle_of_its_own(
+    late: list[float], line: float
+) -> None:
+    arrivals = sorted(number * line + one for number, one in enumerate(late))
+    assert ticks_of(arrivals) == list(range(len(late)))
+
+
+@pytest.mark.parametrize("line", [0.94, 1.06])
+def test_a_line_that_is_off_as_far_as_a_rate_may_be_has_a_tick_for_each_frame(line: float) -> None:
+    assert ticks_of([number * line for number in range(1000)]) == list(range(1000))
+
+
+@pytest.mark.parametrize("after", [0.0, 0.2, 0.4])
+def test_a_frame_that_is_repeated_now_and_then_shifts_no_later_one(after: float) -> None:
+    repeats = {number * 10 + after for number in range(10, 100)}
+    arrivals = sorted([*map(float, range(1000)), *repeats])
+    found = dict(zip(arrivals, ticks_of(arrivals), strict=True))
+    assert all(found[arrival] == arrival for arrival in map(float, range(1000)))
+
+
+def test_a_frame_that_comes_late_once_shifts_no_later_one() -> None:
+    for late in (0.5, 0.7, 1.0, 2.5, 30.0):
+        arrivals = [float(number) for number in range(100)]
+        arrivals += [max(100.0 + late, number) for number in range(100, 300)]
+        assert ticks_of(arrivals)[-100:] == list(range(200, 300)), late
+
+
+def test_frames_that_were_lost_are_made_up_for() -> None:
+    kept = [number for number in range(3000) if number % 50 < 20 or number % 7 == 3]
+    assert ticks_of([number + 0.2 * (number % 2) for number in kept]) == kept
+
+
 @pytest.mark.parametrize(("factor", "measured"), [(1.019, True), (1.021, False), (0.981, True)])
 def test_a_half_cycle_is_measured_after_half_a_second_and_believed_within_two_percent(
     factor: float, *, measured: bool

@@ -4,6 +4,10 @@ A tick is identified by the drive's own counter, unwrapped. A counter that jumps
 than time allows (the drive was restarted, or its frames were lost for long) is anchored anew: its
 frame belongs to the next tick.
 
+Without a counter, time counts the half cycles, on a grid that follows the frames slowly. A frame
+near the next point of the grid is the next half cycle. One that comes later makes up for those that
+were lost, and one that comes with the frame before, as of a pair, is no new half cycle.
+
 A drive that is polled has no frames of its own: its readings are a fixed number of half cycles
 apart, by the clock that polls it, and its ticks are multiples of that number.
 """
@@ -18,6 +22,13 @@ _SLACK_TICKS = 3
 """Permitted difference of counter and elapsed time, in half cycles, for jitter of the arrival."""
 
 _LATE_TICKS = 0.75  # without a counter, a frame later than this is taken for the next one
+
+_LATER = 0.08
+"""Share of the time passed by which late frames move the grid: more than a rate may be off."""
+
+_EARLIER = 0.16
+"""That of early ones: a frame can be late, but not early, so that they show where the grid is."""
+
 _PERIOD_TOLERANCE = 0.02
 """Permitted deviation of the measured half cycle: line frequencies stay within 2 %."""
 
@@ -44,6 +55,7 @@ class HalfCycles:
         self._nominal_s = nominal_tick_s
         self._counter: int | None = None
         self._arrival_s = 0.0
+        self._grid_s = 0.0
         self._frame_tick = -1
         self._marks: deque[tuple[int, float]] = deque(maxlen=_MARKS)
         self.tick_period_s = nominal_tick_s
@@ -70,16 +82,28 @@ class HalfCycles:
         stood_in, repeated = latest_tick > self._frame_tick, self._is_repeated(counter, arrival_s)
         self.rate.add(arrival_s, steps, stood_in=stood_in, repeated=repeated)
         if steps is None:
-            tick = self.following(latest_tick)
+            tick, self._grid_s = self.following(latest_tick), arrival_s
             self._marks.clear()
+        elif self._modulus is None:
+            tick = self._frame_tick + self._advance_grid(arrival_s) * self._stride
         else:
             tick = self._frame_tick + steps
         self._counter, self._arrival_s, self._frame_tick = counter, arrival_s, tick
         self._measure(tick, arrival_s)
         return tick
 
+    def _advance_grid(self, arrival_s: float) -> int:
+        """Move the grid to the point of a frame; return the readings since that of the last one."""
+        passed = (arrival_s - self._grid_s) / self.reading_period_s
+        readings = max(int(passed >= 1.0 - _LATE_TICKS), int(passed + 1.0 - _LATE_TICKS))
+        late_s = (passed - readings) * self.reading_period_s
+        passed_s = max(0.0, arrival_s - self._arrival_s)
+        moved_s = max(-_EARLIER * passed_s, min(_LATER * passed_s, late_s))
+        self._grid_s = arrival_s - late_s + moved_s
+        return readings
+
     def _steps(self, counter: int | None, arrival_s: float) -> int | None:
-        """Half cycles since the last frame; None when they cannot be determined."""
+        """Half cycles since the last frame alone; None when they cannot be determined."""
         if self._frame_tick < 0:
             return None
         elapsed = (arrival_s - self._arrival_s) / self.tick_period_s
