@@ -8,7 +8,7 @@ import tomllib
 import pytest
 
 from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import controller_settings
+from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import Jacket, Learning
@@ -126,3 +126,19 @@ def test_the_inflow_of_a_bath_may_drift_and_a_torque_steps() -> None:
         path = EXAMPLES / f"{name}.toml"
         tables = tomllib.loads(path.read_text("utf-8"))
         assert controller_settings(validate_configuration(tables, path)).learning.drifts is drifts
+
+
+@pytest.mark.parametrize(
+    ("clock_ticks", "timeout_s", "longest_s"),
+    [("1", "5.0", 5.0), ("1", "0.1", 2.0), ("60", "5.0", 11.0)],
+)
+def test_a_start_waits_for_its_rate_as_long_as_a_steady_drive_may_take_to_show_it(
+    clock_ticks: str, timeout_s: str, longest_s: float
+) -> None:
+    configuration = parse(
+        **HELD,
+        bus__clock_ticks=clock_ticks,
+        load__latency_ticks=clock_ticks,
+        interlocks__precharge_timeout_s=timeout_s,
+    )
+    assert daemon_settings(configuration).machine.rate_s == pytest.approx(longest_s)

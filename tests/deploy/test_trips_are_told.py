@@ -21,6 +21,7 @@ RETURNING = {"find_cause", "_unhealthy", "_exceeded", "complaint"} | {
     "_watch",
     "_departure",
     "precharge_cause",
+    "rate_cause",
     "_low",
     "_fallen",
 }

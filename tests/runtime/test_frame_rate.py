@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -10,11 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adaptdrive.control.signals import SAFE_COMMAND, Mode
+from adaptdrive.control.signals import SAFE_COMMAND, Mode, Stage
 from adaptdrive.errors import RefusedError
+from adaptdrive.runtime.frame_rate import verdict_ticks
 from adaptdrive.runtime.half_cycles import HalfCycles
 from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import Enable, Reset, SetMode, SetVoltage
+from adaptdrive.runtime.requests import Enable, Reset, SetMode, SetSetpoint, SetVoltage
 from tests.runtime.bench import FAST, TICK_S, FastBench, fast_bench
 
 Frame = tuple[int | None, float]
@@ -211,10 +213,10 @@ def run_by_hand(bench: FastBench, hold_s: float | None) -> None:
     assert bench.state() is State.RUNNING
 
 
-def stutter(bench: FastBench, frames: int, every: int) -> None:
+def stutter(bench: FastBench, frames: int, every: int, **changes: bool) -> None:
     """Frames of a drive whose gateway repeats one frame in place of the next, now and then."""
     for number in range(frames):
-        bench.frame(steps={0: 0, 1: 2}.get(number % every, 1))
+        bench.frame(steps={0: 0, 1: 2}.get(number % every, 1), **changes)
 
 
 async def test_a_last_frame_that_is_repeated_for_ever_trips_in_the_time_of_a_stale_one() -> None:
@@ -270,6 +272,77 @@ async def test_the_precharge_is_watched_though_the_rate_is_not_known_any_more() 
         bench.frames(3)
         stutter(bench, frames=660, every=5)
         assert (bench.machine.trip or "").startswith("precharge: v_bst = 150.0 V after 5 s")
+
+
+def start_at_an_unknown_rate(bench: FastBench, hold_s: float | None) -> None:
+    """Set V_c by hand while the rate of the half cycles is not known."""
+    bench.frames(70)
+    bench.ask(SetMode(Mode.MANUAL))
+    bench.ask(Enable())
+    stutter(bench, frames=240, every=20)
+    bench.ask(SetVoltage(250.0, hold_s))
+    assert bench.state() is State.STARTING
+
+
+@pytest.mark.parametrize(("hold_s", "limit_s"), [(None, 5.0), (60.0, 5.0), (2.0, 2.0)])
+async def test_a_start_waits_for_its_rate_no_longer_than_a_precharge_or_its_operator_may_last(
+    hold_s: float | None, limit_s: float
+) -> None:
+    async with fast_bench() as bench:
+        start_at_an_unknown_rate(bench, hold_s)
+        stutter(bench, frames=round(0.9 * limit_s / TICK_S), every=20)
+        assert bench.state() is State.STARTING
+        stutter(bench, frames=round(0.2 * limit_s / TICK_S), every=20)
+        assert (bench.machine.trip or "").startswith(f"frame rate: not known {limit_s:g}")
+        bench.frames(200)
+        assert bench.state() is State.TRIPPED
+        assert set(bench.sent) == {SAFE_COMMAND}
+
+
+async def test_a_bridge_that_comes_on_before_the_rate_is_known_trips() -> None:
+    async with fast_bench() as bench:
+        start_at_an_unknown_rate(bench, None)
+        stutter(bench, frames=3, every=20, bridge=True)
+        assert "although this daemon did not command it" in (bench.machine.trip or "")
+
+
+async def test_a_bridge_that_has_not_gone_off_before_the_rate_is_known_trips() -> None:
+    async with fast_bench() as bench:
+        start_at_an_unknown_rate(bench, None)
+        bench.ask(SetMode(Mode.FIXED))
+        bench.frames(63)
+        assert bench.state() is State.RUNNING
+        stutter(bench, frames=240, every=20)
+        bench.ask(SetSetpoint(0.0))
+        bench.ask(SetSetpoint(3.0))
+        stutter(bench, frames=round(FAST.stop_s / TICK_S), every=20, bridge=True)
+        assert bench.state() is State.STARTING
+        stutter(bench, frames=5, every=20, bridge=True)
+        assert (bench.machine.trip or "").startswith("the drive does not stop: its bridge is still")
+
+
+async def test_a_start_before_the_bus_has_taken_a_command_waits_for_the_rate(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with fast_bench() as bench:
+        monkeypatch.setattr(bench.port, "send", lambda _: False)
+        bench.port.safe_s = math.inf
+        bench.frame()
+        bench.ask(Enable())
+        bench.frames(64)
+        assert bench.machine.trip is None
+        assert bench.machine.stage is not Stage.OFF
+
+
+@pytest.mark.parametrize("stride", [1, 2, 12, 120])
+@pytest.mark.parametrize("jump_at", [0, 1, 17, 44])
+def test_the_rate_of_a_steady_drive_is_known_in_time(stride: int, jump_at: int) -> None:
+    """Wherever in the window its counter has jumped."""
+    base, latest, counter = HalfCycles(65536, TICK_S, stride), -1, 0
+    for number in range(jump_at + verdict_ticks(stride) // stride):
+        counter += stride + 1000 * (number == jump_at)
+        latest = base.place(counter % 65536, 100.0 + number * stride * TICK_S, latest)
+    assert base.rate.judged
 
 
 async def test_a_count_that_stands_in_standby_trips_nothing_and_refuses_enable() -> None:

@@ -23,6 +23,7 @@ from adaptdrive.runtime.requests import (
     SetMode,
     SetPole,
     SetSetpoint,
+    SetVoltage,
     SetWaveform,
 )
 
@@ -37,6 +38,7 @@ LIMITS = MachineLimits(
     ceiling_V=400.0,
     slew_V_per_s=60.0,
     starting_ticks=600,
+    rate_s=5.0,
     tick_s=1.0 / 120.0,
     reach=Reach(-9.0, 9.0),
 )
@@ -282,6 +284,43 @@ def test_starting_that_takes_too_long_trips(starting: Desk) -> None:
     assert starting.state() is State.TRIPPED
     assert starting.machine.trip is not None
     assert starting.machine.trip.startswith("precharge: v_bst = 171.0 V after 5 s, needs 200 V")
+
+
+@pytest.mark.parametrize(
+    ("mode", "hold_s", "limit_s"),
+    [(Mode.FIXED, 0.5, 5.0), (Mode.MANUAL, 0.5, 0.5), (Mode.MANUAL, None, 5.0)],
+)
+def test_a_rate_that_stays_unknown_trips(mode: Mode, hold_s: float | None, limit_s: float) -> None:
+    desk = Desk()
+    desk.ask(SetMode(Mode.MANUAL))
+    desk.ask(Enable())
+    desk.ask(SetVoltage(300.0, hold_s))
+    desk.ask(SetMode(mode))
+    for waited_s in (0.0, limit_s, limit_s + 0.25):
+        assert desk.state() is State.STARTING
+        desk.tick += 1
+        desk.machine.advance(desk.tick, 150.0, rate_known=False, now_s=64.0 + waited_s)
+    cause = f"frame rate: not known {limit_s + 0.25:.3g} s after the start: "
+    assert (desk.machine.trip or "").startswith(cause)
+
+
+def test_a_wait_for_the_rate_of_an_earlier_start_does_not_count(starting: Desk) -> None:
+    for now_s in (64.0, 128.0):
+        starting.machine.advance(starting.tick, 150.0, rate_known=False, now_s=now_s)
+        starting.ask(Disable())
+        starting.machine.confirm_stop()
+        starting.ask(Enable())
+    assert starting.state() is State.STARTING
+
+
+def test_a_precharge_that_waited_for_its_rate_may_last_as_long_as_any(starting: Desk) -> None:
+    for _ in range(500):
+        starting.tick += 1
+        now_s = starting.tick * LIMITS.tick_s
+        starting.machine.advance(starting.tick, 150.0, rate_known=False, now_s=now_s)
+    assert starting.machine.stage is Stage.OFF
+    starting.pass_ticks(601, boost_voltage_V=171.0)
+    assert (starting.state(), starting.machine.stage) == (State.STARTING, Stage.PRECHARGE)
 
 
 @pytest.mark.parametrize("name", ["starting", "running"])

@@ -28,6 +28,7 @@ from adaptdrive.control.settings import (
 from adaptdrive.control.voltage_loop import LAG_TICKS
 from adaptdrive.runtime.collector import COLLECT_TICKS
 from adaptdrive.runtime.daemon_settings import DaemonSettings
+from adaptdrive.runtime.frame_rate import verdict_ticks
 from adaptdrive.runtime.guard import CommandLimits
 from adaptdrive.runtime.loop_interface import FastLoopSettings
 from adaptdrive.runtime.machine_limits import MachineLimits
@@ -249,6 +250,7 @@ def _machine_limits(configuration: Configuration) -> MachineLimits:
     load, tick = configuration.load, tick_s(configuration)
     settings, model = controller_settings(configuration), build_load(configuration)
     pole_min, pole_max = pole_range(settings, model, load)
+    patience_s = configuration.interlocks.precharge_timeout_s
     return MachineLimits(
         reference_min=load.reference_min,
         reference_max=load.reference_max,
@@ -260,7 +262,8 @@ def _machine_limits(configuration: Configuration) -> MachineLimits:
         ceiling_V=configuration.drive.limits.boost_reference_max_V,
         slew_V_per_s=configuration.drive.limits.manual_slew_V_per_s,
         boost_needs_bridge=configuration.drive.enable_bit == "bridge-and-boost",
-        starting_ticks=round(configuration.interlocks.precharge_timeout_s / tick),
+        starting_ticks=round(patience_s / tick),
+        rate_s=max(patience_s, tick * verdict_ticks(configuration.bus.ticks_per_reading)),
         tick_s=tick,
         reach=nominal_reach(model, settings.stage),
         govern=load.govern,

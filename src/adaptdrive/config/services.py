@@ -91,7 +91,10 @@ class InterlocksSection(Section):
         "or falls faster than a load can; 0: never",
     )
     precharge_timeout_s: PositiveFloat = Field(
-        default=5.0, le=600.0, description="longest time in state `starting`"
+        default=5.0,
+        le=600.0,
+        description="longest precharge in state `starting`, and longest wait for the rate of the "
+        "half cycles before it",
     )
     stop_s: float = Field(
         default=0.5,

@@ -34,7 +34,8 @@ from adaptdrive.runtime.statistics import TimeWindow
 from adaptdrive.runtime.stop_watch import StopWatch
 from adaptdrive.runtime.stopping import Stopping
 
-_RUN: Final[Stage] = Stage.RUN  # found at once by compiled code
+_OFF: Final[Stage] = Stage.OFF  # found at once by compiled code
+_RUN: Final[Stage] = Stage.RUN
 
 
 class FastLoop:
@@ -245,21 +246,22 @@ class FastLoop:
 
     def _watch_interlocks(self, now_s: float) -> None:
         machine, reading, interlocks = self._machine, self.reading, self._interlocks
-        if machine.commanded_off:
+        stage = machine.stage
+        if stage is _OFF:
             self._stopping.judge(self._port, reading, now_s)
         else:
             self._stopping.release()
         if not machine.energised:
             interlocks.look(now_s)
             return
-        running, bridge = machine.stage is _RUN, self.command.bridge
+        running, bridge = stage is _RUN, self.command.bridge
         cause = interlocks.running_cause(self._port, reading, now_s, running=running, bridge=bridge)
         if cause is not None:
             machine.latch(cause)
             self._stop_watch.command(now_s)
         elif reading is not None:
-            voltage_V = reading.boost_voltage_V
-            machine.advance(self.tick, voltage_V, rate_known=interlocks.rate_known)
+            known = interlocks.rate_known
+            machine.advance(self.tick, reading.boost_voltage_V, rate_known=known, now_s=now_s)
 
     def _control(self, tick: int, reading: Reading, *, fresh: bool) -> None:
         order = self._current_order(tick)

@@ -71,6 +71,20 @@ class _Block:
         self.thin = 0
 
 
+def verdict_ticks(stride: int) -> int:
+    """Return the half cycles after which the rate of a steady drive is known, or named as wrong.
+
+    Args:
+        stride: Half cycles from one reading to the next.
+    """
+    return _BLOCKS * _block_size(stride) * stride + _LASTING_TICKS
+
+
+def _block_size(stride: int) -> int:
+    """Return the readings of half the shortest window."""
+    return max(_LEAST_READINGS, _SHORTEST_TICKS // stride) // 2
+
+
 class FrameRate:
     """Measures the rate of a drive's readings.
 
@@ -91,7 +105,7 @@ class FrameRate:
         self._tick_s = tick_s
         self._stride = stride
         self._counted = counted
-        self._block_size = max(_LEAST_READINGS, _SHORTEST_TICKS // stride) // 2
+        self._block_size = _block_size(stride)
         self._blocks: deque[_Block] = deque(maxlen=_BLOCKS)
         self._block = _Block()
         self._began_s: float | None = None

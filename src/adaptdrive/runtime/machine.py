@@ -60,6 +60,7 @@ class Machine:
         self._coasts = False
         self._since_tick = 0
         self._precharging = False
+        self._awaited_s = math.inf
         self._waveform_tick = 0
 
     @property
@@ -302,7 +303,14 @@ class Machine:
         self.trip = None
         self.state = State.STANDBY if self.stopped else State.STOPPING
 
-    def advance(self, tick: int, boost_voltage_V: float, *, rate_known: bool = True) -> None:
+    def advance(
+        self,
+        tick: int,
+        boost_voltage_V: float,
+        *,
+        rate_known: bool = True,
+        now_s: float = 0.0,
+    ) -> None:
         """Move from `starting` to `running` at the floor of the boost voltage, and watch the hand.
 
         The first tick is always one of `starting`: it makes a controller that ran until just
@@ -312,6 +320,7 @@ class Machine:
             tick: Present tick.
             boost_voltage_V: Boost voltage.
             rate_known: Whether the drive's rate is known; at an unknown one no precharge begins.
+            now_s: Monotonic time, by which an unknown rate is awaited.
         """
         if self.state is _RUNNING and self.mode is _MANUAL:
             cause = self.manual.find_cause(tick)
@@ -321,11 +330,22 @@ class Machine:
             return
         if not self._precharging:
             self._precharging, self._since_tick = rate_known, tick
+            if not rate_known:
+                self._await_rate(now_s)
         elif boost_voltage_V >= FLOOR_REACHED * self._limits.floor_V:
             self.state = State.RUNNING
             self.manual = replace(self.manual, since_tick=tick)  # nobody could renew it meanwhile
         elif tick - self._since_tick > self._limits.starting_ticks:
             self.latch(self._limits.precharge_cause(boost_voltage_V))
+
+    def _await_rate(self, now_s: float) -> None:
+        """Trip once the rate has been unknown for too long, or its operator may be lost."""
+        self._awaited_s = min(self._awaited_s, now_s)
+        waited_s, limit_s = now_s - self._awaited_s, self._limits.rate_s
+        if self.mode is _MANUAL and self.manual.hold_s is not None:
+            limit_s = min(limit_s, self.manual.hold_s)
+        if waited_s > limit_s:
+            self.latch(self._limits.rate_cause(waited_s))
 
     def forget_reach(self) -> None:
         """Go by the nominal model again: what a run found may not hold in the next one."""
@@ -353,6 +373,7 @@ class Machine:
         """Energise the drive, from the precharge on."""
         self.state, self.stopped = State.STARTING, False
         self._precharging = self._coasts = False
+        self._awaited_s = math.inf
 
     def _coast(self) -> None:
         """Hold the drive off until a set-point within reach."""

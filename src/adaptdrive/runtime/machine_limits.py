@@ -30,7 +30,8 @@ class MachineLimits:
         floor_V: Boost voltage at which starting ends, and lowest V_c.
         ceiling_V: Highest V_c.
         slew_V_per_s: Largest slope of V_c in mode manual.
-        starting_ticks: Longest time in state `starting`, in fast ticks.
+        starting_ticks: Longest precharge, in fast ticks.
+        rate_s: Longest wait for a known rate of the half cycles before it.
         tick_s: Half a line cycle at nominal frequency.
         boost_needs_bridge: Whether the bridge is on in `starting` already.
         reach: What V_c can hold by the nominal model.
@@ -47,6 +48,7 @@ class MachineLimits:
     ceiling_V: float
     slew_V_per_s: float
     starting_ticks: int
+    rate_s: float
     tick_s: float
     boost_needs_bridge: bool = False
     reach: Reach = UNKNOWN
@@ -110,6 +112,14 @@ class MachineLimits:
         """Return a V_c that stays, at the limit nearest to the given one."""
         held_V = min(max(self.floor_V, voltage_V), self.ceiling_V)
         return ManualVoltage(held_V, held_V, tick, self.slew_V_per_s * self.tick_s)
+
+    def rate_cause(self, waited_s: float) -> str:
+        """Return the cause of a trip in state `starting` before the precharge."""
+        return (
+            f"frame rate: not known {waited_s:.3g} s after the start: the drive's half-cycle "
+            "counter jumps again and again, or its readings are too few: look for a gateway that "
+            "repeats or loses frames, and at signals.counter"
+        )
 
     def precharge_cause(self, boost_voltage_V: float) -> str:
         """Return the cause of a trip in state `starting`, with the likeliest remedy."""

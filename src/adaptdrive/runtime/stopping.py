@@ -54,6 +54,8 @@ class Stopping:
             self._miss(_SWITCHED_ON)
         elif machine.state is State.STANDBY:
             self._await_first_word(reading, now_s)
+        elif machine.state is State.STARTING and (reading is None or not reading.bridge):
+            return  # as in `standby`, only a bridge that is on makes a missing word a problem
         elif verdict is Stop.OVERDUE and self.word is not StopWord.MISSING:
             self._miss(f"the drive does not stop: {watch.why_not(reading, port.safe_s, now_s)}")
         elif verdict is Stop.AWAITED:

@@ -175,6 +175,17 @@ TRIPS = (
         "check the sign and the wires of the sensor",
     ),
     Trip(
+        r"^frame rate: not known ",
+        "frame rate: not known 5 s after the start: the drive's half-cycle counter jumps again "
+        "and again, or its readings are too few: look for a gateway that repeats or loses frames, "
+        "and at signals.counter",
+        "`starting` had to wait for the rate of the half cycles for longer than "
+        "`interlocks.precharge_timeout_s` (or the time in which a steady drive shows it), or than "
+        "the `hold_s` of its `voltage`; nothing was energised",
+        "look for a gateway that repeats or loses frames; leave `signals.counter` out where it "
+        "does not count each half cycle",
+    ),
+    Trip(
         r"^frame rate: ",
         "frame rate: the drive sends 100 readings/s, expected 120/s: look at "
         "drive.line_frequency_Hz, bus.clock and bus.clock_ticks",
