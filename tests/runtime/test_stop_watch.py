@@ -138,6 +138,64 @@ async def test_after_another_source_switched_it_on_a_reset_awaits_the_drives_wor
         assert bench.state() is State.STANDBY
 
 
+def chatter(bench: FastBench, frames: int) -> set[StopWord]:
+    """The words on a bridge that is on in two of three readings, and in the last one."""
+    words = set()
+    for number in range(frames):
+        bench.frame(bridge=(frames - number) % 3 != 0)
+        words.add(bench.loop.stop)
+    return words
+
+
+@pytest.mark.parametrize("frames", [STOP_TICKS + 1, 2000])
+async def test_a_bridge_that_chatters_after_a_trip_is_one_alarm(
+    running: FastBench, frames: int
+) -> None:
+    running.frame(fault=4)
+    running.frames(STOP_TICKS)
+    alarms = running.around.not_stops
+    for number in (1, 2):
+        assert running.loop.stop is StopWord.CONFIRMED
+        chatter(running, 3)
+        assert chatter(running, frames) == {StopWord.MISSING}
+        assert len(alarms) == number
+        assert "although this daemon did not command it" in alarms[-1]
+        words = set()
+        for _ in range(STOP_TICKS - 1):
+            running.frame(bridge=False)
+            words.add(running.loop.stop)
+        assert words == {StopWord.MISSING}
+        running.frames(3)
+    assert running.machine.trip == "drive fault: word 0x4"
+
+
+async def test_a_reset_between_two_denied_stops_lets_the_second_one_trip() -> None:
+    async with fast_bench() as bench:
+        bench.frames(20)
+        for _ in range(2):
+            chatter(bench, 3)
+            assert bench.state() is State.TRIPPED
+            bench.frame(bridge=False)
+            bench.ask(Reset())
+            bench.frame(bridge=False)
+            assert (bench.state(), bench.loop.stop) == (State.STANDBY, StopWord.CONFIRMED)
+
+
+async def test_a_reset_before_a_denied_stop_is_confirmed_awaits_it_for_the_time_of_a_stop() -> None:
+    async with fast_bench() as bench:
+        bench.frames(20)
+        said_s = bench.around.now
+        chatter(bench, 3)
+        for _ in range(2):
+            bench.frame(bridge=False, bridge_s=said_s)
+        bench.frame(bridge=True)
+        bench.frame(bridge=False, bridge_s=said_s)
+        bench.ask(Reset())
+        for _ in range(STOP_TICKS + 2):
+            bench.frame(bridge=True)
+        assert (bench.machine.trip or "").startswith("the drive does not stop: its bridge is still")
+
+
 async def test_one_reading_that_is_looked_at_again_and_again_is_one_flicker() -> None:
     async with fast_bench() as bench:
         bench.frames(20)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from adaptdrive.hardware.port import Port, Reading
@@ -33,11 +34,13 @@ class Stopping:
         self._watch = watch
         self._machine = machine
         self._report = report
+        self._settled_s = -math.inf
         self.word = StopWord.AWAITED
 
     def release(self) -> None:
         """Note that the drive is energised: its word of the stop before says nothing any more."""
         self._watch.release()
+        self._settled_s = -math.inf
         self.word = StopWord.AWAITED
 
     def judge(self, port: Port, reading: Reading | None, now_s: float) -> None:
@@ -45,10 +48,12 @@ class Stopping:
         watch, machine = self._watch, self._machine
         watch.command(now_s)
         verdict = watch.judge(reading, port.safe_s, now_s)
+        settled = self._is_settled(verdict, now_s)
         if verdict is Stop.CONFIRMED:
             machine.confirm_stop()
             confirmable = port.stop_slack_s is not None
-            self.word = StopWord.CONFIRMED if confirmable else StopWord.IMPOSSIBLE
+            word = StopWord.CONFIRMED if confirmable else StopWord.IMPOSSIBLE
+            self.word = word if settled else self.word
         elif verdict is Stop.DENIED:
             machine.doubt_stop()
             self._miss(_SWITCHED_ON)
@@ -58,8 +63,18 @@ class Stopping:
             return  # as in `standby`, only a bridge that is on makes a missing word a problem
         elif verdict is Stop.OVERDUE and self.word is not StopWord.MISSING:
             self._miss(f"the drive does not stop: {watch.why_not(reading, port.safe_s, now_s)}")
-        elif verdict is Stop.AWAITED:
+        elif verdict is Stop.AWAITED and settled:
             self.word = StopWord.AWAITED
+
+    def _is_settled(self, verdict: Stop, now_s: float) -> bool:
+        """Return whether a tripped drive that denied its stop has stayed off for a stop's time.
+
+        Until then its stop is missing: a bridge that chatters makes one alarm, not one each time.
+        """
+        confirmed, settled = verdict is Stop.CONFIRMED, now_s >= self._settled_s
+        if verdict is Stop.DENIED or not (confirmed or settled):
+            self._settled_s = now_s + self._watch.limit_s
+        return settled or self._machine.state is not State.TRIPPED
 
     def _await_first_word(self, reading: Reading | None, now_s: float) -> None:
         """Expect a drive to stop that is found on at the start."""
@@ -68,8 +83,8 @@ class Stopping:
             self._machine.doubt_stop()
 
     def _miss(self, problem: str) -> None:
-        """Trip; a drive that had tripped before keeps that cause, and this one is reported too."""
-        self.word = StopWord.MISSING
-        if self._machine.state is State.TRIPPED:
+        """Trip; a drive that had tripped before keeps that cause, and this one is reported once."""
+        if self._machine.state is State.TRIPPED and self.word is not StopWord.MISSING:
             self._report(problem)
+        self.word = StopWord.MISSING
         self._machine.latch(problem)
