@@ -99,7 +99,7 @@ class DaemonBench:
             clock=time.monotonic,
             hub=self.hub,
             manager=manager or ServiceManager({}),
-            rehearse=lambda: self.rehearsals_s.append(time.monotonic()),
+            rehearse=self.rehearse,
         )
         self.stop = asyncio.Event()
         self.counter = 0
@@ -128,6 +128,9 @@ class DaemonBench:
     def frames(self, count: int) -> None:
         for _ in range(count):
             self.frame()
+
+    def rehearse(self) -> None:
+        self.rehearsals_s.append(time.monotonic())
 
     async def start(self) -> None:
         self.frames(3)
@@ -432,6 +435,25 @@ async def test_frames_are_rehearsed_and_what_a_drive_answers_when_polled_is_not(
             await asyncio.sleep(0.1)
         assert len(bench.rehearsals_s) == (4 if rehearsed else 0)
         await bench.end()
+
+
+async def test_a_rehearsal_that_fails_is_a_warning_and_the_drive_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(_: DaemonBench) -> None:
+        raise RefusedError("tripped (drive fault: word 0x1)")
+
+    monkeypatch.setattr(DaemonBench, "rehearse", fail)
+    async with daemon_bench(settings=replace(PATIENT, rehearse_s=0.002)) as bench:
+        with uncaught_errors_end(bench.daemon.fail):
+            await bench.start()
+            await until(lambda: bool(bench.events("realtime")) or bench.task.done())
+            (event,) = bench.events("realtime")
+            assert event.severity is Severity.WARNING
+            assert "drive fault: word 0x1" in event.detail
+            bench.frame()
+            assert bench.states[-1].state is State.RUNNING
+            await bench.end()
 
 
 async def test_an_orderly_stop_says_goodbye_more_than_once() -> None:

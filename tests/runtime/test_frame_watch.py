@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Callable
 
 import pytest
 
@@ -59,10 +60,23 @@ async def test_it_begins_shortly_before_the_frame_is_due() -> None:
     assert due_s - spin_s <= looks_s[0] < due_s
 
 
+def nothing() -> None:
+    """Look at a bus that has no frame."""
+
+
+def rehearsing(
+    rehearse: Callable[[], None],
+    lead_s: float,
+    look: Callable[[], None] = nothing,
+    report_end: Callable[[str], None] = pytest.fail,
+) -> DressRehearsal:
+    """A rehearsal in the running loop."""
+    return DressRehearsal(asyncio.get_running_loop(), rehearse, look, report_end, lead_s)
+
+
 async def test_each_frame_is_rehearsed_once_and_before_it_is_due() -> None:
     times_s: list[float] = []
-    loop = asyncio.get_running_loop()
-    rehearsal = DressRehearsal(loop, lambda: times_s.append(time.monotonic()), lead_s=0.02)
+    rehearsal = rehearsing(lambda: times_s.append(time.monotonic()), lead_s=0.02)
     for number in range(3):
         due_s = time.monotonic() + 0.05
         rehearsal.expect(due_s)
@@ -75,8 +89,7 @@ async def test_each_frame_is_rehearsed_once_and_before_it_is_due() -> None:
 
 async def test_a_frame_that_is_early_puts_its_rehearsal_off() -> None:
     times_s: list[float] = []
-    loop = asyncio.get_running_loop()
-    rehearsal = DressRehearsal(loop, lambda: times_s.append(time.monotonic()), lead_s=0.001)
+    rehearsal = rehearsing(lambda: times_s.append(time.monotonic()), lead_s=0.001)
     rehearsal.expect(time.monotonic() + 0.02)
     rehearsal.expect(time.monotonic() + 3600.0)
     await asyncio.sleep(0.04)
@@ -85,20 +98,34 @@ async def test_a_frame_that_is_early_puts_its_rehearsal_off() -> None:
 
 
 async def test_a_rehearsal_that_fails_is_told_and_is_the_last_one() -> None:
-    loop = asyncio.get_running_loop()
-    told: list[object] = []
-    loop.set_exception_handler(lambda _, context: told.append(context["exception"]))
-    calls: list[int] = []
+    uncaught: list[object] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: uncaught.append(context))
+    calls: list[str] = []
 
     def fail() -> None:
-        calls.append(1)
-        raise ZeroDivisionError
+        calls.append("rehearsed")
+        raise ZeroDivisionError("of a load")
 
-    rehearsal = DressRehearsal(loop, fail, lead_s=0.001)
+    rehearsal = rehearsing(fail, 0.001, lambda: calls.append("looked"), calls.append)
     rehearsal.expect(time.monotonic())
-    await until(lambda: bool(told))
+    await until(lambda: "looked" in calls or bool(uncaught))
     rehearsal.expect(time.monotonic())
     await asyncio.sleep(0.01)
     rehearsal.close()
-    assert len(calls) == 1
-    assert isinstance(told[0], ZeroDivisionError)
+    assert calls == ["rehearsed", "ZeroDivisionError('of a load')", "looked"]
+    assert not uncaught
+
+
+async def test_a_look_at_the_bus_that_fails_is_no_rehearsal_that_fails() -> None:
+    loop = asyncio.get_running_loop()
+    uncaught: list[object] = []
+    loop.set_exception_handler(lambda _, context: uncaught.append(context["exception"]))
+
+    def fail() -> None:
+        raise ZeroDivisionError
+
+    rehearsal = rehearsing(nothing, 0.001, look=fail)
+    rehearsal.expect(time.monotonic())
+    await until(lambda: bool(uncaught))
+    rehearsal.close()
+    assert isinstance(uncaught[0], ZeroDivisionError)

@@ -122,6 +122,9 @@ class Daemon:
             report_late=lambda detail: self._announcer.publish_event(
                 "latency", Severity.WARNING, detail
             ),
+            report_unrehearsed=lambda problem: self._announcer.publish_event(
+                "realtime", Severity.WARNING, f"rehearse_us has no effect any more: {problem}"
+            ),
             is_idle=lambda: not self._machine.energised,
             clock=self._clock,
         )

@@ -58,16 +58,25 @@ class DressRehearsal:
     """
 
     def __init__(
-        self, loop: asyncio.AbstractEventLoop, rehearse: Callable[[], None], lead_s: float
+        self,
+        loop: asyncio.AbstractEventLoop,
+        rehearse: Callable[[], None],
+        look: Callable[[], None],
+        report_end: Callable[[str], None],
+        lead_s: float,
     ) -> None:
         """Expect nothing yet.
 
         Args:
             loop: Event loop of the port.
             rehearse: Does what a tick does, and nothing that can be noticed.
+            look: Reads the bus after it, which has no frame yet.
+            report_end: Receives the error of a rehearsal that fails, which is the last one.
             lead_s: How long before a frame is due.
         """
         self._rehearse = rehearse
+        self._look = look
+        self._report_end = report_end
         self._lead_s = lead_s
         self._timer = TickTimer(loop, self._expired)
         self._ended = False
@@ -83,9 +92,10 @@ class DressRehearsal:
         self._timer.close()
 
     def _expired(self, _: float) -> None:
-        """Rehearse; a rehearsal that fails is the last one, and the event loop logs why."""
+        """Rehearse, and read the bus; no rehearsal that fails is worth a drive that stops."""
         try:
             self._rehearse()
-        except Exception:
+        except Exception as problem:  # noqa: BLE001 - without it ticks only take longer
             self.close()
-            raise
+            self._report_end(repr(problem))
+        self._look()

@@ -24,6 +24,7 @@ class TickSupport:
         *,
         rehearse: Callable[[], None],
         report_late: Callable[[str], None],
+        report_unrehearsed: Callable[[str], None],
         is_idle: Callable[[], bool],
         clock: Callable[[], float],
     ) -> None:
@@ -35,6 +36,7 @@ class TickSupport:
             port: The drive.
             rehearse: Does what a tick does, and nothing that can be noticed.
             report_late: Receives the cause of a late tick.
+            report_unrehearsed: Receives the error that has ended the rehearsals.
             is_idle: Returns whether the drive is off, so that a late tick does no harm.
             clock: Monotonic clock in seconds.
         """
@@ -42,6 +44,7 @@ class TickSupport:
         self._settings = settings
         self._port = port
         self._rehearse = rehearse
+        self._report_unrehearsed = report_unrehearsed
         self._is_idle = is_idle
         self._clock = clock
         self._collector = IdleCollector(settings.collect_ticks)
@@ -69,19 +72,16 @@ class TickSupport:
 
     def _get_ready(self) -> Iterator[DressRehearsal | FrameWatch]:
         """Yield what prepares for each frame of a drive that sends cyclically."""
-        settings = self._settings
+        settings, look = self._settings, self._port.catch_up
         if settings.fast.ticks_per_reading > 1:
             # the replies of a drive that is polled come through the loop, which must not be kept
             return
         if settings.rehearse_s > 0.0:
-            yield DressRehearsal(self._loop, self._rehearse_tick, settings.rehearse_s)
+            yield DressRehearsal(
+                self._loop, self._rehearse, look, self._report_unrehearsed, settings.rehearse_s
+            )
         if settings.spin_s > 0.0:
-            yield FrameWatch(self._loop, self._port.catch_up, settings.spin_s, self._clock)
-
-    def _rehearse_tick(self) -> None:
-        """Run a tick on synthetic frames, and read the bus, which has no frame yet."""
-        self._rehearse()
-        self._port.catch_up()
+            yield FrameWatch(self._loop, look, settings.spin_s, self._clock)
 
     def _collect(self) -> None:
         """Collect garbage now that a tick has ended and the next one is far."""

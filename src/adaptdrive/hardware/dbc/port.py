@@ -290,9 +290,11 @@ class CanPort:
 
 
 def _made_up(config: CanBus, mapping: CanMapping) -> Iterator[Callable[[], can.Message]]:
-    """Frames as the drive might send them, each from a function that gives it again and again."""
-    for codec in (status.codec for status in mapping.statuses):
-        data = codec.example()
+    """Frames as a drive without a fault might send them, each from a function that repeats it."""
+    for status in mapping.statuses:
+        codec = status.codec
+        faults = [one.signal.name for one in status.sources if one.quantity == "fault"]
+        data = codec.example(dict.fromkeys(faults, 0.0))
         if data is not None:
             yield as_received(
                 config,

@@ -146,11 +146,15 @@ class MessageCodec:
         self._next = (counter + 1) % self._modulus
         return data
 
-    def example(self) -> bytes | None:
-        """A frame with every signal at its initial value, None where pages make that impossible."""
+    def example(self, values: Mapping[str, float | None] = _NOTHING) -> bytes | None:
+        """A frame with every other signal at its initial value, None where that is impossible.
+
+        Args:
+            values: As for `encode`.
+        """
         try:
-            return self.encode({})
-        except EncodeError:
+            return self.encode(values)
+        except (EncodeError, ValueError):  # pages, or a range
             return None
 
     def decode(self, data: bytes) -> Decoded:
