@@ -12,6 +12,7 @@ from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, load_diction
 from adaptdrive.hardware.canopen.pdo import codec, pack, transmit_channel
 from adaptdrive.hardware.dbc.database import SignalCatalogue, load_database
 from adaptdrive.hardware.dbc.proposal import candidates, proofs
+from adaptdrive.hardware.link.codec import MessageCodec
 from adaptdrive.operation.commands import VERBS, Payload
 from tests.fuzz.target import EXAMPLES, Target, damaged_file
 
@@ -36,6 +37,8 @@ def dbc(data: bytes) -> object:
     catalogue = SignalCatalogue(database, fd=True)
     for message in database.messages:
         proofs(message)
+        if catalogue.message(message.name, "bus") is not None:
+            MessageCodec(message).example()
         for signal in message.signals:
             catalogue.signal(f"{message.name}.{signal.name}", "signals.output")
     return list(candidates(database))
@@ -126,12 +129,22 @@ BA_ "GenSigStartValue" SG_ 100 Volts 7;
 VAL_ 100 Mode 0 "off" 1 "on";
 SIG_VALTYPE_ 100 Speed : 0;
 """
+_FLOAT_DBC = b"""VERSION ""
+BU_: A
+BO_ 101 Order: 8 A
+ SG_ Volts : 0|16@1+ (0.01,0) [0|600] "V" A
+ SG_ Speed : 23|16@0- (0.1,-5) [-3000|3000] "rpm" A
+BA_DEF_ SG_ "GenSigStartValue" FLOAT -1e9 1e9;
+BA_DEF_DEF_ "GenSigStartValue" 0;
+BA_ "GenSigStartValue" SG_ 101 Volts 7;
+BA_ "GenSigStartValue" SG_ 101 Speed -1.5;
+"""
 
 DESCRIPTIONS: dict[str, Target] = {
     "toml": Target(
         toml, (ConfigurationError,), _texts("motor.toml", "bath-modbus-tcp.toml"), 60, 0.1
     ),
     "mqtt": Target(mqtt, (RefusedError,), _COMMANDS, 4000),
-    "dbc": Target(dbc, (ConfigurationError,), (*_texts("inverter.dbc"), _DBC, _DBC), 60, 0.1),
+    "dbc": Target(dbc, (ConfigurationError,), (*_texts("inverter.dbc"), _DBC, _FLOAT_DBC), 60, 0.1),
     "eds": Target(eds, (ConfigurationError,), (_EDS, *_texts("cia402.eds"), _EDS), 60, 0.1),
 }

@@ -3,7 +3,8 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.config.bus import CommandSignals, FrameIntegrity, SignalSource, SwitchSource
+from adaptdrive.config.bus import CanBus, CommandSignals, FrameIntegrity, SignalSource, SwitchSource
+from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.dbc.database import load_database, message_codec
 from adaptdrive.hardware.dbc.mapping import map_drive
@@ -164,6 +165,54 @@ def test_a_signed_bit_is_on_at_minus_one(tmp_path: Path) -> None:
         map_drive(bus, MOTOR.signals, TIMING)
     signals = motor_signals(bridge=SwitchSource(signal="DriveStatus.BridgeOn", on=-1))
     assert map_drive(bus, signals, TIMING).bridge_on == -1.0
+
+
+def with_initial(folder: Path, message: str, signal: str, kind: str, value: str) -> CanBus:
+    """The bus of the example, whose DBC has a signal of its own and an initial value."""
+    text = (EXAMPLES / "adaptdrive.dbc").read_text()
+    spare = ' SG_ Spare : 33|4@1- (1,0) [0|0] "" Drive\n'
+    text = text.replace(" SG_ CommandAlive", spare + " SG_ CommandAlive")
+    number = re.search(rf"BO_ (\d+) {message}", text)
+    assert number is not None
+    attribute = '"GenSigStartValue"'
+    text += f"\nBA_DEF_ SG_ {attribute} {kind};\nBA_DEF_DEF_ {attribute} 0;\n"
+    text += f"BA_ {attribute} SG_ {number[1]} {signal} {value};\n"
+    bus = motor_bus(database=folder / "initial.dbc")
+    bus.database.write_text(text)
+    return bus
+
+
+@pytest.mark.parametrize("kind", ["INT -100 100", "FLOAT -100 100"])
+@pytest.mark.parametrize("value", [-8, 7])
+def test_an_initial_value_of_either_kind_is_sent(tmp_path: Path, kind: str, value: int) -> None:
+    bus = with_initial(tmp_path, "DriveCommand", "Spare", kind, str(value))
+    (order,) = map_drive(bus, MOTOR.signals, TIMING).orders
+    message = load_database(bus.database).get_message_by_name("DriveCommand")
+    sent = message.decode_simple(order.encode(SAFE_COMMAND))
+    assert (sent["Spare"], sent["BoostReference"]) == (value, 0.0)
+
+
+@pytest.mark.parametrize("value", ["0.5", "8", "-9", "1e9"])
+def test_an_initial_value_that_its_signal_cannot_hold_is_a_flaw(tmp_path: Path, value: str) -> None:
+    bus = with_initial(tmp_path, "DriveCommand", "Spare", "FLOAT -100 100", value)
+    with pytest.raises(ConfigurationError) as caught:
+        map_drive(bus, MOTOR.signals, TIMING)
+    (flaw,) = caught.value.flaws
+    assert flaw.place == "signals.command"
+    named = "'Spare' of 4 bits cannot hold its initial value (GenSigStartValue)"
+    assert f"{named} {float(value):.12g}" in flaw.message
+
+
+@pytest.mark.parametrize(
+    ("message", "signal"), [("DriveStatus", "LoadPower"), ("DriveCommand", "BoostReference")]
+)
+@pytest.mark.parametrize("value", ["3", "0.5", "1e9"])
+def test_an_initial_value_that_is_never_sent_may_be_any(
+    tmp_path: Path, message: str, signal: str, value: str
+) -> None:
+    bus = with_initial(tmp_path, message, signal, "FLOAT -100 100", value)
+    mapping = map_drive(bus, MOTOR.signals, TIMING)
+    assert all(status.codec.example() for status in mapping.statuses)
 
 
 def test_what_selects_a_page_cannot_be_commanded_itself(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from adaptdrive.control.signals import Command
 from adaptdrive.hardware.dbc.database import SignalCatalogue, is_word
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.link.codec import MessageCodec
-from adaptdrive.hardware.link.layout import compile_field
+from adaptdrive.hardware.link.layout import compile_field, initial_value
 
 _VALUES = ("current_scale_S", "boost_reference_V")
 
@@ -103,6 +103,7 @@ def find_orders(
                 _check_demands(catalogue, given, signal, part, demands)
     if signals.command.bridge is not None:
         _find_switch(catalogue, bus, signals.command.bridge, drafts)
+    _check_initial(catalogue, drafts)
     return drafts
 
 
@@ -208,6 +209,19 @@ def _check_demands(
             compile_field(signal).raw(part.base + part.factor * wanted)
         except ValueError as refusal:
             catalogue.note(place, f"cannot carry {wanted:g}, a limit of [drive.limits]: {refusal}")
+
+
+def _check_initial(catalogue: SignalCatalogue, drafts: _Drafts) -> None:
+    """Each signal can hold its initial value, which it has where nothing else sets it."""
+    for name, pages in drafts.items():
+        given = {selector for page in pages for selector, _ in page}
+        for draft in pages.values():
+            given |= {*draft.fixed, *(part.signal for part in draft.parts)}
+        for signal in catalogue.known(name).signals:
+            if signal.name not in given and initial_value(signal) is None:
+                problem = f"initial value (GenSigStartValue) {signal.raw_initial:.12g}"
+                bits = f"signal {signal.name!r} of {signal.length} bits cannot hold"
+                catalogue.note("signals.command", f"message {name!r}: {bits} its {problem}")
 
 
 def _check_proof(

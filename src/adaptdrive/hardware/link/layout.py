@@ -92,8 +92,25 @@ def compile_field(signal: Signal, *, measured: bool = False) -> SignalField:
         high=high,
         integer=not signal.is_float,
         unavailable=math.nan if signal.is_float else top,
-        idle=signal.raw_initial or 0,
+        idle=initial_value(signal) or 0,
     )
+
+
+def initial_value(signal: Signal) -> Raw | None:
+    """Return the raw initial value of a signal, 0 where it has none; None where it cannot hold it.
+
+    A DBC may declare the initial values of all its signals, integers too, as floating point.
+
+    Args:
+        signal: The signal.
+    """
+    raw: Raw = signal.raw_initial or 0
+    low, high = _natural_limits(signal)
+    if not low <= raw <= high:
+        return None
+    if signal.is_float:
+        return raw
+    return int(raw) if raw == int(raw) else None
 
 
 def _natural_limits(signal: Signal) -> tuple[Raw, Raw]:
