@@ -79,6 +79,20 @@ def test_the_oldest_go_until_the_rest_fits(tmp_path: Path) -> None:
     assert names(tmp_path) == [path.name for path in directories[1:]]
 
 
+def test_files_beside_the_sessions_remove_none(tmp_path: Path) -> None:
+    """As an export, the reserve for a full disk, and what could not be read of a recorder."""
+    directories = [recorded(tmp_path, age) for age in (5.0, 4.0, 0.5)]
+    size = sum(path.stat().st_size for one in directories for path in one.iterdir())
+    for name in ("20261121T012209Z_motor_ticks.csv", ".reserve", "damaged.unwritten-motor"):
+        (tmp_path / name).write_bytes(bytes(2 * size))
+    (tmp_path / "exports").mkdir()
+    (tmp_path / "exports" / "ticks.csv").write_bytes(bytes(2 * size))
+    assert list(prune(tmp_path, Keep(bytes=size), NOW, directories[-1])) == []
+    (removal,) = prune(tmp_path, Keep(bytes=size - 1), NOW, directories[-1])
+    assert removal.startswith(f"session {directories[0].name} removed")
+    assert list(directories[-1].glob("ticks-*.parquet"))
+
+
 def test_a_session_that_cannot_be_removed_keeps_no_other_from_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -44,7 +44,7 @@ def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None
     directories = list(session_directories(sessions))
     older = [path for path in directories if path != current]
     outdated = _too_old(directories, keep, now, by_person=current is None)
-    excess = _size(sessions) - keep.bytes if keep.bytes is not None else 0
+    excess = sum(map(_size, directories)) - keep.bytes if keep.bytes is not None else 0
     failed: list[RecordingError] = []
     for directory in older:
         size = _size(directory)
