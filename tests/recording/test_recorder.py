@@ -11,9 +11,10 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterable
 from contextlib import asynccontextmanager
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from adaptdrive.errors import RecordingError
@@ -21,9 +22,17 @@ from adaptdrive.recording.batches import EventRow, Header
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.recorder import EVENT_KIND, Clocks, Feed, Recorder, WritePace
 from adaptdrive.recording.session import Dropped, Ending, read_info, session_directories
+from adaptdrive.recording.spool import left_spools
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import CommandReport, Event, Severity
-from tests.recording.material import INFO, fill, make_tick, wait_until
+from tests.recording.material import (
+    INFO,
+    fill,
+    make_batch,
+    make_tick,
+    record_messages,
+    wait_until,
+)
 
 NOW = datetime(2026, 11, 21, 1, 30, tzinfo=UTC)
 CLOCKS = Clocks(lambda: NOW, time.monotonic)
@@ -102,6 +111,14 @@ class Bench:
                 if {os.fsencode(self.sessions), b"adaptdrive.recording.writer"} <= set(words):
                     return int(process.parent.name)
         raise AssertionError("no recorder process")
+
+    def kill_in_close(self) -> None:
+        """Kill the recorder process, if there is one, once it has closed its streams."""
+        with contextlib.suppress(AssertionError, OSError):
+            recorder = self.writer()
+            opened = [one.readlink().suffix for one in Path(f"/proc/{recorder}/fd").iterdir()]
+            if ".arrows" not in opened:
+                os.kill(recorder, signal.SIGKILL)
 
     def said(self) -> list[Event]:
         return [event for event in self.told.drain() if isinstance(event, Event)]
@@ -369,6 +386,37 @@ async def test_an_end_with_a_stopped_writer_is_recorded_by_another(sessions: Pat
     assert bench.recorder.complete
     assert sequences(read) == list(range(bench.published))
     assert read.info.ended is Ending.ORDERLY
+
+
+async def test_an_end_whose_recorder_is_killed_in_the_close_is_left_to_the_next_start(
+    sessions: Path,
+) -> None:
+    """As on a slow disk; here the new `session.json` is a FIFO, which holds up its writer."""
+    async with recording(sessions) as bench:
+        await bench.publish(200)
+        bench.hub.publish(COMMANDED)
+        await bench.settle()
+        blocked = bench.directory / "session.json.unfinished"
+        os.mkfifo(blocked)
+        ending = asyncio.create_task(bench.stop())
+        while not ending.done():
+            bench.kill_in_close()
+            await asyncio.sleep(0.05)
+        blocked.unlink()
+    (warning,) = bench.said()
+    assert "records the end of the session, 0 ticks, 0 slow steps, 0 events" in warning.detail
+    assert bench.session().info.ended is Ending.OPEN
+    (left,) = left_spools(sessions)  # locked while this process lives
+    shutil.copy(left, sessions / "copy")
+    (sessions / "copy").rename(left)
+    later = msgspec.structs.replace(INFO, started=INFO.started + timedelta(days=1))
+    header = Header(later, "", str(sessions))
+    told = record_messages(sessions / "later", header, make_batch([], last=True))
+    read = bench.session()
+    assert [news.detail for news in told if news.detail] == []
+    assert read.info.ended is Ending.ORDERLY
+    assert read.info.logged == 1
+    assert sequences(read) == list(range(bench.published))
 
 
 async def test_nothing_is_made_before_it_may_begin(sessions: Path) -> None:

@@ -197,7 +197,7 @@ class News(msgspec.Struct, frozen=True, omit_defaults=True):
     """Reports of the recorder process, one JSON object a line.
 
     Attributes:
-        written: Number of the last batch that is on disk.
+        written: Number of the last batch that is on disk, the last of all with the session's end.
         directory: Folder of the session.
         severity: Of `detail`.
         detail: An event in words.

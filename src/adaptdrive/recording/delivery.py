@@ -152,7 +152,7 @@ class Delivery:
             return await self._give_up(dropped, cause or "the recorder process ended", timeout_s)
         self._spool.remove()
         if cause is not None:
-            self._report(Severity.WARNING, f"the session is closed at the next start: {cause}")
+            self._report(Severity.WARNING, f"the next start completes the session's files: {cause}")
         return Dropped()
 
     async def _give_up(self, dropped: Dropped, cause: str, timeout_s: float) -> Dropped:

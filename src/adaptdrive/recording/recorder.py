@@ -202,15 +202,16 @@ class Recorder:
         await self._send_rest()
         # after the last tick, and before the end: its report belongs to the session
         await self._black_box.finish(part_s)
-        await self._send_rest(last=True)
+        await self._send_rest()
+        self._send(urgent=True, last=True)  # it has no rows: they are written before the close
         self._open = False
         lost = await self._delivery.finish(self._dropped(), part_s)
         self.complete = lost == Dropped()
 
-    async def _send_rest(self, *, last: bool = False) -> None:
+    async def _send_rest(self) -> None:
         self._note(self._feed.events.drain())
         await self._gather()
-        self._send(urgent=True, last=last)
+        self._send(urgent=True)
 
     async def _events_until(self, deadline: float) -> Iterable[Report]:
         try:

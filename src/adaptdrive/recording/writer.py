@@ -58,14 +58,16 @@ class PatientWriter:
     def write(self, batch: Batch) -> None:
         """Put one batch on disk, however long that takes; the last one closes the session.
 
+        A batch is acknowledged once all that it asks for is done.
+
         Raises:
             OSError: The control process is gone, and the disk has failed for long.
         """
         self._insist(lambda writer: self._write(writer, batch))
         self._was_full = False
-        self._send(News(written=batch.number))
         if batch.last:
             self.close(Ending.ORDERLY, batch.dropped)
+        self._send(News(written=batch.number))
 
     def close(self, ending: Ending, dropped: Dropped) -> None:
         """Close the session.
