@@ -1,5 +1,6 @@
 import io
 import math
+import os
 import sqlite3
 import struct
 import tempfile
@@ -32,6 +33,7 @@ from adaptdrive.recording.batches import (
     CommandRow,
     EventRow,
     Header,
+    event_row,
     framed,
     read_frames,
 )
@@ -40,7 +42,7 @@ from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.rows import recorded_ticks
 from adaptdrive.recording.session import Dropped, Ending
 from adaptdrive.recording.writer import record
-from adaptdrive.runtime.reports import LoadReport, TickReport
+from adaptdrive.runtime.reports import Event, LoadReport, Severity, TickReport
 from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
 FLOATS = st.floats(allow_subnormal=True) | st.sampled_from([0.0, -0.0, 5e-324, -5e-324])
@@ -224,6 +226,14 @@ def test_a_damaged_event_log_is_named_and_leaves_the_ticks(tmp_path: Path) -> No
     session = read_session(tmp_path)
     assert "events.sqlite" in session.damage
     assert session.ticks.num_rows == 1
+
+
+def test_an_event_that_names_a_file_whose_name_is_no_utf_8_is_recorded(tmp_path: Path) -> None:
+    event = Event("journal", Severity.WARNING, os.fsdecode(b"st\xff/motor: damaged"), -1)
+    row = event_row(event, INFO.started, 1.0, 1)
+    batch = msgspec.structs.replace(make_batch([], last=True), events=[row])
+    record_messages(tmp_path, Header(INFO, ""), batch)
+    assert read_session(tmp_path).events[0].detail == r"st\udcff/motor: damaged"
 
 
 @pytest.mark.parametrize(

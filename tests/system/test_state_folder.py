@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.session import session_directories
 from tests.system.conftest import MakeSite
 from tests.system.site import Site, until
 
@@ -78,3 +80,19 @@ def test_without_a_state_folder_it_drives_and_says_so(make_site: MakeSite) -> No
     site.start("--initial-voltage", "280")
     assert "do not survive a restart" in events(site, "state directory")[0]
     runs_and_stops(site)
+
+
+def test_a_state_folder_whose_name_is_no_utf_8_is_named_in_events(make_site: MakeSite) -> None:
+    site = make_site({"recording.directory": '"sessions"'})
+    state = site.folder / os.fsdecode(b"st\xff")
+    state.mkdir()
+    for name in ("motor.estimates.json", "motor.operation.sqlite3"):
+        (state / name).write_bytes(b"damaged" * 1000)
+    site.environment["STATE_DIRECTORY"] = str(state)
+    site.start("--initial-voltage", "280")
+    for kind in ("checkpoint", "journal"):
+        assert r"st\udcff/motor." in events(site, kind)[0]
+    runs_and_stops(site)
+    session = read_session(next(session_directories(site.folder / "sessions")))
+    recorded = {event.kind for event in session.events if r"st\udcff/motor." in event.detail}
+    assert recorded == {"checkpoint", "journal"}

@@ -190,7 +190,7 @@ class Event:
     Attributes:
         kind: Short machine-readable name, such as `trip`, `mode`, `fallback`, `bus`.
         severity: How much it matters.
-        detail: One sentence.
+        detail: One sentence; what is not UTF-8, as the name of a file may be, is escaped.
         tick: Fast tick at which it happened.
     """
 
@@ -198,6 +198,11 @@ class Event:
     severity: Severity
     detail: str
     tick: int
+
+    def __post_init__(self) -> None:
+        """Escape what neither a record nor a message can take."""
+        escaped = self.detail.encode(errors="backslashreplace").decode()
+        object.__setattr__(self, "detail", escaped)
 
 
 @dataclass(frozen=True, slots=True)
