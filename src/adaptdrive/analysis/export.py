@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pyarrow import csv
 from pyarrow import parquet as pq
 
+from adaptdrive.analysis.curves import session_clock
 from adaptdrive.analysis.flat import flat_batches, flat_schema
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.session import TABLES
@@ -117,12 +118,14 @@ def _write_mdf4(session: Session, into: Path) -> list[Path]:
     from asammdf import MDF, Signal  # noqa: PLC0415 - an extra
 
     path = into / f"{session.path.name}.mf4"
+    clock = session_clock(session)
     begin_s, begun = _beginning(session)
     with MDF(version="4.10") as file:
         file.start_time = begun
         for table, schema in _tables(session):
-            whole = pa.Table.from_batches(list(flat_batches(session, table)), schema)
-            time_s = _floats(whole["monotonic_s"]) - begin_s
+            batches = list(flat_batches(session, table))
+            whole = pa.Table.from_batches(batches, schema)
+            time_s = np.concatenate([clock(batch) for batch in batches]) - begin_s
             signals = [
                 Signal(
                     samples=_samples(whole[field.name]),
@@ -141,10 +144,10 @@ def _write_mdf4(session: Session, into: Path) -> list[Path]:
 
 def _beginning(session: Session) -> tuple[float, datetime]:
     """Return the time of the first row of all tables, by the monotonic clock and in UTC."""
-    firsts = []
+    clock, firsts = session_clock(session), []
     for table, _ in _tables(session):
-        row = next(flat_batches(session, table)).slice(0, 1).to_pylist()[0]
-        firsts.append((row["monotonic_s"], row["utc"] or session.info.started))
+        row = next(flat_batches(session, table)).slice(0, 1)
+        firsts.append((float(clock(row)[0]), row["utc"][0].as_py() or session.info.started))
     return min(firsts, default=(0.0, session.info.started))
 
 
@@ -193,20 +196,25 @@ def _floats(column: pa.ChunkedArray) -> NDArray[np.float64]:
 
 
 def _samples(column: pa.ChunkedArray) -> NDArray[Any]:
+    """Return the values of a column; null, as in a column of a later version, is NaN or empty."""
     if pa.types.is_timestamp(column.type):
         seconds = pc.divide(column.cast(pa.int64()).cast(pa.float64()), 1e6)
         return _floats(seconds)
     if pa.types.is_string(column.type):
-        return np.asarray([text.encode() for text in column.to_pylist()])
+        return np.asarray([text.encode() for text in _texts(column)])
     if pa.types.is_boolean(column.type):
-        return np.asarray(column.to_numpy(), dtype=np.uint8)
+        column = column.cast(pa.uint8())
     return np.asarray(column.to_numpy())
 
 
 def _matlab(column: pa.ChunkedArray) -> NDArray[Any]:
     if pa.types.is_string(column.type):
-        return np.asarray(column.to_pylist(), dtype=object)
+        return np.asarray(_texts(column), dtype=object)
     return _samples(column)
+
+
+def _texts(column: pa.ChunkedArray) -> list[str]:
+    return pc.fill_null(column, "").to_pylist()  # type: ignore[no-any-return]
 
 
 def _unit(field: pa.Field) -> str:
