@@ -6,7 +6,9 @@ from datetime import timedelta
 from pathlib import Path
 
 import msgspec
+import pyarrow as pa
 import pytest
+from pyarrow import parquet as pq
 
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import Header, Keep
@@ -22,6 +24,7 @@ from adaptdrive.recording.session import (
     session_directories,
     write_info,
 )
+from adaptdrive.recording.verify import verify
 from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
 NOW = INFO.started + timedelta(days=10)
@@ -163,6 +166,31 @@ def test_a_session_that_was_lost_is_closed_and_reported(tmp_path: Path, lost: Pa
     assert list(repair(tmp_path, current, lambda: False)) == [told]  # the one before: still cut
     newer = recorded(tmp_path, -1.0)
     assert list(repair(tmp_path, newer, lambda: False)) == []
+
+
+def foreign(ticks: pa.Table, what: str) -> pa.Table:
+    """A table of other columns, or of the same ones without their values."""
+    if what == "other":
+        return pa.table({"a": [1, 2]})
+    at = ticks.schema.get_field_index(what)
+    return ticks.set_column(at, what, pa.nulls(ticks.num_rows, ticks.schema.field(at).type))
+
+
+@pytest.mark.parametrize("what", ["other", "lateness_us", "sequence"])
+def test_a_foreign_segment_is_named_and_keeps_no_other_session_from_being_closed(
+    tmp_path: Path, lost: Path, what: str
+) -> None:
+    mixed, current = recorded(tmp_path, 4.0), recorded(tmp_path, 0.0)
+    path = mixed / "ticks-0002.parquet"
+    pq.write_table(foreign(pq.read_table(mixed / "ticks-0001.parquet"), what), path)
+    info = msgspec.structs.replace(read_info(mixed), ended=Ending.OPEN)
+    write_info(mixed, info)
+    told = list(repair(tmp_path, current, lambda: False))
+    assert told[0].startswith(f"session {mixed.name} is left as it is: {path}: it does not hold")
+    assert read_info(mixed) == info
+    assert read_info(lost).ended is Ending.LOST
+    problems = verify(read_session(mixed)).problems
+    assert what == "lateness_us" or any(path.name in problem for problem in problems)
 
 
 def test_a_session_that_is_being_written_is_left_alone(tmp_path: Path, lost: Path) -> None:

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pyarrow as pa
 
+from adaptdrive.errors import RecordingError
 from adaptdrive.recording.segments import Segment, newest_number, segments
 from adaptdrive.recording.session import SENSORS, SLOW, TICKS, SessionInfo
-from adaptdrive.recording.tick_times import TickTimes
+from adaptdrive.recording.tick_times import TickTimes, has_times
 
 KEYS = {TICKS: "sequence", SLOW: "monotonic_s", SENSORS: "monotonic_s"}
 """The column of each table that only ever grows."""
@@ -44,6 +45,9 @@ def find_written(directory: Path, info: SessionInfo) -> Written:
     Args:
         directory: Directory of the session.
         info: Its facts; only the last segments and those that it does not count are read.
+
+    Raises:
+        RecordingError: A segment is damaged, or holds another table.
     """
     found = segments(directory)
     written = Written(
@@ -63,9 +67,29 @@ def _read(segment: Segment, written: Written, *, counted: bool) -> None:
     table = segment.table
     for batch in segment.batches():
         if not counted:
+            if table == TICKS and not has_times(batch):
+                raise RecordingError(segment.path, "it does not hold the times of each tick")
             written.count(table, batch)
         if batch.num_rows and KEYS[table] in batch.schema.names:
-            written.last[table] = batch.column(KEYS[table])[-1].as_py()
+            written.last[table] = last_key(segment, batch)
+
+
+def last_key(segment: Segment, batch: pa.RecordBatch) -> float:
+    """Return the value of the key column in the last row of a batch.
+
+    Args:
+        segment: The segment that the batch is from.
+        batch: One row or more.
+
+    Raises:
+        RecordingError: The segment has no such column, or no number in it.
+    """
+    key = KEYS[segment.table]
+    if batch.schema.names.count(key) == 1:
+        last = batch.column(key)[-1].as_py()
+        if isinstance(last, int if segment.table == TICKS else float):
+            return last
+    raise RecordingError(segment.path, f"it does not hold the {key} of each row")
 
 
 def after(batch: pa.RecordBatch, table: str, last: dict[str, float]) -> pa.RecordBatch:

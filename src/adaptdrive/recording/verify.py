@@ -12,6 +12,7 @@ from adaptdrive.config.regular_file import require_regular
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.event_log import count_rows
 from adaptdrive.recording.reader import Session
+from adaptdrive.recording.resume import last_key
 from adaptdrive.recording.segments import segments
 from adaptdrive.recording.session import EVENTS_FILE, TICKS
 from adaptdrive.recording.streams import TORN
@@ -53,9 +54,9 @@ def verify(session: Session) -> Verification:
             for batch in segment.batches(strict=True):
                 rows[segment.table] = rows.get(segment.table, 0) + batch.num_rows
                 if segment.table == TICKS and batch.num_rows:
-                    sequence = batch.column("sequence")
-                    missing += sequence[-1].as_py() + 1 - expected - batch.num_rows
-                    expected = sequence[-1].as_py() + 1
+                    following = int(last_key(segment, batch)) + 1
+                    missing += following - expected - batch.num_rows
+                    expected = following
         except RecordingError as problem:
             problems.append(f"{segment.path.name}: {problem.problem}")
     problems += _missing_rows(rows, session.info.rows)
