@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import os
 import shutil
 import signal
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from adaptdrive.cli import main
 from tests.commission.answering_drive import answering_drive
 from tests.pseudo_terminal import Screen
 from tests.support import Broker, acting
@@ -82,6 +84,25 @@ def screen() -> Iterator[Screen]:
     screen = Screen()
     yield screen
     screen.close()
+
+
+class Terminal(io.StringIO):
+    """Input that somebody types."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("typed", ["", "\n", "n\n"], ids=["Ctrl-D", "Enter", "no"])
+def test_without_a_yes_nothing_begins(
+    motor: Path, typed: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", Terminal(typed))
+    assert main(["commission", motor.stem, "--config", str(motor)]) == 1
+    said = capsys.readouterr()
+    assert "is enabled in mode manual" in said.out
+    assert said.out.endswith("begin? [y/N] " if typed else "begin? [y/N] \n")
+    assert said.err == ""
 
 
 async def test_a_key_that_is_held_down_ends_an_experiment_once(

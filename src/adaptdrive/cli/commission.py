@@ -94,4 +94,9 @@ def _agreed(announcement: str) -> bool:
     if not sys.stdin.isatty():
         print("adaptdrive: say --yes to begin", file=sys.stderr)
         return False
-    return input("begin? [y/N] ").strip().lower() in {"y", "yes"}
+    try:
+        answer = input("begin? [y/N] ")
+    except EOFError:
+        print()
+        return False
+    return answer.strip().lower() in {"y", "yes"}
