@@ -96,9 +96,14 @@ async def test_a_clock_that_is_slewed_or_set_by_one_second_ends_nothing(
     assert samples.times_s[-1] - samples.times_s[0] >= 4.0
 
 
-async def test_a_message_without_a_voltage_is_no_measurement(mosquitto: Broker) -> None:
+@pytest.mark.parametrize(
+    "wrong", [{"boost_voltage_V": None}, {"age_s": None}, {"age_s": "0.0"}, {"age_s": [0.0]}]
+)
+async def test_a_message_without_a_voltage_or_its_age_is_no_measurement(
+    mosquitto: Broker, wrong: dict[str, object]
+) -> None:
     def telemetry(passed_s: float) -> dict[str, Any]:
-        return stamped(datetime.now(UTC), boost_voltage_V=None)
+        return stamped(datetime.now(UTC), **wrong)
 
     with pytest.raises(NoAnswerError, match="no measurement for 4 s"):
         await watch(mosquitto, telemetry, 30.0)

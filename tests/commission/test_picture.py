@@ -23,7 +23,7 @@ def run(picture: Picture, samples: int) -> LoadExperiment:
     """Feed an experiment and its picture with samples of a load."""
     experiment, load, voltage_V = LoadExperiment(TARGET), lag(0.01, 2.0, noise=0.002), 200.0
     for number in range(1, samples + 1):
-        reading = FastReading(number * SAMPLE_S, voltage_V, load(voltage_V), bridge=True)
+        reading = FastReading(number * SAMPLE_S, voltage_V, load(voltage_V), 0.0, bridge=True)
         voltage_V = experiment.take(reading.time_s, reading.boost_voltage_V, reading.output)
         picture.take(experiment, reading, voltage_V)
         if experiment.done:

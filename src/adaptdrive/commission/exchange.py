@@ -19,12 +19,14 @@ class FastReading:
         time_s: Its time, in seconds of the wall clock.
         boost_voltage_V: v_bst.
         output: The regulated quantity.
+        age_s: Time since they were measured.
         bridge: Whether the load is commanded on.
     """
 
     time_s: float
     boost_voltage_V: float
     output: float
+    age_s: float
     bridge: bool
 
 
@@ -53,7 +55,8 @@ def reading_of(content: dict[str, Any]) -> FastReading | None:
         time_s = datetime.fromisoformat(content["time"]).timestamp()
     except (KeyError, TypeError, ValueError, OverflowError):
         return None
-    values = number(content.get("boost_voltage_V")), number(content.get("output"))
+    measured = number(content.get("boost_voltage_V")), number(content.get("output"))
+    values = *measured, number(content.get("age_s"))
     if not all(map(math.isfinite, values)):
         return None
     return FastReading(time_s, *values, bridge=bool(part(content, "command").get("bridge")))

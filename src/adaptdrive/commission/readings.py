@@ -42,7 +42,7 @@ async def fast_readings(broker: Mqtt, drive: str) -> AsyncGenerator[FastReading,
                 now_s = time.monotonic()
                 _look_at_time(drive, clock.lead_s(reading.time_s, now_s))
                 if reading.time_s > last_s:
-                    last_s, heard_s = reading.time_s, now_s - (content.get("age_s") or 0.0)
+                    last_s, heard_s = reading.time_s, now_s - reading.age_s
                     yield reading
             if time.monotonic() - heard_s > _SILENCE_S:
                 silence = f"no measurement for {_SILENCE_S:g} s: adaptdrive probe shows why"
