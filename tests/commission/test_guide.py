@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import json
 import re
 import uuid
 from collections.abc import Callable
+from contextlib import aclosing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.guide import Guide
+from adaptdrive.commission.readings import fast_readings
 from adaptdrive.commission.samples import Samples
 from adaptdrive.commission.target import build_target
 from adaptdrive.config.file import load_configuration
@@ -31,6 +35,9 @@ PATIENCE_S = 60.0
 STEADY_S = 2.0
 """Time between two moments at which the clock of a drive is set."""
 
+POLL_S = 0.2
+JITTER_S = 0.005
+"""Poll of a slow drive, and what a busy host adds to the times that it publishes."""
 
 MEASUREMENT = {"boost_voltage_V": 280.0, "output": 1.0, "command": {"bridge": False}}
 
@@ -94,6 +101,39 @@ async def test_a_clock_that_is_slewed_or_set_by_one_second_ends_nothing(
 
     samples = await watch(mosquitto, telemetry, 4.0)
     assert samples.times_s[-1] - samples.times_s[0] >= 4.0
+
+
+async def test_a_value_that_is_published_again_is_no_sample_of_the_noise(mosquitto: Broker) -> None:
+    random = np.random.default_rng(3)
+    outputs = 20.0 + 0.02 * random.standard_normal(10_000)
+
+    def polled(passed_s: float) -> dict[str, Any]:
+        number, age_s = divmod(passed_s, POLL_S)
+        late = timedelta(seconds=random.uniform(0.0, JITTER_S))
+        return stamped(datetime.now(UTC) + late, age_s=age_s, output=outputs[int(number)])
+
+    samples = await watch(mosquitto, polled, 8.0)
+    assert all(a != b for a, b in itertools.pairwise(samples.outputs))
+    assert samples.noise(0.0, samples.times_s[-1]) == pytest.approx(0.02, rel=0.4)
+
+
+async def test_a_drive_that_goes_off_is_seen_before_its_next_measurement(mosquitto: Broker) -> None:
+    drive = f"heard-{uuid.uuid4()}"
+
+    def held(passed_s: float) -> dict[str, Any]:
+        command = {"bridge": passed_s < STEADY_S}
+        return stamped(datetime.now(UTC), age_s=passed_s, command=command)
+
+    publishing = asyncio.create_task(publish(mosquitto, drive, held))
+    try:
+        async with asyncio.timeout(PATIENCE_S):
+            readings = fast_readings(Mqtt(host=mosquitto.host, port=mosquitto.port), drive)
+            async with aclosing(readings):
+                bridges = [(await anext(readings)).bridge for _ in range(2)]
+    finally:
+        publishing.cancel()
+        await asyncio.wait([publishing])
+    assert bridges == [True, False]
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,11 @@ class FastReading:
     age_s: float
     bridge: bool
 
+    @property
+    def measured_s(self) -> float:
+        """Time of the measurement, which several messages may show."""
+        return self.time_s - self.age_s
+
 
 class WantedVoltage:
     """The present voltage command of an experiment.

@@ -69,8 +69,8 @@ class Guide:
         samples = Samples()
         async with aclosing(fast_readings(self._broker, self._drive)) as readings:
             async for one in readings:
-                samples.append(one.time_s, one.boost_voltage_V, one.output)
-                if one.time_s - samples.times_s[0] >= duration_s:
+                samples.append(one.measured_s, one.boost_voltage_V, one.output)
+                if one.measured_s - samples.times_s[0] >= duration_s:
                     break
         return samples
 
@@ -126,7 +126,7 @@ class Guide:
             async for one in readings:
                 if not one.bridge:
                     raise CommissionError(await self._end())
-                voltage_V = experiment.take(one.time_s, one.boost_voltage_V, one.output)
+                voltage_V = experiment.take(one.measured_s, one.boost_voltage_V, one.output)
                 wanted.change(voltage_V)
                 show(one, voltage_V)
                 if experiment.done:

@@ -18,12 +18,18 @@ from adaptdrive.operation.listener import telemetry
 _SILENCE_S = 4.0
 """Longest time without telemetry, and without a measurement in it; largest step of its time."""
 
+_SAME_S = 0.03
+"""Largest difference of the published times of one measurement; telemetry comes 0.1 s apart."""
+
 _SLEW = 1.0e-3
 """Largest rate of a clock that is kept right, twice what NTP allows, as a share of the time."""
 
 
 async def fast_readings(broker: Mqtt, drive: str) -> AsyncGenerator[FastReading, None]:
-    """Yield one reading for each message of a drive, in the order of their times.
+    """Yield one reading for each measurement of a drive, in the order of their times.
+
+    A drive that is polled slowly shows a measurement in several messages. One of them is yielded
+    again where its bridge was switched.
 
     Args:
         broker: The broker.
@@ -34,6 +40,7 @@ async def fast_readings(broker: Mqtt, drive: str) -> AsyncGenerator[FastReading,
         CommissionError: A clock was set.
     """
     last_s, heard_s, clock = -math.inf, time.monotonic(), ReadingClock()
+    last: FastReading | None = None
     async with aclosing(telemetry(broker, drive)) as messages:
         while True:
             name, content = await _next(messages, drive)
@@ -43,7 +50,9 @@ async def fast_readings(broker: Mqtt, drive: str) -> AsyncGenerator[FastReading,
                 _look_at_time(drive, clock.lead_s(reading.time_s, now_s))
                 if reading.time_s > last_s:
                     last_s, heard_s = reading.time_s, now_s - reading.age_s
-                    yield reading
+                    if last is None or _is_news(reading, last):
+                        last = reading
+                        yield reading
             if time.monotonic() - heard_s > _SILENCE_S:
                 silence = f"no measurement for {_SILENCE_S:g} s: adaptdrive probe shows why"
                 raise NoAnswerError(drive, silence)
@@ -79,6 +88,11 @@ async def _next(
             return await anext(messages)
     except TimeoutError as problem:
         raise NoAnswerError(drive, f"no telemetry for {_SILENCE_S:g} s") from problem
+
+
+def _is_news(reading: FastReading, last: FastReading) -> bool:
+    """Return whether a reading shows another measurement than the last one, or another bridge."""
+    return reading.measured_s - last.measured_s > _SAME_S or reading.bridge != last.bridge
 
 
 def _look_at_time(drive: str, lead_s: float) -> None:
