@@ -4,20 +4,31 @@ from __future__ import annotations
 
 import errno
 import io
+import re
 from pathlib import Path
 
 import msgspec
 import pyarrow as pa
 import pytest
 
+from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import EventRow, Header, framed
 from adaptdrive.recording.black_box import TRIP, BlackBox
 from adaptdrive.recording.black_box_writer import write_trip
 from adaptdrive.recording.reader import read_session
-from adaptdrive.recording.session import NewSession, create_session, session_directories
+from adaptdrive.recording.replay import replay
+from adaptdrive.recording.session import (
+    NewSession,
+    create_session,
+    read_info,
+    session_directories,
+    write_info,
+)
 from adaptdrive.recording.streams import StreamWriter
+from adaptdrive.recording.verify import verify
 from adaptdrive.runtime.reports import Severity
 from tests.recording.material import INFO, make_batch, make_tick
+from tests.recording.test_replay import StandIn
 
 
 @pytest.mark.parametrize("timeout_s", [0.0, -1.0])
@@ -37,11 +48,57 @@ async def test_a_trip_for_which_no_time_is_left_is_reported_as_such(
     assert reports == [(Severity.ALARM, words)]
 
 
-def trip_messages(sessions: Path) -> io.BytesIO:
-    """A trip before there is a session, as it is passed to the process that writes it."""
+def trip_messages(sessions: Path, directory: str = "", first: int = 0) -> io.BytesIO:
+    """A trip before there is a session, or in one, as the process that writes it is told."""
     trip = EventRow(INFO.started, 1, TRIP, "alarm", "manual", 0.0, 1)
-    batch = msgspec.structs.replace(make_batch([make_tick(0)]), events=[trip])
-    return io.BytesIO(framed(Header(INFO, "", str(sessions))) + framed(batch))
+    header = Header(INFO, "", str(sessions), directory)
+    batches = [make_batch([make_tick(first)]), make_batch([make_tick(first + 1)])]
+    batches[1] = msgspec.structs.replace(batches[1], events=[trip])
+    return io.BytesIO(b"".join([framed(header), *map(framed, batches)]))
+
+
+def trip_in(sessions: Path, first: int) -> Path:
+    """Record a trip in a session, from the tick of a running number on."""
+    session = create_session(NewSession(sessions, INFO, ""))
+    return write_trip(trip_messages(sessions, str(session), first), 1)
+
+
+def claim(directory: Path, first: int | None) -> None:
+    """Have `session.json` name another first tick."""
+    write_info(directory, msgspec.structs.replace(read_info(directory), first_sequence=first))
+
+
+@pytest.mark.parametrize("older", [False, True])
+def test_the_record_of_a_trip_in_the_middle_of_a_run_is_whole(
+    tmp_path: Path, *, older: bool
+) -> None:
+    directory = trip_in(tmp_path, 1014)
+    assert read_info(directory).first_sequence == 1014
+    if older:
+        claim(directory, None)
+    assert verify(read_session(directory)).whole
+
+
+def test_ticks_that_the_record_of_a_trip_began_with_are_missed(tmp_path: Path) -> None:
+    directory = trip_in(tmp_path, 1014)
+    claim(directory, 1010)
+    assert verify(read_session(directory)).missing_ticks == 4
+
+
+@pytest.mark.parametrize("older", [False, True])
+def test_a_record_in_the_middle_of_a_run_names_the_session_to_replay(
+    tmp_path: Path, *, older: bool
+) -> None:
+    directory = trip_in(tmp_path, 1014)
+    if older:
+        claim(directory, None)
+    words = f"begins at tick 1014 of a run: replay {re.escape(str(directory.parent))}"
+    with pytest.raises(RecordingError, match=words):
+        replay(read_session(directory), StandIn())
+
+
+def test_a_record_from_the_first_tick_on_is_replayed(tmp_path: Path) -> None:
+    assert replay(read_session(trip_in(tmp_path, 0)), StandIn()).ticks == 2
 
 
 def test_a_trip_before_the_session_uses_the_reserve(
@@ -59,7 +116,7 @@ def test_a_trip_before_the_session_uses_the_reserve(
 
     monkeypatch.setattr(StreamWriter, "write", write_if_free)
     directory = write_trip(trip_messages(tmp_path), 1)
-    assert read_session(directory).ticks.num_rows == 1
+    assert read_session(directory).ticks.num_rows == 2
 
 
 def test_a_trip_before_the_session_has_its_place_in_time(tmp_path: Path) -> None:

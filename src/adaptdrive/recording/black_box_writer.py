@@ -23,6 +23,7 @@ from adaptdrive.recording.black_box import NO_FIGURE, TRIP
 from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
 from adaptdrive.recording.session import TRIP_PREFIX, Dropped, Ending
 from adaptdrive.recording.session_writer import SessionWriter
+from adaptdrive.recording.tables import ticks_batch, ticks_schema
 from adaptdrive.recording.writer import send_to_parent, step_aside
 from adaptdrive.runtime.reports import Severity
 
@@ -74,9 +75,20 @@ def _write(header: Header, batches: Sequence[Batch], number: int) -> Path:
     unfinished = parent / ".trip"
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.mkdir()
-    _write_tables(msgspec.structs.replace(header, directory=str(unfinished)), batches)
+    info = msgspec.structs.replace(header.info, first_sequence=_first_sequence(batches))
+    _write_tables(msgspec.structs.replace(header, directory=str(unfinished), info=info), batches)
     (unfinished / TEXT_FILE).write_text(_text(header, trip, events), encoding="utf-8")
     return unfinished.rename(directory)
+
+
+def _first_sequence(batches: Sequence[Batch]) -> int | None:
+    """Return the running number of the first tick, None without ticks."""
+    first = next((batch for batch in batches if batch.tick_rows), None)
+    if first is None:
+        return None
+    ticks = ticks_batch(first.ticks, first.tick_rows, ticks_schema(), first.utc_offset_s)
+    number: int = ticks.column("sequence")[0].as_py()
+    return number
 
 
 def _write_tables(header: Header, batches: Sequence[Batch]) -> None:

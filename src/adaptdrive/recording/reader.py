@@ -21,6 +21,7 @@ from adaptdrive.recording.session import (
     SENSORS,
     SLOW,
     TICKS,
+    TRIP_PREFIX,
     SessionInfo,
     read_info,
 )
@@ -49,6 +50,14 @@ class Session:
     events: tuple[EventRow, ...]
     commands: tuple[CommandRow, ...]
     damage: str = ""
+
+    @property
+    def first_sequence(self) -> int | None:
+        """Running number that it begins with; None where only its first row shows that."""
+        known = self.info.first_sequence
+        if known is None and not self.path.absolute().name.startswith(TRIP_PREFIX):
+            return 0
+        return known
 
     @cached_property
     def ticks(self) -> pa.Table:

@@ -17,7 +17,7 @@ from adaptdrive.errors import RecordingError
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.replay_report import Difference, Gap, ReplayReport
 from adaptdrive.recording.rows import recorded_ticks, table_rows
-from adaptdrive.recording.session import SLOW, TICKS
+from adaptdrive.recording.session import INFO_FILE, SLOW, TICKS
 from adaptdrive.runtime.reports import TickReport
 
 _SLOW_COLUMNS = ("k", "boost_reference_V", "controller", "accepted", "gains")
@@ -34,8 +34,10 @@ def replay(session: Session, controller: TwoRate) -> ReplayReport:
         What differs from the record.
 
     Raises:
-        RecordingError: The session holds no ticks.
+        RecordingError: The session holds no ticks, or is the record of a trip in the middle of a
+            run, which does not hold the state of the controller at its begin.
     """
+    _refuse_middle(session)
     player = _Player(session, controller)
     for recorded in islice(recorded_ticks(session), player.known):
         player.play(recorded)
@@ -43,6 +45,17 @@ def replay(session: Session, controller: TwoRate) -> ReplayReport:
     if not report.ticks:
         raise RecordingError(session.path, "it holds no ticks to replay")
     return report
+
+
+def _refuse_middle(session: Session) -> None:
+    first = session.first_sequence
+    if first is None:
+        ends = session.ends(TICKS, ("sequence",))
+        first = ends[0].column("sequence")[0].as_py() if ends else 0
+    if first > 0:
+        parent = session.path.absolute().parent
+        whole = parent if (parent / INFO_FILE).is_file() else "the session that it is a part of"
+        raise RecordingError(session.path, f"it begins at tick {first} of a run: replay {whole}")
 
 
 class _Player:

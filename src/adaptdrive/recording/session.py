@@ -94,6 +94,8 @@ class SessionInfo(msgspec.Struct, frozen=True):
         resolution: Step of the output that an earlier run had found, 0 for none.
         logged: Events and commands in its log when it was closed; 0 before.
         rows: Rows of its tables, up to the last segment that is closed.
+        first_sequence: Running number of the first tick in the record of a trip; None in a session,
+            and in the records of older versions.
         format: Version of the layout of the files.
     """
 
@@ -112,6 +114,7 @@ class SessionInfo(msgspec.Struct, frozen=True):
     resolution: float = 0.0
     logged: int = 0
     rows: dict[str, int] = {}
+    first_sequence: int | None = None
     format: int = FORMAT
 
 

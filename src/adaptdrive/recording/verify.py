@@ -48,13 +48,15 @@ def verify(session: Session) -> Verification:
     """
     rows: dict[str, int] = {}
     problems = list(_event_problems(session.path / EVENTS_FILE, session.info.logged))
-    expected, missing = 0, 0
+    expected, missing = session.first_sequence, 0
     for segment in segments(session.path):
         try:
             for batch in segment.batches(strict=True):
                 rows[segment.table] = rows.get(segment.table, 0) + batch.num_rows
                 if segment.table == TICKS and batch.num_rows:
                     following = int(last_key(segment, batch)) + 1
+                    if expected is None:
+                        expected = batch.column("sequence")[0].as_py()
                     missing += following - expected - batch.num_rows
                     expected = following
         except RecordingError as problem:
