@@ -61,3 +61,11 @@ def test_the_list_shows_no_output_that_is_old(age_s: float | None, output: str) 
 )
 def test_a_payload_that_is_no_json_object_is_nothing(payload: bytes) -> None:
     assert json_object(payload) is None
+
+
+@pytest.mark.calculating
+def test_a_gain_has_the_unit_of_the_output_for_each_volt() -> None:
+    telemetry = {"load": {"estimates": {"gain": {"value": 0.30715, "std": 0.0066}}}}
+    state = {"state": "running", "output": {"name": "speed", "unit": "rad/s"}}
+    text = describe("fan", DriveStatus("online", state, telemetry, live=True))
+    assert "gain 0.30715 ± 0.0066 (rad/s)/V" in text

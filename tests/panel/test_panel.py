@@ -294,6 +294,22 @@ def answering(port: int, drive: str) -> Iterator[None]:
         client.loop_stop()
 
 
+def test_a_gain_has_the_unit_of_the_output_for_each_volt(
+    operator: Panel, panel_site: PanelSite
+) -> None:
+    port = panel_site.site.broker_port
+    operator.page.get_by_role("link", name="all drives").click()
+    output = {"name": "speed", "unit": "rad/s"}
+    load = {"time": NOW, "estimates": {"gain": {"value": 0.3, "std": 0.01}}}
+    publish(port, "adaptdrive/fan/availability", "online")
+    hostile(port, "adaptdrive/fan/state", {"time": NOW, "state": "running", "output": output})
+    hostile(port, "adaptdrive/fan/telemetry/load", load)
+    operator.open_drive("fan")
+    operator.expect_text(".values", "(rad/s)/V")
+    operator.expect_text("#panel", "estimate: gain, (rad/s)/V")
+    publish(port, "adaptdrive/fan/availability", "offline")
+
+
 MARKUP = "<img src=x onerror=alert(1)><script>alert(2)</script>"
 KEYS = {
     "state": (

@@ -84,6 +84,11 @@ def test_the_view_fills_the_terminal_and_shows_units(size: tuple[int, int]) -> N
     assert "OLD DATA" not in text
 
 
+def test_a_gain_has_the_unit_of_the_output_for_each_volt() -> None:
+    record = live_record(Clock(), output={"name": "speed", "unit": "rad/s"})
+    assert "gain, (rad/s)/V" in "\n".join(shown(record))
+
+
 def test_a_trip_is_shown_with_its_remedy() -> None:
     last = {"time": "x", "text": "over-voltage", "remedy": "look for a load that feeds back"}
     text = "\n".join(shown(live_record(Clock(), trip="over-voltage", last_trip=last)))

@@ -129,7 +129,7 @@ def _trip(state: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _load(load: dict[str, Any], unit: str) -> list[str]:
     found = part(load, "estimates")
-    estimates = ", ".join(_estimate(name, part(found, name), found) for name in found)
+    estimates = ", ".join(_estimate(name, part(found, name), found, unit) for name in found)
     voltages = (
         f"asked {_number(load.get('boost_reference_V'), 'V')}, "
         f"applied {_number(load.get('applied_V'), 'V')}"
@@ -167,9 +167,11 @@ def _setpoint(state: dict[str, Any], unit: str) -> str:
     )
 
 
-def _estimate(name: str, estimate: dict[str, Any], names: Mapping[str, Any]) -> str:
+def _estimate(
+    name: str, estimate: dict[str, Any], names: Mapping[str, Any], output_unit: str
+) -> str:
     """Return an estimate with its standard deviation and its unit."""
-    quantity, unit = quantity_and_unit(name, names)
+    quantity, unit = quantity_and_unit(name, names, output_unit)
     spread = number(estimate.get("std"))
     doubt = "" if math.isnan(spread) else f" ± {spread:.2g}"
     return f"{quantity} {_number(estimate.get('value'))}{doubt} {unit}".rstrip()

@@ -88,9 +88,10 @@ const Contract = (() => {
   }
 
   /** The name of an estimate without its unit, and the unit as it is written; that of an offset is
-   * the unit of the load's input. @param {string} name @param {string[]} names of all estimates */
-  function named(name, names) {
-    if (name === "gain") return { text: name, unit: "V/V" };
+   * the unit of the load's input, that of a gain is so much of the output for each volt.
+   * @param {string} name @param {string[]} names of all estimates @param {string} outputUnit */
+  function named(name, names, outputUnit) {
+    if (name === "gain") return { text: name, unit: outputUnit.includes("/") ? `(${outputUnit})/V` : `${outputUnit || "1"}/V` };
     if (name === "input_offset") return { text: "input offset", unit: names.includes("resistance_K_per_W") ? "W" : "V" };
     const match = /^(.+)_((?:s|V|A|W|K|S|J|F|Ohm|rad)\d?(?:_per_(?:s|V|A|W|K)\d?)?)$/.exec(name);
     if (!match) return { text: name, unit: "" };

@@ -98,7 +98,7 @@ const DrivePage = (() => {
       marginRow("load power", fast?.load_power_W, state?.limits?.power_W, "W"),
       ["controller in force", state?.controller ?? "–", state?.reason || `asked for: ${state?.mode ?? "–"}`],
       ["estimate", load ? (load.accepted ? "accepted" : "refused") : "–", load?.reason ?? ""],
-      ...Object.entries(load?.estimates ?? {}).map(([name, one], _, all) => estimateRow(name, one, all.map(([each]) => each))),
+      ...Object.entries(load?.estimates ?? {}).map(([name, one], _, all) => estimateRow(name, one, all.map(([each]) => each), drive.unit)),
       ["pole", Dom.number(state?.pole), `per slow period; ${limitText(state?.limits?.pole, "")}`],
       ["lateness of a tick", milliseconds(lateness?.p99), lateness ? `99 %; longest ${milliseconds(lateness.max)}` : ""],
       ["ticks", Dom.number(fast?.ticks, "", 9), fast ? `${Dom.number(fast.missed)} missed, ${Dom.number(fast.held)} held` : ""],
@@ -120,9 +120,9 @@ const DrivePage = (() => {
     return [`${name} to trip`, Dom.number(left, unit, 3), limitText(limits, unit).replace("limits ", "within "), near ? "near" : ""];
   }
 
-  /** @param {string} name @param {Estimate} one @param {string[]} names */
-  function estimateRow(name, one, names) {
-    const { text, unit } = Contract.named(name, names);
+  /** @param {string} name @param {Estimate} one @param {string[]} names @param {string} outputUnit */
+  function estimateRow(name, one, names, outputUnit) {
+    const { text, unit } = Contract.named(name, names, outputUnit);
     const doubt = one.std == null ? "uncertainty unknown" : `± ${Dom.number(2 * one.std, unit, 2)} (2 σ)`;
     return [text, Dom.number(one.value, unit), doubt];
   }

@@ -13,6 +13,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from adaptdrive.operation.estimate_names import quantity_and_unit
 from adaptdrive.operation.listener import number, part, printable
 from adaptdrive.watch.plot import REFERENCE_STYLE, STYLES, plot
 from adaptdrive.watch.record import WatchRecord
@@ -30,7 +31,7 @@ from adaptdrive.watch.tables import (
 KEYS = "s STOP   e e enable   r reset   f fixed   a adaptive   m manual   + - set-point   q quit"
 FIGURES_ROWS = 8
 _SHORTEST_WINDOW_S, _LONGEST_WINDOW_S = 30.0, 600.0
-_EVENTS, _TALL = 6, 32
+_EVENTS, _TALL, _WIDE = 6, 32, 110
 _REFRESH_S = 0.25
 _REFUSED = ("wrong_length", "wrong_checksum", "counter_stuck", "out_of_range", "exceptions")
 
@@ -64,7 +65,7 @@ def screen(record: WatchRecord, size: tuple[int, int]) -> Layout:
     layout.split_column(
         Layout(lines(header), size=len(header)),
         Layout(_plot_panel(record, (width, height - fixed))),
-        Layout(_figures(record), size=FIGURES_ROWS),
+        Layout(_figures(record, wide=width >= _WIDE), size=FIGURES_ROWS),
         Layout(_events(record, events), size=events),
         Layout(lines(footer), size=len(footer)),
     )
@@ -104,11 +105,11 @@ def _plot_panel(record: WatchRecord, size: tuple[int, int]) -> Panel:
     return boxed(title, content)
 
 
-def _figures(record: WatchRecord) -> Table:
+def _figures(record: WatchRecord, *, wide: bool) -> Table:
     grid = Table.grid(expand=True)
     contents = {
         "drive": _drive(record),
-        "estimates, ± 2 σ": _estimates(record),
+        "estimates, ± 2 σ": _estimates(record, wide=wide),
         "health": _health(record),
     }
     for _ in contents:
@@ -131,13 +132,16 @@ def _drive(record: WatchRecord) -> Table:
     return table
 
 
-def _estimates(record: WatchRecord) -> Table:
+def _estimates(record: WatchRecord, *, wide: bool) -> Table:
+    """Return the estimates, with their units where the terminal is wide enough for them."""
     table = rows("l", "r", "r")
     found = part(record.load, "estimates")
     for name in list(found)[: FIGURES_ROWS - 3]:
         estimate = part(found, name)
         spread = f"± {figure(2.0 * number(estimate.get('std')))}"
-        table.add_row(_text(name), figure(number(estimate.get("value"))), spread)
+        quantity, unit = quantity_and_unit(name, found, record.unit)
+        named = f"{quantity}, {unit}" if unit and wide else quantity
+        table.add_row(_text(named), figure(number(estimate.get("value"))), spread)
     verdict = "accepted" if record.load.get("accepted") else record.load.get("reason") or "-"
     table.add_row("verdict", _text(verdict), "")
     return table
