@@ -97,6 +97,20 @@ def test_the_dead_time_is_found(delay: int) -> None:
     assert found.whiteness > 0.01
 
 
+@pytest.mark.parametrize("tau_s", [2.5, 5.0, 10.0])
+def test_a_simulation_begins_as_the_output_where_the_noise_is_as_slow_as_the_load(
+    tau_s: float,
+) -> None:
+    random = np.random.default_rng(0)
+    volts = np.repeat(random.choice([400.0, 520.0], size=15), 100)
+    output = open_loop(motor_load(0.28, tau_s, 0.2), volts, 0.1)
+    slow = [1.0, -np.exp(-0.1 / tau_s)]
+    output = output + lfilter([1.0], slow, 0.07 * random.normal(size=len(volts)))
+    found = identify([Excerpt(volts, output, 0.1)], motor_load(1.0, 1.0, 1.0), delays=(0,))
+    assert found.fit > 0.95
+    assert found.simulated[0][0] == pytest.approx(output[0], abs=2.0)
+
+
 def test_blocks_give_the_same_load() -> None:
     plant = KINDS["motor"](np.random.default_rng(5))
     excerpt = recorded(plant, 6, 0.02)

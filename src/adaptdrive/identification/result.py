@@ -20,7 +20,6 @@ from adaptdrive.identification.fit import (
     refine,
     split,
     weighed,
-    whitened,
 )
 from adaptdrive.identification.whiteness import ljung_box
 
@@ -122,7 +121,8 @@ def result_of(load: Load, choice: Choice, sample_s: float) -> IdentifiedLoad:
     )
     numerator, denominator = _model(problem, _fitted(solution))
     errors = split(problem, solution.errors, lost=len(problem.noise) - 1)
-    residuals = problem.targets - solution.simulated
+    simulated = _simulated(problem, solution.logarithms, solution.weights[: problem.shared])
+    residuals = problem.targets - simulated
     return IdentifiedLoad(
         parameters={
             name: Estimate(value, std)
@@ -140,7 +140,7 @@ def result_of(load: Load, choice: Choice, sample_s: float) -> IdentifiedLoad:
         whiteness=ljung_box(errors, len(problem.noise) - 1),
         fit=_fit(problem.targets, residuals),
         cross_fit=_cross_fit(problem, solution),
-        simulated=tuple(split(problem, solution.simulated)),
+        simulated=tuple(split(problem, simulated)),
         residuals=tuple(split(problem, residuals)),
         errors=tuple(errors),
         block_s=problem.parts[0].period_s,
@@ -231,11 +231,27 @@ def _cross_fit(problem: Problem, solution: Solution) -> float:
     trained, tested = _halves(problem)
     fitted = refine(trained, solution.logarithms)
     kept = len(problem.powers) if problem.drift else problem.shared
-    matrix = columns(tested, fitted.logarithms)
-    rest = tested.targets - matrix[:, :kept] @ fitted.weights[:kept]
-    free = matrix[:, kept:]
-    initial, _ = weighed(whitened(tested, free), whitened(tested, rest))
-    return _fit(tested.targets, rest - free @ initial)
+    simulated = _simulated(tested, fitted.logarithms, fitted.weights[:kept])
+    return _fit(tested.targets, tested.targets - simulated)
+
+
+def _simulated(problem: Problem, logarithms: Array, weights: Array) -> Array:
+    """Return the output of a load without noise, with the free responses that it shows.
+
+    The prediction errors hardly determine how a part of the data begins: where the noise is as
+    slow as the load, its model removes nearly all of a free response.
+
+    Args:
+        problem: Data and structure.
+        logarithms: Of a_1 ... a_m.
+        weights: Factors of the first columns; those of the others are fitted to the output.
+    """
+    matrix = columns(problem, logarithms)
+    driven, free = np.split(matrix, [len(weights)], axis=1)
+    forced = driven @ weights
+    initial, _ = weighed(free, problem.targets - forced)
+    simulated: Array = forced + free @ initial
+    return simulated
 
 
 def _halves(problem: Problem) -> tuple[Problem, Problem]:
