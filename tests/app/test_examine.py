@@ -266,6 +266,44 @@ def test_a_dbc_unit_of_another_quantity_is_a_flaw(folder: Path, given: str, word
     assert words in found.get("signals.output", "")
 
 
+OUTPUTS = {
+    "motor-inverter.toml": ('{ signal = "INV_STATE.N_ACT", scale = 2.1502e-3 }', "INV_STATE.N_ACT"),
+    "motor-modbus-tcp.toml": ('"tachometer"', "tachometer"),
+    "motor-cia402.toml": ('{ signal = "0x2001.2", scale = 1.0e-6 }', "0x2001.2"),
+}
+
+
+@pytest.mark.parametrize("name", OUTPUTS)
+@pytest.mark.parametrize(
+    ("stated", "labelled", "words"),
+    [
+        ("rpm", "rpm", "unit = 'rpm' leads to rad/s, the quantity is in rpm"),
+        ("rpm", "Hz", "load.output_unit = 'rad/s'"),
+        ("mA", "mA", "unit = 'mA' leads to A, the quantity is in mA"),
+        ("degC", "°C", "unit = 'degC' leads to K, the quantity is in degC"),
+        ("rpm", "%", "unit = 'rpm' leads to rad/s, the quantity is in %"),
+        ("rpm", "rad/s", ""),
+        ("degC", "K", ""),
+        ("rpm", "of the shaft", ""),
+    ],
+)
+def test_an_output_that_is_converted_is_labelled_with_its_si_unit(
+    folder: Path, name: str, stated: str, labelled: str, words: str
+) -> None:
+    old, signal = OUTPUTS[name]
+    source = f'{{ signal = "{signal}", scale = 2.0, unit = "{stated}" }}'
+    changes = [(f"output = {old}", f"output = {source}"), ('_unit = "V"', f'_unit = "{labelled}"')]
+    found = flaws(folder, name, *changes)
+    assert set(found) == ({"signals.output"} if words else set())
+    assert words in found.get("signals.output", "")
+
+
+def test_a_signal_that_is_labelled_with_its_own_unit_is_taken_as_it_stands(folder: Path) -> None:
+    old = '{ signal = "INV_STATE.N_ACT", scale = 2.1502e-3 }'
+    changes = [(old, '"INV_STATE.N_ACT"'), ('output_unit = "V"', 'output_unit = "rpm"')]
+    assert flaws(folder, "motor-inverter.toml", *changes) == {}
+
+
 def test_a_command_in_another_unit_is_a_flaw(folder: Path) -> None:
     dbc = (EXAMPLES / "inverter.dbc").read_text()
     assert '[0|600] "V"' in dbc

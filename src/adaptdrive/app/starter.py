@@ -134,7 +134,8 @@ def _with_output_unit(section: str, unit: str | None) -> str:
     """Return `[load]` for an output in another unit than that of the example."""
     if unit is None or f'\noutput_unit = "{unit}"' in section:
         return section
-    line = f'output_unit = "{unit}"  # that of signals.output: adapt range, model and limits to it'
+    remark = "signals.output is converted to it: adapt range, model and limits"
+    line = f'output_unit = "{unit}"  # {remark}'
     return re.sub(r"(?m)^output_unit = .*$", line, section)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.modbus import ModbusBus, Register
 from adaptdrive.config.proposals import nearest
-from adaptdrive.config.units import WANTED, unit_problem
+from adaptdrive.config.units import WANTED, Converted, stated_problem, unit_problem
 from adaptdrive.errors import Flaw
 
 MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
@@ -106,6 +106,23 @@ def unit_flaws(bus: ModbusBus, signals: Signals, output_unit: str) -> Iterator[F
             if problem:
                 place = f"signals.{name}" if hasattr(signals, name) else f"signals.command.{name}"
                 yield Flaw(place, f"{given.signal}: {problem}")
+
+
+def stated_unit_flaws(
+    place: str, sources: Mapping[str, Converted | None], output_unit: str
+) -> Iterator[Flaw]:
+    """Sources whose `unit` does not lead to their quantity, where no map says what they are in.
+
+    Args:
+        place: Where they stand in the configuration.
+        sources: By name; names that are no quantity may have any unit.
+        output_unit: Unit of the regulated quantity.
+    """
+    for name, wanted in {**WANTED, "output": output_unit}.items():
+        source = sources.get(name)
+        problem = None if source is None else stated_problem(source, wanted)
+        if problem:
+            yield Flaw(f"{place}.{name}", problem)
 
 
 def map_flaws(place: str, registers: Mapping[str, Register], *, zero_based: bool) -> Iterator[Flaw]:

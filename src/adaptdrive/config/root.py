@@ -14,6 +14,7 @@ from adaptdrive.config.derived import Derived
 from adaptdrive.config.drive import DriveSection, VoltageLoop
 from adaptdrive.config.estimator import Estimator, Supervisor
 from adaptdrive.config.load import AnyLoad, MotorSection, SimulatorSection
+from adaptdrive.config.references import stated_unit_flaws
 from adaptdrive.config.section import Section, inconsistent
 from adaptdrive.config.sensors import (
     CanSensorSection,
@@ -85,6 +86,13 @@ def _bus_flaws(configuration: Configuration) -> Iterator[Flaw]:
 def _unit_flaws(configuration: Configuration) -> Iterator[Flaw]:
     bus, unit = configuration.bus, configuration.load.output_unit
     yield from bus_checks(bus).units(bus, configuration.signals, unit)
+
+
+def _converted_flaws(configuration: Configuration) -> Iterator[Flaw]:
+    unit = configuration.load.output_unit
+    for number, bus in enumerate(configuration.sensor_bus):
+        yield from stated_unit_flaws(f"sensor_bus.{number}.signals", bus.signals, unit)
+    yield from stated_unit_flaws("derived", configuration.derived, unit)
 
 
 def _pace_flaws(configuration: Configuration) -> Iterator[Flaw]:
@@ -167,6 +175,7 @@ _CHECKS: tuple[tuple[Callable[[Configuration], Iterator[Flaw]], frozenset[str]],
     (_rate_flaws, frozenset({"drive", "load"})),
     (_bus_flaws, frozenset({"bus", "signals"})),
     (_unit_flaws, frozenset({"bus", "signals", "load"})),
+    (_converted_flaws, frozenset({"sensor_bus", "derived", "load"})),
     (
         _pace_flaws,
         frozenset({"drive", "bus", "signals", "load", "interlocks", "voltage_loop"}),

@@ -83,9 +83,9 @@ def unit_problem(source: Converted, found: str, wanted: str) -> str | None:
         found: Unit that the DBC or the register map names.
         wanted: Unit of the quantity.
     """
-    is_in, to_be = _UNITS.get(found.strip()), _UNITS.get(wanted)
+    is_in, to_be = _UNITS.get(found.strip()), _UNITS.get(wanted.strip())
     if source.unit is not None:
-        return _stated_problem(source, is_in, to_be)
+        return stated_problem(source, wanted) or _alone_problem(source, is_in)
     if is_in is None or to_be is None or is_in == to_be:
         return None
     if not source.model_fields_set.isdisjoint({"scale", "offset"}):
@@ -93,16 +93,31 @@ def unit_problem(source: Converted, found: str, wanted: str) -> str | None:
     problem = f"the signal is in {found.strip()}, the quantity in {wanted}"
     if _DIMENSIONS.get(is_in) != _DIMENSIONS.get(to_be, ""):
         return f"{problem}: name another signal, or the scale that leads from one to the other"
-    if is_in in _IN_SI:
+    if is_in in _IN_SI and _DIMENSIONS[is_in] == to_be:
         return f"{problem}: unit = {is_in!r} converts it, scale = 1.0 takes it as it stands"
     return f"{problem}: give its scale"
 
 
-def _stated_problem(source: Converted, is_in: str | None, to_be: str | None) -> str | None:
-    """Return why the `unit` of a signal does not fit its quantity or the signal itself."""
+def stated_problem(source: Converted, wanted: str) -> str | None:
+    """Return why the `unit` of a source does not lead to its quantity, None where it may.
+
+    Args:
+        source: Its conversion, which leads to SI where it has a unit.
+        wanted: Unit of the quantity; nothing is checked where it is unknown.
+    """
+    to_be = _UNITS.get(wanted.strip())
+    if source.unit is None or to_be is None or to_be == _DIMENSIONS[source.unit]:
+        return None
+    leads_to = _DIMENSIONS[source.unit]
+    problem = f"unit = {source.unit!r} leads to {leads_to}, the quantity is in {to_be}"
+    if _DIMENSIONS.get(to_be) != leads_to:
+        return problem
+    return f"{problem}: load.output_unit = {leads_to!r}, with set-points and limits in {leads_to}"
+
+
+def _alone_problem(source: Converted, is_in: str | None) -> str | None:
+    """Return why the `unit` of a signal without scale and offset is not that of the signal."""
     stated = str(source.unit)
-    if to_be in _DIMENSIONS and _DIMENSIONS[stated] != _DIMENSIONS[to_be]:
-        return f"unit = {stated!r} leads to {_DIMENSIONS[stated]}, the quantity is in {to_be}"
     alone = (source.scale, source.offset) == _IN_SI[stated]
     if alone and is_in is not None and is_in != stated:
         return f"the signal is in {is_in}, and unit = {stated!r} says otherwise"
