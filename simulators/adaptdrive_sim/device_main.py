@@ -21,7 +21,13 @@ from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.errors import AdaptdriveError, RefusedError
 from adaptdrive_sim.broker import parse_address
 from adaptdrive_sim.device_settings import DeviceSettings
-from adaptdrive_sim.devices.drive import COMMAND_TIMEOUT_s, Frame, Report, SimulatedDrive
+from adaptdrive_sim.devices.drive import (
+    COMMAND_TIMEOUT_s,
+    Frame,
+    Overvoltage,
+    Report,
+    SimulatedDrive,
+)
 from adaptdrive_sim.devices.kinds import KINDS, DriveNode, SensorNode
 from adaptdrive_sim.devices.remote import Remote
 from adaptdrive_sim.devices.sensor_values import check_names, values_of
@@ -35,6 +41,9 @@ from adaptdrive_sim.world import World, WorldParameters
 
 PATIENCE_READINGS = 4
 """Polls without a command after which a drive that is polled shuts down."""
+
+OVERVOLTAGE_SHARE = 2.0 / 3.0
+"""Distance from the daemon's trip to the drive's, over that from V_c: 400, 430 and 450 V."""
 
 Job = Callable[[], Coroutine[Any, Any, None]]
 
@@ -81,8 +90,22 @@ def build_drive(
         holder = VoltageHolder(power.boost_capacitance_F, bidirectional=bidirectional)
         reading_s = 0.5 * configuration.bus.ticks_per_reading / power.line_frequency_Hz
         timeout_s = max(timeout_s, PATIENCE_READINGS * reading_s)
-    needs_bridge = settings.boost_needs_bridge
-    return SimulatedDrive(world, report, holder, timeout_s, boost_needs_bridge=needs_bridge)
+    return SimulatedDrive(
+        world,
+        report,
+        holder,
+        timeout_s,
+        boost_needs_bridge=settings.boost_needs_bridge,
+        overvoltage=_overvoltage(configuration),
+    )
+
+
+def _overvoltage(configuration: Configuration) -> Overvoltage:
+    """Return the protection of the drive itself, which acts above the trip of the daemon."""
+    daemon_V = configuration.interlocks.boost_voltage_max_V
+    normal_V = configuration.drive.limits.boost_reference_max_V
+    trip_V = daemon_V + OVERVOLTAGE_SHARE * (daemon_V - normal_V)
+    return Overvoltage(trip_V, over_V=daemon_V, normal_V=normal_V)
 
 
 def _command_timeout_s(configuration: Configuration, settings: DeviceSettings) -> float:

@@ -6,10 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from adaptdrive_sim.device_main import build_drive
+from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.devices.drive import Frame, SimulatedDrive
 from adaptdrive_sim.parameters import ParameterError
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import World
+from tests.config.documents import parse
 
 HALF_CYCLE_s = 1.0 / 120.0
 
@@ -108,6 +111,37 @@ def test_over_voltage_ends_with_a_bridge_off_command_below_430_V() -> None:
     bench.commanded(120, 0.15)
     assert bench.commanded(120, 0.0).fault == 4
     assert bench.commanded(2, 0.0, bridge=False).fault == 0
+
+
+def test_over_voltage_with_the_bridge_off_ends_as_the_capacitor_discharges() -> None:
+    bench = Bench(400.0)
+    assert bench.commanded(120, 0.15, bridge=False).fault == 4
+    assert bench.commanded(120, 0.0, bridge=False).fault == 4
+    frame = bench.commanded(120 * 30, 0.0, bridge=False)
+    assert (frame.fault, frame.bridge) == (0, False)
+
+
+@pytest.mark.parametrize(("start_V", "end_V"), [(449.0, 400.0), (399.0, 399.0)])
+def test_a_capacitor_is_discharged_to_the_highest_reference(start_V: float, end_V: float) -> None:
+    frame = Bench(start_V).silent(120 * 30)
+    assert frame.sample.boost_voltage_V == pytest.approx(end_V)
+
+
+@pytest.mark.parametrize(
+    ("reference_V", "daemon_V", "safe_V", "tripped_V"),
+    [(400.0, 430.0, 449.0, 451.0), (700.0, 750.0, 760.0, 800.0)],
+)
+def test_a_drive_protects_itself_above_the_voltages_of_its_configuration(
+    reference_V: float, daemon_V: float, safe_V: float, tripped_V: float
+) -> None:
+    configuration = parse(
+        drive__limits__boost_reference_max_V=str(reference_V),
+        interlocks__boost_voltage_max_V=str(daemon_V),
+    )
+    for voltage_V, fault in ((safe_V, 0), (tripped_V, 4)):
+        settings = DeviceSettings(initial_voltage_V=voltage_V)
+        drive = build_drive(configuration, settings, lambda *_, **__: None)
+        assert drive.tick(1000.0).fault == fault
 
 
 def test_an_injected_fault_shuts_the_drive_down_until_it_is_cleared() -> None:

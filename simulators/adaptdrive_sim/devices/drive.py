@@ -5,9 +5,10 @@ itself and does not trust its host:
 
 * 100 ms (or longer, as configured) after the last valid command it shuts down: k = 0, bridge
   off, no load current. The next valid command ends that. A missing command is no fault.
-* Above 450 V it stops drawing line current and reports over-voltage; the bridge stays as it is,
-  since only the load can discharge the capacitor. The fault stays until the voltage is below
-  430 V and a command with the bridge off has been received.
+* Above its highest boost voltage it stops drawing line current and reports over-voltage; the bridge
+  stays as it is, since the load discharges the capacitor sooner than a resistor does, down to the
+  highest V_c, while the bridge is off. The fault stays until the voltage is low enough again and
+  a command with the bridge off has been received.
 * Where its boost stage needs the bridge's enable bit, it draws line current only with that bit on.
 * While the line is below half of its nominal voltage it reports the line as lost.
 * A fault that is injected shuts the drive down until it is cleared.
@@ -16,6 +17,7 @@ itself and does not trust its host:
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import IntFlag
 from typing import Any, NamedTuple
 
@@ -24,8 +26,6 @@ from adaptdrive_sim.parameters import check_range
 from adaptdrive_sim.world import Sample, World
 
 COMMAND_TIMEOUT_s = 0.100
-OVERVOLTAGE_V = 450.0
-OVERVOLTAGE_OVER_V = 430.0
 LINE_LOST_SHARE = 0.5
 FAULT_MAX = 0x7F
 
@@ -38,6 +38,24 @@ class Fault(IntFlag):
     NONE = 0
     BOOST_OVERVOLTAGE = 4
     LINE_LOST = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Overvoltage:
+    """Boost voltages of the drive's own protection.
+
+    Attributes:
+        trip_V: Above it the drive draws no line current.
+        over_V: Below it the fault can end.
+        normal_V: Down to it the capacitor is discharged while the bridge is off.
+    """
+
+    trip_V: float = 450.0
+    over_V: float = 430.0
+    normal_V: float = 400.0
+
+
+REFERENCE_OVERVOLTAGE = Overvoltage()
 
 
 class Frame(NamedTuple):
@@ -57,7 +75,7 @@ class SimulatedDrive:
         frame: What was measured in the last half cycle, None before the first.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - what makes one drive another
         self,
         world: World,
         report: Report,
@@ -65,6 +83,7 @@ class SimulatedDrive:
         timeout_s: float = COMMAND_TIMEOUT_s,
         *,
         boost_needs_bridge: bool = False,
+        overvoltage: Overvoltage = REFERENCE_OVERVOLTAGE,
     ) -> None:
         """Start a drive that has had no command yet, and so is in its safe state.
 
@@ -74,10 +93,12 @@ class SimulatedDrive:
             holder: The voltage loop of a drive that holds its own boost voltage.
             timeout_s: Age of the last valid command at which the drive shuts down.
             boost_needs_bridge: Whether the boost stage works only while the bridge is on.
+            overvoltage: Voltages of its own protection.
         """
         self._holder = holder
         self._timeout_s = timeout_s
         self._boost_needs_bridge = boost_needs_bridge
+        self._limits = overvoltage
         self._reference_V = 0.0
         self.world = world
         self.fault = 0
@@ -108,7 +129,7 @@ class SimulatedDrive:
         self._commanded_s = now_s
         self._scale_S = current_scale_S
         self._bridge = bridge
-        if not bridge and self.world.boost.voltage_V < OVERVOLTAGE_OVER_V:
+        if not bridge and self.world.boost.voltage_V < self._limits.over_V:
             self._overvoltage = False
 
     def hold(self, boost_reference_V: float, bridge: bool, now_s: float) -> None:
@@ -145,6 +166,8 @@ class SimulatedDrive:
         bridge = self._bridge and not self._injected
         boosts = bridge or not (self._boost_needs_bridge or self._injected)
         scale_S = self._scale_S if boosts and not self._overvoltage else 0.0
+        if not self.world.bridge:
+            self.world.boost.discharge(self._limits.normal_V, self.world.line.half_cycle_s)
         sample = self.world.step(scale_S, bridge)
         self.fault = self._word(sample.line_voltage_V)
         if self._holder is not None:
@@ -184,7 +207,7 @@ class SimulatedDrive:
     def _watch_voltage(self) -> None:
         """Stop drawing line current when the capacitor's voltage is too high."""
         voltage_V = self.world.boost.voltage_V
-        if not self._overvoltage and voltage_V > OVERVOLTAGE_V:
+        if not self._overvoltage and voltage_V > self._limits.trip_V:
             self._overvoltage = True
             self._report("over-voltage", boost_voltage_V=round(voltage_V, 1))
         if self._overvoltage:

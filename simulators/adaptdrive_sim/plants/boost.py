@@ -34,6 +34,9 @@ _GENTLE = 0.1
 _SLOW = 0.5
 """Largest g for the series; v is then right to 2 mV."""
 
+_DISCHARGE_S = 60.0
+"""Time constant of the discharge by a resistor: from 450 to 430 V in 3 s."""
+
 
 @dataclass(frozen=True, slots=True)
 class BoostParameters:
@@ -72,6 +75,18 @@ class Boost:
         self.squared_V2 = voltage_V * voltage_V
         self.voltage_V = self.mean_voltage_V = voltage_V
         self.mean_load_W = self.mean_line_W = load_W
+
+    def discharge(self, lowest_V: float, duration_s: float) -> None:
+        """Discharge the capacitor by a resistor, down to a voltage.
+
+        Args:
+            lowest_V: The voltage; below it nothing happens.
+            duration_s: Time of the discharge.
+        """
+        if self.voltage_V > lowest_V:
+            left_V = self.voltage_V * math.exp(-duration_s / _DISCHARGE_S)
+            self.voltage_V = max(lowest_V, left_V)
+            self.squared_V2 = self.voltage_V * self.voltage_V
 
     def advance(
         self,
