@@ -266,6 +266,23 @@ def test_a_dbc_unit_of_another_quantity_is_a_flaw(folder: Path, given: str, word
     assert words in found.get("signals.output", "")
 
 
+@pytest.mark.parametrize(
+    ("name", "refused_s", "accepted_s", "words"),
+    [
+        ("motor.toml", 0.012, 0.0125, "0.0125 s, 1.5 times bus.clock_ticks = 1 (8.333 ms)"),
+        ("motor-inverter.toml", 0.037, 0.0375, "0.0375 s, 1.5 times bus.clock_ticks = 3 (25 ms)"),
+        ("motor-cia402.toml", 0.005, 0.0125, "0.0125 s, 1.5 times a half cycle"),
+    ],
+)
+def test_a_measurement_may_be_as_old_as_the_next_one_makes_it(
+    folder: Path, name: str, refused_s: float, accepted_s: float, words: str
+) -> None:
+    (line,) = re.findall(r"(?m)^stale_s = [\d.]+", (folder / name).read_text())
+    found = flaws(folder, name, (line, f"stale_s = {refused_s}"))
+    assert words in found["interlocks.stale_s"]
+    assert "interlocks.stale_s" not in flaws(folder, name, (line, f"stale_s = {accepted_s}"))
+
+
 OUTPUTS = {
     "motor-inverter.toml": ('{ signal = "INV_STATE.N_ACT", scale = 2.1502e-3 }', "INV_STATE.N_ACT"),
     "motor-modbus-tcp.toml": ('"tachometer"', "tachometer"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -23,6 +25,18 @@ def test_a_message_that_comes_seldom_has_its_slack() -> None:
     found = limits("motor-inverter")
     assert found["stale output"] == pytest.approx(0.1)
     assert found["stale boost_voltage_V"] == pytest.approx(0.3)  # 4 cycles of 25 ms, 3 pages
+
+
+def test_a_message_without_a_cycle_time_comes_as_often_as_the_clock(tmp_path: Path) -> None:
+    database = (EXAMPLES / "inverter.dbc").read_text(encoding="utf-8")
+    unsaid = re.sub(r'(?m)^BA_ "GenMsgCycleTime".*\n', "", database)
+    (tmp_path / "inverter.dbc").write_text(unsaid, encoding="utf-8")
+    path = tmp_path / "motor-inverter.toml"
+    shutil.copy(EXAMPLES / path.name, path)
+    rows = {what: row for what, *row in time_limits(load_configuration(path), path)}
+    limit_s, keys = rows["stale boost_voltage_V"]
+    assert limit_s == pytest.approx(0.3)  # 4 cycles of 25 ms, 3 pages
+    assert keys == "bus.stale_cycles, bus.clock_ticks"
 
 
 def test_a_sensor_has_the_limit_of_its_bus() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import itertools
+import re
 import tomllib
 from pathlib import Path
 
@@ -58,6 +59,17 @@ def test_signals_of_a_foreign_dbc_are_proposed(tmp_path: Path) -> None:
         )
     assert proposed.signals.bridge == by_hand.signals.bridge
     assert proposed.signals.command.bridge == by_hand.signals.command.bridge
+
+
+def test_a_drive_that_sends_seldom_gets_a_stale_limit_that_fits(tmp_path: Path) -> None:
+    text = (EXAMPLES / "inverter.dbc").read_text()
+    database = tmp_path / "seldom.dbc"
+    database.write_text(re.sub(r'("GenMsgCycleTime" BO_ \d+) 25;', r"\1 100;", text))
+    assert init("motor", "--bus", "can", "--dbc", database, "--directory", tmp_path) == 0
+    proposed = load_configuration(tmp_path / "motor.toml")
+    assert isinstance(proposed.bus, CanBus)
+    assert proposed.bus.clock_ticks == 12
+    assert proposed.interlocks.stale_s == pytest.approx(0.3)
 
 
 def _names(signals: Signals) -> dict[str, str | None]:

@@ -727,7 +727,8 @@ async def test_the_oldest_value_is_named_with_its_cause(
         await ear.hears(2)
         status = port.explain_age()
         assert "(0x100 (DriveStatus), " in status
-        assert "is the oldest value: other messages come" in status
+        assert "is the oldest value: other messages come, and this one has come before" in status
+        assert "as often as interlocks.stale_s needs?" in status
         drive.put("DriveStatus", bytes(8))
         await until(lambda: port.statistics.wrong_checksum == 1)
         refused = "its frames come and are refused (wrong_checksum, 1 in a row)"

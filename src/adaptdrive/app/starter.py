@@ -14,12 +14,15 @@ from importlib import resources
 from typing import Literal
 
 from adaptdrive.config.load import LoadName
+from adaptdrive.config.services import LONGEST_STALE_S
 
 BusName = Literal["can", "modbus-tcp", "modbus-rtu", "canopen"]
 
 _POLLED = ("modbus-tcp", "modbus-rtu")
 _EDS = "cia402.eds"
 _POLL_TICKS = 12  # as in the examples of polled drives
+_LONG_STRIDE = 2  # the examples' six ticks are three readings of such a drive
+_THREE_TICKS_S = 3.0 / 120.0
 _CURRENT_REGISTERS: Mapping[str, str] = {
     "modbus-tcp": 'address = 19, table = "holding", type = "int32", scale = 1.0e-4',
     "modbus-rtu": 'address = 4, table = "input", type = "float32", word_order = "little"',
@@ -76,7 +79,7 @@ def compose(  # noqa: PLR0913 - what the user and the drive's own description sa
             _with_output_unit(
                 _load_part(load_text, _POLL_TICKS if bus in _POLLED else stride), output_unit
             ),
-            _with_stale_limit(load_text[load_text.index("[interlocks]") :], bus_text),
+            _with_stale_limit(load_text[load_text.index("[interlocks]") :], bus_text, stride),
         )
     )
     description = None if bus in _POLLED or bus_part else _description(load, bus)
@@ -139,7 +142,10 @@ def _with_output_unit(section: str, unit: str | None) -> str:
     return re.sub(r"(?m)^output_unit = .*$", line, section)
 
 
-def _with_stale_limit(section: str, bus_text: str) -> str:
+def _with_stale_limit(section: str, bus_text: str, stride: int) -> str:
     """Return `[interlocks]` and what follows, with the stale limit that fits the bus."""
     limit = re.search(r"(?m)^stale_s = .*$", bus_text)
-    return re.sub(r"(?m)^stale_s = .*$", limit[0], section) if limit else section
+    text = limit[0] if limit else None
+    if stride > _LONG_STRIDE:
+        text = f"stale_s = {min(stride * _THREE_TICKS_S, LONGEST_STALE_S):<20.4g}# three readings"
+    return re.sub(r"(?m)^stale_s = .*$", text, section) if text else section

@@ -132,8 +132,9 @@ class CanBus(CanLink, BusSection):
         ge=1.5,
         le=10.0,
         allow_inf_nan=False,
-        description="age, in cycle times of its message (GenMsgCycleTime), at which a value is "
-        "stale; `interlocks.stale_s` where that is longer",
+        description="age, in cycle times of its message (GenMsgCycleTime; that of `clock_ticks` "
+        "for `clock`, and where a message has none), at which a value is stale; "
+        "`interlocks.stale_s` where that is longer",
     )
     integrity: dict[str, FrameIntegrity] = Field(
         default_factory=dict, description="alive counters and checksums by message"

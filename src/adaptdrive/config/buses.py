@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, get_args
 
 from adaptdrive.config.bus import BusSection, CanBus, Signals
-from adaptdrive.config.cadence import Sections, clock_flaws, poll_flaws
+from adaptdrive.config.cadence import Sections, clock_flaws, poll_flaws, sync_flaws
 from adaptdrive.config.canopen import CanOpenBus, canopen_flaws
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.config.references import can_flaws, modbus_flaws, stated_unit_flaws, unit_flaws
@@ -48,7 +48,7 @@ class BusChecks:
 _MODBUS = BusChecks(modbus_flaws, unit_flaws, poll_flaws)
 _CHECKS: dict[type[BusSection], BusChecks] = {
     CanBus: BusChecks(can_flaws, pace=clock_flaws),
-    CanOpenBus: BusChecks(canopen_flaws, _object_unit_flaws),
+    CanOpenBus: BusChecks(canopen_flaws, _object_unit_flaws, sync_flaws),
     ModbusTcp: _MODBUS,
     ModbusRtu: _MODBUS,
 }

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Protocol
 
 from adaptdrive.config.bus import CanBus, Signals
+from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.drive import DriveSection, VoltageLoop
 from adaptdrive.config.load import LoadSection
 from adaptdrive.config.modbus import ModbusBus
 from adaptdrive.config.services import InterlocksSection
 from adaptdrive.errors import Flaw
 
-STALE_POLLS = 1.5
-"""Poll cycles that a measurement must be allowed to age: it is one old when the next one comes."""
+STALE_READINGS = 1.5
+"""Readings that a measurement must be allowed to age: it is one old when the next one comes."""
 
 
 class Sections(Protocol):
@@ -70,6 +72,7 @@ def clock_flaws(bus: CanBus, configuration: Sections) -> Iterator[Flaw]:
         configuration: The other sections.
     """
     stride, load = bus.clock_ticks, configuration.load
+    yield from _stale_flaws(stride, configuration, f"bus.clock_ticks = {stride}")
     if stride == 1:
         return
     if configuration.voltage_loop.where == "daemon":
@@ -85,16 +88,33 @@ def clock_flaws(bus: CanBus, configuration: Sections) -> Iterator[Flaw]:
             yield Flaw(place, f"its {ticks} ticks must be a multiple of bus.clock_ticks = {stride}")
 
 
+def sync_flaws(_: CanOpenBus, configuration: Sections) -> Iterator[Flaw]:
+    """Yield the contradictions to a drive that sends after each SYNC.
+
+    Args:
+        configuration: The other sections.
+    """
+    yield from _stale_flaws(1, configuration, "a half cycle, from one SYNC to the next")
+
+
+def _stale_flaws(ticks: int, configuration: Sections, reading: str) -> Iterator[Flaw]:
+    stale_s = configuration.interlocks.stale_s
+    reading_s = 0.5 * ticks / configuration.drive.line_frequency_Hz
+    lowest_s = STALE_READINGS * reading_s
+    if stale_s < lowest_s and not math.isclose(stale_s, lowest_s):
+        lowest = f"{lowest_s:.4g} s, {STALE_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
+        yield Flaw("interlocks.stale_s", f"{stale_s} must be at least {lowest}")
+
+
 def _cycle_flaws(bus: ModbusBus, configuration: Sections) -> Iterator[Flaw]:
-    load, interlocks = configuration.load, configuration.interlocks
+    load = configuration.load
     half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
     poll_s = bus.poll_ticks * half_cycle_s
-    cycle = f"one poll of bus.poll_ticks = {bus.poll_ticks} half cycles ({poll_s * 1e3:.4g} ms)"
+    poll = f"one poll of bus.poll_ticks = {bus.poll_ticks} half cycles"
+    cycle = f"{poll} ({poll_s * 1e3:.4g} ms)"
     if bus.timeout_s >= poll_s:
         yield Flaw("bus.timeout_s", f"{bus.timeout_s} must be below {cycle}")
-    if interlocks.stale_s < STALE_POLLS * poll_s:
-        lowest = f"{STALE_POLLS * poll_s:.4g} s, {STALE_POLLS} times {cycle}"
-        yield Flaw("interlocks.stale_s", f"{interlocks.stale_s} must be at least {lowest}")
+    yield from _stale_flaws(bus.poll_ticks, configuration, poll)
     if load.latency_ticks % bus.poll_ticks:
         effect = "a decision reaches the drive with a poll"
         yield Flaw(

@@ -40,8 +40,9 @@ TRIPS = (
     Trip(
         r"^stale: .*: other messages come",
         f"{_OLDEST}: other messages come: …",
-        "only this message is missing",
-        "switch the message on in the drive; compare its id with the DBC",
+        "only this message is missing, or comes too seldom",
+        "switch the message on in the drive; compare its id with the DBC; where `adaptdrive probe` "
+        "shows it, a longer `interlocks.stale_s`",
     ),
     Trip(
         r"^stale: .*: its frames come and are refused",

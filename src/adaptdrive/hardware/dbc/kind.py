@@ -32,7 +32,7 @@ def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[R
     stale_s = configuration.interlocks.stale_s
     mapping = map_drive(_bus(configuration), configuration.signals, _timing(configuration), source)
     for one in (one for status in mapping.statuses for one in status.sources):
-        keys = "bus.stale_cycles, GenMsgCycleTime" if one.slack_s else "interlocks.stale_s"
+        keys = f"bus.stale_cycles, {one.cycle_by}" if one.slack_s else "interlocks.stale_s"
         yield f"stale {one.quantity}", stale_s + one.slack_s, keys
 
 

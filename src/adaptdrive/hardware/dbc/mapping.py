@@ -56,6 +56,7 @@ class CanSource:
         offset: SI value of a zero signal.
         slack_s: How much older than `interlocks.stale_s` its values may be, as their message comes
             less often.
+        cycle_by: What says so: GenMsgCycleTime or a key of `[bus]`.
     """
 
     quantity: str
@@ -63,6 +64,7 @@ class CanSource:
     scale: float
     offset: float
     slack_s: float
+    cycle_by: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,12 +152,14 @@ def _find_sources(
         if hit is None:
             continue
         message, signal = hit
-        slack_s = _slack_s(message, signal, bus, timing)
+        cycle_s, cycle_by = _cycle(message, bus, timing)
+        cycle_s *= _pages(message, signal)
+        slack_s = max(0.0, bus.stale_cycles * cycle_s - timing.stale_s)
         if slack_s and quantity == "boost_voltage_V" and timing.daemon_holds_voltage:
             _note_slow(catalogue, message, place)
         if timing.stale_s + slack_s > LONGEST_STALE_S:
             _note_old(catalogue, message, place, timing.stale_s + slack_s)
-        source = CanSource(quantity, signal, entry.scale, entry.offset, slack_s)
+        source = CanSource(quantity, signal, entry.scale, entry.offset, slack_s, cycle_by)
         found.setdefault(message.name, []).append(source)
         if quantity in _WORDS:
             _check_word(catalogue, signal, place, plain=(entry.scale, entry.offset) == (1.0, 0.0))
@@ -184,12 +188,13 @@ def _named(signals: Signals) -> Iterator[tuple[str, SignalSource]]:
         yield OTHER + name, entry
 
 
-def _slack_s(message: Message, signal: Signal, bus: CanBus, timing: Timing) -> float:
+def _cycle(message: Message, bus: CanBus, timing: Timing) -> tuple[float, str]:
+    """Return the time from one frame of a message to the next, and what says so."""
     cycle_s = 1e-3 * (message.cycle_time or 0.0)
-    if message.name == bus.clock:
-        cycle_s = max(cycle_s, bus.clock_ticks * timing.half_cycle_s)
-    cycle_s *= _pages(message, signal)
-    return max(0.0, bus.stale_cycles * cycle_s - timing.stale_s)
+    clock_s = bus.clock_ticks * timing.half_cycle_s
+    if not cycle_s or (message.name == bus.clock and cycle_s <= clock_s):
+        return clock_s, "bus.clock_ticks"
+    return cycle_s, "GenMsgCycleTime"
 
 
 def _pages(message: Message, signal: Signal) -> int:
@@ -202,14 +207,19 @@ def _pages(message: Message, signal: Signal) -> int:
     return len(pages) * _pages(message, message.get_signal_by_name(selector or ""))
 
 
+def _stated_cycle(message: Message) -> str:
+    cycle_ms = message.cycle_time
+    return f"GenMsgCycleTime {cycle_ms} ms" if cycle_ms else "no GenMsgCycleTime: that of the clock"
+
+
 def _note_old(catalogue: SignalCatalogue, message: Message, place: str, limit_s: float) -> None:
     problem = f"bus.stale_cycles lets a value of message {message.name!r}"
-    comes = f"(GenMsgCycleTime {message.cycle_time} ms) age for {limit_s:.4g} s"
+    comes = f"({_stated_cycle(message)}) age for {limit_s:.4g} s"
     catalogue.note(place, f"{problem} {comes}, limit {LONGEST_STALE_S:g} s")
 
 
 def _note_slow(catalogue: SignalCatalogue, message: Message, place: str) -> None:
-    problem = f"message {message.name!r} (GenMsgCycleTime {message.cycle_time} ms) comes too seldom"
+    problem = f"message {message.name!r} ({_stated_cycle(message)}) comes too seldom"
     catalogue.note(place, f"{problem} for voltage_loop.where = 'daemon'")
 
 

@@ -178,14 +178,21 @@ class CanPort:
         value = f"{source.quantity} ({_label(status.codec)}, {source.signal.name})"
         found = "has never come" if oldest_s == -math.inf else "is the oldest value"
         others_come = newest_s > oldest_s and now_s - newest_s < 0.5 * (now_s - oldest_s)
-        return f"{value} {found}: {self._explain_silence(status, others_come=others_come)}"
+        came = oldest_s > -math.inf
+        why = self._explain_silence(status, came=came, others_come=others_come)
+        return f"{value} {found}: {why}"
 
-    def _explain_silence(self, status: StatusFrame, *, others_come: bool) -> str:
+    def _explain_silence(self, status: StatusFrame, *, came: bool, others_come: bool) -> str:
         if self._connection.bus is None:
             return "the bus is lost"
         refused = self._refusals.explain(_label(status.codec))
         if refused is not None:
             return refused
+        if others_come and came:
+            return (
+                "other messages come, and this one has come before: does the drive still send it, "
+                "and as often as interlocks.stale_s needs?"
+            )
         if others_come:
             return "other messages come: is this one switched on in the drive, with this id?"
         return "no message comes: check the drive's supply, the cable, the bit rate, the ids"
