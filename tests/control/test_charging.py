@@ -2,6 +2,7 @@
 
 import pytest
 
+from adaptdrive.config.load import Charge
 from adaptdrive.control.charging import (
     ChargeState,
     Charging,
@@ -10,6 +11,7 @@ from adaptdrive.control.charging import (
     is_disconnected,
     taper,
     terminal_voltage,
+    voltage_limit,
 )
 
 LIMITS = Charging(
@@ -141,3 +143,9 @@ def test_a_set_point_that_was_lowered_explains_a_current_that_left() -> None:
     for _ in range(60):
         taper(LIMITS, state, 2.0, 58.0 * 1.02, 0.0)
     assert is_complete(LIMITS, state)
+
+
+def test_the_terminals_may_be_as_far_above_the_limit_as_its_key_says() -> None:
+    highest_V = terminal_voltage(LIMITS, voltage_limit(LIMITS, 0.0), 0.0)
+    share = highest_V / LIMITS.voltage_max_V - 1.0
+    assert f"by {100.0 * share:.3g} % at most" in str(Charge.model_fields["voltage_max_V"])

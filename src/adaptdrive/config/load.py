@@ -211,7 +211,10 @@ class BatteryModel(Section):
 class Charge(Section):
     """`[load.charge]`: constant current, then constant voltage, then the end."""
 
-    voltage_max_V: PositiveFloat = Field(description="terminal voltage that is never passed")
+    voltage_max_V: PositiveFloat = Field(
+        description="terminal voltage that the charge is regulated to; it may be passed for a "
+        "while, by 2 % at most, where V_c is held back: the battery must stand that voltage"
+    )
     end_current_A: PositiveFloat = Field(description="tapering current at which charging ends")
 
 
