@@ -10,6 +10,7 @@ from typing import Annotated, Literal, NoReturn
 from cyclopts import App, Parameter
 
 import adaptdrive
+from adaptdrive.cli.integers import Integer
 from adaptdrive.cli.standard_files import lay_out_help
 from adaptdrive.errors import AdaptdriveError
 from adaptdrive_sim.demo.settings import DemoSettings, VirtualSettings
@@ -110,7 +111,7 @@ def reproduce(  # noqa: PLR0913 - one parameter for each option
     /,
     *,
     output: Path,
-    seed: int = 0,
+    seed: Integer = 0,
     noise: float | None = None,
     spikes: str = "0,0",
     design: Literal["paper", "exact"] = "paper",
@@ -154,9 +155,9 @@ def campaign(  # noqa: PLR0913 - one parameter for each option
     *,
     output: Path,
     scheduler: str | None = None,
-    processes: int | None = None,
-    runs: int | None = None,
-    only: int | None = None,
+    processes: Integer | None = None,
+    runs: Integer | None = None,
+    only: Integer | None = None,
 ) -> None:
     """Run thousands of randomised motors, baths or batteries, each with fixed and adaptive control.
 

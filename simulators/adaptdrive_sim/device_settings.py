@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from adaptdrive.cli.integers import Integer
+
 InterfaceChoice = Literal["socketcan", "udp_multicast"]
 
 
@@ -35,8 +37,8 @@ class DeviceSettings:
     broker: str | None = None
     noise_V: Annotated[float, Parameter(name="--noise")] = 0.0
     spikes: str = "0,0"
-    seed: int = 0
-    disks: int | None = None
+    seed: Integer = 0
+    disks: Integer | None = None
     initial_voltage_V: Annotated[float | None, Parameter(name="--initial-voltage")] = None
     command_timeout_s: Annotated[float | None, Parameter(name="--command-timeout")] = None
     boost_needs_bridge: bool = False
@@ -44,4 +46,4 @@ class DeviceSettings:
     line_wander: float = 0.0
     interface: InterfaceChoice | None = None
     channel: str | None = None
-    port: int | None = None
+    port: Integer | None = None

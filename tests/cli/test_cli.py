@@ -353,6 +353,12 @@ def test_a_number_that_is_not_finite_is_refused_by_name(
     assert value in errors
 
 
+def test_an_integer_is_not_rounded(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["panel", "--no-open", "--port", "70000.5"]) == 2
+    problem = 'Invalid value for --port: unable to convert "70000.5" into int.'
+    assert capsys.readouterr().err == f"adaptdrive: {problem}\n"
+
+
 async def test_an_interrupted_command_is_quiet(mosquitto: Broker) -> None:
     # A suite that runs in the background may have been told to ignore interrupts, and pass it on.
     signal.signal(signal.SIGINT, signal.default_int_handler)

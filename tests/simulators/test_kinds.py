@@ -110,6 +110,25 @@ def test_an_option_that_does_not_apply_is_refused(
     assert answer.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        ("campaign no-file.toml --output out", "--runs"),
+        ("campaign no-file.toml --output out", "--processes"),
+        ("campaign no-file.toml --output out", "--only"),
+        ("reproduce bath --output out --spikes none", "--seed"),
+        ("demo bath --duration 0.1", "--seed"),
+        ("device no-file.toml", "--seed"),
+        ("device no-file.toml", "--disks"),
+        ("device no-file.toml", "--port"),
+    ],
+)
+def test_an_integer_is_not_rounded(words: str, option: str) -> None:
+    answer = simulator(*words.split(), option, "1.9")
+    assert answer.returncode == 2
+    assert f'Invalid value for {option}: unable to convert "1.9" into int.' in answer.stderr
+
+
 def test_without_its_extra_it_names_the_command_to_install_it() -> None:
     hidden = "sys.modules['numpy'] = None"
     answer = simulator("device", str(EXAMPLES / "motor.toml"), hidden=hidden)

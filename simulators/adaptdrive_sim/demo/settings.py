@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from adaptdrive.cli.integers import Integer
 from adaptdrive.errors import AdaptdriveError, RefusedError
 from adaptdrive_sim.device_settings import InterfaceChoice
 
@@ -107,7 +108,7 @@ class VirtualSettings:
     headless: Annotated[bool, Parameter(negative=())] = False
     mode: ModeChoice = "alternate"
     noise: float | None = None
-    seed: int = 0
+    seed: Integer = 0
 
     def check(self) -> None:
         """Refuse what cannot be done.

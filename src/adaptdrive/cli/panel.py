@@ -14,6 +14,7 @@ from urllib.parse import quote
 from cyclopts import Parameter, validators
 
 from adaptdrive.aside import in_thread
+from adaptdrive.cli.integers import Integer
 from adaptdrive.errors import AdaptdriveError
 
 FOLDER = Path(__file__).parents[1] / "panel"
@@ -92,7 +93,7 @@ def panel_address(port: int, broker: str) -> str:
 def panel(
     *,
     broker: Annotated[str, Parameter(env_var="ADAPTDRIVE_WEBSOCKET")] = "ws://127.0.0.1:8083/mqtt",
-    port: Annotated[int, Parameter(validator=validators.Number(gte=0, lte=65535))] = 8088,
+    port: Annotated[Integer, Parameter(validator=validators.Number(gte=0, lte=65535))] = 8088,
     show: Annotated[bool, Parameter(name="--open")] = True,
 ) -> int:
     """Serve the panel on the loopback interface until Ctrl-C, and open it in a browser.
