@@ -247,6 +247,9 @@ async def test_pages_that_stay_away_are_the_oldest_values_once_they_are_overdue(
     [
         ({"constants": {"HOST_CMD.MODE": "Remot"}}, "HOST_CMD.MODE", "did you mean 'Remote'"),
         ({"constants": {"HOST_CMD.MODE": 256.0}}, "HOST_CMD.MODE", "is outside 0…255"),
+        ({"constants": {"HOST_CMD.MODE": 2.6}}, "HOST_CMD.MODE", "2.6 would be sent as 3"),
+        ({"constants": {"HOST_CMD.MODE": -0.4}}, "HOST_CMD.MODE", "-0.4 would be sent as 0"),
+        ({"constants": {"HOST_CMD.I_LIMIT": 20.04}}, "HOST_CMD.I_LIMIT", "counts are 0.05 apart"),
         ({"constants": {"HOST_CMD.REQUEST": 1.0}}, "signals.command.bridge", "a constant too"),
         ({"constants": {"HOST_CMD.CMD_CRC": 1.0}}, "HOST_CMD.CMD_CRC", "counter or checksum"),
         (
@@ -270,6 +273,11 @@ def test_each_flaw_of_a_command_names_its_place(
     found = "\n".join(f"{flaw.place}: {flaw.message}" for flaw in caught.value.flaws)
     assert place in found
     assert words in found
+
+
+@pytest.mark.parametrize("amperes", [0.05, 20.15, 1599.95])
+def test_a_constant_may_miss_its_count_in_binary(amperes: float) -> None:
+    port_of(commanding(constants={"HOST_CMD.I_LIMIT": amperes}))
 
 
 async def test_a_command_is_converted_to_the_unit_of_its_signal(

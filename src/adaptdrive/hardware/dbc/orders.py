@@ -6,6 +6,7 @@ in common travels in each of them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -22,6 +23,12 @@ from adaptdrive.hardware.link.codec import MessageCodec
 from adaptdrive.hardware.link.layout import compile_field, initial_value
 
 _VALUES = ("current_scale_S", "boost_reference_V")
+
+_ROUNDING = 1e-6
+"""Share of one count by which a value may miss its count in binary."""
+
+_PRECISION = 1e-12
+"""Share of itself by which a value of more than 40 bits may do so."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +160,7 @@ def _find_constants(
             continue
         _check_proof(catalogue, bus, message, signal, place)
         if _check_values(catalogue, signal, (value,), place):
+            _check_counts(catalogue, signal, (value,), place)
             layout = compile_field(signal)
             draft = _draft(drafts, catalogue, message, signal, place)
             draft.fixed[signal.name] = layout.physical(layout.raw(value))
@@ -187,7 +195,8 @@ def _add(
         problem = "selects what else its frame holds: it cannot be commanded"
         catalogue.note(place, f"signal {signal.name!r} {problem}")
     ends = (part.base, part.base + part.factor) if part.field == "bridge" else (part.base,)
-    _check_values(catalogue, signal, ends, place)
+    if _check_values(catalogue, signal, ends, place) and part.field == "bridge":
+        _check_counts(catalogue, signal, ends, place)
     draft = _draft(drafts, catalogue, message, signal, place)
     if signal.name in draft.fixed:
         catalogue.note(place, f"signal {signal.name!r} is a constant too")
@@ -242,6 +251,19 @@ def _check_values(
         catalogue.note(place, f"the drive could not be switched: {problem}")
         return False
     return True
+
+
+def _check_counts(
+    catalogue: SignalCatalogue, signal: Signal, values: Iterable[float], place: str
+) -> None:
+    """Each value is sent as it stands, not as that of the nearest count."""
+    layout = compile_field(signal)
+    rounding = _ROUNDING * abs(layout.scale)
+    for value in values:
+        sent = layout.physical(layout.raw(value))
+        if not math.isclose(sent, value, rel_tol=_PRECISION, abs_tol=rounding):
+            problem = f"{signal.name} = {value:.10g} would be sent as {sent:.10g}"
+            catalogue.note(place, f"{problem}: its counts are {abs(layout.scale):g} apart")
 
 
 def _draft(
