@@ -250,6 +250,13 @@ def test_a_text_longer_than_a_path_is_refused(place: str) -> None:
     assert "the text must have at most 4096 characters" in found[place]
 
 
+@pytest.mark.parametrize(
+    "place", ["bus.channel", "bus.database", "mqtt.password_file", "recording.directory"]
+)
+def test_a_channel_or_a_path_without_a_name_is_refused(place: str) -> None:
+    assert set(flaws(**change(place, '""'))) == {place}
+
+
 def test_a_key_with_a_control_character_is_refused() -> None:
     with pytest.raises(ConfigurationError) as caught:
         parse(**{"simulation.parameters": '{ "fric\\u001btion" = 1.0 }'})

@@ -27,6 +27,18 @@ def test_a_serial_port_is_found_beside_the_file() -> None:
     assert absolute.device == Path("/dev/ttyUSB0")
 
 
+@pytest.mark.parametrize("host", ["", " ", "my gateway", "gateway:502"])
+def test_a_host_that_cannot_be_looked_up_is_refused(host: str) -> None:
+    found = flaws(bus__host=f'"{host}"')
+    assert set(found) == {"bus.host"}
+    assert "neither an IP address nor a host name" in found["bus.host"]
+
+
+def test_a_serial_port_without_a_name_is_refused() -> None:
+    rtu = {"bus__type": '"modbus-rtu"', "bus__host": None}
+    assert flaws(**rtu, bus__device='""') == {"bus.device": "must not be empty (it is '')"}
+
+
 def test_every_flaw_is_listed_with_its_place() -> None:
     found = flaws(
         bus__port="0",

@@ -107,7 +107,9 @@ class CanLink(Section):
     interface: Literal["socketcan", "udp_multicast", "virtual"] = Field(
         description="python-can interface"
     )
-    channel: str = Field(description="`can0`, a multicast group, or the name of a virtual bus")
+    channel: str = Field(
+        min_length=1, description="`can0`, a multicast group, or the name of a virtual bus"
+    )
     udp_port: int = Field(default=43113, ge=1, le=65535, description="port of `udp_multicast`")
 
 

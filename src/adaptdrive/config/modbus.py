@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from adaptdrive.config.bus import BusSection
 from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Range, Section
+from adaptdrive.config.services import check_host
 
 
 class RegisterRange(Range):
@@ -101,7 +102,9 @@ class ModbusLink(Section):
 class TcpLink(ModbusLink):
     """A link over TCP."""
 
-    host: str = Field(description="name or address of the device or its gateway")
+    host: Annotated[str, AfterValidator(check_host)] = Field(
+        description="name or address of the device or its gateway"
+    )
     port: int = Field(default=502, ge=1, le=65535, description="port of the device")
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from adaptdrive.errors import Flaw
@@ -20,7 +20,17 @@ NonNegativeFloat = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Duration = Annotated[float, Field(ge=0, le=86_400.0, allow_inf_nan=False)]
 """A time of supervision: what lasts longer than a day would be as good as never, which is 0."""
 Fraction = Annotated[float, Field(gt=0, lt=1)]
-FilePath = Annotated[Path, Field(strict=False)]  # TOML has no paths, only strings
+
+
+def _named(path: object) -> object:
+    if path == "":  # it would be taken for a folder, that of the configuration
+        raise ValueError("must not be empty")
+    return path
+
+
+FilePath = Annotated[  # TOML has no paths, only strings
+    Path, Field(strict=False), BeforeValidator(_named, json_schema_input_type=Path)
+]
 
 
 class Section(BaseModel):
