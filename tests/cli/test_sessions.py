@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -11,8 +12,11 @@ from pathlib import Path
 
 import pytest
 
+import adaptdrive
 from adaptdrive.recording.batches import Batch, EventRow, Header
+from adaptdrive.recording.recorder import EVENT_KIND
 from adaptdrive.recording.session import Dropped, NewSession, create_session
+from adaptdrive.runtime.reports import EVENT_KINDS
 from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
 NAME = "20261121T012209Z_motor"
@@ -171,6 +175,22 @@ def test_events_of_the_last_session_are_shown(state: Path) -> None:
     answer = run(state, "events", "--kind", "trip")
     assert "alarm    trip         over-voltage: 431 V" in answer.stdout
     assert run(state, "events", "--kind", "mode").stdout == ""
+
+
+def test_an_unknown_kind_of_event_is_refused_with_the_known_ones(state: Path) -> None:
+    answer = run(state, "events", "--kind", "bus", "--kind", "tripp")
+    assert (answer.returncode, answer.stdout) == (2, "")
+    assert answer.stderr.count("\n") == 1
+    assert "--kind" in answer.stderr
+    assert "'tripp' (did you mean 'trip'?)" in answer.stderr
+    assert all(kind in answer.stderr for kind in EVENT_KINDS)
+
+
+def test_every_kind_of_event_is_known() -> None:
+    event = re.compile(r'\b(?:publish_event|report|Event)\(\s*"([^"]+)",\s*(?:S|s)everity')
+    sources = [path.read_text() for path in Path(adaptdrive.__file__).parent.rglob("*.py")]
+    found = {kind for source in sources for kind in event.findall(source)}
+    assert {*found, EVENT_KIND} == set(EVENT_KINDS)
 
 
 def test_sessions_and_events_are_read_by_programs(state: Path) -> None:

@@ -24,6 +24,16 @@ def _check_limit(_type: object, limit: float | None) -> None:
         raise ValueError(f"A limit is a number above 0 and at most {_LARGEST_LIMIT:g}.")
 
 
+def _check_kinds(_type: object, kinds: tuple[str, ...]) -> None:
+    from adaptdrive.config.proposals import nearest  # noqa: PLC0415 - `--help` needs neither
+    from adaptdrive.runtime.reports import EVENT_KINDS  # noqa: PLC0415
+
+    for kind in kinds:
+        if kind not in EVENT_KINDS:
+            known = ", ".join(EVENT_KINDS)
+            raise ValueError(f"No event is a {kind!r}{nearest(kind, EVENT_KINDS)}; known: {known}.")
+
+
 Limit = Annotated[float | None, Parameter(validator=_check_limit)]
 Folder = Annotated[Path | None, Parameter(name="--directory")]
 Json = Annotated[bool, Parameter(name="--json", negative=())]
@@ -180,7 +190,7 @@ def events(
     session: str | None = None,
     /,
     *,
-    kind: tuple[str, ...] = (),
+    kind: Annotated[tuple[str, ...], Parameter(validator=_check_kinds)] = (),
     directory: Folder = None,
     as_json: Json = False,
 ) -> int:

@@ -183,6 +183,14 @@ class DriveReport:
     time_s: float = math.nan
 
 
+EVENT_KINDS = (
+    *("trip", "state", "controller", "mode", "fallback", "complete", "stop", "refused", "bus"),
+    *("latency", "realtime", "checkpoint", "recording", "state directory"),
+    *("broker", "command", "journal", "outbox"),
+)
+"""Kinds of events: of the drive, of the daemon's machine, and of the operators' side."""
+
+
 @dataclass(frozen=True, slots=True)
 class Event:
     """Something that happened once: a trip, a mode change, a bus loss.
