@@ -318,6 +318,7 @@ async def test_help_names_every_command() -> None:
         "setpoint bench 3 --timeout nan",
         "setpoint bench 3 --timeout 1e15",
         "waveform bench square 3 3.2",
+        "waveform bench off 1 2",
         "waveform bench saw 3 3.2 10",
         "mode bench wild",
         "check",

@@ -57,10 +57,13 @@ def waveform(  # noqa: PLR0913 - the words of the command line
     """
     numbers = {"low": low, "high": high, "period_s": period}
     if shape == "off":
+        if any(number is not None for number in numbers.values()):
+            print("adaptdrive: waveform off takes no values", file=sys.stderr)
+            return UNUSABLE
         return _ask(drive, "waveform", None, contact)
     if None in numbers.values():
         print(f"adaptdrive: waveform {shape} needs LOW, HIGH and PERIOD", file=sys.stderr)
-        return 2
+        return UNUSABLE
     return _ask(drive, "waveform", {"shape": shape, **numbers}, contact)
 
 
