@@ -105,6 +105,8 @@ def test_bounds_are_those_of_the_nominal_parameter() -> None:
         (GAIN, 0.125, "8 times smaller in gain"),
         (SUM_s, 9.0, "9 times slower"),
         (SUM_s, 0.1, "10 times faster"),
+        (GAIN, 164.0, "160 times larger in gain"),
+        (GAIN, 1e300, "1000000 times larger in gain"),
         (PRODUCT_s2, 16.0, "4 times slower"),
         (PRODUCT_s2, 1.0 / 25.0, "5 times faster"),
     ],
@@ -113,7 +115,7 @@ def test_a_load_that_is_another_than_configured_is_described(
     culprit: int, ratio: float, contrast: str
 ) -> None:
     text = out_of_bounds(culprit, ratio)
-    assert f"but predicts 1e+02 times better than [load.model]: the load is {contrast}" in text
+    assert f"but predicts 100 times better than [load.model]: the load is {contrast}" in text
     assert text.endswith("than [load.model]; run adaptdrive commission")
 
 
@@ -122,6 +124,15 @@ def test_a_load_is_described_only_by_an_estimate_that_predicts_far_better(
     better: float, described: bool
 ) -> None:
     assert ("commission" in out_of_bounds(GAIN, 12.0, better)) is described
+
+
+@pytest.mark.parametrize(
+    ("better", "times"), [(3.4, "3"), (84.0, "80"), (96.0, "100"), (1e200, "1000000")]
+)
+def test_how_much_better_an_estimate_predicts_is_said_in_plain_digits(
+    better: float, times: str
+) -> None:
+    assert f"predicts {times} times better" in out_of_bounds(GAIN, 12.0, better)
 
 
 @pytest.mark.parametrize("ratio", [-1.0, 0.0, math.inf, math.nan])

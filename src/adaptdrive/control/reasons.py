@@ -31,6 +31,9 @@ _FALLBACKS = {
     Fallback.BLIND: "fell back: measurements failed",
 }
 
+_MOST_TIMES = 1e6
+"""A factor above it is described as this one."""
+
 _RELEASE = "to release it choose fixed, and adaptive one slow period later"
 
 
@@ -89,7 +92,7 @@ def _out_of_bounds(state: SlowState, jacket: Jacket, load: Load) -> str:
         return text
     contrast = _contrast(name, ratio)
     return (
-        f"{text}, but predicts {better:.1g} times better than [load.model]: the load is "
+        f"{text}, but predicts {_times(better, 1)} better than [load.model]: the load is "
         f"{contrast} than [load.model]; run adaptdrive commission"
     )
 
@@ -100,5 +103,11 @@ def _contrast(name: str, ratio: float) -> str:
     if name == "tau_product_s2":
         factor = math.sqrt(factor)
     if name.startswith("tau_"):
-        return f"{factor:.2g} times {'slower' if larger else 'faster'}"
-    return f"{factor:.2g} times {'larger' if larger else 'smaller'} in {name}"
+        return f"{_times(factor, 2)} {'slower' if larger else 'faster'}"
+    return f"{_times(factor, 2)} {'larger' if larger else 'smaller'} in {name}"
+
+
+def _times(factor: float, digits: int) -> str:
+    """Return a factor in words: rounded, and without an exponent."""
+    rounded = float(f"{min(factor, _MOST_TIMES):.{digits}g}")
+    return f"{rounded:.10g} times"
