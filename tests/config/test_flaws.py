@@ -217,6 +217,12 @@ def test_only_a_motor_learnt_by_the_lambda_method_can_have_a_known_filter() -> N
     assert flaws(**bath, estimator__known_filter="true").keys() == place
 
 
+def test_a_key_of_another_kind_of_load_is_not_proposed_in_its_own_place() -> None:
+    found = flaws(load__type='"bath"')
+    assert found["load.model.gain"] == "Unknown key"
+    assert found["load.model.tau_motor_s"] == "Unknown key (did you mean 'tau_s'?)"
+
+
 @pytest.mark.parametrize(
     "host",
     [

@@ -173,11 +173,12 @@ def _examine_sections(tables: dict[str, Any], problem: ValidationError, source: 
 
 
 def _flaw(error: dict[str, Any]) -> Flaw:
-    place = ".".join(map(str, _location(error["loc"])))
+    keys = [str(key) for key in _location(error["loc"])]
+    place = ".".join(keys)
     message = _MESSAGES.get(error["type"], error["msg"]).removeprefix("Value error, ")
     if error["type"] == _UNKNOWN:
-        section, key = [str(part) for part in error["loc"][:-1]], str(error["loc"][-1])
-        return Flaw(place, message + key_proposal(_schema(), section, key))
+        section = [str(part) for part in error["loc"][:-1]]
+        return Flaw(place, message + key_proposal(_schema(), section, keys))
     if error["type"].startswith("union_tag"):
         place = f"{place}.type"
     value = error["input"]

@@ -15,19 +15,20 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
-def key_proposal(schema: Schema, section: Sequence[str], key: str) -> str:
+def key_proposal(schema: Schema, section: Sequence[str], place: Sequence[str]) -> str:
     """Return a hint at the key that an unknown one was probably meant to be.
 
     Args:
         schema: JSON Schema of the configuration.
         section: Keys and union tags that lead to the section, as pydantic locates it.
-        key: The unknown key.
+        place: Keys that lead to the unknown one, and it; another kind of load may have that key.
     """
+    own, key = tuple(place), place[-1]
     here = _below(schema, schema, section)
     hint = nearest(key, here)
     if hint:
         return hint
-    elsewhere = [place for place in _places(schema, schema, ()) if place[-1] == key]
+    elsewhere = [one for one in _places(schema, schema, ()) if one[-1] == key and one != own]
     return f" (did you mean {'.'.join(elsewhere[0])}?)" if elsewhere else ""
 
 
