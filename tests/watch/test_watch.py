@@ -72,6 +72,16 @@ def shown(record: WatchRecord, size: tuple[int, int] = (120, 40)) -> list[str]:
     return capture.get().splitlines()
 
 
+def test_a_name_that_no_drive_has_leads_to_the_list() -> None:
+    record = WatchRecord("moter", Clock())
+    header = shown(record)[0]
+    assert "nothing heard of this drive; see adaptdrive list" in header
+    assert "None" not in header
+    assert "OLD DATA" not in header
+    record.problem = "connection refused"
+    assert "OLD DATA connection refused" in shown(record)[0]
+
+
 @pytest.mark.parametrize("size", [(80, 24), (120, 40)])
 def test_the_view_fills_the_terminal_and_shows_units(size: tuple[int, int]) -> None:
     lines = shown(live_record(Clock()), size)

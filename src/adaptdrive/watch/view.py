@@ -16,7 +16,7 @@ from rich.text import Text
 from adaptdrive.operation.estimate_names import quantity_and_unit
 from adaptdrive.operation.listener import number, part, printable
 from adaptdrive.watch.plot import REFERENCE_STYLE, STYLES, plot
-from adaptdrive.watch.record import WatchRecord
+from adaptdrive.watch.record import Payload, WatchRecord
 from adaptdrive.watch.tables import (
     DIM,
     STATE_STYLES,
@@ -77,12 +77,11 @@ def _header(record: WatchRecord) -> Iterator[Text]:
     name = printable(state.get("state") if record.availability == "online" else record.availability)
     style = STATE_STYLES.get(name, "bold yellow")
     line = Text.assemble((f" {record.drive} ", "bold reverse"), " ", (f" {name} ", style), "  ")
-    controller, mode = printable(state.get("controller")), printable(state.get("mode"))
-    line.append(controller, f"bold {STYLES.get(controller, '')}")
-    line.append(" controller in force")
-    if controller != mode:
-        line.append(f", {mode} asked for: {printable(state.get('reason'))}", "yellow")
-    if not record.live:
+    if state:
+        _add_controller(line, state)
+    elif record.availability == "unknown" and not record.problem:
+        line.append("nothing heard of this drive; see adaptdrive list for the names")
+    if not record.live and (state or record.problem):
         line.append("   OLD DATA", "bold red")
         line.append(f" {record.problem}", "red")
     yield line
@@ -90,6 +89,14 @@ def _header(record: WatchRecord) -> Iterator[Text]:
         last = part(state, "last_trip")
         yield Text(f" trip: {printable(state['trip'])}", "red")
         yield Text(f" remedy: {printable(last.get('remedy') or 'see the manual')}")
+
+
+def _add_controller(line: Text, state: Payload) -> None:
+    controller, mode = printable(state.get("controller")), printable(state.get("mode"))
+    line.append(controller, f"bold {STYLES.get(controller, '')}")
+    line.append(" controller in force")
+    if controller != mode:
+        line.append(f", {mode} asked for: {printable(state.get('reason'))}", "yellow")
 
 
 def _plot_panel(record: WatchRecord, size: tuple[int, int]) -> Panel:
