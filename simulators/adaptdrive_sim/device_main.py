@@ -153,6 +153,7 @@ def build_sensors(
         for name in bus.signals
     ]
     check_names(names, known, path)
+    drive.has_sensors = bool(buses)
     return [_sensors(bus, f"sensor_bus.{number}", drive, path) for number, bus in enumerate(buses)]
 
 

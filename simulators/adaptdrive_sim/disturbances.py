@@ -122,6 +122,8 @@ def _inject_fault(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
 
 
 def _spoil_sensors(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
+    if not drive.has_sensors:
+        raise RefusedError("no sensor module is beside this drive")
     check_range("sensor_fault", request.sensor_fault or 0, 0, max(SensorFault), "")
     drive.world.sensor_fault = request.sensor_fault or 0
 

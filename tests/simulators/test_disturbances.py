@@ -10,9 +10,11 @@ import msgspec
 import pytest
 from jsonschema import Draft202012Validator
 
+from adaptdrive.config import load_configuration
 from adaptdrive.errors import RefusedError
 from adaptdrive_sim import cli
 from adaptdrive_sim.broker import BrokerAddress, parse_address
+from adaptdrive_sim.device_main import build_sensors
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.remote import Remote
 from adaptdrive_sim.disturbances import from_words, parse_request
@@ -100,6 +102,14 @@ def test_a_battery_ages_and_is_charged() -> None:
     assert remote.truth()["charge"] == 0.9
     assert ask(remote, charge=1.1) == (False, "charge = 1.1 must lie in 0…1")
     assert ask(remote, inflow_L_per_min=1.0) == (False, "this load holds no water")
+
+
+def test_only_sensors_that_are_there_fail() -> None:
+    remote, example = of(Bath(BathParameters())), EXAMPLE.with_name("bath-thermocouples.toml")
+    assert ask(remote, sensor_fault=1) == (False, "no sensor module is beside this drive")
+    build_sensors(load_configuration(example), remote._drive, example)
+    assert ask(remote, sensor_fault=1) == (True, "")
+    assert remote._drive.world.sensor_fault == 1
 
 
 def test_a_fault_reaches_the_drive(remote: Remote) -> None:

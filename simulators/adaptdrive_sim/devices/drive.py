@@ -73,6 +73,7 @@ class SimulatedDrive:
         world: The plant.
         fault: Fault word of the last half cycle.
         frame: What was measured in the last half cycle, None before the first.
+        has_sensors: Sensor modules on buses of their own measure beside the drive.
     """
 
     def __init__(  # noqa: PLR0913 - what makes one drive another
@@ -103,6 +104,7 @@ class SimulatedDrive:
         self.world = world
         self.fault = 0
         self.frame: Frame | None = None
+        self.has_sensors = False
         self._report = report
         self._scale_S = 0.0
         self._bridge = False
