@@ -13,6 +13,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from adaptdrive.config.services import Mqtt, check_host
 from adaptdrive.errors import RefusedError
 
 
@@ -22,6 +23,11 @@ class BrokerAddress:
 
     host: str
     port: int
+
+    @property
+    def mqtt(self) -> Mqtt:
+        """The broker, in the words of the configuration."""
+        return Mqtt(host=self.host, port=self.port)
 
 
 def parse_address(text: str) -> BrokerAddress:
@@ -36,4 +42,7 @@ def parse_address(text: str) -> BrokerAddress:
     port = int(match[2] or 1883)
     if not 1 <= port <= 65535:
         raise RefusedError(f"broker {text!r}: port {port} must lie in 1…65535")
-    return BrokerAddress(match[1].strip("[]"), port)
+    try:
+        return BrokerAddress(check_host(match[1].strip("[]")), port)
+    except ValueError as problem:
+        raise RefusedError(f"broker {text!r}: {problem}") from problem

@@ -92,17 +92,26 @@ def disturb(
     """
     import asyncio  # noqa: PLC0415  # keeps --help fast
 
+    from adaptdrive.operation.conversation import NoAnswerError  # noqa: PLC0415
     from adaptdrive_sim.broker import parse_address  # noqa: PLC0415
     from adaptdrive_sim.disturbances import from_words  # noqa: PLC0415
     from adaptdrive_sim.request_client import ask  # noqa: PLC0415
 
-    reply = asyncio.run(ask(parse_address(broker), drive, from_words(action, values)))
+    request = from_words(action, values)
+    try:
+        reply = asyncio.run(ask(parse_address(broker).mqtt, drive, request))
+    except NoAnswerError as silence:
+        _exit_unanswered(silence.problem)
     if reply is None:
-        sys.stderr.write(f"adaptdrive-sim: no answer from {drive} at {broker}\n")
-        sys.exit(NO_ANSWER)
+        _exit_unanswered(f"no answer from {drive} at {broker}")
     if not reply.accepted:
         sys.exit(f"adaptdrive-sim: refused: {reply.reason}")
     print(f"{drive}: {' '.join([action, *(f'{value:g}' for value in values)])}: done")
+
+
+def _exit_unanswered(problem: str) -> NoReturn:
+    sys.stderr.write(f"adaptdrive-sim: {problem}\n")
+    sys.exit(NO_ANSWER)
 
 
 @app.command

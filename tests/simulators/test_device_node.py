@@ -384,6 +384,15 @@ def test_nobody_to_disturb_has_its_own_status(mosquitto: Broker) -> None:
     assert result.stderr == f"adaptdrive-sim: no answer from nobody at {address}\n"
 
 
+def test_a_broker_that_is_not_there_is_named_with_its_problem(free_tcp_port: int) -> None:
+    address = f"127.0.0.1:{free_tcp_port}"
+    result = simulator("disturb", "bench", "torque", "0.5", "--broker", address)
+    assert result.returncode == 3
+    assert result.stderr.startswith(f"adaptdrive-sim: broker {address}: ")
+    assert "refused" in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
 def test_the_node_outlives_its_broker_and_finds_it_again(
     host: Host, node: StartNode, mosquitto_launcher: MosquittoLauncher, free_tcp_port: int
 ) -> None:

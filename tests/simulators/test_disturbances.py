@@ -216,7 +216,9 @@ def test_broker_addresses(text: str, address: BrokerAddress) -> None:
     assert parse_address(text) == address
 
 
-@pytest.mark.parametrize("text", ["", ":1883", "broker:", "broker:x", "a:0", "a:70000", "::1"])
+@pytest.mark.parametrize(
+    "text", ["", ":1883", "broker:", "broker:x", "a:0", "a:70000", "::1", "a/b"]
+)
 def test_no_broker_addresses(text: str) -> None:
     with pytest.raises(RefusedError, match="broker"):
         parse_address(text)

@@ -11,7 +11,6 @@ from adaptdrive.config.services import Mqtt
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.operation.conversation import NoAnswerError
 from adaptdrive.operation.sender import send_command
-from adaptdrive_sim.broker import BrokerAddress
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.script import BEGINNING, Act, acts
 from adaptdrive_sim.demo.settings import DRIVE, HIGH_V, LOW_V, DemoError, DemoSettings
@@ -145,8 +144,7 @@ class Director:
     async def _set_disks(self, disks: int) -> None:
         truth = self._record.truth
         if truth is not None and truth.disks != disks:
-            address = BrokerAddress(self._broker.host, self._broker.port)
-            await ask(address, DRIVE, {"disks": disks - truth.disks})
+            await ask(self._broker, DRIVE, {"disks": disks - truth.disks})
 
     async def _order(self, verb: str, value: object) -> None:
         reply = await send_command(self._broker, DRIVE, verb, value, _ANSWER_s)

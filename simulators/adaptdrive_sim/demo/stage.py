@@ -81,7 +81,7 @@ class Venue:
     @property
     def mqtt(self) -> Mqtt:
         """The broker, in the words of the configuration."""
-        return Mqtt(host=self.broker.host, port=self.broker.port)
+        return self.broker.mqtt
 
 
 Show = Callable[[DemoRecord, Venue], Awaitable[None]]
