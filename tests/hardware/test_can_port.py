@@ -544,6 +544,23 @@ async def test_a_drive_that_was_on_when_its_bus_was_lost_is_heard_before_it_is_d
         assert port.complaint is None
 
 
+async def test_a_drive_that_lost_its_bus_before_it_started_is_driven_on(
+    port: CanPort, drive: Drive, ear: Ear
+) -> None:
+    async with running(port, ear):
+        drive.send_status(BridgeOn=0)
+        drive.send_load()
+        await ear.hears(1)
+        assert port.send(COMMAND)
+        await lose_the_bus(port, ear)
+        assert not port.send(COMMAND)
+        drive.send_status(BridgeOn=0)
+        drive.send_load()
+        await ear.hears(2)
+        assert port.complaint is None
+        assert port.send(COMMAND)
+
+
 @pytest.mark.parametrize("last", [SAFE_COMMAND, replace(COMMAND, bridge=False)])
 async def test_a_drive_that_was_off_when_its_bus_was_lost_may_be_off_after_it(
     port: CanPort, drive: Drive, ear: Ear, last: Command

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.config.bus import CanBus
-from adaptdrive.control.signals import Command
+from adaptdrive.control.signals import SAFE_COMMAND, Command
 from tests.hardware.bench import EXAMPLES, Ear, build_port, running, until
 from tests.support import Spawn, logged_events
 from tests.system.site import START_PATIENCE_S
@@ -43,4 +43,7 @@ async def test_it_is_safe_without_its_interface_and_obeys_again_with_it(
         link("set", "up")
         await ear.hears(1)
         assert not ear.readings[0].bridge
+        assert not port.send(COMMAND)
+        assert "the bus was lost meanwhile" in str(port.complaint)
+        assert port.send(SAFE_COMMAND)
         await until(energised)

@@ -11,13 +11,15 @@ class Relink:
     """A drive that was on when its bus was lost, until a reading of the next connection.
 
     The drive may have stopped by its own time-out meanwhile, or have started anew. A command that
-    has the bridge on waits for the reading; if that has the bridge off, the drive is not driven on.
+    has the bridge on waits for the reading. If that has the bridge off and the last one before the
+    loss had it on, the drive is not driven on; one that was about to start may go on with it.
     """
 
     def __init__(self) -> None:
         """Begin without a connection, and without a command."""
         self._commanded = False
         self._was_on = False
+        self._reported_on = False
         self._stopped = False
 
     @property
@@ -39,8 +41,9 @@ class Relink:
         Args:
             bridge: Whether it has the bridge on.
         """
-        self._stopped = self._stopped or (self._was_on and not bridge)
-        self._was_on = False
+        lost = self._was_on and self._reported_on
+        self._stopped = self._stopped or (lost and not bridge)
+        self._was_on, self._reported_on = False, bridge
 
     def note(self, *, bridge: bool, safe: bool) -> None:
         """Note a command, sent or not; the safe one ends what was driven.

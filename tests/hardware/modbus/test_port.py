@@ -275,7 +275,7 @@ async def test_a_drive_that_was_on_when_its_link_was_lost_is_read_before_it_is_d
     """Its map has no bridge: it may have started anew, and cannot tell."""
     async with bench(kind, tmp_path, free_tcp_port, **changes) as one:
         one.port.send(RUN)
-        await until(lambda: bool(one.peer.writes))
+        await until(lambda: bool(one.ear.readings) and one.ear.readings[-1].bridge)
         assert isinstance(one.peer, TcpPeer | RtuPeer)
         await one.peer.stop()
         await until(lambda: bool(one.ear.bus) and not one.ear.bus[-1][0])
