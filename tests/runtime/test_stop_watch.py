@@ -11,7 +11,7 @@ from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import Disable, Enable, Reset
-from tests.runtime.bench import FAST, TICK_S, FastBench, fast_bench
+from tests.runtime.bench import FAST, RATE_FRAMES, TICK_S, FastBench, fast_bench
 
 STOP_TICKS = round(FAST.stop_s / TICK_S)
 
@@ -37,6 +37,20 @@ async def test_a_stop_is_complete_with_the_drives_word(running: FastBench) -> No
     assert running.state() is State.STOPPING
     running.frame(bridge=False)
     assert (running.state(), running.loop.stop) == (State.STANDBY, StopWord.CONFIRMED)
+
+
+async def test_a_stop_in_the_tick_of_the_start_is_a_stop_of_its_own() -> None:
+    """The drive reports its power stage on from the precharge on, and off with a delay."""
+    async with fast_bench() as bench:
+        bench.frames(RATE_FRAMES)
+        bench.ask(Enable())
+        bench.frame(bridge=False)
+        disable(bench)
+        for _ in range(5):
+            bench.frame(bridge=True)
+            assert (bench.state(), bench.loop.stop) == (State.STOPPING, StopWord.AWAITED)
+        bench.frame(bridge=False)
+        assert (bench.state(), bench.loop.stop) == (State.STANDBY, StopWord.CONFIRMED)
 
 
 async def test_a_word_from_before_the_stop_confirms_nothing(running: FastBench) -> None:

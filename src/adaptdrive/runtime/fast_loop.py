@@ -262,6 +262,8 @@ class FastLoop:
         elif reading is not None:
             known = interlocks.rate_known
             machine.advance(self.tick, reading.boost_voltage_V, rate_known=known, now_s=now_s)
+            if stage is _OFF and machine.stage is not _OFF:
+                self._stopping.release()
 
     def _control(self, tick: int, reading: Reading, *, fresh: bool) -> None:
         order = self._current_order(tick)
