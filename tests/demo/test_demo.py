@@ -6,6 +6,7 @@ import json
 import os
 import re
 import signal
+import socket
 import sys
 import time
 import tomllib
@@ -233,3 +234,13 @@ def test_refuses_what_cannot_be_done(start: Start, option: str, complaint: str) 
     said = demo.output.read_text()
     assert complaint in said
     assert "Traceback" not in said
+
+
+def test_a_broker_that_does_not_answer_is_named(start: Start) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        address = f"127.0.0.1:{mute.getsockname()[1]}"
+        demo = start(f"--broker={address}")
+        assert demo.ended() == 1
+    said = demo.output.read_text()
+    assert f"adaptdrive-sim: no answer from broker {address} within 3 s" in said
+    assert "daemon" not in said

@@ -17,7 +17,7 @@ from adaptdrive.app.lock import NAMESPACE
 from adaptdrive.cli.panel import panel_address
 from adaptdrive.config.services import Mqtt
 from adaptdrive.errors import AdaptdriveError, RecordingError, first_error
-from adaptdrive.operation.conversation import NoAnswerError
+from adaptdrive.operation.conversation import NoAnswerError, conversation, end_of
 from adaptdrive.operation.listener import read_status
 from adaptdrive.operation.messages import ONLINE
 from adaptdrive.recording.session import Ending, read_info
@@ -32,6 +32,9 @@ from adaptdrive_sim.demo.summary import Places, summarise
 from adaptdrive_sim.demo.workspace import STALE_s, Workspace, make_workspace
 
 BROKER_s = 20.0
+CONNECT_s = 3.0
+"""Longest wait for the connection to a running broker."""
+
 RETAINED_s = 1.0
 SESSION_s = 5.0
 AFTERMATH_s = 0.3
@@ -165,10 +168,10 @@ async def _set_up(settings: DemoSettings) -> Venue:
 async def _check_broker(scene: Venue) -> None:
     """Make sure that the broker answers, and that the drive's name is free there."""
     try:
-        _, writer = await asyncio.open_connection(scene.broker.host, scene.broker.port)
-    except OSError as problem:
-        raise DemoError(f"broker {scene.broker_text}: {problem.strerror or problem}") from problem
-    writer.close()
+        async with conversation(scene.mqtt, DRIVE, end_of(CONNECT_s)):
+            pass
+    except NoAnswerError as silence:
+        raise DemoError(silence.problem) from silence
     with suppress(NoAnswerError):
         status = await read_status(scene.mqtt, DRIVE, RETAINED_s)
         if status.availability == ONLINE.decode():
