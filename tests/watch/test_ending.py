@@ -8,6 +8,7 @@ import uuid
 
 import pytest
 
+from adaptdrive.watch.view import REFRESH_S
 from tests.commission.answering_drive import answering_drive
 from tests.operation.peers import PATIENCE_S
 from tests.support import Broker, acting
@@ -65,6 +66,24 @@ async def test_a_stop_without_an_answer_is_named_after_a_signal(mosquitto: Broke
             await asyncio.wait_for(drive.stopped.wait(), PATIENCE_S)
             seen.process.send_signal(signal.SIGTERM)
             await seen.shows(f"adaptdrive: {drive.name}: disable: no answer")
+            assert await outcome(seen) == 130
+        finally:
+            await seen.close()
+
+
+async def test_a_stopped_terminal_keeps_no_command_and_no_signal(mosquitto: Broker) -> None:
+    """Ctrl-S stops the terminal's output, not its input."""
+    async with answering_drive(mosquitto, f"ended-{uuid.uuid4()}") as drive:
+        drive.state = "running"
+        drive.answers_stop.set()
+        seen = await started(mosquitto, drive.name)
+        try:
+            await seen.shows("running")
+            seen.press("\x13")
+            await asyncio.sleep(4 * REFRESH_S)
+            seen.press("s")
+            await asyncio.wait_for(drive.stopped.wait(), PATIENCE_S)
+            seen.process.send_signal(signal.SIGTERM)
             assert await outcome(seen) == 130
         finally:
             await seen.close()

@@ -121,7 +121,7 @@ def pressed_keys(on_keys: Callable[[str], None]) -> Iterator[None]:
     """
     loop, file = asyncio.get_running_loop(), sys.stdin.fileno()
     usual = termios.tcgetattr(file)
-    tty.setcbreak(file)
+    tty.setcbreak(file, termios.TCSANOW)
 
     def read() -> None:
         keys = b""
@@ -139,4 +139,4 @@ def pressed_keys(on_keys: Callable[[str], None]) -> Iterator[None]:
     finally:
         loop.remove_reader(file)
         with suppress(termios.error):
-            termios.tcsetattr(file, termios.TCSADRAIN, usual)
+            termios.tcsetattr(file, termios.TCSANOW, usual)  # no wait for what was written

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import functools
+import os
+import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import Any, NoReturn
 
 from rich.console import Console
@@ -13,6 +17,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from adaptdrive.aside import in_thread
 from adaptdrive.operation.estimate_names import quantity_and_unit
 from adaptdrive.operation.listener import number, part, printable
 from adaptdrive.watch.plot import REFERENCE_STYLE, STYLES, plot
@@ -32,21 +37,46 @@ KEYS = "s STOP   e e enable   r reset   f fixed   a adaptive   m manual   + - se
 FIGURES_ROWS = 8
 _SHORTEST_WINDOW_S, _LONGEST_WINDOW_S = 30.0, 600.0
 _EVENTS, _TALL, _WIDE = 6, 32, 110
-_REFRESH_S = 0.25
+REFRESH_S = 0.25
+_LEAVE_S = 1.0
+"""Longest wait for a terminal to take the end of the view."""
+
 _REFUSED = ("wrong_length", "wrong_checksum", "counter_stuck", "out_of_range", "exceptions")
 
 
 async def draw(screen_of: Callable[[tuple[int, int]], Layout]) -> NoReturn:
     """Fill the terminal four times a second, until cancelled.
 
+    A terminal that takes no output, such as one that is stopped or behind a lost connection, holds
+    up nothing but its picture: a thread writes to it.
+
     Args:
         screen_of: Returns the screen for a terminal of some width and height, in characters.
     """
-    console = Console()
-    with Live(console=console, screen=True, auto_refresh=False) as live:
+    output = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding=sys.stdout.encoding)
+    console = Console(file=output)
+    live = Live(
+        console=console,
+        screen=True,
+        auto_refresh=False,
+        redirect_stdout=False,
+        redirect_stderr=False,
+    )
+    try:
+        await _write(live.start)
         while True:
-            live.update(screen_of((console.size.width, console.size.height)), refresh=True)
-            await asyncio.sleep(_REFRESH_S)
+            shown = screen_of((console.size.width, console.size.height))
+            await _write(functools.partial(live.update, shown, refresh=True))
+            await asyncio.sleep(REFRESH_S)
+    finally:
+        with suppress(TimeoutError, OSError):
+            await asyncio.wait_for(_write(live.stop), _LEAVE_S)
+            output.close()
+
+
+def _write(call: Callable[[], None]) -> asyncio.Future[None]:
+    """Write to the terminal, in a thread that may hang."""
+    return asyncio.wrap_future(in_thread(call, "adaptdrive-screen"))
 
 
 def screen(record: WatchRecord, size: tuple[int, int]) -> Layout:
