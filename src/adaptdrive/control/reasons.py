@@ -31,9 +31,6 @@ _FALLBACKS = {
     Fallback.BLIND: "fell back: measurements failed",
 }
 
-_MOST_TIMES = 1e6
-"""A factor above it is described as this one."""
-
 _RELEASE = "to release it choose fixed, and adaptive one slow period later"
 
 
@@ -108,6 +105,6 @@ def _contrast(name: str, ratio: float) -> str:
 
 
 def _times(factor: float, digits: int) -> str:
-    """Return a factor in words: rounded, and without an exponent."""
-    rounded = float(f"{min(factor, _MOST_TIMES):.{digits}g}")
+    """Return a factor in words: rounded, without an exponent, and at most a million."""
+    rounded = float(f"{min(factor, 1e6):.{digits}g}")
     return f"{rounded:.10g} times"

@@ -277,7 +277,9 @@ TRIPS = (
         "daemon did not run, for the time that the text names in ms, or while the bus was lost, as "
         "the text says; a Modbus drive without a bridge register cannot tell after a loss",
         "check the drive's own time-out and protection; look for lost commands on the bus; where "
-        "the daemon did not run, reduce the load of the machine and see `[realtime]`",
+        "the daemon did not run, reduce the load of the machine and see `[realtime]`; after 80 ms "
+        "without it a drive that reports its bridge gets no command until its next report, which "
+        "it must send within its own time-out",
     ),
     Trip(
         r"^another sender commands this drive: ",
