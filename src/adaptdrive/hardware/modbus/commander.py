@@ -8,8 +8,9 @@ from collections.abc import Callable
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.modbus.capacity import Exchange
-from adaptdrive.hardware.modbus.link import EXCEPTIONS, ExchangeError, ModbusConnection
+from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll
+from adaptdrive.hardware.modbus.replies import EXCEPTIONS
 from adaptdrive.hardware.port import OBEY_S
 from adaptdrive.hardware.relink import Relink
 

@@ -10,9 +10,8 @@ anything is read again.
 from __future__ import annotations
 
 import asyncio
-import struct
 from collections import Counter
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable
 
 from pymodbus.exceptions import ModbusException
 from pymodbus.pdu import ModbusPDU
@@ -21,15 +20,8 @@ from adaptdrive.config.modbus import RtuLink, TcpLink
 from adaptdrive.errors import AdaptdriveError
 from adaptdrive.hardware.modbus.bus import Client, drop_unsent, open_client
 from adaptdrive.hardware.modbus.capacity import RTU_FRAME, Exchange, silence_s
+from adaptdrive.hardware.modbus.replies import answers, explain_exception, explain_other
 from adaptdrive.hardware.modbus.serial_port import SerialPort
-
-_HEADER = struct.Struct(">HHHB")
-"""Head of a packet on TCP: transaction, protocol, length of all that follows it, device."""
-
-_READ_INPUT = 4
-_READ_HOLDING = 3
-_WRITE = 16
-_READ_WRITE = 23
 
 _PATIENCE = 3
 """Replies that may be missing in a row before a TCP connection is taken to be half open."""
@@ -42,18 +34,6 @@ _NOISE_ROUNDS = 10
 
 _LOOK_S = 0.005
 """Time between two looks, while a line is not silent, whether the exchange is still wanted."""
-
-
-EXCEPTIONS = {
-    1: "illegal function",
-    2: "illegal address",
-    3: "illegal value",
-    4: "device failure",
-    5: "acknowledged, not done yet",
-    6: "busy",
-    10: "gateway without a path",
-    11: "gateway: no reply of the device",
-}
 
 
 class ExchangeError(AdaptdriveError):
@@ -198,7 +178,7 @@ class ModbusConnection:
         self, client: Client, exchange: Exchange, words: list[int]
     ) -> Awaitable[ModbusPDU]:
         read, write = exchange.read, exchange.write
-        device = self._config.device_id if exchange.device_id is None else exchange.device_id
+        device = self._device_of(exchange)
         if read is None:
             address = 0 if write is None else write.address
             return client.write_registers(address, words, device_id=device)
@@ -213,6 +193,9 @@ class ModbusConnection:
         if read.table == "input":
             return client.read_input_registers(read.address, count=read.count, device_id=device)
         return client.read_holding_registers(read.address, count=read.count, device_id=device)
+
+    def _device_of(self, exchange: Exchange) -> int:
+        return self._config.device_id if exchange.device_id is None else exchange.device_id
 
     def _miss(self, exchange: Exchange) -> None:
         """Count a missing reply, and what came in its place."""
@@ -236,31 +219,19 @@ class ModbusConnection:
         """Return what came on TCP in place of a reply, empty where nothing came."""
         if self._serial or not self._heard:
             return ""
-        device = self._config.device_id if exchange.device_id is None else exchange.device_id
-        transaction, protocol, length, answers = _header(self._heard)
-        if transaction != int.from_bytes(self._transaction):
-            return "; one to another transaction came"
-        if answers != device:
-            return f"; device {answers} replied, asked was device {device}"
-        if protocol != 0:
-            return f"; one of protocol {protocol} came, that of Modbus is 0"
-        came = len(self._heard) - _HEADER.size + 1
-        return f"; {came} bytes of one came whose header says {length}"
+        transaction = int.from_bytes(self._transaction)
+        return f"; {explain_other(self._heard, transaction, self._device_of(exchange))}"
 
     def _checked(self, reply: ModbusPDU, exchange: Exchange) -> list[int]:
         self._missed = 0
-        function = _function(exchange)
         if not self._serial and reply.transaction_id != int.from_bytes(self._transaction):
             self._counts["foreign"] += 1
             raise ExchangeError("a reply with another transaction id")
         if reply.isError():
             self._counts["exceptions"] += 1
             code = getattr(reply, "exception_code", 0)
-            name = EXCEPTIONS.get(code, "unknown")
-            asked = exchange.write if exchange.read is None else exchange.read
-            problem = f"exception reply {code} to function {function} ({name}), {asked}"
-            raise ExchangeError(problem, code)
-        if not _answers(reply, exchange):
+            raise ExchangeError(explain_exception(code, exchange), code)
+        if not answers(reply, exchange):
             self._suspect()
             self._counts["foreign"] += 1
             raise ExchangeError("a reply that belongs to another request")
@@ -316,46 +287,3 @@ class ModbusConnection:
         ):
             self._strange = packet[:2]
             self._counts["foreign"] += 1
-
-
-def are_alike(config: TcpLink | RtuLink, exchanges: Sequence[Exchange]) -> bool:
-    """Return whether a reply, repeated on a serial line, may pass for that to the next exchange.
-
-    Args:
-        config: Which link.
-        exchanges: What is asked for in turn; the first one follows the last.
-    """
-    pairs = zip(exchanges, [*exchanges[1:], *exchanges[:1]], strict=True)
-    return isinstance(config, RtuLink) and any(_are_alike(*pair) for pair in pairs)
-
-
-def _are_alike(one: Exchange, other: Exchange) -> bool:
-    same = (_function(one), one.device_id) == (_function(other), other.device_id)
-    return same and one.reply_bytes == other.reply_bytes and one.read != other.read
-
-
-def _header(packet: bytes) -> tuple[int, int, int, int]:
-    """Return transaction, protocol, length and device of a packet on TCP, zeros where it is cut."""
-    transaction, protocol, length, device = _HEADER.unpack(
-        packet[: _HEADER.size].ljust(_HEADER.size, b"\0")
-    )
-    return transaction, protocol, length, device
-
-
-def _answers(reply: ModbusPDU, exchange: Exchange) -> bool:
-    """Return whether a reply fits its request: to a write, it repeats the address and the count."""
-    if reply.function_code != _function(exchange):
-        return False
-    if exchange.read is not None:
-        return len(reply.registers) == exchange.read.count
-    written = exchange.write
-    return written is None or (reply.address, reply.count) == (written.address, written.count)
-
-
-def _function(exchange: Exchange) -> int:
-    """The function code of a request, which its reply repeats."""
-    if exchange.read is None:
-        return _WRITE
-    if exchange.write is not None:
-        return _READ_WRITE
-    return _READ_INPUT if exchange.read.table == "input" else _READ_HOLDING

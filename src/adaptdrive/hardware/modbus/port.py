@@ -24,8 +24,9 @@ from adaptdrive.hardware.modbus.blocks import Block
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.commander import Commander
-from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, are_alike
+from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll
+from adaptdrive.hardware.modbus.replies import are_alike
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
 

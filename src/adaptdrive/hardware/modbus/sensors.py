@@ -22,8 +22,9 @@ from adaptdrive.hardware.backoff import BusBackoff
 from adaptdrive.hardware.modbus.blocks import plan_blocks
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange, cycle_flaws
-from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, are_alike
+from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
 from adaptdrive.hardware.modbus.mapping import RegisterSource
+from adaptdrive.hardware.modbus.replies import are_alike
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.modbus.turns import SensorBlock, Turn, Turns
 from adaptdrive.hardware.port import PortStatistics, SensorListener
