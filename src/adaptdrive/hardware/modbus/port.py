@@ -12,23 +12,22 @@ import asyncio
 import contextlib
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable
 
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp, RtuLink
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.backoff import BusBackoff
-from adaptdrive.hardware.fault_latch import FaultLatch
-from adaptdrive.hardware.modbus.blocks import Block
+from adaptdrive.hardware.modbus.assembly import Assembly
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.commander import Commander
+from adaptdrive.hardware.modbus.heartbeat import STANDS_STILL, DriveHeartbeat
 from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
-from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll
+from adaptdrive.hardware.modbus.mapping import Poll
 from adaptdrive.hardware.modbus.replies import are_alike
 from adaptdrive.hardware.modbus.serial_port import SerialPort
-from adaptdrive.hardware.port import Listener, PortStatistics, Reading
+from adaptdrive.hardware.port import Listener, PortStatistics
 
 _SILENT_POLLS = 3
 """Polls without a reading after which the drive is reported lost."""
@@ -63,16 +62,13 @@ class ModbusPort:
         self._link: ModbusConnection | None = None
         self._wake = asyncio.Event()
         self._closing = False
-        self._faults = FaultLatch()
-        self._heartbeat: float | None = None
-        self._heartbeat_s = -math.inf
-        self._handed_out: Reading | None = None
+        self._assembly = Assembly(poll)
+        self._heartbeat = DriveHeartbeat(config.heartbeat)
         self._silent = 0
         self._foreign = 0
         reads = [one for one in poll.exchanges() if one.read is not None]
         self._alike = are_alike(config, reads)
         self._up = True
-        self._raw: dict[Block, list[int]] = {}
         self._failure = ""
 
     @property
@@ -88,7 +84,7 @@ class ModbusPort:
     @property
     def complaint(self) -> str | None:
         """Reason not to energise the drive: it does not accept its commands, or had a fault."""
-        return self._commander.complaint or self._faults.complaint
+        return self._commander.complaint or self._assembly.faults.complaint
 
     @property
     def safe_s(self) -> float:
@@ -98,8 +94,7 @@ class ModbusPort:
     @property
     def stop_slack_s(self) -> float | None:
         """Nothing, or None for a drive whose map has no register for its bridge."""
-        sources = [source for _, each in self._poll.reads for source in each]
-        return 0.0 if any(source.quantity == "bridge" for source in sources) else None
+        return 0.0 if self._assembly.bridge_reported else None
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the link, call `opened`, and poll until cancelled; reconnect when it is lost.
@@ -154,14 +149,18 @@ class ModbusPort:
 
     def explain_age(self) -> str:
         """Return the missing registers of the last poll; every value is as old as its poll."""
-        none = "no reply has come since the last reading" if self._raw else "no reply has come yet"
+        none = (
+            "no reply has come since the last reading"
+            if self._assembly.raw
+            else "no reply has come yet"
+        )
         return f"the polls give no reading: {self._failure or none}"
 
     def details(self) -> list[str]:
         """The registers of the last poll, raw, and what was refused."""
         read = [
             f"registers {block} = [{' '.join(f'{word:04x}' for word in words)}]"
-            for block, words in self._raw.items()
+            for block, words in self._assembly.raw.items()
         ]
         problems = (self._failure, self._commander.refused_write)
         return [*read, *(f"refused: {one}" for one in problems if one)]
@@ -204,8 +203,9 @@ class ModbusPort:
 
     async def _serve(self, link: ModbusConnection) -> str:
         """Poll over an open link until it is lost or the port is closed; why it was lost."""
-        self._link, self._heartbeat, self._heartbeat_s = link, None, -math.inf
-        self._handed_out = None
+        self._link = link
+        self._heartbeat.forget()
+        self._assembly.forget()
         self._commander.begin()
         next_s = self._clock()
         try:
@@ -248,7 +248,7 @@ class ModbusPort:
         start_s = self._clock()
         known, self._foreign = self._foreign, self._counts["foreign"]
         try:
-            values = await self._read(link)
+            await self._read(link)
         except ExchangeError as failure:
             self._failure = failure.problem
             self._commander.note_read(answered=False)
@@ -258,106 +258,49 @@ class ModbusPort:
             if self._alike and self._counts["foreign"] > known:  # since the last poll began
                 self._failure = _MIXED_UP
             else:
-                self._take(values, start_s)
+                self._take(start_s)
         if link.lost is None and self._commander.pending:
             await self._commander.write(link)
 
-    async def _read(self, link: ModbusConnection) -> dict[str, float | None]:
-        """Return every quantity, None for each that must not be used.
+    async def _read(self, link: ModbusConnection) -> None:
+        """Read every block.
 
         Raises:
             ExchangeError: The drive did not give one of the blocks.
         """
-        values: dict[str, float | None] = {}
-        refused: list[str] = []
+        assembly = self._assembly
+        assembly.begin()
         for number, (block, sources) in enumerate(self._poll.reads):
             if self._commander.urgent:
                 await self._commander.write(link)
             words = await self._commander.read(link, Exchange(read=block), first=number == 0)
-            self._raw[block] = words
-            found = {source.quantity: source.value(block, words) for source in sources}
-            self._faults.see(found.get("fault"))
-            values |= found
-            bad = (source for source in sources if found[source.quantity] is None)
-            refused += (source.explain(block, words) for source in bad)
-        more = f", and {len(refused) - 1} more" if len(refused) > 1 else ""
-        self._failure = f"{refused[0]}{more}" if refused else ""
-        self._counts["out_of_range"] += bool(refused)
-        return values
+            assembly.take(block, sources, words)
+        self._failure = assembly.refusal
+        self._counts["out_of_range"] += bool(assembly.refusal)
 
-    def _take(self, values: Mapping[str, float | None], start_s: float) -> None:
+    def _take(self, start_s: float) -> None:
         """Hand out the reading of a poll, unless it has none or the drive stands still."""
-        good = {name: value for name, value in values.items() if value is not None}
-        if not self._is_alive(good.get(HEARTBEAT), start_s):
+        if not self._is_alive(start_s):
             return
-        whole = len(good) == len(values)
-        reading = self._compose(good, start_s) if whole else self._compose_stop(start_s)
+        commander, assembly = self._commander, self._assembly
+        stopped = commander.safe_s < math.inf
+        reading = assembly.reading(
+            self._clock(), start_s, bridge_sent=commander.bridge, stopped=stopped
+        )
         if reading is None:
             return
         self._report_up()
-        self._commander.note_bridge(powered=reading.bridge)
+        commander.note_bridge(powered=reading.bridge)
         if self._listener is not None:
-            self._faults.clear(reading.fault)
-            self._handed_out = reading
+            assembly.faults.clear(reading.fault)
             self._listener.on_reading(reading)
 
-    def _compose(self, values: Mapping[str, float], start_s: float) -> Reading:
-        """Return the reading of a poll that gave every value."""
-        counter, bridge = values.get("counter"), values.get("bridge")
-        return Reading(
-            arrival_s=self._clock(),
-            oldest_s=start_s,
-            counter=None if counter is None else int(counter),
-            boost_voltage_V=values.get("boost_voltage_V", math.nan),
-            line_voltage_V=values.get("line_voltage_V", math.nan),
-            load_power_W=values.get("load_power_W", math.nan),
-            output=values.get("output", math.nan),
-            fault=self._faults.word,
-            # a drive without a bridge signal is assumed to follow the last command
-            bridge=self._commander.bridge if bridge is None else bridge != 0,
-            other={name: values[name] for name in self._poll.other},
-        )
-
-    def _compose_stop(self, start_s: float) -> Reading | None:
-        """Return the last reading with the bridge of a poll with refused values.
-
-        None for a driven drive: one at rest alone may confirm its stop without measurements.
-        """
-        last, bridge = self._handed_out, self._find_bridge()
-        if last is None or bridge is None or self._commander.safe_s == math.inf:
-            return None
-        return replace(
-            last,
-            arrival_s=self._clock(),
-            counter=None,
-            fault=self._faults.word,
-            bridge=bridge != 0,
-            bridge_s=start_s,
-        )
-
-    def _find_bridge(self) -> float | None:
-        """Return the bridge of a poll with refused values, None for one that is not to be used."""
-        for block, sources in self._poll.reads:
-            for source in sources:
-                if source.quantity == "bridge":
-                    return source.word(block, self._raw[block])
-        return None
-
-    def _is_alive(self, heartbeat: float | None, now_s: float) -> bool:
-        if self._config.heartbeat.drive is None:
-            return True
-        known, self._heartbeat = self._heartbeat, heartbeat
-        if known is None:
-            return False  # one value alone shows no life, and neither does the same one again
-        if heartbeat != known:
-            self._heartbeat_s = now_s
-            return True
-        patience_s = self._config.heartbeat.drive_timeout_s or 0.0
-        if now_s - self._heartbeat_s <= patience_s:
-            return True
-        self._counts["counter_stuck"] += 1
-        self._failure = "the drive's heartbeat register stands still: its controller hangs"
-        return False
+    def _is_alive(self, start_s: float) -> bool:
+        alive = self._heartbeat.beats(self._assembly.heartbeat, start_s)
+        if alive is False:
+            self._counts["counter_stuck"] += 1
+            self._failure = STANDS_STILL
+        return alive is True
 
     def _note_silence(self, problem: str) -> None:
         self._silent += 1

@@ -1,0 +1,135 @@
+"""Putting the blocks of one poll together: a reading, or the reason why there is none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from adaptdrive.hardware.fault_latch import FaultLatch
+from adaptdrive.hardware.modbus.blocks import Block
+from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, RegisterSource
+from adaptdrive.hardware.port import Reading
+
+
+class Assembly:
+    """Collects the values of the blocks of a poll.
+
+    Attributes:
+        faults: Fault word of the drive.
+        raw: Registers of each block that was read last.
+    """
+
+    def __init__(self, poll: Poll) -> None:
+        self._poll = poll
+        self._values: dict[str, float] = {}
+        self._handed_out: Reading | None = None
+        self.faults = FaultLatch()
+        self.raw: dict[Block, list[int]] = {}
+        self._refused: list[str] = []
+
+    @property
+    def bridge_reported(self) -> bool:
+        """True for a drive whose map has a register for its bridge."""
+        sources = (source for _, each in self._poll.reads for source in each)
+        return any(source.quantity == "bridge" for source in sources)
+
+    @property
+    def heartbeat(self) -> float | None:
+        """Heartbeat of the drive in this poll, None where it must not be used."""
+        return self._values.get(HEARTBEAT)
+
+    @property
+    def refusal(self) -> str:
+        """Reason why values of the poll must not be used, empty where all may be."""
+        if not self._refused:
+            return ""
+        more = f", and {len(self._refused) - 1} more" if len(self._refused) > 1 else ""
+        return f"{self._refused[0]}{more}"
+
+    def forget(self) -> None:
+        """Forget the last reading: the link was opened again."""
+        self._handed_out = None
+
+    def begin(self) -> None:
+        """Begin a poll."""
+        self._values.clear()
+        self._refused.clear()
+
+    def take(self, block: Block, sources: Sequence[RegisterSource], words: list[int]) -> None:
+        """Take one block.
+
+        Args:
+            block: Which registers.
+            sources: Quantities in them.
+            words: Their contents.
+        """
+        self.raw[block] = words
+        for source in sources:
+            value = source.value(block, words)
+            if source.quantity == "fault":
+                self.faults.see(value)
+            if value is not None:
+                self._values[source.quantity] = value
+            else:
+                self._refused.append(source.explain(block, words))
+
+    def reading(
+        self, arrival_s: float, start_s: float, *, bridge_sent: bool, stopped: bool
+    ) -> Reading | None:
+        """Return the reading of a poll, None for refused values of a driven drive.
+
+        A drive at rest may confirm its stop although its measurements are refused: it has the
+        reading before with the bridge of this poll.
+
+        Args:
+            arrival_s: When the last reply came, monotonic clock.
+            start_s: When the poll began.
+            bridge_sent: Bridge of the last command that the drive took: a drive that does not
+                report its bridge is assumed to follow it.
+            stopped: Whether the safe command is in force.
+        """
+        if self._refused:
+            reading = self._stop(arrival_s, start_s) if stopped else None
+        else:
+            reading = self._whole(arrival_s, start_s, bridge_sent=bridge_sent)
+        self._handed_out = reading or self._handed_out
+        return reading
+
+    def _whole(self, arrival_s: float, start_s: float, *, bridge_sent: bool) -> Reading:
+        values = self._values
+        counter, bridge = values.get("counter"), values.get("bridge")
+        return Reading(
+            arrival_s=arrival_s,
+            oldest_s=start_s,
+            counter=None if counter is None else int(counter),
+            boost_voltage_V=values.get("boost_voltage_V", math.nan),
+            line_voltage_V=values.get("line_voltage_V", math.nan),
+            load_power_W=values.get("load_power_W", math.nan),
+            output=values.get("output", math.nan),
+            fault=self.faults.word,
+            bridge=bridge_sent if bridge is None else bridge != 0,
+            other={name: values[name] for name in self._poll.other},
+        )
+
+    def _stop(self, arrival_s: float, start_s: float) -> Reading | None:
+        """Return the last reading with the bridge of this poll."""
+        last, bridge = self._handed_out, self._bridge_beside_refused()
+        if last is None or bridge is None:
+            return None
+        return replace(
+            last,
+            arrival_s=arrival_s,
+            counter=None,
+            fault=self.faults.word,
+            bridge=bridge != 0,
+            bridge_s=start_s,
+        )
+
+    def _bridge_beside_refused(self) -> float | None:
+        """Return the bridge of a poll with refused values, None where it must not be used."""
+        for block, sources in self._poll.reads:
+            for source in sources:
+                if source.quantity == "bridge":
+                    return source.word(block, self.raw[block])
+        return None
