@@ -140,5 +140,6 @@ def test_a_start_waits_for_its_rate_as_long_as_a_steady_drive_may_take_to_show_i
         bus__clock_ticks=clock_ticks,
         load__latency_ticks=clock_ticks,
         interlocks__precharge_timeout_s=timeout_s,
+        interlocks__stale_s="1.0",
     )
     assert daemon_settings(configuration).machine.rate_s == pytest.approx(longest_s)
