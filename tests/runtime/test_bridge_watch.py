@@ -26,6 +26,7 @@ class Seen:
         *,
         bridge: bool,
         commanded: bool = True,
+        due: bool = True,
         unwatched: float = 1.0,
         old: float = 0.0,
     ) -> bool:
@@ -34,7 +35,7 @@ class Seen:
         time_s = now_s - old * TICK_S
         reading = replace(CALM, arrival_s=time_s, oldest_s=time_s, bridge=bridge)
         self.cause = self._watch.find_cause(
-            reading, commanded=commanded, unwatched_s=unwatched * TICK_S, now_s=now_s
+            reading, commanded=commanded, due=due, unwatched_s=unwatched * TICK_S, now_s=now_s
         )
         assert self.cause is None or self.cause.startswith(STOPPED)
         return self.cause is not None
@@ -63,6 +64,32 @@ def test_a_bridge_that_comes_on_or_need_not_be_on_begins_anew() -> None:
         assert not seen.look(40.0, bridge=False)
         assert not seen.look(69.0, bridge=False)
         assert seen.look(70.0, bridge=False)
+
+
+def test_a_report_from_before_the_command_begins_no_time() -> None:
+    """Its message comes once in 128 half cycles: the first one after the command is 2 later."""
+    seen = Seen()
+    assert not seen.look(0.0, bridge=False, old=126.0)
+    assert not seen.look(2.0, bridge=False)
+    assert not seen.look(29.0, bridge=False)
+    assert seen.look(30.0, bridge=False)
+
+
+def test_a_bridge_need_not_come_on_while_its_drive_starts() -> None:
+    seen = Seen()
+    assert not seen.look(0.0, bridge=False, due=False)
+    assert not seen.look(100.0, bridge=False, due=False)
+    assert not seen.look(101.0, bridge=False)
+    assert not seen.look(130.0, bridge=False)
+    assert seen.look(131.0, bridge=False)
+
+
+@pytest.mark.parametrize("unwatched", [1.0, 2.1])
+def test_a_bridge_that_has_come_on_must_stay_on_while_its_drive_starts(unwatched: float) -> None:
+    seen = Seen()
+    seen.look(0.0, bridge=True, due=False)
+    assert seen.look(1.0, bridge=False, due=False, unwatched=unwatched) is (unwatched > 2.0)
+    assert seen.look(31.0, bridge=False, due=False)
 
 
 @pytest.mark.parametrize(("unwatched", "stopped"), [(2.0, False), (2.1, True)])

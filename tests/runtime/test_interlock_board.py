@@ -118,6 +118,24 @@ def test_a_bridge_has_to_be_on_where_it_was_commanded_in_a_run(
     assert causes[-1] == (stopped if running and bridge else None)
 
 
+def test_a_bridge_that_has_come_on_must_stay_on_while_its_drive_starts() -> None:
+    """The enable bit of such a drive is on from the start on."""
+    of = board()
+    for number in range(40):
+        cause = cause_of(of, START_S + number * TICK_S, running=False, bridge=True)
+        assert cause is None
+    for number in range(40, 80):
+        now_s, on = START_S + number * TICK_S, number < 45
+        cause = of.running_cause(
+            PORT,
+            replace(CALM, arrival_s=now_s, oldest_s=now_s, bridge=on),
+            now_s,
+            running=False,
+            bridge=True,
+        )
+    assert (cause or "").startswith("drive stopped: ")
+
+
 def rate_of(share: float, readings: int) -> FrameRate:
     """The rate of a drive that sends at a share of the right one."""
     rate = FrameRate(TICK_S, 1, counted=True)

@@ -38,35 +38,40 @@ class BridgeWatch:
         self._grace_s = max(_GRACE_TICKS * tick_s, _GRACE_READINGS * self._reading_s)
         self._gap_limit_s = _GAP_READINGS * self._reading_s
         self._off_s: float | None = None
+        self._due_s: float | None = None
         self._been_on = False
         self._gap_s = 0.0
         self._gap_end_s = -math.inf
 
     def find_cause(
-        self, reading: Reading, *, commanded: bool, unwatched_s: float, now_s: float
+        self, reading: Reading, *, commanded: bool, due: bool, unwatched_s: float, now_s: float
     ) -> str | None:
         """Return the cause of a trip, None for none.
 
         Only reports of the drive count: one that has fallen silent is stale, not off. A bridge that
         went off unwatched is a stop at once: a drive that stopped because this process did not run
         gets no command that energises it anew. A report from before the end of that time says
-        nothing of it.
+        nothing of it. A report from before the command says nothing of what follows it.
 
         Args:
             reading: The newest reading.
             commanded: Whether the last command had the bridge on.
+            due: Whether a bridge that has not been on yet must come on; not while a drive starts.
             unwatched_s: Time since the last look.
             now_s: Monotonic time of this look.
         """
         self._note_gap(unwatched_s, now_s)
+        self._note_due(now_s, due=commanded and (due or self._been_on))
         reported_s = reading.bridge_reported_s
         if reading.bridge or not commanded:
             self._off_s, self._been_on = None, commanded
             if reported_s > self._gap_end_s or not commanded:
                 self._gap_s = 0.0
             return None
+        if self._due_s is None:
+            return None
         if self._off_s is None:
-            self._off_s = reported_s - self._reading_s
+            self._off_s = max(reported_s, self._due_s) - self._reading_s
         slept = self._been_on and self._gap_s > 0.0
         if reported_s - self._off_s <= self._grace_s + _SLACK_S and not slept:
             return None
@@ -77,6 +82,13 @@ class BridgeWatch:
     def awaits_report(self) -> bool:
         """True while a drive that was on may have stopped by itself, and has not reported since."""
         return self._been_on and self._gap_s > _SHORTEST_TIMEOUT_S
+
+    def _note_due(self, now_s: float, *, due: bool) -> None:
+        """Keep the time from which on the bridge must be on, or soon after."""
+        if not due:
+            self._due_s = None
+        elif self._due_s is None:
+            self._due_s = now_s
 
     def _note_gap(self, unwatched_s: float, now_s: float) -> None:
         """Keep the longest time in which a bridge may have gone off, until a report from after."""

@@ -92,7 +92,7 @@ class InterlockBoard:
         if cause is not None or reading is None:  # without a reading there is always a cause
             return cause
         return self._bridge.find_cause(
-            reading, commanded=bridge and running, unwatched_s=unwatched_s, now_s=now_s
+            reading, commanded=bridge, due=running, unwatched_s=unwatched_s, now_s=now_s
         ) or self._implausible(reading, running=running)
 
     def gap_cause(self, now_s: float) -> str | None:

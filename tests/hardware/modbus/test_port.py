@@ -290,6 +290,30 @@ async def test_a_drive_that_was_on_when_its_link_was_lost_is_read_before_it_is_d
         await until(lambda: len(one.peer.writes) > written and one.told()[1] == 0)
 
 
+@pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
+async def test_a_drive_whose_reply_to_its_first_energising_command_is_lost_is_read_first(
+    changes: dict[str, str | None], tmp_path: Path, free_tcp_port: int
+) -> None:
+    """It has executed the command, and may have started anew before the next connection."""
+    async with bench("tcp", tmp_path, free_tcp_port, **changes) as one:
+        await one.hears(2)
+        assert isinstance(one.peer, TcpPeer)
+        peer = one.peer
+        asked: list[int] = []
+
+        def cut(reply: bytes) -> list[tuple[float, bytes]]:
+            if not asked and peer.writes and peer.writes[-1][1][1]:
+                asked.append(len(peer.requests))
+                peer.hang_up()
+                return []
+            return [(0.0, reply)]
+
+        peer.spoil = cut
+        one.port.send(RUN)
+        await until(lambda: peer.connections == 2 and len(peer.requests) > asked[0])
+        assert peer.requests[asked[0]][0] in {3, 4}
+
+
 @both
 async def test_a_safe_command_that_no_poll_has_carried_is_written_at_the_end(
     kind: str, tmp_path: Path, free_tcp_port: int

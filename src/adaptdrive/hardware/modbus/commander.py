@@ -64,6 +64,7 @@ class Commander:
         self._powered = False
         self._stepped_s = math.inf
         self._outdated = False
+        self._tried_bridge = False
         self.bridge = False
         self.safe_s = math.inf
         self.refused_write = ""
@@ -117,8 +118,8 @@ class Commander:
     def begin(self) -> None:
         """Forget what was acknowledged on the link before."""
         self.safe_s, self._refused, self._untaken = math.inf, 0, 0
-        self._relink.open(bridge=self.bridge)
-        self._silent = self._powered = self._safe = self.bridge = False
+        self._relink.open(bridge=self.bridge or self._tried_bridge)
+        self._silent = self._powered = self._safe = self.bridge = self._tried_bridge = False
         self._stepped_s = self._clock()
         if self._command == SAFE_COMMAND:
             self._stopped_s = self._clock()
@@ -285,6 +286,7 @@ class Commander:
     def _doubt(self, command: Command) -> None:
         """Mark the drive's command as unknown, from the first byte sent until the reply."""
         self._written = None
+        self._tried_bridge = command.bridge
         self._safe = self._safe and command == SAFE_COMMAND
         if command != SAFE_COMMAND:
             self.safe_s = math.inf
