@@ -364,3 +364,9 @@ def test_a_voltage_that_comes_seldom_is_no_business_of_the_fast_loop(tmp_path: P
     bus = motor.bus.model_copy(update={"database": path})
     with pytest.raises(ConfigurationError, match=r"signals\.boost_voltage_V.*too seldom"):
         port_of(motor.model_copy(update={"bus": bus}))
+
+
+def test_a_safe_command_that_would_be_sent_as_another_value_is_a_flaw() -> None:
+    signal = {"signal": "HOST_CMD.U_DC_SET", "offset": -0.013}
+    with pytest.raises(ConfigurationError, match=r"U_DC_SET = 0\.013 would be sent as 0\.02: "):
+        port_of(commanding(boost_reference_V=signal))

@@ -130,6 +130,19 @@ def test_a_mapping_that_is_fixed_is_refused(tmp_path: Path) -> None:
     assert flaws({"bus/eds": str(eds)}) == {"bus.eds": "the mapping of TPDO1 cannot be changed"}
 
 
+@pytest.mark.parametrize(("offset_V", "safe"), [(0.4, False), (-7.0, True)])
+def test_a_safe_command_between_two_counts_is_refused(
+    tmp_path: Path, offset_V: float, *, safe: bool
+) -> None:
+    reference = "[2000sub4]\nParameterName=Voltage reference\nObjectType=0x7\nDataType="
+    eds = other_eds(tmp_path, (f"{reference}0x0008", f"{reference}0x0003"))
+    signal = {"signal": "Boost stage.Voltage reference", "offset": offset_V}
+    found = flaws({"bus/eds": str(eds), "signals/command/boost_reference_V": signal})
+    place = "signals.command.boost_reference_V"
+    problem = "'Boost stage.Voltage reference' cannot be 0: it could not be safe"
+    assert found == ({} if safe else {place: problem})
+
+
 @pytest.mark.parametrize("spoilt", ["DataType=zzz", "DataTypo=0x0007", "= = ="])
 def test_a_spoilt_eds_is_one_clear_flaw(tmp_path: Path, spoilt: str) -> None:
     eds = other_eds(tmp_path, ("DataType=0x0007\nAccessType=ro\nDefaultValue=0x00010192", spoilt))

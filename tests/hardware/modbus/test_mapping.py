@@ -110,6 +110,27 @@ def test_a_drive_that_could_not_be_switched_off_is_a_flaw() -> None:
     assert "could not be switched" in found["signals.command.boost_reference_V"]
 
 
+def resting_at(offset_V: float) -> dict[str, str | None]:
+    """A register of 0.1 V a count, whose count 0 is another voltage."""
+    return {
+        "bus__registers__wanted": "{ address = 0, table = 'holding', scale = 0.1, type = 'int16' }",
+        "signals__command__boost_reference_V": f"{{ signal = 'wanted', offset = {offset_V} }}",
+    }
+
+
+@pytest.mark.parametrize(("offset_V", "sent"), [(0.04, "0.04"), (-7.77, "0.03")])
+def test_a_safe_command_that_would_be_sent_as_another_value_is_a_flaw(
+    offset_V: float, sent: str
+) -> None:
+    problem = flaws(**resting_at(offset_V))["signals.command.boost_reference_V"]
+    assert problem == f"0 would be sent as {sent}: it could not be safe"
+
+
+@pytest.mark.parametrize("offset_V", [0.0, 0.3, -20.7])
+def test_a_safe_command_may_miss_its_count_in_binary(offset_V: float) -> None:
+    plan(**resting_at(offset_V))
+
+
 @pytest.mark.parametrize(
     ("exchange", "rtu", "tcp"),
     [

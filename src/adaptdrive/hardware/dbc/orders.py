@@ -195,7 +195,7 @@ def _add(
         problem = "selects what else its frame holds: it cannot be commanded"
         catalogue.note(place, f"signal {signal.name!r} {problem}")
     ends = (part.base, part.base + part.factor) if part.field == "bridge" else (part.base,)
-    if _check_values(catalogue, signal, ends, place) and part.field == "bridge":
+    if _check_values(catalogue, signal, ends, place):
         _check_counts(catalogue, signal, ends, place)
     draft = _draft(drafts, catalogue, message, signal, place)
     if signal.name in draft.fixed:

@@ -5,6 +5,7 @@ Everything that can be wrong is found here, before a link is opened, and all of 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,8 @@ _MAX_WRITE = 121
 
 _ALL_ONES = 0xFFFF
 _COUNTS = (*WORDS, HEARTBEAT)
+_COUNT_ROUNDING = 1e-6
+"""Share of one count by which a commanded 0 may miss its count in binary."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +100,15 @@ class RegisterSink:
                 self.register, self.register.on if command.bridge else self.register.off
             )
         return encode_value(self.register, (getattr(command, self.name) - self.offset) / self.scale)
+
+    @property
+    def sent_for_zero(self) -> float:
+        """Value that the drive takes for a commanded 0: that of the nearest count."""
+        count = -self.offset / self.scale / self.register.scale
+        exact = self.register.type == "float32" or math.isclose(
+            count, round(count), rel_tol=0.0, abs_tol=_COUNT_ROUNDING
+        )
+        return 0.0 if exact else round(count) * self.register.scale * self.scale + self.offset
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,6 +226,8 @@ def _command_flaws(sinks: Iterable[RegisterSink]) -> Iterator[Flaw]:
             continue
         if sink.name == "bridge" and on == off:
             yield Flaw(place, f"on and off are both {sink.register.on}")
+        if sink.name in WANTED and sink.sent_for_zero:
+            yield Flaw(place, f"0 would be sent as {sink.sent_for_zero:.4g}: it could not be safe")
 
 
 def _rest(*, bridge: bool) -> Command:
