@@ -69,3 +69,9 @@ def test_a_gain_has_the_unit_of_the_output_for_each_volt() -> None:
     state = {"state": "running", "output": {"name": "speed", "unit": "rad/s"}}
     text = describe("fan", DriveStatus("online", state, telemetry, live=True))
     assert "gain 0.30715 ± 0.0066 (rad/s)/V" in text
+
+
+@pytest.mark.calculating
+def test_no_word_of_a_broker_reaches_the_terminal_as_a_control_character() -> None:
+    status = DriveStatus("\x1b[31mred", {}, live=True)
+    assert "\x1b" not in describe("motor", status)

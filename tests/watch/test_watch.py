@@ -6,6 +6,7 @@ import asyncio
 import os
 import pty
 import sys
+import termios
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -254,6 +255,22 @@ async def test_a_key_without_a_letter_is_no_key_with_one(monkeypatch: pytest.Mon
     assert heard == ["", "", "s", "q"]
 
 
+async def test_ctrl_z_is_a_key_while_a_view_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After `fg` a shell would have each key, the one that stops among them, wait for an Enter."""
+    master, slave = pty.openpty()
+
+    def suspends() -> bool:
+        return bool(termios.tcgetattr(slave)[6][termios.VSUSP] == b"\x1a")
+
+    with os.fdopen(slave) as file, monkeypatch.context() as process:
+        process.setattr(sys, "stdin", file)
+        assert suspends()
+        with pressed_keys(lambda _: None):
+            assert not suspends()
+        assert suspends()
+    os.close(master)
+
+
 def test_a_simulated_device_is_disturbed_by_the_digits_that_it_offers() -> None:
     record = live_record(Clock())
     add = {"text": "add a disk", "request": {"disks": 1}}
@@ -355,6 +372,21 @@ async def test_a_drive_is_watched_and_commanded_from_a_terminal(
             seen.press("q")
             async with asyncio.timeout(PATIENCE_S):
                 assert await seen.process.wait() == 0
+        finally:
+            await seen.close()
+
+
+async def test_a_terminal_that_is_not_utf_8_shows_what_it_can(
+    mosquitto: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONIOENCODING", "latin-1")
+    async with serving(mosquitto, "latin", tmp_path) as bench:
+        seen = await terminal(mosquitto, "latin")
+        try:
+            await seen.shows("standby")
+            seen.press("s")
+            await until_asked(bench, Disable())
+            await seen.shows("disable: accepted")
         finally:
             await seen.close()
 

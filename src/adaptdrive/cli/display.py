@@ -26,7 +26,7 @@ def describe(drive: str, status: DriveStatus) -> str:
         drive: Name of the drive.
         status: The messages that it published.
     """
-    lines = [f"{drive} is {_SILENT if status.silent else status.availability}"]
+    lines = [f"{drive} is {_SILENT if status.silent else printable(status.availability)}"]
     unit = _unit(status.state or {})
     if status.state is not None:
         lines += _state(status.state, unit, live=status.online and status.live)

@@ -53,7 +53,8 @@ async def draw(screen_of: Callable[[tuple[int, int]], Layout]) -> NoReturn:
     Args:
         screen_of: Returns the screen for a terminal of some width and height, in characters.
     """
-    output = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding=sys.stdout.encoding)
+    encoding, errors = sys.stdout.encoding, sys.stdout.errors
+    output = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding=encoding, errors=errors)
     console = Console(file=output)
     live = Live(
         console=console,
