@@ -12,7 +12,7 @@ from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, RegisterSource
 from adaptdrive.hardware.port import Reading
 
 
-class Assembly:
+class PollAssembly:
     """Collects the values of the blocks of a poll.
 
     Attributes:

@@ -18,7 +18,7 @@ from adaptdrive.config.modbus import ModbusRtu, ModbusTcp, RtuLink
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.backoff import BusBackoff
-from adaptdrive.hardware.modbus.assembly import Assembly
+from adaptdrive.hardware.modbus.assembly import PollAssembly
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.commander import Commander
@@ -62,7 +62,7 @@ class ModbusPort:
         self._link: ModbusConnection | None = None
         self._wake = asyncio.Event()
         self._closing = False
-        self._assembly = Assembly(poll)
+        self._assembly = PollAssembly(poll)
         self._heartbeat = DriveHeartbeat(config.heartbeat)
         self._silent = 0
         self._foreign = 0

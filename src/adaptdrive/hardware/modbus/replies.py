@@ -1,4 +1,4 @@
-"""Which reply belongs to which request, and what came where it does not."""
+"""The reply that belongs to a request, and what came where none does."""
 
 from __future__ import annotations
 
