@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Command
+
+_ROUNDING = 1e-6
+"""Share of one count by which an integer may be missed in binary."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,3 +45,12 @@ def demands_of(configuration: Configuration) -> Demands:
             Command(scale_S, limits.boost_reference_max_V, bridge=True),
         ),
     )
+
+
+def is_whole(count: float) -> bool:
+    """Return whether a number of counts is an integer, but for what it misses in binary.
+
+    Args:
+        count: The number.
+    """
+    return math.isclose(count, round(count), rel_tol=0.0, abs_tol=_ROUNDING)

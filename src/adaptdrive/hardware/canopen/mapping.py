@@ -5,7 +5,6 @@ Everything that can be wrong is found here, before a bus is opened, and all of i
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +29,7 @@ from adaptdrive.hardware.canopen.pdo import (
     transmit_channel,
 )
 from adaptdrive.hardware.canopen.profile import CONTROLWORD, STATUSWORD
-from adaptdrive.hardware.demands import NO_DEMANDS, Demands
+from adaptdrive.hardware.demands import NO_DEMANDS, Demands, is_whole
 from adaptdrive.hardware.link.bus import channel_flaws
 from adaptdrive.hardware.link.codec import MessageCodec
 
@@ -43,9 +42,6 @@ ABORT_OPTION = (0x6007, 0)
 
 _OPTIONAL = (SYNC_PERIOD, ABORT_OPTION)
 _CHANNELS = 4  # CiA 301 preconfigures the identifiers of four PDOs in each direction
-_ROUNDING = 1e-6
-"""Share of one count by which a commanded 0 may miss its count in binary."""
-
 _NEEDED = {
     SYNC_ID: "its measurements could not be synchronised",
     HEARTBEATS_HEARD: "it could not monitor the daemon's heartbeat",
@@ -195,7 +191,7 @@ class _Plan:
             if not (entry.writable and entry.mappable):
                 self._catalogue.note(place, f"the drive does not take {entry.name!r} in a PDO")
             rest = -given.offset / given.scale
-            whole = entry.real or math.isclose(rest, round(rest), rel_tol=0.0, abs_tol=_ROUNDING)
+            whole = entry.real or is_whole(rest)
             if not (whole and entry.limits[0] <= rest <= entry.limits[1]):
                 self._catalogue.note(place, f"{entry.name!r} cannot be 0: it could not be safe")
             for wanted in demands.values(name):

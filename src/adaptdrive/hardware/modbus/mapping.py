@@ -5,7 +5,6 @@ Everything that can be wrong is found here, before a link is opened, and all of 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from adaptdrive.config.references import COMMANDED, MEASURED, WORDS
 from adaptdrive.config.units import WANTED
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.hardware.demands import NO_DEMANDS, Demands
+from adaptdrive.hardware.demands import NO_DEMANDS, Demands, is_whole
 from adaptdrive.hardware.modbus.blocks import Block, plan_blocks
 from adaptdrive.hardware.modbus.capacity import Exchange, capacity_flaws
 from adaptdrive.hardware.modbus.codec import decode_value, encode_count, encode_value, refusal
@@ -27,8 +26,6 @@ _MAX_WRITE = 121
 
 _ALL_ONES = 0xFFFF
 _COUNTS = (*WORDS, HEARTBEAT)
-_COUNT_ROUNDING = 1e-6
-"""Share of one count by which a commanded 0 may miss its count in binary."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,9 +102,7 @@ class RegisterSink:
     def sent_for_zero(self) -> float:
         """Value that the drive takes for a commanded 0: that of the nearest count."""
         count = -self.offset / self.scale / self.register.scale
-        exact = self.register.type == "float32" or math.isclose(
-            count, round(count), rel_tol=0.0, abs_tol=_COUNT_ROUNDING
-        )
+        exact = self.register.type == "float32" or is_whole(count)
         return 0.0 if exact else round(count) * self.register.scale * self.scale + self.offset
 
 
