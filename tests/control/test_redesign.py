@@ -66,6 +66,22 @@ def test_an_estimate_that_is_trusted_becomes_gains_and_the_trusted_model() -> No
                zip(state.deviations, state.values, strict=True))  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("noise", "limit", "found"), [(1e-6, 8.0, None), (1.0, 8.0, 8.0), (1.0, 0.0, 0.0)]
+)
+def test_the_noise_of_the_input_in_force_is_known(
+    noise: float, limit: float, found: float | None
+) -> None:
+    state = known()
+    state.estimator.surprise.noise = noise * noise
+    settings = replace(CAREFUL, jacket=replace(JACKET, noise_max=limit, confidence=0.0))
+    assert adapted(state, settings) == Verdict.TRUSTED
+    a, b = model(2.0)
+    asked = [*asked_loop(b, 2, POLE), *[0.0] * (len(state.new_loop) - 5)]
+    plain = noise * settings.learning.output_scale * noise_gain(a, b, asked)
+    assert state.input_noise == pytest.approx(plain if found is None else found, rel=1e-6)
+
+
 def test_the_reference_filter_gets_the_loop_and_the_poles_asked_for() -> None:
     state = known()
     adapted(state)

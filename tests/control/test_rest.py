@@ -52,7 +52,7 @@ def test_it_is_the_distance_to_the_nearest_of_all_places_of_rest(
     offset: float, output: float
 ) -> None:
     state = state_with(MOTOR, offset)
-    state.inputs[0] = 250.0
+    state.sent = 250.0
     places = [0.011 * 250.0, 0.011 * (250.0 + offset)]
     expected = min(abs(output - place) for place in places)
     found = distance_from_rest(BIASED, MOTOR, state, output)
@@ -69,15 +69,15 @@ def test_it_is_the_distance_to_the_nearest_of_all_places_of_rest(
 def test_a_battery_takes_no_current_below_its_own_voltage() -> None:
     """200 V at a turns ratio of 0.25 are 50 V, and its EMF is 54 V."""
     state = state_with(CHARGED, -54.0 / 0.25)
-    state.inputs[0] = 200.0
+    state.sent = 200.0
     assert distance_from_rest(BIASED, CHARGED, state, 0.0) == pytest.approx(0.0, abs=1e-9)
     assert distance_from_rest(BIASED, CHARGED, state, 0.5) == pytest.approx(0.5)
-    state.inputs[0] = 220.0
+    state.sent = 220.0
     amperes = (55.0 - 54.0) / (0.3 + 0.05)
     assert distance_from_rest(BIASED, CHARGED, state, 0.0) == pytest.approx(amperes)
-    state.inputs[0] = 1.0
+    state.sent = 1.0
     assert distance_from_rest(BIASED, CHARGED, state, 0.25 / 0.35) == pytest.approx(0.0)
-    state.inputs[0] = -10.0
+    state.sent = -10.0
     assert distance_from_rest(BIASED, CHARGED, state, 0.0) == 0.0
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from adaptdrive.control.design import asked_loop, discrete_model, loop_gains
 from adaptdrive.control.methods import METHODS
-from adaptdrive.control.noise_limit import slowed_loop
+from adaptdrive.control.noise_limit import noise_gain, slowed_loop
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.slow_half import slow_step
 from adaptdrive.control.slow_state import SlowSample, SlowState, new_slow_state
@@ -191,3 +191,43 @@ def test_the_course_stays_that_of_the_load_where_the_drive_cannot_follow(slownes
         held_back += applied != decided
         inputs = [applied, *inputs[:-1]]
     assert held_back > 20
+
+
+def mean_error_at_the_lower_limit(confidence: float) -> float:
+    """Mean error of a noisy output whose rest is 5 V above the lowest V_c."""
+    system, slowness, reference = motor_system(3), 1.0, 0.011 * 205.0
+    a, b = discrete_model(EXACT, MOTOR, system.numerator, system.denominator, 1.0)
+    jacket = replace(
+        EXACT.jacket, warm_up_periods=10**6, patience_periods=10**6, confidence=confidence
+    )
+    settings, state = replace(EXACT, jacket=jacket), in_force(a, b, slowness)
+    state.input_noise = 8.0
+    noise = 8.0 / noise_gain(a, b, slowed_loop([1.0], MOTOR.order, len(b) - 3, 0.7, slowness))
+    random, errors = np.random.default_rng(5), []
+    inputs, outputs = [REST_V] * (len(b) - 1), [3.0] * 2
+    for _ in range(3000):
+        y = float(np.dot(b[1:], inputs) - np.dot(a[1:], outputs))
+        outputs = [y, *outputs[:-1]]
+        seen = y + noise * random.normal()
+        now = sample(seen, applied=inputs[0], reference=reference, adaptive=True)
+        inputs = [slow_step(settings, MOTOR, state, now), *inputs[:-1]]
+        assert 200.0 <= inputs[0] <= 400.0
+        errors.append(y - reference)
+    return float(np.mean(errors[300:]))
+
+
+def test_noise_that_a_limit_cuts_off_moves_the_output_less() -> None:
+    cut_off, remembered = (mean_error_at_the_lower_limit(each) for each in (0.0, 2.0))
+    assert cut_off > 0.005
+    assert abs(remembered) < 0.4 * cut_off
+
+
+@pytest.mark.parametrize("adaptive", [True, False])
+def test_the_history_goes_beyond_a_limit_by_the_noise_of_the_law_in_force(adaptive: bool) -> None:
+    a, b = discrete_model(EXACT, MOTOR, list(MOTOR.numerator), list(MOTOR.denominator), 1.0)
+    jacket = replace(EXACT.jacket, patience_periods=10**6, confidence=2.0, blend_periods=1)
+    settings, state = replace(EXACT, jacket=jacket), in_force(a, b, 0.0)
+    state.input_noise = 8.0
+    far = sample(reference=4000.0, adaptive=adaptive)
+    assert slow_step(settings, MOTOR, state, far) == state.sent == 400.0
+    assert state.inputs[0] == (416.0 if adaptive else 400.0)

@@ -106,6 +106,7 @@ def test_what_the_adaptive_law_asks_for_in_vain_is_taken_back_once_it_alone_is_i
 def test_a_law_that_is_not_a_number_repeats_the_newest_input() -> None:
     state = new_slow_state(SETTINGS, MOTOR, 3.0, REST_V)
     state.inputs[:] = [290.0, *[280.0] * (len(state.inputs) - 1)]
+    state.sent = 290.0
     asked = replace(SAMPLE, reference=math.nan, adaptive=False)
     assert slow_step(SETTINGS, MOTOR, state, asked) == 290.0
 
@@ -139,6 +140,7 @@ def test_the_charge_is_the_sum_of_the_output_over_time() -> None:
 def test_the_lags_of_the_response_monitor_count_in_slow_periods() -> None:
     state = new_slow_state(SETTINGS, MOTOR, 2.9, 2.9 / 0.011)
     state.inputs[:] = [REST_V] * len(state.inputs)
+    state.sent = REST_V
     slow_step(SETTINGS, MOTOR, state, replace(SAMPLE, output=2.9, period_s=2.0))
     for found, ratio in ((state.watch.fast, 0.5), (state.watch.slow, 4.0)):
         assert found == pytest.approx(3.0 - 0.1 * math.exp(-2.0 / (ratio * 21.7)))

@@ -112,7 +112,8 @@ class Supervisor(Section):
     confidence: NonNegativeFloat = Field(
         default=2.0,
         description="standard deviations of an estimate within which its gains must keep the loop "
-        "stable; 0: no such check, nor with the last trusted estimate",
+        "stable, and of the noise of V_c that is remembered where a limit cuts it off; 0: "
+        "neither, nor a check with the last trusted estimate",
     )
     dwell_periods: int = Field(
         default=7, ge=1, le=10_000, description="good estimates in a row before the first goes live"

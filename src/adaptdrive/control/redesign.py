@@ -13,7 +13,7 @@ from adaptdrive.control.design import asked_loop, discrete_model, loop_gains
 from adaptdrive.control.evidence import MEMORY
 from adaptdrive.control.integrated import restart
 from adaptdrive.control.load import Load
-from adaptdrive.control.noise_limit import quiet_loop
+from adaptdrive.control.noise_limit import noise_gain, quiet_loop
 from adaptdrive.control.pole_placement import closed_loop_polynomial
 from adaptdrive.control.robustness import STABLE_RADIUS, closes_stably, stands_uncertainty
 from adaptdrive.control.settings import ControllerSettings, Jacket
@@ -34,6 +34,7 @@ def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: Sl
         _take_gains(settings.jacket, state, gains)
         _take_loop(load, state, settings.jacket.gain_slew, sample.pole)
         state.trusted_a, state.trusted_b = state.model_a, state.model_b
+        state.input_noise = _input_noise(settings, state)
         state.trusted_alarms = state.estimator.surprise.alarms
 
 
@@ -87,6 +88,15 @@ def _output_noise(settings: ControllerSettings, state: SlowState) -> float:
     estimator = state.estimator
     seen = math.sqrt(estimator.surprise.noise)
     return max(seen, estimator.rounding) * settings.learning.output_scale
+
+
+def _input_noise(settings: ControllerSettings, state: SlowState) -> float:
+    """σ_u of the loop in force, at most its limit; 0 where there is no limit."""
+    limit = settings.jacket.noise_max
+    if not limit > 0.0:
+        return 0.0
+    gain = noise_gain(state.model_a, state.model_b, state.new_loop)
+    return min(limit, gain * _output_noise(settings, state))
 
 
 def _redesign(

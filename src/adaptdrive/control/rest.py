@@ -28,10 +28,10 @@ def distance_from_rest(learning: Learning, load: Load, state: SlowState, output:
         output: y[k].
     """
     offset = believed_offset(learning, load, state)
-    distance = _distance(load, nominal_gain(load), state.inputs[0], offset, output)
+    distance = _distance(load, nominal_gain(load), state.sent, offset, output)
     if state.supervisor.trusted:
         gain = total(state.trusted_b) / total(state.trusted_a)
-        distance = min(distance, _distance(load, gain, state.inputs[0], offset, output))
+        distance = min(distance, _distance(load, gain, state.sent, offset, output))
     return distance
 
 

@@ -67,10 +67,10 @@ def _note_applied(state: SlowState, sample: SlowSample) -> None:
     """Correct the last input of the history where the law in force has not decided it."""
     decided = state.inputs[0]
     if not sample.followed and math.isfinite(sample.applied):
-        state.inputs[0] = sample.applied
+        state.inputs[0] = state.sent = sample.applied
         state.saturated = True
     elif math.isfinite(sample.held):
-        state.inputs[0] = sample.held
+        state.inputs[0] = state.sent = sample.held
         state.saturated = sample.held <= sample.low or sample.held >= sample.high
     _condition(state, state.inputs[0] - decided)
 
@@ -85,6 +85,7 @@ def _condition(state: SlowState, shortage: float) -> None:
 def _follow_hand(state: SlowState, sample: SlowSample) -> float:
     """Keep the operator's input in the history of both laws, so that either can take over."""
     state.adaptive, state.blend, state.handover_step = False, 0.0, math.nan
+    state.sent = sample.held
     shift_in(state.inputs, sample.held)
     return sample.held
 
@@ -150,9 +151,9 @@ def _look_at_loop(
     )
     latch_fallback(watch, reason, sample.adaptive)
     _look_for_cycle(jacket, state, sample)
-    if load.charging is not None and state.inputs[0] < sample.high:
+    if load.charging is not None and state.sent < sample.high:
         saturated = False  # below its own voltage a battery answers no input
-    expected = nominal_gain(load) * state.inputs[0]
+    expected = nominal_gain(load) * state.sent
     lag_periods = load.denominator[load.order - 1] / load.denominator[load.order] / sample.period_s
     state.unresponsive = watch_response(
         watch, jacket, expected, lag_periods, sample.output, saturated
@@ -162,7 +163,7 @@ def _look_at_loop(
 def _look_for_cycle(jacket: Jacket, state: SlowState, sample: SlowSample) -> None:
     """Look for a limit cycle under the fixed controller."""
     span = sample.high - sample.low
-    position = (state.inputs[0] - sample.low) / span if span > 0.0 else 0.5
+    position = (state.sent - sample.low) / span if span > 0.0 else 0.5
     better = sup.moves_better_than_nominal(state.supervisor)
     fixed = not (state.adaptive or sample.manual)
     reference = sample.reference + state.probe.shift
@@ -194,12 +195,23 @@ def _act(jacket: Jacket, state: SlowState, sample: SlowSample, reference: float)
     state.handover_step = step if ready else math.nan
     wanted = _blended(jacket, state, fixed, other)
     if not math.isfinite(wanted):
-        wanted = state.inputs[0]
+        wanted = state.sent
     limited = min(max(wanted, sample.low), sample.high)
-    state.saturated = limited != wanted
-    _condition(state, limited - wanted)
-    shift_in(state.inputs, limited)
+    state.saturated, state.sent = limited != wanted, limited
+    _remember(jacket, state, sample, wanted)
     return limited
+
+
+def _remember(jacket: Jacket, state: SlowState, sample: SlowSample, wanted: float) -> None:
+    """Take the input into the history of both laws, limited.
+
+    Noise that a limit cuts off on one side would move the mean of the input, and the loop would
+    keep that as an error. What noise may ask for beyond a limit is therefore remembered as asked.
+    """
+    beyond = jacket.confidence * state.input_noise if state.blend >= 1.0 else 0.0
+    kept = min(max(wanted, sample.low - beyond), sample.high + beyond)
+    _condition(state, kept - wanted)
+    shift_in(state.inputs, kept)
 
 
 def _blended(jacket: Jacket, state: SlowState, fixed: float, other: float) -> float:

@@ -41,7 +41,7 @@ class SlowState:
     """State of the slow half between periods.
 
     Attributes:
-        inputs: u[k-1] ... u[k-n] as applied.
+        inputs: u[k-1] ... u[k-n] as applied; where a limit cuts noise off, with it.
         outputs: y[k] ... y[k-m].
         nominal: Nominal physical parameters.
         fixed_gains: Gains for the nominal model.
@@ -68,6 +68,8 @@ class SlowState:
         trusted_alarms: Abrupt changes noticed when it was accepted.
         saturated: Whether the last input was at a limit or could not be followed.
         blend: Share of the adaptive law in what is sent, 0 to 1.
+        sent: The input in force, within its limits.
+        input_noise: σ_u of the adaptive law.
         watch: The watch over the adaptive law.
         unresponsive: Whether the load has stopped to answer.
         cycles: The watch over the fixed law.
@@ -105,6 +107,8 @@ class SlowState:
     trusted_alarms: int = 0
     saturated: bool = False
     blend: float = 0.0
+    sent: float = 0.0
+    input_noise: float = 0.0
     unresponsive: bool = False
     cycling: bool = False
 
@@ -192,4 +196,5 @@ def new_slow_state(
         reference_filter=new_reference_filter(load.order, taps),
         new_loop=[0.0] * (load.order + taps + 1),
         expected=[output] * (2 * load.order),
+        sent=load_input,
     )
