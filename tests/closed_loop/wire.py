@@ -23,6 +23,7 @@ from adaptdrive.app.sensors import build_whole_port, sensor_reports
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
+from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.link.bus import open_bus
 from adaptdrive.hardware.modbus.link import ModbusConnection
 from adaptdrive.runtime.daemon import Daemon
@@ -41,6 +42,7 @@ from adaptdrive_sim.world import World
 PATIENCE_s = 5.0
 WAIT_s = 2.0
 LOOK_s = 0.5
+LOOKS = 100
 
 
 class _Selector(selectors.DefaultSelector):
@@ -132,10 +134,21 @@ class Wire:
     async def until_running(self) -> None:
         """Enable the drive as soon as it may be."""
         await asyncio.sleep(WAIT_s)
-        await self.daemon.execute(Enable())
+        await self._enable()
         while self.state is not State.RUNNING:
             await asyncio.sleep(0.1)
             assert self.state is not State.TRIPPED, self.daemon._machine.trip
+
+    async def _enable(self) -> None:
+        """Enable the drive; its first reading may still be on a wire that knows real time."""
+        for _ in range(LOOKS):
+            try:
+                await self.daemon.execute(Enable())
+            except RefusedError:
+                await asyncio.sleep(0.1)
+            else:
+                return
+        await self.daemon.execute(Enable())
 
     async def period(self) -> LoadReport:
         """The next slow period."""
