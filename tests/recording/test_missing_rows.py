@@ -11,7 +11,7 @@ import pytest
 from adaptdrive.recording.batches import Batch, Header, SensorColumn
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.repair import close_lost, close_segments
-from adaptdrive.recording.session import Ending, read_info, write_info
+from adaptdrive.recording.session import Dropped, Ending, read_info, write_info
 from adaptdrive.recording.verify import Verification, verify
 from tests.operation.peers import load_report
 from tests.recording.material import INFO, make_batch, make_tick, record_messages
@@ -65,6 +65,28 @@ def test_rows_of_a_session_that_was_lost_are_counted_at_its_close(
     assert verdict(tmp_path).whole
     (tmp_path / f"{table}-0001.parquet").unlink()
     assert verdict(tmp_path).problems == (f"2 of 3 rows of the table {table} are missing",)
+
+
+@pytest.mark.parametrize(
+    ("dropped", "problems"),
+    [
+        (Dropped(slow=2), ("2 slow steps were not recorded",)),
+        (Dropped(events=3), ("3 events were not recorded",)),
+        (Dropped(commands=1), ("1 commands were not recorded",)),
+        (
+            Dropped(ticks=4, slow=5, events=6),
+            ("5 slow steps were not recorded", "6 events were not recorded"),
+        ),
+    ],
+)
+def test_what_the_recorder_counted_as_lost_is_named_by_its_kind(
+    tmp_path: Path, dropped: Dropped, problems: tuple[str, ...]
+) -> None:
+    record_in_two_parts(tmp_path)
+    write_info(tmp_path, msgspec.structs.replace(read_info(tmp_path), dropped=dropped))
+    found = verdict(tmp_path)
+    assert not found.whole
+    assert (found.missing_ticks, found.problems) == (dropped.ticks, problems)
 
 
 def test_a_session_of_a_version_that_counted_no_rows_lacks_none(tmp_path: Path) -> None:

@@ -126,7 +126,7 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
         as_json: Print JSON.
 
     Returns:
-        0 when nothing is damaged and no tick is missing, else 1.
+        0 when nothing is damaged and nothing is missing, else 1.
     """
     from adaptdrive.errors import RecordingError  # noqa: PLC0415 - see above
     from adaptdrive.recording.reader import read_session  # noqa: PLC0415

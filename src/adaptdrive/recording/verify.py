@@ -14,7 +14,7 @@ from adaptdrive.recording.event_log import count_rows
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.resume import last_key
 from adaptdrive.recording.segments import segments
-from adaptdrive.recording.session import EVENTS_FILE, TICKS
+from adaptdrive.recording.session import EVENTS_FILE, TICKS, Dropped
 from adaptdrive.recording.streams import TORN
 from adaptdrive.recording.tick_times import EVERY_TICK
 
@@ -27,7 +27,7 @@ class Verification:
         rows: Rows that can be read, by table.
         missing_ticks: Ticks that the running numbers show to be missing, or that the recorder
             has counted as lost: those at the end have no running number.
-        problems: What is damaged, in words.
+        problems: What is damaged or was not recorded, in words.
     """
 
     rows: dict[str, int]
@@ -36,7 +36,7 @@ class Verification:
 
     @property
     def whole(self) -> bool:
-        """True when nothing is damaged and every tick is there."""
+        """True when nothing is damaged and nothing is missing."""
         return not self.problems and not self.missing_ticks
 
 
@@ -62,6 +62,7 @@ def verify(session: Session) -> Verification:
         except RecordingError as problem:
             problems.append(f"{segment.path.name}: {problem.problem}")
     problems += _missing_rows(rows, session.info.rows)
+    problems += _unrecorded(session.info.dropped)
     # a whole file that is gone leaves no gap in the running numbers
     counted = sum(session.info.histograms.get(EVERY_TICK, ()))
     missing = max(missing, session.info.dropped.ticks, counted - rows.get(TICKS, 0))
@@ -88,6 +89,14 @@ def _missing_rows(rows: Mapping[str, int], known: Mapping[str, int]) -> Iterator
         missing = number - rows.get(table, 0)
         if table != TICKS and missing > 0:
             yield f"{missing} of {number} rows of the table {table} are missing"
+
+
+def _unrecorded(dropped: Dropped) -> Iterator[str]:
+    """Yield what the recorder counted as lost; missing ticks are counted on their own."""
+    lost = {"slow steps": dropped.slow, "events": dropped.events, "commands": dropped.commands}
+    for kind, number in lost.items():
+        if number:
+            yield f"{number} {kind} were not recorded"
 
 
 def _event_problems(path: Path, logged: int) -> Iterator[str]:
