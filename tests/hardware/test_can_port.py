@@ -17,6 +17,7 @@ from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.link.bus import open_bus
 from adaptdrive.hardware.port import Reading
 from adaptdrive.hardware.rival import QUIET_S
+from adaptdrive.runtime.interlocks import Limits, find_cause
 from tests.hardware.bench import (
     EXAMPLES,
     PATIENCE_S,
@@ -136,6 +137,35 @@ async def test_values_age_while_their_message_is_missing(
             await ear.hears(count)
     ages = [reading.arrival_s - reading.oldest_s for reading in ear.readings]
     assert ages == [0.0, 0.25, 0.5, 0.75]
+
+
+def rarely_clocked(config: CanBus, folder: Path, clock: Clock) -> CanPort:
+    """A port whose clock comes every 100 ms, and the other message every half cycle."""
+    text = (EXAMPLES / "adaptdrive.dbc").read_text(encoding="utf-8")
+    database = folder / "rare.dbc"
+    database.write_text(text.replace("BO_ 257 8;", "BO_ 257 100;"), encoding="utf-8")
+    bus = config.model_copy(update={"database": database, "clock_ticks": 12})
+    timing = replace(TIMING, stale_s=0.15, daemon_holds_voltage=False)
+    return CanPort(bus, map_drive(bus, motor_signals(), timing), clock, lambda: 0.0)
+
+
+async def test_a_rare_clock_may_lose_a_frame_and_is_named_once_it_is_gone(
+    config: CanBus, drive: Drive, ear: Ear, clock: Clock, tmp_path: Path
+) -> None:
+    port, limits = rarely_clocked(config, tmp_path, clock), Limits(0.15, 430.0, 5.0, "V")
+    causes: list[str | None] = []
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        for count in range(2, 33):  # one frame of the clock is lost, then all of them
+            clock.now_s += 0.01
+            drive.send_status()
+            await heard_by(port, count + 1)
+            causes.append(find_cause(ear.readings[-1], clock.now_s, limits, port.explain_age))
+    assert causes[:29] == [None] * 29
+    assert causes[30] is not None
+    assert "limit 300 ms; output (0x101 (DriveLoad), Tachometer) is the oldest" in causes[30]
+    assert port.stop_slack_s == pytest.approx(0.15)  # the report of the bridge waits for it too
 
 
 def flipped(drive: Drive, name: str) -> bytes:

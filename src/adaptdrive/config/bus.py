@@ -135,7 +135,8 @@ class CanBus(CanLink, BusSection):
         le=10.0,
         allow_inf_nan=False,
         description="age, in cycle times of its message (GenMsgCycleTime; that of `clock_ticks` "
-        "for `clock`, and where a message has none), at which a value is stale; "
+        "for `clock`, and where a message has none; that of `clock` where it is longer), at which "
+        "a value is stale; "
         "`interlocks.stale_s` where that is longer",
     )
     integrity: dict[str, FrameIntegrity] = Field(

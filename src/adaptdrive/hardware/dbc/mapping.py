@@ -54,9 +54,9 @@ class CanSource:
         signal: Signal of the DBC.
         scale: SI units per unit of the signal.
         offset: SI value of a zero signal.
-        slack_s: How much older than `interlocks.stale_s` its values may be, as their message comes
-            less often.
-        cycle_by: What says so: GenMsgCycleTime or a key of `[bus]`.
+        slack_s: How much older than `interlocks.stale_s` its values may be, as their message or
+            the clock, with which they are taken, comes less often.
+        cycle_by: What says so of the slower of them: GenMsgCycleTime or a key of `[bus]`.
     """
 
     quantity: str
@@ -121,11 +121,12 @@ def map_drive(
     """
     catalogue = SignalCatalogue(load_database(bus.database, source), fd=bus.fd)
     catalogue.flaws.extend(channel_flaws(bus))
-    sources = _find_sources(catalogue, bus, signals, timing)
+    clock = catalogue.message(bus.clock, "bus.clock")
+    sources = _find_sources(catalogue, bus, signals, timing, clock)
     bridge_on = _bridge_on(catalogue, signals.bridge, sources)
     _check_units(catalogue, sources, signals, demands.output_unit)
     orders = find_orders(catalogue, bus, signals, demands)
-    _check_clock(catalogue, bus.clock, sources)
+    _check_clock(catalogue, clock, sources)
     for name, integrity in bus.integrity.items():
         catalogue.check_integrity(name, integrity)
     for message in sources.keys() & orders.keys():
@@ -143,7 +144,11 @@ def map_drive(
 
 
 def _find_sources(
-    catalogue: SignalCatalogue, bus: CanBus, signals: Signals, timing: Timing
+    catalogue: SignalCatalogue,
+    bus: CanBus,
+    signals: Signals,
+    timing: Timing,
+    clock: Message | None,
 ) -> _Sources:
     found: _Sources = {}
     for quantity, entry in _named(signals):
@@ -152,14 +157,15 @@ def _find_sources(
         if hit is None:
             continue
         message, signal = hit
-        cycle_s, cycle_by = _cycle(message, bus, timing)
-        cycle_s *= _pages(message, signal)
-        slack_s = max(0.0, bus.stale_cycles * cycle_s - timing.stale_s)
+        cycle = _cycle(message, bus, timing, pages=_pages(message, signal))
+        if clock is not None:  # a value is taken with the clock: it waits for that
+            cycle = max(cycle, _cycle(clock, bus, timing), key=lambda one: one.cycle_s)
+        slack_s = max(0.0, bus.stale_cycles * cycle.cycle_s - timing.stale_s)
         if slack_s and quantity == "boost_voltage_V" and timing.daemon_holds_voltage:
-            _note_slow(catalogue, message, place)
+            _note_slow(catalogue, cycle.message, place)
         if timing.stale_s + slack_s > LONGEST_STALE_S:
-            _note_old(catalogue, message, place, timing.stale_s + slack_s)
-        source = CanSource(quantity, signal, entry.scale, entry.offset, slack_s, cycle_by)
+            _note_old(catalogue, cycle.message, place, timing.stale_s + slack_s)
+        source = CanSource(quantity, signal, entry.scale, entry.offset, slack_s, cycle.by)
         found.setdefault(message.name, []).append(source)
         if quantity in _WORDS:
             _check_word(catalogue, signal, place, plain=(entry.scale, entry.offset) == (1.0, 0.0))
@@ -188,13 +194,22 @@ def _named(signals: Signals) -> Iterator[tuple[str, SignalSource]]:
         yield OTHER + name, entry
 
 
-def _cycle(message: Message, bus: CanBus, timing: Timing) -> tuple[float, str]:
-    """Return the time from one frame of a message to the next, and what says so."""
+@dataclass(frozen=True, slots=True)
+class _Cycle:
+    """Time from one frame of a signal to the next: its message, and what says so."""
+
+    message: Message
+    cycle_s: float
+    by: str
+
+
+def _cycle(message: Message, bus: CanBus, timing: Timing, pages: int = 1) -> _Cycle:
+    """Return the cycle of a signal that is in one of so many frames of a message."""
     cycle_s = 1e-3 * (message.cycle_time or 0.0)
     clock_s = bus.clock_ticks * timing.half_cycle_s
     if not cycle_s or (message.name == bus.clock and cycle_s <= clock_s):
-        return clock_s, "bus.clock_ticks"
-    return cycle_s, "GenMsgCycleTime"
+        return _Cycle(message, pages * clock_s, "bus.clock_ticks")
+    return _Cycle(message, pages * cycle_s, "GenMsgCycleTime")
 
 
 def _pages(message: Message, signal: Signal) -> int:
@@ -254,9 +269,10 @@ def _check_word(catalogue: SignalCatalogue, signal: Signal, place: str, *, plain
         catalogue.note(place, problem)
 
 
-def _check_clock(catalogue: SignalCatalogue, clock: str, sources: _Sources) -> None:
-    if catalogue.message(clock, "bus.clock") and clock not in sources:
-        catalogue.note("bus.clock", f"no entry of [signals] is taken from message {clock!r}")
+def _check_clock(catalogue: SignalCatalogue, clock: Message | None, sources: _Sources) -> None:
+    if clock is not None and clock.name not in sources:
+        problem = f"no entry of [signals] is taken from message {clock.name!r}"
+        catalogue.note("bus.clock", problem)
 
 
 def _status(
