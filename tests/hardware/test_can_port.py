@@ -890,6 +890,29 @@ async def test_a_clock_message_without_values_is_a_reading_for_a_drive_at_rest_o
     assert (reading.output, reading.oldest_s) == (good.output, good.oldest_s)
 
 
+@pytest.mark.parametrize("bridge_on", [0, 1])
+async def test_a_drive_without_values_confirms_its_stop_after_its_bus_was_lost(
+    port: CanPort, drive: Drive, ear: Ear, clock: Clock, bridge_on: int
+) -> None:
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        port.send(COMMAND)
+        await lose_the_bus(port, ear)
+        clock.now_s += 0.01
+        drive.send_status(BridgeOn=bridge_on)
+        drive.put("DriveLoad", unavailable(drive, "DriveLoad"))
+        await heard_by(port, 4)
+        assert len(ear.readings) == 1  # nothing is known of a drive that runs
+        port.send(SAFE_COMMAND)
+        drive.send_status(BridgeOn=bridge_on)
+        drive.put("DriveLoad", unavailable(drive, "DriveLoad"))
+        await ear.hears(2)
+    good, reading = ear.readings
+    assert (reading.bridge, reading.bridge_s) == (bool(bridge_on), clock.now_s)
+    assert (reading.output, reading.oldest_s) == (good.output, good.oldest_s)
+
+
 async def test_a_drive_that_does_not_obey_the_safe_command_hears_nothing_every_other_second(
     port: CanPort, drive: Drive, ear: Ear, clock: Clock
 ) -> None:

@@ -21,7 +21,7 @@ from adaptdrive.hardware.canopen.watch import CanOpenWatch
 from tests.hardware.bench import until
 from tests.hardware.canopen.bench import RUN, Bench, Ear, running
 from tests.hardware.canopen.documents import bus_of, other_eds, parse, without
-from tests.hardware.canopen.peer import FAULT, NODE, REST, Peer
+from tests.hardware.canopen.peer import FAULT, MEASURED, NODE, REST, Peer
 
 
 @pytest.fixture
@@ -246,6 +246,25 @@ async def test_a_heartbeat_that_stays_away_is_told_and_the_node_set_up_again(pee
         await until(lambda: bench.port.complaint is None)  # its 0x1017 was written again
         assert any("heartbeat lost" in detail for up, detail in bench.ear.bus if not up)
         assert bench.ear.bus[-1][0]
+
+
+async def test_a_node_without_values_confirms_its_stop_once_it_is_set_up_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limited = "ParameterName=DC link circuit voltage\n"
+    eds = other_eds(tmp_path, (limited, f"{limited}HighLimit=400000\n"))
+    with contextlib.closing(Peer(f"canopen limited {tmp_path.name}", eds)) as peer:
+        async with running(peer, eds=eds) as bench:
+            await bench.run_drive()
+            bench.ear.command = SAFE_COMMAND
+            peer.boot()
+            monkeypatch.setitem(MEASURED, "0x6079", 0xFFFFFFFF)
+            await until(lambda: [up for up, _ in bench.ear.bus[-2:]] == [False, True])
+            good = bench.ear.readings[-1]
+            bench.port.send(SAFE_COMMAND)
+            await until(lambda: not bench.ear.readings[-1].bridge)
+            reading = bench.ear.readings[-1]
+    assert reading.bridge_reported_s > reading.oldest_s == good.oldest_s
 
 
 async def test_heartbeats_that_came_while_the_loop_was_busy_are_not_lost(peer: Peer) -> None:

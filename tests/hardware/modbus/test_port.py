@@ -389,6 +389,32 @@ async def test_a_drive_at_rest_confirms_its_stop_by_the_bridge_beside_refused_va
     assert one.port.safe_s < reading.bridge_reported_s <= reading.arrival_s
 
 
+@both
+async def test_a_drive_without_values_confirms_its_stop_over_a_new_link(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    bridge = {
+        "bus__registers__on": "{ address = 5, table = 'input', bit = 0 }",
+        "signals__bridge": '"on"',
+    }
+    async with bench(kind, tmp_path, free_tcp_port, **bridge) as one:
+        one.peer.state = 1
+        one.port.send(RUN)
+        await until(lambda: bool(one.ear.readings) and one.ear.readings[-1].bridge)
+        assert isinstance(one.peer, TcpPeer | RtuPeer)
+        await one.peer.stop()
+        await until(lambda: bool(one.ear.bus) and not one.ear.bus[-1][0])
+        good = one.ear.readings[-1]
+        one.port.send(SAFE_COMMAND)
+        one.peer.speed, one.peer.state = math.nan, 0
+        await one.peer.start()
+        await one.hears(2)
+        reading = one.ear.readings[-1]
+    assert (reading.output, reading.oldest_s) == (good.output, good.oldest_s)
+    assert not reading.bridge
+    assert one.port.safe_s < reading.bridge_reported_s
+
+
 def beats(one: Bench, register: int, known: int) -> list[int]:
     """Heartbeats among the writes after the first so many."""
     return [

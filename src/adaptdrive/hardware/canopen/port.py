@@ -378,10 +378,13 @@ class CanOpenPort:
         self._connection.report(up=up, detail=detail)
 
     def _on_node(self, *, up: bool, detail: str) -> None:
-        """Forget all values that were received before the node came up or was lost."""
+        """Forget all values that were received before the node came up or was lost.
+
+        Those of the last reading stay, for a drive at rest that has none any more.
+        """
         if not up:
             self._control.fall(detail)
             self._safe_s = math.inf
         self._control.forget()
         self._assembly.forget()
-        self._newest = self._handed_out = None
+        self._newest = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from adaptdrive.hardware.dbc.mapping import OTHER, CanMapping, CanSource, StatusFrame
 from adaptdrive.hardware.fault_latch import FaultLatch
@@ -38,6 +38,7 @@ class StatusAssembly:
         self._others = {name: name.removeprefix(OTHER) for name in names if name.startswith(OTHER)}
         self._values: dict[str, float] = {}
         self._dues: dict[str, tuple[float, float]] = {}
+        self._last: Reading | None = None
         self.faults = FaultLatch(mapping.fault_names)
 
     @property
@@ -75,22 +76,32 @@ class StatusAssembly:
                 dues[part.quantity] = arrival_s + part.slack_s, part.slack_s
         self.faults.see(values.get("fault"))
 
-    def reading(self, arrival_s: float, *, bridge_sent: bool) -> Reading | None:
+    def reading(self, arrival_s: float, *, bridge_sent: bool, stopped: bool) -> Reading | None:
         """Return the newest values and each fault since the last reading; None before all came.
+
+        A drive at rest may confirm its stop although values are missing since the bus was opened
+        again: it has the reading before with the bridge of now.
 
         Args:
             arrival_s: Arrival of the clocking message.
             bridge_sent: Bridge of the last command: a drive that does not report its bridge is
                 assumed to follow.
+            stopped: Whether the safe command is in force.
         """
         due_s, slack_s = min(self._dues.values())
         if due_s == -math.inf:
-            return None
+            return self._stop(arrival_s) if stopped else None
+        self._last = self._whole(arrival_s, due_s - slack_s, slack_s, bridge_sent=bridge_sent)
+        return self._last
+
+    def _whole(
+        self, arrival_s: float, oldest_s: float, slack_s: float, *, bridge_sent: bool
+    ) -> Reading:
         values, faults = self._values, self.faults
         counter, bridge = values.get("counter"), values.get("bridge")
         return Reading(
             arrival_s=arrival_s,
-            oldest_s=due_s - slack_s,
+            oldest_s=oldest_s,
             slack_s=slack_s,
             counter=None if counter is None else int(counter),
             boost_voltage_V=values.get("boost_voltage_V", math.nan),
@@ -102,6 +113,22 @@ class StatusAssembly:
             bridge=bridge_sent if bridge is None else bridge == self._bridge_on,
             bridge_s=self._heard_s("bridge"),
             other={name: values[key] for key, name in self._others.items()},
+        )
+
+    def _stop(self, arrival_s: float) -> Reading | None:
+        """Return the last reading with the bridge and the fault of now."""
+        last, bridge_s = self._last, self._heard_s("bridge")
+        if last is None or bridge_s is None or bridge_s == -math.inf:
+            return None
+        counted = (self._heard_s("counter") or -math.inf) > -math.inf
+        return replace(
+            last,
+            arrival_s=arrival_s,
+            counter=int(self._values["counter"]) if counted else None,
+            fault=self.faults.word,
+            fault_name=self.faults.name if self.faults.word else "",
+            bridge=self.powered,
+            bridge_s=bridge_s,
         )
 
     def oldest(self) -> tuple[StatusFrame, CanSource, float, float]:

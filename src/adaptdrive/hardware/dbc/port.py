@@ -245,7 +245,10 @@ class CanPort:
             if decoded.verdict is not FrameVerdict.OUT_OF_RANGE or not self._awaits_bridge:
                 return
         if status is self._clocking:
-            reading = self._assembly.reading(arrival_s, bridge_sent=self._bridge_sent)
+            stopped = self._safe_s < math.inf
+            reading = self._assembly.reading(
+                arrival_s, bridge_sent=self._bridge_sent, stopped=stopped
+            )
             self._newest = reading or self._newest
             if frame.timestamp and waited_s < PROMPT_S:
                 self.hand_out()

@@ -47,10 +47,6 @@ class PollAssembly:
         more = f", and {len(self._refused) - 1} more" if len(self._refused) > 1 else ""
         return f"{self._refused[0]}{more}"
 
-    def forget(self) -> None:
-        """Forget the last reading: the link was opened again."""
-        self._handed_out = None
-
     def begin(self) -> None:
         """Begin a poll."""
         self._values.clear()
@@ -80,7 +76,7 @@ class PollAssembly:
         """Return the reading of a poll, None for refused values of a driven drive.
 
         A drive at rest may confirm its stop although its measurements are refused: it has the
-        reading before with the bridge of this poll.
+        reading before with the bridge of this poll, even if that came over a link before.
 
         Args:
             arrival_s: When the last reply came, monotonic clock.

@@ -205,7 +205,6 @@ class ModbusPort:
         """Poll over an open link until it is lost or the port is closed; why it was lost."""
         self._link = link
         self._heartbeat.forget()
-        self._assembly.forget()
         self._commander.begin()
         next_s = self._clock()
         try:
