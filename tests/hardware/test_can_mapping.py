@@ -8,6 +8,7 @@ from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.dbc.database import load_database, message_codec
 from adaptdrive.hardware.dbc.mapping import map_drive
+from adaptdrive.hardware.demands import demands_of
 from tests.hardware.bench import EXAMPLES, MOTOR, MOTOR_BUS, TIMING, motor_bus, motor_signals
 
 
@@ -267,6 +268,116 @@ def test_a_signal_that_no_message_has_room_for_is_named_with_its_line(
     path.write_text("\n".join(lines) + "\n")
     with pytest.raises(ConfigurationError, match=rf"line 4: no message has {bits} bits from bit"):
         load_database(path)
+
+
+@pytest.mark.parametrize(
+    ("ranges", "shown"),
+    [
+        ("0-100000000", "0-100000000"),
+        ("1-1, -5-100000000", "-5-100000000"),
+        ("0-99999, 0-99998", "0-99998"),
+        (f"0-{300 * '9'}", f"0-{40 * '9'}…{40 * '9'}"),
+    ],
+)
+def test_pages_that_take_all_memory_are_named_with_their_line(
+    tmp_path: Path, ranges: str, shown: str
+) -> None:
+    path = tmp_path / "pages.dbc"
+    lines = [
+        'VERSION ""',
+        "BU_: A",
+        "BO_ 1 Odd: 8 A",
+        ' SG_ Page M : 0|8@1+ (1,0) [0|0] "" A',
+        ' SG_ S m1 : 8|8@1+ (1,0) [0|0] "" A',
+        f"SG_MUL_VAL_ 1 S Page {ranges};",
+    ]
+    path.write_text("\n".join(lines) + "\n")
+    named = rf"line 6: {re.escape(shown)} in SG_MUL_VAL_ makes more than 131072 pages"
+    with pytest.raises(ConfigurationError, match=named):
+        load_database(path)
+
+
+def rewritten(folder: Path, *changes: tuple[str, str]) -> CanBus:
+    """`[bus]` of the example, with a DBC in which some words are others."""
+    text = (EXAMPLES / "adaptdrive.dbc").read_text(encoding="utf-8")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = folder / "rewritten.dbc"
+    path.write_text(text, encoding="utf-8")
+    return motor_bus(database=path)
+
+
+def test_a_cycle_time_that_is_a_text_is_one_flaw(tmp_path: Path) -> None:
+    bus = rewritten(
+        tmp_path,
+        ('"GenMsgCycleTime" INT 0 65535', '"GenMsgCycleTime" STRING '),
+        ('BA_DEF_DEF_ "GenMsgCycleTime" 0', 'BA_DEF_DEF_ "GenMsgCycleTime" ""'),
+        ("BO_ 128 8;", 'BO_ 128 "8";'),
+        ("BO_ 256 8;", 'BO_ 256 "8 ms";'),
+        ("BO_ 257 8;", 'BO_ 257 "8";'),
+    )
+    with pytest.raises(ConfigurationError) as caught:
+        map_drive(bus, MOTOR.signals, TIMING)
+    (flaw,) = caught.value.flaws
+    assert flaw.place == "bus.database"
+    assert "message 'DriveCommand': GenMsgCycleTime '8' is a text" in flaw.message
+
+
+@pytest.mark.parametrize(
+    ("number", "place", "message"),
+    [(" 257 ", "signals", "DriveLoad"), (" 128 ", "signals.command", "DriveCommand")],
+)
+def test_a_message_with_the_id_of_a_measurement_is_a_flaw(
+    tmp_path: Path, number: str, place: str, message: str
+) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        map_drive(rewritten(tmp_path, (number, " 256 ")), MOTOR.signals, TIMING)
+    (flaw,) = caught.value.flaws
+    assert flaw.place == place
+    assert flaw.message == f"messages 'DriveStatus' and {message!r} have the same id 0x100"
+
+
+def test_the_same_number_of_both_lengths_is_two_ids(tmp_path: Path) -> None:
+    bus = rewritten(tmp_path, ("BO_ 257 ", f"BO_ {(1 << 31) | 256} "))
+    assert len(map_drive(bus, MOTOR.signals, TIMING).statuses) == 2
+
+
+@pytest.mark.parametrize(
+    ("range_", "place"),
+    [
+        ("[-8.388608|8.388606]", "signals.output"),
+        ("[0|600]", "signals.command.boost_reference_V"),
+    ],
+)
+def test_a_range_that_ends_below_its_start_is_a_flaw(
+    tmp_path: Path, range_: str, place: str
+) -> None:
+    low, high = range_.strip("[]").split("|")
+    bus = rewritten(tmp_path, (range_, f"[{high}|{low}]"))
+    with pytest.raises(ConfigurationError) as caught:
+        map_drive(bus, MOTOR.signals, TIMING)
+    (flaw,) = [one for one in caught.value.flaws if one.place == place]
+    assert "ends below its start" in flaw.message
+
+
+@pytest.mark.parametrize(
+    ("range_", "narrow", "place", "key"),
+    [
+        ("[-8.388608|8.388606]", "[0|5]", "signals.output", "output_max = 5"),
+        ("[0|655.34]", "[0|420]", "signals.boost_voltage_V", "boost_voltage_max_V = 430"),
+    ],
+)
+def test_a_measurement_that_cannot_show_what_trips_is_a_flaw(
+    tmp_path: Path, range_: str, narrow: str, place: str, key: str
+) -> None:
+    demands = demands_of(MOTOR)
+    with pytest.raises(ConfigurationError) as caught:
+        map_drive(rewritten(tmp_path, (range_, narrow)), MOTOR.signals, TIMING, demands=demands)
+    (flaw,) = caught.value.flaws
+    assert flaw.place == place
+    assert f"interlocks.{key} can never trip" in flaw.message
+    map_drive(motor_bus(), MOTOR.signals, TIMING, demands=demands)
 
 
 @pytest.mark.parametrize(

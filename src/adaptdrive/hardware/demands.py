@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Command
@@ -19,14 +20,17 @@ class Demands:
     Attributes:
         output_unit: Unit of the regulated quantity, empty where it has none.
         commands: Commands at the ends of their limits; each must be sent as it is.
+        trips: Key of the value above which each quantity trips, and the value; the signal must
+            be able to show more.
     """
 
     output_unit: str = ""
     commands: tuple[Command, ...] = ()
+    trips: Mapping[str, tuple[str, float]] = field(default_factory=dict)
 
-    def values(self, field: str) -> list[float]:
+    def values(self, name: str) -> list[float]:
         """The ends of one field of the command."""
-        return [float(getattr(command, field)) for command in self.commands]
+        return [float(getattr(command, name)) for command in self.commands]
 
 
 NO_DEMANDS = Demands()
@@ -44,6 +48,13 @@ def demands_of(configuration: Configuration) -> Demands:
             Command(lowest_S, limits.boost_reference_min_V, bridge=True),
             Command(scale_S, limits.boost_reference_max_V, bridge=True),
         ),
+        trips={
+            "boost_voltage_V": (
+                "boost_voltage_max_V",
+                configuration.interlocks.boost_voltage_max_V,
+            ),
+            "output": ("output_max", configuration.interlocks.output_max),
+        },
     )
 
 

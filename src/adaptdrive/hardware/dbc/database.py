@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import cantools
@@ -22,6 +23,7 @@ from adaptdrive.hardware.link.codec import (
     checksum_span,
     counter_modulus,
     follows_counter,
+    frame_key,
     needs_fd,
 )
 from adaptdrive.hardware.link.crc import CHECK_INPUT, crc_function
@@ -36,6 +38,11 @@ _LARGE = re.compile(r"(?<![\w.])[0-9]+(?:(?:\.[0-9]*)?[eE]\+?[0-9]{3,}(?!\w)|(?<
 """A number that may be 10^309 or more; the largest that a signal of 64 bits can have is below."""
 
 _PLACE = re.compile(r'\bSG_\s[^:;"]*:\s*(-?[0-9]+)\s*\|\s*(-?[0-9]+)\s*@')
+_PAGES = re.compile(r'\bSG_MUL_VAL_\s[^;"]*')
+_PAGE_RANGE = re.compile(r"(?<![\w.])(-?[0-9]+)\s*-\s*([0-9]+)(?![\w.])")
+_MOST_PAGES = 1 << 17
+"""More pages than all multiplexed signals of a file have together: the parser lists each."""
+
 _MOST_BITS = 1 << 16
 """More bits than any message has: those of J1939 in several frames have up to 1785 bytes."""
 
@@ -55,11 +62,13 @@ def load_database(path: Path, source: Path | str = "configuration", bus: str = "
         text = description_text(path)
         _refuse_impossible_places(text)
         _refuse_endless_numbers(text)
+        _refuse_endless_pages(text)
         database = cantools.database.load_string(text, database_format="dbc")
+        assert isinstance(database, Database)  # noqa: S101 - what the format "dbc" gives
+        _refuse_worded_cycles(database)
     except Exception as problem:  # the parser's own errors are of many kinds
         flaw = Flaw(f"{bus}.database", f"{path} cannot be used: {problem_text(problem)}")
         raise ConfigurationError(source, [flaw]) from problem
-    assert isinstance(database, Database)  # noqa: S101 - what the format "dbc" gives
     return database
 
 
@@ -78,6 +87,28 @@ def _refuse_impossible_places(text: str) -> None:
         if not (0 <= start < _MOST_BITS and 1 <= length < _MOST_BITS):
             line = text.count("\n", 0, found.start()) + 1
             raise ValueError(f"line {line}: no message has {found[2]} bits from bit {found[1]} on")
+
+
+def _refuse_endless_pages(text: str) -> None:
+    """Refuse a range of pages (values of a multiplexer) that takes all memory to list."""
+    pages = 0
+    for entry in _PAGES.finditer(text):
+        for found in _PAGE_RANGE.finditer(entry[0]):
+            pages += max(0, int(found[2]) - int(found[1]) + 1)
+            if pages > _MOST_PAGES:
+                line = text.count("\n", 0, entry.start() + found.start()) + 1
+                shown = f"{shortened(found[1])}-{shortened(found[2])}"
+                problem = f"{shown} in SG_MUL_VAL_ makes more than {_MOST_PAGES} pages"
+                raise ValueError(f"line {line}: {problem}")
+
+
+def _refuse_worded_cycles(database: Database) -> None:
+    """Refuse a cycle time that is a text."""
+    for message in database.messages:
+        cycle: object = message.cycle_time
+        if isinstance(cycle, str):
+            problem = f"GenMsgCycleTime {shortened(cycle)!r} is a text, not a number of ms"
+            raise ValueError(f"message {message.name!r}: {problem}")  # noqa: TRY004 - of the file
 
 
 def message_codec(
@@ -159,7 +190,27 @@ class SignalCatalogue:
                 place, f"signal {name!r} has factor {found.scale:g} and offset {found.offset:g}"
             )
             return None
+        if found is not None and is_reversed(found):
+            ends = f"[{found.minimum:g}|{found.maximum:g}]"
+            self.note(place, f"the range {ends} of signal {name!r} ends below its start")
+            return None
         return found
+
+    def check_ids(self, measuring: Iterable[str], commanding: Iterable[str], place: str) -> None:
+        """Gather a flaw for each used message whose id is that of one with measurements."""
+        owners: dict[int, str] = {}
+        for name in measuring:
+            self._check_id(owners, name, place)
+            owners.setdefault(_key(self.known(name)), name)
+        for name in commanding:
+            self._check_id(owners, name, f"{place}.command")
+
+    def _check_id(self, owners: Mapping[int, str], name: str, place: str) -> None:
+        message = self.known(name)
+        owner = owners.get(_key(message), name)
+        if owner != name:
+            number = f"0x{message.frame_id:03X}"
+            self.note(place, f"messages {owner!r} and {name!r} have the same id {number}")
 
     def check_integrity(self, name: str, integrity: FrameIntegrity, bus: str = "bus") -> None:
         """Gather the flaws of `[bus.integrity.NAME]`, of `bus` or of another place."""
@@ -254,6 +305,16 @@ class SignalCatalogue:
 def is_usable(signal: Signal) -> bool:
     """Return whether the factor and the offset of a signal give it a value."""
     return signal.scale != 0 and math.isfinite(signal.scale) and math.isfinite(signal.offset)
+
+
+def is_reversed(signal: Signal) -> bool:
+    """Return whether the declared range of a signal has its ends the wrong way round."""
+    low, high = signal.minimum, signal.maximum
+    return low is not None and high is not None and low > high
+
+
+def _key(message: Message) -> int:
+    return frame_key(message.frame_id, extended=message.is_extended_frame)
 
 
 def is_word(signal: Signal) -> bool:

@@ -5,6 +5,7 @@ Everything that can be wrong is found here, before a bus is opened, and all of i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -125,12 +126,14 @@ def map_drive(
     sources = _find_sources(catalogue, bus, signals, timing, clock)
     bridge_on = _bridge_on(catalogue, signals.bridge, sources)
     _check_units(catalogue, sources, signals, demands.output_unit)
+    _check_ranges(catalogue, sources, demands)
     orders = find_orders(catalogue, bus, signals, demands)
     _check_clock(catalogue, clock, sources)
     for name, integrity in bus.integrity.items():
         catalogue.check_integrity(name, integrity)
     for message in sources.keys() & orders.keys():
         catalogue.note("signals.command", f"message {message!r} carries measurements too")
+    catalogue.check_ids(sources, orders, "signals")
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
     return CanMapping(
@@ -182,6 +185,23 @@ def _check_units(
             problem = unit_problem(given, source.signal.unit or "", units[source.quantity])
             if problem:
                 catalogue.note(f"signals.{source.quantity}", f"{given.signal}: {problem}")
+
+
+def _check_ranges(catalogue: SignalCatalogue, sources: _Sources, demands: Demands) -> None:
+    """Refuse a signal without room above the value that trips: it could never be seen there."""
+    for source in (one for found in sources.values() for one in found):
+        key, limit = demands.trips.get(source.quantity, ("", -math.inf))
+        layout = compile_field(source.signal, measured=True)
+        ends = (
+            layout.physical(raw) * source.scale + source.offset for raw in (layout.low, layout.high)
+        )
+        highest = max(ends)
+        if highest <= limit:
+            problem = f"{source.signal.name} has values up to {highest:g} only"
+            catalogue.note(
+                f"signals.{source.quantity}",
+                f"{problem}: interlocks.{key} = {limit:g} can never trip",
+            )
 
 
 def _named(signals: Signals) -> Iterator[tuple[str, SignalSource]]:

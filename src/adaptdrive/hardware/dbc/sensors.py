@@ -76,6 +76,7 @@ def map_sensors(bus: Config, place: str, source: Path | str) -> tuple[SensorMess
             found.setdefault(hit[0].name, []).append(taken)
     for name, integrity in bus.integrity.items():
         catalogue.check_integrity(name, integrity, place)
+    catalogue.check_ids(found, (), f"{place}.signals")
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
     return tuple(
