@@ -206,6 +206,34 @@ async def test_a_command_is_spread_over_pages_with_its_constants(
     assert sent("I_LIMIT") == [20.0, 20.0]
 
 
+async def test_a_drive_that_took_a_part_of_its_first_command_counts_as_on(
+    inverter: Inverter, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The frame that energises went out, and the next did not: it is heard before it gets more."""
+    ear, port = Ear(), port_of(configured(request.node.name))
+    async with running(port, ear):
+        bus = port._connection.bus
+        assert bus is not None
+        take, frames = bus.send, iter(range(2))
+
+        def take_first(frame: can.Message, timeout: float | None = None) -> None:
+            if next(frames):
+                raise can.CanOperationError("Transmit buffer full")
+            take(frame, timeout)
+
+        monkeypatch.setattr(bus, "send", take_first)
+        assert not port.send(RUN)
+        heard = await asyncio.to_thread(inverter.bus.recv, 5.0)
+        assert heard is not None
+        assert inverter.decode(heard)["REQUEST"] == "Run"
+        bus.shutdown()
+        await until(lambda: [up for up, _ in ear.bus] == [False, True])
+        assert not port.send(RUN)
+        inverter.send_all()
+        await ear.hears(1)
+        assert port.send(RUN)
+
+
 async def test_a_seldom_value_may_be_as_old_as_its_cycle_time_says(
     inverter: Inverter, request: pytest.FixtureRequest
 ) -> None:

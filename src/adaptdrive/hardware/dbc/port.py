@@ -153,7 +153,8 @@ class CanPort:
         for frame in frames:
             taken += self._connection.send(frame)
         self._connection.uptake.note(taken=taken == len(frames))
-        if taken < len(frames):
+        if taken < len(frames):  # the frame that energises may be one of those that went out
+            self._bridge_sent = self._bridge_sent or (bridge and taken > 0)
             return False
         self._bridge_sent = bridge
         if safe and self._safe_s == math.inf:
