@@ -75,7 +75,9 @@ class BridgeWatch:
         slept = self._been_on and self._gap_s > 0.0
         if reported_s - self._off_s <= self._grace_s + _SLACK_S and not slept:
             return None
-        gap = f"; the daemon had not run for {self._gap_s * 1e3:.0f} ms" if slept else ""
+        gap = (
+            f"; the daemon had not run for {self._gap_s * 1e3:.0f} ms" if self.awaits_report else ""
+        )
         return f"drive stopped: its bridge is off although it was commanded on{gap}"
 
     @property
