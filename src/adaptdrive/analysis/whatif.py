@@ -20,6 +20,7 @@ from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Mode, Order, Stage
 from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.what_if import reconfigured
 
 Array = NDArray[np.float64]
@@ -83,11 +84,8 @@ def what_if(
         AdaptdriveError: The session does not show its load, or a setting is not valid.
     """
     source = path / "config.toml"
+    changed = _changed(read_session(path).config_text, source, settings)
     found = identify_session(path, begin_s, end_s)
-    changed = reconfigured(found.session.config_text, source, settings)
-    if changed.load.type != found.configuration.load.type:
-        flaw = Flaw("load.type", f"the session shows a {found.configuration.load.type}")
-        raise ConfigurationError(source, [flaw])
     part = max(found.stretches, key=_controlled)
     # From its enabling on: what the controller has learnt at the first second used is unknown.
     runs = read_stretches(found.session, None, end_s)
@@ -106,6 +104,15 @@ def what_if(
         changed=_simulated(found, run, changed, begin_s),
         idle=tuple(idle),
     )
+
+
+def _changed(text: str, source: Path, settings: Sequence[str]) -> Configuration:
+    """Return the recorded configuration with the settings; refuse another kind of load."""
+    recorded, changed = (reconfigured(text, source, one) for one in ((), settings))
+    if changed.load.type != recorded.load.type:
+        flaw = Flaw("load.type", f"the session shows a {recorded.load.type}")
+        raise ConfigurationError(source, [flaw])
+    return changed
 
 
 def _controlled(stretch: Stretch) -> tuple[int, int]:

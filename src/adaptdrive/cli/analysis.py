@@ -15,6 +15,7 @@ from cyclopts import Parameter
 
 from adaptdrive.app.state_file import replace_regular
 from adaptdrive.cli.extra import Extra
+from adaptdrive.cli.folders import refuse_unwritable
 
 
 def _check_second(_type: object, second: float | None) -> None:
@@ -33,7 +34,8 @@ class SessionView:
     Attributes:
         begin: First second used, from the first tick on.
         end: Last second used.
-        into: Folder for the files; that of the session when left out.
+        into: Folder for the files; that of the session when left out. It is made where it is
+            missing.
         show: Open the result.
         as_json: Print JSON, for programs.
     """
@@ -43,6 +45,12 @@ class SessionView:
     into: Path | None = None
     show: Annotated[bool, Parameter(name="--open", negative=())] = False
     as_json: Annotated[bool, Parameter(name="--json", negative=())] = False
+
+    def folder(self, session: Path) -> Path:
+        """Return the folder for the files; refuse one that cannot be written."""
+        folder = session if self.into is None else self.into
+        refuse_unwritable(folder)
+        return folder
 
     def present(self, text: str, content: object, result: Path) -> int:
         """Print a text or its content as JSON, and open a file when asked for."""
@@ -64,7 +72,8 @@ def plot(session: str, /, *, view: SessionView = _WHOLE) -> int:
     """
     with Extra("analysis"):
         from adaptdrive.analysis.plot import plot as plot_session  # noqa: PLC0415 - it is large
-    figure, report = plot_session(_find(session), view.begin, view.end, view.into)
+    path = _find(session)
+    figure, report = plot_session(path, view.begin, view.end, view.folder(path))
     files = {"figure": str(figure), "report": str(report)}
     return view.present(f"{figure}\n{report}", files, report)
 
@@ -83,8 +92,8 @@ def identify(session: str, /, *, view: SessionView = _WHOLE) -> int:
         from adaptdrive.analysis import session_load  # noqa: PLC0415 - it is large
         from adaptdrive.analysis.load_figure import draw_load  # noqa: PLC0415
     path = _find(session)
+    figure = view.folder(path) / "load.png"
     found = session_load.identify_session(path, view.begin, view.end)
-    figure = (view.into or path) / "load.png"
     replace_regular(figure, draw_load(found))
     text = f"{session_load.as_text(found)}\n\n{figure}"
     return view.present(text, session_load.as_json(found), figure)
@@ -113,10 +122,10 @@ def whatif(
         from adaptdrive.analysis.whatif import what_if  # noqa: PLC0415
         from adaptdrive.analysis.whatif_figure import draw_comparison  # noqa: PLC0415
     path = _find(session)
+    figure = view.folder(path) / "whatif.png"
     found = what_if(path, settings, view.begin, view.end)
     for one in found.idle:
         print(f"adaptdrive: {one}: has no effect on the loop", file=sys.stderr)
-    figure = (view.into or path) / "whatif.png"
     replace_regular(figure, draw_comparison(found, settings))
     text = f"{whatif_report.as_text(found)}\n\n{figure}"
     return view.present(text, whatif_report.as_json(found), figure)

@@ -9,9 +9,10 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from adaptdrive.app.state_file import directory_flaw, replace_regular
+from adaptdrive.app.state_file import replace_regular
 from adaptdrive.cli.contact import Contact, DriveName
 from adaptdrive.cli.extra import Extra
+from adaptdrive.cli.folders import refuse_unwritable
 from adaptdrive.errors import ConfigurationError, Flaw
 
 _HERE = Contact()
@@ -61,7 +62,7 @@ def commission(  # noqa: PLR0913 - the words of the command line
     wanted = run.CommissionRequest(path, move / 100.0, patience, _STANDBY_S)
     if not yes and not _agreed(run.announcement(wanted, drive)):
         return 1
-    _refuse_unwritable_folder(into)
+    refuse_unwritable(into)
     if write:
         run.refuse_unwritable(path)
     commissioned = asyncio.run(run.commission(wanted, drive, contact.settings, contact.timeout))
@@ -81,11 +82,6 @@ def _configuration(drive: str, config: Path | None) -> Path:
         if path.is_file():
             return path
     raise ConfigurationError(found[0], [Flaw("file", "is not there; name one with --config")])
-
-
-def _refuse_unwritable_folder(folder: Path) -> None:
-    if (flaw := directory_flaw(folder)) is not None:
-        raise ConfigurationError("--into", [Flaw(str(folder), f"cannot be written: {flaw}")])
 
 
 def _agreed(announcement: str) -> bool:
