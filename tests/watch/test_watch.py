@@ -28,6 +28,7 @@ from tests.operation.peers import PATIENCE_S, Bench, drive_report, load_report, 
 from tests.operation.test_sender import mute_drive
 from tests.support import Broker
 
+AROUND = {"TERM": "xterm", "LINES": "40", "COLUMNS": "120"}
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
 SPEED = Output("speed", "V")
 STATE = {
@@ -331,14 +332,13 @@ class Terminal:
 
 async def terminal(broker: Broker, drive: str, *more: str) -> Terminal:
     own, other = pty.openpty()
-    around = {"PYTHONPATH": os.pathsep.join(sys.path), "TERM": "xterm", "LINES": "40"}
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "adaptdrive.cli", "watch", drive),
         *("--broker", f"{broker.host}:{broker.port}", *more),
         stdin=other,
         stdout=other,
         stderr=other,
-        env=os.environ | around | {"COLUMNS": "120"},
+        env=os.environ | AROUND | {"PYTHONPATH": os.pathsep.join(sys.path)},
     )
     os.close(other)
     return Terminal(own, process)
@@ -389,6 +389,22 @@ async def test_a_terminal_that_is_not_utf_8_shows_what_it_can(
             await seen.shows("disable: accepted")
         finally:
             await seen.close()
+
+
+async def test_a_terminal_without_a_cursor_gets_no_view_and_arms_no_key(
+    mosquitto: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(AROUND, "TERM", "dumb")
+    async with serving(mosquitto, "dumb", tmp_path) as bench:
+        seen = await terminal(mosquitto, "dumb")
+        try:
+            seen.press("s")
+            await seen.shows("adaptdrive: TERM: dumb: a terminal of this kind shows no picture")
+            async with asyncio.timeout(PATIENCE_S):
+                assert await seen.process.wait() == 2
+        finally:
+            await seen.close()
+    assert bench.host.asked == []
 
 
 async def test_a_view_that_is_left_still_stops_the_drive(mosquitto: Broker, tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
-from contextlib import suppress
 from dataclasses import asdict
 
 from adaptdrive.cli.contact import Contact, DriveName
@@ -51,15 +50,11 @@ def watch(drive: DriveName, /, *, contact: Contact = _HERE) -> int:
         0, or 3 when a command was under way at the end and is not known to be carried out.
     """
     from adaptdrive.watch.main import watch as watch_drive  # noqa: PLC0415 - it is large
+    from adaptdrive.watch.view import refuse_dumb_terminal  # noqa: PLC0415
 
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         print("adaptdrive: watch needs a terminal; in a pipe use status --json", file=sys.stderr)
         return UNUSABLE
-    answered = asyncio.run(watch_drive(contact.settings, drive, contact.timeout, _complain))
+    refuse_dumb_terminal()
+    answered = asyncio.run(watch_drive(contact.settings, drive, contact.timeout))
     return ACCEPTED if answered else NO_ANSWER
-
-
-def _complain(line: str) -> None:
-    """Print a line to standard error, unless the terminal is gone."""
-    with suppress(OSError):
-        print(f"adaptdrive: {line}", file=sys.stderr)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import functools
 import time
-from collections.abc import Callable
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.conversation import NoAnswerError
@@ -14,24 +13,23 @@ from adaptdrive.watch.ending import ended_once, whole
 from adaptdrive.watch.keys import QUIT, KeyReader, pressed_keys
 from adaptdrive.watch.record import WatchRecord
 from adaptdrive.watch.sending import CommandsUnderWay
+from adaptdrive.watch.telling import tell_last
 from adaptdrive.watch.view import draw, screen
 
 _RETRY_S = 2.0
 
 
-async def watch(
-    broker: Mqtt, drive: str, timeout_s: float, complain: Callable[[str], None]
-) -> bool:
+async def watch(broker: Mqtt, drive: str, timeout_s: float) -> bool:
     """Show a drive until `q` is pressed or a signal comes; a stop under way is waited for.
 
     Args:
         broker: Where the broker is.
         drive: Name of the drive.
         timeout_s: Longest wait for the answer to a command.
-        complain: Called, after the view, with a line for each command that was not answered.
 
     Returns:
-        False where a command that was under way at the end is not known to be carried out.
+        False where a command that was under way at the end is not known to be carried out; a line
+        after the view names each.
     """
     record, ended = WatchRecord(drive, time.monotonic), asyncio.Event()
     unanswered: list[str] = []
@@ -49,8 +47,8 @@ async def watch(
         for task in tasks:
             task.cancel()
         await asyncio.wait(tasks)
-        for line in unanswered:
-            complain(f"{drive}: {printable(line)}")
+        if unanswered:
+            tell_last("\n".join(f"adaptdrive: {drive}: {printable(one)}" for one in unanswered))
 
     services = (_follow(broker, record), draw(functools.partial(screen, record)), ended.wait())
     tasks = [asyncio.ensure_future(service) for service in services]

@@ -18,6 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from adaptdrive.aside import in_thread
+from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.operation.estimate_names import quantity_and_unit
 from adaptdrive.operation.listener import number, part, printable
 from adaptdrive.watch.plot import REFERENCE_STYLE, STYLES, plot
@@ -32,16 +33,25 @@ from adaptdrive.watch.tables import (
     lines,
     rows,
 )
+from adaptdrive.watch.telling import LONGEST_S
 
 KEYS = "s STOP   e e enable   r reset   f fixed   a adaptive   m manual   + - set-point   q quit"
 FIGURES_ROWS = 8
 _SHORTEST_WINDOW_S, _LONGEST_WINDOW_S = 30.0, 600.0
 _EVENTS, _TALL, _WIDE = 6, 32, 110
 REFRESH_S = 0.25
-_LEAVE_S = 1.0
-"""Longest wait for a terminal to take the end of the view."""
-
 _REFUSED = ("wrong_length", "wrong_checksum", "counter_stuck", "out_of_range", "exceptions")
+
+
+def refuse_dumb_terminal() -> None:
+    """Refuse a terminal in which the cursor cannot be moved.
+
+    Raises:
+        ConfigurationError: The environment names such a terminal.
+    """
+    if Console(force_terminal=True).is_dumb_terminal:
+        flaw = Flaw(os.environ["TERM"], "a terminal of this kind shows no picture")
+        raise ConfigurationError("TERM", [flaw])
 
 
 async def draw(screen_of: Callable[[tuple[int, int]], Layout]) -> NoReturn:
@@ -52,10 +62,14 @@ async def draw(screen_of: Callable[[tuple[int, int]], Layout]) -> NoReturn:
 
     Args:
         screen_of: Returns the screen for a terminal of some width and height, in characters.
+
+    Raises:
+        ConfigurationError: The terminal shows no picture.
     """
+    refuse_dumb_terminal()
     encoding, errors = sys.stdout.encoding, sys.stdout.errors
     output = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding=encoding, errors=errors)
-    console = Console(file=output)
+    console = Console(file=output, force_terminal=True)
     live = Live(
         console=console,
         screen=True,
@@ -71,7 +85,7 @@ async def draw(screen_of: Callable[[tuple[int, int]], Layout]) -> NoReturn:
             await asyncio.sleep(REFRESH_S)
     finally:
         with suppress(TimeoutError, OSError):
-            await asyncio.wait_for(_write(live.stop), _LEAVE_S)
+            await asyncio.wait_for(_write(live.stop), LONGEST_S)
             output.close()
 
 
