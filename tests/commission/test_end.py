@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -41,7 +41,12 @@ def motor(tmp_path: Path) -> Path:
 
 
 @contextmanager
-def commissioning(broker: Broker, motor: Path, terminal: int | None = None) -> Iterator[Command]:
+def commissioning(
+    broker: Broker,
+    motor: Path,
+    terminal: int | None = None,
+    around: Mapping[str, str] | None = None,
+) -> Iterator[Command]:
     """Run the command on a drive; it ends with the test."""
     words = ["commission", motor.stem, "--config", str(motor), "--yes"]
     process = subprocess.Popen(
@@ -54,7 +59,7 @@ def commissioning(broker: Broker, motor: Path, terminal: int | None = None) -> I
             f"{broker.host}:{broker.port}",
         ],
         cwd=motor.parent,
-        env=os.environ | {"TERM": "xterm", "LINES": "24", "COLUMNS": "80"},
+        env=os.environ | {"TERM": "xterm", "LINES": "24", "COLUMNS": "80"} | dict(around or {}),
         stdin=subprocess.DEVNULL if terminal is None else terminal,
         stdout=subprocess.DEVNULL if terminal is None else terminal,
         stderr=subprocess.STDOUT,
@@ -121,6 +126,43 @@ async def test_a_key_that_is_held_down_ends_an_experiment_once(
     assert "ended by a key: the drive is off" in screen.read()
     assert drive.verbs == ["mode", "enable", "voltage", "disable", "mode"]
     assert drive.mode == "fixed"
+
+
+@pytest.mark.parametrize(
+    "around", [{"TERM": "dumb"}, {"PYTHONIOENCODING": "ascii:surrogateescape"}], ids=str
+)
+async def test_without_a_picture_each_phase_is_a_line(
+    mosquitto: Broker, motor: Path, screen: Screen, around: Mapping[str, str]
+) -> None:
+    async with answering_drive(mosquitto, motor.stem) as drive:
+        drive.answers_stop.set()
+        with commissioning(mosquitto, motor, screen.inner, around) as process:
+            await until(lambda: "V  output 1  waiting for rest" in screen.read())
+            screen.press("q")
+            await until(lambda: has_ended(process, screen))
+    assert process.returncode == 1
+    shown = screen.read()
+    assert shown.count("adaptdrive: no picture, each phase is a line: ") == 1
+    assert "ended by a key: the drive is off" in shown
+
+
+async def test_a_stopped_terminal_holds_up_no_experiment(
+    mosquitto: Broker, motor: Path, screen: Screen
+) -> None:
+    """Its voltages are asked for all the while: without them the drive would trip."""
+    async with answering_drive(mosquitto, motor.stem) as drive:
+        drive.answers_stop.set()
+        around = {"TERM": "dumb"}
+        with commissioning(mosquitto, motor, screen.inner, around) as process:
+            await until(lambda: "no picture" in screen.read())
+            screen.press("\x13")
+            await until(lambda: "voltage" in drive.verbs)
+            await asyncio.sleep(HELD_S)
+            screen.press("q")
+            await until(drive.stopped.is_set)
+            screen.press("\x11")
+            await until(lambda: has_ended(process, screen))
+    assert "ended by a key: the drive is off" in screen.read()
 
 
 async def test_a_stop_that_nobody_answers_is_named(

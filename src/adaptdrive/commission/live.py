@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import functools
 import sys
+from typing import NoReturn
 
 from adaptdrive.commission.exchange import FastReading
 from adaptdrive.commission.experiment import LoadExperiment
@@ -14,11 +15,12 @@ from adaptdrive.commission.picture import Picture, screen
 from adaptdrive.errors import CommissionError
 from adaptdrive.watch.ending import ended_once
 from adaptdrive.watch.keys import QUIT, pressed_keys
+from adaptdrive.watch.telling import tell
 from adaptdrive.watch.view import draw
 
 
 async def carry_out(guide: Guide, experiment: LoadExperiment, picture: Picture) -> None:
-    """Run an experiment and show it, in a terminal as a picture, else each phase as a line.
+    """Run an experiment and show it: as a picture where a terminal takes one, else by lines.
 
     Args:
         guide: The drive.
@@ -40,11 +42,16 @@ async def carry_out(guide: Guide, experiment: LoadExperiment, picture: Picture) 
 
 
 async def _with_picture(guide: Guide, experiment: LoadExperiment, picture: Picture) -> None:
+    lines = PhaseLines(experiment)
+
     def show(reading: FastReading, voltage_V: float) -> None:
         picture.take(experiment, reading, voltage_V)
+        if drawing.done():
+            lines(reading, voltage_V)
 
     work = asyncio.create_task(guide.carry_out(experiment, show))
     drawing = asyncio.create_task(draw(functools.partial(screen, picture)))
+    drawing.add_done_callback(_explain)
     pressed = asyncio.Event()
 
     def on_keys(keys: str) -> None:
@@ -65,8 +72,15 @@ async def _with_picture(guide: Guide, experiment: LoadExperiment, picture: Pictu
         await asyncio.wait([drawing])
 
 
+def _explain(drawing: asyncio.Task[NoReturn]) -> None:
+    """Tell why there is no picture any more."""
+    if not drawing.cancelled():
+        why = " ".join(str(drawing.exception()).split())
+        tell(f"adaptdrive: no picture, each phase is a line: {why}")
+
+
 class PhaseLines:
-    """Prints the begin of each phase."""
+    """Prints the begin of each phase; a terminal that takes no output holds up nothing."""
 
     def __init__(self, experiment: LoadExperiment) -> None:
         self._experiment = experiment
@@ -78,4 +92,4 @@ class PhaseLines:
         if phase is not self._phase:
             self._phase = phase
             output = f"output {reading.output:.4g}"
-            sys.stderr.write(f"V_c {voltage_V:.4g} V  {output}  {phase}\n")
+            tell(f"V_c {voltage_V:.4g} V  {output}  {phase}")
