@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import itertools
 import re
+import shlex
 import tomllib
 from pathlib import Path
 
@@ -216,3 +217,12 @@ def test_the_parser_quotes_a_file_that_is_no_text_in_part(
     database.write_bytes(b"\xfe" * 100_000)
     assert init("motor", "--bus", "can", "--dbc", database, "--directory", tmp_path) == 2
     assert len(capsys.readouterr().err) < 1000
+
+
+def test_the_commands_that_come_next_can_be_pasted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "test rig"
+    assert init("motor", "--bus", "can", "--directory", folder) == 0
+    pasted = [shlex.split(line, comments=True) for line in capsys.readouterr().out.splitlines()]
+    assert ["adaptdrive", "check", str(folder / "motor.toml")] in pasted

@@ -67,6 +67,16 @@ def test_a_session_is_found_by_path_and_by_name(directory: Path) -> None:
         find_session("nowhere", sessions)
 
 
+@pytest.mark.parametrize("name", [".", "../{}", "trip-1/.."])
+def test_a_session_has_its_name_wherever_the_operator_is(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    directory = create_session(NewSession(tmp_path, INFO, ""))
+    (directory / "trip-1").mkdir()
+    monkeypatch.chdir(directory)
+    assert find_session(name.format(directory.name), tmp_path).name == directory.name
+
+
 def test_the_facts_about_a_session_come_back(directory: Path) -> None:
     dropped = Dropped(ticks=3, slow=2, events=1)
     info = msgspec.structs.replace(INFO, ended=Ending.CUT, dropped=dropped)

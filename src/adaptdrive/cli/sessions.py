@@ -24,14 +24,19 @@ def _check_limit(_type: object, limit: float | None) -> None:
         raise ValueError(f"A limit is a number above 0 and at most {_LARGEST_LIMIT:g}.")
 
 
-def _check_kinds(_type: object, kinds: tuple[str, ...]) -> None:
-    from adaptdrive.config.proposals import nearest  # noqa: PLC0415 - `--help` needs neither
+def _refuse_unknown(kinds: tuple[str, ...]) -> None:
+    from adaptdrive.config.proposals import nearest  # noqa: PLC0415 - `--help` needs none of these
+    from adaptdrive.errors import ConfigurationError, Flaw  # noqa: PLC0415
     from adaptdrive.runtime.reports import EVENT_KINDS  # noqa: PLC0415
 
-    for kind in kinds:
-        if kind not in EVENT_KINDS:
-            known = ", ".join(EVENT_KINDS)
-            raise ValueError(f"No event is a {kind!r}{nearest(kind, EVENT_KINDS)}; known: {known}.")
+    known = ", ".join(EVENT_KINDS)
+    flaws = [
+        Flaw(kind, f"no event is of this kind{nearest(kind, EVENT_KINDS)}; known: {known}")
+        for kind in kinds
+        if kind not in EVENT_KINDS
+    ]
+    if flaws:
+        raise ConfigurationError("--kind", flaws)
 
 
 Limit = Annotated[float | None, Parameter(validator=_check_limit)]
@@ -190,7 +195,7 @@ def events(
     session: str | None = None,
     /,
     *,
-    kind: Annotated[tuple[str, ...], Parameter(validator=_check_kinds)] = (),
+    kind: tuple[str, ...] = (),
     directory: Folder = None,
     as_json: Json = False,
 ) -> int:
@@ -207,6 +212,7 @@ def events(
     from adaptdrive.recording.session import EVENTS_FILE, session_directories  # noqa: PLC0415
     from adaptdrive.runtime.trips import remedy  # noqa: PLC0415
 
+    _refuse_unknown(kind)
     if session is None:
         *_, path = (None, *session_directories(_folder(directory)))
         if path is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -64,13 +65,14 @@ def init(  # noqa: PLR0913 - one parameter for each option
 def _name_next_steps(path: Path, problem: str) -> int:
     """Print the next commands, or what is to be filled in; return the exit status."""
     print(f"wrote {path}")
+    file = shlex.quote(str(path))
     if problem:
-        print(f"\nfill in, then run `adaptdrive check {path}`:\n{problem}")
+        print(f"\nfill in, then run `adaptdrive check {file}`:\n{problem}")
         return 2
     print(
-        f"\nnext:\n  adaptdrive check {path}    # after each change\n"
-        f"  adaptdrive probe {path}    # show what the drive sends; command nothing\n"
-        f"  adaptdrive run {path}      # the daemon; the drive stays off until `enable`"
+        f"\nnext:\n  adaptdrive check {file}    # after each change\n"
+        f"  adaptdrive probe {file}    # show what the drive sends; command nothing\n"
+        f"  adaptdrive run {file}      # the daemon; the drive stays off until `enable`"
     )
     return 0
 

@@ -218,14 +218,16 @@ def session_directories(sessions: Path) -> Iterator[Path]:
 
 
 def find_session(name: str, sessions: Path) -> Path:
-    """The session that an operator names by path, or by its name in `sessions`.
+    """Return the session that an operator names by path, or by its name in `sessions`.
+
+    Its path ends in the name of the session also where that was given as `.` or `..`.
 
     Raises:
         RecordingError: There is none.
     """
     for directory in (Path(name), sessions / name):
         if (directory / INFO_FILE).is_file():
-            return directory
+            return directory if directory.name.strip(".") else directory.resolve()
     raise RecordingError(name, f"no such session, neither as a path nor in {sessions}")
 
 
