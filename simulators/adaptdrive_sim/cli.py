@@ -10,8 +10,15 @@ from typing import Annotated, Literal, NoReturn
 from cyclopts import App, Parameter
 
 import adaptdrive
+from adaptdrive.cli.contact import DriveName
 from adaptdrive.cli.integers import Integer
-from adaptdrive.cli.standard_files import lay_out_help
+from adaptdrive.cli.standard_files import (
+    FAILED,
+    flushed,
+    lay_out_help,
+    open_standard_files,
+    unwritten,
+)
 from adaptdrive.errors import AdaptdriveError
 from adaptdrive_sim.demo.settings import DemoSettings, VirtualSettings
 from adaptdrive_sim.device_settings import DeviceSettings
@@ -42,9 +49,16 @@ INTERRUPTED = 130
 
 def main() -> None:
     """Run the command line; an error is one clear line and a non-zero status."""
+    open_standard_files()
     lay_out_help(sys.argv[1:])
     try:
         app()
+    except SystemExit as end:  # that of every command
+        status = end.code if isinstance(end.code, int) else FAILED if end.code else 0
+        status = flushed(status, app.name[0])
+        sys.exit(end.code if isinstance(end.code, str) else status)
+    except OSError as problem:
+        sys.exit(unwritten(problem, app.name[0]))
     except ModuleNotFoundError as problem:
         if (problem.name or "").split(".")[0] in {"adaptdrive", "adaptdrive_sim"}:
             raise
@@ -70,7 +84,7 @@ def device(config: Path, *, settings: DeviceSettings | None = None) -> None:
 
 @app.command
 def disturb(
-    drive: str,
+    drive: DriveName,
     action: Action,
     values: Annotated[tuple[float, ...], Parameter(allow_leading_hyphen=True)] = (),
     /,

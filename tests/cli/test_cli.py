@@ -378,6 +378,7 @@ UNWRITABLE = (
 EARLY = "standard output cannot be written: {}; the command ended early"
 
 
+@pytest.mark.parametrize("unbuffered", ["", "1"])
 @pytest.mark.parametrize(
     ("redirections", "status", "errors"),
     [
@@ -389,12 +390,12 @@ EARLY = "standard output cannot be written: {}; the command ended early"
     ],
 )
 def test_output_that_nobody_takes_gives_no_traceback_and_no_false_status(
-    tmp_path: Path, redirections: str, status: int, errors: str
+    tmp_path: Path, redirections: str, status: int, errors: str, unbuffered: str
 ) -> None:
     command = f"{sys.executable} -m adaptdrive.cli sessions list --json --directory {tmp_path}"
     words = ["bash", "-c", f"{command} {redirections}"]
-    buffered = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
-    done = subprocess.run(words, capture_output=True, text=True, check=False, env=buffered)
+    around = os.environ | {"PYTHONUNBUFFERED": unbuffered}
+    done = subprocess.run(words, capture_output=True, text=True, check=False, env=around)
     assert (done.returncode, done.stderr) == (status, errors)
 
 
@@ -528,3 +529,34 @@ def test_an_unknown_command_gets_the_nearest_known_one(
 ) -> None:
     assert main([mistyped, "motor", "3"]) == 2
     assert f"(did you mean {meant!r}?)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "errors"),
+    [
+        ("demo bath --headless --duration 2 | true; exit ${PIPESTATUS[0]}", 0, ""),
+        (
+            "demo bath --headless --duration 2 > /dev/full",
+            1,
+            UNWRITABLE.format("No space left on device").replace("adaptdrive", "adaptdrive-sim"),
+        ),
+        ("demo bath --headless --duration 2 >&- 2>&-", 0, ""),
+        ("--help > /dev/full", 1, f"adaptdrive-sim: {EARLY.format('No space left on device')}\n"),
+    ],
+)
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_the_simulator_says_what_came_of_its_output(
+    words: str, status: int, errors: str, unbuffered: str
+) -> None:
+    command = ["bash", "-c", f"{sys.executable} -m adaptdrive_sim {words}"]
+    around = _environment() | {"PYTHONUNBUFFERED": unbuffered}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=around)
+    assert (done.returncode, done.stderr) == (status, errors)
+
+
+def test_a_name_that_no_drive_can_have_is_not_disturbed() -> None:
+    words = [sys.executable, "-m", "adaptdrive_sim", "disturb", "motor+1", "add-disk"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, env=_environment())
+    assert done.returncode == 2
+    assert "The name of a drive has 1 to 64 letters" in done.stderr
+    assert "Traceback" not in done.stderr

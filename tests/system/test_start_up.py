@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from adaptdrive.cli import FAILED, UNUSABLE
+from adaptdrive.cli import UNUSABLE
+from adaptdrive.cli.standard_files import FAILED
 from tests.support import has_can, stop_process
 from tests.system.site import START_PATIENCE_S, motor_configuration, until
 

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-import errno
 import sys
 from collections.abc import Sequence
 
 from cyclopts import App, CycloptsError, UnknownCommandError
 
 from adaptdrive import __version__
-from adaptdrive.cli.standard_files import discard_output, lay_out_help, open_standard_files
+from adaptdrive.cli.standard_files import (
+    FAILED,
+    complain,
+    flushed,
+    lay_out_help,
+    open_standard_files,
+    unwritten,
+)
 from adaptdrive.errors import AdaptdriveError, ConfigurationError
 from adaptdrive.runtime.requests import REQUESTS, Request
 
-FAILED = 1
 UNUSABLE = 2
 INTERRUPTED = 130
-
-_UNWRITTEN = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EPIPE, errno.EBADF}
 
 _COMMANDS = {
     "init": ("start", "Write a first configuration for a load and a bus."),
@@ -70,40 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except OSError as problem:
-        return _unwritten(problem)
-    return _flush(outcome if isinstance(outcome, int) else 0)
-
-
-def _flush(status: int) -> int:
-    """Return the status of a command that has ended, once its output is written.
-
-    A reader that has ended changes no status: the drive did what the status says.
-    """
-    try:
-        sys.stdout.flush()
-    except BrokenPipeError:
-        discard_output()
-    except OSError as problem:
-        discard_output()
-        text = f"standard output cannot be written: {problem.strerror}"
-        return _complain(f"{text}; the command itself ended with status {status}", status or FAILED)
-    return status
-
-
-def _unwritten(problem: OSError) -> int:
-    """Return the status of a command that could not write its output or reach a file.
-
-    What is neither is an internal error and raised again. An error of a file names it.
-    """
-    if problem.filename is None and problem.errno not in _UNWRITTEN:
-        raise problem
-    discard_output()
-    if isinstance(problem, BrokenPipeError):
-        return FAILED
-    if problem.filename is not None:
-        return _complain(str(problem), FAILED)
-    text = f"standard output cannot be written: {problem.strerror}"
-    return _complain(f"{text}; the command ended early", FAILED)
+        return unwritten(problem, "adaptdrive")
+    return flushed(outcome if isinstance(outcome, int) else 0, "adaptdrive")
 
 
 def _version() -> str:
@@ -140,6 +111,4 @@ def _first_line(request: type[Request]) -> str:
 
 
 def _complain(text: str, status: int) -> int:
-    for line in text.splitlines():
-        print(f"adaptdrive: {line}", file=sys.stderr)
-    return status
+    return complain("adaptdrive", text, status)

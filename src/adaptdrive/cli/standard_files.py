@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import sys
 from collections.abc import Sequence
-from io import TextIOWrapper
+from io import FileIO, TextIOWrapper
 from typing import Literal, TextIO
 
+FAILED = 1
+"""Exit status of a command that could not do what it was asked for."""
+
+_UNWRITTEN = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EPIPE, errno.EBADF}
 _INPUT, _OUTPUT, _ERRORS = range(3)
 _FEWEST_COLUMNS = 20
 _HELP = {"--help", "-h"}
@@ -25,6 +30,9 @@ def open_standard_files() -> None:
     sys.stdin = sys.stdin or _stream(_INPUT, "r")
     sys.stdout = sys.stdout or _stream(_OUTPUT, "w")
     sys.stderr = sys.stderr or _stream(_ERRORS, "w")
+    if isinstance(getattr(sys.stdout, "buffer", None), FileIO) and not sys.stdout.isatty():
+        # unbuffered: a reader that has had enough would end the command before its end
+        sys.stdout = _stream(_OUTPUT, "w", sys.stdout.encoding, sys.stdout.errors)
     if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
         # Latin-1 has no "…": what a terminal cannot show is escaped, as it is on standard error
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -47,6 +55,60 @@ def discard_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def flushed(status: int, program: str) -> int:
+    """Return the status of a command that has ended, once its output is written.
+
+    A reader that has ended changes no status: the drive did what the status says.
+
+    Args:
+        status: Its status.
+        program: Name of the program.
+    """
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        discard_output()
+    except OSError as problem:
+        discard_output()
+        text = f"standard output cannot be written: {problem.strerror}"
+        ended = f"the command itself ended with status {status}"
+        return complain(program, f"{text}; {ended}", status or FAILED)
+    return status
+
+
+def unwritten(problem: OSError, program: str) -> int:
+    """Return the status of a command that could not write its output or reach a file.
+
+    What is neither is an internal error and raised again. An error of a file names it.
+
+    Args:
+        problem: What the command ended with.
+        program: Name of the program.
+    """
+    if problem.filename is None and problem.errno not in _UNWRITTEN:
+        raise problem
+    discard_output()
+    if isinstance(problem, BrokenPipeError):
+        return FAILED
+    if problem.filename is not None:
+        return complain(program, str(problem), FAILED)
+    text = f"standard output cannot be written: {problem.strerror}"
+    return complain(program, f"{text}; the command ended early", FAILED)
+
+
+def complain(program: str, text: str, status: int) -> int:
+    """Print a text to standard error, and return a status.
+
+    Args:
+        program: Name of the program, which begins each line.
+        text: One or more lines.
+        status: The status.
+    """
+    for line in text.splitlines():
+        print(f"{program}: {line}", file=sys.stderr)
+    return status
+
+
 def _is_open(number: int) -> bool:
     try:
         os.fstat(number)
@@ -55,5 +117,7 @@ def _is_open(number: int) -> bool:
     return True
 
 
-def _stream(number: int, mode: Literal["r", "w"]) -> TextIO:
-    return open(number, mode, encoding="utf-8", closefd=False)
+def _stream(
+    number: int, mode: Literal["r", "w"], encoding: str = "utf-8", errors: str | None = None
+) -> TextIO:
+    return open(number, mode, encoding=encoding, errors=errors, closefd=False)
