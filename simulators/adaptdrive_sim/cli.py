@@ -14,6 +14,7 @@ from adaptdrive.cli.contact import DriveName
 from adaptdrive.cli.integers import Integer
 from adaptdrive.cli.standard_files import (
     FAILED,
+    complain,
     flushed,
     lay_out_help,
     open_standard_files,
@@ -64,7 +65,7 @@ def main() -> None:
             raise
         sys.exit(f"adaptdrive-sim: {problem.name} is missing: pip install 'adaptdrive[sim]'")
     except AdaptdriveError as problem:
-        sys.exit(f"adaptdrive-sim: {problem}")
+        sys.exit(complain(app.name[0], str(problem), FAILED))
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
 

@@ -16,6 +16,11 @@ NOT_JSON = (msgspec.DecodeError, UnicodeError, RecursionError)
 _Error = TypeVar("_Error", bound=Exception)
 
 
+def escaped(text: str) -> str:
+    """Return a text in which bytes of a file's name that are not UTF-8 are escaped."""
+    return text.encode(errors="backslashreplace").decode()
+
+
 class AdaptdriveError(Exception):
     """Root of every error that adaptdrive raises on purpose."""
 

@@ -560,3 +560,20 @@ def test_a_name_that_no_drive_can_have_is_not_disturbed() -> None:
     assert done.returncode == 2
     assert "The name of a drive has 1 to 64 letters" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_word_too_many_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "motor", "pump"]) == 2
+    said = "adaptdrive: the command takes no 'motor pump'; see its --help\n"
+    assert capsys.readouterr() == ("", said)
+
+
+def test_a_configuration_whose_name_is_not_utf_8_is_checked_for_programs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / os.fsdecode(b"motor-\xff.toml")
+    shutil.copy(EXAMPLE, file)
+    shutil.copy(EXAMPLE.with_name("adaptdrive.dbc"), tmp_path)
+    for name, status in ((file, 0), (tmp_path / os.fsdecode(b"\xff"), 2)):
+        assert main(["check", "--json", str(name)]) == status
+        assert json.loads(capsys.readouterr().out)["config"].startswith(str(tmp_path))

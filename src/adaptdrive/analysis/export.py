@@ -22,6 +22,7 @@ from adaptdrive.analysis.curves import session_clock
 from adaptdrive.analysis.flat import flat_batches, flat_schema
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.session import TABLES
+from adaptdrive.recording.streams import open_file
 
 _NANOSECONDS = 1_000_000_000
 _LONGEST_FIELD = 63
@@ -65,7 +66,7 @@ def _write_csv(session: Session, into: Path) -> list[Path]:
     paths = []
     for table, schema in _tables(session):
         path = into / f"{session.path.name}_{table}.csv"
-        with csv.CSVWriter(path, schema) as file:
+        with open_file(path, "wb") as sink, csv.CSVWriter(sink, schema) as file:
             for batch in flat_batches(session, table):
                 file.write_batch(batch.cast(schema))
         paths.append(path)
@@ -76,7 +77,10 @@ def _write_parquet(session: Session, into: Path) -> list[Path]:
     paths = []
     for table, schema in _tables(session):
         path = into / f"{session.path.name}_{table}.parquet"
-        with pq.ParquetWriter(path, schema, compression="zstd") as file:
+        with (
+            open_file(path, "wb") as sink,
+            pq.ParquetWriter(sink, schema, compression="zstd") as file,
+        ):
             for batch in flat_batches(session, table):
                 file.write_batch(batch.cast(schema))
         paths.append(path)

@@ -8,6 +8,7 @@ from adaptdrive.analysis.curves import find_window, read_curves
 from adaptdrive.analysis.figure import draw_session
 from adaptdrive.analysis.report import report_page
 from adaptdrive.app.state_file import replace_regular
+from adaptdrive.errors import escaped
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.what_if import reconfigured
 
@@ -38,5 +39,5 @@ def plot(
     figure, report = folder / "figure.png", folder / "report.html"
     page = report_page(session, curves, png)
     replace_regular(figure, png)
-    replace_regular(report, page.encode("utf-8"))
+    replace_regular(report, escaped(page).encode())
     return figure, report

@@ -9,7 +9,7 @@ from adaptdrive.app.advice import advice
 from adaptdrive.app.settings import daemon_settings
 from adaptdrive.app.time_limits import time_limits
 from adaptdrive.config import Configuration
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.errors import ConfigurationError, escaped
 
 Report = dict[str, Any]
 
@@ -23,7 +23,7 @@ def sound_report(configuration: Configuration, source: Path) -> Report:
     """
     load, machine = configuration.load, daemon_settings(configuration).machine
     return {
-        "config": str(source),
+        "config": escaped(str(source)),
         "valid": True,
         "flaws": [],
         "warnings": [str(one) for one in advice(configuration)],
@@ -45,4 +45,4 @@ def flawed_report(problem: ConfigurationError) -> Report:
         problem: Its flaws.
     """
     flaws = [{"place": one.place, "message": one.message} for one in problem.flaws]
-    return {"config": str(problem.source), "valid": False, "flaws": flaws}
+    return {"config": escaped(str(problem.source)), "valid": False, "flaws": flaws}

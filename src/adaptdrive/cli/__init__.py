@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from cyclopts import App, CycloptsError, UnknownCommandError
+from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensError
 
 from adaptdrive import __version__
 from adaptdrive.cli.standard_files import (
@@ -59,14 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     lay_out_help(sys.argv[1:] if arguments is None else arguments)
     try:
         outcome = _app()(arguments)
-    except UnknownCommandError as problem:
-        from adaptdrive.config.proposals import nearest  # noqa: PLC0415 - no command needs it
-
-        words = " ".join(problem.unused_tokens or ())
-        hint = nearest(words.split(" ")[0], [*_COMMANDS, *REQUESTS, "list", "sessions"])
-        return _complain(f"unknown command {words!r}{hint}; see adaptdrive --help", UNUSABLE)
     except CycloptsError as problem:
-        return _complain(" ".join(str(problem).split()), UNUSABLE)
+        return _complain(_misuse(problem), UNUSABLE)
     except AdaptdriveError as problem:
         unusable = isinstance(problem, ConfigurationError)
         return _complain(str(problem), UNUSABLE if unusable else FAILED)
@@ -75,6 +69,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as problem:
         return unwritten(problem, "adaptdrive")
     return flushed(outcome if isinstance(outcome, int) else 0, "adaptdrive")
+
+
+def _misuse(problem: CycloptsError) -> str:
+    """Return what is wrong with the words of a command."""
+    words = " ".join(problem.unused_tokens or ())
+    if isinstance(problem, UnknownCommandError):
+        from adaptdrive.config.proposals import nearest  # noqa: PLC0415 - no command needs it
+
+        hint = nearest(words.split(" ")[0], [*_COMMANDS, *REQUESTS, "list", "sessions"])
+        return f"unknown command {words!r}{hint}; see adaptdrive --help"
+    if isinstance(problem, UnusedCliTokensError):
+        return f"the command takes no {words!r}; see its --help"
+    return " ".join(str(problem).split())
 
 
 def _version() -> str:

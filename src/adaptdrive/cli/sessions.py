@@ -52,7 +52,7 @@ def list_sessions(*, directory: Folder = None, as_json: Json = False) -> int:
         directory: Folder of the sessions; $STATE_DIRECTORY/sessions or ./sessions when left out.
         as_json: Print JSON.
     """
-    from adaptdrive.errors import RecordingError  # noqa: PLC0415 - `--help` reads no recordings
+    from adaptdrive.errors import RecordingError, escaped  # noqa: PLC0415 - `--help` reads none
     from adaptdrive.recording.session import (  # noqa: PLC0415
         Dropped,
         read_info,
@@ -64,7 +64,7 @@ def list_sessions(*, directory: Folder = None, as_json: Json = False) -> int:
         try:
             info = read_info(path)
         except RecordingError as problem:
-            found.append({"session": path.name, "damaged": str(problem)})
+            found.append({"session": escaped(path.name), "damaged": str(problem)})
             if not as_json:
                 print(f"{path.name}  damaged: {problem}")
             continue
@@ -133,7 +133,7 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
     Returns:
         0 when nothing is damaged and nothing is missing, else 1.
     """
-    from adaptdrive.errors import RecordingError  # noqa: PLC0415 - see above
+    from adaptdrive.errors import RecordingError, escaped  # noqa: PLC0415 - see above
     from adaptdrive.recording.reader import read_session  # noqa: PLC0415
     from adaptdrive.recording.session import session_directories  # noqa: PLC0415
     from adaptdrive.recording.verify import Verification  # noqa: PLC0415
@@ -150,7 +150,7 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
             verdict = Verification({}, 0, (str(damage),))
         status = status if verdict.whole else 1
         if as_json:
-            verdicts[name] = {"whole": verdict.whole, **asdict(verdict)}
+            verdicts[escaped(name)] = {"whole": verdict.whole, **asdict(verdict)}
             continue
         rows = ", ".join(f"{count} {table}" for table, count in verdict.rows.items()) or "nothing"
         print(f"{name}: {rows}; {_condition(verdict)}")
@@ -237,7 +237,14 @@ def _condition(verdict: Verification) -> str:
 
 
 def _facts(path: Path, info: object) -> dict[str, object]:
-    return {"session": path.name, "bytes": _size(path), "trips": _trips(path), "info": info}
+    from adaptdrive.errors import escaped  # noqa: PLC0415 - see above
+
+    return {
+        "session": escaped(path.name),
+        "bytes": _size(path),
+        "trips": _trips(path),
+        "info": info,
+    }
 
 
 def _trips(path: Path) -> list[str]:

@@ -18,7 +18,7 @@ from pyarrow import parquet as pq
 from adaptdrive.config.regular_file import require_regular
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.session import TABLES
-from adaptdrive.recording.streams import StreamReader, convert
+from adaptdrive.recording.streams import StreamReader, convert, open_file
 
 _NAME = re.compile(rf"({'|'.join(TABLES)})(?:-(\d{{4,}}))?\.(arrows|parquet)")
 _BATCH_ROWS = 1 << 15
@@ -75,7 +75,8 @@ class Segment:
             return pa.schema([]) if first is None else first.schema
         try:
             require_regular(self.path)
-            return pq.read_schema(self.path)
+            with open_file(self.path, "rb") as source:
+                return pq.read_schema(source)
         except (pa.ArrowException, OSError) as problem:
             raise RecordingError(self.path, str(problem)) from problem
 
@@ -123,7 +124,10 @@ def _parquet_batches(
 ) -> Iterator[pa.RecordBatch]:
     try:
         require_regular(path)
-        with pq.ParquetFile(path, page_checksum_verification=strict) as file:
+        with (
+            open_file(path, "rb") as source,
+            pq.ParquetFile(source, page_checksum_verification=strict) as file,
+        ):
             wanted = columns and [name for name in columns if name in file.schema_arrow.names]
             yield from file.iter_batches(_BATCH_ROWS, columns=wanted)
     except (pa.ArrowException, OSError) as problem:

@@ -34,6 +34,19 @@ _ENCODINGS = {
 }
 
 
+def open_file(path: Path, mode: str) -> pa.OSFile:
+    """Open a file for Arrow, which takes a name that is not UTF-8 as bytes alone.
+
+    Args:
+        path: The file.
+        mode: `rb` or `wb`.
+
+    Raises:
+        OSError: It cannot be opened.
+    """
+    return pa.OSFile(os.fsencode(path), mode)
+
+
 class StreamWriter:
     """One Arrow stream; each batch is in the operating system's hands when `write` returns."""
 
@@ -73,7 +86,7 @@ class StreamReader:
         """
         try:
             require_regular(self._path)
-            with pa.OSFile(str(self._path), "rb") as source:
+            with open_file(self._path, "rb") as source:
                 yield from self._whole_batches(source)
         except (OSError, pa.ArrowMemoryError) as problem:
             raise RecordingError(self._path, str(problem)) from problem
