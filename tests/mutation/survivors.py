@@ -71,9 +71,8 @@ RUNTIME: dict[str, str] = {
     "_JITTER_TICKS": _BOUND,
     f"{_RATE}FrameRate.add: self._extend((arrival_s - self._began_s) / self._tick_s) -> "
     "self._extend((arrival_s + self._began_s) / self._tick_s)": _DIFFERENCES,
-    "runtime.bridge_watch:BridgeWatch.find_cause: if reported_s - self._off_s <= self._grace_s + "
-    "_SLACK_S and (not slept): -> if reported_s - self._off_s < self._grace_s + _SLACK_S and "
-    "(not slept):": _SLACK,
+    "runtime.bridge_watch:BridgeWatch._is_overdue: return reported_s - self._off_s > self._grace_s "
+    "+ _SLACK_S -> return reported_s - self._off_s >= self._grace_s + _SLACK_S": _SLACK,
     "runtime.statistics:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 1000000001.0": _BEYOND,
     "runtime.statistics:: _LARGEST_US = 1000000000.0 -> _LARGEST_US = 2000000000.0": _BEYOND,
 }

@@ -56,14 +56,43 @@ def test_a_bridge_has_thirty_half_cycles_and_three_readings(
     assert seen.cause == STOPPED
 
 
-def test_a_bridge_that_comes_on_or_need_not_be_on_begins_anew() -> None:
-    for bridge, commanded in ((True, True), (False, False)):
-        seen = Seen()
-        seen.look(0.0, bridge=False)
-        seen.look(20.0, bridge=bridge, commanded=commanded)
-        assert not seen.look(40.0, bridge=False)
-        assert not seen.look(69.0, bridge=False)
-        assert seen.look(70.0, bridge=False)
+def test_a_bridge_that_need_not_be_on_begins_anew() -> None:
+    seen = Seen()
+    seen.look(0.0, bridge=False)
+    seen.look(20.0, bridge=False, commanded=False)
+    assert not seen.look(40.0, bridge=False)
+    assert not seen.look(69.0, bridge=False)
+    assert seen.look(70.0, bridge=False)
+
+
+@pytest.mark.parametrize("due", [False, True])
+def test_a_bridge_that_has_come_on_and_is_off_is_a_stop_at_once(*, due: bool) -> None:
+    seen = Seen()
+    seen.look(0.0, bridge=False, commanded=False)
+    seen.look(1.0, bridge=False, due=due)
+    assert not seen.look(2.0, bridge=True, due=due)
+    assert seen.look(3.0, bridge=False, due=due)
+    assert seen.cause == STOPPED
+
+
+@pytest.mark.parametrize(("last_on", "stopped"), [(31.0, False), (32.0, True)])
+def test_a_bridge_that_was_still_on_at_the_command_has_been_on_by_it_after_its_time(
+    last_on: float, *, stopped: bool
+) -> None:
+    seen = Seen()
+    seen.look(0.0, bridge=True, commanded=False)
+    seen.look(1.0, bridge=True)
+    assert not seen.look(last_on, bridge=True)
+    assert seen.look(last_on + 1.0, bridge=False) is stopped
+
+
+def test_a_bridge_that_was_still_on_at_the_command_and_has_switched_must_stay_on() -> None:
+    seen = Seen()
+    seen.look(0.0, bridge=True, commanded=False)
+    assert not seen.look(1.0, bridge=True)
+    assert not seen.look(2.0, bridge=False)
+    assert not seen.look(3.0, bridge=True)
+    assert seen.look(4.0, bridge=False)
 
 
 def test_a_report_from_before_the_command_begins_no_time() -> None:
@@ -88,23 +117,18 @@ def test_a_bridge_need_not_come_on_while_its_drive_starts() -> None:
 def test_a_bridge_that_has_come_on_must_stay_on_while_its_drive_starts(unwatched: float) -> None:
     seen = Seen()
     seen.look(0.0, bridge=True, due=False)
-    assert seen.look(1.0, bridge=False, due=False, unwatched=unwatched) is (unwatched > 2.0)
-    assert seen.look(31.0, bridge=False, due=False)
+    assert seen.look(1.0, bridge=False, due=False, unwatched=unwatched)
 
 
-@pytest.mark.parametrize(
-    ("unwatched", "stopped", "named"),
-    [(2.0, False, ""), (2.1, True, ""), (10.0, True, ""), (11.0, True, "86 ms")],
-)
-def test_a_bridge_that_went_off_unwatched_is_a_stop(
-    unwatched: float, named: str, *, stopped: bool
+@pytest.mark.parametrize(("unwatched", "named"), [(2.0, False), (2.1, True)])
+def test_the_time_in_which_a_bridge_went_off_unwatched_is_named(
+    unwatched: float, *, named: bool
 ) -> None:
-    """A gap that no drive stops for, such as a late stand-in, is not named."""
     seen = Seen()
     seen.look(0.0, bridge=True)
-    assert seen.look(11.0, bridge=False, unwatched=unwatched) is stopped
-    cause = f"{STOPPED}; the daemon had not run for {named}" if named else STOPPED
-    assert seen.cause == (cause if stopped else None)
+    assert seen.look(10.0, bridge=False, unwatched=unwatched)
+    gap = f"; the daemon had not run for {1e3 * unwatched * TICK_S:.0f} ms"
+    assert seen.cause == STOPPED + (gap if named else "")
 
 
 @pytest.mark.parametrize("commanded", [False, True])
@@ -120,25 +144,25 @@ def test_a_report_from_before_the_time_unwatched_does_not_end_it(looks: int) -> 
     seen = Seen()
     seen.look(0.0, bridge=True)
     for number in range(looks):
-        age = 11.0 + number
-        assert not seen.look(age, bridge=True, old=age, unwatched=1.0 if number else 11.0)
-    assert not seen.look(14.0, bridge=True, old=3.0)  # it had not arrived when that time ended
-    assert seen.look(15.0, bridge=False)
-    assert seen.cause == f"{STOPPED}; the daemon had not run for {1.1e4 * TICK_S:.0f} ms"
+        age = 10.0 + number
+        assert not seen.look(age, bridge=True, old=age, unwatched=1.0 if number else 10.0)
+    assert not seen.look(13.0, bridge=True, old=3.0)  # it had not arrived when that time ended
+    assert seen.look(14.0, bridge=False)
+    assert seen.cause == f"{STOPPED}; the daemon had not run for {1e4 * TICK_S:.0f} ms"
 
 
 def test_the_longest_of_the_times_unwatched_is_named_and_the_last_of_them_counts() -> None:
     seen = Seen()
     seen.look(0.0, bridge=True)
-    assert not seen.look(11.0, bridge=True, old=11.0, unwatched=11.0)
-    assert not seen.look(16.0, bridge=True, old=2.0, unwatched=5.0)
-    assert not seen.look(17.0, bridge=True, old=2.0)
-    assert seen.look(18.0, bridge=False)
-    assert seen.cause == f"{STOPPED}; the daemon had not run for {1.1e4 * TICK_S:.0f} ms"
+    assert not seen.look(10.0, bridge=True, old=10.0, unwatched=10.0)
+    assert not seen.look(15.0, bridge=True, old=2.0, unwatched=5.0)
+    assert not seen.look(16.0, bridge=True, old=2.0)
+    assert seen.look(17.0, bridge=False)
+    assert seen.cause == f"{STOPPED}; the daemon had not run for {1e4 * TICK_S:.0f} ms"
 
 
 @pytest.mark.parametrize("commanded", [False, True])
-def test_a_bridge_that_was_on_after_the_time_unwatched_or_off_by_command_has_its_time_again(
+def test_a_bridge_that_was_on_after_the_time_unwatched_or_off_by_command_ends_that_time(
     *, commanded: bool
 ) -> None:
     seen = Seen()
@@ -146,7 +170,8 @@ def test_a_bridge_that_was_on_after_the_time_unwatched_or_off_by_command_has_its
     assert not seen.look(10.0, bridge=True, old=10.0, unwatched=10.0)
     assert not seen.look(11.0, bridge=True, commanded=commanded, old=0.0 if commanded else 11.0)
     assert not seen.look(12.0, bridge=True, old=1.0)
-    assert not seen.look(13.0, bridge=False)
+    assert seen.look(13.0, bridge=False) is commanded
+    assert seen.cause == (STOPPED if commanded else None)
 
 
 @pytest.mark.parametrize(("unwatched_s", "awaits"), [(0.079, False), (0.081, True)])

@@ -229,10 +229,28 @@ async def test_values_that_are_no_numbers_do_no_harm_in_standby() -> None:
         assert bench.state() is State.RUNNING
 
 
+def start_off(bench: FastBench) -> None:
+    """Enable a drive whose bridge does not come on."""
+    bench.frames(RATE_FRAMES)
+    bench.ask(Enable())
+    for _ in range(4):
+        bench.frame(bridge=False)
+    assert bench.state() is State.RUNNING
+    assert bench.sent[-1].bridge
+
+
 async def test_a_bridge_that_goes_off_by_itself_trips() -> None:
     async with fast_bench() as bench:
         bench.start()
         bench.frames(10)
+        bench.frame(bridge=False)
+        assert (bench.machine.trip or "").startswith("drive stopped")
+        assert bench.sent[-1] == SAFE_COMMAND
+
+
+async def test_a_bridge_that_does_not_come_on_trips() -> None:
+    async with fast_bench() as bench:
+        start_off(bench)
         ticks = 0
         while bench.state() is State.RUNNING and ticks < 100:
             bench.frame(bridge=False)
@@ -241,12 +259,43 @@ async def test_a_bridge_that_goes_off_by_itself_trips() -> None:
         assert 10 < ticks < 60
 
 
+@pytest.mark.parametrize("silent_s", [TICK_S, 0.03, 0.15])
+async def test_a_drive_that_starts_anew_in_a_run_is_not_driven_on(silent_s: float) -> None:
+    """Its counter begins at 0, so that its frames belong to no tick that time allows."""
+    limits = replace(FAST.limits, stale_s=0.3)
+    async with fast_bench(replace(FAST, limits=limits)) as bench:
+        bench.counter = 60_000
+        bench.start()
+        bench.frames(10)
+        bench.wait(silent_s)
+        known, bench.counter = len(bench.sent), -1
+        for number in range(30):
+            bench.frame(TICK_S if number else 0.0, bridge=False)
+        assert (bench.machine.trip or "").startswith("drive stopped")
+        assert set(bench.sent[known:]) == {SAFE_COMMAND}
+
+
+async def test_a_drive_whose_bridge_still_goes_off_for_the_command_before_is_driven_on() -> None:
+    """It coasts for three half cycles, in which its bridge has not opened yet."""
+    async with fast_bench() as bench:
+        bench.start()
+        bench.ask(SetSetpoint(0.0))
+        for _ in range(3):
+            bench.frame(bridge=True)
+        bench.ask(SetSetpoint(3.0))
+        for number in range(30):
+            bench.frame(bridge=number < 6 or number > 12)
+        assert bench.state() is State.RUNNING
+        bench.frames(40)
+        bench.frame(bridge=False)
+        assert (bench.machine.trip or "").startswith("drive stopped")
+
+
 async def test_a_drive_that_falls_silent_before_its_bridge_is_on_is_stale_and_not_stopped() -> None:
     """Its last frame reports the bridge off: the drive may have switched it on since."""
     limits = replace(FAST.limits, stale_s=0.5)
     async with fast_bench(replace(FAST, limits=limits)) as bench:
-        bench.start()
-        bench.frame(bridge=False)
+        start_off(bench)
         bench.wait(0.5 + 1.1 * TICK_S)
         assert (bench.machine.trip or "").startswith("stale: ")
 
@@ -373,10 +422,7 @@ async def test_a_silent_drive_that_complained_trips_with_its_own_words() -> None
 
 async def test_a_bridge_that_takes_its_time_does_not_trip() -> None:
     async with fast_bench() as bench:
-        bench.start()
-        for _ in range(10):
-            bench.frame(bridge=False)
-        bench.frames(1)
+        start_off(bench)
         for _ in range(25):
             bench.frame(bridge=False)
         bench.frames(100)

@@ -7,14 +7,13 @@ import math
 from adaptdrive.hardware.port import Reading
 
 _GRACE_TICKS = 30
-"""Half cycles that a bridge may take to switch: 0.25 s on a 60 Hz line."""
+"""Half cycles that a bridge may take to switch on: 0.25 s on a 60 Hz line."""
 
 _GRACE_READINGS = 3
 """The same in readings, for a drive that is read seldom."""
 
 _GAP_READINGS = 2
-"""Readings that pass unwatched before a bridge that was on and is off is a stop, not a flicker."""
-
+"""Readings that may pass unwatched; a longer time is named in the trip."""
 
 _SHORTEST_TIMEOUT_S = 0.08
 """Time without a command after which a drive may have stopped by its own time-out: none is shorter
@@ -25,7 +24,7 @@ _SLACK_S = 1e-6
 
 
 class BridgeWatch:
-    """Measures how long a drive has reported its bridge off although it was commanded on."""
+    """Finds a drive that reports its bridge off although it was commanded on."""
 
     def __init__(self, tick_s: float, ticks_per_reading: int) -> None:
         """Watch from the first half cycle.
@@ -39,6 +38,8 @@ class BridgeWatch:
         self._gap_limit_s = _GAP_READINGS * self._reading_s
         self._off_s: float | None = None
         self._due_s: float | None = None
+        self._commanded_s = math.inf
+        self._lingers = False
         self._been_on = False
         self._gap_s = 0.0
         self._gap_end_s = -math.inf
@@ -49,9 +50,11 @@ class BridgeWatch:
         """Return the cause of a trip, None for none.
 
         Only reports of the drive count: one that has fallen silent is stale, not off. A bridge that
-        went off unwatched is a stop at once: a drive that stopped because this process did not run
-        gets no command that energises it anew. A report from before the end of that time says
-        nothing of it. A report from before the command says nothing of what follows it.
+        has come on by command and is off is a stop at once; one that has not been on yet has its
+        time to switch. A report from before the command says nothing of what follows it.
+
+        A drive may have stopped while this process did not run: a report from before the end of
+        that time says nothing of it.
 
         Args:
             reading: The newest reading.
@@ -61,29 +64,52 @@ class BridgeWatch:
             now_s: Monotonic time of this look.
         """
         self._note_gap(unwatched_s, now_s)
-        self._note_due(now_s, due=commanded and (due or self._been_on))
-        reported_s = reading.bridge_reported_s
-        if reading.bridge or not commanded:
-            self._off_s, self._been_on = None, commanded
-            if reported_s > self._gap_end_s or not commanded:
-                self._gap_s = 0.0
+        self._note_due(now_s, due=commanded and due)
+        if not commanded:
+            self._rest(bridge=reading.bridge)
             return None
-        if self._due_s is None:
+        self._commanded_s = min(self._commanded_s, now_s)
+        if reading.bridge:
+            self._see_on(reading.bridge_reported_s)
             return None
-        if self._off_s is None:
-            self._off_s = max(reported_s, self._due_s) - self._reading_s
-        slept = self._been_on and self._gap_s > 0.0
-        if reported_s - self._off_s <= self._grace_s + _SLACK_S and not slept:
+        self._lingers = False
+        if not self._been_on and not self._is_overdue(reading.bridge_reported_s):
             return None
-        gap = (
-            f"; the daemon had not run for {self._gap_s * 1e3:.0f} ms" if self.awaits_report else ""
+        return (
+            "drive stopped: its bridge is off although it was commanded on"
+            f"{self._unwatched if self._been_on else ''}"
         )
-        return f"drive stopped: its bridge is off although it was commanded on{gap}"
 
     @property
     def awaits_report(self) -> bool:
         """True while a drive that was on may have stopped by itself, and has not reported since."""
         return self._been_on and self._gap_s > _SHORTEST_TIMEOUT_S
+
+    def _rest(self, *, bridge: bool) -> None:
+        """Begin anew with a drive that is commanded off; its bridge may still be on."""
+        self._off_s, self._been_on, self._lingers = None, False, bridge
+        self._commanded_s, self._gap_s = math.inf, 0.0
+
+    def _see_on(self, reported_s: float) -> None:
+        """Note a bridge that is on, by this command unless it still is by the one before."""
+        self._off_s = None
+        switched = not self._lingers or reported_s - self._commanded_s > self._grace_s
+        self._been_on = self._been_on or switched
+        if reported_s > self._gap_end_s:
+            self._gap_s = 0.0
+
+    def _is_overdue(self, reported_s: float) -> bool:
+        """Return whether a bridge that has not come on yet has had the time to."""
+        if self._due_s is None:
+            return False
+        if self._off_s is None:
+            self._off_s = max(reported_s, self._due_s) - self._reading_s
+        return reported_s - self._off_s > self._grace_s + _SLACK_S
+
+    @property
+    def _unwatched(self) -> str:
+        """The time in which the drive has stopped unseen, for the text of the trip."""
+        return f"; the daemon had not run for {self._gap_s * 1e3:.0f} ms" if self._gap_s else ""
 
     def _note_due(self, now_s: float, *, due: bool) -> None:
         """Keep the time from which on the bridge must be on, or soon after."""
