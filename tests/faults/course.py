@@ -65,12 +65,13 @@ class Course:
         highest: The highest output that the plant has had, noise left out.
     """
 
-    def __init__(self, name: str, seed: int) -> None:
+    def __init__(self, name: str, seed: int, stale_s: float | None = None) -> None:
         """Put a load that turns, is warm or is half charged behind a daemon.
 
         Args:
             name: One of `FILES`.
             seed: Of the errors of the model, the noise and the set-points.
+            stale_s: `interlocks.stale_s`, None for that of the example.
         """
         self.draw = random.Random(f"{name} {seed}")
         path = EXAMPLES / FILES[name]
@@ -79,6 +80,7 @@ class Course:
         self.load = tables["load"]["type"]
         for key in WRONG[self.load]:
             tables["load"]["model"][key] *= 1.3 ** self.draw.uniform(-1.0, 1.0)
+        tables["interlocks"]["stale_s"] = stale_s or tables["interlocks"]["stale_s"]
         self.configuration = validate_configuration(tables, path)
         span = truth.load.reference_max - truth.load.reference_min
         self.sigma = self.draw.choice([0.0, 0.002, 0.01]) * span

@@ -37,7 +37,7 @@ class Verdict:
 
 def judge(row: Row, name: str, seed: int) -> Verdict | None:
     """Run one course; None when the daemon refuses the load before any fault."""
-    course = Course(name, seed)
+    course = Course(name, seed, row.stale_s)
     if row.from_start:
         _put(row, course)
     if not course.begin():

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from adaptdrive.control.signals import Command
 from adaptdrive.hardware.port import Reading
 
-STALE_s = 0.05
 BOOST_MAX_V = 430.0
 OUTPUT_MAX_V = 5.0
 SLACK_s = 1e-6
@@ -23,6 +22,9 @@ OFF_COMMANDS = 34
 OFF_s = OFF_COMMANDS / 120.0
 """Shortest time that they take: a faster line gives a drive no less time to close its bridge."""
 
+OWN_TIMEOUT_s = 0.1
+"""Time without a command after which the drive stops by itself, be it heard or not."""
+
 UNDECIDED_COMMANDS = 540
 """Commands in a row after which a slow loop that decides nothing has been missed."""
 
@@ -32,6 +34,7 @@ class MustBeOff:
     """What is known on the outside of the daemon, and whether the drive may be energised.
 
     Attributes:
+        stale_s: Oldest usable measurement.
         enabled: Whether `enable` has been accepted, and nothing has revoked it since.
         why_not: What revoked it last.
         reading: The last reading that was handed over.
@@ -42,7 +45,12 @@ class MustBeOff:
         refused: Commands in a row with the bridge on to a drive that reports it off.
         refused_from_s: When the first of them was sent.
         undecided: Commands in a row with the bridge on that a stalled slow loop has not seen.
+        commanded: Whether the last command had the bridge on.
+        lingers: Whether the bridge was still on when it was commanded on.
+        been_on: Whether the bridge has come on by the command in force.
     """
+
+    stale_s: float = 0.05
 
     enabled: bool = False
     why_not: str = "nobody has enabled it"
@@ -54,6 +62,9 @@ class MustBeOff:
     refused: int = 0
     refused_from_s: float = math.inf
     undecided: int = 0
+    commanded: bool = False
+    lingers: bool = False
+    been_on: bool = False
 
     def cause(self, now_s: float) -> str | None:
         """Return why no drive may be energised now, None for no reason."""
@@ -62,7 +73,7 @@ class MustBeOff:
             return "nothing was measured"
         values = (reading.boost_voltage_V, reading.line_voltage_V, reading.load_power_W)
         causes = {
-            "the measurement is old": now_s - reading.oldest_s > STALE_s + SLACK_s,
+            "the measurement is old": now_s - reading.oldest_s > self.stale_s + SLACK_s,
             "a value is no number": not all(map(math.isfinite, (*values, reading.output))),
             "the drive has a fault": reading.fault != 0,
             "over-voltage": reading.boost_voltage_V > BOOST_MAX_V,
@@ -85,22 +96,40 @@ class MustBeOff:
         if self._energises(command):
             assert self.enabled, f"energised although {self.why_not}: {command}"
             assert self.readings >= RATE_READINGS, "energised before the rate was judged"
+            assert not self._unheard(now_s), "energised although it may have stopped unheard"
         reported = self.reading is not None and self.reading.bridge
         if not self.refused:
             self.refused_from_s = now_s
         self.refused = self.refused + 1 if command.bridge and not reported else 0
         self.undecided = self.undecided + 1 if command.bridge and self.stalled else 0
+        self._note_bridge(command, on=reported)
+
+    def _unheard(self, now_s: float) -> bool:
+        """Return whether a drive that was on has been silent for longer than its own time-out."""
+        silent_s = 0.0 if self.reading is None else now_s - self.reading.arrival_s
+        return self.been_on and silent_s > OWN_TIMEOUT_s
+
+    def _note_bridge(self, command: Command, *, on: bool) -> None:
+        """Keep whether the bridge has come on by the command, not still is by the one before."""
+        if not command.bridge:
+            self.commanded = self.been_on = False
+            return
+        self.lingers = on and (self.lingers or not self.commanded)
+        self.been_on = self.been_on or (on and self.commanded and not self.lingers)
+        self.commanded = True
 
     def _while_energised(self, now_s: float) -> str | None:
         """Return what stops a drive only while it is energised."""
         if not self.enabled:
             return None
-        if now_s - self.ran_s > STALE_s + SLACK_s:
+        if now_s - self.ran_s > self.stale_s + SLACK_s:
             return "the daemon did not run"
         if self.undecided > UNDECIDED_COMMANDS:
             return "the slow loop is behind"
+        if self.been_on and self.reading is not None and not self.reading.bridge:
+            return "the drive has stopped by itself, or has started anew"
         if self.refused > OFF_COMMANDS and now_s - self.refused_from_s > OFF_s:
-            return "the drive has stopped by itself"
+            return "the drive has not switched its bridge on"
         return None
 
     def enable(self, now_s: float) -> None:
@@ -124,6 +153,7 @@ class MustBeOff:
         """A new daemon: nobody has enabled anything."""
         self.revoke("the daemon was restarted")
         self.reading, self.readings, self.refused, self.undecided = None, 0, 0, 0
+        self.commanded = self.lingers = self.been_on = False
         self.ran_s = math.inf
 
     @staticmethod

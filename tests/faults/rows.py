@@ -26,6 +26,9 @@ QUICK = ("motor, CAN", "motor, Modbus", "battery, CAN")
 
 Put = Callable[[Course], None]
 
+UNPLUGGED_s = 0.25
+"""Longer than the time-out of the simulated drives on CAN, 0.1 s."""
+
 
 @dataclass(frozen=True, slots=True)
 class Row:
@@ -42,6 +45,7 @@ class Row:
         mends: Whether the fault can be ended, so that the drive must run again.
         sticks_on: Whether the load stays on whatever is commanded.
         from_start: Whether it is there before the drive is enabled.
+        stale_s: `interlocks.stale_s` where it is not that of the example.
     """
 
     group: str
@@ -54,6 +58,7 @@ class Row:
     mends: bool = True
     sticks_on: bool = False
     from_start: bool = False
+    stale_s: float | None = None
 
 
 def _sensor(read: Callable[[Course, float, float], float]) -> Put:
@@ -169,6 +174,13 @@ def _frozen(course: Course) -> None:
         course.drive.tick(course.daemon.now)
 
 
+def _unplugged(course: Course) -> None:
+    """Nothing passes either way for a while that makes no measurement stale."""
+    end_s = course.daemon.now + UNPLUGGED_s
+    course.frame = lambda reading: reading if course.daemon.now > end_s else None
+    course.actuator = lambda command: command if course.daemon.now > end_s else None
+
+
 def _stalled(course: Course) -> None:
     course.decides = False
 
@@ -220,6 +232,9 @@ ROWS: tuple[Row, ...] = (
     Row("link", "one reading in ten lost", _losing(0.1, math.inf), causes=STALE),
     Row("link", "silent", _frame(lambda *_: None), EVERY,
         dict.fromkeys(("motor", "bath", "battery"), 0.6), STALE),
+    Row("link", "cable out for less than stale_s, longer than the drive's own time-out", _unplugged,
+        ("motor, CAN", *BATTERY), dict.fromkeys(("motor", "battery"), 0.35), ("drive stopped",),
+        stale_s=0.5),
     Row("link", "another sender commands", _complaint, EVERY,
         dict.fromkeys(("motor", "bath", "battery"), 0.15), ("another sender",)),
     Row("clock", "daemon frozen for 1 s", _frozen, EVERY,

@@ -7,13 +7,15 @@ story that fails is shrunk to the shortest list of steps that still does.
 from __future__ import annotations
 
 import math
+import tomllib
 from dataclasses import replace
 
 import pytest
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from adaptdrive.config import load_configuration
+from adaptdrive.config.file import validate_configuration
+from adaptdrive.config.root import Configuration
 from adaptdrive.control.signals import Command, Decision, Mode
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.hardware.port import Reading
@@ -30,12 +32,11 @@ from adaptdrive.runtime.requests import (
     SetWaveform,
 )
 from tests.faults.by_hand import DaemonByHand
-from tests.faults.off import MustBeOff
+from tests.faults.off import MustBeOff, OWN_TIMEOUT_s
 from tests.wire.rig import EXAMPLES
 
-MOTOR = load_configuration(EXAMPLES / "motor.toml")
+MOTOR = EXAMPLES / "motor.toml"
 TICK_s = 1.0 / 120.0
-OWN_TIMEOUT_s = 0.1
 HEALTHY = {"boost_voltage_V": 215.0, "output": 2.6, "fault": 0, "line_voltage_V": 120.0}
 WISHES = st.one_of(
     st.builds(SetSetpoint, st.sampled_from([0.0, 2.5, 3.3, 4.2, 9.0, math.nan])),
@@ -55,17 +56,31 @@ FAULTS = [
 ]
 
 
+def motor(stale_s: float) -> Configuration:
+    """The example of a motor, with a limit for the age of its measurements."""
+    tables = tomllib.loads(MOTOR.read_text())
+    tables["interlocks"]["stale_s"] = stale_s
+    return validate_configuration(tables, MOTOR)
+
+
 class Story(RuleBasedStateMachine):
-    """One drive, one daemon at a time, and all that may happen to them."""
+    """One drive, one daemon at a time, and all that may happen to them.
+
+    Attributes:
+        stale_s: `interlocks.stale_s` of the daemon; the drive's own time-out is 0.1 s.
+    """
+
+    stale_s = 0.05
 
     def __init__(self) -> None:
         super().__init__()
         self.now = 1000.0
-        self.must = MustBeOff()
+        self.must = MustBeOff(self.stale_s)
+        self.configuration = motor(self.stale_s)
         self.values = dict(HEALTHY)
         self.counter = 0
         self.bridge = False
-        self.obeys = True
+        self.obeys = self.plugged = True
         self.commanded_s = -math.inf
         self.tripped = self.load_gone = False
         self.daemon = self._start_daemon()
@@ -87,6 +102,12 @@ class Story(RuleBasedStateMachine):
         for _ in range(ticks):
             self.daemon.wait(self.now + TICK_s)
             self._half_cycle(deliver=False)
+
+    @rule(ticks=st.sampled_from([3, 8, 15, 30, 50]))
+    def pull_the_cable_for_a_while(self, ticks: int) -> None:
+        self.plugged = False
+        self.lose_frames(ticks)
+        self.plugged = True
 
     @rule(ticks=st.sampled_from([3, 8, 15, 60, 600]), reads_first=st.booleans())
     def freeze_and_thaw(self, ticks: int, reads_first: bool) -> None:
@@ -172,7 +193,7 @@ class Story(RuleBasedStateMachine):
         self.load_gone = gone
 
     def _start_daemon(self) -> DaemonByHand:
-        daemon = DaemonByHand(MOTOR, self._hear, self.now)
+        daemon = DaemonByHand(self.configuration, self._hear, self.now)
         daemon.port.complaint = "another sender commands" if self.must.complaint else None
         daemon.port.on_delivery = self._note
         daemon.revise = self._revised
@@ -228,6 +249,9 @@ class Story(RuleBasedStateMachine):
     # -- the bus as the daemon and the model see it ------------------------------------------
 
     def _hear(self, command: Command) -> None:
+        if not self.plugged:
+            self.must.ran_s = self.daemon.now
+            return
         self.must.judge(command, self.daemon.now)
         self.commanded_s = self.daemon.now
         if self.obeys:
@@ -272,3 +296,9 @@ class Story(RuleBasedStateMachine):
         for report in self.daemon.heard():
             if isinstance(report, LoadReport) and report.decision.fault:
                 self.must.revoke("a decision had it stopped")
+
+
+class PatientStory(Story):
+    """A daemon that drives on through a silence in which the drive stops by itself."""
+
+    stale_s = 0.45

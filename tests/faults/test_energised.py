@@ -11,7 +11,7 @@ from hypothesis.stateful import run_state_machine_as_test
 from adaptdrive.runtime.bridge_watch import BridgeWatch
 from adaptdrive.runtime.interlock_board import InterlockBoard
 from adaptdrive.runtime.requests import SetSetpoint
-from tests.faults.story import Story
+from tests.faults.story import PatientStory, Story
 
 STORIES = int(os.environ.get("STORIES", "40"))
 QUICK = settings(
@@ -33,26 +33,30 @@ UNSHRUNK = settings(
 TestStory = Story.TestCase
 TestStory.settings = QUICK
 
+TestPatientStory = PatientStory.TestCase
+TestPatientStory.settings = QUICK
+
 
 def _no_cause(*_: object, **__: object) -> None:
     return None
 
 
 @pytest.mark.parametrize(
-    ("owner", "name"),
+    ("story", "owner", "name"),
     [
-        (InterlockBoard, "standing_cause"),
-        (InterlockBoard, "_gap_cause"),
-        (BridgeWatch, "find_cause"),
+        (Story, InterlockBoard, "standing_cause"),
+        (Story, InterlockBoard, "_gap_cause"),
+        (PatientStory, BridgeWatch, "find_cause"),
+        (PatientStory, BridgeWatch, "_note_silence"),
     ],
-    ids=["interlocks", "freezes", "own-stop"],
+    ids=["interlocks", "freezes", "own-stop", "silence"],
 )
 def test_a_daemon_without_one_protection_is_found_out(
-    owner: type, name: str, monkeypatch: pytest.MonkeyPatch
+    story: type[Story], owner: type, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(owner, name, _no_cause)
     with pytest.raises(AssertionError, match=r"although|without a reset"):
-        run_state_machine_as_test(Story, settings=UNSHRUNK)
+        run_state_machine_as_test(story, settings=UNSHRUNK)
 
 
 def test_a_command_that_a_request_made_between_two_ticks_shows_no_cause_yet() -> None:

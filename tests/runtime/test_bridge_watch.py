@@ -16,8 +16,8 @@ STOPPED = "drive stopped: its bridge is off although it was commanded on"
 class Seen:
     """A drive whose bridge is looked at."""
 
-    def __init__(self, ticks_per_reading: int = 1) -> None:
-        self._watch = BridgeWatch(TICK_S, ticks_per_reading)
+    def __init__(self, ticks_per_reading: int = 1, *, reported: bool = True) -> None:
+        self._watch = BridgeWatch(TICK_S, ticks_per_reading, reported=reported)
         self.cause: str | None = None
 
     def look(
@@ -29,11 +29,16 @@ class Seen:
         due: bool = True,
         unwatched: float = 1.0,
         old: float = 0.0,
+        reported: float | None = None,
     ) -> bool:
-        """Return whether it has stopped, some half cycles after 64 s, by a report of that age."""
+        """Return whether it has stopped, some half cycles after 64 s, by a reading of that age.
+
+        The bridge in it was reported at the same time, or so many half cycles ago.
+        """
         now_s = 64.0 + ticks * TICK_S
         time_s = now_s - old * TICK_S
-        reading = replace(CALM, arrival_s=time_s, oldest_s=time_s, bridge=bridge)
+        bridge_s = None if reported is None else now_s - reported * TICK_S
+        reading = replace(CALM, arrival_s=time_s, oldest_s=time_s, bridge=bridge, bridge_s=bridge_s)
         self.cause = self._watch.find_cause(
             reading, commanded=commanded, due=due, unwatched_s=unwatched * TICK_S, now_s=now_s
         )
@@ -180,7 +185,7 @@ def test_a_report_from_after_a_time_in_which_a_drive_may_have_stopped_is_waited_
 ) -> None:
     seen, unwatched = Seen(), unwatched_s / TICK_S
     seen.look(0.0, bridge=True)
-    seen.look(20.0, bridge=True, old=20.0, unwatched=unwatched)
+    seen.look(20.0, bridge=True, old=8.0, unwatched=unwatched)
     assert seen.awaits_report is awaits
     seen.look(21.0, bridge=True, old=1.0)
     assert seen.awaits_report is awaits
@@ -191,4 +196,55 @@ def test_a_report_from_after_a_time_in_which_a_drive_may_have_stopped_is_waited_
 def test_no_report_is_waited_for_of_a_drive_that_was_not_on() -> None:
     seen = Seen()
     seen.look(20.0, bridge=True, commanded=False, unwatched=20.0)
+    assert not seen.awaits_report
+
+
+@pytest.mark.parametrize(("ticks_per_reading", "limit"), [(1, 10.24), (6, 15.0), (60, 150.0)])
+def test_after_a_silence_a_report_is_waited_for(ticks_per_reading: int, limit: float) -> None:
+    """80 ms, or two readings and a half."""
+    seen = Seen(ticks_per_reading)
+    seen.look(0.0, bridge=True)
+    seen.look(limit - 0.1, bridge=True, old=limit - 0.1)
+    assert not seen.awaits_report
+    seen.look(limit + 0.1, bridge=True, old=limit + 0.1)
+    assert seen.awaits_report
+    seen.look(limit + 1.0, bridge=True)
+    assert not seen.awaits_report
+
+
+def test_a_silence_in_which_a_bridge_went_off_is_named() -> None:
+    seen = Seen()
+    seen.look(0.0, bridge=True)
+    for ticks in range(1, 21):
+        assert not seen.look(ticks, bridge=True, old=ticks)
+    assert seen.look(20.5, bridge=False)
+    assert seen.cause == f"{STOPPED}; nothing had been heard of it for {2e4 * TICK_S:.0f} ms"
+
+
+@pytest.mark.parametrize(("reported", "on"), [(True, False), (False, True)])
+def test_no_report_is_waited_for_where_none_can_show_a_stop(*, reported: bool, on: bool) -> None:
+    seen = Seen(reported=reported)
+    seen.look(0.0, bridge=on)
+    for ticks in range(1, 21):
+        seen.look(ticks, bridge=on, old=ticks)
+    assert not seen.awaits_report
+
+
+def test_a_rare_report_of_the_bridge_is_no_silence_while_readings_come() -> None:
+    """Its message comes once in 60 half cycles."""
+    seen = Seen()
+    for ticks in range(1, 130):
+        assert not seen.look(ticks, bridge=True, reported=ticks % 60)
+        assert not seen.awaits_report
+
+
+def test_after_a_silence_a_rare_report_of_the_bridge_is_waited_for() -> None:
+    seen = Seen()
+    seen.look(0.0, bridge=True)
+    for ticks in range(1, 21):
+        seen.look(ticks, bridge=True, old=ticks, reported=ticks)
+    for ticks in range(21, 40):
+        assert not seen.look(ticks, bridge=True, reported=ticks)
+        assert seen.awaits_report
+    seen.look(40.0, bridge=True)
     assert not seen.awaits_report

@@ -275,6 +275,50 @@ async def test_a_drive_that_starts_anew_in_a_run_is_not_driven_on(silent_s: floa
         assert set(bench.sent[known:]) == {SAFE_COMMAND}
 
 
+@pytest.mark.parametrize("silent_s", [0.2, 0.25, 0.3, 0.35])
+async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(silent_s: float) -> None:
+    """Its cable was out for longer than its own time-out, and shorter than `stale_s`."""
+    limits = replace(FAST.limits, stale_s=0.5)
+    async with fast_bench(replace(FAST, limits=limits)) as bench:
+        bench.start()
+        bench.frames(10)
+        began_s, last_s = bench.around.now, bench.around.now
+        for _ in range(round(silent_s / TICK_S)):
+            known = len(bench.sent)
+            bench.wait(TICK_S)
+            last_s = bench.around.now if len(bench.sent) > known else last_s
+        assert 0.05 < last_s - began_s < 0.1
+        known = len(bench.sent)
+        for _ in range(10):
+            bench.frame(0.0, steps=round(silent_s / TICK_S), bridge=False)
+        assert "nothing had been heard of it for" in (bench.machine.trip or "")
+        assert set(bench.sent[known:]) == {SAFE_COMMAND}
+
+
+async def test_a_drive_that_went_on_while_it_was_silent_is_driven_on() -> None:
+    limits = replace(FAST.limits, stale_s=0.5)
+    async with fast_bench(replace(FAST, limits=limits)) as bench:
+        bench.start()
+        bench.frames(10)
+        bench.wait(0.3)
+        known = len(bench.sent)
+        bench.frame(0.0, steps=36, bridge=True)
+        assert bench.sent[known].bridge
+        bench.frames(100)
+        assert bench.state() is State.RUNNING
+
+
+async def test_a_drive_that_never_reports_its_bridge_is_driven_on_through_a_silence() -> None:
+    """No report could show that it has not stopped."""
+    limits = replace(FAST.limits, stale_s=0.5)
+    async with fast_bench(replace(FAST, limits=limits), slack_s=None) as bench:
+        bench.start()
+        bench.frames(10)
+        known = len(bench.sent)
+        bench.wait(0.3)
+        assert len(bench.sent) - known > 30
+
+
 async def test_a_drive_whose_bridge_still_goes_off_for_the_command_before_is_driven_on() -> None:
     """It coasts for three half cycles, in which its bridge has not opened yet."""
     async with fast_bench() as bench:

@@ -1,14 +1,15 @@
-"""Keeps a drive that stopped while its bus was lost from being energised by what comes after."""
+"""Keeps a drive that stopped while nothing was heard of it from being energised afterwards."""
 
 from __future__ import annotations
 
-_STOPPED = (
-    "drive stopped: its bridge is off although it was commanded on; the bus was lost meanwhile"
-)
+_STOPPED = "drive stopped: its bridge is off although it was commanded on"
+
+LOST = "the bus was lost meanwhile"
+UNANSWERED = "a read had no answer meanwhile"
 
 
 class Relink:
-    """A drive that was on when its bus was lost, until a reading of the next connection.
+    """A drive that was on when its bus was lost or fell silent, until the next reading.
 
     The drive may have stopped by its own time-out meanwhile, or have started anew. A command that
     has the bridge on waits for the reading. If that has the bridge off and the last one before the
@@ -21,22 +22,25 @@ class Relink:
         self._was_on = False
         self._reported_on = False
         self._stopped = False
+        self._how = LOST
 
     @property
     def complaint(self) -> str | None:
         """Reason not to energise the drive, None for none."""
-        return _STOPPED if self._stopped else None
+        return f"{_STOPPED}; {self._how}" if self._stopped else None
 
-    def open(self, *, bridge: bool) -> None:
-        """Begin a connection.
+    def open(self, *, bridge: bool, how: str = LOST) -> None:
+        """Begin a connection, or a silence of one.
 
         Args:
             bridge: Whether the last command that reached the drive had the bridge on.
+            how: Why nothing is heard of the drive.
         """
         self._was_on = self._commanded and (self._was_on or bridge)
+        self._how = how
 
     def hear(self, *, bridge: bool) -> None:
-        """Note a reading of the connection.
+        """Note a reading.
 
         Args:
             bridge: Whether it has the bridge on.

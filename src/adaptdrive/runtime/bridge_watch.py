@@ -15,6 +15,9 @@ _GRACE_READINGS = 3
 _GAP_READINGS = 2
 """Readings that may pass unwatched; a longer time is named in the trip."""
 
+_SILENT_READINGS = 2.5
+"""Readings without one after which a drive that is read seldom is silent: one may be lost."""
+
 _SHORTEST_TIMEOUT_S = 0.08
 """Time without a command after which a drive may have stopped by its own time-out: none is shorter
 than 0.1 s, and the last command was sent before the time began."""
@@ -26,22 +29,26 @@ _SLACK_S = 1e-6
 class BridgeWatch:
     """Finds a drive that reports its bridge off although it was commanded on."""
 
-    def __init__(self, tick_s: float, ticks_per_reading: int) -> None:
+    def __init__(self, tick_s: float, ticks_per_reading: int, *, reported: bool = True) -> None:
         """Watch from the first half cycle.
 
         Args:
             tick_s: Half a line cycle at nominal frequency.
             ticks_per_reading: Half cycles from one reading to the next.
+            reported: Whether the drive reports its bridge: after a silence nothing else shows that
+                it has not stopped.
         """
         self._reading_s = ticks_per_reading * tick_s
         self._grace_s = max(_GRACE_TICKS * tick_s, _GRACE_READINGS * self._reading_s)
         self._gap_limit_s = _GAP_READINGS * self._reading_s
+        silent_s = max(_SHORTEST_TIMEOUT_S, _SILENT_READINGS * self._reading_s)
+        self._silent_limit_s = silent_s if reported else math.inf
         self._off_s: float | None = None
         self._due_s: float | None = None
         self._commanded_s = math.inf
         self._lingers = False
         self._been_on = False
-        self._gap_s = 0.0
+        self._gap_s = self._silent_s = 0.0
         self._gap_end_s = -math.inf
 
     def find_cause(
@@ -53,8 +60,8 @@ class BridgeWatch:
         has come on by command and is off is a stop at once; one that has not been on yet has its
         time to switch. A report from before the command says nothing of what follows it.
 
-        A drive may have stopped while this process did not run: a report from before the end of
-        that time says nothing of it.
+        A drive may have stopped while this process did not run, or while nothing was heard of it: a
+        report from before the end of that time says nothing of it.
 
         Args:
             reading: The newest reading.
@@ -64,6 +71,7 @@ class BridgeWatch:
             now_s: Monotonic time of this look.
         """
         self._note_gap(unwatched_s, now_s)
+        self._note_silence(now_s - reading.arrival_s, now_s)
         self._note_due(now_s, due=commanded and due)
         if not commanded:
             self._rest(bridge=reading.bridge)
@@ -83,12 +91,13 @@ class BridgeWatch:
     @property
     def awaits_report(self) -> bool:
         """True while a drive that was on may have stopped by itself, and has not reported since."""
-        return self._been_on and self._gap_s > _SHORTEST_TIMEOUT_S
+        return self._been_on and max(self._gap_s, self._silent_s) > _SHORTEST_TIMEOUT_S
 
     def _rest(self, *, bridge: bool) -> None:
         """Begin anew with a drive that is commanded off; its bridge may still be on."""
         self._off_s, self._been_on, self._lingers = None, False, bridge
-        self._commanded_s, self._gap_s = math.inf, 0.0
+        self._commanded_s = math.inf
+        self._gap_s = self._silent_s = 0.0
 
     def _see_on(self, reported_s: float) -> None:
         """Note a bridge that is on, by this command unless it still is by the one before."""
@@ -96,7 +105,7 @@ class BridgeWatch:
         switched = not self._lingers or reported_s - self._commanded_s > self._grace_s
         self._been_on = self._been_on or switched
         if reported_s > self._gap_end_s:
-            self._gap_s = 0.0
+            self._gap_s = self._silent_s = 0.0
 
     def _is_overdue(self, reported_s: float) -> bool:
         """Return whether a bridge that has not come on yet has had the time to."""
@@ -109,7 +118,11 @@ class BridgeWatch:
     @property
     def _unwatched(self) -> str:
         """The time in which the drive has stopped unseen, for the text of the trip."""
-        return f"; the daemon had not run for {self._gap_s * 1e3:.0f} ms" if self._gap_s else ""
+        if self._gap_s:
+            return f"; the daemon had not run for {self._gap_s * 1e3:.0f} ms"
+        if self._silent_s:
+            return f"; nothing had been heard of it for {self._silent_s * 1e3:.0f} ms"
+        return ""
 
     def _note_due(self, now_s: float, *, due: bool) -> None:
         """Keep the time from which on the bridge must be on, or soon after."""
@@ -122,3 +135,8 @@ class BridgeWatch:
         """Keep the longest time in which a bridge may have gone off, until a report from after."""
         if unwatched_s > self._gap_limit_s:
             self._gap_s, self._gap_end_s = max(self._gap_s, unwatched_s), now_s
+
+    def _note_silence(self, unheard_s: float, now_s: float) -> None:
+        """Keep the longest time without a reading, likewise."""
+        if unheard_s > self._silent_limit_s:
+            self._silent_s, self._gap_end_s = max(self._silent_s, unheard_s), now_s

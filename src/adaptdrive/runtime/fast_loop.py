@@ -73,6 +73,7 @@ class FastLoop:
             self._half_cycles.rate if settings.drive_clocks else None,
             settings.tick_s,
             settings.ticks_per_reading,
+            bridge_reported=port.stop_slack_s is not None,
         )
         reading_s = settings.ticks_per_reading * settings.tick_s
         self._stop_watch = StopWatch(settings.stop_s, reading_s, port.stop_slack_s)

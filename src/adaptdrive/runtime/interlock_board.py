@@ -17,13 +17,15 @@ _GAP_READINGS = 2
 class InterlockBoard:
     """The interlocks of a drive, and the time since they were last evaluated."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - what the interlocks of a drive depend on
         self,
         limits: Limits,
         watches: tuple[Callable[[], Watch], ...],
         rate: FrameRate | None,
         tick_s: float,
         ticks_per_reading: int,
+        *,
+        bridge_reported: bool = True,
     ) -> None:
         """Evaluate nothing yet.
 
@@ -33,11 +35,12 @@ class InterlockBoard:
             rate: Rate of the drive's frames, None where this process decides it.
             tick_s: Half a line cycle at nominal frequency, in s.
             ticks_per_reading: Half cycles from one reading to the next.
+            bridge_reported: Whether the drive reports its bridge.
         """
         self._limits = limits
         self._watches = [build() for build in watches]
         self._rate = rate
-        self._bridge = BridgeWatch(tick_s, ticks_per_reading)
+        self._bridge = BridgeWatch(tick_s, ticks_per_reading, reported=bridge_reported)
         self._watched_s = math.inf
         # a drive that sends seldom leaves nothing to evaluate between two readings
         self._gap_limit_s = max(limits.stale_s, _GAP_READINGS * ticks_per_reading * tick_s)

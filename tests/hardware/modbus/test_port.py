@@ -26,6 +26,7 @@ from tests.hardware.modbus.bench import (
     port_and_peer,
     serial,
     until,
+    untouched,
 )
 
 POLL_s = 6 / 120.0
@@ -312,6 +313,67 @@ async def test_a_drive_whose_reply_to_its_first_energising_command_is_lost_is_re
         one.port.send(RUN)
         await until(lambda: peer.connections == 2 and len(peer.requests) > asked[0])
         assert peer.requests[asked[0]][0] in {3, 4}
+
+
+@pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
+@both
+async def test_a_drive_that_was_silent_is_read_before_it_is_driven_on(
+    kind: str, changes: dict[str, str | None], tmp_path: Path, free_tcp_port: int
+) -> None:
+    """Two replies are lost, and the connection is kept: it may have stopped by its own time-out."""
+    async with bench(kind, tmp_path, free_tcp_port, **changes) as one:
+        one.port.send(RUN)
+        await until(lambda: bool(one.ear.readings) and one.ear.readings[-1].bridge)
+        peer = one.peer
+        lost: list[int] = []
+
+        def lose(reply: bytes) -> Pieces:
+            function = peer.requests[-1][0]
+            if len(lost) == 2 or (not lost and function == 16):  # a silence begins with a poll
+                return untouched(reply)
+            lost.append(len(peer.requests))
+            return []
+
+        peer.spoil = lose
+        await until(lambda: len(lost) == 2)
+        for _ in range(3):
+            await one.hears(1)
+            one.port.send(RUN)
+        await one.hears(1)
+        functions = [request[0] for request in peer.requests[lost[0] :]]
+        assert {*functions[:2]} <= {3, 4}
+        assert {16, 23} & {*functions}
+        assert one.told()[1] == 1
+        assert one.port.complaint is None
+        assert all(up for up, _ in one.ear.bus)
+
+
+@pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
+@both
+async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(
+    kind: str, changes: dict[str, str | None], tmp_path: Path, free_tcp_port: int
+) -> None:
+    address = 15 if changes else 5
+    table = "holding" if changes else "input"
+    bridge = {
+        "bus__registers__closed": f"{{ address = {address}, table = '{table}', type = 'uint16' }}",
+        "signals__bridge": '"closed"',
+    }
+    async with bench(kind, tmp_path, free_tcp_port, **changes, **bridge) as one:
+        one.peer.state = 1
+        one.port.send(RUN)
+        await until(lambda: bool(one.peer.writes))
+        await one.hears(3)
+        assert one.ear.readings[-1].bridge
+        one.peer.dead = {1}
+        await one.asks(2)
+        known, one.peer.state = len(one.peer.writes), 0
+        one.peer.dead = set()
+        await one.hears(2)
+        assert "a read had no answer meanwhile" in str(one.port.complaint)
+        assert len(one.peer.writes) == known
+        one.port.send(SAFE_COMMAND)
+        assert one.port.complaint is None
 
 
 @both

@@ -12,7 +12,7 @@ from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll
 from adaptdrive.hardware.modbus.replies import EXCEPTIONS
 from adaptdrive.hardware.port import OBEY_S
-from adaptdrive.hardware.relink import Relink
+from adaptdrive.hardware.relink import UNANSWERED, Relink
 
 _FROZEN_POLLS = 2.0
 """Time without a step of the port, in polls, after which the process counts as having stood still.
@@ -130,8 +130,15 @@ class Commander:
         self._stepped_s = self._clock()
 
     def note_read(self, *, answered: bool) -> None:
-        """Note whether the drive answers reads: a silent one ignores more than commands."""
+        """Note whether the drive answers reads: a silent one ignores more than commands.
+
+        It may have stopped by itself: what energises waits for a reading, as after a lost link, and
+        is written after the read of a poll, not with it.
+        """
         self._silent = not answered
+        if not answered:
+            self._written = None
+            self._relink.open(bridge=self.bridge or self._tried_bridge, how=UNANSWERED)
 
     def note_bridge(self, *, powered: bool) -> None:
         """Note whether the drive reports its bridge on, or is assumed to have it on."""
@@ -242,7 +249,7 @@ class Commander:
         """Return the command in force, None for none.
 
         A process that did not run for long finds here what it decided before: that is void. So is
-        one for a drive that was on when its link was lost, before it was read again.
+        one for a drive that was on when its link was lost or a read failed, before it is read.
         """
         command = self._command
         if command is None or command == SAFE_COMMAND:
