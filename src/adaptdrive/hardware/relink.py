@@ -5,6 +5,7 @@ from __future__ import annotations
 _STOPPED = "drive stopped: its bridge is off although it was commanded on"
 
 LOST = "the bus was lost meanwhile"
+LEAPT = "its alive counter leapt meanwhile: it may have started anew"
 UNANSWERED = "a read had no answer meanwhile"
 
 

@@ -32,7 +32,7 @@ from adaptdrive.hardware.link.codec import MessageCodec, frame_key
 from adaptdrive.hardware.link.connection import CanConnection
 from adaptdrive.hardware.link.integrity import FrameVerdict
 from adaptdrive.hardware.port import OBEY_S, Listener, PortStatistics, Reading
-from adaptdrive.hardware.relink import Relink
+from adaptdrive.hardware.relink import LEAPT, Relink
 from adaptdrive.hardware.rival import Rival
 
 _GOOD: Final[FrameVerdict] = FrameVerdict.GOOD  # found at once by compiled code
@@ -72,8 +72,10 @@ class CanPort:
         self._refusals = Refusals()
         self._hears_all = hears_all
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
+        self._bridge_status = _bridge_status(mapping)
         self._bridge_sent = False
         self._relink = Relink()
+        self._leapt_s = -math.inf
         self._safe_s = math.inf
         self._newest: Reading | None = None
         self._made_up = list(_made_up(config, mapping))
@@ -136,7 +138,8 @@ class CanPort:
             Whether the bus took it. False is counted, and nothing is sent again. It is False, too,
             in every other second of a drive that stays energised after the safe command: silence
             lets its own time-out switch it off; and for a command that has the bridge on before
-            the first reading of a bus that was opened again.
+            the first reading of a bus that was opened again, or the next report of a bridge whose
+            alive counter has leapt.
 
         Raises:
             ValueError: A value is not finite, or its signal cannot hold it; nothing is sent.
@@ -241,6 +244,8 @@ class CanPort:
             self._assembly.keep(status, decoded.values, arrival_s)
         else:
             self._refuse(status, decoded.verdict, frame)
+            if decoded.verdict is FrameVerdict.COUNTER_LOST and status is self._bridge_status:
+                self._doubt(arrival_s)
             if decoded.words:
                 self._assembly.keep(status, decoded.words, arrival_s)
             if decoded.verdict is not FrameVerdict.OUT_OF_RANGE or not self._awaits_bridge:
@@ -253,6 +258,11 @@ class CanPort:
             self._newest = reading or self._newest
             if frame.timestamp and waited_s < PROMPT_S:
                 self.hand_out()
+
+    def _doubt(self, arrival_s: float) -> None:
+        """Let what energises wait for the next report of the bridge: the drive may be a new one."""
+        self._leapt_s = arrival_s
+        self._relink.open(bridge=self._bridge_sent, how=LEAPT)
 
     def _refuse(self, status: StatusFrame, verdict: FrameVerdict, frame: can.Message) -> None:
         """Count a frame that failed a check, and remember it for reports."""
@@ -272,7 +282,8 @@ class CanPort:
         if reading is not None and (listener := self._connection.listener) is not None:
             self._assembly.faults.clear(reading.fault)
             self._connection.uptake.hear()
-            self._relink.hear(bridge=reading.bridge)
+            if reading.bridge_reported_s > self._leapt_s:
+                self._relink.hear(bridge=reading.bridge)
             listener.on_reading(reading)
 
     @property
@@ -298,6 +309,14 @@ class CanPort:
         self._bridge_sent = False
         self._assembly.forget()
         return self._connection.read_after(announce, partial(self.send, SAFE_COMMAND))
+
+
+def _bridge_status(mapping: CanMapping) -> StatusFrame | None:
+    """The message with the bridge, None where it is rare: its next report is not waited for."""
+    for status in mapping.statuses:
+        if any(one.quantity == "bridge" and not one.slack_s for one in status.sources):
+            return status
+    return None
 
 
 def _made_up(config: CanBus, mapping: CanMapping) -> Iterator[Callable[[], can.Message]]:
