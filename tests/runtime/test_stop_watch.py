@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from adaptdrive.control.signals import SAFE_COMMAND
+from adaptdrive.control.signals import SAFE_COMMAND, Command, Measurement, Order, Stage
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State, StopWord
-from adaptdrive.runtime.requests import Disable, Enable, Reset
+from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
 from tests.runtime.bench import FAST, RATE_FRAMES, TICK_S, FastBench, fast_bench
 
 STOP_TICKS = round(FAST.stop_s / TICK_S)
@@ -136,6 +136,97 @@ async def test_a_bridge_switched_on_by_others_is_an_alarm() -> None:
         assert (bench.machine.trip or "").startswith(
             "the drive's bridge is on although this daemon did not command it"
         )
+
+
+def precharge(bench: FastBench, *, bridge: bool = False) -> None:
+    """Enable a drive whose boost voltage does not rise."""
+    bench.measured = replace(bench.measured, boost_voltage_V=170.0)
+    bench.frames(RATE_FRAMES)
+    bench.ask(Enable())
+    for _ in range(4):
+        bench.frame(bridge=bridge)
+
+
+async def test_a_bridge_switched_on_by_others_in_the_precharge_is_an_alarm() -> None:
+    async with fast_bench() as bench:
+        precharge(bench)
+        bench.frames(10)
+        bench.frame(bridge=True)
+        assert bench.state() is State.STARTING
+        assert not bench.sent[-1].bridge
+        bench.frame(bridge=True)
+        assert (bench.machine.trip or "").startswith(
+            "the drive's bridge is on although this daemon did not command it"
+        )
+        assert bench.sent[-1] == SAFE_COMMAND
+        assert bench.loop.stop is StopWord.MISSING
+
+
+async def test_a_flicker_of_the_bridge_in_the_precharge_is_none() -> None:
+    async with fast_bench() as bench:
+        precharge(bench)
+        for number in range(40):
+            bench.frame(bridge=number % 2 == 0)
+        assert bench.state() is State.STARTING
+
+
+async def test_a_bridge_that_is_still_on_in_the_precharge_is_a_missing_stop() -> None:
+    """It has the time of a stop to open after the drive has coasted."""
+    async with fast_bench() as bench:
+        bench.start()
+        bench.frames(10)
+        bench.measured = replace(bench.measured, boost_voltage_V=170.0)
+        bench.ask(SetSetpoint(0.0))
+        bench.frame(bridge=True)
+        bench.ask(SetSetpoint(3.0))
+        began_s = bench.around.now
+        while bench.state() is not State.TRIPPED and bench.around.now < began_s + 2.0:
+            bench.frame(bridge=True)
+        assert (bench.machine.trip or "").startswith(
+            "the drive does not stop: its bridge is still on "
+        )
+        assert bench.around.now - began_s < FAST.stop_s + 3.0 * TICK_S
+
+
+async def test_a_bridge_that_opens_late_in_the_precharge_has_to_stay_off_from_then_on() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        bench.frames(10)
+        bench.measured = replace(bench.measured, boost_voltage_V=170.0)
+        bench.ask(SetSetpoint(0.0))
+        bench.frame(bridge=True)
+        bench.ask(SetSetpoint(3.0))
+        for number in range(100):
+            bench.frame(bridge=number < 20)
+        assert bench.state() is State.STARTING
+        for _ in range(2):
+            bench.frame(bridge=True)
+        assert bench.state() is State.TRIPPED
+
+
+async def test_a_drive_whose_enable_bit_is_on_in_the_precharge_may_report_it() -> None:
+    async with fast_bench() as bench:
+        inner = bench.controller.inner.tick
+
+        def with_bit(measurement: Measurement, order: Order) -> Command:
+            command = inner(measurement, order)
+            return replace(command, bridge=order.stage is not Stage.OFF)
+
+        bench.controller.replace_tick = with_bit
+        precharge(bench)
+        for _ in range(100):
+            bench.frame(bridge=True)
+        assert bench.state() is State.STARTING
+
+
+async def test_a_stop_in_the_precharge_is_confirmed_anew() -> None:
+    async with fast_bench() as bench:
+        precharge(bench)
+        bench.ask(Disable())
+        bench.loop.send_safe()
+        assert bench.state() is State.STOPPING
+        bench.frames(2)
+        assert bench.state() is State.STANDBY
 
 
 async def test_after_another_source_switched_it_on_a_reset_awaits_the_drives_word() -> None:

@@ -35,6 +35,7 @@ from adaptdrive.runtime.stop_watch import StopWatch
 from adaptdrive.runtime.stopping import Stopping
 
 _OFF: Final[Stage] = Stage.OFF  # found at once by compiled code
+_PRECHARGE: Final[Stage] = Stage.PRECHARGE
 _RUN: Final[Stage] = Stage.RUN
 
 
@@ -250,6 +251,8 @@ class FastLoop:
         stage = machine.stage
         if stage is _OFF:
             self._stopping.judge(self._port, reading, now_s)
+        elif stage is _PRECHARGE and reading is not None and not self.command.bridge:
+            self._stopping.judge_start(reading, now_s)
         else:
             self._stopping.release()
         if not machine.energised:

@@ -40,10 +40,12 @@ class StopWatch:
         self.limit_s = max(limit_s, _LIMIT_READINGS * reading_period_s) + (slack_s or 0.0)
         self._commanded_s = math.inf
         self._confirmed = False
+        self._was_off, self._off_s = False, math.inf
         self._on: list[float] = []
 
     def release(self) -> None:
         """Note that the drive is energised: the next stop begins anew."""
+        self._was_off, self._off_s = self._confirmed, self._commanded_s
         self._commanded_s, self._confirmed = math.inf, False
 
     def command(self, now_s: float) -> None:
@@ -71,6 +73,26 @@ class StopWatch:
         if self._confirmed:
             return Stop.CONFIRMED
         return Stop.OVERDUE if now_s - self._commanded_s > self.limit_s else Stop.AWAITED
+
+    def judge_start(self, reading: Reading, now_s: float) -> Stop:
+        """Return what is known of the bridge of a drive that only raises its boost voltage.
+
+        It is commanded off as it was before, which a report of that time may have confirmed.
+
+        Args:
+            reading: The latest reading.
+            now_s: Monotonic time.
+        """
+        if not reading.bridge:
+            self._on.clear()
+            self._was_off = self._was_off or reading.bridge_reported_s > self._off_s
+            return Stop.CONFIRMED
+        if self._was_off:
+            return self._denied(reading)
+        if now_s - self._off_s <= self.limit_s:
+            return Stop.AWAITED
+        self.doubt(self._off_s)
+        return Stop.OVERDUE
 
     def _denied(self, reading: Reading) -> Stop:
         """The bridge is on after a confirmed stop: denied by the second such reading."""

@@ -66,6 +66,14 @@ class Stopping:
         elif verdict is Stop.AWAITED and settled:
             self.word = StopWord.AWAITED
 
+    def judge_start(self, reading: Reading, now_s: float) -> None:
+        """Trip for a bridge that is on while the drive only raises its boost voltage."""
+        verdict = self._watch.judge_start(reading, now_s)
+        if verdict is Stop.DENIED:
+            self._miss(_SWITCHED_ON)
+        elif verdict is Stop.OVERDUE:
+            self._miss(f"the drive does not stop: {self._watch.why_not(reading, now_s, now_s)}")
+
     def _is_settled(self, verdict: Stop, now_s: float) -> bool:
         """Return whether a tripped drive that denied its stop has stayed off for a stop's time.
 
