@@ -125,13 +125,14 @@ def test_a_bridge_that_has_come_on_must_stay_on_while_its_drive_starts(unwatched
     assert seen.look(1.0, bridge=False, due=False, unwatched=unwatched)
 
 
-@pytest.mark.parametrize(("unwatched", "named"), [(2.0, False), (2.1, True)])
+@pytest.mark.parametrize(("unwatched", "named"), [(2.1, False), (10.0, False), (11.0, True)])
 def test_the_time_in_which_a_bridge_went_off_unwatched_is_named(
     unwatched: float, *, named: bool
 ) -> None:
+    """A time that no drive stops for, such as one late stand-in, is not named."""
     seen = Seen()
     seen.look(0.0, bridge=True)
-    assert seen.look(10.0, bridge=False, unwatched=unwatched)
+    assert seen.look(11.0, bridge=False, unwatched=unwatched)
     gap = f"; the daemon had not run for {1e3 * unwatched * TICK_S:.0f} ms"
     assert seen.cause == STOPPED + (gap if named else "")
 
@@ -149,21 +150,21 @@ def test_a_report_from_before_the_time_unwatched_does_not_end_it(looks: int) -> 
     seen = Seen()
     seen.look(0.0, bridge=True)
     for number in range(looks):
-        age = 10.0 + number
-        assert not seen.look(age, bridge=True, old=age, unwatched=1.0 if number else 10.0)
-    assert not seen.look(13.0, bridge=True, old=3.0)  # it had not arrived when that time ended
-    assert seen.look(14.0, bridge=False)
-    assert seen.cause == f"{STOPPED}; the daemon had not run for {1e4 * TICK_S:.0f} ms"
+        age = 11.0 + number
+        assert not seen.look(age, bridge=True, old=age, unwatched=1.0 if number else 11.0)
+    assert not seen.look(14.0, bridge=True, old=3.0)  # it had not arrived when that time ended
+    assert seen.look(15.0, bridge=False)
+    assert seen.cause == f"{STOPPED}; the daemon had not run for {1.1e4 * TICK_S:.0f} ms"
 
 
 def test_the_longest_of_the_times_unwatched_is_named_and_the_last_of_them_counts() -> None:
     seen = Seen()
     seen.look(0.0, bridge=True)
-    assert not seen.look(10.0, bridge=True, old=10.0, unwatched=10.0)
-    assert not seen.look(15.0, bridge=True, old=2.0, unwatched=5.0)
-    assert not seen.look(16.0, bridge=True, old=2.0)
-    assert seen.look(17.0, bridge=False)
-    assert seen.cause == f"{STOPPED}; the daemon had not run for {1e4 * TICK_S:.0f} ms"
+    assert not seen.look(11.0, bridge=True, old=11.0, unwatched=11.0)
+    assert not seen.look(16.0, bridge=True, old=2.0, unwatched=5.0)
+    assert not seen.look(17.0, bridge=True, old=2.0)
+    assert seen.look(18.0, bridge=False)
+    assert seen.cause == f"{STOPPED}; the daemon had not run for {1.1e4 * TICK_S:.0f} ms"
 
 
 @pytest.mark.parametrize("commanded", [False, True])

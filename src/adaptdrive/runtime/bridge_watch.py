@@ -118,7 +118,7 @@ class BridgeWatch:
     @property
     def _unwatched(self) -> str:
         """The time in which the drive has stopped unseen, for the text of the trip."""
-        if self._gap_s:
+        if self._gap_s > _SHORTEST_TIMEOUT_S:
             return f"; the daemon had not run for {self._gap_s * 1e3:.0f} ms"
         if self._silent_s:
             return f"; nothing had been heard of it for {self._silent_s * 1e3:.0f} ms"
