@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import io
 import re
+import time
 from pathlib import Path
 
 import msgspec
@@ -15,6 +17,7 @@ from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import EventRow, Header, framed
 from adaptdrive.recording.black_box import TRIP, BlackBox
 from adaptdrive.recording.black_box_writer import write_trip
+from adaptdrive.recording.left_trips import leave, left_path, left_trips
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.replay import replay
 from adaptdrive.recording.session import (
@@ -26,9 +29,12 @@ from adaptdrive.recording.session import (
 )
 from adaptdrive.recording.streams import StreamWriter
 from adaptdrive.recording.verify import verify
+from adaptdrive.recording.writer_process import WriterProcess
 from adaptdrive.runtime.reports import Severity
 from tests.recording.material import INFO, make_batch, make_tick
 from tests.recording.test_replay import StandIn
+
+PATIENCE_S = 120.0
 
 
 @pytest.mark.parametrize("timeout_s", [0.0, -1.0])
@@ -46,6 +52,53 @@ async def test_a_trip_for_which_no_time_is_left_is_reported_as_such(
     await box.finish(timeout_s)
     words = "the record of the trip is not written: no time was left"
     assert reports == [(Severity.ALARM, words)]
+
+
+def trips_of(session: Path) -> list[Path]:
+    return sorted(session.glob("trip-*"))
+
+
+async def test_a_trip_that_takes_too_long_at_the_end_is_written_at_the_next_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reports: list[tuple[Severity, str]] = []
+    header = Header(INFO, "", str(tmp_path), str(create_session(NewSession(tmp_path, INFO, ""))))
+
+    def box() -> BlackBox:
+        told = lambda severity, detail: reports.append((severity, detail))  # noqa: E731
+        return BlackBox(header, told, time.monotonic)
+
+    async def hang(*_: object) -> None:
+        await asyncio.Event().wait()
+
+    ended = box()
+    ended.directory = header.directory
+    trips = [EventRow(INFO.started, n, TRIP, "alarm", f"number {n}", 0.0, n) for n in (1, 2)]
+    ended.keep(msgspec.structs.replace(make_batch([make_tick(0)]), events=trips))
+    with monkeypatch.context() as busy:
+        busy.setattr(WriterProcess, "start", hang)
+        await ended.finish(2.0)
+    assert [severity for severity, _ in reports] == [Severity.WARNING] * 2
+    later = "the record of the trip is written at the next start: "
+    assert all(said.startswith(later) for _, said in reports)
+    reports.clear()
+    starting = asyncio.create_task(box().run())
+    async with asyncio.timeout(PATIENCE_S):
+        while left_trips(tmp_path, INFO.drive):  # noqa: ASYNC110 - a process sets no event
+            await asyncio.sleep(0.02)
+    starting.cancel()
+    await asyncio.wait([starting])
+    texts = [(trip / "trip.txt").read_text() for trip in trips_of(Path(header.directory))]
+    assert [text.splitlines()[0] for text in texts] == ["number 1", "number 2"]
+    assert [severity for severity, _ in reports] == [Severity.INFO] * 2
+
+
+def test_a_trip_of_another_drive_is_left_to_its_own_daemon(tmp_path: Path) -> None:
+    for drive in ("motor", "left_motor"):
+        leave(left_path(tmp_path, msgspec.structs.replace(INFO, drive=drive), 3), b"")
+    (tmp_path / f"{left_path(tmp_path, INFO, 4).name}.unfinished").touch()
+    ((path, number),) = left_trips(tmp_path, "motor")
+    assert (path.name.endswith("-3_motor"), number) == (True, 3)
 
 
 def trip_messages(sessions: Path, directory: str = "", first: int = 0) -> io.BytesIO:

@@ -19,6 +19,7 @@ import pytest
 
 from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import EventRow, Header
+from adaptdrive.recording.left_trips import left_trips
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.recorder import EVENT_KIND, Clocks, Feed, Recorder, WritePace
 from adaptdrive.recording.session import Dropped, Ending, read_info, session_directories
@@ -523,6 +524,7 @@ async def test_an_end_while_a_trip_is_written_loses_no_record(sessions: Path) ->
         await bench.stop()
     assert trip_texts(bench.directory) == ["over-voltage: 431 V"]
     assert any("record of the trip is in" in event.detail for event in bench.session().events)
+    assert left_trips(sessions, bench.session().info.drive) == []
 
 
 async def test_trips_one_after_another_and_at_the_end_have_a_record_each(sessions: Path) -> None:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import errno
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 
+from adaptdrive.aside import Result, in_thread
 from adaptdrive.recording.batches import Batch, Header, framed
+from adaptdrive.recording.left_trips import leave, left_path, left_trips
 from adaptdrive.recording.writer_process import WriterProcess
 from adaptdrive.runtime.reports import Severity
 
@@ -21,6 +25,7 @@ _MODULE = "adaptdrive.recording.black_box_writer"
 NO_FIGURE = "--no-figure"
 """Word of the command line without which the figure of a trip is drawn."""
 
+_UNWRITTEN = "the record of the trip is not written"
 _PATIENCE_S = 60.0
 """Longest wait for the disk, and for the figure, while the daemon runs."""
 
@@ -51,6 +56,7 @@ class BlackBox:
         clock: Callable[[], float],
         *,
         after_s: float = 10.0,
+        start_thread: Callable[[], None] = lambda: None,
     ) -> None:
         """Begin to keep.
 
@@ -59,6 +65,7 @@ class BlackBox:
             report: Reports an event.
             clock: Monotonic clock in seconds.
             after_s: How long it goes on after the trip.
+            start_thread: What a thread that reads or writes does first.
         """
         self.directory = ""
         """Folder of the session, empty while there is none."""
@@ -66,6 +73,7 @@ class BlackBox:
         self._report = report
         self._clock = clock
         self._after_s = after_s
+        self._start_thread = start_thread
         self._kept: deque[tuple[float, Batch]] = deque()
         self._trips: deque[_Trip] = deque()
         self._tripped = asyncio.Event()
@@ -86,59 +94,142 @@ class BlackBox:
                 self._tripped.set()
 
     async def run(self) -> None:
-        """Write each trip, a while after it, until cancelled."""
+        """Write what an earlier run has left, then each trip, a while after it, until cancelled."""
+        await self._write_left()
         while True:
             await self._tripped.wait()
             while self._trips:
                 trip = self._trips[0]
                 await asyncio.sleep(max(0.0, trip.time_s + self._after_s - self._clock()))
-                await self._write(trip, _PATIENCE_S)
+                if problem := await self._write(trip, _PATIENCE_S):
+                    self._report(Severity.ALARM, f"{_UNWRITTEN}: {problem}")
             self._tripped.clear()
 
     async def finish(self, timeout_s: float) -> None:
         """Write the trips that are not written yet; `run` must have ended.
 
+        What a record is made of is kept first: where the time is short, the next start makes it.
+
         Args:
             timeout_s: Longest wait for the disk; there is no time for a figure.
         """
         end_s = self._clock() + timeout_s
+        left = {trip for trip in tuple(self._trips) if await self._leave(trip, end_s)}
         while self._trips:
-            await self._write(self._trips[0], max(0.0, end_s - self._clock()), NO_FIGURE)
+            await self._finish(self._trips[0], end_s, left=self._trips[0] in left)
 
-    async def _write(self, trip: _Trip, timeout_s: float, *words: str) -> None:
-        """Write one trip, which stays to be written where this is cancelled before its end."""
+    async def _leave(self, trip: _Trip, end_s: float) -> bool:
+        """Keep what the record of a trip is made of; False where that failed."""
+        content = b"".join(self._messages(trip))
+        return await self._done_aside(lambda: leave(self._left_path(trip), content), end_s)
+
+    async def _finish(self, trip: _Trip, end_s: float, *, left: bool) -> None:
+        """Write one trip, or leave it to the next start."""
+        problem = await self._write(trip, max(0.0, end_s - self._clock()), NO_FIGURE)
+        if problem is None:
+            await self._done_aside(lambda: self._left_path(trip).unlink(missing_ok=True), end_s)
+        elif left:
+            later = "the record of the trip is written at the next start"
+            self._report(Severity.WARNING, f"{later}: {problem}")
+        else:
+            self._report(Severity.ALARM, f"{_UNWRITTEN}: {problem}")
+
+    def _left_path(self, trip: _Trip) -> Path:
+        return left_path(Path(self._header.sessions), self._header.info, trip.number)
+
+    async def _write_left(self) -> None:
+        """Write the trips for which an earlier run had no time."""
+        sessions, drive = Path(self._header.sessions), self._header.info.drive
+        found: list[tuple[Path, int]] = []
+        with contextlib.suppress(OSError):  # they stay for another start
+            found = await self._aside(lambda: left_trips(sessions, drive))
+        for path, number in found:
+            try:
+                async with asyncio.timeout(_PATIENCE_S):
+                    problem = await self._write_one_left(path, number)
+            except (OSError, TimeoutError) as error:
+                problem = str(error) or f"it took longer than {_PATIENCE_S:.3g} s"
+            if problem:
+                self._report(Severity.WARNING, f"{path} is left as it is: {problem}")
+
+    async def _write_one_left(self, path: Path, number: int) -> str | None:
+        messages = await self._aside(path.read_bytes)
+        problem = await self._have_written(number, [messages], lambda: None, NO_FIGURE)
+        if problem is None:
+            await self._aside(path.unlink)
+        return problem
+
+    async def _write(self, trip: _Trip, timeout_s: float, *words: str) -> str | None:
+        """Write one trip, which stays to be written where this is cancelled before its end.
+
+        Returns:
+            Why it is not written, None where it is.
+        """
+        messages = self._messages(trip)
         problem: str | None
         try:
             async with asyncio.timeout(timeout_s):
-                problem = await self._have_written(trip, *words)
+                problem = await self._have_written(
+                    trip.number, messages, lambda: self._done(trip), *words
+                )
         except TimeoutError:
             problem = f"it took longer than {timeout_s:.3g} s" if timeout_s else "no time was left"
         except OSError as error:
             problem = str(error)
-        if self._done(trip):
-            self._report(Severity.ALARM, f"the record of the trip is not written: {problem}")
+        return problem if self._done(trip) else None
 
-    async def _have_written(self, trip: _Trip, *words: str) -> str | None:
+    async def _have_written(
+        self, number: int, messages: Iterable[bytes], heard: Callable[[], object], *words: str
+    ) -> str | None:
         """Run the process that writes; why it failed."""
         sessions = Path(self._header.sessions)
-        writer = await WriterProcess.start(sessions, _MODULE, str(trip.number), *words)
+        writer = await WriterProcess.start(sessions, _MODULE, str(number), *words)
         try:
-            self._send(trip, writer)
+            for message in messages:
+                writer.send(message)
+            writer.hang_up()
             async for news in writer.news():
-                self._done(trip)
+                heard()
                 self._report(Severity(news.severity), news.detail)
             return await writer.ended()
         finally:
             await writer.kill()
 
-    def _send(self, trip: _Trip, writer: WriterProcess) -> None:
-        header = msgspec.structs.replace(self._header, directory=self.directory)
-        writer.send(framed(header))
+    def _messages(self, trip: _Trip) -> Iterator[bytes]:
+        """Yield what the process that writes a trip reads."""
+        yield framed(msgspec.structs.replace(self._header, directory=self.directory))
         begin_s, end_s = trip.time_s - _BEFORE_S, trip.time_s + self._after_s
         for time_s, batch in self._kept:
             if begin_s <= time_s <= end_s:
-                writer.send(framed(batch))
-        writer.hang_up()
+                yield framed(batch)
+
+    async def _done_aside(self, call: Callable[[], object], end_s: float) -> bool:
+        """Do something on the disk; False where that failed, or the disk takes too long."""
+        wait_s = end_s - self._clock()
+        if wait_s <= 0.0:
+            return False
+        try:
+            await asyncio.wait_for(self._aside(call), wait_s)
+        except (OSError, TimeoutError):
+            return False
+        return True
+
+    async def _aside(self, call: Callable[[], Result]) -> Result:
+        """Read or write in a thread, which a disk may hold up.
+
+        Raises:
+            OSError: The disk refuses, or no further thread can be started.
+        """
+
+        def run() -> Result:
+            self._start_thread()
+            return call()
+
+        try:
+            thread = in_thread(run, "black-box")
+        except RuntimeError as problem:
+            raise OSError(errno.EAGAIN, str(problem)) from problem
+        return await asyncio.wrap_future(thread)
 
     def _done(self, trip: _Trip) -> bool:
         """Take a trip off those to be written; False where it is not among them."""

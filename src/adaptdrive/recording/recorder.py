@@ -140,7 +140,13 @@ class Recorder:
         self._clocks = clocks
         self._pace = pace
         self._delivery = Delivery(header, pace.backlog_bytes, self._report, pace.start_thread)
-        self._black_box = BlackBox(header, self._report, clocks.monotonic, after_s=pace.trip_s)
+        self._black_box = BlackBox(
+            header,
+            self._report,
+            clocks.monotonic,
+            after_s=pace.trip_s,
+            start_thread=pace.start_thread,
+        )
         self._waiting: deque[TickReport] = deque()
         self._ticks = TickTable()
         self._slow: list[dict[str, Any]] = []

@@ -1,0 +1,49 @@
+"""Records of trips that a daemon had no time to write at its end, kept for the next start.
+
+A file holds what the process that writes such a record reads; to keep it takes one write.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from adaptdrive.recording.session import SessionInfo
+
+_PREFIX = ".left-trip-"
+_NAME = re.compile(rf"{re.escape(_PREFIX)}[^_]+-(?P<number>\d+)_(?P<drive>.+)")
+
+
+def left_path(sessions: Path, info: SessionInfo, number: int) -> Path:
+    """Return the path of what is left of one trip.
+
+    Args:
+        sessions: Folder of all sessions.
+        info: The session of the trip.
+        number: Running number of its event.
+    """
+    return sessions / f"{_PREFIX}{info.started:%Y%m%dT%H%M%S%fZ}-{number}_{info.drive}"
+
+
+def leave(path: Path, messages: bytes) -> None:
+    """Keep the messages of a trip; the file appears when it is whole.
+
+    Raises:
+        OSError: The disk refuses.
+    """
+    unfinished = path.with_name(f"{path.name}.unfinished")
+    unfinished.write_bytes(messages)
+    unfinished.rename(path)
+
+
+def left_trips(sessions: Path, drive: str) -> list[tuple[Path, int]]:
+    """Return what is left of the trips of a drive, with the number of each, the oldest first.
+
+    Args:
+        sessions: Folder of all sessions.
+        drive: Name of the drive; those of others are left to their own daemons.
+    """
+    found = ((path, _NAME.fullmatch(path.name)) for path in sorted(sessions.glob(f"{_PREFIX}*")))
+    return [
+        (path, int(match["number"])) for path, match in found if match and match["drive"] == drive
+    ]
