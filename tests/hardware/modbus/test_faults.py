@@ -22,11 +22,13 @@ from tests.hardware.modbus.bench import (
     Bench,
     Peer,
     Pieces,
+    QUIET_s,
     RtuPeer,
     Spoil,
     TcpPeer,
     TIMEOUT_s,
     bench,
+    judged,
     until,
     untouched,
 )
@@ -119,12 +121,14 @@ async def test_no_bad_value_is_used_and_the_drive_can_be_made_safe(
     name: str, tmp_path: Path, free_tcp_port: int
 ) -> None:
     kind, fault, count = FAULTS[name]
-    async with watched(kind, tmp_path, free_tcp_port) as one:
+    async with watched(kind, tmp_path, free_tcp_port) as one, judged(QUIET_s):
         fault(one.peer)
         await one.asks(2)  # one that was under way, and the first that is spoiled
         heard = len(one.ear.readings)
-        await until(lambda: getattr(one.port.statistics, count) >= 3)
-        assert len(one.ear.readings) <= heard + 1
+        await until(
+            lambda: getattr(one.port.statistics, count) >= 3 or len(one.ear.readings) > heard + 1
+        )
+        assert len(one.ear.readings) <= heard + 1  # looked at once, while a standstill is known
         one.port.send(SAFE_COMMAND)
         await until(lambda: one.told() == [0, 0])
         HEALTHY(one.peer)
@@ -181,12 +185,13 @@ async def test_replies_that_are_always_late_are_never_taken_for_later_ones(
     delay: float, tmp_path: Path, free_tcp_port: int
 ) -> None:
     """Each comes while the next request would be waiting, if the port did not wait for silence."""
-    async with bench("rtu", tmp_path, free_tcp_port) as one:
+    permitted_s = QUIET_s - delay * TIMEOUT_s
+    async with bench("rtu", tmp_path, free_tcp_port) as one, judged(permitted_s):
         one.peer.spoil = lambda reply: [(delay * TIMEOUT_s, reply)]
         await one.asks(2)
         heard = len(one.ear.readings)
-        await until(lambda: one.port.statistics.timeouts >= 5)
-        assert len(one.ear.readings) <= heard + 1
+        await until(lambda: one.port.statistics.timeouts >= 5 or len(one.ear.readings) > heard + 1)
+        assert len(one.ear.readings) <= heard + 1  # looked at once, while a standstill is known
         HEALTHY(one.peer)
         await one.hears(3)
         one.check_honesty()
