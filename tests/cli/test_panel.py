@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 import socket
 import struct
 import sys
@@ -17,6 +18,7 @@ import pytest
 from adaptdrive.cli.panel import FOLDER, PanelError, panel_address, panel_server
 from tests.cli.test_cli import start
 from tests.operation.peers import PATIENCE_S
+from tests.support import acting
 
 
 @pytest.fixture
@@ -75,11 +77,12 @@ def test_the_address_carries_the_broker() -> None:
 
 
 async def test_the_command_prints_the_address_and_ends_on_a_signal(tmp_path: Path) -> None:
-    process = await start("panel", "--port", "0", "--no-open")
+    with acting(signal.SIGINT):
+        process = await start("panel", "--port", "0", "--no-open")
     assert process.stdout is not None
     line = (await process.stdout.readline()).decode()
     assert line.startswith("panel: http://127.0.0.1:")
-    process.send_signal(2)
+    process.send_signal(signal.SIGINT)
     await process.communicate()
     assert process.returncode == 130
 
@@ -98,12 +101,13 @@ async def test_the_page_is_served_while_a_browser_in_the_terminal_runs(
     )
     browser.chmod(0o755)
     monkeypatch.setenv("BROWSER", f"{browser} %s")
-    process = await start("panel", "--port", "0")
+    with acting(signal.SIGINT):
+        process = await start("panel", "--port", "0")
     try:
         async with asyncio.timeout(PATIENCE_S):
             while not seen.exists():  # noqa: ASYNC110 - a file sets no event
                 await asyncio.sleep(0.05)
     finally:
-        process.send_signal(2)
+        process.send_signal(signal.SIGINT)
         await process.communicate()
     assert process.returncode == 130
