@@ -615,6 +615,29 @@ async def test_a_drive_whose_alive_counter_leaps_is_heard_before_it_is_driven_on
         assert port.complaint is None
 
 
+@pytest.mark.parametrize("spoil", [None, unavailable, flipped])
+async def test_a_stop_that_the_drive_reports_between_two_readings_is_not_missed(
+    port: CanPort, drive: Drive, ear: Ear, spoil: Callable[[Drive, str], bytes] | None
+) -> None:
+    """Its clock is lost or refused at the stop, and a command might have it on again by then."""
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        assert port.send(COMMAND)
+        drive.send_status(BridgeOn=0)
+        if spoil is not None:
+            drive.put("DriveLoad", spoil(drive, "DriveLoad"))
+        await heard_by(port, 3 + (spoil is not None))
+        assert not port.send(COMMAND)
+        drive.send_both()
+        await ear.hears(2)
+        assert (ear.readings[0].bridge, ear.readings[1].bridge) == (True, False)
+        assert port.send(COMMAND)
+        drive.send_both()
+        await ear.hears(3)
+        assert ear.readings[2].bridge
+
+
 @pytest.mark.parametrize("last", [SAFE_COMMAND, replace(COMMAND, bridge=False)])
 async def test_a_drive_that_was_off_when_its_bus_was_lost_may_be_off_after_it(
     port: CanPort, drive: Drive, ear: Ear, last: Command

@@ -90,6 +90,16 @@ async def test_a_voltage_beyond_its_limit_that_one_late_frame_alone_shows_trips(
         assert bench.sent[-1] == SAFE_COMMAND
 
 
+async def test_a_stop_of_the_drive_that_one_late_frame_alone_shows_trips() -> None:
+    """The stand-in before it has switched the drive on again."""
+    async with fast_bench() as bench:
+        bench.start()
+        bench.frames(10)
+        bench.frame(after_s=1.7 * TICK_S, bridge=False)
+        assert (bench.machine.trip or "").startswith("drive stopped: ")
+        assert bench.sent[-1] == SAFE_COMMAND
+
+
 async def test_the_timer_stands_in_on_the_drives_grid() -> None:
     async with fast_bench() as bench:
         bench.frames(5)

@@ -7,6 +7,7 @@ _STOPPED = "drive stopped: its bridge is off although it was commanded on"
 LOST = "the bus was lost meanwhile"
 LEAPT = "its alive counter leapt meanwhile: it may have started anew"
 UNANSWERED = "a read had no answer meanwhile"
+REFUSED = "its other values were refused meanwhile"
 
 
 class Relink:

@@ -133,8 +133,12 @@ class FastLoop:
         self._arm(arrival_s + late_s)
 
     def _watch_late_reading(self, reading: Reading, now_s: float) -> None:
-        """Trip for a reading beyond a limit now: the next one may replace it before a tick."""
-        if self._interlocks.standing_cause(self._port, reading, now_s) is not None:
+        """Trip for a reading beyond a limit, or of a drive that has stopped, now.
+
+        The next one may replace it before a tick.
+        """
+        off = self.command.bridge and not reading.bridge
+        if off or self._interlocks.standing_cause(self._port, reading, now_s) is not None:
             self._watch_between_ticks(now_s)
 
     def on_deadline(self, deadline_s: float) -> None:

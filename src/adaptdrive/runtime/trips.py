@@ -276,9 +276,9 @@ TRIPS = (
         "the drive has reported its bridge off after it had reported it on, or had not reported it "
         "on within 30 ticks (three readings where they are longer); where the bridge went off "
         "while the daemon did not run or nothing was heard of the drive, for the time in ms, while "
-        "a read had no answer (Modbus) or while the bus was lost, or where its alive counter leapt "
-        "(CAN), the text says so; a Modbus drive without a bridge register cannot tell after a "
-        "loss",
+        "a read had no answer or values were refused (Modbus) or while the bus was lost, or where "
+        "its alive counter leapt (CAN), the text says so; a Modbus drive without a bridge register "
+        "cannot tell after a loss",
         "check the drive's own time-out and protection; look for lost commands on the bus and a "
         "loose cable; where the daemon did not run, reduce the load of the machine and see "
         "`[realtime]`; after 80 ms without the daemon or the drive (two readings and a half where "

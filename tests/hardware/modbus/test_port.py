@@ -452,6 +452,32 @@ async def test_a_drive_at_rest_confirms_its_stop_by_the_bridge_beside_refused_va
 
 
 @both
+async def test_a_drive_that_reports_its_stop_beside_refused_values_is_not_driven_on(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    bridge = {
+        "bus__registers__on": "{ address = 5, table = 'input', bit = 0 }",
+        "signals__bridge": '"on"',
+    }
+    async with bench(kind, tmp_path, free_tcp_port, **bridge) as one:
+        one.peer.state = 1
+        one.port.send(RUN)
+        await until(lambda: bool(one.peer.writes) and one.ear.readings[-1].bridge)
+        one.peer.speed, one.peer.state = math.nan, 0
+        await one.asks(4)
+        known = len(one.peer.writes)
+        await one.asks(8)
+        assert one.peer.writes[known:] == []
+        one.peer.speed = 3.25
+        await one.hears(2)
+        assert one.peer.writes[known:] == []
+        assert (one.port.complaint or "").startswith("drive stopped: ")
+        one.port.send(SAFE_COMMAND)
+        await until(lambda: one.told() == [0, 0])
+        assert one.port.complaint is None
+
+
+@both
 async def test_a_drive_without_values_confirms_its_stop_over_a_new_link(
     kind: str, tmp_path: Path, free_tcp_port: int
 ) -> None:

@@ -27,6 +27,8 @@ class StatusAssembly:
 
     Attributes:
         faults: Faults since the last reading that was handed out.
+        stop_seen: Whether the drive has reported its bridge off since a reading had it on, and no
+            reading has carried that yet.
     """
 
     def __init__(self, mapping: CanMapping) -> None:
@@ -39,6 +41,8 @@ class StatusAssembly:
         self._values: dict[str, float] = {}
         self._dues: dict[str, tuple[float, float]] = {}
         self._last: Reading | None = None
+        self._carried_on = False
+        self.stop_seen = False
         self.faults = FaultLatch(mapping.fault_names)
 
     @property
@@ -75,6 +79,17 @@ class StatusAssembly:
                 values[part.quantity] = value * part.scale + part.offset
                 dues[part.quantity] = arrival_s + part.slack_s, part.slack_s
         self.faults.see(values.get("fault"))
+        self.stop_seen = self.stop_seen or (self._carried_on and not self.powered)
+
+    def carry(self, reading: Reading) -> None:
+        """Note a reading that is handed out; a stop seen after it was composed stays.
+
+        Args:
+            reading: The reading.
+        """
+        self.faults.clear(reading.fault)
+        self.stop_seen = self.stop_seen and reading.bridge
+        self._carried_on = reading.bridge and "bridge" in self._values
 
     def reading(self, arrival_s: float, *, bridge_sent: bool, stopped: bool) -> Reading | None:
         """Return the newest values and each fault since the last reading; None before all came.
@@ -92,6 +107,8 @@ class StatusAssembly:
         if due_s == -math.inf:
             return self._stop(arrival_s) if stopped else None
         self._last = self._whole(arrival_s, due_s - slack_s, slack_s, bridge_sent=bridge_sent)
+        if self.stop_seen and not stopped:  # a drive that is driven has stopped meanwhile
+            self._last = replace(self._last, bridge=False)
         return self._last
 
     def _whole(

@@ -139,7 +139,7 @@ class CanPort:
             in every other second of a drive that stays energised after the safe command: silence
             lets its own time-out switch it off; and for a command that has the bridge on before
             the first reading of a bus that was opened again, or the next report of a bridge whose
-            alive counter has leapt.
+            alive counter has leapt, or the reading with a stop that the drive has reported.
 
         Raises:
             ValueError: A value is not finite, or its signal cannot hold it; nothing is sent.
@@ -151,6 +151,8 @@ class CanPort:
             self._safe_s = math.inf
         self._relink.note(bridge=bridge, safe=safe)
         if self._disobeyed or not self._relink.admits(bridge=bridge):
+            return False
+        if bridge and self._assembly.stop_seen:
             return False
         taken = 0
         for frame in frames:
@@ -280,7 +282,7 @@ class CanPort:
         """Pass the newest reading on: no more frames wait."""
         reading, self._newest = self._newest, None
         if reading is not None and (listener := self._connection.listener) is not None:
-            self._assembly.faults.clear(reading.fault)
+            self._assembly.carry(reading)
             self._connection.uptake.hear()
             if reading.bridge_reported_s > self._leapt_s:
                 self._relink.hear(bridge=reading.bridge)

@@ -110,22 +110,24 @@ class PollAssembly:
 
     def _stop(self, arrival_s: float, start_s: float) -> Reading | None:
         """Return the last reading with the bridge of this poll."""
-        last, bridge = self._handed_out, self._bridge_beside_refused()
-        if last is None or bridge is None:
+        last, powered = self._handed_out, self.powered_beside_refused
+        if last is None or powered is None:
             return None
         return replace(
             last,
             arrival_s=arrival_s,
             counter=None,
             fault=self.faults.word,
-            bridge=bridge != 0,
+            bridge=powered,
             bridge_s=start_s,
         )
 
-    def _bridge_beside_refused(self) -> float | None:
-        """Return the bridge of a poll with refused values, None where it must not be used."""
+    @property
+    def powered_beside_refused(self) -> bool | None:
+        """The bridge of a poll with refused values, None where it must not be used."""
         for block, sources in self._poll.reads:
             for source in sources:
                 if source.quantity == "bridge":
-                    return source.word(block, self.raw[block])
+                    word = source.word(block, self.raw[block])
+                    return None if word is None else word != 0
         return None

@@ -12,7 +12,7 @@ from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll
 from adaptdrive.hardware.modbus.replies import EXCEPTIONS
 from adaptdrive.hardware.port import OBEY_S
-from adaptdrive.hardware.relink import UNANSWERED, Relink
+from adaptdrive.hardware.relink import REFUSED, UNANSWERED, Relink
 
 _FROZEN_POLLS = 2.0
 """Time without a step of the port, in polls, after which the process counts as having stood still.
@@ -144,6 +144,15 @@ class Commander:
         """Note whether the drive reports its bridge on, or is assumed to have it on."""
         self._powered = powered
         self._relink.hear(bridge=powered)
+
+    def note_refused(self, *, powered: bool | None) -> None:
+        """Note a poll without a reading: what energises waits where it has the bridge off.
+
+        Args:
+            powered: The bridge beside the refused values, None where it must not be used.
+        """
+        if powered is False:
+            self._relink.open(bridge=self.bridge or self._tried_bridge, how=REFUSED)
 
     async def read(self, link: ModbusConnection, exchange: Exchange, *, first: bool) -> list[int]:
         """Read a block; write the command with the first one where the drive can do both at once.

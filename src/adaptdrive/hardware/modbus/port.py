@@ -287,6 +287,7 @@ class ModbusPort:
             self._clock(), start_s, bridge_sent=commander.bridge, stopped=stopped
         )
         if reading is None:
+            commander.note_refused(powered=assembly.powered_beside_refused)
             return
         self._report_up()
         commander.note_bridge(powered=reading.bridge)
