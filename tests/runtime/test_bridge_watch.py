@@ -231,6 +231,15 @@ def test_no_report_is_waited_for_where_none_can_show_a_stop(*, reported: bool, o
     assert not seen.awaits_report
 
 
+def test_a_drive_that_reports_no_bridge_is_commanded_after_a_time_unwatched() -> None:
+    """Its oldest value, which comes once in 60 half cycles, says nothing of its bridge."""
+    seen = Seen(reported=False)
+    seen.look(0.0, bridge=True)
+    for ticks in range(20, 60):
+        seen.look(ticks, bridge=True, unwatched=20.0 if ticks == 20 else 1.0, reported=ticks)
+        assert not seen.awaits_report
+
+
 def test_a_rare_report_of_the_bridge_is_no_silence_while_readings_come() -> None:
     """Its message comes once in 60 half cycles."""
     seen = Seen()

@@ -43,6 +43,7 @@ class BridgeWatch:
         self._gap_limit_s = _GAP_READINGS * self._reading_s
         silent_s = max(_SHORTEST_TIMEOUT_S, _SILENT_READINGS * self._reading_s)
         self._silent_limit_s = silent_s if reported else math.inf
+        self._reported = reported
         self._off_s: float | None = None
         self._due_s: float | None = None
         self._commanded_s = math.inf
@@ -90,8 +91,12 @@ class BridgeWatch:
 
     @property
     def awaits_report(self) -> bool:
-        """True while a drive that was on may have stopped by itself, and has not reported since."""
-        return self._been_on and max(self._gap_s, self._silent_s) > _SHORTEST_TIMEOUT_S
+        """True while a drive that was on may have stopped by itself, and has not reported since.
+
+        Never for one that does not report its bridge: the wait itself would let it stop.
+        """
+        unheard_s = max(self._gap_s, self._silent_s) if self._reported else 0.0
+        return self._been_on and unheard_s > _SHORTEST_TIMEOUT_S
 
     def _rest(self, *, bridge: bool) -> None:
         """Begin anew with a drive that is commanded off; its bridge may still be on."""
