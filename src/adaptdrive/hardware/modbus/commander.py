@@ -20,6 +20,12 @@ _FROZEN_POLLS = 2.0
 No exchange that a running process awaits takes as long: its time-out is shorter than a poll.
 """
 
+_SHORTEST_TIMEOUT_S = 0.08
+"""Time without a command after which a drive may have stopped: no time-out is under 0.1 s."""
+
+_UNFED_POLLS = 2.5
+"""The same in polls, for a drive that is polled seldom: its own time-out lets two go by."""
+
 _REFUSED_WRITES = 2
 """Commands refused in a row after which the drive counts as refusing: one may find it busy."""
 
@@ -63,6 +69,7 @@ class Commander:
         self._stopped_s = math.inf
         self._powered = False
         self._stepped_s = math.inf
+        self._fed_s = -math.inf
         self._outdated = False
         self._tried_bridge = False
         self.bridge = False
@@ -132,13 +139,15 @@ class Commander:
     def note_read(self, *, answered: bool) -> None:
         """Note whether the drive answers reads: a silent one ignores more than commands.
 
-        It may have stopped by itself: what energises waits for a reading, as after a lost link, and
-        is written after the read of a poll, not with it.
+        One that has not acknowledged a command either for as long as its own time-out may be, may
+        have stopped: what energises waits for a reading, as after a lost link, and is written after
+        the read of a poll, not with it. Until then each command keeps the drive from stopping.
         """
-        self._silent = not answered
-        if not answered:
+        self._silent = self._silent or not answered
+        if self._unfed:
             self._written = None
             self._relink.open(bridge=self.bridge or self._tried_bridge, how=UNANSWERED)
+        self._silent = not answered
 
     def note_bridge(self, *, powered: bool) -> None:
         """Note whether the drive reports its bridge on, or is assumed to have it on."""
@@ -263,8 +272,14 @@ class Commander:
         command = self._command
         if command is None or command == SAFE_COMMAND:
             return command
-        void = self._outdated or self._stands_still
+        void = self._outdated or self._stands_still or self._unfed
         return None if void or not self._relink.admits(bridge=command.bridge) else command
+
+    @property
+    def _unfed(self) -> bool:
+        """True if a silent drive has acknowledged no command for as long as it may need to stop."""
+        limit_s = max(_SHORTEST_TIMEOUT_S, _UNFED_POLLS * self._poll_s)
+        return self._silent and self._clock() - self._fed_s > limit_s
 
     @property
     def _stands_still(self) -> bool:
@@ -309,7 +324,7 @@ class Commander:
 
     def _confirm(self, command: Command) -> None:
         self._counts["sent"] += 1
-        self._written, self.bridge = command, command.bridge
+        self._written, self.bridge, self._fed_s = command, command.bridge, self._clock()
         self._safe = command == SAFE_COMMAND
         self._refused = self._untaken = 0
         self._doubtful = False

@@ -53,6 +53,10 @@ class ExchangeError(AdaptdriveError):
         super().__init__(problem)
 
 
+class OvertakenError(ExchangeError):
+    """An exchange was not made, as it was no longer wanted: this says nothing of the device."""
+
+
 class ModbusConnection:
     """An open link to one device, or to several that share it.
 
@@ -250,7 +254,7 @@ class ModbusConnection:
                 raise ExchangeError("the line is never silent")
             await asyncio.sleep(min(left_s, _LOOK_S))
         if void():
-            raise ExchangeError("the safe command goes first")
+            raise OvertakenError("the safe command goes first")
 
     def unsettled_s(self) -> float:
         """Return how much longer a serial line must be silent before a reply is its request's."""

@@ -23,7 +23,7 @@ from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.commander import Commander
 from adaptdrive.hardware.modbus.heartbeat import STANDS_STILL, DriveHeartbeat
-from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
+from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, OvertakenError
 from adaptdrive.hardware.modbus.mapping import Poll
 from adaptdrive.hardware.modbus.replies import are_alike
 from adaptdrive.hardware.modbus.serial_port import SerialPort
@@ -248,6 +248,8 @@ class ModbusPort:
         known, self._foreign = self._foreign, self._counts["foreign"]
         try:
             await self._read(link)
+        except OvertakenError:
+            pass  # the drive was not asked
         except ExchangeError as failure:
             self._failure = failure.problem
             self._commander.note_read(answered=False)
