@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import errno
 import io
+import os
 import re
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -101,9 +103,11 @@ def test_a_trip_of_another_drive_is_left_to_its_own_daemon(tmp_path: Path) -> No
     assert (path.name.endswith("-3_motor"), number) == (True, 3)
 
 
-def trip_messages(sessions: Path, directory: str = "", first: int = 0) -> io.BytesIO:
+def trip_messages(
+    sessions: Path, directory: str = "", first: int = 0, number: int = 1
+) -> io.BytesIO:
     """A trip before there is a session, or in one, as the process that writes it is told."""
-    trip = EventRow(INFO.started, 1, TRIP, "alarm", "manual", 0.0, 1)
+    trip = EventRow(INFO.started, 1, TRIP, "alarm", "manual", 0.0, number)
     header = Header(INFO, "", str(sessions), directory)
     batches = [make_batch([make_tick(first)]), make_batch([make_tick(first + 1)])]
     batches[1] = msgspec.structs.replace(batches[1], events=[trip])
@@ -178,3 +182,35 @@ def test_a_trip_before_the_session_has_its_place_in_time(tmp_path: Path) -> None
         info = msgspec.structs.replace(INFO, started=INFO.started.replace(year=year))
         create_session(NewSession(tmp_path, info, ""))
     assert list(session_directories(tmp_path))[1] == directory
+
+
+async def run_until(box: BlackBox, done: Callable[[], bool]) -> None:
+    """Run a black box until something is done; it must not end by itself."""
+    running = asyncio.create_task(box.run())
+    async with asyncio.timeout(PATIENCE_S):
+        while not done() and not running.done():  # noqa: ASYNC110 - a process sets no event
+            await asyncio.sleep(0.02)
+    assert not running.done()
+    running.cancel()
+    await asyncio.wait([running])
+
+
+async def test_what_is_no_kept_trip_is_named_and_keeps_no_other_from_being_written(
+    tmp_path: Path,
+) -> None:
+    """A FIFO has no end, and a sparse file may be larger than the memory."""
+    fifo, folder, sparse, kept = (left_path(tmp_path, INFO, number) for number in (1, 2, 3, 4))
+    os.mkfifo(fifo)
+    folder.mkdir()
+    with sparse.open("wb") as file:
+        file.truncate(1 << 42)
+    leave(kept, trip_messages(tmp_path, number=4).getvalue())
+    reports: list[str] = []
+    told = lambda _severity, detail: reports.append(detail)  # noqa: E731
+    await run_until(
+        BlackBox(Header(INFO, "", str(tmp_path)), told, time.monotonic), lambda: not kept.exists()
+    )
+    assert [said.partition(" is left as it is")[0] for said in reports[:3]] == [
+        str(path) for path in (fifo, folder, sparse)
+    ]
+    assert len(trips_of(tmp_path)) == 1

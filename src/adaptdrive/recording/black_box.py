@@ -14,7 +14,7 @@ import msgspec
 
 from adaptdrive.aside import Result, in_thread
 from adaptdrive.recording.batches import Batch, Header, framed
-from adaptdrive.recording.left_trips import leave, left_path, left_trips
+from adaptdrive.recording.left_trips import leave, left_path, left_trips, read_left
 from adaptdrive.recording.writer_process import WriterProcess
 from adaptdrive.runtime.reports import Severity
 
@@ -153,7 +153,7 @@ class BlackBox:
                 self._report(Severity.WARNING, f"{path} is left as it is: {problem}")
 
     async def _write_one_left(self, path: Path, number: int) -> str | None:
-        messages = await self._aside(path.read_bytes)
+        messages = await self._aside(lambda: read_left(path))
         problem = await self._have_written(number, [messages], lambda: None, NO_FIGURE)
         if problem is None:
             await self._aside(path.unlink)

@@ -8,10 +8,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from adaptdrive.config.regular_file import read_regular
 from adaptdrive.recording.session import SessionInfo
 
 _PREFIX = ".left-trip-"
 _NAME = re.compile(rf"{re.escape(_PREFIX)}[^_]+-(?P<number>\d+)_(?P<drive>.+)")
+_LARGEST_BYTES = 32 << 20
+"""Several times 70 s at full rate with the sensors of all buses."""
 
 
 def left_path(sessions: Path, info: SessionInfo, number: int) -> Path:
@@ -34,6 +37,15 @@ def leave(path: Path, messages: bytes) -> None:
     unfinished = path.with_name(f"{path.name}.unfinished")
     unfinished.write_bytes(messages)
     unfinished.rename(path)
+
+
+def read_left(path: Path) -> bytes:
+    """Return the messages of a trip that was kept.
+
+    Raises:
+        OSError: It cannot be read, or is no file of such messages: a FIFO, or far too large.
+    """
+    return read_regular(path, _LARGEST_BYTES)
 
 
 def left_trips(sessions: Path, drive: str) -> list[tuple[Path, int]]:
