@@ -214,3 +214,25 @@ async def test_what_is_no_kept_trip_is_named_and_keeps_no_other_from_being_writt
         str(path) for path in (fifo, folder, sparse)
     ]
     assert len(trips_of(tmp_path)) == 1
+
+
+async def test_a_trip_of_this_run_is_written_before_those_of_earlier_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What its record is made of is forgotten after a while; what an earlier run kept stays."""
+    earlier = [left_path(tmp_path, INFO, number) for number in (1, 2, 3)]
+    for path in earlier:
+        leave(path, b"")
+    written: list[int] = []
+    box = BlackBox(Header(INFO, "", str(tmp_path)), lambda *_: None, time.monotonic, after_s=0.0)
+    trip = EventRow(INFO.started, 1, TRIP, "alarm", "manual", 0.0, 9)
+
+    async def write(_: Path, _module: str, number: str, *_words: str) -> WriterProcess:
+        written.append(int(number))
+        if len(written) == 1:
+            box.keep(msgspec.structs.replace(make_batch([make_tick(0)]), events=[trip]))
+        raise OSError("no process")
+
+    monkeypatch.setattr(WriterProcess, "start", write)
+    await run_until(box, lambda: len(written) == 4)
+    assert written == [1, 9, 2, 3]

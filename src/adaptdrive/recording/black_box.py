@@ -98,12 +98,16 @@ class BlackBox:
         await self._write_left()
         while True:
             await self._tripped.wait()
-            while self._trips:
-                trip = self._trips[0]
-                await asyncio.sleep(max(0.0, trip.time_s + self._after_s - self._clock()))
-                if problem := await self._write(trip, _PATIENCE_S):
-                    self._report(Severity.ALARM, f"{_UNWRITTEN}: {problem}")
+            await self._write_trips()
             self._tripped.clear()
+
+    async def _write_trips(self) -> None:
+        """Write the trips of this run, each a while after it."""
+        while self._trips:
+            trip = self._trips[0]
+            await asyncio.sleep(max(0.0, trip.time_s + self._after_s - self._clock()))
+            if problem := await self._write(trip, _PATIENCE_S):
+                self._report(Severity.ALARM, f"{_UNWRITTEN}: {problem}")
 
     async def finish(self, timeout_s: float) -> None:
         """Write the trips that are not written yet; `run` must have ended.
@@ -138,12 +142,16 @@ class BlackBox:
         return left_path(Path(self._header.sessions), self._header.info, trip.number)
 
     async def _write_left(self) -> None:
-        """Write the trips for which an earlier run had no time."""
+        """Write the trips for which an earlier run had no time.
+
+        Those of this run go first: what their records are made of is forgotten.
+        """
         sessions, drive = Path(self._header.sessions), self._header.info.drive
         found: list[tuple[Path, int]] = []
         with contextlib.suppress(OSError):  # they stay for another start
             found = await self._aside(lambda: left_trips(sessions, drive))
         for path, number in found:
+            await self._write_trips()
             try:
                 async with asyncio.timeout(_PATIENCE_S):
                     problem = await self._write_one_left(path, number)
