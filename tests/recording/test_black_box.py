@@ -236,3 +236,17 @@ async def test_a_trip_of_this_run_is_written_before_those_of_earlier_runs(
     monkeypatch.setattr(WriterProcess, "start", write)
     await run_until(box, lambda: len(written) == 4)
     assert written == [1, 9, 2, 3]
+
+
+def test_a_full_disk_keeps_nothing_of_a_trip_that_it_does_not_take(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write_in_part(path: Path, messages: bytes) -> int:
+        with path.open("wb") as file:
+            file.write(messages[:1])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", write_in_part)
+    with pytest.raises(OSError, match="No space left"):
+        leave(left_path(tmp_path, INFO, 1), b"messages")
+    assert list(tmp_path.iterdir()) == []

@@ -5,6 +5,7 @@ A file holds what the process that writes such a record reads; to keep it takes 
 
 from __future__ import annotations
 
+import contextlib
 import re
 from pathlib import Path
 
@@ -32,11 +33,16 @@ def leave(path: Path, messages: bytes) -> None:
     """Keep the messages of a trip; the file appears when it is whole.
 
     Raises:
-        OSError: The disk refuses.
+        OSError: The disk refuses; what it took is removed.
     """
     unfinished = path.with_name(f"{path.name}.unfinished")
-    unfinished.write_bytes(messages)
-    unfinished.rename(path)
+    try:
+        unfinished.write_bytes(messages)
+        unfinished.rename(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            unfinished.unlink()
+        raise
 
 
 def read_left(path: Path) -> bytes:
