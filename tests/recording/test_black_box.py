@@ -7,6 +7,7 @@ import errno
 import io
 import os
 import re
+import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -114,10 +115,28 @@ def trip_messages(
     return io.BytesIO(b"".join([framed(header), *map(framed, batches)]))
 
 
+@pytest.mark.parametrize("session_stays", [True, False])
+def test_a_trip_goes_where_its_folder_of_sessions_has_been_moved(
+    tmp_path: Path, *, session_stays: bool
+) -> None:
+    """It goes beside the sessions where its own has been removed, and is listed there."""
+    before, sessions = tmp_path / "before", tmp_path / "sessions"
+    before.mkdir()
+    session = create_session(NewSession(before, INFO, ""))
+    messages = trip_messages(before, str(session))
+    before.rename(sessions)
+    if not session_stays:
+        shutil.rmtree(sessions / session.name)
+    directory = write_trip(messages, 1, sessions)
+    assert directory.parent == (sessions / session.name if session_stays else sessions)
+    assert not before.exists()
+    assert session_stays or list(session_directories(sessions)) == [directory]
+
+
 def trip_in(sessions: Path, first: int) -> Path:
     """Record a trip in a session, from the tick of a running number on."""
     session = create_session(NewSession(sessions, INFO, ""))
-    return write_trip(trip_messages(sessions, str(session), first), 1)
+    return write_trip(trip_messages(sessions, str(session), first), 1, sessions)
 
 
 def claim(directory: Path, first: int | None) -> None:
@@ -172,12 +191,12 @@ def test_a_trip_before_the_session_uses_the_reserve(
         write(stream, batch)
 
     monkeypatch.setattr(StreamWriter, "write", write_if_free)
-    directory = write_trip(trip_messages(tmp_path), 1)
+    directory = write_trip(trip_messages(tmp_path), 1, tmp_path)
     assert read_session(directory).ticks.num_rows == 2
 
 
 def test_a_trip_before_the_session_has_its_place_in_time(tmp_path: Path) -> None:
-    directory = write_trip(trip_messages(tmp_path), 1)
+    directory = write_trip(trip_messages(tmp_path), 1, tmp_path)
     for year in (2025, 2027):
         info = msgspec.structs.replace(INFO, started=INFO.started.replace(year=year))
         create_session(NewSession(tmp_path, info, ""))

@@ -32,15 +32,16 @@ _FIGURE_MODULE = "adaptdrive.analysis"
 _FIGURE_PATIENCE_S = 120.0
 
 
-def write_trip(source: BinaryIO, number: int) -> Path:
+def write_trip(source: BinaryIO, number: int, sessions: Path) -> Path:
     """Write the record of a trip, unless it is there already.
 
     Args:
         source: A header and batches.
         number: Running number of the event of the trip.
+        sessions: Folder of all sessions, which may have been moved since the trip.
 
     Returns:
-        Its directory, within that of the session.
+        Its directory, within that of the session where that is still there.
 
     Raises:
         OSError: It cannot be written, not even with the reserve.
@@ -48,10 +49,10 @@ def write_trip(source: BinaryIO, number: int) -> Path:
     header, *frames = read_frames(source)
     decoded = msgspec.msgpack.decode(header, type=Header)
     batches = [msgspec.msgpack.decode(frame, type=Batch) for frame in frames]
-    parent = Path(decoded.directory or decoded.sessions)
-    parent.mkdir(parents=True, exist_ok=True)
-    sessions = parent.parent if decoded.directory else parent
-    return _with_reserve(sessions, lambda: _write(decoded, batches, number))
+    sessions.mkdir(parents=True, exist_ok=True)
+    session = sessions / Path(decoded.directory).name  # the folder of all where there was none
+    parent = session if session.is_dir() else sessions
+    return _with_reserve(sessions, lambda: _write(parent, decoded, batches, number))
 
 
 def _with_reserve(sessions: Path, write: Callable[[], Path]) -> Path:
@@ -63,8 +64,7 @@ def _with_reserve(sessions: Path, write: Callable[[], Path]) -> Path:
         return write()
 
 
-def _write(header: Header, batches: Sequence[Batch], number: int) -> Path:
-    parent = Path(header.directory or header.sessions)
+def _write(parent: Path, header: Header, batches: Sequence[Batch], number: int) -> Path:
     events = [event for batch in batches for event in batch.events]
     trip = next((one for one in events if one.kind == TRIP and one.number == number), None)
     if trip is None:
@@ -138,7 +138,7 @@ def main() -> None:
     """Write one trip, report it, and draw its figure."""
     step_aside()
     try:
-        directory = write_trip(sys.stdin.buffer, int(sys.argv[2]))
+        directory = write_trip(sys.stdin.buffer, int(sys.argv[2]), Path(sys.argv[1]))
     except ERRORS as problem:
         sys.exit(str(problem))
     _tell(f"the record of the trip is in {directory}; `adaptdrive plot {directory}` draws it")
