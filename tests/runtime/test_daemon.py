@@ -362,6 +362,8 @@ async def test_the_mode_is_an_event_and_says_why_it_is_not_in_force() -> None:
         assert [event.detail for event in bench.events("mode")] == ["mode fixed to adaptive"]
         assert bench.states[-1].reason == "not running"
         await bench.start()
+        assert bench.states[-1].state is State.RUNNING
+        assert bench.states[-1].reason == "waiting for the first slow period of this run"
         await bench.run_until_decided()
         state = bench.states[-1]
         assert (state.mode, state.controller) == (Mode.ADAPTIVE, Mode.FIXED)

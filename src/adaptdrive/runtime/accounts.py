@@ -15,6 +15,7 @@ from adaptdrive.runtime.reports import (
     DriveReport,
     SensorReport,
     SensorSample,
+    State,
     StateReport,
     StopWord,
 )
@@ -30,7 +31,7 @@ def state_report(machine: Machine, decision: Decision | None, stop: StopWord) ->
     """
     controller = _source(machine.mode, decision)
     waiting = machine.mode is Mode.ADAPTIVE and controller is Mode.FIXED
-    reason = "not running" if decision is None else decision.reason
+    reason = _undecided(machine) if decision is None else decision.reason
     probing = decision is not None and not math.isnan(decision.probe) and machine.energised
     return StateReport(
         state=machine.state,
@@ -47,6 +48,13 @@ def state_report(machine: Machine, decision: Decision | None, stop: StopWord) ->
         reach=machine.reach,
         coasting=machine.coasting,
     )
+
+
+def _undecided(machine: Machine) -> str:
+    """Return why no decision is in force: a run has none before its first slow period."""
+    if machine.state is State.RUNNING:
+        return "waiting for the first slow period of this run"
+    return "not running"
 
 
 def _source(mode: Mode, decision: Decision | None) -> Mode:
