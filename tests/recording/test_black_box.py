@@ -195,6 +195,29 @@ def test_a_trip_before_the_session_uses_the_reserve(
     assert read_session(directory).ticks.num_rows == 2
 
 
+def test_trips_of_two_drives_before_their_sessions_do_not_meet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other drive's record is written while this one's is not finished; no disk is full."""
+    kept = tmp_path / ".reserve"
+    kept.touch()
+    other = Header(msgspec.structs.replace(INFO, drive="other"), "", str(tmp_path))
+    trip = EventRow(INFO.started, 1, TRIP, "alarm", "other", 0.0, 2)
+    batch = msgspec.structs.replace(make_batch([make_tick(5)]), events=[trip])
+    write, meetings = StreamWriter.write, [io.BytesIO(framed(other) + framed(batch))]
+
+    def meet(stream: StreamWriter, rows: pa.RecordBatch) -> None:
+        write(stream, rows)
+        if meetings:
+            write_trip(meetings.pop(), 2, tmp_path)
+
+    monkeypatch.setattr(StreamWriter, "write", meet)
+    write_trip(trip_messages(tmp_path), 1, tmp_path)
+    records = [read_info(directory) for directory in session_directories(tmp_path)]
+    assert {info.drive for info in records} == {INFO.drive, "other"}
+    assert kept.exists()
+
+
 def test_a_trip_before_the_session_has_its_place_in_time(tmp_path: Path) -> None:
     directory = write_trip(trip_messages(tmp_path), 1, tmp_path)
     for year in (2025, 2027):

@@ -72,7 +72,7 @@ def _write(parent: Path, header: Header, batches: Sequence[Batch], number: int) 
     directory = parent / f"{TRIP_PREFIX}{trip.time:%Y%m%dT%H%M%S%fZ}-{number}"
     if directory.exists():
         return directory  # the process before this was ended while it drew the figure
-    unfinished = parent / ".trip"
+    unfinished = parent / f".trip-{header.info.drive}"  # drives may share the folder of all
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.mkdir()
     info = msgspec.structs.replace(header.info, first_sequence=_first_sequence(batches))
