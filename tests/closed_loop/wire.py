@@ -11,7 +11,7 @@ import asyncio
 import contextlib
 import selectors
 import time
-from collections.abc import AsyncIterator, Coroutine, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,9 @@ from adaptdrive.app.sensors import build_whole_port, sensor_reports
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
-from adaptdrive.errors import RefusedError
 from adaptdrive.hardware.link.bus import open_bus
 from adaptdrive.hardware.modbus.link import ModbusConnection
+from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub, Subscription
 from adaptdrive.runtime.reports import LoadReport, Report, State
@@ -42,7 +42,6 @@ from adaptdrive_sim.world import World
 PATIENCE_s = 5.0
 WAIT_s = 2.0
 LOOK_s = 0.5
-LOOKS = 100
 
 
 class _Selector(selectors.DefaultSelector):
@@ -76,21 +75,26 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
 @contextlib.contextmanager
 def virtual_time() -> Iterator[asyncio.Runner]:
-    """Run coroutines in virtual time; requests on Modbus hold it still until they are answered."""
-    request = ModbusConnection._request
+    """Run coroutines in virtual time; what really takes time on Modbus holds it still."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ModbusConnection, "_request", _held(ModbusConnection._request))
+        patch.setattr(SerialPort, "open", _held(SerialPort.open))
+        with asyncio.Runner(loop_factory=VirtualLoop) as runner:
+            yield runner
 
-    async def counted(link: ModbusConnection, *words: Any) -> Any:
+
+def _held(call: Callable[..., Awaitable[Any]]) -> Callable[..., Awaitable[Any]]:
+    """The same call, during which virtual time stands still."""
+
+    async def held(*words: Any) -> Any:
         selector = asyncio.get_running_loop().selector  # type: ignore[attr-defined]
         selector.under_way += 1
         try:
-            return await request(link, *words)
+            return await call(*words)
         finally:
             selector.under_way -= 1
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ModbusConnection, "_request", counted)
-        with asyncio.Runner(loop_factory=VirtualLoop) as runner:
-            yield runner
+    return held
 
 
 async def _live(drive: SimulatedDrive, deliver: Any) -> None:
@@ -134,21 +138,10 @@ class Wire:
     async def until_running(self) -> None:
         """Enable the drive as soon as it may be."""
         await asyncio.sleep(WAIT_s)
-        await self._enable()
+        await self.daemon.execute(Enable())
         while self.state is not State.RUNNING:
             await asyncio.sleep(0.1)
             assert self.state is not State.TRIPPED, self.daemon._machine.trip
-
-    async def _enable(self) -> None:
-        """Enable the drive; its first reading may still be on a wire that knows real time."""
-        for _ in range(LOOKS):
-            try:
-                await self.daemon.execute(Enable())
-            except RefusedError:
-                await asyncio.sleep(0.1)
-            else:
-                return
-        await self.daemon.execute(Enable())
 
     async def period(self) -> LoadReport:
         """The next slow period."""
