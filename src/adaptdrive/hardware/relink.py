@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
-_STOPPED = "drive stopped: its bridge is off although it was commanded on"
+STOPPED = "drive stopped: its bridge is off although it was commanded on"
+
+SHORTEST_TIMEOUT_S = 0.08
+"""Time without a command after which a drive may have stopped by its own time-out: none is shorter
+than 0.1 s, and the last command was sent before the time began."""
+
+_SILENT_READINGS = 2.5
+"""Readings without one after which a drive that is read seldom is silent: one may be lost."""
 
 LOST = "the bus was lost meanwhile"
 LEAPT = "its alive counter leapt meanwhile: it may have started anew"
 UNANSWERED = "a read had no answer meanwhile"
 REFUSED = "its other values were refused meanwhile"
+
+
+def silence_limit_s(reading_s: float) -> float:
+    """Return how long nothing may be heard of a drive before it may have stopped by itself, in s.
+
+    Args:
+        reading_s: Time from one reading to the next, in s.
+    """
+    return max(SHORTEST_TIMEOUT_S, _SILENT_READINGS * reading_s)
 
 
 class Relink:
@@ -29,7 +45,7 @@ class Relink:
     @property
     def complaint(self) -> str | None:
         """Reason not to energise the drive, None for none."""
-        return f"{_STOPPED}; {self._how}" if self._stopped else None
+        return f"{STOPPED}; {self._how}" if self._stopped else None
 
     def open(self, *, bridge: bool, how: str = LOST) -> None:
         """Begin a connection, or a silence of one.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from adaptdrive.hardware.port import Reading
+from adaptdrive.hardware.relink import SHORTEST_TIMEOUT_S, STOPPED, silence_limit_s
 
 _GRACE_TICKS = 30
 """Half cycles that a bridge may take to switch on: 0.25 s on a 60 Hz line."""
@@ -14,13 +15,6 @@ _GRACE_READINGS = 3
 
 _GAP_READINGS = 2
 """Readings that may pass unwatched; a longer time is named in the trip."""
-
-_SILENT_READINGS = 2.5
-"""Readings without one after which a drive that is read seldom is silent: one may be lost."""
-
-_SHORTEST_TIMEOUT_S = 0.08
-"""Time without a command after which a drive may have stopped by its own time-out: none is shorter
-than 0.1 s, and the last command was sent before the time began."""
 
 _SLACK_S = 1e-6
 """Rounding of sums of half cycles: the last one within the grace is not yet a stop."""
@@ -41,8 +35,7 @@ class BridgeWatch:
         self._reading_s = ticks_per_reading * tick_s
         self._grace_s = max(_GRACE_TICKS * tick_s, _GRACE_READINGS * self._reading_s)
         self._gap_limit_s = _GAP_READINGS * self._reading_s
-        silent_s = max(_SHORTEST_TIMEOUT_S, _SILENT_READINGS * self._reading_s)
-        self._silent_limit_s = silent_s if reported else math.inf
+        self._silent_limit_s = silence_limit_s(self._reading_s) if reported else math.inf
         self._reported = reported
         self._off_s: float | None = None
         self._due_s: float | None = None
@@ -84,10 +77,7 @@ class BridgeWatch:
         self._lingers = False
         if not self._been_on and not self._is_overdue(reading.bridge_reported_s):
             return None
-        return (
-            "drive stopped: its bridge is off although it was commanded on"
-            f"{self._unwatched if self._been_on else ''}"
-        )
+        return f"{STOPPED}{self._unwatched if self._been_on else ''}"
 
     @property
     def awaits_report(self) -> bool:
@@ -96,7 +86,7 @@ class BridgeWatch:
         Never for one that does not report its bridge: the wait itself would let it stop.
         """
         unheard_s = max(self._gap_s, self._silent_s) if self._reported else 0.0
-        return self._been_on and unheard_s > _SHORTEST_TIMEOUT_S
+        return self._been_on and unheard_s > SHORTEST_TIMEOUT_S
 
     def _rest(self, *, bridge: bool) -> None:
         """Begin anew with a drive that is commanded off; its bridge may still be on."""
@@ -123,7 +113,7 @@ class BridgeWatch:
     @property
     def _unwatched(self) -> str:
         """The time in which the drive has stopped unseen, for the text of the trip."""
-        if self._gap_s > _SHORTEST_TIMEOUT_S:
+        if self._gap_s > SHORTEST_TIMEOUT_S:
             return f"; the daemon had not run for {self._gap_s * 1e3:.0f} ms"
         if self._silent_s:
             return f"; nothing had been heard of it for {self._silent_s * 1e3:.0f} ms"

@@ -12,19 +12,13 @@ from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll
 from adaptdrive.hardware.modbus.replies import EXCEPTIONS
 from adaptdrive.hardware.port import OBEY_S
-from adaptdrive.hardware.relink import REFUSED, UNANSWERED, Relink
+from adaptdrive.hardware.relink import REFUSED, UNANSWERED, Relink, silence_limit_s
 
 _FROZEN_POLLS = 2.0
 """Time without a step of the port, in polls, after which the process counts as having stood still.
 
 No exchange that a running process awaits takes as long: its time-out is shorter than a poll.
 """
-
-_SHORTEST_TIMEOUT_S = 0.08
-"""Time without a command after which a drive may have stopped: no time-out is under 0.1 s."""
-
-_UNFED_POLLS = 2.5
-"""The same in polls, for a drive that is polled seldom: its own time-out lets two go by."""
 
 _REFUSED_WRITES = 2
 """Commands refused in a row after which the drive counts as refusing: one may find it busy."""
@@ -278,8 +272,7 @@ class Commander:
     @property
     def _unfed(self) -> bool:
         """True if a silent drive has acknowledged no command for as long as it may need to stop."""
-        limit_s = max(_SHORTEST_TIMEOUT_S, _UNFED_POLLS * self._poll_s)
-        return self._silent and self._clock() - self._fed_s > limit_s
+        return self._silent and self._clock() - self._fed_s > silence_limit_s(self._poll_s)
 
     @property
     def _stands_still(self) -> bool:
