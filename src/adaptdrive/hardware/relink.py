@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-STOPPED = "drive stopped: its bridge is off although it was commanded on"
+_STOPPED = "drive stopped: its bridge is off although it was commanded on"
 
 SHORTEST_TIMEOUT_S = 0.08
 """Time without a command after which a drive may have stopped by its own time-out: none is shorter
@@ -45,7 +45,7 @@ class Relink:
     @property
     def complaint(self) -> str | None:
         """Reason not to energise the drive, None for none."""
-        return f"{STOPPED}; {self._how}" if self._stopped else None
+        return f"{_STOPPED}; {self._how}" if self._stopped else None
 
     def open(self, *, bridge: bool, how: str = LOST) -> None:
         """Begin a connection, or a silence of one.

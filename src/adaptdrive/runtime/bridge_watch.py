@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from adaptdrive.hardware.port import Reading
-from adaptdrive.hardware.relink import SHORTEST_TIMEOUT_S, STOPPED, silence_limit_s
+from adaptdrive.hardware.relink import SHORTEST_TIMEOUT_S, silence_limit_s
 
 _GRACE_TICKS = 30
 """Half cycles that a bridge may take to switch on: 0.25 s on a 60 Hz line."""
@@ -77,7 +77,10 @@ class BridgeWatch:
         self._lingers = False
         if not self._been_on and not self._is_overdue(reading.bridge_reported_s):
             return None
-        return f"{STOPPED}{self._unwatched if self._been_on else ''}"
+        return (
+            "drive stopped: its bridge is off although it was commanded on"
+            f"{self._unwatched if self._been_on else ''}"
+        )
 
     @property
     def awaits_report(self) -> bool:
