@@ -13,7 +13,7 @@ from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import SignalSource
 from adaptdrive.config.units import si_unit
-from adaptdrive.errors import RecordingError
+from adaptdrive.errors import RecordingError, escaped
 from adaptdrive.recording.batches import Header, Keep, SensorColumn
 from adaptdrive.recording.recorder import Clocks, Feed, Recorder, WritePace
 from adaptdrive.recording.session import SessionInfo, sessions_directory
@@ -67,7 +67,7 @@ def _sessions(configured: Path | None) -> str:
         sessions.encode()
     except UnicodeEncodeError as problem:
         raise RecordingError(
-            sessions.encode(errors="backslashreplace").decode(),
+            escaped(sessions),
             "the name of the folder of sessions is not UTF-8; recording.directory may name another",
         ) from problem
     return sessions

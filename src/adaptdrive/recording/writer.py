@@ -19,6 +19,7 @@ from typing import BinaryIO
 import msgspec
 import pyarrow as pa
 
+from adaptdrive.errors import escaped
 from adaptdrive.recording import reserve
 from adaptdrive.recording.batches import STOPPED, UNBEGUN, Batch, Header, News, read_frames
 from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
@@ -200,9 +201,7 @@ def step_aside() -> None:
 
 def send_to_parent(news: News) -> None:
     """Report to the control process, if it is still there."""
-    # the name of a file may be no UTF-8
-    detail = news.detail.encode(errors="backslashreplace").decode()
-    news = msgspec.structs.replace(news, detail=detail)
+    news = msgspec.structs.replace(news, detail=escaped(news.detail))
     with contextlib.suppress(OSError):
         os.write(sys.stdout.fileno(), msgspec.json.encode(news) + b"\n")
 

@@ -12,6 +12,7 @@ from adaptdrive.control.columns import Quantity, columns_of
 from adaptdrive.control.reach import UNKNOWN, Reach
 from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Snapshot
 from adaptdrive.control.waveform import Waveform
+from adaptdrive.errors import escaped
 
 MONOTONIC = "monotonic_s"
 """Column with the monotonic time of a row."""
@@ -209,8 +210,7 @@ class Event:
 
     def __post_init__(self) -> None:
         """Escape what neither a record nor a message can take."""
-        escaped = self.detail.encode(errors="backslashreplace").decode()
-        object.__setattr__(self, "detail", escaped)
+        object.__setattr__(self, "detail", escaped(self.detail))
 
 
 @dataclass(frozen=True, slots=True)
