@@ -10,7 +10,7 @@ import pytest
 
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import load_configuration
-from adaptdrive.control import rls
+from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.signals import Measurement, Mode
 from adaptdrive_sim.noise import NoiseParameters
 from tests.closed_loop.bench import HIGH, LOW, STEP, Bench, CYCLE_s, order, square_wave
@@ -25,7 +25,7 @@ TRUTH = {"gain": 0.011, "tau_sum_s": 21.7, "tau_product_s2": 117.0}
 def covariance_trace(bench: Bench) -> float:
     estimator = bench.controller._slow.estimator
     count = len(estimator.theta)
-    flat = rls.covariance(estimator.upper, estimator.diagonal)
+    flat = ud.covariance(estimator.upper, estimator.diagonal)
     return float(np.trace(np.reshape(flat, (count, count))))
 
 

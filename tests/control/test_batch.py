@@ -10,6 +10,7 @@ from scipy.linalg import hilbert
 from scipy.signal import lfilter
 
 from adaptdrive.control import rls
+from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.batch import Record, Structure, identify, least_squares
 from tests.control.systems import Array, System, held_polynomials, motor_system, stable_systems
 
@@ -96,7 +97,7 @@ def test_with_a_start_it_is_recursive_least_squares_without_forgetting(covarianc
         rls.update(theta, upper, diagonal, row.tolist(), float(target), 1.0)
     fit = least_squares(rows, targets, initial_covariance=covariance * np.eye(3))
     assert np.array(theta) == pytest.approx(fit.theta, rel=1e-9)
-    p = np.array(rls.covariance(upper, diagonal)).reshape(3, 3)
+    p = np.array(ud.covariance(upper, diagonal)).reshape(3, 3)
     assert fit.sigma**2 * p == pytest.approx(fit.covariance, rel=1e-9, abs=1e-18)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from adaptdrive.control import rls
+from adaptdrive.control import ud_factors as ud
 from tests.control.systems import Array
 
 COVARIANCE = 100.0
@@ -27,12 +28,12 @@ class Beside:
         for i in range(len(r) - self.walks, len(r)):
             direction = [0.0] * len(r)
             direction[i] = 1.0
-            rls.widen(self.upper, self.diagonal, direction, self.walk**2)
+            ud.widen(self.upper, self.diagonal, direction, self.walk**2)
 
     @property
     def covariance(self) -> Array:
         size = len(self.theta)
-        return np.array(rls.covariance(self.upper, self.diagonal)).reshape(size, size)
+        return np.array(ud.covariance(self.upper, self.diagonal)).reshape(size, size)
 
 
 def kalman(filter_: Filter, r: Array, target: float, process: Array) -> Filter:
@@ -148,7 +149,7 @@ def test_forgetting_along_the_sample_alone_would_keep_the_old_dynamics() -> None
     for sample, target in zip(r, targets, strict=True):
         vectors = along.theta, along.upper, along.diagonal
         rls.update_along(*vectors, sample.tolist(), float(target), 0.97)
-        rls.widen(along.upper, along.diagonal, [0.0, 0.0, 1.0], 0.25)
+        ud.widen(along.upper, along.diagonal, [0.0, 0.0, 1.0], 0.25)
         beside.take(sample, float(target))
     wrong = [np.abs(np.array(one.theta[:2]) - dynamics[-1]) for one in (along, beside)]
     sure = np.sqrt(np.diag(along.covariance)[:2])

@@ -11,8 +11,9 @@ from scipy.signal import cont2discrete
 
 from adaptdrive.control import estimator as est
 from adaptdrive.control import fast_half as fast
-from adaptdrive.control import in_force, rls
+from adaptdrive.control import in_force
 from adaptdrive.control import regression as reg
+from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.settings import Learning
 from tests.closed_loop.bench import SCALED_LEARNING, TICK_s
@@ -101,11 +102,11 @@ def test_a_wandering_emf_leaves_everything_else_as_sure_as_it_was() -> None:
     state = learnt(LEARNING)
     before = in_force.parameter_deviations(state, LEARNING, BATTERY, TRUTH)
     offset = state.theta[-1] + state.theta[-2] * state.charge
-    excitation = rls.excitation(state.upper, state.diagonal, state.regressor)
+    excitation = ud.excitation(state.upper, state.diagonal, state.regressor)
     est.let_emf_wander(state, LEARNING)
     assert in_force.parameter_deviations(state, LEARNING, BATTERY, TRUTH) == pytest.approx(before)
     assert state.theta[-1] + state.theta[-2] * state.charge == offset
-    added = rls.excitation(state.upper, state.diagonal, state.regressor) - excitation
+    added = ud.excitation(state.upper, state.diagonal, state.regressor) - excitation
     assert added == pytest.approx(0.04, rel=1e-6)
 
 

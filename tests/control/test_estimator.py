@@ -16,8 +16,8 @@ from adaptdrive.control import in_force
 from adaptdrive.control import regression as reg
 from adaptdrive.control.direct_method import direct_model, fill_direct_regressor
 from adaptdrive.control.methods import METHODS
-from adaptdrive.control.rls import covariance
 from adaptdrive.control.settings import Learning
+from adaptdrive.control.ud_factors import covariance
 from tests.closed_loop.bench import MOTOR, PLAIN_LEARNING, SCALED_LEARNING, TICKS, TICK_s
 from tests.control.systems import Array, held_polynomials, motor_system
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from adaptdrive.control import doubt, in_force, rls
+from adaptdrive.control import doubt, in_force
 from adaptdrive.control import estimator as est
 from adaptdrive.control import regression as reg
+from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING
 from tests.control.systems import Array
@@ -177,7 +178,7 @@ def settled() -> est.EstimatorState:
     state = est.new_estimator(LEARNING, MOTOR, 2)
     state.surprise.power = 1e-6
     reg.fill_filtered_regressor(state.regressor, LEARNING, MOTOR, [3.0, 2.9], [280.0, 290.0, 300.0])
-    rls.open_up(state.upper, state.diagonal, 1e-3)
+    ud.open_up(state.upper, state.diagonal, 1e-3)
     state.residual_power, state.residual_weight = 30.0 * 1e-6, 36.0
     return state
 

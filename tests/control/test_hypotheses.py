@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.signal import lsim
 
 from adaptdrive.control import rls
+from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.hypotheses import (
     ANEW,
     BOTH,
@@ -116,7 +117,7 @@ def doubt(kind: int, direction: Array) -> float:
     """Standard deviation along a direction of θ after widening, in units of σ."""
     one = branch()
     widen(one, kind, LEARNING, MOTOR, anchor())
-    return math.sqrt(rls.excitation(one.upper, one.diagonal, direction.tolist()))
+    return math.sqrt(ud.excitation(one.upper, one.diagonal, direction.tolist()))
 
 
 def test_each_kind_of_change_doubts_what_it_may_have_moved() -> None:
@@ -190,7 +191,7 @@ def test_the_covariance_is_widened_by_what_may_have_moved(
     at = Anchor(plain.tolist(), lowered.tolist(), power=1e-4, gap_s=2.0)
     one = Branch(values.tolist(), np.eye(size).ravel().tolist(), [1e-6] * size)
     widen(one, kind, learning, load, at)
-    found = np.array(rls.covariance(one.upper, one.diagonal)).reshape(size, size)
+    found = np.array(ud.covariance(one.upper, one.diagonal)).reshape(size, size)
     expected = widened(kind, learning, load, values, at)
     np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max())
 
@@ -231,7 +232,7 @@ def test_a_new_origin_leaves_the_course_as_it_was(
 ) -> None:
     one = branch()
     one.theta[3:5] = [first, second]
-    before = rls.covariance(one.upper, one.diagonal)
+    before = ud.covariance(one.upper, one.diagonal)
     restart_past(one, LEARNING, MOTOR, shift_s)
     for later_s in (0.0, 3.0, 20.0):
         h, old = later_s / TAU_S, (later_s + shift_s) / TAU_S
@@ -240,7 +241,7 @@ def test_a_new_origin_leaves_the_course_as_it_was(
             expected, abs=1e-12
         )
     assert one.origin_s == shift_s
-    after = rls.covariance(one.upper, one.diagonal)
+    after = ud.covariance(one.upper, one.diagonal)
     assert after[0] == pytest.approx(before[0])
 
 
@@ -252,7 +253,7 @@ def test_the_covariance_follows_a_new_origin(shift_s: float) -> None:
     h = np.array([[0.2], [0.9]])
     new, old = (np.hstack([np.exp(-t), t * np.exp(-t)]) for t in (h, h + shift_s / TAU_S))
     matrix = np.linalg.solve(new, old)
-    found = np.array(rls.covariance(one.upper, one.diagonal)).reshape(6, 6)[3:5, 3:5]
+    found = np.array(ud.covariance(one.upper, one.diagonal)).reshape(6, 6)[3:5, 3:5]
     np.testing.assert_allclose(found, 2.0 * matrix @ matrix.T, rtol=1e-9, atol=1e-15)
 
 
@@ -267,8 +268,8 @@ def test_a_transformed_covariance_is_that_of_numpy(
     upper = np.triu(np.ones((4, 4)) * 0.3, 1) + np.eye(4)
     expected = matrix @ upper @ np.diag(diagonal) @ upper.T @ matrix.T
     factors, weights = upper.ravel().tolist(), list(diagonal)
-    rls.transform(factors, weights, matrix.ravel().tolist())
-    found = np.array(rls.covariance(factors, weights)).reshape(4, 4)
+    ud.transform(factors, weights, matrix.ravel().tolist())
+    found = np.array(ud.covariance(factors, weights)).reshape(4, 4)
     np.testing.assert_allclose(found, expected, atol=1e-9 * max(1.0, np.abs(expected).max()))
     assert min(weights) > 0.0
 
@@ -283,7 +284,7 @@ def test_directional_forgetting_forgets_only_along_the_sample() -> None:
     information += (1.0 - (1.0 - 0.97) / (r @ before @ r)) * np.outer(r, r)
     factors, weights, parameters = upper.ravel().tolist(), list(diagonal), [0.1, 0.2, 0.3]
     rls.update_along(parameters, factors, weights, r.tolist(), 1.5, 0.97)
-    found = np.array(rls.covariance(factors, weights)).reshape(3, 3)
+    found = np.array(ud.covariance(factors, weights)).reshape(3, 3)
     np.testing.assert_allclose(np.linalg.inv(found), information, rtol=1e-9)
     gain = found @ r
     expected = np.array([0.1, 0.2, 0.3]) + gain * (1.5 - r @ [0.1, 0.2, 0.3])

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from adaptdrive.control import estimator as est
-from adaptdrive.control import in_force, rls
+from adaptdrive.control import in_force
 from adaptdrive.control import regression as reg
+from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.settings import Learning
@@ -42,7 +43,7 @@ def filled(learning: Learning, load: Load) -> SlowState:
 
 def covariance(state: est.EstimatorState) -> Array:
     count = len(state.theta)
-    flat = rls.covariance(state.upper, state.diagonal)
+    flat = ud.covariance(state.upper, state.diagonal)
     return np.reshape(np.array(flat), (count, count))
 
 

@@ -14,6 +14,7 @@ from scipy.stats import t as student
 from adaptdrive.control import challenger as chal
 from adaptdrive.control import rivals as riv
 from adaptdrive.control import rls
+from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.hypotheses import (
     ANEW,
     BOTH,
@@ -123,7 +124,7 @@ class Bayes:
 
 def bayes(kind: int, one: Case) -> Bayes:
     branch = start(kind, one)
-    covariance = np.array(rls.covariance(branch.upper, branch.diagonal)).reshape(COUNT, COUNT)
+    covariance = np.array(ud.covariance(branch.upper, branch.diagonal)).reshape(COUNT, COUNT)
     found = Bayes(np.array(branch.theta), covariance)
     for r, target, time_s in zip(one.regressors, one.targets, one.times_s, strict=True):
         found.take(filled(r, time_s - branch.origin_s), target)
@@ -158,12 +159,12 @@ def test_an_explanation_forgets_along_its_samples_and_stays_below_the_bound(ceil
         sample = filled(r, time_s - 30.0).tolist()
         rls.update_along(branch.theta, branch.upper, branch.diagonal, sample, target, 0.97)
         if ceiling:
-            rls.bound(branch.upper, branch.diagonal, 0.03 / ceiling)
+            ud.bound(branch.upper, branch.diagonal, 0.03 / ceiling)
     riv.split(one.rivals, learning, MOTOR, POWER)
     found = one.rivals.load
     assert found.theta == pytest.approx(branch.theta)
-    assert rls.covariance(found.upper, found.diagonal) == pytest.approx(
-        rls.covariance(branch.upper, branch.diagonal)
+    assert ud.covariance(found.upper, found.diagonal) == pytest.approx(
+        ud.covariance(branch.upper, branch.diagonal)
     )
 
 
@@ -361,7 +362,7 @@ def test_a_prediction_of_an_untrained_challenger_is_not_judged() -> None:
     for excitation, judged in ((1.0, 1), (1e6, 0)):
         one = case(1)
         challenger = begun(one)
-        rls.open_up(challenger.branch.upper, challenger.branch.diagonal, excitation / 3.0)
+        ud.open_up(challenger.branch.upper, challenger.branch.diagonal, excitation / 3.0)
         chal.follow(challenger, LEARNING, MOTOR, one.regressors[0], 0.9, 40.0, 0.1, 0.01)
         assert challenger.judged == judged
 
@@ -392,7 +393,7 @@ def test_it_wins_by_twenty_seven_and_nine_for_each_load_found_lately(
 def followed(lead: float, samples: int) -> int:
     """Samples of a challenger after one that supports neither."""
     challenger = led(lead, 5, samples)
-    rls.open_up(challenger.branch.upper, challenger.branch.diagonal, 1e-12)
+    ud.open_up(challenger.branch.upper, challenger.branch.diagonal, 1e-12)
     r = regressor(np.random.default_rng(1))
     target = float(np.dot(filled(r, 40.0), theta()))
     chal.follow(challenger, LEARNING, MOTOR, r, target, 40.0, 0.0, 0.0)
@@ -419,7 +420,7 @@ def test_a_sample_beyond_the_root_of_three_deviations_is_new_to_it(
 ) -> None:
     """z² above the drift of the detector, 3."""
     challenger, r = led(0.0, 5), regressor(np.random.default_rng(2))
-    rls.open_up(challenger.branch.upper, challenger.branch.diagonal, 1e-9)
+    ud.open_up(challenger.branch.upper, challenger.branch.diagonal, 1e-9)
     target = float(np.dot(filled(r, 40.0), theta())) + error * math.sqrt(POWER)
     ask = (LEARNING, MOTOR, r, target, 40.0)
     assert chal.is_surprised(challenger, *ask) is surprised

@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.control import rls
+from adaptdrive.control import ud_factors as ud
 from tests.control.systems import Array
 
 
@@ -35,7 +36,7 @@ class Recursive:
     @property
     def covariance(self) -> Array:
         size = len(self.theta)
-        return np.array(rls.covariance(self.upper, self.diagonal)).reshape(size, size)
+        return np.array(ud.covariance(self.upper, self.diagonal)).reshape(size, size)
 
     @property
     def sound(self) -> bool:
@@ -113,7 +114,7 @@ def test_whatever_arrives_p_stays_positive_definite(
     for *regressor, target in samples:
         recursive.take(np.array(regressor), target, forgetting)
         assert recursive.sound
-        excitation = rls.excitation(recursive.upper, recursive.diagonal, regressor)
+        excitation = ud.excitation(recursive.upper, recursive.diagonal, regressor)
         assert excitation >= 0.0
 
 
@@ -149,13 +150,13 @@ def test_bound_adds_information_about_every_parameter(information: float) -> Non
     for r, y in zip(*data(4, 50), strict=True):
         recursive.take(r, y, 0.97)
     expected = np.linalg.inv(np.linalg.inv(recursive.covariance) + information * np.eye(4))
-    rls.bound(recursive.upper, recursive.diagonal, information)
+    ud.bound(recursive.upper, recursive.diagonal, information)
     assert np.allclose(recursive.covariance, expected, rtol=1e-9)
 
 
 def test_bound_without_information_changes_nothing() -> None:
     recursive = Recursive(2)
-    rls.bound(recursive.upper, recursive.diagonal, 0.0)
+    ud.bound(recursive.upper, recursive.diagonal, 0.0)
     assert recursive.diagonal == [1e4, 1e4]
 
 
@@ -164,7 +165,7 @@ def test_bound_after_every_update_keeps_p_below_its_limit_for_ever(kind: str) ->
     recursive = Recursive(3)
     for n in range(10_000):
         recursive.take(POOR[kind](n), 1.0, 0.97)
-        rls.bound(recursive.upper, recursive.diagonal, 0.03 / 1e4)
+        ud.bound(recursive.upper, recursive.diagonal, 0.03 / 1e4)
     assert recursive.sound
     assert np.linalg.eigvalsh(recursive.covariance).max() <= 1e4 * (1.0 + 1e-6)
 
@@ -181,16 +182,24 @@ def compiled(function: Callable[..., Any]) -> Any:
     return jit(function)
 
 
-def compiled_rls() -> ModuleType:
-    """The same source, compiled."""
-    spec = importlib.util.spec_from_file_location("rls", Path(rls.__file__).with_name("rls.py"))
+def loaded(name: str) -> ModuleType:
+    """The source of a module beside `rls`, loaded anew."""
+    spec = importlib.util.spec_from_file_location(name, Path(rls.__file__).with_name(f"{name}.py"))
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    for name, member in list(vars(module).items()):
-        if inspect.isfunction(member):
-            setattr(module, name, compiled(member))
+    return module
+
+
+def compiled_rls() -> ModuleType:
+    """The same source, compiled."""
+    factors, module = loaded("ud_factors"), loaded("rls")
+    functions = inspect.getmembers(factors, inspect.isfunction)
+    jitted = {name: compiled(function) for name, function in functions}
+    vars(factors).update(jitted)
+    for name, member in inspect.getmembers(module, inspect.isfunction):
+        setattr(module, name, jitted.get(name) or compiled(member))
     return module
 
 
@@ -232,7 +241,7 @@ def test_excitation_is_the_quadratic_form() -> None:
         recursive.take(r, y, 0.97)
     probe = np.array([0.5, -1.0, 2.0, 0.1])
     expected = probe @ recursive.covariance @ probe
-    assert rls.excitation(recursive.upper, recursive.diagonal, probe.tolist()) == pytest.approx(
+    assert ud.excitation(recursive.upper, recursive.diagonal, probe.tolist()) == pytest.approx(
         expected
     )
 
@@ -247,14 +256,14 @@ def test_the_standard_deviation_is_what_many_experiments_show() -> None:
         for r, y in zip(regressors, targets, strict=True):
             recursive.take(r, y)
         found.append(np.dot(jacobian, recursive.theta))
-        claimed = rls.standard_deviation(jacobian, recursive.upper, recursive.diagonal, noise)
+        claimed = ud.standard_deviation(jacobian, recursive.upper, recursive.diagonal, noise)
     assert claimed == pytest.approx(np.std(found), rel=0.15)
 
 
 def test_a_normalised_square_is_the_error_before_times_the_error_after_the_update() -> None:
     theta, upper, diagonal = [0.1, -0.2], [1.0, 0.3, 0.0, 1.0], [2.0, 0.5]
     regressor, target, forgetting = [0.7, -1.1], 0.9, 0.95
-    excitation = rls.excitation(upper, diagonal, regressor)
+    excitation = ud.excitation(upper, diagonal, regressor)
     before = target - rls.predict(theta, regressor)
     found = rls.normalised(excitation, before, forgetting)
     rls.update(theta, upper, diagonal, regressor, target, forgetting)

@@ -77,6 +77,7 @@ LEARNING = _control({
     "lambda_transform": "test_lambda_transform",
     "lambda_filter": "test_lambda_filter",
     "rls": "test_rls test_hypotheses test_beside",
+    "ud_factors": "test_rls test_hypotheses test_beside",
     "regression": "test_estimator test_hypotheses test_charge",
     "hypotheses": "test_hypotheses",
     "rivals": "test_rivals test_unsure_explanation",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from adaptdrive.control import rls
+from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.evidence import PRIOR_SHARE
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import filtered_model
@@ -75,5 +75,5 @@ def deviations_of(
     deviations = [0.0] * len(values)
     for i in range(len(values)):
         row = jacobian[i * count : (i + 1) * count]
-        deviations[i] = rls.standard_deviation(row, upper, diagonal, noise)
+        deviations[i] = ud.standard_deviation(row, upper, diagonal, noise)
     return deviations

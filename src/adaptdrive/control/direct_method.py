@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from adaptdrive.control import rls
 from adaptdrive.control import supervisor as sup
+from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.continuous import continuous_model
 from adaptdrive.control.estimator import EstimatorState, take_in
 from adaptdrive.control.load import Load
@@ -139,8 +140,8 @@ def _open_up(state: EstimatorState, learning: Learning, innovation: float) -> No
     squared = rls.normalised(state.excitation, innovation, learning.forgetting)
     if not is_surprising(state.surprise, squared):
         return
-    rls.open_up(state.upper, state.diagonal, learning.initial_covariance)
-    state.excitation = rls.excitation(state.upper, state.diagonal, state.regressor)
+    ud.open_up(state.upper, state.diagonal, learning.initial_covariance)
+    state.excitation = ud.excitation(state.upper, state.diagonal, state.regressor)
     state.residual_power = state.surprise.power * state.residual_weight
 
 

@@ -19,8 +19,9 @@ from adaptdrive.control.hypotheses import load_direction
 from adaptdrive.control.in_force import covariance_in_force, residual_noise, theta_in_force
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import fitted_order
-from adaptdrive.control.rls import predict, widen
+from adaptdrive.control.rls import predict
 from adaptdrive.control.settings import Learning
+from adaptdrive.control.ud_factors import widen
 from adaptdrive.control.vectors import Vector
 
 _SHOWN = 30.0

@@ -10,6 +10,7 @@ they are forgotten beside it.
 from __future__ import annotations
 
 from adaptdrive.control import rls
+from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.evidence import WINDOW
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.vectors import Vector
@@ -57,4 +58,4 @@ def learn_sample(
     if not learning.charge:
         direction = [0.0] * len(theta)
         direction[len(theta) - 1] = 1.0
-        rls.widen(upper, diagonal, direction, OFFSET_WALK * OFFSET_WALK)
+        ud.widen(upper, diagonal, direction, OFFSET_WALK * OFFSET_WALK)

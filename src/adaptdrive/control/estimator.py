@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from adaptdrive.control import rivals as riv
 from adaptdrive.control import rls
+from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.challenger import Challenger
 from adaptdrive.control.drift import learn_sample
 from adaptdrive.control.evidence import NOISE_FLOOR, WINDOW
@@ -178,7 +179,7 @@ def learn(
     """
     target = output / learning.output_scale
     state.periods += 1
-    state.excitation = rls.excitation(state.upper, state.diagonal, state.regressor)
+    state.excitation = ud.excitation(state.upper, state.diagonal, state.regressor)
     innovation = target - rls.predict(state.theta, state.regressor)
     state.innovation = innovation * learning.output_scale
     usual = abs(innovation) < _LARGEST and _is_credible(state.regressor)
@@ -227,7 +228,7 @@ def take_in(
         rls.update(theta, upper, diagonal, regressor, target, learning.forgetting)
     if learning.covariance_max > 0.0:
         information = (1.0 - learning.forgetting) / learning.covariance_max
-        rls.bound(state.upper, state.diagonal, information)
+        ud.bound(state.upper, state.diagonal, information)
     remember_residual(state, learning, state.excitation, innovation)
 
 
@@ -252,7 +253,7 @@ def _wander(state: EstimatorState, rise: float, bias: float) -> None:
     size = len(state.theta)
     direction = [0.0] * size
     direction[size - 2], direction[size - 1] = rise, bias
-    rls.widen(state.upper, state.diagonal, direction, 1.0)
+    ud.widen(state.upper, state.diagonal, direction, 1.0)
 
 
 def remember_residual(

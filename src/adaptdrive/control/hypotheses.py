@@ -19,6 +19,7 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import rls
+from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.evidence import PRIOR_SHARE
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import (
@@ -109,7 +110,7 @@ def predict_sample(
         time_s: When it was taken.
     """
     fill_initial_state(regressor, learning, load, time_s - branch.origin_s)
-    branch.excitation = rls.excitation(branch.upper, branch.diagonal, regressor)
+    branch.excitation = ud.excitation(branch.upper, branch.diagonal, regressor)
     branch.innovation = target - rls.predict(branch.theta, regressor)
 
 
@@ -148,7 +149,7 @@ def restart_past(branch: Branch, learning: Learning, load: Load, time_s: float) 
         branch.theta[i] = 0.0
         for j in range(size):
             branch.theta[i] += transform[i * size + j] * old[j]
-    rls.transform(branch.upper, branch.diagonal, transform)
+    ud.transform(branch.upper, branch.diagonal, transform)
     branch.origin_s = time_s
 
 
@@ -254,7 +255,7 @@ def _open(
     direction[first] = -plain
     if count > 1:
         direction[first + 1] = -lowered
-    rls.widen(branch.upper, branch.diagonal, direction, spread * spread / anchor.power)
+    ud.widen(branch.upper, branch.diagonal, direction, spread * spread / anchor.power)
 
 
 def _blur(branch: Branch, spread: float, learning: Learning, load: Load, anchor: Anchor) -> None:
@@ -265,7 +266,7 @@ def _blur(branch: Branch, spread: float, learning: Learning, load: Load, anchor:
         direction = [0.0] * len(branch.theta)
         direction[first + i] = 1.0
         variance = share * share * spread * spread / anchor.power
-        rls.widen(branch.upper, branch.diagonal, direction, variance)
+        ud.widen(branch.upper, branch.diagonal, direction, variance)
 
 
 def _free_state(branch: Branch, learning: Learning, load: Load, anchor: Anchor) -> None:
@@ -275,4 +276,4 @@ def _free_state(branch: Branch, learning: Learning, load: Load, anchor: Anchor) 
         direction = [0.0] * len(branch.theta)
         direction[first + i] = 1.0
         variance = PRIOR_SHARE * PRIOR_SHARE / anchor.power
-        rls.widen(branch.upper, branch.diagonal, direction, variance)
+        ud.widen(branch.upper, branch.diagonal, direction, variance)

@@ -23,6 +23,7 @@ import math
 from dataclasses import dataclass
 
 from adaptdrive.control import rls
+from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.evidence import MEMORY, NOISE_FLOOR, WINDOW
 from adaptdrive.control.hypotheses import Branch, predict_sample, squared_error
 from adaptdrive.control.load import Load
@@ -142,10 +143,10 @@ def _learn(integrated: Integrated, learning: Learning, regressor: Vector, target
     rls.update_beside(theta, upper, diagonal, regressor, target, rho, learning.gate, 1)
     _let_bias_walk(branch, _WALK * _WALK)
     if learning.covariance_max > 0.0:
-        rls.bound(upper, diagonal, (1.0 - rho) / learning.covariance_max)
+        ud.bound(upper, diagonal, (1.0 - rho) / learning.covariance_max)
 
 
 def _let_bias_walk(branch: Branch, variance: float) -> None:
     direction = [0.0] * len(branch.theta)
     direction[len(direction) - 1] = 1.0
-    rls.widen(branch.upper, branch.diagonal, direction, variance)
+    ud.widen(branch.upper, branch.diagonal, direction, variance)

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from adaptdrive.control import rls
+from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.certainty import is_sure
 from adaptdrive.control.drift import learn_sample
 from adaptdrive.control.evidence import CLEAR, EARLIEST, LIFE, NOISE_FLOOR, RARER, WINDOW
@@ -221,7 +221,7 @@ def _take_in(
     learn_sample(branch.theta, branch.upper, branch.diagonal, regressor, target, learning, 0.0)
     if learning.covariance_max > 0.0:
         information = (1.0 - forgetting) / learning.covariance_max
-        rls.bound(branch.upper, branch.diagonal, information)
+        ud.bound(branch.upper, branch.diagonal, information)
 
 
 def _rarity(rivals: Rivals, kind: int) -> float:
