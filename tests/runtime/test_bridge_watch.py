@@ -76,8 +76,41 @@ def test_a_bridge_that_has_come_on_and_is_off_is_a_stop_at_once(*, due: bool) ->
     seen.look(0.0, bridge=False, commanded=False)
     seen.look(1.0, bridge=False, due=due)
     assert not seen.look(2.0, bridge=True, due=due)
-    assert seen.look(3.0, bridge=False, due=due)
+    assert seen.look(32.0, bridge=False, due=due)
     assert seen.cause == STOPPED
+
+
+@pytest.mark.parametrize("due", [False, True])
+def test_a_bridge_that_bounces_while_it_switches_on_is_no_stop(*, due: bool) -> None:
+    """A contact that opens once more; what energises waits for the next report."""
+    seen = Seen()
+    seen.look(0.0, bridge=False, commanded=False)
+    seen.look(1.0, bridge=False, due=due)
+    for ticks in (2.0, 4.0, 30.0):
+        assert not seen.look(ticks, bridge=True, due=due)
+        assert not seen.awaits_report
+        assert not seen.look(ticks + 1.0, bridge=False, due=due)
+        assert seen.awaits_report
+    assert not seen.look(32.0, bridge=True, due=due)
+    assert not seen.awaits_report
+
+
+def test_a_bridge_that_stays_off_while_it_switches_on_is_a_stop() -> None:
+    seen = Seen()
+    seen.look(0.0, bridge=False, commanded=False)
+    seen.look(1.0, bridge=True)
+    assert not seen.look(2.0, bridge=False)
+    assert not seen.look(2.5, bridge=False, old=0.5)
+    assert seen.look(3.0, bridge=False)
+    assert seen.cause == STOPPED
+
+
+@pytest.mark.parametrize("silent", [False, True])
+def test_a_bridge_that_had_the_time_to_stop_unseen_does_not_bounce(*, silent: bool) -> None:
+    seen = Seen()
+    seen.look(0.0, bridge=True)
+    seen.look(14.0, bridge=True, old=14.0 if silent else 0.0, unwatched=1.0 if silent else 14.0)
+    assert seen.look(15.0, bridge=False)
 
 
 @pytest.mark.parametrize(("last_on", "stopped"), [(31.0, False), (32.0, True)])
@@ -97,7 +130,7 @@ def test_a_bridge_that_was_still_on_at_the_command_and_has_switched_must_stay_on
     assert not seen.look(1.0, bridge=True)
     assert not seen.look(2.0, bridge=False)
     assert not seen.look(3.0, bridge=True)
-    assert seen.look(4.0, bridge=False)
+    assert seen.look(32.0, bridge=False)
 
 
 def test_a_report_from_before_the_command_begins_no_time() -> None:
@@ -122,7 +155,7 @@ def test_a_bridge_need_not_come_on_while_its_drive_starts() -> None:
 def test_a_bridge_that_has_come_on_must_stay_on_while_its_drive_starts(unwatched: float) -> None:
     seen = Seen()
     seen.look(0.0, bridge=True, due=False)
-    assert seen.look(1.0, bridge=False, due=False, unwatched=unwatched)
+    assert seen.look(31.0, bridge=False, due=False, unwatched=unwatched)
 
 
 @pytest.mark.parametrize(("unwatched", "named"), [(2.1, False), (10.0, False), (11.0, True)])
@@ -173,10 +206,10 @@ def test_a_bridge_that_was_on_after_the_time_unwatched_or_off_by_command_ends_th
 ) -> None:
     seen = Seen()
     seen.look(0.0, bridge=True)
-    assert not seen.look(10.0, bridge=True, old=10.0, unwatched=10.0)
-    assert not seen.look(11.0, bridge=True, commanded=commanded, old=0.0 if commanded else 11.0)
-    assert not seen.look(12.0, bridge=True, old=1.0)
-    assert seen.look(13.0, bridge=False) is commanded
+    assert not seen.look(40.0, bridge=True, old=10.0, unwatched=10.0)
+    assert not seen.look(41.0, bridge=True, commanded=commanded, old=0.0 if commanded else 11.0)
+    assert not seen.look(42.0, bridge=True, old=1.0)
+    assert seen.look(43.0, bridge=False) is commanded
     assert seen.cause == (STOPPED if commanded else None)
 
 

@@ -94,7 +94,7 @@ async def test_a_stop_of_the_drive_that_one_late_frame_alone_shows_trips() -> No
     """The stand-in before it has switched the drive on again."""
     async with fast_bench() as bench:
         bench.start()
-        bench.frames(10)
+        bench.frames(40)
         bench.frame(after_s=1.7 * TICK_S, bridge=False)
         assert (bench.machine.trip or "").startswith("drive stopped: ")
         assert bench.sent[-1] == SAFE_COMMAND
@@ -252,10 +252,22 @@ def start_off(bench: FastBench) -> None:
 async def test_a_bridge_that_goes_off_by_itself_trips() -> None:
     async with fast_bench() as bench:
         bench.start()
-        bench.frames(10)
+        bench.frames(40)
         bench.frame(bridge=False)
         assert (bench.machine.trip or "").startswith("drive stopped")
         assert bench.sent[-1] == SAFE_COMMAND
+
+
+async def test_a_bridge_that_bounces_while_it_switches_on_gets_no_command_until_it_is_on() -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        bench.frames(2)
+        before = len(bench.sent)
+        bench.frame(bridge=False)
+        assert len(bench.sent) == before
+        bench.frames(2)
+        assert bench.state() is State.RUNNING
+        assert len(bench.sent) == before + 2
 
 
 async def test_a_bridge_that_does_not_come_on_trips() -> None:

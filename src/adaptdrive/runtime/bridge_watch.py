@@ -42,6 +42,7 @@ class BridgeWatch:
         self._commanded_s = math.inf
         self._lingers = False
         self._been_on = False
+        self._bounced_s: float | None = None
         self._gap_s = self._silent_s = 0.0
         self._gap_end_s = -math.inf
 
@@ -52,7 +53,9 @@ class BridgeWatch:
 
         Only reports of the drive count: one that has fallen silent is stale, not off. A bridge that
         has come on by command and is off is a stop at once; one that has not been on yet has its
-        time to switch. A report from before the command says nothing of what follows it.
+        time to switch. In that time one report of off after one of on may be a contact that
+        bounces: the next report decides. A report from before the command says nothing of what
+        follows it.
 
         A drive may have stopped while this process did not run, or while nothing was heard of it: a
         report from before the end of that time says nothing of it.
@@ -75,6 +78,8 @@ class BridgeWatch:
             self._see_on(reading.bridge_reported_s)
             return None
         self._lingers = False
+        if self._been_on and self._may_bounce(reading.bridge_reported_s):
+            return None
         if not self._been_on and not self._is_overdue(reading.bridge_reported_s):
             return None
         return (
@@ -88,22 +93,35 @@ class BridgeWatch:
 
         Never for one that does not report its bridge: the wait itself would let it stop.
         """
+        if self._bounced_s is not None:
+            return True
         unheard_s = max(self._gap_s, self._silent_s) if self._reported else 0.0
         return self._been_on and unheard_s > SHORTEST_TIMEOUT_S
 
     def _rest(self, *, bridge: bool) -> None:
         """Begin anew with a drive that is commanded off; its bridge may still be on."""
         self._off_s, self._been_on, self._lingers = None, False, bridge
+        self._bounced_s = None
         self._commanded_s = math.inf
         self._gap_s = self._silent_s = 0.0
 
     def _see_on(self, reported_s: float) -> None:
         """Note a bridge that is on, by this command unless it still is by the one before."""
-        self._off_s = None
+        self._off_s = self._bounced_s = None
         switched = not self._lingers or reported_s - self._commanded_s > self._grace_s
         self._been_on = self._been_on or switched
         if reported_s > self._gap_end_s:
             self._gap_s = self._silent_s = 0.0
+
+    def _may_bounce(self, reported_s: float) -> bool:
+        """Return whether this is the first report of off in a row, of a bridge that switches on.
+
+        A bridge that had the time to stop unseen does not bounce.
+        """
+        switches = reported_s - self._commanded_s <= self._grace_s
+        if self._bounced_s is None and switches and not (self._gap_s or self._silent_s):
+            self._bounced_s = reported_s
+        return self._bounced_s == reported_s
 
     def _is_overdue(self, reported_s: float) -> bool:
         """Return whether a bridge that has not come on yet has had the time to."""

@@ -273,12 +273,13 @@ TRIPS = (
     Trip(
         r"^drive stopped: ",
         "drive stopped: its bridge is off although it was commanded on",
-        "the drive has reported its bridge off after it had reported it on, or had not reported it "
-        "on within 30 ticks (three readings where they are longer); where the bridge went off "
-        "while the daemon did not run or nothing was heard of the drive, for the time in ms, while "
-        "a read had no answer or values were refused (Modbus) or while the bus was lost, or where "
-        "its alive counter leapt (CAN), the text says so; a Modbus drive without a bridge register "
-        "cannot tell after a loss",
+        "the drive has reported its bridge off after it had reported it on (twice in a row within "
+        "the first 30 ticks, in which a contact may bounce and one such report only holds the next "
+        "command back), or had not reported it on within 30 ticks (three readings where they are "
+        "longer); where the bridge went off while the daemon did not run or nothing was heard of "
+        "the drive, for the time in ms, while a read had no answer or values were refused (Modbus) "
+        "or while the bus was lost, or where its alive counter leapt (CAN), the text says so; a "
+        "Modbus drive without a bridge register cannot tell after a loss",
         "check the drive's own time-out and protection; look for lost commands on the bus and a "
         "loose cable; where the daemon did not run, reduce the load of the machine and see "
         "`[realtime]`; after 80 ms without the daemon or the drive (two readings and a half where "
