@@ -297,6 +297,27 @@ async def test_a_drive_that_starts_anew_in_a_run_is_not_driven_on(silent_s: floa
         assert set(bench.sent[known:]) == {SAFE_COMMAND}
 
 
+@pytest.mark.parametrize("silent_s", [0.02, 0.03, 0.045, 0.06, 0.075])
+async def test_a_drive_that_started_anew_and_came_on_before_its_first_report_is_not_driven_on(
+    silent_s: float,
+) -> None:
+    """The commands of a silence too short to be one have switched it on again."""
+    limits = replace(FAST.limits, stale_s=0.3)
+    async with fast_bench(replace(FAST, limits=limits), modulus=256) as bench:
+        bench.start()
+        bench.frames(10)
+        bench.wait(silent_s)
+        known, bench.counter = len(bench.sent), -1
+        for number in range(30):
+            bench.frame(TICK_S if number else 0.0, bridge=number < 10)
+        assert (bench.machine.trip or "").startswith("drive restarted: its half-cycle counter ")
+        assert set(bench.sent[known:]) == {SAFE_COMMAND}
+        bench.ask(Reset())
+        bench.ask(Enable())
+        bench.frames(100)
+        assert bench.state() is State.RUNNING
+
+
 @pytest.mark.parametrize("silent_s", [0.2, 0.25, 0.3, 0.35])
 async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(silent_s: float) -> None:
     """Its cable was out for longer than its own time-out, and shorter than `stale_s`."""

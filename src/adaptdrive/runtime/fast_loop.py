@@ -30,6 +30,7 @@ from adaptdrive.runtime.interlock_board import InterlockBoard
 from adaptdrive.runtime.loop_interface import FastLoopSettings, LoopSurroundings, TickCounts
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.reports import StopWord, TickReport
+from adaptdrive.runtime.restart_watch import RestartWatch
 from adaptdrive.runtime.statistics import TimeWindow
 from adaptdrive.runtime.stop_watch import StopWatch
 from adaptdrive.runtime.stopping import Stopping
@@ -68,6 +69,7 @@ class FastLoop:
         self._guard = Guard(settings.command)
         self._settings = settings
         self._surroundings = surroundings
+        self._restarts = RestartWatch(port.counter_modulus, settings.tick_s)
         self._interlocks = InterlockBoard(
             settings.limits,
             settings.watches,
@@ -75,6 +77,7 @@ class FastLoop:
             settings.tick_s,
             settings.ticks_per_reading,
             bridge_reported=port.stop_slack_s is not None,
+            restarts=self._restarts,
         )
         reading_s = settings.ticks_per_reading * settings.tick_s
         self._stop_watch = StopWatch(settings.stop_s, reading_s, port.stop_slack_s)
@@ -124,6 +127,7 @@ class FastLoop:
         """Run the tick of a complete reading, unless a stand-in already did."""
         half_cycles, arrival_s = self._half_cycles, reading.arrival_s
         tick = half_cycles.place(reading.counter, arrival_s, self.tick)
+        self._restarts.see(reading.counter, arrival_s, half_cycles.tick_period_s)
         self.reading = reading
         if tick > self.tick:
             self._run(tick, arrival_s, self._surroundings.now_s(), fresh=True)

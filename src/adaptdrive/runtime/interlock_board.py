@@ -9,6 +9,7 @@ from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.bridge_watch import BridgeWatch
 from adaptdrive.runtime.frame_rate import FrameRate
 from adaptdrive.runtime.interlocks import Limits, Watch, find_cause
+from adaptdrive.runtime.restart_watch import RestartWatch
 
 _GAP_READINGS = 2
 """Readings without a tick that a drive which is read seldom may cost: one may be lost."""
@@ -26,6 +27,7 @@ class InterlockBoard:
         ticks_per_reading: int,
         *,
         bridge_reported: bool = True,
+        restarts: RestartWatch | None = None,
     ) -> None:
         """Evaluate nothing yet.
 
@@ -36,11 +38,13 @@ class InterlockBoard:
             tick_s: Half a line cycle at nominal frequency, in s.
             ticks_per_reading: Half cycles from one reading to the next.
             bridge_reported: Whether the drive reports its bridge.
+            restarts: Watch over its half-cycle counter, None for a drive without one.
         """
         self._limits = limits
         self._watches = [build() for build in watches]
         self._rate = rate
         self._bridge = BridgeWatch(tick_s, ticks_per_reading, reported=bridge_reported)
+        self._restarts = restarts or RestartWatch(None, tick_s)
         self._watched_s = math.inf
         # a drive that sends seldom leaves nothing to evaluate between two readings
         self._gap_limit_s = max(limits.stale_s, _GAP_READINGS * ticks_per_reading * tick_s)
@@ -52,8 +56,8 @@ class InterlockBoard:
 
     @property
     def awaits_bridge(self) -> bool:
-        """True while nothing that energises may be sent before the drive reports its bridge."""
-        return self._bridge.awaits_report
+        """True while nothing that energises may be sent before the drive has reported again."""
+        return self._bridge.awaits_report or self._restarts.in_doubt
 
     def look(self, now_s: float) -> float:
         """Note an evaluation; return the time since the one before, in s."""
@@ -94,9 +98,10 @@ class InterlockBoard:
         cause = self._gap_cause(unwatched_s) or self.standing_cause(port, reading, now_s)
         if cause is not None or reading is None:  # without a reading there is always a cause
             return cause
-        return self._bridge.find_cause(
+        cause = self._bridge.find_cause(
             reading, commanded=bridge, due=running, unwatched_s=unwatched_s, now_s=now_s
-        ) or self._implausible(reading, running=running)
+        ) or self._restarts.find_cause(commanded=bridge)
+        return cause or self._implausible(reading, running=running)
 
     def gap_cause(self, now_s: float) -> str | None:
         """Return the cause of a trip when this process did not run for long until now."""

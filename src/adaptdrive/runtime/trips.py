@@ -271,6 +271,14 @@ TRIPS = (
         "interface (`txqueuelen`) must hold more frames than one command has",
     ),
     Trip(
+        r"^drive restarted: ",
+        "drive restarted: its half-cycle counter began anew, 3 where 41207 was due",
+        "`signals.counter` has begun anew near 0 while the bridge was commanded on, and no lost, "
+        "late or repeated frame explains it: the drive started anew so quickly that no measurement "
+        "was missed for long",
+        "check the drive's supply and its control for the cause of the restart",
+    ),
+    Trip(
         r"^drive stopped: ",
         "drive stopped: its bridge is off although it was commanded on",
         "the drive has reported its bridge off after it had reported it on (twice in a row within "

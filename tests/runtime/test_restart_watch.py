@@ -1,0 +1,179 @@
+"""The watch over the half-cycle counter, against drives that start anew and drives that do not."""
+
+from __future__ import annotations
+
+from itertools import accumulate
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from adaptdrive.runtime.restart_watch import RestartWatch
+
+TICK_S = 2.0**-7
+"""A half cycle whose multiples are exact."""
+
+WIDTHS = st.integers(2, 24)
+LONGEST_LOSS = 64
+JITTER_TICKS = 2.5
+
+
+def see(watch: RestartWatch, half_cycle: int, modulus: int, late_ticks: float = 0.0) -> None:
+    """Pass the frame of a half cycle, which began its count at 0, on to the watch."""
+    watch.see(half_cycle % modulus, (half_cycle + late_ticks) * TICK_S, TICK_S)
+
+
+def begun(modulus: int, half_cycle: int) -> RestartWatch:
+    """A watch that has seen three frames, the last of them in this half cycle."""
+    watch = RestartWatch(modulus, TICK_S)
+    for number in range(half_cycle - 2, half_cycle + 1):
+        see(watch, number, modulus)
+    return watch
+
+
+@given(
+    width=WIDTHS,
+    first=st.integers(0, 1 << 24),
+    steps=st.lists(
+        st.tuples(st.integers(1, LONGEST_LOSS), st.floats(0.0, JITTER_TICKS)), max_size=200
+    ),
+)
+def test_no_loss_and_no_jitter_is_a_restart(
+    width: int, first: int, steps: list[tuple[int, float]]
+) -> None:
+    watch = begun(1 << width, first + 2)
+    ends = accumulate((step for step, _ in steps), initial=first + 2)
+    for half_cycle, (_, late_ticks) in zip(list(ends)[1:], steps, strict=True):
+        see(watch, half_cycle, 1 << width, late_ticks)
+        assert not watch.in_doubt
+        assert watch.find_cause(commanded=True) is None
+
+
+@given(
+    width=WIDTHS,
+    first=st.integers(0, 1 << 24),
+    pace=st.floats(0.96, 1.04),
+    steps=st.lists(st.integers(1, LONGEST_LOSS), max_size=200),
+)
+def test_a_line_that_is_off_is_no_restart(
+    width: int, first: int, pace: float, steps: list[int]
+) -> None:
+    watch = RestartWatch(1 << width, TICK_S)
+    for half_cycle in accumulate(steps, initial=first):
+        watch.see(half_cycle % (1 << width), half_cycle * pace * TICK_S, TICK_S)
+        assert watch.find_cause(commanded=True) is None
+
+
+@given(
+    width=WIDTHS,
+    last=st.integers(2, 1 << 24),
+    stalled=st.integers(1, LONGEST_LOSS),
+    kept=st.booleans(),
+)
+def test_frames_that_waited_and_come_at_once_are_no_restart(
+    width: int, last: int, stalled: int, kept: bool
+) -> None:
+    watch = begun(1 << width, last)
+    waited = range(last + 1, last + stalled + 1)
+    for half_cycle in (*waited,) if kept else (*waited[-1:],):
+        see(watch, half_cycle, 1 << width, last + stalled - half_cycle + 0.5)
+        assert watch.find_cause(commanded=True) is None
+    for half_cycle in range(last + stalled + 1, last + stalled + 20):
+        see(watch, half_cycle, 1 << width)
+        assert watch.find_cause(commanded=True) is None
+    assert not watch.in_doubt
+
+
+@given(width=WIDTHS, last=st.integers(40, 1 << 24), back=st.integers(1, 30))
+def test_a_gateway_that_repeats_each_frame_late_is_no_restart(
+    width: int, last: int, back: int
+) -> None:
+    watch = begun(1 << width, last)
+    for half_cycle in range(last + 1, last + 300):
+        see(watch, half_cycle, 1 << width)
+        assert watch.find_cause(commanded=True) is None
+        see(watch, half_cycle - back, 1 << width, back + 0.5)
+        assert watch.find_cause(commanded=True) is None
+
+
+@given(
+    width=st.integers(5, 24),
+    last=st.integers(2, 1 << 24),
+    away=st.integers(1, LONGEST_LOSS),
+    booted=st.floats(0.0, 1.0),
+)
+def test_a_drive_that_starts_anew_is_found_within_four_frames(
+    width: int, last: int, away: int, booted: float
+) -> None:
+    """Unless its count is by chance what it would have been, or nearly."""
+    modulus, watch = 1 << width, begun(1 << width, last)
+    first = round(booted * away)
+    off = (last + away - first) % modulus
+    chance = min(off, modulus - off) <= 4 + 0.04 * (away + 4)
+    for number in range(4):
+        at_s = (last + away + number) * TICK_S
+        watch.see((first + number) % modulus, at_s, TICK_S)
+        assert chance or watch.in_doubt
+    cause = watch.find_cause(commanded=True)
+    assert chance or (cause or "").startswith("drive restarted: its half-cycle counter began anew")
+
+
+@pytest.mark.parametrize(("passed", "doubted"), [(4, False), (5, True)])
+def test_a_count_three_half_cycles_behind_time_is_late(passed: int, doubted: bool) -> None:
+    watch = begun(32, 31)
+    watch.see(0, (31 + passed) * TICK_S, TICK_S)
+    assert watch.in_doubt is doubted
+
+
+def test_time_is_that_of_the_measured_half_cycle() -> None:
+    watch = RestartWatch(256, TICK_S)
+    for half_cycle in range(0, 1000, 20):
+        watch.see(half_cycle % 256, half_cycle * 2.0 * TICK_S, 2.0 * TICK_S)
+        assert not watch.in_doubt
+
+
+def test_the_trip_names_both_counts() -> None:
+    watch = begun(65536, 41_200)
+    for number in range(3, 7):
+        watch.see(number, (41_204 + number) * TICK_S, TICK_S)
+    assert watch.find_cause(commanded=True) == (
+        "drive restarted: its half-cycle counter began anew, 3 where 41207 was due"
+    )
+
+
+def test_a_count_that_may_not_have_begun_at_0_is_no_restart() -> None:
+    watch = begun(65536, 41_200)
+    for number in range(10):
+        watch.see(5_000 + number, (41_203 + number) * TICK_S, TICK_S)
+        assert not watch.in_doubt
+
+
+@pytest.mark.parametrize("resets", [2, 3, 5])
+def test_a_drive_that_starts_anew_again_and_again_is_in_doubt_until_its_trip(resets: int) -> None:
+    watch, half_cycle = begun(256, 100), 100
+    for _ in range(resets):
+        for number in range(2):
+            half_cycle += 1
+            watch.see(number, half_cycle * TICK_S, TICK_S)
+            assert watch.in_doubt
+    for number in range(2, 6):
+        watch.see(number, (half_cycle + number - 1) * TICK_S, TICK_S)
+    assert watch.find_cause(commanded=True) is not None
+
+
+def test_a_drive_that_is_commanded_off_may_start_anew() -> None:
+    watch = begun(256, 100)
+    for number in range(2):
+        watch.see(number, (101 + number) * TICK_S, TICK_S)
+        assert watch.find_cause(commanded=False) is None
+        assert not watch.in_doubt
+    for number in range(2, 10):
+        watch.see(number, (101 + number) * TICK_S, TICK_S)
+        assert watch.find_cause(commanded=True) is None
+
+
+def test_without_a_counter_nothing_is_in_doubt() -> None:
+    watch = RestartWatch(None, TICK_S)
+    for number in range(10):
+        watch.see(None, number * TICK_S, TICK_S)
+        assert not watch.in_doubt
