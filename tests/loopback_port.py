@@ -38,6 +38,7 @@ class LoopbackPort:
         self.complaint: str | None = None
         self.safe_s = math.inf
         self.stop_slack_s: float | None = 0.0
+        self.bridge_cycle_s = 0.0
         self._up = False
         self._received = self._sent = self._dropped = self._reconnects = 0
 

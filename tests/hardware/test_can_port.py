@@ -166,6 +166,7 @@ async def test_a_rare_clock_may_lose_a_frame_and_is_named_once_it_is_gone(
     assert causes[30] is not None
     assert "limit 300 ms; output (0x101 (DriveLoad), Tachometer) is the oldest" in causes[30]
     assert port.stop_slack_s == pytest.approx(0.15)  # the report of the bridge waits for it too
+    assert port.bridge_cycle_s == pytest.approx(0.1)
 
 
 def flipped(drive: Drive, name: str) -> bytes:

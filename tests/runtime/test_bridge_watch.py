@@ -16,8 +16,12 @@ STOPPED = "drive stopped: its bridge is off although it was commanded on"
 class Seen:
     """A drive whose bridge is looked at."""
 
-    def __init__(self, ticks_per_reading: int = 1, *, reported: bool = True) -> None:
-        self._watch = BridgeWatch(TICK_S, ticks_per_reading, reported=reported)
+    def __init__(
+        self, ticks_per_reading: int = 1, *, reported: bool = True, cycle: float = 0.0
+    ) -> None:
+        self._watch = BridgeWatch(
+            TICK_S, ticks_per_reading, reported=reported, cycle_s=cycle * TICK_S
+        )
         self.cause: str | None = None
 
     def look(
@@ -274,15 +278,37 @@ def test_a_drive_that_reports_no_bridge_is_commanded_after_a_time_unwatched() ->
 
 
 def test_a_rare_report_of_the_bridge_is_no_silence_while_readings_come() -> None:
-    """Its message comes once in 60 half cycles."""
-    seen = Seen()
-    for ticks in range(1, 130):
-        assert not seen.look(ticks, bridge=True, reported=ticks % 60)
+    """Its message comes once in 60 half cycles, and one may be lost."""
+    seen = Seen(cycle=60)
+    for ticks in range(1, 400):
+        lost = 60 if 180 <= ticks < 240 else 0
+        assert not seen.look(ticks, bridge=True, reported=ticks % 60 + lost)
         assert not seen.awaits_report
 
 
+@pytest.mark.parametrize(
+    ("ticks_per_reading", "cycle", "limit"), [(1, 1, 10.24), (1, 6, 15.0), (6, 1, 15.0)]
+)
+def test_a_report_of_the_bridge_that_is_missing_is_waited_for_while_readings_come(
+    ticks_per_reading: int, cycle: float, limit: float
+) -> None:
+    """Another node sends the clock of the readings, and the drive is silent."""
+    seen = Seen(ticks_per_reading, cycle=cycle)
+    seen.look(0.0, bridge=True, reported=0.0)
+    seen.look(limit - 0.1, bridge=True, reported=limit - 0.1)
+    assert not seen.awaits_report
+    seen.look(limit + 0.1, bridge=True, reported=limit + 0.1)
+    assert seen.awaits_report
+    seen.look(limit + 1.0, bridge=True, reported=limit + 1.0)
+    assert seen.awaits_report
+    assert seen.look(limit + 2.0, bridge=False, reported=0.0)
+    assert seen.cause == (
+        f"{STOPPED}; nothing had been heard of it for {(limit + 1.0) * 1e3 * TICK_S:.0f} ms"
+    )
+
+
 def test_after_a_silence_a_rare_report_of_the_bridge_is_waited_for() -> None:
-    seen = Seen()
+    seen = Seen(cycle=60)
     seen.look(0.0, bridge=True)
     for ticks in range(1, 21):
         seen.look(ticks, bridge=True, old=ticks, reported=ticks)

@@ -338,6 +338,24 @@ async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(silent_
         assert set(bench.sent[known:]) == {SAFE_COMMAND}
 
 
+async def test_a_drive_that_stopped_while_another_node_went_on_clocking_is_not_driven_on() -> None:
+    """Its own cable was out for longer than its time-out; what clocks the readings still came."""
+    limits = replace(FAST.limits, stale_s=0.5)
+    async with fast_bench(replace(FAST, limits=limits)) as bench:
+        bench.start()
+        bench.frames(10)
+        heard_s, last_s = bench.around.now, bench.around.now
+        for _ in range(36):
+            known = len(bench.sent)
+            bench.frame(bridge=True, bridge_s=heard_s)
+            last_s = bench.around.now if len(bench.sent) > known else last_s
+        assert 0.05 < last_s - heard_s < 0.1
+        known = len(bench.sent)
+        bench.frame(bridge=False)
+        assert "nothing had been heard of it for" in (bench.machine.trip or "")
+        assert set(bench.sent[known:]) == {SAFE_COMMAND}
+
+
 async def test_a_drive_that_went_on_while_it_was_silent_is_driven_on() -> None:
     limits = replace(FAST.limits, stale_s=0.5)
     async with fast_bench(replace(FAST, limits=limits)) as bench:

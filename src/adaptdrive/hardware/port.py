@@ -165,6 +165,10 @@ class Port(Protocol):
         None for a drive that never does: it cannot confirm that it has stopped.
         """
 
+    @property
+    def bridge_cycle_s(self) -> float:
+        """Time from one report of the bridge to the next, 0 where each reading has one."""
+
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
 

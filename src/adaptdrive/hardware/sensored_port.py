@@ -87,6 +87,11 @@ class SensoredPort:
         """Additional time for the report of the bridge, None for a drive that never reports it."""
         return self._drive.stop_slack_s
 
+    @property
+    def bridge_cycle_s(self) -> float:
+        """Time from one report of the bridge to the next, 0 where each reading has one."""
+        return self._drive.bridge_cycle_s
+
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Serve the drive and the sensors until cancelled; the sensors end first.
 

@@ -23,7 +23,9 @@ _SLACK_S = 1e-6
 class BridgeWatch:
     """Finds a drive that reports its bridge off although it was commanded on."""
 
-    def __init__(self, tick_s: float, ticks_per_reading: int, *, reported: bool = True) -> None:
+    def __init__(
+        self, tick_s: float, ticks_per_reading: int, *, reported: bool = True, cycle_s: float = 0.0
+    ) -> None:
         """Watch from the first half cycle.
 
         Args:
@@ -31,11 +33,13 @@ class BridgeWatch:
             ticks_per_reading: Half cycles from one reading to the next.
             reported: Whether the drive reports its bridge: after a silence nothing else shows that
                 it has not stopped.
+            cycle_s: Time from one such report to the next, 0 where each reading has one.
         """
         self._reading_s = ticks_per_reading * tick_s
         self._grace_s = max(_GRACE_TICKS * tick_s, _GRACE_READINGS * self._reading_s)
         self._gap_limit_s = _GAP_READINGS * self._reading_s
         self._silent_limit_s = silence_limit_s(self._reading_s) if reported else math.inf
+        self._mute_limit_s = max(self._silent_limit_s, silence_limit_s(cycle_s))
         self._reported = reported
         self._off_s: float | None = None
         self._due_s: float | None = None
@@ -57,8 +61,8 @@ class BridgeWatch:
         bounces: the next report decides. A report from before the command says nothing of what
         follows it.
 
-        A drive may have stopped while this process did not run, or while nothing was heard of it: a
-        report from before the end of that time says nothing of it.
+        A drive may have stopped while this process did not run, or while nothing was heard of its
+        bridge, whatever else came: a report from before the end of that time says nothing of it.
 
         Args:
             reading: The newest reading.
@@ -68,7 +72,7 @@ class BridgeWatch:
             now_s: Monotonic time of this look.
         """
         self._note_gap(unwatched_s, now_s)
-        self._note_silence(now_s - reading.arrival_s, now_s)
+        self._note_silence(reading, now_s)
         self._note_due(now_s, due=commanded and due)
         if not commanded:
             self._rest(bridge=reading.bridge)
@@ -152,7 +156,11 @@ class BridgeWatch:
         if unwatched_s > self._gap_limit_s:
             self._gap_s, self._gap_end_s = max(self._gap_s, unwatched_s), now_s
 
-    def _note_silence(self, unheard_s: float, now_s: float) -> None:
-        """Keep the longest time without a reading, likewise."""
-        if unheard_s > self._silent_limit_s:
+    def _note_silence(self, reading: Reading, now_s: float) -> None:
+        """Keep the longest time without a reading, or without a report of the bridge, likewise."""
+        unheard_s = now_s - reading.arrival_s
+        unreported_s = unheard_s if reading.bridge_s is None else now_s - reading.bridge_s
+        if unreported_s > self._mute_limit_s:
+            self._silent_s, self._gap_end_s = max(self._silent_s, unreported_s), now_s
+        elif unheard_s > self._silent_limit_s:
             self._silent_s, self._gap_end_s = max(self._silent_s, unheard_s), now_s

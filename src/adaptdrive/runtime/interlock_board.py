@@ -27,6 +27,7 @@ class InterlockBoard:
         ticks_per_reading: int,
         *,
         bridge_reported: bool = True,
+        bridge_cycle_s: float = 0.0,
         restarts: RestartWatch | None = None,
     ) -> None:
         """Evaluate nothing yet.
@@ -38,12 +39,15 @@ class InterlockBoard:
             tick_s: Half a line cycle at nominal frequency, in s.
             ticks_per_reading: Half cycles from one reading to the next.
             bridge_reported: Whether the drive reports its bridge.
+            bridge_cycle_s: Time from one such report to the next, 0 where each reading has one.
             restarts: Watch over its half-cycle counter, None for a drive without one.
         """
         self._limits = limits
         self._watches = [build() for build in watches]
         self._rate = rate
-        self._bridge = BridgeWatch(tick_s, ticks_per_reading, reported=bridge_reported)
+        self._bridge = BridgeWatch(
+            tick_s, ticks_per_reading, reported=bridge_reported, cycle_s=bridge_cycle_s
+        )
         self._restarts = restarts or RestartWatch(None, tick_s)
         self._watched_s = math.inf
         # a drive that sends seldom leaves nothing to evaluate between two readings

@@ -290,9 +290,9 @@ TRIPS = (
         "Modbus drive without a bridge register cannot tell after a loss",
         "check the drive's own time-out and protection; look for lost commands on the bus and a "
         "loose cable; where the daemon did not run, reduce the load of the machine and see "
-        "`[realtime]`; after 80 ms without the daemon or the drive (two readings and a half where "
-        "they are longer) a drive that reports its bridge gets no command until its next report, "
-        "which it must send within its own time-out",
+        "`[realtime]`; after 80 ms without the daemon or a report of the bridge (two and a half "
+        "readings, or cycles of its message, where they are longer) a drive that reports its "
+        "bridge gets no command until its next report, which it must send within its own time-out",
     ),
     Trip(
         r"^another sender commands this drive: ",

@@ -128,6 +128,11 @@ class CanOpenPort:
         """Return 0: each statusword contains the state of the bridge."""
         return 0.0
 
+    @property
+    def bridge_cycle_s(self) -> float:
+        """Return 0: each reading has a statusword."""
+        return 0.0
+
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
 

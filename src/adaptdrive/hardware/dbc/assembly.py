@@ -52,6 +52,11 @@ class StatusAssembly:
         return next(words, None)
 
     @property
+    def bridge_cycle_s(self) -> float:
+        """Time from one report of the bridge to the next, 0 for a drive that never reports it."""
+        return max((one.cycle_s for one in self._sources if one.quantity == "bridge"), default=0.0)
+
+    @property
     def powered(self) -> bool:
         """True if the drive's last report has its bridge on."""
         bridge = self._values.get("bridge")

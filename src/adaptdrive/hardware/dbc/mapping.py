@@ -58,6 +58,7 @@ class CanSource:
         slack_s: How much older than `interlocks.stale_s` its values may be, as their message or
             the clock, with which they are taken, comes less often.
         cycle_by: What says so of the slower of them: GenMsgCycleTime or a key of `[bus]`.
+        cycle_s: Time from one such value to the next.
     """
 
     quantity: str
@@ -66,6 +67,7 @@ class CanSource:
     offset: float
     slack_s: float
     cycle_by: str
+    cycle_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,7 +170,9 @@ def _find_sources(
             _note_slow(catalogue, cycle.message, place)
         if timing.stale_s + slack_s > LONGEST_STALE_S:
             _note_old(catalogue, cycle.message, place, timing.stale_s + slack_s)
-        source = CanSource(quantity, signal, entry.scale, entry.offset, slack_s, cycle.by)
+        source = CanSource(
+            quantity, signal, entry.scale, entry.offset, slack_s, cycle.by, cycle.cycle_s
+        )
         found.setdefault(message.name, []).append(source)
         if quantity in _WORDS:
             _check_word(catalogue, signal, place, plain=(entry.scale, entry.offset) == (1.0, 0.0))

@@ -115,6 +115,11 @@ class CanPort:
         """Additional time for the report of the bridge, None for a drive that never reports it."""
         return self._assembly.bridge_slack_s
 
+    @property
+    def bridge_cycle_s(self) -> float:
+        """Time from one report of the bridge to the next, 0 for a drive that never reports it."""
+        return self._assembly.bridge_cycle_s
+
     def run(self, listener: Listener, opened: Callable[[], None]) -> Coroutine[Any, Any, None]:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
 

@@ -96,6 +96,11 @@ class ModbusPort:
         """Nothing, or None for a drive whose map has no register for its bridge."""
         return 0.0 if self._assembly.bridge_reported else None
 
+    @property
+    def bridge_cycle_s(self) -> float:
+        """Return 0: each poll that reads it has a report of the bridge."""
+        return 0.0
+
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the link, call `opened`, and poll until cancelled; reconnect when it is lost.
 
