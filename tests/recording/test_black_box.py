@@ -226,6 +226,10 @@ def test_a_trip_before_the_session_has_its_place_in_time(tmp_path: Path) -> None
     assert list(session_directories(tmp_path))[1] == directory
 
 
+def contents(folder: Path) -> list[Path]:
+    return list(folder.iterdir())
+
+
 async def run_until(box: BlackBox, done: Callable[[], bool]) -> None:
     """Run a black box until something is done; it must not end by itself."""
     running = asyncio.create_task(box.run())
@@ -258,6 +262,21 @@ async def test_what_is_no_kept_trip_is_named_and_keeps_no_other_from_being_writt
     assert len(trips_of(tmp_path)) == 1
 
 
+async def test_what_a_daemon_that_was_killed_kept_in_part_is_removed_at_the_next_start(
+    tmp_path: Path,
+) -> None:
+    """Another drive's daemon may be keeping a trip at that moment."""
+    other = msgspec.structs.replace(INFO, drive="left_motor")
+    own, others = (
+        tmp_path / f"{left_path(tmp_path, info, 1).name}.unfinished" for info in (INFO, other)
+    )
+    for path in (own, others):
+        path.touch()
+    box = BlackBox(Header(INFO, "", str(tmp_path)), lambda *_: None, time.monotonic)
+    await run_until(box, lambda: not own.exists())
+    assert contents(tmp_path) == [others]
+
+
 async def test_a_trip_of_this_run_is_written_before_those_of_earlier_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -283,12 +302,12 @@ async def test_a_trip_of_this_run_is_written_before_those_of_earlier_runs(
 def test_a_full_disk_keeps_nothing_of_a_trip_that_it_does_not_take(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def write_in_part(path: Path, messages: bytes) -> int:
-        with path.open("wb") as file:
-            file.write(messages[:1])
+    """A file system may say so only when what it was given goes to the disk."""
+
+    def refuse(_descriptor: int) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_bytes", write_in_part)
+    monkeypatch.setattr(os, "fsync", refuse)
     with pytest.raises(OSError, match="No space left"):
         leave(left_path(tmp_path, INFO, 1), b"messages")
-    assert list(tmp_path.iterdir()) == []
+    assert contents(tmp_path) == []

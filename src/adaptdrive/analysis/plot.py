@@ -7,7 +7,7 @@ from pathlib import Path
 from adaptdrive.analysis.curves import find_window, read_curves
 from adaptdrive.analysis.figure import draw_session
 from adaptdrive.analysis.report import report_page
-from adaptdrive.app.state_file import replace_regular
+from adaptdrive.config.regular_file import replace_regular
 from adaptdrive.errors import escaped
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.what_if import reconfigured

@@ -18,9 +18,8 @@ from typing import Protocol
 
 import msgspec
 
-from adaptdrive.app.state_file import replace_regular
 from adaptdrive.config import Configuration
-from adaptdrive.config.regular_file import read_regular
+from adaptdrive.config.regular_file import read_regular, replace_regular
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket

@@ -24,6 +24,7 @@ from adaptdrive.app.checkpoint import (
     recall,
     write_checkpoint,
 )
+from adaptdrive.app.directory import directory_flaw
 from adaptdrive.app.examine import examine_text
 from adaptdrive.app.last_resort import uncaught_errors_end
 from adaptdrive.app.loads import build_load
@@ -35,7 +36,6 @@ from adaptdrive.app.realtime import build_rehearsal, prepared
 from adaptdrive.app.recording import build_recorder
 from adaptdrive.app.sensors import build_whole_port, publish_samples, sensor_reports
 from adaptdrive.app.settings import controller_settings, daemon_settings
-from adaptdrive.app.state_file import directory_flaw
 from adaptdrive.app.warm_up import Rehearsal
 from adaptdrive.clock.now import now_s
 from adaptdrive.config import Configuration

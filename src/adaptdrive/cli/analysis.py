@@ -13,9 +13,9 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from adaptdrive.app.state_file import replace_regular
 from adaptdrive.cli.extra import Extra
 from adaptdrive.cli.folders import refuse_unwritable
+from adaptdrive.config.regular_file import replace_regular
 
 
 def _check_second(_type: object, second: float | None) -> None:

@@ -9,10 +9,10 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from adaptdrive.app.state_file import replace_regular
 from adaptdrive.cli.contact import Contact, DriveName
 from adaptdrive.cli.extra import Extra
 from adaptdrive.cli.folders import refuse_unwritable
+from adaptdrive.config.regular_file import replace_regular
 from adaptdrive.errors import ConfigurationError, Flaw
 
 _HERE = Contact()

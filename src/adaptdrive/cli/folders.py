@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from adaptdrive.app.state_file import directory_flaw
+from adaptdrive.app.directory import directory_flaw
 from adaptdrive.errors import ConfigurationError, Flaw
 
 

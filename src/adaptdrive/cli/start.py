@@ -14,9 +14,9 @@ from pydantic import ValidationError
 
 from adaptdrive.app.described import Choices, can_part, canopen_part, clock_ticks, output_unit
 from adaptdrive.app.starter import BusName, Starter, compose
-from adaptdrive.app.state_file import replace_regular
 from adaptdrive.config.drive import DriveSection
 from adaptdrive.config.load import LoadName
+from adaptdrive.config.regular_file import replace_regular
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.proposal import NO_PROPOSAL, OUTPUTS, QUANTITIES, Candidate, propose
 

@@ -1,7 +1,8 @@
-"""Small files that are read without waiting for anything: a FIFO or a device is refused."""
+"""Small files: read without waiting for anything, a FIFO or a device is refused; replaced whole."""
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import stat
@@ -51,6 +52,46 @@ def require_regular(path: Path) -> None:
         OSError: It is no regular file, or cannot be found.
     """
     _require_regular(path.stat().st_mode, path)
+
+
+def replace_regular(path: Path, content: bytes) -> None:
+    """Replace a file, so that a reader sees the old one or the new one, whole.
+
+    Args:
+        path: The file.
+        content: What it shall hold.
+
+    Raises:
+        OSError: The disk refuses; it names the file, which is as before.
+    """
+    unfinished = unfinished_path(path)
+    try:
+        unfinished.unlink(missing_ok=True)
+        with unfinished.open("xb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        unfinished.replace(path)
+    except OSError as problem:
+        with contextlib.suppress(OSError):
+            unfinished.unlink()
+        problem.filename = str(path)
+        raise
+    _sync_directory(path.parent)
+
+
+def unfinished_path(path: Path) -> Path:
+    """Return the path of what will replace a file, left there by a process that was killed."""
+    return path.with_name(f"{path.name}.unfinished")
+
+
+def _sync_directory(directory: Path) -> None:
+    """Make a rename outlast a power cut."""
+    descriptor = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def _require_regular(mode: int, path: Path) -> None:

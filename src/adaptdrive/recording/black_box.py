@@ -14,7 +14,13 @@ import msgspec
 
 from adaptdrive.aside import Result, in_thread
 from adaptdrive.recording.batches import Batch, Header, framed
-from adaptdrive.recording.left_trips import leave, left_path, left_trips, read_left
+from adaptdrive.recording.left_trips import (
+    leave,
+    left_path,
+    left_trips,
+    read_left,
+    remove_unfinished,
+)
 from adaptdrive.recording.writer_process import WriterProcess
 from adaptdrive.runtime.reports import Severity
 
@@ -149,6 +155,7 @@ class BlackBox:
         sessions, drive = Path(self._header.sessions), self._header.info.drive
         found: list[tuple[Path, int]] = []
         with contextlib.suppress(OSError):  # they stay for another start
+            await self._aside(lambda: remove_unfinished(sessions, drive))
             found = await self._aside(lambda: left_trips(sessions, drive))
         for path, number in found:
             await self._write_trips()

@@ -1,6 +1,7 @@
 """Records of trips that a daemon had no time to write at its end, kept for the next start.
 
-A file holds what the process that writes such a record reads; to keep it takes one write.
+A file holds what the process that writes such a record reads; to keep it takes one write and
+its sync.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import contextlib
 import re
 from pathlib import Path
 
-from adaptdrive.config.regular_file import read_regular
+from adaptdrive.config.regular_file import read_regular, replace_regular, unfinished_path
 from adaptdrive.recording.session import SessionInfo
 
 _PREFIX = ".left-trip-"
@@ -30,19 +31,26 @@ def left_path(sessions: Path, info: SessionInfo, number: int) -> Path:
 
 
 def leave(path: Path, messages: bytes) -> None:
-    """Keep the messages of a trip; the file appears when it is whole.
+    """Keep the messages of a trip; the file appears when all of it is on disk.
 
     Raises:
         OSError: The disk refuses; what it took is removed.
     """
-    unfinished = path.with_name(f"{path.name}.unfinished")
-    try:
-        unfinished.write_bytes(messages)
-        unfinished.rename(path)
-    except OSError:
-        with contextlib.suppress(OSError):
-            unfinished.unlink()
-        raise
+    replace_regular(path, messages)
+
+
+def remove_unfinished(sessions: Path, drive: str) -> None:
+    """Remove what daemons of a drive that were killed had kept of a trip in part.
+
+    Args:
+        sessions: Folder of all sessions.
+        drive: Name of the drive; those of others may be in use.
+    """
+    for path in sessions.glob(unfinished_path(Path(f"{_PREFIX}*")).name):
+        match = _NAME.fullmatch(path.stem)
+        if match and match["drive"] == drive:
+            with contextlib.suppress(OSError):  # it stays for another start
+                path.unlink()
 
 
 def read_left(path: Path) -> bytes:
