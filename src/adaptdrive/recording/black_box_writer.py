@@ -21,7 +21,7 @@ from adaptdrive.recording import reserve
 from adaptdrive.recording.batches import Batch, EventRow, Header, News, read_frames
 from adaptdrive.recording.black_box import NO_FIGURE, TRIP
 from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
-from adaptdrive.recording.session import TRIP_PREFIX, Dropped, Ending
+from adaptdrive.recording.session import TRIP_PREFIX, Dropped, Ending, time_in_name
 from adaptdrive.recording.session_writer import SessionWriter
 from adaptdrive.recording.tables import ticks_batch, ticks_schema
 from adaptdrive.recording.writer import send_to_parent, step_aside
@@ -69,7 +69,7 @@ def _write(parent: Path, header: Header, batches: Sequence[Batch], number: int) 
     trip = next((one for one in events if one.kind == TRIP and one.number == number), None)
     if trip is None:
         raise OSError("the batches hold no trip")
-    directory = parent / f"{TRIP_PREFIX}{trip.time:%Y%m%dT%H%M%S%fZ}-{number}"
+    directory = parent / f"{TRIP_PREFIX}{time_in_name(trip.time)}-{number}"
     if directory.exists():
         return directory  # the process before this was ended while it drew the figure
     unfinished = parent / f".trip-{header.info.drive}"  # drives may share the folder of all

@@ -11,7 +11,7 @@ import re
 from pathlib import Path
 
 from adaptdrive.config.regular_file import read_regular, replace_regular, unfinished_path
-from adaptdrive.recording.session import SessionInfo
+from adaptdrive.recording.session import SessionInfo, time_in_name
 
 _PREFIX = ".left-trip-"
 _NAME = re.compile(rf"{re.escape(_PREFIX)}[^_]+-(?P<number>\d+)_(?P<drive>.+)")
@@ -27,7 +27,7 @@ def left_path(sessions: Path, info: SessionInfo, number: int) -> Path:
         info: The session of the trip.
         number: Running number of its event.
     """
-    return sessions / f"{_PREFIX}{info.started:%Y%m%dT%H%M%S%fZ}-{number}_{info.drive}"
+    return sessions / f"{_PREFIX}{time_in_name(info.started)}-{number}_{info.drive}"
 
 
 def leave(path: Path, messages: bytes) -> None:

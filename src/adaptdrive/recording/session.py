@@ -183,6 +183,11 @@ def rename_free(unfinished: Path, name: str) -> Path:
     raise AssertionError
 
 
+def time_in_name(time: datetime) -> str:
+    """Return a time as the names of files have it, such as `20261121T012209000000Z`."""
+    return f"{time:%Y%m%dT%H%M%S%fZ}"
+
+
 class SessionLock:
     """The lock that the writer of a session holds on its directory."""
 

@@ -17,7 +17,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from adaptdrive.recording.session import SessionInfo
+from adaptdrive.recording.session import SessionInfo, time_in_name
 
 _PREFIX = ".unwritten-"
 _LARGEST_QUEUE_BYTES = 4 << 20
@@ -31,7 +31,7 @@ def spool_path(sessions: Path, info: SessionInfo) -> Path:
         sessions: Folder of all sessions.
         info: The session.
     """
-    return sessions / f"{_PREFIX}{info.started:%Y%m%dT%H%M%S%fZ}_{info.drive}"
+    return sessions / f"{_PREFIX}{time_in_name(info.started)}_{info.drive}"
 
 
 def left_spools(sessions: Path) -> list[Path]:
