@@ -10,7 +10,7 @@ from typing import TypeVar
 import msgspec
 
 NOT_JSON = (msgspec.DecodeError, UnicodeError, RecursionError)
-"""Errors of a decoder for bytes or text that are no JSON of the type that it was asked for."""
+"""Errors of a decoder for bytes or text that are no JSON or MessagePack of the type asked for."""
 
 
 _Error = TypeVar("_Error", bound=Exception)

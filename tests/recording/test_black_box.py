@@ -20,7 +20,7 @@ from adaptdrive.errors import RecordingError
 from adaptdrive.recording.batches import EventRow, Header, framed
 from adaptdrive.recording.black_box import TRIP, BlackBox
 from adaptdrive.recording.black_box_writer import write_trip
-from adaptdrive.recording.left_trips import leave, left_path, left_trips
+from adaptdrive.recording.left_trips import DamagedTripError, leave, left_path, left_trips
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.replay import replay
 from adaptdrive.recording.session import (
@@ -230,6 +230,10 @@ def contents(folder: Path) -> list[Path]:
     return list(folder.iterdir())
 
 
+def content_of(path: Path) -> bytes:
+    return path.read_bytes()
+
+
 async def run_until(box: BlackBox, done: Callable[[], bool]) -> None:
     """Run a black box until something is done; it must not end by itself."""
     running = asyncio.create_task(box.run())
@@ -241,7 +245,11 @@ async def run_until(box: BlackBox, done: Callable[[], bool]) -> None:
     await asyncio.wait([running])
 
 
-async def test_what_is_no_kept_trip_is_named_and_keeps_no_other_from_being_written(
+def set_aside_of(path: Path) -> Path:
+    return path.with_name(f"damaged{path.name}")
+
+
+async def test_what_is_no_kept_trip_is_set_aside_and_keeps_no_other_from_being_written(
     tmp_path: Path,
 ) -> None:
     """A FIFO has no end, and a sparse file may be larger than the memory."""
@@ -256,10 +264,70 @@ async def test_what_is_no_kept_trip_is_named_and_keeps_no_other_from_being_writt
     await run_until(
         BlackBox(Header(INFO, "", str(tmp_path)), told, time.monotonic), lambda: not kept.exists()
     )
-    assert [said.partition(" is left as it is")[0] for said in reports[:3]] == [
-        str(path) for path in (fifo, folder, sparse)
+    assert reports[:3] == [
+        f"{set_aside_of(path)} was not written as the record of a trip: {flaw}"
+        for path, flaw in (
+            (fifo, "it is a FIFO, not a file"),
+            (folder, "it is a directory, not a file"),
+            (sparse, f"it has {1 << 42} bytes"),
+        )
     ]
     assert len(trips_of(tmp_path)) == 1
+
+
+def damaged_messages(sessions: Path, kind: str) -> bytes:
+    """What is kept of a trip, as power cuts and failing disks leave it."""
+    whole = trip_messages(sessions).getvalue()
+    in_message_2 = whole.index(b"tick_rows")
+    return {
+        "empty": b"",
+        "begun": whole[:50],
+        "zeros": bytes(len(whole)),
+        "cut": whole[:in_message_2],
+        "a changed name": whole.replace(b"tick_rows", b"tick_cows", 1),
+        "a changed letter": whole.replace(b"tick_rows", b"tick_r\xffws", 1),
+        "a changed column": whole.replace(b"monotonic_s", b"monotonic_t"),
+    }[kind]
+
+
+@pytest.mark.parametrize(
+    ("kind", "flaw"),
+    [
+        ("empty", "it is empty, or breaks off in its first message"),
+        ("begun", "it is empty, or breaks off in its first message"),
+        ("zeros", "its message 1 cannot be decoded"),
+        ("cut", "it has no trip of number 1"),
+        ("a changed name", "its message 2 cannot be decoded"),
+        ("a changed letter", "its message 2 cannot be decoded"),
+        ("a changed column", "its rows make no table"),
+    ],
+)
+async def test_a_damaged_trip_is_reported_once_and_set_aside(
+    tmp_path: Path, kind: str, flaw: str
+) -> None:
+    path, content = left_path(tmp_path, INFO, 1), damaged_messages(tmp_path, kind)
+    leave(path, content)
+    reports: list[tuple[Severity, str]] = []
+    box = BlackBox(
+        Header(INFO, "", str(tmp_path)),
+        lambda severity, detail: reports.append((severity, detail)),
+        time.monotonic,
+    )
+    await run_until(box, lambda: bool(reports))
+    said = f"{set_aside_of(path)} was not written as the record of a trip: {flaw}"
+    assert reports == [(Severity.WARNING, said)]
+    assert contents(tmp_path) == [set_aside_of(path)]
+    assert content_of(set_aside_of(path)) == content
+    assert left_trips(tmp_path, INFO.drive) == []
+
+
+def test_a_damaged_trip_gives_no_reserve_away(tmp_path: Path) -> None:
+    kept = tmp_path / ".reserve"
+    kept.touch()
+    messages = io.BytesIO(damaged_messages(tmp_path, "a changed column"))
+    with pytest.raises(DamagedTripError):
+        write_trip(messages, 1, tmp_path)
+    assert contents(tmp_path) == [kept]
 
 
 async def test_what_a_daemon_that_was_killed_kept_in_part_is_removed_at_the_next_start(

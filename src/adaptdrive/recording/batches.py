@@ -202,6 +202,7 @@ class News(msgspec.Struct, frozen=True, omit_defaults=True):
         severity: Of `detail`.
         detail: An event in words.
         failing: Whether nothing can be written now.
+        damaged: Whether what was to be written can never be, for the reason in `detail`.
     """
 
     written: int = 0
@@ -209,6 +210,7 @@ class News(msgspec.Struct, frozen=True, omit_defaults=True):
     severity: str = ""
     detail: str = ""
     failing: bool = False
+    damaged: bool = False
 
 
 def slow_row(report: LoadReport) -> dict[str, Any]:

@@ -15,12 +15,14 @@ import msgspec
 from adaptdrive.aside import Result, in_thread
 from adaptdrive.recording.batches import Batch, Header, framed
 from adaptdrive.recording.left_trips import (
+    DamagedTripError,
     leave,
     left_path,
     left_trips,
     read_left,
     remove_unfinished,
 )
+from adaptdrive.recording.session import set_aside
 from adaptdrive.recording.writer_process import WriterProcess
 from adaptdrive.runtime.reports import Severity
 
@@ -162,14 +164,22 @@ class BlackBox:
             try:
                 async with asyncio.timeout(_PATIENCE_S):
                     problem = await self._write_one_left(path, number)
-            except (OSError, TimeoutError) as error:
-                problem = str(error) or f"it took longer than {_PATIENCE_S:.3g} s"
+            except OSError as error:
+                problem = error.strerror or str(error)
+            except TimeoutError:
+                problem = f"it took longer than {_PATIENCE_S:.3g} s"
             if problem:
                 self._report(Severity.WARNING, f"{path} is left as it is: {problem}")
 
     async def _write_one_left(self, path: Path, number: int) -> str | None:
-        messages = await self._aside(lambda: read_left(path))
-        problem = await self._have_written(number, [messages], lambda: None, NO_FIGURE)
+        try:
+            messages = await self._aside(lambda: read_left(path))
+            problem = await self._have_written(number, [messages], lambda: None, NO_FIGURE)
+        except DamagedTripError as damage:
+            kept = await self._aside(lambda: set_aside(path))
+            detail = f"{kept} was not written as the record of a trip: {damage}"
+            self._report(Severity.WARNING, detail)
+            return None
         if problem is None:
             await self._aside(path.unlink)
         return problem
@@ -196,7 +206,12 @@ class BlackBox:
     async def _have_written(
         self, number: int, messages: Iterable[bytes], heard: Callable[[], object], *words: str
     ) -> str | None:
-        """Run the process that writes; why it failed."""
+        """Run the process that writes; why it failed.
+
+        Raises:
+            DamagedTripError: The messages make no record.
+            OSError: The process cannot be started.
+        """
         sessions = Path(self._header.sessions)
         writer = await WriterProcess.start(sessions, _MODULE, str(number), *words)
         try:
@@ -205,6 +220,8 @@ class BlackBox:
             writer.hang_up()
             async for news in writer.news():
                 heard()
+                if news.damaged:
+                    raise DamagedTripError(news.detail)
                 self._report(Severity(news.severity), news.detail)
             return await writer.ended()
         finally:

@@ -7,6 +7,7 @@ its sync.
 from __future__ import annotations
 
 import contextlib
+import errno
 import re
 from pathlib import Path
 
@@ -17,6 +18,10 @@ _PREFIX = ".left-trip-"
 _NAME = re.compile(rf"{re.escape(_PREFIX)}[^_]+-(?P<number>\d+)_(?P<drive>.+)")
 _LARGEST_BYTES = 32 << 20
 """Several times 70 s at full rate with the sensors of all buses."""
+
+
+class DamagedTripError(OSError):
+    """What is kept of a trip will never make a record; the reason is the message."""
 
 
 def left_path(sessions: Path, info: SessionInfo, number: int) -> Path:
@@ -57,9 +62,15 @@ def read_left(path: Path) -> bytes:
     """Return the messages of a trip that was kept.
 
     Raises:
-        OSError: It cannot be read, or is no file of such messages: a FIFO, or far too large.
+        DamagedTripError: It is no file of such messages: a FIFO, or far too large.
+        OSError: It cannot be read.
     """
-    return read_regular(path, _LARGEST_BYTES)
+    try:
+        return read_regular(path, _LARGEST_BYTES)
+    except OSError as problem:
+        if problem.errno in {errno.EINVAL, errno.EFBIG}:
+            raise DamagedTripError(problem.strerror) from problem
+        raise
 
 
 def left_trips(sessions: Path, drive: str) -> list[tuple[Path, int]]:

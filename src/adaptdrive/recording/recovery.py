@@ -20,6 +20,7 @@ from adaptdrive.recording.session import (
     SessionLock,
     read_info,
     session_directories,
+    set_aside,
     write_info,
 )
 from adaptdrive.recording.session_writer import Report, SessionWriter
@@ -55,7 +56,7 @@ def _recover(path: Path, report: Report, housekeeper: Housekeeper) -> None:
             return
         header, batches = _read(source)
         if header is None and path.stat().st_size:
-            kept = path.rename(path.with_name(f"damaged{path.name}"))
+            kept = set_aside(path)
             report(Severity.WARNING, f"{kept} was not written into a session: it cannot be read")
         elif header is None or not batches:
             path.unlink(missing_ok=True)

@@ -188,6 +188,18 @@ def time_in_name(time: datetime) -> str:
     return f"{time:%Y%m%dT%H%M%S%fZ}"
 
 
+def set_aside(path: Path) -> Path:
+    """Rename a file of the folder of sessions that cannot be read, so that no start tries it again.
+
+    Returns:
+        Its new path: nothing of it is lost.
+
+    Raises:
+        OSError: It cannot be renamed.
+    """
+    return path.rename(path.with_name(f"damaged{path.name}"))
+
+
 class SessionLock:
     """The lock that the writer of a session holds on its directory."""
 
