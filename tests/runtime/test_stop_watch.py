@@ -147,6 +147,16 @@ def precharge(bench: FastBench, *, bridge: bool = False) -> None:
         bench.frame(bridge=bridge)
 
 
+def precharge_after_coasting(bench: FastBench) -> None:
+    """Have a running drive precharge again whose bridge is still on after a set-point of 0."""
+    bench.start()
+    bench.frames(10)
+    bench.measured = replace(bench.measured, boost_voltage_V=170.0)
+    bench.ask(SetSetpoint(0.0))
+    bench.frame(bridge=True)
+    bench.ask(SetSetpoint(3.0))
+
+
 async def test_a_bridge_switched_on_by_others_in_the_precharge_is_an_alarm() -> None:
     async with fast_bench() as bench:
         precharge(bench)
@@ -173,12 +183,7 @@ async def test_a_flicker_of_the_bridge_in_the_precharge_is_none() -> None:
 async def test_a_bridge_that_is_still_on_in_the_precharge_is_a_missing_stop() -> None:
     """It has the time of a stop to open after the drive has coasted."""
     async with fast_bench() as bench:
-        bench.start()
-        bench.frames(10)
-        bench.measured = replace(bench.measured, boost_voltage_V=170.0)
-        bench.ask(SetSetpoint(0.0))
-        bench.frame(bridge=True)
-        bench.ask(SetSetpoint(3.0))
+        precharge_after_coasting(bench)
         began_s = bench.around.now
         while bench.state() is not State.TRIPPED and bench.around.now < began_s + 2.0:
             bench.frame(bridge=True)
@@ -190,12 +195,7 @@ async def test_a_bridge_that_is_still_on_in_the_precharge_is_a_missing_stop() ->
 
 async def test_a_bridge_that_opens_late_in_the_precharge_has_to_stay_off_from_then_on() -> None:
     async with fast_bench() as bench:
-        bench.start()
-        bench.frames(10)
-        bench.measured = replace(bench.measured, boost_voltage_V=170.0)
-        bench.ask(SetSetpoint(0.0))
-        bench.frame(bridge=True)
-        bench.ask(SetSetpoint(3.0))
+        precharge_after_coasting(bench)
         for number in range(100):
             bench.frame(bridge=number < 20)
         assert bench.state() is State.STARTING
