@@ -246,12 +246,21 @@ def test_what_a_lost_session_lacks_is_told(tmp_path: Path) -> None:
     assert read_info(directory).dropped == Dropped(77)
 
 
-def test_a_spool_that_cannot_be_read_is_kept_and_reported_once(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\x02\x00\x00\x00\xc1\xc1",
+        stream(Header(INFO, "", "")).replace(b"motor", b"m\xfftor"),  # no UTF-8
+    ],
+)
+def test_a_spool_that_cannot_be_read_is_kept_and_reported_once(
+    tmp_path: Path, content: bytes
+) -> None:
     path = spool_path(tmp_path, INFO)
-    path.write_bytes(b"\x02\x00\x00\x00\xc1\xc1")
+    path.write_bytes(content)
     kept = path.with_name(f"damaged{path.name}")
     assert any(str(kept) in sentence for sentence in next_start(tmp_path))
-    assert kept.read_bytes() == b"\x02\x00\x00\x00\xc1\xc1"
+    assert kept.read_bytes() == content
     assert not any(str(kept) in sentence for sentence in next_start(tmp_path))
 
 

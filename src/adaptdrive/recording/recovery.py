@@ -11,7 +11,7 @@ from typing import BinaryIO
 
 import msgspec
 
-from adaptdrive.errors import RecordingError
+from adaptdrive.errors import NOT_JSON, RecordingError
 from adaptdrive.recording.batches import Batch, Header, read_frames
 from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
 from adaptdrive.recording.segments import newest_number, segments
@@ -157,7 +157,7 @@ def _read(source: BinaryIO) -> tuple[Header | None, list[Batch]]:
     frames = read_frames(source)
     batches: list[Batch] = []
     header: Header | None = None
-    with contextlib.suppress(msgspec.MsgspecError):
+    with contextlib.suppress(*NOT_JSON):
         header = msgspec.msgpack.decode(next(frames, b""), type=Header)
         for frame in frames:
             batches.append(msgspec.msgpack.decode(frame, type=Batch))  # noqa: PERF401 - keeps those before
