@@ -24,6 +24,7 @@ from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.recorder import EVENT_KIND, Clocks, Feed, Recorder, WritePace
 from adaptdrive.recording.session import Dropped, Ending, read_info, session_directories
 from adaptdrive.recording.spool import left_spools
+from adaptdrive.recording.writer_process import WriterProcess
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import CommandReport, Event, Severity
 from tests.recording.material import (
@@ -106,12 +107,9 @@ class Bench:
 
     def writer(self) -> int:
         """Process id of the recorder process."""
-        for process in Path("/proc").glob("[0-9]*/cmdline"):
-            with contextlib.suppress(OSError):
-                words = process.read_bytes().split(b"\0")
-                if {os.fsencode(self.sessions), b"adaptdrive.recording.writer"} <= set(words):
-                    return int(process.parent.name)
-        raise AssertionError("no recorder process")
+        found = processes_of(self.sessions, b"recording.writer")
+        assert found, "no recorder process"
+        return found[0]
 
     def kill_in_close(self) -> None:
         """Kill the recorder process, if there is one, once it has closed its streams."""
@@ -231,6 +229,16 @@ async def test_without_a_further_thread_it_says_so_and_records_later(sessions: P
         threading.stack_size(usual)
     assert sequences(bench.session()) == list(range(bench.published))
     assert bench.session().info.ended is Ending.ORDERLY
+
+
+async def test_a_process_whose_end_no_thread_can_wait_for_is_ended(sessions: Path) -> None:
+    usual = threading.stack_size(UNAVAILABLE_STACK_BYTES)
+    try:
+        with pytest.raises(OSError, match="can't start new thread"):
+            await WriterProcess.start(sessions)
+    finally:
+        threading.stack_size(usual)
+    assert processes_of(sessions, b"recording.writer") == []
 
 
 async def test_a_stalled_writer_costs_ticks_which_are_counted(sessions: Path) -> None:
@@ -541,11 +549,16 @@ async def test_trips_one_after_another_and_at_the_end_have_a_record_each(session
 
 def trip_writers(sessions: Path) -> list[int]:
     """Process ids of those that write the record of a trip."""
+    return processes_of(sessions, b"black_box")
+
+
+def processes_of(sessions: Path, module: bytes) -> list[int]:
+    """Process ids of those that write sessions, by a part of the name of their module."""
     found = []
     for process in Path("/proc").glob("[0-9]*/cmdline"):
         with contextlib.suppress(OSError):
             words = process.read_bytes().split(b"\0")
-            if os.fsencode(sessions) in words and any(b"black_box" in word for word in words):
+            if os.fsencode(sessions) in words and any(module in word for word in words):
                 found.append(int(process.parent.name))
     return found
 

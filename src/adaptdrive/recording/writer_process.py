@@ -19,6 +19,31 @@ _PIPE_BYTES = 1 << 20
 """Size of the pipe, the largest that needs no privilege: what is in it outlives this process."""
 
 _KILL_PATIENCE_S = 1.0
+_LONGEST_LINE_BYTES = 1 << 16
+
+
+class _Streams(asyncio.subprocess.SubprocessStreamProtocol):
+    """Streams of a process, which can be ended also where asyncio gives it up."""
+
+    def __init__(self) -> None:
+        loop = asyncio.get_running_loop()
+        super().__init__(_LONGEST_LINE_BYTES, loop)
+        self._joined: asyncio.Future[asyncio.BaseTransport] = loop.create_future()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Take the process, once its pipes are joined."""
+        super().connection_made(transport)
+        self._joined.set_result(transport)
+
+    async def end_process(self) -> None:
+        """End a process whose end nothing waits for: asyncio has no thread for that."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_KILL_PATIENCE_S):
+                transport = await self._joined
+                transport.close()
+                process = transport.get_extra_info("subprocess")
+                while process.poll() is None:  # noqa: ASYNC110 - a process sets no event
+                    await asyncio.sleep(0.01)
 
 
 class WriterProcess:
@@ -41,8 +66,10 @@ class WriterProcess:
         Raises:
             OSError: The process cannot be started.
         """
+        streams = _Streams()
         try:
-            process = await asyncio.create_subprocess_exec(
+            transport, _ = await asyncio.get_running_loop().subprocess_exec(
+                lambda: streams,
                 *(sys.executable, "-m", module, str(sessions), *words),
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
@@ -51,9 +78,10 @@ class WriterProcess:
                 start_new_session=True,
             )
         except RuntimeError as problem:  # asyncio waits for a process in a thread
+            await streams.end_process()
             raise OSError(errno.EAGAIN, str(problem)) from problem
-        _enlarge(process.stdin)
-        return cls(process)
+        _enlarge(streams.stdin)
+        return cls(asyncio.subprocess.Process(transport, streams, asyncio.get_running_loop()))
 
     @property
     def pid(self) -> int:
