@@ -18,6 +18,7 @@ from adaptdrive.cli.standard_files import (
     flushed,
     lay_out_help,
     open_standard_files,
+    reader_has_ended,
     unwritten,
 )
 from adaptdrive.errors import AdaptdriveError
@@ -55,6 +56,8 @@ def main() -> None:
     try:
         app()
     except SystemExit as end:  # that of every command
+        if reader_has_ended(end):
+            sys.exit(0)
         status = end.code if isinstance(end.code, int) else FAILED if end.code else 0
         status = flushed(status, app.name[0])
         sys.exit(end.code if isinstance(end.code, str) else status)

@@ -410,6 +410,29 @@ def test_help_ends_in_a_terminal_of_few_columns(module: str, columns: str) -> No
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "adaptdrive.cli",
+        "adaptdrive.cli --help",
+        "adaptdrive.cli sessions",
+        "adaptdrive.cli run --help",
+        "adaptdrive.cli --version",
+        "adaptdrive_sim",
+        "adaptdrive_sim --help",
+        "adaptdrive_sim demo --help",
+    ],
+)
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_help_that_nobody_reads_is_no_failure(words: str, unbuffered: str) -> None:
+    command = f"{sys.executable} -m {words} | true; exit ${{PIPESTATUS[0]}}"
+    around = _environment() | {"PYTHONUNBUFFERED": unbuffered}
+    done = subprocess.run(
+        ["bash", "-c", command], capture_output=True, text=True, check=False, env=around
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_a_letter_that_the_terminal_does_not_have_is_escaped() -> None:
     example = Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml"
     words = [sys.executable, "-m", "adaptdrive.cli", "check", str(example)]

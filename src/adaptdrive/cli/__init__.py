@@ -14,6 +14,7 @@ from adaptdrive.cli.standard_files import (
     flushed,
     lay_out_help,
     open_standard_files,
+    reader_has_ended,
     unwritten,
 )
 from adaptdrive.errors import AdaptdriveError, ConfigurationError
@@ -66,6 +67,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(str(problem), UNUSABLE if unusable else FAILED)
     except KeyboardInterrupt:
         return INTERRUPTED
+    except SystemExit as end:
+        if not reader_has_ended(end):
+            raise
+        return 0
     except OSError as problem:
         return unwritten(problem, "adaptdrive")
     return flushed(outcome if isinstance(outcome, int) else 0, "adaptdrive")

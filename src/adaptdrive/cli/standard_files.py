@@ -50,6 +50,14 @@ def lay_out_help(arguments: Sequence[str]) -> None:
         os.environ["COLUMNS"] = str(_FEWEST_COLUMNS)
 
 
+def reader_has_ended(end: SystemExit) -> bool:
+    """Return whether rich, which prints help and tables, ends the program because nothing reads.
+
+    It prints what has been done, or nothing has: the status of the command stays as it was.
+    """
+    return isinstance(end.__context__, BrokenPipeError)
+
+
 def discard_output() -> None:
     """Discard output that nothing takes, which would be an error at the exit of Python."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
