@@ -34,15 +34,20 @@ class Seen:
         unwatched: float = 1.0,
         old: float = 0.0,
         reported: float | None = None,
+        polled: float = 0.0,
     ) -> bool:
         """Return whether it has stopped, some half cycles after 64 s, by a reading of that age.
 
-        The bridge in it was reported at the same time, or so many half cycles ago.
+        The bridge in it was reported at the same time, or so many half cycles ago. A poll for the
+        reading took some half cycles.
         """
         now_s = 64.0 + ticks * TICK_S
         time_s = now_s - old * TICK_S
         bridge_s = None if reported is None else now_s - reported * TICK_S
-        reading = replace(CALM, arrival_s=time_s, oldest_s=time_s, bridge=bridge, bridge_s=bridge_s)
+        oldest_s = time_s - polled * TICK_S
+        reading = replace(
+            CALM, arrival_s=time_s, oldest_s=oldest_s, bridge=bridge, bridge_s=bridge_s
+        )
         self.cause = self._watch.find_cause(
             reading, commanded=commanded, due=due, unwatched_s=unwatched * TICK_S, now_s=now_s
         )
@@ -317,3 +322,14 @@ def test_after_a_silence_a_rare_report_of_the_bridge_is_waited_for() -> None:
         assert seen.awaits_report
     seen.look(40.0, bridge=True)
     assert not seen.awaits_report
+
+
+def test_a_reading_ends_the_silence_in_which_its_poll_was_slow() -> None:
+    """Each poll takes 28 half cycles instead of 6: its values were asked for in the silence."""
+    seen = Seen(6)
+    for ticks in range(28):
+        seen.look(ticks, bridge=True, old=ticks)
+    assert seen.awaits_report
+    for ticks in range(28):
+        seen.look(28.0 + ticks, bridge=True, old=ticks, polled=28.0)
+        assert seen.awaits_report is (ticks > 15)

@@ -48,7 +48,7 @@ class BridgeWatch:
         self._been_on = False
         self._bounced_s: float | None = None
         self._gap_s = self._silent_s = 0.0
-        self._gap_end_s = -math.inf
+        self._gap_end_s = self._silence_end_s = -math.inf
 
     def find_cause(
         self, reading: Reading, *, commanded: bool, due: bool, unwatched_s: float, now_s: float
@@ -79,7 +79,7 @@ class BridgeWatch:
             return None
         self._commanded_s = min(self._commanded_s, now_s)
         if reading.bridge:
-            self._see_on(reading.bridge_reported_s)
+            self._see_on(reading)
             return None
         self._lingers = False
         if self._been_on and self._may_bounce(reading.bridge_reported_s):
@@ -109,13 +109,16 @@ class BridgeWatch:
         self._commanded_s = math.inf
         self._gap_s = self._silent_s = 0.0
 
-    def _see_on(self, reported_s: float) -> None:
+    def _see_on(self, reading: Reading) -> None:
         """Note a bridge that is on, by this command unless it still is by the one before."""
         self._off_s = self._bounced_s = None
+        reported_s = reading.bridge_reported_s
         switched = not self._lingers or reported_s - self._commanded_s > self._grace_s
         self._been_on = self._been_on or switched
         if reported_s > self._gap_end_s:
-            self._gap_s = self._silent_s = 0.0
+            self._gap_s = 0.0
+        if _heard_s(reading) > self._silence_end_s:
+            self._silent_s = 0.0
 
     def _may_bounce(self, reported_s: float) -> bool:
         """Return whether this is the first report of off in a row, of a bridge that switches on.
@@ -157,10 +160,17 @@ class BridgeWatch:
             self._gap_s, self._gap_end_s = max(self._gap_s, unwatched_s), now_s
 
     def _note_silence(self, reading: Reading, now_s: float) -> None:
-        """Keep the longest time without a reading, or without a report of the bridge, likewise."""
-        unheard_s = now_s - reading.arrival_s
-        unreported_s = unheard_s if reading.bridge_s is None else now_s - reading.bridge_s
+        """Keep the longest time without a reading, or without a report of the bridge, likewise.
+
+        A reading ends it whose values were asked for before: a poll may take as long.
+        """
+        unheard_s, unreported_s = now_s - reading.arrival_s, now_s - _heard_s(reading)
         if unreported_s > self._mute_limit_s:
-            self._silent_s, self._gap_end_s = max(self._silent_s, unreported_s), now_s
+            self._silent_s, self._silence_end_s = max(self._silent_s, unreported_s), now_s
         elif unheard_s > self._silent_limit_s:
-            self._silent_s, self._gap_end_s = max(self._silent_s, unheard_s), now_s
+            self._silent_s, self._silence_end_s = max(self._silent_s, unheard_s), now_s
+
+
+def _heard_s(reading: Reading) -> float:
+    """Return when the report of the bridge came: with the reading, where it has no time of its own."""
+    return reading.arrival_s if reading.bridge_s is None else reading.bridge_s

@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import math
 import time
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
 
 import pytest
 
@@ -23,6 +25,7 @@ from tests.hardware.modbus.bench import (
     TIMEOUT_s,
     bench,
     build,
+    judged,
     port_and_peer,
     serial,
     until,
@@ -530,3 +533,18 @@ async def test_a_drive_that_answers_slowly_gets_its_commands(
         await until(lambda: bool(one.peer.writes) and one.told() == [25000, 1])
         one.port.send(Command(0.0, 260.0, bridge=True))
         await until(lambda: one.told() == [26000, 1])
+
+
+async def test_a_poll_that_missed_its_time_is_not_followed_by_a_pause(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    """The four exchanges of a poll take over two polls: the next one begins at once, not at the third."""
+    async with bench("tcp", tmp_path, free_tcp_port, **SCATTERED) as one, judged(0.1 * POLL_s):
+        one.peer.spoil = lambda reply: [(0.5 * POLL_s, reply)]
+        one.port.send(Command(0.0, 250.0, bridge=True))
+        await one.hears(3)
+        known = len(one.ear.readings)
+        await one.hears(20)
+        ends = [reading.arrival_s for reading in one.ear.readings[known - 1 :]]
+        intervals_s = [end - begin for begin, end in pairwise(ends)]
+        assert median(intervals_s) < 2.7 * POLL_s

@@ -165,6 +165,8 @@ class Commander:
         """
         command = self._current() if first and self._poll.combined else None
         if command is None:
+            if first:  # it has taken none with this poll
+                self._written = None
             return await self._read(link, exchange)
         block, _ = self._poll.writes[0]
         words = self._words(command)[0]

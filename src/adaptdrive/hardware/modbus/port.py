@@ -229,9 +229,9 @@ class ModbusPort:
         return link.lost or "closed"
 
     def _next(self, last_s: float) -> float:
-        """The next point of the grid that is still to come."""
+        """The next point of the grid, or the last one missed: what that poll lost is read at once."""
         late = max(0.0, self._clock() - last_s)
-        return last_s + (1 + int(late / self._poll_s)) * self._poll_s
+        return last_s + max(1, int(late / self._poll_s)) * self._poll_s
 
     async def _idle(self, link: ModbusConnection, until_s: float) -> None:
         """Wait for the next poll; a safe command goes out at once."""
