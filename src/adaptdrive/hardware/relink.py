@@ -14,6 +14,7 @@ _SILENT_READINGS = 2.5
 LOST = "the bus was lost meanwhile"
 LEAPT = "its alive counter leapt meanwhile: it may have started anew"
 UNANSWERED = "a read had no answer meanwhile"
+UNREAD = "no poll gave a reading meanwhile"
 REFUSED = "its other values were refused meanwhile"
 
 

@@ -172,5 +172,5 @@ class BridgeWatch:
 
 
 def _heard_s(reading: Reading) -> float:
-    """Return when the report of the bridge came: with the reading, where it has no time of its own."""
+    """Return when the report of the bridge came: with the reading if it has no time of its own."""
     return reading.arrival_s if reading.bridge_s is None else reading.bridge_s

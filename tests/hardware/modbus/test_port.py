@@ -482,6 +482,51 @@ async def test_a_drive_that_reports_its_stop_beside_refused_values_is_not_driven
         assert one.port.complaint is None
 
 
+STANDING: dict[str, str | None] = {
+    "bus__heartbeat__drive": '"state"',
+    "bus__registers__on": "{ address = 0, table = 'input', bit = 2 }",
+    "signals__bridge": '"on"',
+}
+"""Its heartbeat may stand; the bridge is a bit of the word of the voltage, here on."""
+OFF = 30008
+
+
+@both
+async def test_a_drive_whose_heartbeat_stands_still_gets_no_old_command(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    """Its polls are answered, and give no reading: nothing is decided anew."""
+    async with bench(kind, tmp_path, free_tcp_port, **STANDING) as one:
+        one.port.send(RUN)
+        await until(lambda: bool(one.peer.writes) and one.ear.readings[-1].bridge)
+        one.peer.state = 1
+        await one.asks(8)
+        known = len(one.peer.writes)
+        await one.asks(8)
+        assert one.peer.writes[known:] == []
+        one.peer.state = None
+        await until(lambda: len(one.peer.writes) > known)
+        assert one.port.complaint is None
+
+
+@both
+async def test_a_drive_that_reports_its_stop_beside_a_standing_heartbeat_is_not_driven_on(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with bench(kind, tmp_path, free_tcp_port, **STANDING) as one:
+        one.port.send(RUN)
+        await until(lambda: bool(one.peer.writes) and one.ear.readings[-1].bridge)
+        one.peer.state = 1
+        await one.asks(2)
+        one.peer.voltage = OFF
+        await one.asks(2)
+        known = len(one.peer.writes)
+        one.peer.state = None
+        await one.hears(2)
+        assert (one.port.complaint or "").startswith("drive stopped: ")
+        assert one.peer.writes[known:] == []
+
+
 @both
 async def test_a_drive_without_values_confirms_its_stop_over_a_new_link(
     kind: str, tmp_path: Path, free_tcp_port: int
@@ -538,7 +583,7 @@ async def test_a_drive_that_answers_slowly_gets_its_commands(
 async def test_a_poll_that_missed_its_time_is_not_followed_by_a_pause(
     tmp_path: Path, free_tcp_port: int
 ) -> None:
-    """The four exchanges of a poll take over two polls: the next one begins at once, not at the third."""
+    """Four exchanges take over two polls: the next poll begins at once, not at the third."""
     async with bench("tcp", tmp_path, free_tcp_port, **SCATTERED) as one, judged(0.1 * POLL_s):
         one.peer.spoil = lambda reply: [(0.5 * POLL_s, reply)]
         one.port.send(Command(0.0, 250.0, bridge=True))

@@ -12,7 +12,7 @@ from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll
 from adaptdrive.hardware.modbus.replies import EXCEPTIONS
 from adaptdrive.hardware.port import OBEY_S
-from adaptdrive.hardware.relink import REFUSED, UNANSWERED, Relink, silence_limit_s
+from adaptdrive.hardware.relink import REFUSED, UNANSWERED, UNREAD, Relink, silence_limit_s
 
 _FROZEN_POLLS = 2.0
 """Time without a step of the port, in polls, after which the process counts as having stood still.
@@ -57,6 +57,8 @@ class Commander:
         self._safe = False
         self._refused = self._untaken = 0
         self._silent = False
+        self._blank = True
+        self._read_s = -math.inf
         self._refusal = ""
         self._doubtful = False
         self._alive = 0
@@ -121,6 +123,7 @@ class Commander:
         self.safe_s, self._refused, self._untaken = math.inf, 0, 0
         self._relink.open(bridge=self.bridge or self._tried_bridge)
         self._silent = self._powered = self._safe = self.bridge = self._tried_bridge = False
+        self._blank = True
         self._stepped_s = self._clock()
         if self._command == SAFE_COMMAND:
             self._stopped_s = self._clock()
@@ -131,21 +134,26 @@ class Commander:
         self._stepped_s = self._clock()
 
     def note_read(self, *, answered: bool) -> None:
-        """Note whether the drive answers reads: a silent one ignores more than commands.
+        """Note the end of a poll, which gives no reading unless its bridge is noted next.
 
-        One that has not acknowledged a command either for as long as its own time-out may be, may
-        have stopped: what energises waits for a reading, as after a lost link, and is written after
-        the read of a poll, not with it. Until then each command keeps the drive from stopping.
+        A drive that has given none for as long as its own time-out may be, or has neither answered
+        a read nor acknowledged a command, may have stopped: what energises waits for a reading, as
+        after a lost link, and is written after the read of a poll, not with it.
+
+        Args:
+            answered: Whether the drive answered: a silent one ignores more than commands.
         """
         self._silent = self._silent or not answered
-        if self._unfed:
+        if self._unfed or self._unread:
+            how = UNANSWERED if self._silent else UNREAD
             self._written = None
-            self._relink.open(bridge=self.bridge or self._tried_bridge, how=UNANSWERED)
-        self._silent = not answered
+            self._relink.open(bridge=self.bridge or self._tried_bridge, how=how)
+        self._silent, self._blank = not answered, True
 
     def note_bridge(self, *, powered: bool) -> None:
-        """Note whether the drive reports its bridge on, or is assumed to have it on."""
+        """Note a reading: whether the drive reports its bridge on, or is assumed to have it on."""
         self._powered = powered
+        self._blank, self._read_s = False, self._clock()
         self._relink.hear(bridge=powered)
 
     def note_refused(self, *, powered: bool | None) -> None:
@@ -263,18 +271,24 @@ class Commander:
         """Return the command in force, None for none.
 
         A process that did not run for long finds here what it decided before: that is void. So is
-        one for a drive that was on when its link was lost or a read failed, before it is read.
+        one for a drive that was on when its link was lost or a read failed, before it is read, and
+        one that was decided by a reading of long ago.
         """
         command = self._command
         if command is None or command == SAFE_COMMAND:
             return command
-        void = self._outdated or self._stands_still or self._unfed
+        void = self._outdated or self._stands_still or self._unfed or self._unread
         return None if void or not self._relink.admits(bridge=command.bridge) else command
 
     @property
     def _unfed(self) -> bool:
         """True if a silent drive has acknowledged no command for as long as it may need to stop."""
         return self._silent and self._clock() - self._fed_s > silence_limit_s(self._poll_s)
+
+    @property
+    def _unread(self) -> bool:
+        """True if the polls have given no reading for as long as the drive may be silent."""
+        return self._blank and self._clock() - self._read_s > silence_limit_s(self._poll_s)
 
     @property
     def _stands_still(self) -> bool:

@@ -229,7 +229,7 @@ class ModbusPort:
         return link.lost or "closed"
 
     def _next(self, last_s: float) -> float:
-        """The next point of the grid, or the last one missed: what that poll lost is read at once."""
+        """The next point of the grid, or the last one that was missed: that poll begins at once."""
         late = max(0.0, self._clock() - last_s)
         return last_s + max(1, int(late / self._poll_s)) * self._poll_s
 
@@ -286,9 +286,10 @@ class ModbusPort:
 
     def _take(self, start_s: float) -> None:
         """Hand out the reading of a poll, unless it has none or the drive stands still."""
-        if not self._is_alive(start_s):
-            return
         commander, assembly = self._commander, self._assembly
+        if not self._is_alive(start_s):
+            commander.note_refused(powered=assembly.powered_beside_refused)
+            return
         stopped = commander.safe_s < math.inf
         reading = assembly.reading(
             self._clock(), start_s, bridge_sent=commander.bridge, stopped=stopped
