@@ -96,6 +96,35 @@ def test_an_estimator_that_is_not_the_papers_is_named_in_the_papers_design() -> 
     assert found("motor.toml", 'type = "motor"', 'type = "motor"\ndesign = "paper"') == []
 
 
+@pytest.mark.parametrize(
+    ("cycle_ms", "clock_ticks", "named"),
+    [
+        (80, 1, []),
+        (81, 1, ["message 'DriveStatus' comes every 81 ms: after 80 ms"]),
+        (500, 1, ["message 'DriveStatus' comes every 500 ms: after 80 ms"]),
+        (240, 12, []),
+        (260, 12, ["message 'DriveStatus' comes every 260 ms: after 250 ms"]),
+    ],
+)
+def test_a_report_of_the_bridge_that_comes_too_seldom_is_named(
+    tmp_path: Path, cycle_ms: int, clock_ticks: int, named: list[str]
+) -> None:
+    text = (EXAMPLES / "adaptdrive.dbc").read_text(encoding="utf-8")
+    text = text.replace("BO_ 256 8;", f"BO_ 256 {cycle_ms};")
+    (tmp_path / "seldom.dbc").write_text(text, encoding="utf-8")
+    configuration = load_configuration(EXAMPLES / "motor.toml")
+    bus = {"database": tmp_path / "seldom.dbc", "clock_ticks": clock_ticks}
+    configuration = configuration.model_copy(
+        update={
+            "bus": configuration.bus.model_copy(update=bus),
+            "voltage_loop": configuration.voltage_loop.model_copy(update={"where": "drive"}),
+            "interlocks": configuration.interlocks.model_copy(update={"stale_s": 0.3}),
+        }
+    )
+    flaws = [one for one in advice(configuration) if one.place == "signals.bridge"]
+    assert [one.message.partition(" without")[0] for one in flaws] == named
+
+
 def test_check_warns_and_accepts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = (EXAMPLES / "motor.toml").read_text(encoding="utf-8")
     (tmp_path / "adaptdrive.dbc").write_bytes((EXAMPLES / "adaptdrive.dbc").read_bytes())

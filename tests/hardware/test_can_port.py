@@ -616,6 +616,35 @@ async def test_a_drive_whose_alive_counter_leaps_is_heard_before_it_is_driven_on
         assert port.complaint is None
 
 
+@pytest.mark.parametrize("stopped", [False, True])
+async def test_a_rare_report_of_the_bridge_is_waited_for_too(
+    config: CanBus, drive: Drive, ear: Ear, clock: Clock, tmp_path: Path, *, stopped: bool
+) -> None:
+    text = (EXAMPLES / "adaptdrive.dbc").read_text(encoding="utf-8")
+    database = tmp_path / "seldom.dbc"
+    database.write_text(text.replace("BO_ 256 8;", "BO_ 256 500;"), encoding="utf-8")
+    bus = config.model_copy(update={"database": database})
+    timing = replace(TIMING, daemon_holds_voltage=False)
+    port = CanPort(bus, map_drive(bus, motor_signals(), timing), clock, lambda: 0.0)
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        assert port.send(COMMAND)
+        drive.alive["DriveStatus"] = 9
+        drive.send_both()
+        await heard_by(port, 4)
+        assert port.statistics.counter_lost
+        for count in (3, 4, 5):
+            clock.now_s += 0.1
+            drive.send_load()
+            await ear.hears(count)
+            assert not port.send(COMMAND)
+        drive.send_status(BridgeOn=int(not stopped))
+        drive.send_load()
+        await ear.hears(6)
+        assert port.send(COMMAND) is not stopped
+
+
 @pytest.mark.parametrize("spoil", [None, unavailable, flipped])
 async def test_a_stop_that_the_drive_reports_between_two_readings_is_not_missed(
     port: CanPort, drive: Drive, ear: Ear, spoil: Callable[[Drive, str], bytes] | None

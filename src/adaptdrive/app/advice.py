@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterator
 
 from adaptdrive.app.loads import build_load, total_lag_s
+from adaptdrive.app.ports import bus_kind
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BathSection, BatterySection
@@ -41,6 +42,7 @@ def advice(configuration: Configuration) -> Iterator[Flaw]:
     yield from _delay(configuration)
     yield from _paper(configuration)
     yield from _broker(configuration)
+    yield from bus_kind(configuration.bus.type).cautions(configuration)
 
 
 def _paper(configuration: Configuration) -> Iterator[Flaw]:

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.references import MEASURED
+from adaptdrive.errors import Flaw
 from adaptdrive.hardware.port import Port, SensorPort
 
 Row = tuple[str, float, str]
@@ -60,6 +61,11 @@ def no_locks(_: Configuration) -> Iterator[str]:
     return iter(())
 
 
+def no_cautions(_: Configuration) -> Iterator[Flaw]:
+    """Yield nothing: a reading of this kind of bus has a report of the bridge."""
+    return iter(())
+
+
 @dataclass(frozen=True, slots=True)
 class BusKind:
     """One kind of bus.
@@ -68,10 +74,12 @@ class BusKind:
         build_port: Builds the port of a drive.
         build_sensors: Builds the port of a sensor bus, None where there are none of this kind.
         time_limits: Yields the limits of time of a drive.
+        cautions: Yields what can be used, and probably does not work well.
         lock_names: Yields what one daemon alone may have beside the drive's name.
     """
 
     build_port: BuildPort
     build_sensors: BuildSensors | None = None
     time_limits: Callable[[Configuration, Path | str], Iterator[Row]] = stale_limits
+    cautions: Callable[[Configuration], Iterator[Flaw]] = no_cautions
     lock_names: Callable[[Configuration], Iterator[str]] = no_locks

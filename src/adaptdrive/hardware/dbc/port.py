@@ -319,9 +319,9 @@ class CanPort:
 
 
 def _bridge_status(mapping: CanMapping) -> StatusFrame | None:
-    """The message with the bridge, None where it is rare: its next report is not waited for."""
+    """The message with the bridge, None for a drive that never reports it."""
     for status in mapping.statuses:
-        if any(one.quantity == "bridge" and not one.slack_s for one in status.sources):
+        if any(one.quantity == "bridge" for one in status.sources):
             return status
     return None
 
