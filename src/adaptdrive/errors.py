@@ -21,6 +21,11 @@ def escaped(text: str) -> str:
     return text.encode(errors="backslashreplace").decode()
 
 
+def reason_of(problem: OSError) -> str:
+    """Return the words of an error of the system, without its number and its file."""
+    return problem.strerror or str(problem)
+
+
 class AdaptdriveError(Exception):
     """Root of every error that adaptdrive raises on purpose."""
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 from pydantic import Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
-from adaptdrive.errors import AdaptdriveError
+from adaptdrive.errors import AdaptdriveError, reason_of
 from adaptdrive_sim.campaign.life_settings import LifeRanges
 from adaptdrive_sim.campaign.ranges import CampaignTable, Range, WholeRange, within
 from adaptdrive_sim.campaign.reach import reach
@@ -143,7 +143,7 @@ def read_campaign_of(path: Path, types: Mapping[str, type[FileOfAnyType]]) -> Fi
         tables = tomllib.loads(found.read_text(encoding="utf-8"))
         return _kind(path, tables, types).model_validate_json(json.dumps(tables))
     except OSError as problem:
-        raise CampaignError(path, [problem.strerror or str(problem)]) from problem
+        raise CampaignError(path, [reason_of(problem)]) from problem
     except UnicodeDecodeError as problem:
         reason = f"is not UTF-8 text: {problem.reason} at byte {problem.start}"
         raise CampaignError(path, [reason]) from problem

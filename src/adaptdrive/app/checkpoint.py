@@ -23,7 +23,7 @@ from adaptdrive.config.regular_file import read_regular, replace_regular
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
-from adaptdrive.errors import NOT_JSON, AdaptdriveError
+from adaptdrive.errors import NOT_JSON, AdaptdriveError, reason_of
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Event, LoadReport, Severity
 
@@ -146,7 +146,7 @@ def read_checkpoint(path: Path, key: str, load: Load, jacket: Jacket, span: floa
     except FileNotFoundError:
         return None
     except OSError as problem:
-        raise CheckpointError(path, problem.strerror or str(problem)) from problem
+        raise CheckpointError(path, reason_of(problem)) from problem
     checkpoint = _decode(path, text)
     if checkpoint.key != key:
         raise CheckpointError(path, "it was made with another configuration")
@@ -273,7 +273,7 @@ class Keeper:
 
     def _report_once(self, problem: OSError) -> None:
         if not self._failed:
-            why = problem.strerror or str(problem) or f"the disk takes more than {PATIENCE_S:g} s"
+            why = reason_of(problem) or f"the disk takes more than {PATIENCE_S:g} s"
             detail = f"checkpoint not written: {why}"
             self._hub.publish(_event(Severity.WARNING, detail))
         self._failed = True

@@ -13,6 +13,7 @@ from pathlib import Path
 import msgspec
 
 from adaptdrive.aside import Result, in_thread
+from adaptdrive.errors import reason_of
 from adaptdrive.recording.batches import Batch, Header, framed
 from adaptdrive.recording.left_trips import (
     DamagedTripError,
@@ -165,7 +166,7 @@ class BlackBox:
                 async with asyncio.timeout(_PATIENCE_S):
                     problem = await self._write_one_left(path, number)
             except OSError as error:
-                problem = error.strerror or str(error)
+                problem = reason_of(error)
             except TimeoutError:
                 problem = f"it took longer than {_PATIENCE_S:.3g} s"
             if problem:

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from adaptdrive.config.regular_file import require_regular
-from adaptdrive.errors import RecordingError
+from adaptdrive.errors import RecordingError, reason_of
 from adaptdrive.recording.batches import CommandRow, EventRow
 
 T = TypeVar("T", EventRow, CommandRow)
@@ -207,7 +207,7 @@ def _rows(path: Path, table: str) -> list[dict[str, Any]]:
     except FileNotFoundError:
         return []
     except OSError as problem:
-        raise RecordingError(path, problem.strerror or str(problem)) from problem
+        raise RecordingError(path, reason_of(problem)) from problem
     except sqlite3.Error as problem:
         raise RecordingError(path, str(problem)) from problem
 

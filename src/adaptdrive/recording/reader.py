@@ -11,7 +11,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from adaptdrive.config.regular_file import read_regular
-from adaptdrive.errors import RecordingError
+from adaptdrive.errors import RecordingError, reason_of
 from adaptdrive.recording.batches import CommandRow, EventRow
 from adaptdrive.recording.event_log import read_log
 from adaptdrive.recording.segments import Segment, segments
@@ -171,6 +171,6 @@ def _read_text(path: Path) -> str:
     try:
         return read_regular(path, _LARGEST_TEXT_BYTES).decode()
     except OSError as problem:
-        raise RecordingError(path, problem.strerror or str(problem)) from problem
+        raise RecordingError(path, reason_of(problem)) from problem
     except UnicodeDecodeError as problem:
         raise RecordingError(path, str(problem)) from problem

@@ -23,7 +23,7 @@ from typing import Self
 import msgspec
 
 from adaptdrive.config.regular_file import read_regular
-from adaptdrive.errors import NOT_JSON, RecordingError
+from adaptdrive.errors import NOT_JSON, RecordingError, reason_of
 
 FORMAT = 2
 FORMATS = (1, 2)
@@ -279,7 +279,7 @@ def read_info(directory: Path) -> SessionInfo:
             raise RecordingError(path, f"format {version} is not {known}, those known here")
         return msgspec.json.decode(text, type=SessionInfo)
     except OSError as problem:
-        raise RecordingError(path, problem.strerror or str(problem)) from problem
+        raise RecordingError(path, reason_of(problem)) from problem
     except NOT_JSON as problem:
         raise RecordingError(path, str(problem)) from problem
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from adaptdrive.config.regular_file import require_regular
-from adaptdrive.errors import RecordingError
+from adaptdrive.errors import RecordingError, reason_of
 from adaptdrive.recording.event_log import count_rows
 from adaptdrive.recording.reader import Session
 from adaptdrive.recording.resume import last_key
@@ -110,7 +110,7 @@ def _event_problems(path: Path, logged: int) -> Iterator[str]:
     except FileNotFoundError:
         found = "ok"
     except OSError as problem:
-        found = problem.strerror or str(problem)
+        found = reason_of(problem)
     except sqlite3.Error as problem:
         found = str(problem)
     if found != "ok":
