@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Self
 
 from adaptdrive_sim.parameters import check_quantities, check_range, quantity
 
@@ -27,6 +28,16 @@ class LineParameters:
 
     def __post_init__(self) -> None:
         check_quantities(self)
+
+    @classmethod
+    def steady(cls, share: float, frequency_Hz: float) -> Self:
+        """Return a line that does not change.
+
+        Args:
+            share: Its voltage as a share of the nominal one.
+            frequency_Hz: Its frequency.
+        """
+        return cls(voltage_V=cls().voltage_V * share, frequency_Hz=frequency_Hz)
 
 
 class Line:

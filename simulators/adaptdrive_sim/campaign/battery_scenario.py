@@ -115,11 +115,9 @@ class BatteryScenario:
 
     def world(self) -> WorldParameters:
         """The true drive, line and sensor."""
-        nominal, volts = CouplingParameters(), LineParameters().voltage_V
+        nominal = CouplingParameters()
         return WorldParameters(
-            line=LineParameters(
-                voltage_V=volts * self.line_voltage, frequency_Hz=self.frequency_Hz
-            ),
+            line=LineParameters.steady(self.line_voltage, self.frequency_Hz),
             coupling=CouplingParameters(
                 ratio=nominal.ratio * self.scale, droop_Ohm=nominal.droop_Ohm * self.scale**2
             ),

@@ -130,8 +130,7 @@ class Scenario:
 
     def line(self) -> LineParameters:
         """The true line."""
-        voltage_V = LineParameters().voltage_V * self.line_voltage
-        return LineParameters(voltage_V=voltage_V, frequency_Hz=self.frequency_Hz)
+        return LineParameters.steady(self.line_voltage, self.frequency_Hz)
 
     def wire(self) -> Wire:
         """Return the connection between drive and controller, at rest."""

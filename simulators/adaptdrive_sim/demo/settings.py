@@ -70,8 +70,7 @@ class DemoSettings:
         Raises:
             RefusedError: Which option, and why.
         """
-        if self.duration_s is not None and not 1.0 <= self.duration_s < math.inf:
-            raise RefusedError(f"--duration {self.duration_s:g} must be at least 1 second")
+        _check_duration(self.duration_s)
         if not 20.0 <= self.period_s <= 3600.0:
             raise RefusedError(f"--period {self.period_s:g} must lie in 20…3600 seconds")
         if not 0.0 <= self.noise <= 1.0:
@@ -116,9 +115,13 @@ class VirtualSettings:
         Raises:
             RefusedError: Which option, and why.
         """
-        if self.duration_s is not None and not 1.0 <= self.duration_s < math.inf:
-            raise RefusedError(f"--duration {self.duration_s:g} must be at least 1 second")
+        _check_duration(self.duration_s)
         if not 0.0 < self.speed <= SPEED_MAX:
             raise RefusedError(f"--speed {self.speed:g} must lie above 0, and up to 1e6")
         if self.noise is not None and not 0.0 <= self.noise <= 1.0:
             raise RefusedError(f"--noise {self.noise:g} must lie in 0…1")
+
+
+def _check_duration(duration_s: float | None) -> None:
+    if duration_s is not None and not 1.0 <= duration_s < math.inf:
+        raise RefusedError(f"--duration {duration_s:g} must be at least 1 second")
