@@ -592,16 +592,17 @@ async def test_a_drive_that_lost_its_bus_before_it_started_is_driven_on(
         assert port.send(COMMAND)
 
 
+@pytest.mark.parametrize("message", ["DriveStatus", "DriveLoad"])
 @pytest.mark.parametrize("stopped", [False, True])
 async def test_a_drive_whose_alive_counter_leaps_is_heard_before_it_is_driven_on(
-    port: CanPort, clock: Clock, drive: Drive, ear: Ear, *, stopped: bool
+    port: CanPort, clock: Clock, drive: Drive, ear: Ear, message: str, *, stopped: bool
 ) -> None:
     """Of a drive that starts anew the first frame is refused, and shows that its bridge is off."""
     async with running(port, ear):
         drive.send_both()
         await ear.hears(1)
         assert port.send(COMMAND)
-        drive.alive["DriveStatus"] = 9
+        drive.alive[message] = 9
         drive.send_both()
         await heard_by(port, 4)
         assert port.statistics.counter_lost
@@ -609,11 +610,30 @@ async def test_a_drive_whose_alive_counter_leaps_is_heard_before_it_is_driven_on
         clock.now_s += 1.0 / 120.0
         drive.send_status(BridgeOn=int(not stopped))
         drive.send_load()
-        await ear.hears(3)
+        await ear.hears(2 if message == "DriveLoad" else 3)
         assert port.send(COMMAND) is not stopped
         assert ("its alive counter leapt meanwhile" in str(port.complaint)) is stopped
         assert port.send(SAFE_COMMAND)
         assert port.complaint is None
+
+
+async def test_a_stop_in_the_frame_whose_alive_counter_leaps_is_believed(
+    port: CanPort, clock: Clock, drive: Drive, ear: Ear
+) -> None:
+    """A command on its way has switched the drive on again before its next report."""
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        assert port.send(COMMAND)
+        clock.now_s += 1.0 / 120.0
+        drive.alive["DriveStatus"] = 9
+        drive.send_status(BridgeOn=0)
+        drive.send_load()
+        await ear.hears(2)
+        clock.now_s += 1.0 / 120.0
+        drive.send_both()
+        await ear.hears(3)
+        assert [reading.bridge for reading in ear.readings] == [True, False, True]
 
 
 @pytest.mark.parametrize("stopped", [False, True])

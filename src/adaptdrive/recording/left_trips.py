@@ -21,7 +21,7 @@ _LARGEST_BYTES = 32 << 20
 
 
 class DamagedTripError(OSError):
-    """What is kept of a trip will never make a record; the reason is the message."""
+    """A kept trip will never make a record; the reason is the message."""
 
 
 def left_path(sessions: Path, info: SessionInfo, number: int) -> Path:

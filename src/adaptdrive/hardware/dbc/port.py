@@ -72,7 +72,6 @@ class CanPort:
         self._refusals = Refusals()
         self._hears_all = hears_all
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
-        self._bridge_status = _bridge_status(mapping)
         self._bridge_sent = False
         self._relink = Relink()
         self._leapt_s = -math.inf
@@ -143,8 +142,9 @@ class CanPort:
             Whether the bus took it. False is counted, and nothing is sent again. It is False, too,
             in every other second of a drive that stays energised after the safe command: silence
             lets its own time-out switch it off; and for a command that has the bridge on before
-            the first reading of a bus that was opened again, or the next report of a bridge whose
-            alive counter has leapt, or the reading with a stop that the drive has reported.
+            the first reading of a bus that was opened again, or the next report of a bridge once an
+            alive counter of its drive has leapt, or the reading with a stop that the drive has
+            reported.
 
         Raises:
             ValueError: A value is not finite, or its signal cannot hold it; nothing is sent.
@@ -251,7 +251,7 @@ class CanPort:
             self._assembly.keep(status, decoded.values, arrival_s)
         else:
             self._refuse(status, decoded.verdict, frame)
-            if decoded.verdict is FrameVerdict.COUNTER_LOST and status is self._bridge_status:
+            if decoded.verdict is FrameVerdict.COUNTER_LOST:
                 self._doubt(arrival_s)
             if decoded.words:
                 self._assembly.keep(status, decoded.words, arrival_s)
@@ -267,7 +267,12 @@ class CanPort:
                 self.hand_out()
 
     def _doubt(self, arrival_s: float) -> None:
-        """Let what energises wait for the next report of the bridge: the drive may be a new one."""
+        """Let what energises wait for the next report of the bridge: the drive may be a new one.
+
+        Never for one that does not report its bridge: the wait itself would let it stop.
+        """
+        if self._assembly.bridge_slack_s is None:
+            return
         self._leapt_s = arrival_s
         self._relink.open(bridge=self._bridge_sent, how=LEAPT)
 
@@ -316,14 +321,6 @@ class CanPort:
         self._bridge_sent = False
         self._assembly.forget()
         return self._connection.read_after(announce, partial(self.send, SAFE_COMMAND))
-
-
-def _bridge_status(mapping: CanMapping) -> StatusFrame | None:
-    """The message with the bridge, None for a drive that never reports it."""
-    for status in mapping.statuses:
-        if any(one.quantity == "bridge" for one in status.sources):
-            return status
-    return None
 
 
 def _made_up(config: CanBus, mapping: CanMapping) -> Iterator[Callable[[], can.Message]]:

@@ -45,7 +45,7 @@ class Decoded:
             multiplexed frame gives those that it carries.
         lost: Frames that went missing before this one, as far as the alive counter shows.
         words: Words, such as a fault word, of a whole frame that is `OUT_OF_RANGE` for another
-            value; empty otherwise.
+            value, or whose alive counter leapt; empty otherwise.
     """
 
     __slots__ = ("lost", "values", "verdict", "words")
@@ -200,6 +200,8 @@ class MessageCodec:
 
     def _judge(self, raw: Mapping[str, Raw]) -> Decoded:
         verdict, lost = self._follow(raw)
+        if verdict is FrameVerdict.COUNTER_LOST:
+            return Decoded(verdict, lost=lost, words=self._find_words(raw))
         if verdict is not _GOOD:
             return Decoded(verdict, lost=lost)
         values = {}
