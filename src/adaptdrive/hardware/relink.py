@@ -55,8 +55,9 @@ class Relink:
             bridge: Whether the last command that reached the drive had the bridge on.
             how: Why nothing is heard of the drive.
         """
+        if not (self._was_on and how == UNREAD):  # what keeps the readings away says more
+            self._how = how
         self._was_on = self._commanded and (self._was_on or bridge)
-        self._how = how
 
     def hear(self, *, bridge: bool) -> None:
         """Note a reading.

@@ -285,9 +285,10 @@ TRIPS = (
         "the first 30 ticks, in which a contact may bounce and one such report only holds the next "
         "command back), or had not reported it on within 30 ticks (three readings where they are "
         "longer); where the bridge went off while the daemon did not run or nothing was heard of "
-        "the drive, for the time in ms, while a read had no answer or values were refused (Modbus) "
-        "or while the bus was lost, or where its alive counter leapt (CAN), the text says so; a "
-        "Modbus drive without a bridge register cannot tell after a loss",
+        "the drive, for the time in ms, while a read had no answer, no poll gave a reading or "
+        "values were refused (Modbus) or while the bus was lost, or where its alive counter leapt "
+        "(CAN), the text says so; a Modbus drive without a bridge register cannot tell after a "
+        "loss",
         "check the drive's own time-out and protection; look for lost commands on the bus and a "
         "loose cable; where the daemon did not run, reduce the load of the machine and see "
         "`[realtime]`; after 80 ms without the daemon or a report of the bridge (two and a half "

@@ -477,6 +477,7 @@ async def test_a_drive_that_reports_its_stop_beside_refused_values_is_not_driven
         await one.hears(2)
         assert one.peer.writes[known:] == []
         assert (one.port.complaint or "").startswith("drive stopped: ")
+        assert "its other values were refused meanwhile" in str(one.port.complaint)
         one.port.send(SAFE_COMMAND)
         await until(lambda: one.told() == [0, 0])
         assert one.port.complaint is None
