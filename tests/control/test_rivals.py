@@ -226,6 +226,23 @@ def decision(rivals: riv.Rivals) -> int | None:
     return rivals.kind if settled else None
 
 
+@pytest.mark.parametrize(
+    ("load", "error", "expected"),
+    [(-10.0, 1.7, True), (-10.0, -1.8, False), (-10.1, 0.0, False), (3.0, 1.7, True)],
+)
+def test_a_sample_is_expected_where_one_that_is_not_left_behind_has_z2_below_three(
+    load: float, error: float, expected: bool
+) -> None:
+    rivals = compared(6, load=load)
+    rivals.anchor.power = POWER
+    for kind in range(NOTHING, BOTH + 1):
+        branch = riv.branch_of(rivals, kind)
+        branch.excitation, branch.innovation = 0.2, 9.0 * math.sqrt(POWER)
+    rivals.disturbance.innovation = 0.0
+    rivals.load.innovation = error * math.sqrt(1.2 * POWER)
+    assert riv.is_expected(rivals, LEARNING) is expected
+
+
 @pytest.mark.parametrize("kind", [DISTURBANCE, LOAD, BOTH])
 def test_each_explanation_that_is_clearly_ahead_ends_the_comparison_after_ten_samples(
     kind: int,

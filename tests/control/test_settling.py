@@ -20,6 +20,9 @@ from tests.control.test_explanation import LEARNING, settled
 POWER = 1e-6
 """σ² of the detector, and σ0² of the comparison."""
 
+SIGMA = 1e-3
+"""σ of both."""
+
 CALM = 0.97
 """One sample without an error takes 3 % off σ²."""
 
@@ -52,9 +55,9 @@ def expected_sample(state: EstimatorState) -> float:
     return float(np.dot(state.theta, state.regressor))
 
 
-def take(state: EstimatorState) -> None:
-    """Learn a sample that each estimate has expected exactly."""
-    learn_and_explain(state, LEARNING, MOTOR, expected_sample(state), 0.0)
+def take(state: EstimatorState, error: float = 0.0) -> None:
+    """Learn a sample that each estimate has expected within an error, by default exactly."""
+    learn_and_explain(state, LEARNING, MOTOR, expected_sample(state) + error, 0.0)
 
 
 def posterior(squares: float) -> float:
@@ -119,8 +122,21 @@ def test_the_next_change_is_noticed_beside_nothing_or_a_clear_explanation(
     state = compared(winner, 20.0, others)
     assert state.alarm_period != state.periods
     state.surprise.sum = 1e3
-    take(state)
+    take(state, 4.0 * SIGMA)
     assert (state.alarm_period == state.periods) is alarms
+
+
+@pytest.mark.parametrize(("others", "alarms"), [(20.0, False), (70.0, True)])
+def test_what_a_load_in_the_running_expected_is_no_other_change(
+    others: float, *, alarms: bool
+) -> None:
+    state = compared(NOTHING, 20.0, others)
+    state.rivals.samples, state.surprise.sum = WINDOW // 2, 1e3
+    state.rivals.load.theta[-1] += 4.0 * SIGMA
+    take(state, 4.0 * SIGMA)
+    assert (state.alarm_period == state.periods) is alarms
+    assert state.surprise.power == pytest.approx(1.03 * POWER, rel=1e-9)
+    assert (state.rivals.samples > WINDOW // 2) is not alarms
 
 
 @pytest.mark.parametrize(("since", "louder"), [(WINDOW - 1, 4.0), (WINDOW, 1.0)])

@@ -50,7 +50,8 @@ def _explain(state: EstimatorState, learning: Learning, load: Load, target: floa
     """Compare the explanations of an alarm on one more sample; the likeliest is the estimate.
 
     The detector goes on: what surprises an explanation that is clearly ahead, or "nothing", is the
-    next change.
+    next change, unless another explanation in the running expected it: the change that is being
+    explained shows in it then.
 
     Returns:
         True when the next one has been noticed.
@@ -61,6 +62,7 @@ def _explain(state: EstimatorState, learning: Learning, load: Load, target: floa
     squared = normalised(best.excitation, best.innovation, learning.forgetting)
     alarm = is_surprising(state.surprise, squared) and rivals.samples > FEWEST
     alarm = alarm and (rivals.kind == NOTHING or riv.is_clear(rivals))
+    alarm = alarm and not riv.is_expected(rivals, learning)
     settled = not alarm and riv.is_settled(rivals, learning, load)
     _publish(state, learning)
     if settled:

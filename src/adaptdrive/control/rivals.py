@@ -32,11 +32,13 @@ from adaptdrive.control.hypotheses import (
     new_branch,
     predict_sample,
     restart_past,
+    squared_error,
     widen,
 )
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import fill_initial_state, filtered_model
 from adaptdrive.control.settings import Learning
+from adaptdrive.control.surprise import DRIFT
 from adaptdrive.control.vectors import Vector, copy_into
 
 ROOM = EARLIEST + 1
@@ -262,6 +264,17 @@ def is_clear(rivals: Rivals) -> bool:
         if kind != best:
             rival = max(rival, branch_of(rivals, kind).score)
     return branch_of(rivals, best).score - rival > CLEAR
+
+
+def is_expected(rivals: Rivals, learning: Learning) -> bool:
+    """Return whether an explanation that has not been left behind expected the last sample."""
+    least = branch_of(rivals, _likeliest(rivals)).score - CLEAR
+    largest = DRIFT * rivals.anchor.power
+    for kind in range(NOTHING, BOTH + 1):
+        branch = branch_of(rivals, kind)
+        if branch.score >= least and squared_error(branch, learning.forgetting) <= largest:
+            return True
+    return False
 
 
 def is_settled(rivals: Rivals, learning: Learning, load: Load) -> bool:
