@@ -304,6 +304,14 @@ class Bench:
             assert abs(reading.output - self.peer.speed) < 1e-6
             assert abs(reading.boost_voltage_V - 300.12) < 1e-6
 
+    def mixed_up(self) -> int:
+        """How many readings hold values of other registers than their own."""
+        own = (self.peer.speed, 300.12)
+        return sum(
+            (reading.output, round(reading.boost_voltage_V, 6)) != own
+            for reading in self.ear.readings
+        )
+
 
 def serial(device: Path) -> dict[str, str | None]:
     """`[bus]` of a drive on a pseudo-terminal."""

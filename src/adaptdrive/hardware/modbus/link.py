@@ -203,7 +203,7 @@ class ModbusConnection:
 
     def _miss(self, exchange: Exchange) -> None:
         """Count a missing reply, and what came in its place."""
-        self._suspect()
+        self.suspect()
         self._missed += 1
         self._counts["timeouts"] += 1
         if self._client is None or not self._client.connected:
@@ -236,7 +236,7 @@ class ModbusConnection:
             code = getattr(reply, "exception_code", 0)
             raise ExchangeError(explain_exception(code, exchange), code)
         if not answers(reply, exchange):
-            self._suspect()
+            self.suspect()
             self._counts["foreign"] += 1
             raise ExchangeError("a reply that belongs to another request")
         self._counts["received"] += 1
@@ -266,7 +266,7 @@ class ModbusConnection:
             self._suspect_s = None
         return left_s
 
-    def _suspect(self) -> None:
+    def suspect(self) -> None:
         """Take what comes next on a serial line for what is left of something else."""
         if self._serial:
             self._suspect_s = self._clock()
@@ -284,7 +284,7 @@ class ModbusConnection:
         """Count what no request waits for: noise, a late reply, another transaction."""
         if self._serial:
             if not self._waiting:
-                self._suspect()
+                self.suspect()
                 self._counts["foreign"] += 1
         elif packet[:2] != self._strange and not (
             self._waiting and packet[:2] == self._transaction

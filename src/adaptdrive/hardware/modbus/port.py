@@ -263,6 +263,7 @@ class ModbusPort:
             self._commander.note_read(answered=True)
             if self._alike and self._counts["foreign"] > known:  # since the last poll began
                 self._failure = _MIXED_UP
+                link.suspect()  # the replies that are left would answer the next poll
             else:
                 self._take(start_s)
         if link.lost is None and self._commander.pending:
