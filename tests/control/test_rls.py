@@ -198,8 +198,9 @@ def compiled_rls() -> ModuleType:
     functions = inspect.getmembers(factors, inspect.isfunction)
     jitted = {name: compiled(function) for name, function in functions}
     vars(factors).update(jitted)
-    for name, member in inspect.getmembers(module, inspect.isfunction):
-        setattr(module, name, jitted.get(name) or compiled(member))
+    own = inspect.getmembers(module, inspect.isfunction)
+    vars(module).update({name: compiled(function) for name, function in own})
+    vars(module).update({name: jitted[name] for name in vars(module).keys() & jitted.keys()})
     return module
 
 
