@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import time
+from collections.abc import AsyncIterator
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
@@ -45,6 +47,18 @@ SCATTERED: dict[str, str | None] = {
 """Four blocks that are read one by one."""
 
 both = pytest.mark.parametrize("kind", ["tcp", "rtu"])
+
+
+@contextlib.asynccontextmanager
+async def driven(
+    kind: str, tmp_path: Path, tcp_port: int, state: int | None, /, **changes: str | None
+) -> AsyncIterator[Bench]:
+    """Run a bench whose drive, with this state, has been commanded on and has its bridge on."""
+    async with bench(kind, tmp_path, tcp_port, **changes) as one:
+        one.peer.state = state
+        one.port.send(RUN)
+        await until(lambda: bool(one.peer.writes) and one.ear.readings[-1].bridge)
+        yield one
 
 
 @both
@@ -435,10 +449,7 @@ async def test_a_drive_at_rest_confirms_its_stop_by_the_bridge_beside_refused_va
         "signals__bridge": '"on"',
         "signals__fault": '"fault"',
     }
-    async with bench(kind, tmp_path, free_tcp_port, **bits) as one:
-        one.peer.state = 1
-        one.port.send(RUN)
-        await until(lambda: bool(one.peer.writes) and one.ear.readings[-1].bridge)
+    async with driven(kind, tmp_path, free_tcp_port, 1, **bits) as one:
         one.peer.speed = math.nan
         await one.asks(12)
         good = one.ear.readings[-1]
@@ -464,10 +475,7 @@ async def test_a_drive_that_reports_its_stop_beside_refused_values_is_not_driven
         "bus__registers__on": "{ address = 5, table = 'input', bit = 0 }",
         "signals__bridge": '"on"',
     }
-    async with bench(kind, tmp_path, free_tcp_port, **bridge) as one:
-        one.peer.state = 1
-        one.port.send(RUN)
-        await until(lambda: bool(one.peer.writes) and one.ear.readings[-1].bridge)
+    async with driven(kind, tmp_path, free_tcp_port, 1, **bridge) as one:
         one.peer.speed, one.peer.state = math.nan, 0
         await one.asks(4)
         known = len(one.peer.writes)
@@ -497,9 +505,7 @@ async def test_a_drive_whose_heartbeat_stands_still_gets_no_old_command(
     kind: str, tmp_path: Path, free_tcp_port: int
 ) -> None:
     """Its polls are answered, and give no reading: nothing is decided anew."""
-    async with bench(kind, tmp_path, free_tcp_port, **STANDING) as one:
-        one.port.send(RUN)
-        await until(lambda: bool(one.peer.writes) and one.ear.readings[-1].bridge)
+    async with driven(kind, tmp_path, free_tcp_port, None, **STANDING) as one:
         one.peer.state = 1
         await one.asks(8)
         known = len(one.peer.writes)
@@ -514,9 +520,7 @@ async def test_a_drive_whose_heartbeat_stands_still_gets_no_old_command(
 async def test_a_drive_that_reports_its_stop_beside_a_standing_heartbeat_is_not_driven_on(
     kind: str, tmp_path: Path, free_tcp_port: int
 ) -> None:
-    async with bench(kind, tmp_path, free_tcp_port, **STANDING) as one:
-        one.port.send(RUN)
-        await until(lambda: bool(one.peer.writes) and one.ear.readings[-1].bridge)
+    async with driven(kind, tmp_path, free_tcp_port, None, **STANDING) as one:
         one.peer.state = 1
         await one.asks(2)
         one.peer.voltage = OFF
