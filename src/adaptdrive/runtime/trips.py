@@ -281,14 +281,13 @@ TRIPS = (
     Trip(
         r"^drive stopped: ",
         "drive stopped: its bridge is off although it was commanded on",
-        "the drive has reported its bridge off after it had reported it on (twice in a row within "
-        "the first 30 ticks, in which a contact may bounce and one such report only holds the next "
-        "command back), or had not reported it on within 30 ticks (three readings where they are "
-        "longer); where the bridge went off while the daemon did not run or nothing was heard of "
-        "the drive, for the time in ms, while a read had no answer, no poll gave a reading or "
-        "values were refused (Modbus) or while the bus was lost, or where its alive counter leapt "
-        "(CAN), the text says so; a Modbus drive without a bridge register cannot tell after a "
-        "loss",
+        "the drive has reported its bridge off after it had reported it on, or had not reported it "
+        "on within 30 ticks (three readings where they are longer). Within that time a contact may "
+        "bounce: the first report of off only holds the next command back, the second in a row "
+        "trips. The text names what hid the stop: how long the daemon did not run or nothing was "
+        "heard of the drive, in ms; a read without an answer, polls without a reading or refused "
+        "values (Modbus); a lost bus; an alive counter that leapt (CAN). A Modbus drive without a "
+        "bridge register cannot show after a lost connection whether it has stopped",
         "check the drive's own time-out and protection; look for lost commands on the bus and a "
         "loose cable; where the daemon did not run, reduce the load of the machine and see "
         "`[realtime]`; after 80 ms without the daemon or a report of the bridge (two and a half "
