@@ -13,37 +13,26 @@ import asyncio
 import functools
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable
 
 import can
 
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.canopen.assembly import Assembly
-from adaptdrive.hardware.canopen.dictionary import label
 from adaptdrive.hardware.canopen.health import Health
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping, StatusPdo
 from adaptdrive.hardware.canopen.master import Master, NodeState
 from adaptdrive.hardware.canopen.orders import ForeignCommands, command_frames
-from adaptdrive.hardware.canopen.profile import (
-    DISABLE_VOLTAGE,
-    POWERED,
-    STATUSWORD,
-    DriveControl,
-)
+from adaptdrive.hardware.canopen.profile import DISABLE_VOLTAGE, POWERED, DriveControl
+from adaptdrive.hardware.canopen.reports import Reports
 from adaptdrive.hardware.canopen.sdo import describe_node
 from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
 from adaptdrive.hardware.canopen.sync import SyncProducer
-from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.link.bus import describe_bus
 from adaptdrive.hardware.link.connection import CanConnection
-from adaptdrive.hardware.link.integrity import FrameVerdict
-from adaptdrive.hardware.port import OBEY_S, Listener, PortStatistics, Reading
+from adaptdrive.hardware.port import OBEY_S, Listener, PortStatistics
 from adaptdrive.hardware.rival import Rival
-
-_STATUSWORD = label(STATUSWORD)
 
 _FAULT_RESET_S = 1.0
 """Longest wait for a drive to leave its fault."""
@@ -77,17 +66,13 @@ class CanOpenPort:
         self._counts: Counter[str] = Counter()
         self._connection = CanConnection(config, self, self._arrivals, self._counts)
         self._control = DriveControl()
-        self._assembly = Assembly(mapping.statuses)
+        self._reports = Reports(mapping.statuses, self._control, self._counts)
         self._master = Master(config, mapping, half_cycle_s, self._put, clock)
         self._health = Health(self._control, self._master)
         self._sync = SyncProducer(half_cycle_s, clock, self._send_sync)
         self._beat_s = -math.inf
-        self._faults = FaultLatch()
         self._safe_s = math.inf
         self._been_up = False
-        self._newest: Reading | None = None
-        self._handed_out: Reading | None = None
-        self._stated_s: float | None = None
         self._takers = self._make_takers()
         self._rival = Rival(clock)
         self._foreign = ForeignCommands(mapping, config, self._rival)
@@ -110,9 +95,9 @@ class CanOpenPort:
     @property
     def complaint(self) -> str | None:
         """Reason not to energise the drive, None for no reason."""
-        seen = self._rival.complaint or self._faults.complaint or self._connection.uptake.complaint
-        if seen is not None:
-            return seen
+        for seen in (self._rival, self._reports.faults, self._connection.uptake):
+            if seen.complaint is not None:
+                return seen.complaint
         if self._connection.bus is None and self._control.fallen is None:
             return None  # without a bus there are no readings, which is a cause of its own
         problem = self._health.problem
@@ -189,16 +174,11 @@ class CanOpenPort:
 
     def explain_age(self) -> str:
         """Return the PDO that is missing for a reading, and the likeliest cause."""
-        missing = ", ".join(self._assembly.missing)
-        refused = self._counts[FrameVerdict.WRONG_LENGTH] + self._counts[FrameVerdict.OUT_OF_RANGE]
-        why = f"{refused} PDOs were refused for their length or range: is the EDS the drive's own?"
-        if not refused:
-            why = "is SYNC on the bus, and the node operational?"
-        return f"no complete set of PDOs: {missing} has not come since the last SYNC: {why}"
+        return self._reports.explain()
 
     def details(self) -> list[str]:
         """Return the missing PDOs of the node."""
-        return [self.explain_age()] if self._assembly.missing else []
+        return [self.explain_age()] if self._reports.assembly.missing else []
 
     async def reset_fault(self) -> None:
         """Have the drive leave its fault by an edge of the reset bit; ends in a second at most.
@@ -246,7 +226,7 @@ class CanOpenPort:
         return takers
 
     def _take_sync(self, frame: can.Message) -> None:
-        self._assembly.begin(self._clock() - self._arrivals.waited_s(frame))
+        self._reports.assembly.begin(self._clock() - self._arrivals.waited_s(frame))
 
     def _take_heartbeat(self, frame: can.Message) -> None:
         if len(frame.data) != 1:
@@ -267,64 +247,24 @@ class CanOpenPort:
     def _take_pdo(self, status: StatusPdo, frame: can.Message) -> None:
         if not self._master.ready:
             return  # whatever it carries, it is not what the drive has been set up for
-        decoded = status.codec.decode(bytes(frame.data))
         waited_s = self._arrivals.waited_s(frame)
-        self._hear_words(status, decoded.values or decoded.words)
-        if decoded.verdict is not FrameVerdict.GOOD:
-            self._counts[decoded.verdict] += 1
-            if decoded.verdict is not FrameVerdict.OUT_OF_RANGE:
-                return
-        elif not self._assembly.waits:
-            self._counts["counter_stuck"] += 1
-        if self._assembly.take(status.codec.name, decoded.values):
-            self._newest = self._compose(self._clock() - waited_s) or self._newest
-            if frame.timestamp and waited_s < PROMPT_S:
-                self.hand_out()
-
-    def _hear_words(self, status: StatusPdo, values: Mapping[str, float]) -> None:
-        """Follow the statusword and the fault word of a PDO."""
-        statusword = values.get(_STATUSWORD)
-        if statusword is not None:
-            self._control.hear(int(statusword))
-            self._stated_s = self._assembly.sampled_s
-        for source in status.sources:
-            if source.quantity == "fault":
-                self._faults.see(values.get(source.entry.label))
-
-    def _compose(self, arrival_s: float) -> Reading | None:
-        """Return the reading of the PDOs after a SYNC, None for refused ones of a driven drive.
-
-        A drive at rest may confirm its stop although its measurements are refused: it has a reading
-        of those before.
-        """
-        bridge, fault = self._control.state in POWERED, self._faults.word
-        if not self._assembly.missing:
-            return self._assembly.reading(arrival_s, bridge=bridge, fault=fault)
-        last = self._handed_out
-        if last is None or self._safe_s == math.inf:
-            return None
-        return replace(
-            last,
-            arrival_s=arrival_s,
-            counter=None,
-            fault=fault,
-            bridge=bridge,
-            bridge_s=self._stated_s,
-        )
+        at_rest = self._safe_s < math.inf
+        arrival_s = self._clock() - waited_s
+        whole = self._reports.take(status, bytes(frame.data), arrival_s, at_rest=at_rest)
+        if whole and frame.timestamp and waited_s < PROMPT_S:
+            self.hand_out()
 
     def hand_out(self) -> None:
         """Pass the newest reading on: no more frames wait."""
-        reading, self._newest = self._newest, None
-        if reading is not None and (listener := self._connection.listener) is not None:
-            self._faults.clear(reading.fault)
+        listener = self._connection.listener
+        if listener is not None and (reading := self._reports.hand_out()) is not None:
             self._connection.uptake.hear()
-            self._handed_out = reading
             listener.on_reading(reading)
 
     def _send_sync(self) -> None:
         self.catch_up()  # what waits belongs to the SYNC before
         if self._master.ready:
-            self._assembly.begin(self._clock())
+            self._reports.assembly.begin(self._clock())
             self._put(SYNC_COB_ID, b"")
 
     @property
@@ -383,13 +323,9 @@ class CanOpenPort:
         self._connection.report(up=up, detail=detail)
 
     def _on_node(self, *, up: bool, detail: str) -> None:
-        """Forget all values that were received before the node came up or was lost.
-
-        Those of the last reading stay, for a drive at rest that has none any more.
-        """
+        """Forget all values that were received before the node came up or was lost."""
         if not up:
             self._control.fall(detail)
             self._safe_s = math.inf
         self._control.forget()
-        self._assembly.forget()
-        self._newest = None
+        self._reports.forget()

@@ -1,0 +1,120 @@
+"""The drive's status PDOs as readings: the set after one SYNC, and the newest of several sets."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
+
+from adaptdrive.hardware.canopen.assembly import Assembly
+from adaptdrive.hardware.canopen.dictionary import label
+from adaptdrive.hardware.canopen.mapping import StatusPdo
+from adaptdrive.hardware.canopen.profile import POWERED, STATUSWORD, DriveControl
+from adaptdrive.hardware.fault_latch import FaultLatch
+from adaptdrive.hardware.link.integrity import FrameVerdict
+from adaptdrive.hardware.port import Reading
+
+_STATUSWORD = label(STATUSWORD)
+
+
+class Reports:
+    """Collects status PDOs, and keeps the newest reading until it is handed out.
+
+    Attributes:
+        assembly: PDOs that have come since the last SYNC.
+        faults: Faults that no reading has carried yet.
+    """
+
+    def __init__(
+        self, statuses: tuple[StatusPdo, ...], control: DriveControl, counts: Counter[str]
+    ) -> None:
+        """Expect PDOs; none has come yet.
+
+        Args:
+            statuses: PDOs of a reading.
+            control: Follows the statusword.
+            counts: Counts of the port, to which refused PDOs are added.
+        """
+        self.assembly = Assembly(statuses)
+        self.faults = FaultLatch()
+        self._control = control
+        self._counts = counts
+        self._newest: Reading | None = None
+        self._handed_out: Reading | None = None
+        self._stated_s: float | None = None
+
+    def take(self, status: StatusPdo, data: bytes, arrival_s: float, *, at_rest: bool) -> bool:
+        """Take one PDO.
+
+        A drive at rest may confirm its stop although its measurements are refused: it has a reading
+        of those before.
+
+        Args:
+            status: Its codec and its sources.
+            data: What it carries.
+            arrival_s: Its arrival.
+            at_rest: Whether the safe command is in force.
+
+        Returns:
+            Whether it was the last of its set.
+        """
+        decoded = status.codec.decode(data)
+        self._hear_words(status, decoded.values or decoded.words)
+        if decoded.verdict is not FrameVerdict.GOOD:
+            self._counts[decoded.verdict] += 1
+            if decoded.verdict is not FrameVerdict.OUT_OF_RANGE:
+                return False
+        elif not self.assembly.waits:
+            self._counts["counter_stuck"] += 1
+        if not self.assembly.take(status.codec.name, decoded.values):
+            return False
+        self._newest = self._compose(arrival_s, at_rest=at_rest) or self._newest
+        return True
+
+    def hand_out(self) -> Reading | None:
+        """Return the newest reading once, None where none has come since the one before."""
+        reading, self._newest = self._newest, None
+        if reading is not None:
+            self.faults.clear(reading.fault)
+            self._handed_out = reading
+        return reading
+
+    def explain(self) -> str:
+        """Return the PDO that is missing for a reading, and the likeliest cause."""
+        missing = ", ".join(self.assembly.missing)
+        refused = self._counts[FrameVerdict.WRONG_LENGTH] + self._counts[FrameVerdict.OUT_OF_RANGE]
+        why = f"{refused} PDOs were refused for their length or range: is the EDS the drive's own?"
+        if not refused:
+            why = "is SYNC on the bus, and the node operational?"
+        return f"no complete set of PDOs: {missing} has not come since the last SYNC: {why}"
+
+    def forget(self) -> None:
+        """Forget all values; those of the last reading stay, for a drive at rest that has none."""
+        self.assembly.forget()
+        self._newest = None
+
+    def _hear_words(self, status: StatusPdo, values: Mapping[str, float]) -> None:
+        """Follow the statusword and the fault word of a PDO."""
+        statusword = values.get(_STATUSWORD)
+        if statusword is not None:
+            self._control.hear(int(statusword))
+            self._stated_s = self.assembly.sampled_s
+        for source in status.sources:
+            if source.quantity == "fault":
+                self.faults.see(values.get(source.entry.label))
+
+    def _compose(self, arrival_s: float, *, at_rest: bool) -> Reading | None:
+        """Return the reading of the PDOs after a SYNC, None for refused ones of a driven drive."""
+        bridge, fault = self._control.state in POWERED, self.faults.word
+        if not self.assembly.missing:
+            return self.assembly.reading(arrival_s, bridge=bridge, fault=fault)
+        if self._handed_out is None or not at_rest:
+            return None
+        return replace(
+            self._handed_out,
+            arrival_s=arrival_s,
+            counter=None,
+            fault=fault,
+            bridge=bridge,
+            bridge_s=self._stated_s,
+        )
