@@ -617,23 +617,41 @@ async def test_a_drive_whose_alive_counter_leaps_is_heard_before_it_is_driven_on
         assert port.complaint is None
 
 
-async def test_a_stop_in_the_frame_whose_alive_counter_leaps_is_believed(
-    port: CanPort, clock: Clock, drive: Drive, ear: Ear
+@pytest.mark.parametrize("alive", [0, 9])
+async def test_a_stop_in_the_frame_whose_alive_counter_stands_or_leaps_is_believed(
+    port: CanPort, clock: Clock, drive: Drive, ear: Ear, alive: int
 ) -> None:
-    """A command on its way has switched the drive on again before its next report."""
+    """A command on its way has switched the drive on again before its next report.
+
+    The counter of a drive that starts anew may by chance stand where it stood.
+    """
     async with running(port, ear):
         drive.send_both()
         await ear.hears(1)
         assert port.send(COMMAND)
         clock.now_s += 1.0 / 120.0
-        drive.alive["DriveStatus"] = 9
+        drive.alive["DriveStatus"] = alive
         drive.send_status(BridgeOn=0)
         drive.send_load()
         await ear.hears(2)
+        assert ear.readings[1].bridge_s == ear.readings[0].bridge_s
         clock.now_s += 1.0 / 120.0
         drive.send_both()
         await ear.hears(3)
         assert [reading.bridge for reading in ear.readings] == [True, False, True]
+
+
+async def test_a_repeated_frame_reports_no_stop(port: CanPort, drive: Drive, ear: Ear) -> None:
+    """A gateway repeats the last one from before the drive was switched on."""
+    async with running(port, ear):
+        off = drive.frame("DriveStatus", **(STATUS | {"BridgeOn": 0}))
+        drive.put("DriveStatus", off)
+        drive.send_load()
+        await ear.hears(1)
+        drive.put("DriveStatus", off)
+        drive.send_both()
+        await ear.hears(2)
+        assert [reading.bridge for reading in ear.readings] == [False, True]
 
 
 @pytest.mark.parametrize("stopped", [False, True])

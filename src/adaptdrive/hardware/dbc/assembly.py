@@ -69,20 +69,29 @@ class StatusAssembly:
         for source in self._sources:
             self._dues[source.quantity] = -math.inf, 0.0
 
-    def keep(self, status: StatusFrame, found: Mapping[str, float], arrival_s: float) -> None:
+    def keep(
+        self,
+        status: StatusFrame,
+        found: Mapping[str, float],
+        arrival_s: float,
+        *,
+        alive: bool = True,
+    ) -> None:
         """Keep the values of a good message, or the words of one whose measurements are refused.
 
         Args:
             status: The message.
             found: Values by signal.
             arrival_s: Arrival by the monotonic clock.
+            alive: Whether its alive counter has advanced as it must: else no value becomes newer.
         """
         values, dues = self._values, self._dues
         for part in self._parts[status.codec.name]:
             value = found.get(part.signal)
             if value is not None:
                 values[part.quantity] = value * part.scale + part.offset
-                dues[part.quantity] = arrival_s + part.slack_s, part.slack_s
+                if alive:
+                    dues[part.quantity] = arrival_s + part.slack_s, part.slack_s
         self.faults.see(values.get("fault"))
         self.stop_seen = self.stop_seen or (self._carried_on and not self.powered)
 

@@ -254,7 +254,8 @@ class CanPort:
             if decoded.verdict is FrameVerdict.COUNTER_LOST:
                 self._doubt(arrival_s)
             if decoded.words:
-                self._assembly.keep(status, decoded.words, arrival_s)
+                alive = decoded.verdict is FrameVerdict.OUT_OF_RANGE
+                self._assembly.keep(status, decoded.words, arrival_s, alive=alive)
             if decoded.verdict is not FrameVerdict.OUT_OF_RANGE or not self._awaits_bridge:
                 return
         if status is self._clocking:

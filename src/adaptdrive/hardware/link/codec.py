@@ -45,7 +45,8 @@ class Decoded:
             multiplexed frame gives those that it carries.
         lost: Frames that went missing before this one, as far as the alive counter shows.
         words: Words, such as a fault word, of a whole frame that is `OUT_OF_RANGE` for another
-            value, or whose alive counter leapt; empty otherwise.
+            value, whose alive counter leapt, or stands although its bytes are others; empty
+            otherwise.
     """
 
     __slots__ = ("lost", "values", "verdict", "words")
@@ -108,6 +109,7 @@ class MessageCodec:
         self._modulus = modulus
         self._next = 0
         self._alive = AliveCounter(modulus, integrity.max_jump)
+        self._data = b""
         self._checksum = checksum_function(integrity)
         self._span = checksum_span(message, integrity.checksum) if integrity.checksum else None
         if self._span is not None:
@@ -171,7 +173,8 @@ class MessageCodec:
             raw = self._unpack(data)
         except DecodeError:
             return Decoded(FrameVerdict.OUT_OF_RANGE)
-        decoded = self._judge(raw)
+        decoded = self._judge(raw, repeated=data == self._data)
+        self._data = data
         if decoded.words and not data.strip(b"\xff"):  # nothing is available, the words neither
             return Decoded(decoded.verdict, lost=decoded.lost)
         return decoded
@@ -179,6 +182,7 @@ class MessageCodec:
     def reset(self) -> None:
         """Forget the alive counter received last; the next frame starts anew."""
         self._alive.reset()
+        self._data = b""
 
     def _is_whole(self, data: bytes) -> bool:
         span = self._span
@@ -198,12 +202,12 @@ class MessageCodec:
             return data
         return self._span.write(data, self._checksum(self._covered(data), counter))
 
-    def _judge(self, raw: Mapping[str, Raw]) -> Decoded:
+    def _judge(self, raw: Mapping[str, Raw], *, repeated: bool) -> Decoded:
         verdict, lost = self._follow(raw)
-        if verdict is FrameVerdict.COUNTER_LOST:
-            return Decoded(verdict, lost=lost, words=self._find_words(raw))
-        if verdict is not _GOOD:
+        if verdict is FrameVerdict.OUT_OF_RANGE or (verdict is not _GOOD and repeated):
             return Decoded(verdict, lost=lost)
+        if verdict is not _GOOD:
+            return Decoded(verdict, lost=lost, words=self._find_words(raw))
         values = {}
         for field_ in self._wanted:
             value = raw.get(field_.name)
