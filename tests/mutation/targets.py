@@ -32,6 +32,10 @@ RUNTIME: dict[str, tuple[str, ...]] = {
     "adaptdrive.runtime.fast_loop": (*_LOOP, *_LOOP_MORE, *_STOP),
     "adaptdrive.runtime.interlock_board": ("tests/runtime/test_interlock_board.py", *_LOOP),
     "adaptdrive.runtime.bridge_watch": ("tests/runtime/test_bridge_watch.py",),
+    "adaptdrive.runtime.restart_watch": (
+        "tests/runtime/test_restart_watch.py",
+        "tests/runtime/test_fast_loop.py",
+    ),
     "adaptdrive.runtime.half_cycles": (*_RATE, "tests/runtime/test_fast_loop.py"),
     "adaptdrive.runtime.frame_rate": _RATE,
     "adaptdrive.runtime.stop_watch": _STOP,

@@ -118,6 +118,49 @@ def test_a_drive_that_starts_anew_is_found_within_four_frames(
     assert chance or (cause or "").startswith("drive restarted: its half-cycle counter began anew")
 
 
+@given(
+    last=st.integers(300, 60_000),
+    away=st.integers(1, 10),
+    at=st.integers(0, 4),
+    old=st.lists(st.integers(0, 4), min_size=1, max_size=3),
+    late=st.integers(0, 5),
+)
+def test_old_frames_between_hide_no_new_start(
+    last: int, away: int, at: int, old: list[int], late: int
+) -> None:
+    """A gateway sends frames from before the start anew once more, between those after it."""
+    watch = begun(65536, last)
+    for number in range(12):
+        at_s = (last + away + late + number) * TICK_S
+        if number == at:
+            for back in old:
+                watch.see(last - back, at_s - 0.25 * TICK_S, TICK_S)
+        watch.see(late + number, at_s, TICK_S)
+    assert watch.find_cause(commanded=True) is not None
+
+
+@pytest.mark.parametrize("stands", range(1, 30))
+@pytest.mark.parametrize("first", [0, 100, 240, 250, 255])
+def test_a_count_that_stands_while_its_message_is_lost_is_no_restart(
+    first: int, stands: int
+) -> None:
+    """The clock comes in another message, and goes on."""
+    watch = begun(256, 256 + first)
+    for half_cycle in range(257 + first, 400 + first):
+        heard = 256 + first if half_cycle <= 256 + first + stands else half_cycle
+        watch.see(heard % 256, half_cycle * TICK_S, TICK_S)
+        assert watch.find_cause(commanded=True) is None
+    assert not watch.in_doubt
+
+
+def test_a_counter_that_has_jumped_is_followed_from_there() -> None:
+    """Its next wrap is no new start."""
+    watch = begun(256, 100)
+    for number in range(300):
+        watch.see((200 + number) % 256, (103 + number) * TICK_S, TICK_S)
+        assert not watch.in_doubt
+
+
 @pytest.mark.parametrize(("passed", "doubted"), [(4, False), (5, True)])
 def test_a_count_three_half_cycles_behind_time_is_late(passed: int, doubted: bool) -> None:
     watch = begun(32, 31)

@@ -8,6 +8,9 @@ often it has wrapped. One that does not, and that may have begun at 0 since the 
 doubt. If the frames after it keep step with that from before, it was late, or repeated; frames that
 waited come at once and are soon over. If they keep step with the doubtful one alone, the drive has
 started anew.
+
+A count that fits neither may be that of an old frame. It changes nothing, unless those after it
+keep step with it: the counter has jumped. Nor does one that stands, or that is older.
 """
 
 from __future__ import annotations
@@ -42,6 +45,7 @@ class RestartWatch:
         self._tick_s = tick_s
         self._last: _Count | None = None
         self._before: _Count | None = None
+        self._stray: _Count | None = None
         self._cause: str | None = None
 
     @property
@@ -63,14 +67,14 @@ class RestartWatch:
         count, last, before = (counter, arrival_s), self._last, self._before
         if last is None:
             self._last = count
-        elif before is None:
-            self._doubt(last, count)
-        elif self._off(before, count) <= _SLACK_TICKS:
-            self._last, self._before = count, None
-        elif self._off(last, count) > _PACE_TICKS:
-            self._doubt(before, count)
+        elif self._off(before or last, count) <= _SLACK_TICKS:
+            self._follow(before or last, count)
+        elif before is None or self._off(last, count) > _PACE_TICKS:
+            self._doubt(before or last, count)
         elif self._passed(last, count) >= _SURE_TICKS:
             self._settle(before, last, count)
+        else:
+            self._stray = None
 
     def find_cause(self, *, commanded: bool) -> str | None:
         """Return the cause of a trip, None for none.
@@ -82,11 +86,23 @@ class RestartWatch:
             self._before = self._cause = None
         return self._cause
 
+    def _follow(self, since: _Count, count: _Count) -> None:
+        """Take a count that keeps step for that of the drive as it was, if it is a newer one."""
+        if 0 < (count[0] - since[0]) % self._modulus <= self._modulus // 2:
+            self._begin(count)
+
+    def _begin(self, count: _Count) -> None:
+        """Compare the counts after this one with it alone."""
+        self._last, self._before, self._stray = count, None, None
+
     def _doubt(self, since: _Count, count: _Count) -> None:
-        """Take a count for the newest, and doubt it if it is one of a drive that starts anew."""
-        leapt = self._off(since, count) > _SLACK_TICKS
-        begun = count[0] <= self._passed(since, count) + _SLACK_TICKS
-        self._last, self._before = count, since if leapt and begun else None
+        """Doubt a count that has leapt if it is one of a drive that starts anew."""
+        if count[0] <= self._passed(since, count) + _SLACK_TICKS:
+            self._last, self._before, self._stray = count, since, None
+        elif self._stray is None or self._off(self._stray, count) > _PACE_TICKS:
+            self._stray = count
+        elif self._passed(self._stray, count) >= _SURE_TICKS:
+            self._begin(count)
 
     def _settle(self, before: _Count, anew: _Count, count: _Count) -> None:
         """Note that the drive has started anew."""
@@ -94,7 +110,7 @@ class RestartWatch:
         self._cause = (
             f"drive restarted: its half-cycle counter began anew, {anew[0]} where {due} was due"
         )
-        self._last, self._before = count, None
+        self._begin(count)
 
     def _off(self, since: _Count, count: _Count) -> float:
         """Return the half cycles by which a count is off, beyond what a line drifts meanwhile."""
