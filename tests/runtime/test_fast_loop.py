@@ -100,6 +100,20 @@ async def test_a_stop_of_the_drive_that_one_late_frame_alone_shows_trips() -> No
         assert bench.sent[-1] == SAFE_COMMAND
 
 
+async def test_a_bridge_that_one_late_frame_alone_shows_on_has_been_on() -> None:
+    """The drive stops at once: the next frames are no bridge that has yet to come on."""
+    async with fast_bench() as bench:
+        bench.frames(RATE_FRAMES)
+        bench.ask(Enable())
+        for _ in range(4):
+            bench.frame(bridge=False)
+        bench.frame(after_s=1.7 * TICK_S, bridge=True)
+        bench.frame(after_s=0.3 * TICK_S, bridge=False)
+        assert bench.state() is State.RUNNING  # it may be a contact that bounces
+        bench.frame(bridge=False)
+        assert (bench.machine.trip or "").startswith("drive stopped: ")
+
+
 async def test_the_timer_stands_in_on_the_drives_grid() -> None:
     async with fast_bench() as bench:
         bench.frames(5)

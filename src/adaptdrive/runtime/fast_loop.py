@@ -140,10 +140,10 @@ class FastLoop:
     def _watch_late_reading(self, reading: Reading, now_s: float) -> None:
         """Trip for a reading beyond a limit, or of a drive that has stopped, now.
 
-        The next one may replace it before a tick.
+        The next one may replace it before a tick, and its report of a bridge that is to be on.
         """
-        off = self.command.bridge and not reading.bridge
-        if off or self._interlocks.standing_cause(self._port, reading, now_s) is not None:
+        cause = self._interlocks.standing_cause(self._port, reading, now_s)
+        if self.command.bridge or cause is not None:
             self._watch_between_ticks(now_s)
 
     def on_deadline(self, deadline_s: float) -> None:
