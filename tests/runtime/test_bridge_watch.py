@@ -104,6 +104,16 @@ def test_a_bridge_that_bounces_while_it_switches_on_is_no_stop(*, due: bool) -> 
     assert not seen.awaits_report
 
 
+def test_a_bridge_that_is_commanded_off_while_it_bounces_begins_anew() -> None:
+    seen = Seen()
+    seen.look(0.0, bridge=True)
+    seen.look(1.0, bridge=False)
+    seen.look(2.0, bridge=False, commanded=False)
+    assert not seen.awaits_report
+    seen.look(3.0, bridge=True)
+    assert not seen.look(4.0, bridge=False)
+
+
 def test_a_bridge_that_stays_off_while_it_switches_on_is_a_stop() -> None:
     seen = Seen()
     seen.look(0.0, bridge=False, commanded=False)
@@ -185,6 +195,45 @@ def test_a_bridge_that_was_never_on_for_this_daemon_has_its_time(*, commanded: b
     if not commanded:
         seen.look(-1.0, bridge=True, commanded=False)
     assert not seen.look(0.0, bridge=False, unwatched=100.0)
+
+
+@pytest.mark.parametrize("silent", [False, True])
+def test_the_time_in_which_a_bridge_went_off_is_named_in_whole_ms(*, silent: bool) -> None:
+    seen = Seen()
+    seen.look(0.0, bridge=True)
+    if silent:
+        seen.look(100.0, bridge=True, old=100.0)
+        assert seen.look(101.0, bridge=False)
+        assert seen.cause == f"{STOPPED}; nothing had been heard of it for 781 ms"
+    else:
+        assert seen.look(100.0, bridge=False, unwatched=100.0)
+        assert seen.cause == f"{STOPPED}; the daemon had not run for 781 ms"
+
+
+def test_no_time_is_named_in_which_a_bridge_has_not_come_on() -> None:
+    """It has not stopped in that time."""
+    seen = Seen()
+    seen.look(0.0, bridge=False)
+    seen.look(14.0, bridge=False, old=14.0)
+    assert seen.look(45.0, bridge=False)
+    assert seen.cause == STOPPED
+
+
+def test_a_time_unwatched_of_a_drive_that_was_off_is_none_of_the_next_command() -> None:
+    seen = Seen()
+    seen.look(0.0, bridge=False, commanded=False, unwatched=20.0)
+    seen.look(1.0, bridge=True, old=1.5)
+    assert not seen.awaits_report
+
+
+def test_a_bridge_has_its_time_anew_after_each_command() -> None:
+    """Its report is from before that command."""
+    seen = Seen()
+    seen.look(0.0, bridge=False)
+    seen.look(50.0, bridge=False, commanded=False)
+    seen.look(100.0, bridge=False, old=80.0)
+    assert not seen.look(110.0, bridge=False)
+    assert seen.look(130.0, bridge=False)
 
 
 @pytest.mark.parametrize("looks", [1, 3])

@@ -135,7 +135,31 @@ def test_old_frames_between_hide_no_new_start(
         if number == at:
             for back in old:
                 watch.see(last - back, at_s - 0.25 * TICK_S, TICK_S)
+                assert watch.in_doubt is (number > 0)
         watch.see(late + number, at_s, TICK_S)
+        assert watch.in_doubt
+    assert watch.find_cause(commanded=True) is not None
+
+
+def test_frames_that_come_later_and_later_hide_no_new_start() -> None:
+    """A queue grows until the drive starts anew, whose frames do not wait."""
+    watch = begun(65536, 200)
+    for half_cycle, late_ticks in ((202, 2.75), (203, 5.5)):
+        see(watch, half_cycle, 65536, late_ticks)
+    for number in range(6, 12):
+        watch.see(number, (203 + number) * TICK_S, TICK_S)
+        assert watch.in_doubt
+    assert watch.find_cause(commanded=True) is not None
+
+
+def test_counts_in_doubt_that_are_off_by_more_than_jitter_are_no_restart_yet() -> None:
+    watch = begun(65536, 41_200)
+    for count, ticks in ((0, 5.0), (2, 5.5), (3, 8.0), (7, 10.5)):
+        watch.see(count, (41_200 + ticks) * TICK_S, TICK_S)
+        assert watch.in_doubt
+        assert watch.find_cause(commanded=True) is None
+    for count in range(8, 12):
+        watch.see(count, (41_204.5 + count) * TICK_S, TICK_S)
     assert watch.find_cause(commanded=True) is not None
 
 
@@ -189,6 +213,15 @@ def test_a_count_that_may_not_have_begun_at_0_is_no_restart() -> None:
     for number in range(10):
         watch.see(5_000 + number, (41_203 + number) * TICK_S, TICK_S)
         assert not watch.in_doubt
+
+
+@pytest.mark.parametrize(("count", "doubted"), [(9, True), (10, False)])
+def test_a_count_six_half_cycles_before_time_may_have_begun_at_0(
+    count: int, *, doubted: bool
+) -> None:
+    watch = begun(65536, 41_200)
+    watch.see(count, 41_203 * TICK_S, TICK_S)
+    assert watch.in_doubt is doubted
 
 
 @pytest.mark.parametrize("resets", [2, 3, 5])

@@ -38,7 +38,7 @@ class BridgeWatch:
         self._reading_s = ticks_per_reading * tick_s
         self._grace_s = max(_GRACE_TICKS * tick_s, _GRACE_READINGS * self._reading_s)
         self._gap_limit_s = _GAP_READINGS * self._reading_s
-        self._silent_limit_s = silence_limit_s(self._reading_s) if reported else math.inf
+        self._silent_limit_s = silence_limit_s(self._reading_s)
         self._mute_limit_s = max(self._silent_limit_s, silence_limit_s(cycle_s))
         self._reported = reported
         self._off_s: float | None = None

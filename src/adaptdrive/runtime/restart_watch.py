@@ -21,6 +21,9 @@ _SLACK_TICKS = 3.0
 _DRIFT = 0.04
 """The same per half cycle that passes: line and measured half cycle may be 2 % off each."""
 
+_BEGUN_TICKS = 6.0
+"""The same of a count that began at 0 after the frame before, which may have been late itself."""
+
 _PACE_TICKS = 1.0
 """Difference within which the frames after a doubtful one keep step with it."""
 
@@ -41,7 +44,7 @@ class RestartWatch:
             modulus: Where the drive's counter wraps, None for a drive without one.
             tick_s: Half a line cycle at nominal frequency.
         """
-        self._modulus = modulus or 0
+        self._modulus = modulus or 1
         self._tick_s = tick_s
         self._last: _Count | None = None
         self._before: _Count | None = None
@@ -61,7 +64,7 @@ class RestartWatch:
             arrival_s: Arrival of the reading, monotonic clock.
             tick_s: Half a line cycle as measured.
         """
-        if counter is None or not self._modulus:
+        if counter is None:
             return
         self._tick_s = tick_s
         count, last, before = (counter, arrival_s), self._last, self._before
@@ -72,9 +75,7 @@ class RestartWatch:
         elif before is None or self._off(last, count) > _PACE_TICKS:
             self._doubt(before or last, count)
         elif self._passed(last, count) >= _SURE_TICKS:
-            self._settle(before, last, count)
-        else:
-            self._stray = None
+            self._settle(before, last)
 
     def find_cause(self, *, commanded: bool) -> str | None:
         """Return the cause of a trip, None for none.
@@ -88,7 +89,7 @@ class RestartWatch:
 
     def _follow(self, since: _Count, count: _Count) -> None:
         """Take a count that keeps step for that of the drive as it was, if it is a newer one."""
-        if 0 < (count[0] - since[0]) % self._modulus <= self._modulus // 2:
+        if (since[0] - count[0]) % self._modulus > _SLACK_TICKS:
             self._begin(count)
 
     def _begin(self, count: _Count) -> None:
@@ -97,20 +98,19 @@ class RestartWatch:
 
     def _doubt(self, since: _Count, count: _Count) -> None:
         """Doubt a count that has leapt if it is one of a drive that starts anew."""
-        if count[0] <= self._passed(since, count) + _SLACK_TICKS:
+        if count[0] <= self._passed(since, count) + _BEGUN_TICKS:
             self._last, self._before, self._stray = count, since, None
         elif self._stray is None or self._off(self._stray, count) > _PACE_TICKS:
             self._stray = count
         elif self._passed(self._stray, count) >= _SURE_TICKS:
             self._begin(count)
 
-    def _settle(self, before: _Count, anew: _Count, count: _Count) -> None:
+    def _settle(self, before: _Count, anew: _Count) -> None:
         """Note that the drive has started anew."""
         due = round(before[0] + self._passed(before, anew)) % self._modulus
         self._cause = (
             f"drive restarted: its half-cycle counter began anew, {anew[0]} where {due} was due"
         )
-        self._begin(count)
 
     def _off(self, since: _Count, count: _Count) -> float:
         """Return the half cycles by which a count is off, beyond what a line drifts meanwhile."""
