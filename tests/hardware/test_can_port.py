@@ -706,6 +706,27 @@ async def test_a_stop_that_the_drive_reports_between_two_readings_is_not_missed(
         assert ear.readings[2].bridge
 
 
+async def test_a_drive_that_came_on_and_stopped_between_two_readings_is_shown_to_have_been_on(
+    port: CanPort, drive: Drive, ear: Ear
+) -> None:
+    """By the newest of its frames alone it is yet to come on, and may be commanded on."""
+    async with running(port, ear):
+        drive.send_status(BridgeOn=0)
+        drive.send_load()
+        await ear.hears(1)
+        assert port.send(COMMAND)
+        drive.send_status(BridgeOn=1)
+        drive.send_status(BridgeOn=0)
+        drive.send_load()
+        await ear.hears(2)
+        assert not port.send(COMMAND)
+        drive.send_status(BridgeOn=0)
+        drive.send_load()
+        await ear.hears(3)
+        assert [reading.bridge for reading in ear.readings] == [False, True, False]
+        assert port.send(COMMAND)
+
+
 @pytest.mark.parametrize("last", [SAFE_COMMAND, replace(COMMAND, bridge=False)])
 async def test_a_drive_that_was_off_when_its_bus_was_lost_may_be_off_after_it(
     port: CanPort, drive: Drive, ear: Ear, last: Command

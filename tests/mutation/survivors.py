@@ -79,7 +79,8 @@ RUNTIME: dict[str, str] = {
     "_JITTER_TICKS": _BOUND,
     f"{_RATE}FrameRate.add: self._extend((arrival_s - self._began_s) / self._tick_s) -> "
     "self._extend((arrival_s + self._began_s) / self._tick_s)": _DIFFERENCES,
-    f"{_RESTART}__init__: self._modulus = modulus or 1 -> self._modulus = modulus or 2": _NO_COUNTER,
+    f"{_RESTART}__init__: self._modulus = modulus or 1 -> "
+    "self._modulus = modulus or 2": _NO_COUNTER,
     f"{_RESTART}__init__: self._tick_s = tick_s -> pass": _SET_BEFORE_USE,
     f"{_RESTART}see: if self._off(before or last, count) <= _SLACK_TICKS: -> "
     "if self._off(before or last, count) < _SLACK_TICKS:": _DOUBT_BOUND,

@@ -27,8 +27,8 @@ class StatusAssembly:
 
     Attributes:
         faults: Faults since the last reading that was handed out.
-        stop_seen: Whether the drive has reported its bridge off since a reading had it on, and no
-            reading has carried that yet.
+        stop_seen: Whether the drive has reported its bridge off after it had it on, and no reading
+            has carried that yet.
     """
 
     def __init__(self, mapping: CanMapping) -> None:
@@ -41,7 +41,7 @@ class StatusAssembly:
         self._values: dict[str, float] = {}
         self._dues: dict[str, tuple[float, float]] = {}
         self._last: Reading | None = None
-        self._carried_on = False
+        self._carried_on = self._come_on = False
         self.stop_seen = False
         self.faults = FaultLatch(mapping.fault_names)
 
@@ -93,7 +93,12 @@ class StatusAssembly:
                 if alive:
                     dues[part.quantity] = arrival_s + part.slack_s, part.slack_s
         self.faults.see(values.get("fault"))
-        self.stop_seen = self.stop_seen or (self._carried_on and not self.powered)
+        self._note_bridge(on=self.powered)
+
+    def _note_bridge(self, *, on: bool) -> None:
+        """Note a report of the bridge, of which there may be several between two readings."""
+        self._come_on = self._come_on or on
+        self.stop_seen = self.stop_seen or ((self._carried_on or self._come_on) and not on)
 
     def carry(self, reading: Reading) -> None:
         """Note a reading that is handed out; a stop seen after it was composed stays.
@@ -104,9 +109,12 @@ class StatusAssembly:
         self.faults.clear(reading.fault)
         self.stop_seen = self.stop_seen and reading.bridge
         self._carried_on = reading.bridge and "bridge" in self._values
+        self._come_on = self.powered
 
     def reading(self, arrival_s: float, *, bridge_sent: bool, stopped: bool) -> Reading | None:
         """Return the newest values and each fault since the last reading; None before all came.
+
+        A drive that came on and stopped between two readings has one with its bridge on first.
 
         A drive at rest may confirm its stop although values are missing since the bus was opened
         again: it has the reading before with the bridge of now.
@@ -122,7 +130,7 @@ class StatusAssembly:
             return self._stop(arrival_s) if stopped else None
         self._last = self._whole(arrival_s, due_s - slack_s, slack_s, bridge_sent=bridge_sent)
         if self.stop_seen and not stopped:  # a drive that is driven has stopped meanwhile
-            self._last = replace(self._last, bridge=False)
+            self._last = replace(self._last, bridge=not self._carried_on)
         return self._last
 
     def _whole(
