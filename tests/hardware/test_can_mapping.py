@@ -308,20 +308,34 @@ def rewritten(folder: Path, *changes: tuple[str, str]) -> CanBus:
     return motor_bus(database=path)
 
 
-def test_a_cycle_time_that_is_a_text_is_one_flaw(tmp_path: Path) -> None:
+TEXT_CYCLES = (
+    ('"GenMsgCycleTime" INT 0 65535', '"GenMsgCycleTime" STRING '),
+    ('BA_DEF_DEF_ "GenMsgCycleTime" 0', 'BA_DEF_DEF_ "GenMsgCycleTime" ""'),
+    ("BO_ 128 8;", 'BO_ 128 "8";'),
+)
+
+
+def test_a_cycle_time_that_is_a_text_is_one_flaw_of_each_measured_message(tmp_path: Path) -> None:
     bus = rewritten(
-        tmp_path,
-        ('"GenMsgCycleTime" INT 0 65535', '"GenMsgCycleTime" STRING '),
-        ('BA_DEF_DEF_ "GenMsgCycleTime" 0', 'BA_DEF_DEF_ "GenMsgCycleTime" ""'),
-        ("BO_ 128 8;", 'BO_ 128 "8";'),
-        ("BO_ 256 8;", 'BO_ 256 "8 ms";'),
-        ("BO_ 257 8;", 'BO_ 257 "8";'),
+        tmp_path, *TEXT_CYCLES, ("BO_ 256 8;", 'BO_ 256 "8 ms";'), ("BO_ 257 8;", 'BO_ 257 "8";')
     )
     with pytest.raises(ConfigurationError) as caught:
         map_drive(bus, MOTOR.signals, TIMING)
-    (flaw,) = caught.value.flaws
-    assert flaw.place == "bus.database"
-    assert "message 'DriveCommand': GenMsgCycleTime '8' is a text" in flaw.message
+    assert {(flaw.place, flaw.message) for flaw in caught.value.flaws} == {
+        (
+            "bus.database",
+            f"message {name!r}: GenMsgCycleTime {text!r} is a text, not a number of ms",
+        )
+        for name, text in (("DriveStatus", "8 ms"), ("DriveLoad", "8"))
+    }
+
+
+def test_a_cycle_time_that_is_a_text_does_not_matter_where_nothing_is_measured(
+    tmp_path: Path,
+) -> None:
+    unsaid = [(f'BA_ "GenMsgCycleTime" BO_ {number} 8;', "") for number in (256, 257)]
+    bus = rewritten(tmp_path, *TEXT_CYCLES, *unsaid)
+    assert len(map_drive(bus, MOTOR.signals, TIMING).statuses) == 2
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,12 @@ from cantools.database.can.signal import Signal
 from adaptdrive.config.bus import CanBus, SignalSource, SwitchSource
 from adaptdrive.config.root import Configuration
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.dbc.database import SignalCatalogue, load_database, message_codec
+from adaptdrive.hardware.dbc.database import (
+    SignalCatalogue,
+    cycle_time_s,
+    load_database,
+    message_codec,
+)
 from adaptdrive.hardware.dbc.orders import CommandFrame, build_orders, find_orders, page_of, resolve
 from adaptdrive.hardware.link.codec import MessageCodec, counter_modulus
 from adaptdrive.hardware.link.layout import compile_field
@@ -202,7 +207,7 @@ def _pages(
 def _every_ticks(message: Message, bus: CanBus, half_cycle_ms: float) -> int:
     if message.name == bus.clock:
         return bus.clock_ticks
-    return max(1, round((message.cycle_time or 0) / half_cycle_ms))
+    return max(1, round(1e3 * cycle_time_s(message) / half_cycle_ms))
 
 
 def _sink(

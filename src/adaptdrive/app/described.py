@@ -11,6 +11,7 @@ from cantools.database.can.database import Database
 from cantools.database.can.message import Message
 
 from adaptdrive.config.units import si_unit
+from adaptdrive.hardware.dbc.database import cycle_time_s
 from adaptdrive.hardware.dbc.proposal import proofs
 from adaptdrive.hardware.proposal import Candidate
 
@@ -101,8 +102,8 @@ def _clock(used: Iterable[Message], choices: Choices) -> Message | None:
 
 
 def _ticks(clock: Message | None) -> int:
-    cycle_ms = clock.cycle_time if clock else None
-    return max(1, round((cycle_ms or 0) / _HALF_CYCLE_MS))
+    cycle_s = cycle_time_s(clock) if clock else 0.0
+    return max(1, round(cycle_s * 1e3 / _HALF_CYCLE_MS))
 
 
 def _proofs(used: Iterable[Message]) -> Iterator[str]:

@@ -65,7 +65,6 @@ def load_database(path: Path, source: Path | str = "configuration", bus: str = "
         _refuse_endless_pages(text)
         database = cantools.database.load_string(text, database_format="dbc")
         assert isinstance(database, Database)  # noqa: S101 - what the format "dbc" gives
-        _refuse_worded_cycles(database)
     except Exception as problem:  # the parser's own errors are of many kinds
         flaw = Flaw(f"{bus}.database", f"{path} cannot be used: {problem_text(problem)}")
         raise ConfigurationError(source, [flaw]) from problem
@@ -100,15 +99,6 @@ def _refuse_endless_pages(text: str) -> None:
                 shown = f"{shortened(found[1])}-{shortened(found[2])}"
                 problem = f"{shown} in SG_MUL_VAL_ makes more than {_MOST_PAGES} pages"
                 raise ValueError(f"line {line}: {problem}")
-
-
-def _refuse_worded_cycles(database: Database) -> None:
-    """Refuse a cycle time that is a text."""
-    for message in database.messages:
-        cycle: object = message.cycle_time
-        if isinstance(cycle, str):
-            problem = f"GenMsgCycleTime {shortened(cycle)!r} is a text, not a number of ms"
-            raise ValueError(f"message {message.name!r}: {problem}")  # noqa: TRY004 - of the file
 
 
 def message_codec(
@@ -146,6 +136,13 @@ class SignalCatalogue:
     def note(self, place: str, message: str) -> None:
         """Gather a flaw."""
         self.flaws.append(Flaw(place, message))
+
+    def check_cycle(self, name: str) -> None:
+        """Gather a flaw for a message whose cycle time is a text."""
+        cycle: object = self.known(name).cycle_time
+        if isinstance(cycle, str):
+            problem = f"GenMsgCycleTime {shortened(cycle)!r} is a text, not a number of ms"
+            self.note("bus.database", f"message {name!r}: {problem}")
 
     def known(self, name: str) -> Message:
         """The message called `name`, which has been found before."""
@@ -300,6 +297,12 @@ class SignalCatalogue:
         if crc.check is not None and crc.check != found:
             problem = f"{crc.check:#x} is not what these parameters give, {found:#x}"
             self.note(f"{place}.crc.check", f"{problem}: one of them is copied wrongly")
+
+
+def cycle_time_s(message: Message) -> float:
+    """Return the cycle time of a message in s, 0 without one and for a text."""
+    cycle_ms: object = message.cycle_time
+    return 1e-3 * cycle_ms if isinstance(cycle_ms, int | float) else 0.0
 
 
 def is_usable(signal: Signal) -> bool:

@@ -16,7 +16,12 @@ from cantools.database.can.signal import Signal
 from adaptdrive.config.bus import CanBus, Signals, SignalSource, SwitchSource
 from adaptdrive.config.units import WANTED, unit_problem
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.dbc.database import SignalCatalogue, is_word, load_database
+from adaptdrive.hardware.dbc.database import (
+    SignalCatalogue,
+    cycle_time_s,
+    is_word,
+    load_database,
+)
 from adaptdrive.hardware.dbc.orders import CommandFrame, build_orders, find_orders, resolve
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.link.bus import channel_flaws
@@ -131,6 +136,8 @@ def map_drive(
     _check_ranges(catalogue, sources, demands)
     orders = find_orders(catalogue, bus, signals, demands)
     _check_clock(catalogue, clock, sources)
+    for name in sources:
+        catalogue.check_cycle(name)
     for name, integrity in bus.integrity.items():
         catalogue.check_integrity(name, integrity)
     for message in sources.keys() & orders.keys():
@@ -229,7 +236,7 @@ class _Cycle:
 
 def _cycle(message: Message, bus: CanBus, timing: Timing, pages: int = 1) -> _Cycle:
     """Return the cycle of a signal that is in one of so many frames of a message."""
-    cycle_s = 1e-3 * (message.cycle_time or 0.0)
+    cycle_s = cycle_time_s(message)
     clock_s = bus.clock_ticks * timing.half_cycle_s
     if not cycle_s or (message.name == bus.clock and cycle_s <= clock_s):
         return _Cycle(message, pages * clock_s, "bus.clock_ticks")
