@@ -40,7 +40,7 @@ from adaptdrive_sim.plants.kinds import coupling_of, load_of
 from adaptdrive_sim.world import World, WorldParameters
 
 PATIENCE_READINGS = 4
-"""Polls without a command after which a drive that is polled shuts down."""
+"""Polls without a command before a drive that is polled shuts down, unless its file states less."""
 
 OVERVOLTAGE_SHARE = 2.0 / 3.0
 """Distance from the daemon's trip to the drive's, over that from V_c: 400, 430 and 450 V."""
@@ -82,19 +82,16 @@ def build_drive(
         ParameterError: A parameter lies outside its range.
         RefusedError: A setting cannot be read.
     """
-    timeout_s = _command_timeout_s(configuration, settings)
     world, power = build_world(configuration, settings), configuration.drive
     holder = None
     if configuration.voltage_loop.where == "drive":
         bidirectional = power.kind == "bidirectional"
         holder = VoltageHolder(power.boost_capacitance_F, bidirectional=bidirectional)
-        reading_s = 0.5 * configuration.bus.ticks_per_reading / power.line_frequency_Hz
-        timeout_s = max(timeout_s, PATIENCE_READINGS * reading_s)
     return SimulatedDrive(
         world,
         report,
         holder,
-        timeout_s,
+        _command_timeout_s(configuration, settings),
         boost_needs_bridge=settings.boost_needs_bridge,
         overvoltage=_overvoltage(configuration),
     )
@@ -121,9 +118,15 @@ def _command_timeout_s(configuration: Configuration, settings: DeviceSettings) -
             kind = configuration.bus.type
             raise RefusedError(f"--command-timeout {wanted_s:g}: {kind} watches a heartbeat")
         return math.inf
+    stated_s = configuration.bus.command_timeout_s
+    if wanted_s is None and stated_s is not None:
+        return stated_s
     timeout_s = COMMAND_TIMEOUT_s if wanted_s is None else wanted_s
     check_range("command time-out", timeout_s, 0.01, 60.0, "s")
-    return timeout_s
+    if configuration.voltage_loop.where == "daemon":
+        return timeout_s
+    reading_s = 0.5 * configuration.bus.ticks_per_reading / configuration.drive.line_frequency_Hz
+    return max(timeout_s, PATIENCE_READINGS * reading_s)
 
 
 def build_node(

@@ -24,8 +24,8 @@ class DeviceSettings:
         seed: Seed of the noise.
         disks: Disks on the shaft of a motor; one when left out.
         initial_voltage_V: Start at rest at this boost voltage instead of at standstill.
-        command_timeout_s: Age of the last command, in seconds, at which it shuts down; 0.1 when
-            left out.
+        command_timeout_s: Age of the last command, in seconds, at which it shuts down;
+            `bus.command_timeout_s` when left out, or 0.1.
         boost_needs_bridge: The boost stage works only while the bridge's enable bit is on.
         line_drift_Hz: Amplitude of the line's frequency drift, in hertz.
         line_wander: Amplitude of the line's slow voltage wander, as a fraction.

@@ -97,23 +97,67 @@ def test_an_estimator_that_is_not_the_papers_is_named_in_the_papers_design() -> 
 
 
 @pytest.mark.parametrize(
-    ("cycle_ms", "clock_ticks", "named"),
+    ("name", "timeout_s", "words"),
     [
-        (80, 1, []),
-        (81, 1, ["message 'DriveStatus' comes every 81 ms: after 80 ms"]),
-        (500, 1, ["message 'DriveStatus' comes every 500 ms: after 80 ms"]),
-        (240, 12, []),
-        (260, 12, ["message 'DriveStatus' comes every 260 ms: after 250 ms"]),
+        ("motor.toml", 0.051, ""),
+        (
+            "motor.toml",
+            0.05,
+            "0.05 s is not longer than 0.05 s, the silence after which the daemon",
+        ),
+        ("motor.toml", 0.02, "two and a half times the 8.333 ms from one command to the next, nor"),
+        ("motor-inverter.toml", 0.1, "0.1 s is not longer than 0.1 s, the silence"),
+        ("motor-modbus-tcp.toml", 0.36, ""),
+        (
+            "motor-modbus-tcp.toml",
+            0.35,
+            "longer time-out in the drive, or lower interlocks.stale_s",
+        ),
+        ("motor-modbus-rtu.toml", 0.25, "or lower bus.poll_ticks and interlocks.stale_s"),
+    ],
+)
+def test_a_time_out_that_ends_before_the_daemon_drives_on_is_named(
+    name: str, timeout_s: float, words: str
+) -> None:
+    configuration = load_configuration(EXAMPLES / name)
+    bus = configuration.bus.model_copy(update={"command_timeout_s": timeout_s})
+    flaws = list(advice(configuration.model_copy(update={"bus": bus})))
+    assert [flaw.place for flaw in flaws] == ["bus.command_timeout_s"] * bool(words)
+    assert all(words in flaw.message for flaw in flaws)
+
+
+def test_the_longer_of_stale_s_and_stale_cycles_is_held_against_the_time_out() -> None:
+    (flaw,) = found("motor-inverter.toml", "stale_cycles = 4.0", "stale_cycles = 8.0")
+    assert flaw.message == (
+        "0.15 s is not longer than 0.2 s, the silence after which the daemon trips: the drive "
+        "stops by itself before; set a longer time-out in the drive, or lower bus.stale_cycles"
+    )
+
+
+@pytest.mark.parametrize(
+    ("cycle_ms", "clock_ticks", "timeout_s", "named"),
+    [
+        (80, 1, None, []),
+        (81, 1, None, ["message 'DriveStatus' comes every 81 ms: after 80 ms"]),
+        (500, 1, None, ["message 'DriveStatus' comes every 500 ms: after 80 ms"]),
+        (500, 1, 0.58, ["message 'DriveStatus' comes every 500 ms: after 80 ms"]),
+        (500, 1, 0.59, []),
+        (240, 12, None, []),
+        (260, 12, None, ["message 'DriveStatus' comes every 260 ms: after 250 ms"]),
     ],
 )
 def test_a_report_of_the_bridge_that_comes_too_seldom_is_named(
-    tmp_path: Path, cycle_ms: int, clock_ticks: int, named: list[str]
+    tmp_path: Path, cycle_ms: int, clock_ticks: int, timeout_s: float | None, named: list[str]
 ) -> None:
     text = (EXAMPLES / "adaptdrive.dbc").read_text(encoding="utf-8")
     text = text.replace("BO_ 256 8;", f"BO_ 256 {cycle_ms};")
     (tmp_path / "seldom.dbc").write_text(text, encoding="utf-8")
     configuration = load_configuration(EXAMPLES / "motor.toml")
-    bus = {"database": tmp_path / "seldom.dbc", "clock_ticks": clock_ticks}
+    bus = {
+        "database": tmp_path / "seldom.dbc",
+        "clock_ticks": clock_ticks,
+        "command_timeout_s": timeout_s,
+    }
     configuration = configuration.model_copy(
         update={
             "bus": configuration.bus.model_copy(update=bus),

@@ -283,6 +283,32 @@ def test_a_measurement_may_be_as_old_as_the_next_one_makes_it(
     assert "interlocks.stale_s" not in flaws(folder, name, (line, f"stale_s = {accepted_s}"))
 
 
+@pytest.mark.parametrize(
+    ("name", "refused", "words"),
+    [
+        ("motor.toml", "0.012", "0.0125 s, 1.5 times bus.clock_ticks = 1 (8.333 ms)"),
+        ("motor-inverter.toml", "0.037", "0.0375 s, 1.5 times bus.clock_ticks = 3 (25 ms)"),
+        ("motor-modbus-tcp.toml", "0.149", "0.15 s, 1.5 times one poll of bus.poll_ticks = 12"),
+        ("motor.toml", "0.009", "(it is 0.009)"),
+        ("motor.toml", "61", "(it is 61)"),
+        ("motor-modbus-rtu.toml", "inf", "(it is inf)"),
+        ("motor-modbus-rtu.toml", '"0.4 s"', "(it is '0.4 s')"),
+    ],
+)
+def test_a_time_out_that_no_drive_can_have_is_a_flaw(
+    folder: Path, name: str, refused: str, words: str
+) -> None:
+    (line,) = re.findall(r"(?m)^command_timeout_s = [\d.]+", (folder / name).read_text())
+    found = flaws(folder, name, (line, f"command_timeout_s = {refused}"))
+    assert set(found) == {"bus.command_timeout_s"}
+    assert words in found["bus.command_timeout_s"]
+
+
+def test_a_drive_that_watches_heartbeats_has_no_time_out_of_commands(folder: Path) -> None:
+    stated = ('sync = "daemon"', 'command_timeout_s = 0.1\nsync = "daemon"')
+    assert "Unknown key" in flaws(folder, "motor-cia402.toml", stated)["bus.command_timeout_s"]
+
+
 OUTPUTS = {
     "motor-inverter.toml": ('{ signal = "INV_STATE.N_ACT", scale = 2.1502e-3 }', "INV_STATE.N_ACT"),
     "motor-modbus-tcp.toml": ('"tachometer"', "tachometer"),

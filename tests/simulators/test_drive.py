@@ -6,12 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from adaptdrive.config import Configuration
 from adaptdrive_sim.device_main import build_drive
 from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.devices.drive import Frame, SimulatedDrive
 from adaptdrive_sim.parameters import ParameterError
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import World
+from tests.config import modbus_documents
 from tests.config.documents import parse
 
 HALF_CYCLE_s = 1.0 / 120.0
@@ -142,6 +144,26 @@ def test_a_drive_protects_itself_above_the_voltages_of_its_configuration(
         settings = DeviceSettings(initial_voltage_V=voltage_V)
         drive = build_drive(configuration, settings, lambda *_, **__: None)
         assert drive.tick(1000.0).fault == fault
+
+
+@pytest.mark.parametrize(
+    ("configuration", "stated_s", "timeout_s"),
+    [
+        (parse(), None, 0.1),
+        (parse(bus__command_timeout_s="0.3"), None, 0.3),
+        (parse(bus__command_timeout_s="0.3"), 0.2, 0.2),
+        (modbus_documents.parse(), None, 0.4),
+        (modbus_documents.parse(bus__command_timeout_s="0.3"), None, 0.3),
+    ],
+)
+def test_a_drive_shuts_down_after_the_time_out_of_its_configuration(
+    configuration: Configuration, stated_s: float | None, timeout_s: float
+) -> None:
+    settings = DeviceSettings(initial_voltage_V=300.0, command_timeout_s=stated_s)
+    drive = build_drive(configuration, settings, lambda *_, **__: None)
+    drive.command(0.0, True, 1000.0)
+    assert drive.tick(1000.0 + timeout_s - 0.001).bridge
+    assert not drive.tick(1000.0 + timeout_s + 0.001).bridge
 
 
 def test_an_injected_fault_shuts_the_drive_down_until_it_is_cleared() -> None:

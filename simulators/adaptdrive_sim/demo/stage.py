@@ -29,7 +29,7 @@ from adaptdrive_sim.demo.processes import Household
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DRIVE, REST_BOOST_V, DemoError, DemoSettings
 from adaptdrive_sim.demo.summary import Places, summarise
-from adaptdrive_sim.demo.workspace import STALE_s, Workspace, make_workspace
+from adaptdrive_sim.demo.workspace import Workspace, make_workspace
 
 BROKER_s = 20.0
 CONNECT_s = 3.0
@@ -201,7 +201,6 @@ async def _start(household: Household, settings: DemoSettings, scene: Venue) -> 
         f"--broker={scene.broker_text}",
         f"--noise={settings.noise_V!r}",
         f"--initial-voltage={REST_BOOST_V}",
-        f"--command-timeout={STALE_s}",
     ]
     log = workspace.log("drive")
     await household.start("simulated drive", "adaptdrive_sim", device, log)

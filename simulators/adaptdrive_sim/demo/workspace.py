@@ -17,8 +17,11 @@ from adaptdrive_sim.demo.toml_text import toml_text
 LEARN_AFTER_s = 10.0
 WARM_UP_s = 40.0
 STALE_s = 0.2
-"""Time for which daemon and drive wait for each other: a busy desktop may keep a process waiting
+"""Time for which the daemon waits for the drive: a busy desktop may keep a process waiting
 for longer than is right in service."""
+
+TIMEOUT_s = 0.25
+"""The drive's own time-out: longer than the daemon waits."""
 
 _HEAD = "# Written by `adaptdrive-sim demo`. The commented original is in deploy/examples.\n\n"
 
@@ -96,7 +99,11 @@ def _configured(
 ) -> dict[str, Any]:
     """The packaged configuration with this demonstration's bus, broker, folders and patience."""
     changes: dict[str, dict[str, Any]] = {
-        "bus": {**bus.section, "database": workspace.database.name},
+        "bus": {
+            **bus.section,
+            "database": workspace.database.name,
+            "command_timeout_s": TIMEOUT_s,
+        },
         "mqtt": {"host": broker.host, "port": broker.port},
         "recording": {"directory": str(workspace.sessions)},
         # No torque but friction brakes the shaft. A constant that need not be learned leaves the

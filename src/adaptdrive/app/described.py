@@ -34,6 +34,7 @@ channel = "can0"
 database = {database}
 clock = "{clock}"{space}# its arrival is the tick
 clock_ticks = {ticks}{space}# half line cycles from one such message to the next
+# command_timeout_s = 0.1{space}# the drive's own: it opens its bridge without commands
 """
 _PROOF = """
 # Proposed by the names of the signals: compare algorithm and covered bytes with the manual.

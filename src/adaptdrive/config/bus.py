@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from adaptdrive.config.section import FilePath, FiniteFloat, Section
+from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Section
 from adaptdrive.config.units import Unit, in_si
 
 Byte = Annotated[int, Field(ge=0, le=0xFF)]
@@ -101,6 +101,18 @@ class BusSection(Section):
         return False
 
 
+class CommandWatch(Section):
+    """Supervision of the commands by the drive itself."""
+
+    command_timeout_s: PositiveFloat | None = Field(
+        default=None,
+        ge=0.01,
+        le=60.0,
+        description="the drive's own time-out, as it is set in the drive: time without a command "
+        "after which it opens its bridge by itself; not known when left out",
+    )
+
+
 class CanLink(Section):
     """Keys of `[bus]` for every kind of CAN bus."""
 
@@ -113,7 +125,7 @@ class CanLink(Section):
     udp_port: int = Field(default=43113, ge=1, le=65535, description="port of `udp_multicast`")
 
 
-class CanBus(CanLink, BusSection):
+class CanBus(CommandWatch, CanLink, BusSection):
     """`[bus]` with `type = "can"`."""
 
     type: Literal["can"] = Field(description="kind of bus")

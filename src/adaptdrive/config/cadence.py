@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Protocol
 
-from adaptdrive.config.bus import CanBus, Signals
+from adaptdrive.config.bus import CanBus, CommandWatch, Signals
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.config.drive import DriveSection, VoltageLoop
 from adaptdrive.config.load import LoadSection
@@ -16,6 +16,10 @@ from adaptdrive.errors import Flaw
 
 STALE_READINGS = 1.5
 """Readings that a measurement must be allowed to age: it is one old when the next one comes."""
+
+
+COMMAND_READINGS = 1.5
+"""Readings that the drive must go without a command: one comes with each, or half of one later."""
 
 
 class Sections(Protocol):
@@ -73,6 +77,7 @@ def clock_flaws(bus: CanBus, configuration: Sections) -> Iterator[Flaw]:
     """
     stride, load = bus.clock_ticks, configuration.load
     yield from _stale_flaws(stride, configuration, f"bus.clock_ticks = {stride}")
+    yield from _timeout_flaws(bus, stride, configuration, f"bus.clock_ticks = {stride}")
     if stride == 1:
         return
     if configuration.voltage_loop.where == "daemon":
@@ -106,6 +111,20 @@ def _stale_flaws(ticks: int, configuration: Sections, reading: str) -> Iterator[
         yield Flaw("interlocks.stale_s", f"{stale_s} must be at least {lowest}")
 
 
+def _timeout_flaws(
+    bus: CommandWatch, ticks: int, configuration: Sections, reading: str
+) -> Iterator[Flaw]:
+    """Yield a time-out of the drive that its commands, one for each reading, cannot keep off."""
+    reading_s = 0.5 * ticks / configuration.drive.line_frequency_Hz
+    given_s, lowest_s = bus.command_timeout_s, COMMAND_READINGS * reading_s
+    if given_s is not None and given_s < lowest_s and not math.isclose(given_s, lowest_s):
+        lowest = f"{lowest_s:.4g} s, {COMMAND_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
+        yield Flaw(
+            "bus.command_timeout_s",
+            f"{given_s} must be at least {lowest}: the drive would stop between two commands",
+        )
+
+
 def _cycle_flaws(bus: ModbusBus, configuration: Sections) -> Iterator[Flaw]:
     load = configuration.load
     half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
@@ -115,6 +134,7 @@ def _cycle_flaws(bus: ModbusBus, configuration: Sections) -> Iterator[Flaw]:
     if bus.timeout_s >= poll_s:
         yield Flaw("bus.timeout_s", f"{bus.timeout_s} must be below {cycle}")
     yield from _stale_flaws(bus.poll_ticks, configuration, poll)
+    yield from _timeout_flaws(bus, bus.poll_ticks, configuration, poll)
     if load.latency_ticks % bus.poll_ticks:
         effect = "a decision reaches the drive with a poll"
         yield Flaw(

@@ -53,6 +53,11 @@ class CanOpenBus(CanLink, BusSection):
     )
 
     @property
+    def command_timeout_s(self) -> None:
+        """Return None: it watches heartbeats, and no command alone brings it up again."""
+        return None
+
+    @property
     def drive_clocks(self) -> bool:
         """True when the drive sends SYNC."""
         return self.sync == "drive"

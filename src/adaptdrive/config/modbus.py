@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from adaptdrive.config.bus import BusSection
+from adaptdrive.config.bus import BusSection, CommandWatch
 from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Range, Section
 from adaptdrive.config.services import check_host
 
@@ -117,7 +117,7 @@ class RtuLink(ModbusLink):
     stop_bits: Literal[1, 2] = Field(default=1, description="stop bits")
 
 
-class ModbusBus(ModbusLink, BusSection):
+class ModbusBus(CommandWatch, ModbusLink, BusSection):
     """Keys of `[bus]` for every kind of Modbus."""
 
     poll_ticks: int = Field(

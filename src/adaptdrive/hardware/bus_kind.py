@@ -62,7 +62,7 @@ def no_locks(_: Configuration) -> Iterator[str]:
 
 
 def no_cautions(_: Configuration) -> Iterator[Flaw]:
-    """Yield nothing: a reading of this kind of bus has a report of the bridge."""
+    """Yield nothing: each reading has a report of the bridge, and heartbeats feed the drive."""
     return iter(())
 
 

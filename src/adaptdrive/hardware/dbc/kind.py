@@ -9,12 +9,13 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanBus
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.bus_kind import BusKind, Row
+from adaptdrive.hardware.command_timeout import lost_command, silence, timeout_cautions
 from adaptdrive.hardware.dbc.mapping import Timing, map_drive
 from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.dbc.sensors import build_can_sensors
 from adaptdrive.hardware.demands import demands_of
 from adaptdrive.hardware.port import Port
-from adaptdrive.hardware.relink import silence_limit_s
+from adaptdrive.hardware.relink import on_for_certain_s, silence_limit_s
 
 
 def _build(
@@ -39,12 +40,22 @@ def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[R
 
 
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
-    """Yield the message with the bridge, where a drive must wait for it for long."""
+    """Yield what the drive's own time-out does not fit, or a bridge that is reported seldom."""
     bus, timing = _bus(configuration), _timing(configuration)
-    limit_s = silence_limit_s(bus.clock_ticks * timing.half_cycle_s)
-    for status in map_drive(bus, configuration.signals, timing).statuses:
+    cycle_s = bus.clock_ticks * timing.half_cycle_s
+    statuses = map_drive(bus, configuration.signals, timing).statuses
+    slack_s = min(one.slack_s for status in statuses for one in status.sources)
+    key = "bus.stale_cycles" if slack_s else "interlocks.stale_s"
+    yield from timeout_cautions(
+        bus.command_timeout_s,
+        lost_command(cycle_s, "bus.clock_ticks"),
+        silence(timing.stale_s + slack_s, key),
+    )
+    limit_s = silence_limit_s(cycle_s, on_for_certain_s(cycle_s, bus.command_timeout_s))
+    for status in statuses:
         for one in status.sources:
-            if one.quantity == "bridge" and one.cycle_s > limit_s:
+            endures = (bus.command_timeout_s or 0.0) > limit_s + one.cycle_s
+            if one.quantity == "bridge" and one.cycle_s > limit_s and not endures:
                 yield Flaw("signals.bridge", _seldom(status.codec.name, one.cycle_s, limit_s))
 
 
@@ -52,7 +63,8 @@ def _seldom(message: str, cycle_s: float, limit_s: float) -> str:
     return (
         f"message {message!r} comes every {cycle_s * 1e3:.4g} ms: after {limit_s * 1e3:.4g} ms "
         "without the daemon or the drive, nothing energises before its next report, and a drive "
-        "whose own time-out is shorter stops"
+        "stops meanwhile whose own time-out (bus.command_timeout_s) is not longer than "
+        f"{(limit_s + cycle_s) * 1e3:.4g} ms"
     )
 
 

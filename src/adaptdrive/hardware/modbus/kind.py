@@ -7,7 +7,9 @@ from pathlib import Path
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
+from adaptdrive.errors import Flaw
 from adaptdrive.hardware.bus_kind import BusKind
+from adaptdrive.hardware.command_timeout import lost_command, silence, timeout_cautions
 from adaptdrive.hardware.demands import demands_of
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.mapping import map_drive
@@ -33,6 +35,17 @@ def _build(
     return ModbusPort(bus, poll, bus.poll_ticks * half_cycle_s, clock)
 
 
+def _cautions(configuration: Configuration) -> Iterator[Flaw]:
+    """Yield what the drive's own time-out does not fit."""
+    bus = _bus(configuration)
+    poll_s = 0.5 * bus.poll_ticks / configuration.drive.line_frequency_Hz
+    return timeout_cautions(
+        bus.command_timeout_s,
+        lost_command(poll_s, "bus.poll_ticks"),
+        silence(configuration.interlocks.stale_s, "interlocks.stale_s"),
+    )
+
+
 def _lock_names(configuration: Configuration) -> Iterator[str]:
     """Yield the device, by its addresses, too: Modbus shows no requests of another client."""
     bus = _bus(configuration)
@@ -55,4 +68,4 @@ def _bus(configuration: Configuration) -> ModbusTcp | ModbusRtu:
     return configuration.bus
 
 
-MODBUS = BusKind(_build, build_modbus_sensors, lock_names=_lock_names)
+MODBUS = BusKind(_build, build_modbus_sensors, cautions=_cautions, lock_names=_lock_names)
