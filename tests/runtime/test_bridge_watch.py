@@ -17,10 +17,19 @@ class Seen:
     """A drive whose bridge is looked at."""
 
     def __init__(
-        self, ticks_per_reading: int = 1, *, reported: bool = True, cycle: float = 0.0
+        self,
+        ticks_per_reading: int = 1,
+        *,
+        reported: bool = True,
+        cycle: float = 0.0,
+        timeout: float | None = None,
     ) -> None:
         self._watch = BridgeWatch(
-            TICK_S, ticks_per_reading, reported=reported, cycle_s=cycle * TICK_S
+            TICK_S,
+            ticks_per_reading,
+            reported=reported,
+            cycle_s=cycle * TICK_S,
+            timeout_s=None if timeout is None else timeout * TICK_S,
         )
         self.cause: str | None = None
 
@@ -285,6 +294,18 @@ def test_a_report_from_after_a_time_in_which_a_drive_may_have_stopped_is_waited_
     assert not seen.awaits_report
 
 
+@pytest.mark.parametrize(("timeout", "limit"), [(2.5, 1.5), (4.0, 3.0), (6.0, 4.8), (100.0, 10.24)])
+def test_a_short_time_out_of_the_drive_shortens_the_time_unwatched(
+    timeout: float, limit: float
+) -> None:
+    """What an unknown time-out permits, 80 ms, is the longest: a drive may start anew, too."""
+    for unwatched, awaits in ((limit - 0.1, False), (limit + 0.1, True)):
+        seen = Seen(timeout=timeout)
+        seen.look(0.0, bridge=True)
+        seen.look(20.0, bridge=True, old=1.0, unwatched=unwatched)
+        assert seen.awaits_report is awaits
+
+
 def test_no_report_is_waited_for_of_a_drive_that_was_not_on() -> None:
     seen = Seen()
     seen.look(20.0, bridge=True, commanded=False, unwatched=20.0)
@@ -302,6 +323,40 @@ def test_after_a_silence_a_report_is_waited_for(ticks_per_reading: int, limit: f
     assert seen.awaits_report
     seen.look(limit + 1.0, bridge=True)
     assert not seen.awaits_report
+
+
+@pytest.mark.parametrize(
+    ("ticks_per_reading", "timeout", "limit"),
+    [
+        (1, 4.0, 3.0),  # the command before the last reading may be the last one received
+        (1, 6.0, 4.8),
+        (1, 100.0, 10.24),
+        (6, 16.0, 10.0),
+        (6, 1000.0, 15.0),
+    ],
+)
+def test_a_short_time_out_of_the_drive_shortens_the_silence(
+    ticks_per_reading: int, timeout: float, limit: float
+) -> None:
+    seen = Seen(ticks_per_reading, timeout=timeout)
+    seen.look(0.0, bridge=True)
+    seen.look(limit - 0.1, bridge=True, old=limit - 0.1)
+    assert not seen.awaits_report
+    seen.look(limit + 0.1, bridge=True, old=limit + 0.1)
+    assert seen.awaits_report
+
+
+@pytest.mark.parametrize(("timeout", "limit"), [(50.0, 150.0), (100.0, 80.0), (400.0, 150.0)])
+def test_a_short_time_out_of_the_drive_shortens_the_time_without_a_report_of_the_bridge(
+    timeout: float, limit: float
+) -> None:
+    """Not below its cycle of 60 half cycles: each report would be waited for."""
+    seen = Seen(cycle=60, timeout=timeout)
+    seen.look(0.0, bridge=True)
+    seen.look(limit - 0.1, bridge=True, reported=limit - 0.1)
+    assert not seen.awaits_report
+    seen.look(limit + 0.1, bridge=True, reported=limit + 0.1)
+    assert seen.awaits_report
 
 
 def test_a_silence_in_which_a_bridge_went_off_is_named() -> None:

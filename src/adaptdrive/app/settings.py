@@ -288,4 +288,5 @@ def _fast_loop(configuration: Configuration) -> FastLoopSettings:
         ticks_per_reading=configuration.bus.ticks_per_reading,
         drive_clocks=configuration.bus.drive_clocks,
         stop_s=interlocks.stop_s,
+        command_timeout_s=configuration.bus.command_timeout_s,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from adaptdrive.hardware.port import Reading
-from adaptdrive.hardware.relink import SHORTEST_TIMEOUT_S, silence_limit_s
+from adaptdrive.hardware.relink import SHORTEST_TIMEOUT_S, on_for_certain_s, silence_limit_s
 
 _GRACE_TICKS = 30
 """Half cycles that a bridge may take to switch on: 0.25 s on a 60 Hz line."""
@@ -16,6 +16,9 @@ _GRACE_READINGS = 3
 _GAP_READINGS = 2
 """Readings that may pass unwatched; a longer time is named in the trip."""
 
+_LATE_READINGS = 1.5
+"""The same of a drive whose own time-out is as short: a stand-in tick is half a reading late."""
+
 _SLACK_S = 1e-6
 """Rounding of sums of half cycles: the last one within the grace is not yet a stop."""
 
@@ -24,7 +27,13 @@ class BridgeWatch:
     """Finds a drive that reports its bridge off although it was commanded on."""
 
     def __init__(
-        self, tick_s: float, ticks_per_reading: int, *, reported: bool = True, cycle_s: float = 0.0
+        self,
+        tick_s: float,
+        ticks_per_reading: int,
+        *,
+        reported: bool = True,
+        cycle_s: float = 0.0,
+        timeout_s: float | None = None,
     ) -> None:
         """Watch from the first half cycle.
 
@@ -34,12 +43,17 @@ class BridgeWatch:
             reported: Whether the drive reports its bridge: after a silence nothing else shows that
                 it has not stopped.
             cycle_s: Time from one such report to the next, 0 where each reading has one.
+            timeout_s: The drive's own time-out without commands, None where it is not known.
         """
         self._reading_s = ticks_per_reading * tick_s
         self._grace_s = max(_GRACE_TICKS * tick_s, _GRACE_READINGS * self._reading_s)
-        self._gap_limit_s = _GAP_READINGS * self._reading_s
-        self._silent_limit_s = silence_limit_s(self._reading_s)
-        self._mute_limit_s = max(self._silent_limit_s, silence_limit_s(cycle_s))
+        sure_s = on_for_certain_s(self._reading_s, timeout_s)
+        self._on_s = min(SHORTEST_TIMEOUT_S, sure_s)
+        gap_s = max(_LATE_READINGS * self._reading_s, sure_s)
+        self._gap_limit_s = min(_GAP_READINGS * self._reading_s, gap_s)
+        self._silent_limit_s = silence_limit_s(self._reading_s, sure_s)
+        mute_s = silence_limit_s(cycle_s, math.inf if cycle_s > sure_s else sure_s)
+        self._mute_limit_s = max(self._silent_limit_s, mute_s)
         self._reported = reported
         self._off_s: float | None = None
         self._due_s: float | None = None
@@ -100,7 +114,7 @@ class BridgeWatch:
         if self._bounced_s is not None:
             return True
         unheard_s = max(self._gap_s, self._silent_s) if self._reported else 0.0
-        return self._been_on and unheard_s > SHORTEST_TIMEOUT_S
+        return self._been_on and unheard_s > self._on_s
 
     def _rest(self, *, bridge: bool) -> None:
         """Begin anew with a drive that is commanded off; its bridge may still be on."""
@@ -141,7 +155,7 @@ class BridgeWatch:
     @property
     def _unwatched(self) -> str:
         """The time in which the drive has stopped unseen, for the text of the trip."""
-        if self._gap_s > SHORTEST_TIMEOUT_S:
+        if self._gap_s > self._on_s:
             return f"; the daemon had not run for {self._gap_s * 1e3:.0f} ms"
         if self._silent_s:
             return f"; nothing had been heard of it for {self._silent_s * 1e3:.0f} ms"

@@ -78,6 +78,7 @@ class FastLoop:
             settings.ticks_per_reading,
             bridge_reported=port.stop_slack_s is not None,
             bridge_cycle_s=port.bridge_cycle_s,
+            command_timeout_s=settings.command_timeout_s,
             restarts=self._restarts,
         )
         reading_s = settings.ticks_per_reading * settings.tick_s

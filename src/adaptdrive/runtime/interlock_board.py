@@ -28,6 +28,7 @@ class InterlockBoard:
         *,
         bridge_reported: bool = True,
         bridge_cycle_s: float = 0.0,
+        command_timeout_s: float | None = None,
         restarts: RestartWatch | None = None,
     ) -> None:
         """Evaluate nothing yet.
@@ -40,13 +41,18 @@ class InterlockBoard:
             ticks_per_reading: Half cycles from one reading to the next.
             bridge_reported: Whether the drive reports its bridge.
             bridge_cycle_s: Time from one such report to the next, 0 where each reading has one.
+            command_timeout_s: The drive's own time-out without commands, None for an unknown one.
             restarts: Watch over its half-cycle counter, None for a drive without one.
         """
         self._limits = limits
         self._watches = [build() for build in watches]
         self._rate = rate
         self._bridge = BridgeWatch(
-            tick_s, ticks_per_reading, reported=bridge_reported, cycle_s=bridge_cycle_s
+            tick_s,
+            ticks_per_reading,
+            reported=bridge_reported,
+            cycle_s=bridge_cycle_s,
+            timeout_s=command_timeout_s,
         )
         self._restarts = restarts or RestartWatch(None, tick_s)
         self._watched_s = math.inf

@@ -45,6 +45,7 @@ class FastLoopSettings:
         watches: Factories of the watches over the output, in the order of their causes.
         drive_clocks: Whether the drive decides when a reading comes.
         stop_s: Longest time from a stop to the drive's word that its bridge is off.
+        command_timeout_s: The drive's own time-out without commands, None where it is not known.
     """
 
     limits: Limits
@@ -57,6 +58,7 @@ class FastLoopSettings:
     watches: tuple[Callable[[], Watch], ...] = ()
     drive_clocks: bool = True
     stop_s: float = 0.5
+    command_timeout_s: float | None = None
 
 
 class LoopSurroundings(Protocol):

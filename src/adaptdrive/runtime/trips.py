@@ -291,8 +291,10 @@ TRIPS = (
         "check the drive's own time-out and protection; look for lost commands on the bus and a "
         "loose cable; where the daemon did not run, reduce the load of the machine and see "
         "`[realtime]`; after 80 ms without the daemon or a report of the bridge (two and a half "
-        "readings, or cycles of its message, where they are longer) a drive that reports its "
-        "bridge gets no command until its next report, which it must send within its own time-out",
+        "readings, or cycles of its message, where they are longer; four fifths of "
+        "`bus.command_timeout_s`, or that less one reading, where they are shorter) a drive that "
+        "reports its bridge gets no command until its next report, which it must send within its "
+        "own time-out",
     ),
     Trip(
         r"^another sender commands this drive: ",

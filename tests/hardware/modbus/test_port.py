@@ -334,12 +334,19 @@ async def test_a_drive_whose_reply_to_its_first_energising_command_is_lost_is_re
         assert peer.requests[asked[0]][0] in {3, 4}
 
 
+@pytest.mark.parametrize(("timeout_s", "silent"), [(None, LOST), ("0.1", 1)])
 @pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
 @both
-async def test_a_drive_that_was_silent_is_read_before_it_is_driven_on(
-    kind: str, changes: dict[str, str | None], tmp_path: Path, free_tcp_port: int
+async def test_a_drive_that_was_silent_is_read_before_it_is_driven_on(  # noqa: PLR0917
+    kind: str,
+    changes: dict[str, str | None],
+    timeout_s: str | None,
+    silent: int,
+    tmp_path: Path,
+    free_tcp_port: int,
 ) -> None:
     """Replies are lost, and the connection is kept: it may have stopped by its own time-out."""
+    changes = {**changes, "bus__command_timeout_s": timeout_s}
     async with bench(kind, tmp_path, free_tcp_port, **changes) as one:
         one.port.send(RUN)
         await until(lambda: bool(one.ear.readings) and one.ear.readings[-1].bridge)
@@ -348,13 +355,13 @@ async def test_a_drive_that_was_silent_is_read_before_it_is_driven_on(
 
         def lose(reply: bytes) -> Pieces:
             begun = bool(lost) or peer.requests[-1][0] != 16  # a silence begins with a poll
-            if len(lost) == LOST or not begun:
+            if len(lost) == silent or not begun:
                 return untouched(reply)
             lost.append(len(peer.requests))
             return []
 
         peer.spoil = lose
-        await until(lambda: len(lost) == LOST)
+        await until(lambda: len(lost) == silent)
         for _ in range(3):
             await one.hears(1)
             one.port.send(RUN)

@@ -37,7 +37,12 @@ class Commander:
     """
 
     def __init__(
-        self, poll: Poll, poll_s: float, counts: Counter[str], clock: Callable[[], float]
+        self,
+        poll: Poll,
+        poll_s: float,
+        counts: Counter[str],
+        clock: Callable[[], float],
+        sure_s: float = math.inf,
     ) -> None:
         """Hold no command yet.
 
@@ -46,9 +51,11 @@ class Commander:
             poll_s: Time between two polls, in s.
             counts: `sent` and `send_drops` are counted here.
             clock: Monotonic clock, in s.
+            sure_s: Time in which the drive's own time-out does not stop it, in s.
         """
         self._poll = poll
         self._poll_s = poll_s
+        self._silence_limit_s = silence_limit_s(poll_s, sure_s)
         self._counts = counts
         self._clock = clock
         self._command: Command | None = None
@@ -283,12 +290,12 @@ class Commander:
     @property
     def _unfed(self) -> bool:
         """True if a silent drive has acknowledged no command for as long as it may need to stop."""
-        return self._silent and self._clock() - self._fed_s > silence_limit_s(self._poll_s)
+        return self._silent and self._clock() - self._fed_s > self._silence_limit_s
 
     @property
     def _unread(self) -> bool:
         """True if the polls have given no reading for as long as the drive may be silent."""
-        return self._blank and self._clock() - self._read_s > silence_limit_s(self._poll_s)
+        return self._blank and self._clock() - self._read_s > self._silence_limit_s
 
     @property
     def _stands_still(self) -> bool:

@@ -28,6 +28,7 @@ from adaptdrive.hardware.modbus.mapping import Poll
 from adaptdrive.hardware.modbus.replies import are_alike
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.port import Listener, PortStatistics
+from adaptdrive.hardware.relink import on_for_certain_s
 
 _SILENT_POLLS = 3
 """Polls without a reading after which the drive is reported lost."""
@@ -57,7 +58,8 @@ class ModbusPort:
         self._poll_s = poll_s
         self._clock = clock
         self._counts: Counter[str] = Counter()
-        self._commander = Commander(poll, poll_s, self._counts, clock)
+        sure_s = on_for_certain_s(poll_s, config.command_timeout_s)
+        self._commander = Commander(poll, poll_s, self._counts, clock, sure_s)
         self._listener: Listener | None = None
         self._link: ModbusConnection | None = None
         self._wake = asyncio.Event()
