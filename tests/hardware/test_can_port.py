@@ -607,11 +607,13 @@ async def test_a_drive_whose_alive_counter_leaps_is_heard_before_it_is_driven_on
         await heard_by(port, 4)
         assert port.statistics.counter_lost
         assert not port.send(COMMAND)
+        assert port.statistics.withheld_commands == 1
         clock.now_s += 1.0 / 120.0
         drive.send_status(BridgeOn=int(not stopped))
         drive.send_load()
         await ear.hears(2 if message == "DriveLoad" else 3)
         assert port.send(COMMAND) is not stopped
+        assert (port.statistics.withheld_commands, port.statistics.send_drops) == (1 + stopped, 0)
         assert ("its alive counter leapt meanwhile" in str(port.complaint)) is stopped
         assert port.send(SAFE_COMMAND)
         assert port.complaint is None

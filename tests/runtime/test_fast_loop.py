@@ -10,6 +10,7 @@ import pytest
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command, Measurement, Order, Stage
 from adaptdrive.errors import RefusedError
+from adaptdrive.runtime.accounts import drive_report
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
 from tests.runtime.bench import FAST, RATE_FRAMES, TICK_S, FastBench, fast_bench
@@ -345,10 +346,15 @@ async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(
         bench.start()
         bench.frames(10)
         began_s, last_s = bench.around.now, bench.around.now
+        ticks, sent = bench.loop.counts.ticks, len(bench.sent)
         for _ in range(round(silent_s / TICK_S)):
             known = len(bench.sent)
             bench.wait(TICK_S)
             last_s = bench.around.now if len(bench.sent) > known else last_s
+        withheld = bench.loop.counts.ticks - ticks - (len(bench.sent) - sent)
+        assert withheld > 0
+        books = drive_report(bench.loop, bench.port.statistics, (), bench.around.now)
+        assert books.bus["withheld_commands"] == withheld
         assert earliest_s < last_s - began_s < latest_s
         known = len(bench.sent)
         for _ in range(10):

@@ -104,12 +104,14 @@ class Reading:
 class PortStatistics:
     """Counts since the port was opened; every refusal of a frame is one of them.
 
-    `foreign_commands` are frames by which another sender commands this drive.
+    `foreign_commands` are frames by which another sender commands this drive. `withheld_commands`
+    are those that were kept from the drive on purpose: it must report first, or does not obey.
     """
 
     received: int = 0
     sent: int = 0
     send_drops: int = 0
+    withheld_commands: int = 0
     foreign: int = 0
     foreign_commands: int = 0
     wrong_length: int = 0

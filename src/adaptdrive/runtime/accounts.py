@@ -72,7 +72,7 @@ def drive_report(
 
     Args:
         fast: The fast loop.
-        bus: Counts of the port.
+        bus: Counts of the port; what the loop withheld from it is added to its own.
         sensors: State of the sensor buses.
         now_s: Monotonic time.
     """
@@ -86,7 +86,7 @@ def drive_report(
         limited=fast.limited,
         lateness_us=fast.lateness.take(),
         turnaround_us=fast.turnaround.take(),
-        bus=asdict(bus),
+        bus={**asdict(bus), "withheld_commands": bus.withheld_commands + fast.counts.withheld},
         tick_us=fast.tick_time.take(),
         sensors=sensors,
         histograms={

@@ -297,6 +297,7 @@ class FastLoop:
             self.send_safe()
             return
         if command.bridge and self._interlocks.awaits_bridge:
+            self.counts.withheld += 1
             return
         self._send(command)
         if self._overslept():  # between that look at the clock and the bus

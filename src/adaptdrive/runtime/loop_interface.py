@@ -21,12 +21,14 @@ class TickCounts:
         missed: Half cycles that passed without a tick.
         held: Stand-in ticks.
         late_decisions: Decisions that were not ready at their tick.
+        withheld: Commands that were not given to the port: the drive must report first.
     """
 
     ticks: int = 0
     missed: int = 0
     held: int = 0
     late_decisions: int = 0
+    withheld: int = 0
 
 
 @dataclass(frozen=True, slots=True)

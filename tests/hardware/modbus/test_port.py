@@ -398,6 +398,7 @@ async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(
         await one.hears(2)
         assert "a read had no answer meanwhile" in str(one.port.complaint)
         assert len(one.peer.writes) == known
+        assert one.port.statistics.withheld_commands == 1  # one was given, and waits since
         one.port.send(SAFE_COMMAND)
         assert one.port.complaint is None
 

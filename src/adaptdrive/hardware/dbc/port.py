@@ -139,7 +139,7 @@ class CanPort:
             command: Command to the drive; it must have passed the guard.
 
         Returns:
-            Whether the bus took it. False is counted, and nothing is sent again. It is False, too,
+            Whether the bus took it. False is counted, and nothing is sent again. It is withheld
             in every other second of a drive that stays energised after the safe command: silence
             lets its own time-out switch it off; and for a command that has the bridge on before
             the first reading of a bus that was opened again, or the next report of a bridge once an
@@ -155,9 +155,8 @@ class CanPort:
         if not safe:
             self._safe_s = math.inf
         self._relink.note(bridge=bridge, safe=safe)
-        if self._disobeyed or not self._relink.admits(bridge=bridge):
-            return False
-        if bridge and self._assembly.stop_seen:
+        if self._disobeyed or self._must_report(bridge=bridge):
+            self._counts["withheld_commands"] += 1
             return False
         taken = 0
         for frame in frames:
@@ -298,6 +297,10 @@ class CanPort:
             if reading.bridge_reported_s > self._leapt_s:
                 self._relink.hear(bridge=reading.bridge)
             listener.on_reading(reading)
+
+    def _must_report(self, *, bridge: bool) -> bool:
+        """Return whether a command must wait for a report of the drive, or for its reading."""
+        return not self._relink.admits(bridge=bridge) or (bridge and self._assembly.stop_seen)
 
     @property
     def _disobeyed(self) -> bool:

@@ -49,7 +49,7 @@ class Commander:
         Args:
             poll: Registers of the drive.
             poll_s: Time between two polls, in s.
-            counts: `sent` and `send_drops` are counted here.
+            counts: `sent`, `send_drops` and `withheld_commands` are counted here.
             clock: Monotonic clock, in s.
             sure_s: Time in which the drive's own time-out does not stop it, in s.
         """
@@ -60,6 +60,7 @@ class Commander:
         self._clock = clock
         self._command: Command | None = None
         self._written: Command | None = None
+        self._withheld = False
         self._relink = Relink()
         self._safe = False
         self._refused = self._untaken = 0
@@ -123,7 +124,7 @@ class Commander:
             self._stopped_s = self._clock()
         self._relink.note(bridge=command.bridge, safe=command == SAFE_COMMAND)
         self._command = command
-        self._outdated = False
+        self._outdated = self._withheld = False
 
     def begin(self) -> None:
         """Forget what was acknowledged on the link before."""
@@ -205,6 +206,7 @@ class Commander:
         """Write the newest command, unless it is void."""
         command = self._current()
         if command is None:
+            self._count_withheld()
             return
         at_once = self._at_once
         words = self._words(command)
@@ -267,12 +269,19 @@ class Commander:
             )
         except ExchangeError as failure:
             if self._is_void(command):
+                self._count_withheld()
                 return False
             self._counts["send_drops"] += 1
             self.refused_write = f"command: {failure.problem}"
             self._note_refusal(exchange, failure)
             return False
         return True
+
+    def _count_withheld(self) -> None:
+        """Count the newest command once if it is void; one that another has replaced is not."""
+        if self._command is not None and not self._withheld and self._current() is None:
+            self._withheld = True
+            self._counts["withheld_commands"] += 1
 
     def _current(self) -> Command | None:
         """Return the command in force, None for none.
