@@ -1,5 +1,6 @@
 import asyncio
 import itertools
+import math
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -654,6 +655,21 @@ async def test_a_repeated_frame_reports_no_stop(port: CanPort, drive: Drive, ear
         drive.send_both()
         await ear.hears(2)
         assert [reading.bridge for reading in ear.readings] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("unstated", "cycle_s"), [(256, math.inf), (257, 1.0 / 120.0), (0, 1.0 / 120.0)]
+)
+def test_the_cycle_of_the_bridge_is_known_where_the_dbc_or_the_clock_states_it(
+    config: CanBus, clock: Clock, tmp_path: Path, unstated: int, cycle_s: float
+) -> None:
+    """`bus.clock_ticks` states that of the clock."""
+    text = (EXAMPLES / "adaptdrive.dbc").read_text(encoding="utf-8")
+    database = tmp_path / "unstated.dbc"
+    database.write_text(text.replace(f"BO_ {unstated} 8;", f"BO_ {unstated} 0;"), encoding="utf-8")
+    bus = config.model_copy(update={"database": database})
+    port = CanPort(bus, map_drive(bus, motor_signals(), TIMING), clock, lambda: 0.0)
+    assert port.bridge_cycle_s == pytest.approx(cycle_s)
 
 
 @pytest.mark.parametrize("stopped", [False, True])

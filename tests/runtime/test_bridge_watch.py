@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -352,6 +353,18 @@ def test_a_short_time_out_of_the_drive_shortens_the_time_without_a_report_of_the
 ) -> None:
     """Not below its cycle of 60 half cycles: each report would be waited for."""
     seen = Seen(cycle=60, timeout=timeout)
+    seen.look(0.0, bridge=True)
+    seen.look(limit - 0.1, bridge=True, reported=limit - 0.1)
+    assert not seen.awaits_report
+    seen.look(limit + 0.1, bridge=True, reported=limit + 0.1)
+    assert seen.awaits_report
+
+
+@pytest.mark.parametrize(("timeout", "limit"), [(None, 10.24), (6.0, 4.8), (50.0, 40.0)])
+def test_a_report_that_comes_nobody_knows_how_often_is_waited_for_by_the_time_out(
+    timeout: float | None, limit: float
+) -> None:
+    seen = Seen(cycle=math.inf, timeout=timeout)
     seen.look(0.0, bridge=True)
     seen.look(limit - 0.1, bridge=True, reported=limit - 0.1)
     assert not seen.awaits_report

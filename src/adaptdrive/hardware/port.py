@@ -169,7 +169,10 @@ class Port(Protocol):
 
     @property
     def bridge_cycle_s(self) -> float:
-        """Time from one report of the bridge to the next, 0 where each reading has one."""
+        """Time from one report of the bridge to the next, 0 where each reading has one.
+
+        Infinite where it is not known.
+        """
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.

@@ -89,7 +89,7 @@ class SensoredPort:
 
     @property
     def bridge_cycle_s(self) -> float:
-        """Time from one report of the bridge to the next, 0 where each reading has one."""
+        """Time from one report of the bridge to the next, as the drive's own port gives it."""
         return self._drive.bridge_cycle_s
 
     async def run(self, listener: Listener, opened: Callable[[], None]) -> None:

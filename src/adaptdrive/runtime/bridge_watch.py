@@ -42,7 +42,8 @@ class BridgeWatch:
             ticks_per_reading: Half cycles from one reading to the next.
             reported: Whether the drive reports its bridge: after a silence nothing else shows that
                 it has not stopped.
-            cycle_s: Time from one such report to the next, 0 where each reading has one.
+            cycle_s: Time from one such report to the next, 0 where each reading has one, infinite
+                where it is not known.
             timeout_s: The drive's own time-out without commands, None where it is not known.
         """
         self._reading_s = ticks_per_reading * tick_s
@@ -52,8 +53,7 @@ class BridgeWatch:
         gap_s = max(_LATE_READINGS * self._reading_s, sure_s)
         self._gap_limit_s = min(_GAP_READINGS * self._reading_s, gap_s)
         self._silent_limit_s = silence_limit_s(self._reading_s, sure_s)
-        mute_s = silence_limit_s(cycle_s, math.inf if cycle_s > sure_s else sure_s)
-        self._mute_limit_s = max(self._silent_limit_s, mute_s)
+        self._mute_limit_s = max(self._silent_limit_s, _mute_limit_s(cycle_s, sure_s))
         self._reported = reported
         self._off_s: float | None = None
         self._due_s: float | None = None
@@ -183,6 +183,21 @@ class BridgeWatch:
             self._silent_s, self._silence_end_s = max(self._silent_s, unreported_s), now_s
         elif unheard_s > self._silent_limit_s:
             self._silent_s, self._silence_end_s = max(self._silent_s, unheard_s), now_s
+
+
+def _mute_limit_s(cycle_s: float, sure_s: float) -> float:
+    """Return how long the report of the bridge alone may be missing; 0 for the limit of readings.
+
+    A report that comes less often than a drive may be silent is not waited for each time. How often
+    it comes does not matter while the drive's own time-out leaves it on.
+
+    Args:
+        cycle_s: Time from one report to the next, infinite where it is not known.
+        sure_s: Time in which the drive's own time-out does not stop it, else infinite.
+    """
+    if cycle_s == math.inf:
+        return 0.0 if sure_s == math.inf else sure_s
+    return silence_limit_s(cycle_s, math.inf if cycle_s > sure_s else sure_s)
 
 
 def _heard_s(reading: Reading) -> float:

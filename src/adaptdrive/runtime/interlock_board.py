@@ -40,7 +40,8 @@ class InterlockBoard:
             tick_s: Half a line cycle at nominal frequency, in s.
             ticks_per_reading: Half cycles from one reading to the next.
             bridge_reported: Whether the drive reports its bridge.
-            bridge_cycle_s: Time from one such report to the next, 0 where each reading has one.
+            bridge_cycle_s: Time from one such report to the next, 0 where each reading has one,
+                infinite where it is not known.
             command_timeout_s: The drive's own time-out without commands, None for an unknown one.
             restarts: Watch over its half-cycle counter, None for a drive without one.
         """

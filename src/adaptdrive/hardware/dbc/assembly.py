@@ -53,8 +53,12 @@ class StatusAssembly:
 
     @property
     def bridge_cycle_s(self) -> float:
-        """Time from one report of the bridge to the next, 0 for a drive that never reports it."""
-        return max((one.cycle_s for one in self._sources if one.quantity == "bridge"), default=0.0)
+        """Time from one report of the bridge to the next, 0 for a drive that never reports it.
+
+        It is infinite where nothing says how often the message comes.
+        """
+        bridges = (source for source in self._sources if source.quantity == "bridge")
+        return max((one.cycle_s if one.cycle_stated else math.inf for one in bridges), default=0.0)
 
     @property
     def powered(self) -> bool:

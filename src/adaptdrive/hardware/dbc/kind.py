@@ -10,7 +10,7 @@ from adaptdrive.config.bus import CanBus
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.bus_kind import BusKind, Row
 from adaptdrive.hardware.command_timeout import lost_command, silence, timeout_cautions
-from adaptdrive.hardware.dbc.mapping import Timing, map_drive
+from adaptdrive.hardware.dbc.mapping import CanSource, Timing, map_drive
 from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.dbc.sensors import build_can_sensors
 from adaptdrive.hardware.demands import demands_of
@@ -42,21 +42,39 @@ def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[R
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     """Yield what the drive's own time-out does not fit, or a bridge that is reported seldom."""
     bus, timing = _bus(configuration), _timing(configuration)
-    cycle_s = bus.clock_ticks * timing.half_cycle_s
     statuses = map_drive(bus, configuration.signals, timing).statuses
     slack_s = min(one.slack_s for status in statuses for one in status.sources)
     key = "bus.stale_cycles" if slack_s else "interlocks.stale_s"
     yield from timeout_cautions(
         bus.command_timeout_s,
-        lost_command(cycle_s, "bus.clock_ticks"),
+        lost_command(bus.clock_ticks * timing.half_cycle_s, "bus.clock_ticks"),
         silence(timing.stale_s + slack_s, key),
     )
-    limit_s = silence_limit_s(cycle_s, on_for_certain_s(cycle_s, bus.command_timeout_s))
     for status in statuses:
         for one in status.sources:
-            endures = (bus.command_timeout_s or 0.0) > limit_s + one.cycle_s
-            if one.quantity == "bridge" and one.cycle_s > limit_s and not endures:
-                yield Flaw("signals.bridge", _seldom(status.codec.name, one.cycle_s, limit_s))
+            if one.quantity == "bridge":
+                yield from _bridge_cautions(bus, timing, status.codec.name, one)
+
+
+def _bridge_cautions(
+    bus: CanBus, timing: Timing, message: str, bridge: CanSource
+) -> Iterator[Flaw]:
+    """Yield that a drive must wait, or may have to, for a report of its bridge for long."""
+    reading_s, timeout_s = bus.clock_ticks * timing.half_cycle_s, bus.command_timeout_s
+    limit_s = silence_limit_s(reading_s, on_for_certain_s(reading_s, timeout_s))
+    oldest_s = timing.stale_s + bridge.slack_s
+    if not bridge.cycle_stated and timeout_s is None and oldest_s > limit_s:
+        yield Flaw("signals.bridge", _unstated(message, limit_s))
+    if bridge.cycle_s > limit_s and (timeout_s or 0.0) <= limit_s + bridge.cycle_s:
+        yield Flaw("signals.bridge", _seldom(message, bridge.cycle_s, limit_s))
+
+
+def _unstated(message: str, limit_s: float) -> str:
+    return (
+        f"message {message!r} has no GenMsgCycleTime: if it comes less often than every "
+        f"{limit_s * 1e3:.4g} ms, commands wait for each of its reports; state "
+        "bus.command_timeout_s, the drive's own time-out, or the cycle time in the DBC"
+    )
 
 
 def _seldom(message: str, cycle_s: float, limit_s: float) -> str:

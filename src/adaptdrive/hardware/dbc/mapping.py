@@ -64,6 +64,8 @@ class CanSource:
             the clock, with which they are taken, comes less often.
         cycle_by: What says so of the slower of them: GenMsgCycleTime or a key of `[bus]`.
         cycle_s: Time from one such value to the next.
+        cycle_stated: Whether something says how often its message comes; else it is taken to come
+            as often as the clock.
     """
 
     quantity: str
@@ -73,6 +75,7 @@ class CanSource:
     slack_s: float
     cycle_by: str
     cycle_s: float
+    cycle_stated: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +181,14 @@ def _find_sources(
         if timing.stale_s + slack_s > LONGEST_STALE_S:
             _note_old(catalogue, cycle.message, place, timing.stale_s + slack_s)
         source = CanSource(
-            quantity, signal, entry.scale, entry.offset, slack_s, cycle.by, cycle.cycle_s
+            quantity=quantity,
+            signal=signal,
+            scale=entry.scale,
+            offset=entry.offset,
+            slack_s=slack_s,
+            cycle_by=cycle.by,
+            cycle_s=cycle.cycle_s,
+            cycle_stated=message.name == bus.clock or cycle_time_s(message) > 0.0,
         )
         found.setdefault(message.name, []).append(source)
         if quantity in _WORDS:

@@ -116,7 +116,7 @@ class CanPort:
 
     @property
     def bridge_cycle_s(self) -> float:
-        """Time from one report of the bridge to the next, 0 for a drive that never reports it."""
+        """Time from one report of the bridge to the next, infinite where nothing states it."""
         return self._assembly.bridge_cycle_s
 
     def run(self, listener: Listener, opened: Callable[[], None]) -> Coroutine[Any, Any, None]:
