@@ -115,6 +115,22 @@ def test_a_battery_is_charged_tapers_and_is_complete(
     assert plant.output == 0.0
 
 
+@pytest.mark.parametrize("charge", [0.2, 0.35, 0.5, 0.65])
+@pytest.mark.parametrize("current_A", [0.5, 2.0, 5.0])
+def test_the_first_current_into_a_battery_overshoots_little(
+    charge: float, current_A: float
+) -> None:
+    plant = Battery(dataclasses.replace(ONE, charge=charge))
+    drive = enabled("battery", world(plant, 0.02))
+    drive.carry_out(SetSetpoint(current_A))
+    highest_A, end_s = 0.0, drive.time_s + 40.0
+    while drive.time_s < end_s:
+        drive.tick()
+        highest_A = max(highest_A, plant.output)
+    end_current_A = 1.0
+    assert current_A < highest_A < 1.4 * max(current_A, end_current_A)
+
+
 @pytest.mark.parametrize("battery", [ONE, TWO], ids=["one element", "two elements"])
 def test_the_current_of_a_battery_follows_a_wave_under_adaptive_control(
     battery: BatteryParameters,

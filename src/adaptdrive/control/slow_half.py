@@ -60,7 +60,7 @@ def slow_step(
     state.reference = reference
     if sample.manual:
         return _follow_hand(state, sample)
-    return _act(jacket, state, sample, led)
+    return _act(jacket, state, sample, led, _highest(load, state, sample, reference))
 
 
 def _note_applied(state: SlowState, sample: SlowSample) -> None:
@@ -183,7 +183,24 @@ def _expected_output(state: SlowState, sample: SlowSample, reference: float) -> 
     return value
 
 
-def _act(jacket: Jacket, state: SlowState, sample: SlowSample, reference: float) -> float:
+def _highest(load: Load, state: SlowState, sample: SlowSample, reference: float) -> float:
+    """Return the highest input of this slow period.
+
+    Below its EMF a battery answers no input, and the laws raise it by more in each period. One
+    period therefore raises it by no more than what lets the set-point, or the end current where
+    that is larger, flow at once.
+    """
+    charging = load.charging
+    if charging is None:
+        return sample.high
+    admittance_S = load.numerator[0] / load.denominator[0]
+    current_A = max(reference, charging.end_current_A)
+    return min(sample.high, state.inputs[0] + current_A / admittance_S)
+
+
+def _act(
+    jacket: Jacket, state: SlowState, sample: SlowSample, reference: float, highest: float
+) -> float:
     """Both laws on the shared history; what is sent is limited and remembered."""
     sound = state.supervisor.trusted and state.watch.fallback == Fallback.NONE
     state.adaptive = sample.adaptive and sound
@@ -196,20 +213,22 @@ def _act(jacket: Jacket, state: SlowState, sample: SlowSample, reference: float)
     wanted = _blended(jacket, state, fixed, other)
     if not math.isfinite(wanted):
         wanted = state.sent
-    limited = min(max(wanted, sample.low), sample.high)
+    limited = min(max(wanted, sample.low), highest)
     state.saturated, state.sent = limited != wanted, limited
-    _remember(jacket, state, sample, wanted)
+    _remember(jacket, state, wanted, sample.low, highest)
     return limited
 
 
-def _remember(jacket: Jacket, state: SlowState, sample: SlowSample, wanted: float) -> None:
+def _remember(
+    jacket: Jacket, state: SlowState, wanted: float, lowest: float, highest: float
+) -> None:
     """Take the input into the history of both laws, limited.
 
     Noise that a limit cuts off on one side would move the mean of the input, and the loop would
     keep that as an error. What noise may ask for beyond a limit is therefore remembered as asked.
     """
     beyond = jacket.confidence * state.input_noise if state.blend >= 1.0 else 0.0
-    kept = min(max(wanted, sample.low - beyond), sample.high + beyond)
+    kept = min(max(wanted, lowest - beyond), highest + beyond)
     _condition(state, kept - wanted)
     shift_in(state.inputs, kept)
 
