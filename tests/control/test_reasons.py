@@ -10,6 +10,7 @@ import pytest
 
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.reasons import reason
+from adaptdrive.control.settings import Probing
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.slow_state import SlowState, new_slow_state
 from adaptdrive.control.supervisor import Verdict
@@ -17,6 +18,7 @@ from adaptdrive.control.watch import Fallback
 from tests.closed_loop.bench import EXACT, MOTOR
 
 JACKET = replace(EXACT.jacket, deviation_max=0.1)
+PROBING = Probing(stale_periods=300)
 GAIN, SUM_s, PRODUCT_s2 = 0, 1, 2
 
 
@@ -30,7 +32,7 @@ def judged(verdict: Verdict, culprit: int = GAIN) -> SlowState:
 
 
 def said(state: SlowState, mode: Mode = Mode.ADAPTIVE) -> str:
-    return reason(state, JACKET, MOTOR, mode)
+    return reason(state, JACKET, PROBING, MOTOR, mode)
 
 
 def test_a_trusted_estimate_needs_no_reason_but_another_mode_that_was_asked_for() -> None:
@@ -64,6 +66,19 @@ def test_a_probe_is_named_beside_the_reason() -> None:
     assert said(state) == f"{without}; {probes}"
     state.supervisor.verdict = Verdict.TRUSTED
     assert said(state) == probes
+
+
+def test_a_trusted_estimate_that_nothing_has_shown_for_long_says_so() -> None:
+    state = judged(Verdict.TRUSTED)
+    state.estimator.unseen_periods = 300
+    assert said(state) == ""
+    state.estimator.unseen_periods = 301
+    assert said(state) == (
+        "the load may have changed: nothing has shown it for over 300 slow periods, "
+        "and the next step may overshoot"
+    )
+    assert said(state, Mode.FIXED) == "mode fixed asked for"
+    assert reason(state, JACKET, Probing(), MOTOR, Mode.ADAPTIVE) == ""
 
 
 def test_what_is_uncertain_is_named_with_its_deviation_in_percent() -> None:
@@ -145,4 +160,4 @@ def test_the_names_are_those_of_the_load() -> None:
     state = new_slow_state(EXACT, load, 3.0, 280.0)
     state.supervisor.verdict = Verdict.UNCERTAIN
     state.values, state.deviations = [1.0, 1.0, 60.0], [0.2, 0.1, 0.1]
-    assert "direct_S is uncertain: ±20 %" in reason(state, JACKET, load, Mode.ADAPTIVE)
+    assert "direct_S is uncertain: ±20 %" in reason(state, JACKET, PROBING, load, Mode.ADAPTIVE)

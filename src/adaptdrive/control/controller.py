@@ -126,7 +126,9 @@ class Controller:
             boost_reference_V=voltage,
             controller=_in_force(snapshot.order.mode, adaptive=state.adaptive),
             accepted=state.accepted,
-            reason=reason(state, settings.jacket, self._load, snapshot.order.mode),
+            reason=reason(
+                state, settings.jacket, settings.probing, self._load, snapshot.order.mode
+            ),
             estimates=self._estimates(),
             gains=(*gains, sum(gains[taps:])),
             innovation=state.estimator.innovation,

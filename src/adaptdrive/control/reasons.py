@@ -1,4 +1,4 @@
-"""Reasons why the adaptive law is not in force, as text for operators."""
+"""Reasons why the adaptive law is not in force or may no longer fit the load, for operators."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from adaptdrive.control.cycling import FAR_BETTER
 from adaptdrive.control.evidence import MEMORY
 from adaptdrive.control.load import Load
-from adaptdrive.control.settings import Jacket
+from adaptdrive.control.settings import Jacket, Probing
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.slow_state import SlowState
 from adaptdrive.control.supervisor import Verdict, better_than_nominal
@@ -34,16 +34,17 @@ _FALLBACKS = {
 _RELEASE = "to release it choose fixed, and adaptive one slow period later"
 
 
-def reason(state: SlowState, jacket: Jacket, load: Load, mode: Mode) -> str:
-    """Return why the adaptive law is not in force and whether the load is probed, else nothing.
+def reason(state: SlowState, jacket: Jacket, probing: Probing, load: Load, mode: Mode) -> str:
+    """Return why the adaptive law is not in force, or how old what it knows is, and any probe.
 
     Args:
         state: The slow half.
         jacket: Limits of the supervisor.
+        probing: When information is old.
         load: Names of the parameters.
         mode: Mode that is asked for.
     """
-    why = _why(state, jacket, load, mode)
+    why = _why(state, jacket, load, mode) or _age(state, probing)
     if state.probe.age_periods == 0:
         return why
     probes = f"probing: the set-point is moved by {state.probe.shift:+.3g} to learn the load"
@@ -64,6 +65,16 @@ def _why(state: SlowState, jacket: Jacket, load: Load, mode: Mode) -> str:
     if verdict is Verdict.UNCERTAIN:
         return _uncertain(state, jacket, load)
     return _REASONS[verdict]
+
+
+def _age(state: SlowState, probing: Probing) -> str:
+    """Return that nothing has shown the load for long, empty where something has."""
+    if not 0 < probing.stale_periods < state.estimator.unseen_periods:
+        return ""
+    return (
+        f"the load may have changed: nothing has shown it for over {probing.stale_periods} "
+        "slow periods, and the next step may overshoot"
+    )
 
 
 def _uncertain(state: SlowState, jacket: Jacket, load: Load) -> str:

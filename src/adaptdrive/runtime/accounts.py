@@ -29,15 +29,11 @@ def state_report(machine: Machine, decision: Decision | None, stop: StopWord) ->
         decision: The decision in force, None while there is none.
         stop: Confirmation of the stop by the drive.
     """
-    controller = _source(machine.mode, decision)
-    waiting = machine.mode is Mode.ADAPTIVE and controller is Mode.FIXED
-    reason = _undecided(machine) if decision is None else decision.reason
-    probing = decision is not None and not math.isnan(decision.probe) and machine.energised
     return StateReport(
         state=machine.state,
         mode=machine.mode,
-        controller=controller,
-        reason=machine.obstacle or (reason if waiting or probing else ""),
+        controller=_source(machine.mode, decision),
+        reason=machine.obstacle or _reason(machine, decision),
         enabled=machine.energised,
         setpoint=machine.setpoint,
         waveform=machine.waveform,
@@ -48,6 +44,16 @@ def state_report(machine: Machine, decision: Decision | None, stop: StopWord) ->
         reach=machine.reach,
         coasting=machine.coasting,
     )
+
+
+def _reason(machine: Machine, decision: Decision | None) -> str:
+    """Return why adaptive is not in force, or may not fit the load any more, and any probe."""
+    adaptive = machine.mode is Mode.ADAPTIVE
+    if decision is None:
+        return _undecided(machine) if adaptive else ""
+    waiting = adaptive and _source(machine.mode, decision) is Mode.FIXED
+    informed = not math.isnan(decision.probe) or (adaptive and decision.accepted)
+    return decision.reason if waiting or (machine.energised and informed) else ""
 
 
 def _undecided(machine: Machine) -> str:
