@@ -295,7 +295,10 @@ def test_a_report_from_after_a_time_in_which_a_drive_may_have_stopped_is_waited_
     assert not seen.awaits_report
 
 
-@pytest.mark.parametrize(("timeout", "limit"), [(2.5, 1.5), (4.0, 3.0), (6.0, 4.8), (100.0, 10.24)])
+@pytest.mark.parametrize(
+    ("timeout", "limit"),
+    [(2.0, 1.5), (2.5, 1.5), (4.0, 3.0), (6.0, 4.8), (100.0, 10.24)],
+)
 def test_a_short_time_out_of_the_drive_shortens_the_time_unwatched(
     timeout: float, limit: float
 ) -> None:
@@ -305,6 +308,15 @@ def test_a_short_time_out_of_the_drive_shortens_the_time_unwatched(
         seen.look(0.0, bridge=True)
         seen.look(20.0, bridge=True, old=1.0, unwatched=unwatched)
         assert seen.awaits_report is awaits
+
+
+def test_a_time_unwatched_that_leaves_a_drive_on_is_neither_waited_for_nor_named() -> None:
+    seen = Seen(timeout=4.0)
+    seen.look(0.0, bridge=True)
+    seen.look(20.0, bridge=True, old=1.0, unwatched=3.0)
+    assert not seen.awaits_report
+    assert seen.look(21.0, bridge=False)
+    assert seen.cause == STOPPED
 
 
 def test_no_report_is_waited_for_of_a_drive_that_was_not_on() -> None:
@@ -347,12 +359,15 @@ def test_a_short_time_out_of_the_drive_shortens_the_silence(
     assert seen.awaits_report
 
 
-@pytest.mark.parametrize(("timeout", "limit"), [(50.0, 150.0), (100.0, 80.0), (400.0, 150.0)])
+@pytest.mark.parametrize(
+    ("ticks_per_reading", "timeout", "limit"),
+    [(1, 50.0, 150.0), (20, 80.0, 60.0), (1, 100.0, 80.0), (1, 400.0, 150.0)],
+)
 def test_a_short_time_out_of_the_drive_shortens_the_time_without_a_report_of_the_bridge(
-    timeout: float, limit: float
+    ticks_per_reading: int, timeout: float, limit: float
 ) -> None:
     """Not below its cycle of 60 half cycles: each report would be waited for."""
-    seen = Seen(cycle=60, timeout=timeout)
+    seen = Seen(ticks_per_reading, cycle=60, timeout=timeout)
     seen.look(0.0, bridge=True)
     seen.look(limit - 0.1, bridge=True, reported=limit - 0.1)
     assert not seen.awaits_report
