@@ -35,14 +35,16 @@ class MustBeOff:
 
     Attributes:
         stale_s: Oldest usable measurement.
+        own_timeout_s: Time without a command after which the drive stops by itself.
         enabled: Whether `enable` has been accepted, and nothing has revoked it since.
         why_not: What revoked it last.
         reading: The last reading that was handed over.
         readings: How many have been, since the daemon was started.
+        judged: The reading at the last command.
         complaint: What another sender does, as the bus sees it.
         ran_s: When the daemon last sent a command.
         stalled: Whether the slow loop decides nothing.
-        refused: Commands in a row with the bridge on to a drive that reports it off.
+        refused: Readings in a row with the bridge off after commands with it on: silence is none.
         refused_from_s: When the first of them was sent.
         undecided: Commands in a row with the bridge on that a stalled slow loop has not seen.
         commanded: Whether the last command had the bridge on.
@@ -51,6 +53,7 @@ class MustBeOff:
     """
 
     stale_s: float = 0.05
+    own_timeout_s: float = OWN_TIMEOUT_s
 
     enabled: bool = False
     why_not: str = "nobody has enabled it"
@@ -60,6 +63,7 @@ class MustBeOff:
     ran_s: float = math.inf
     stalled: bool = False
     refused: int = 0
+    judged: Reading | None = None
     refused_from_s: float = math.inf
     undecided: int = 0
     commanded: bool = False
@@ -100,14 +104,15 @@ class MustBeOff:
         reported = self.reading is not None and self.reading.bridge
         if not self.refused:
             self.refused_from_s = now_s
-        self.refused = self.refused + 1 if command.bridge and not reported else 0
+        news, self.judged = self.reading is not self.judged, self.reading
+        self.refused = self.refused + news if command.bridge and not reported else 0
         self.undecided = self.undecided + 1 if command.bridge and self.stalled else 0
         self._note_bridge(command, on=reported)
 
     def _unheard(self, now_s: float) -> bool:
         """Return whether a drive that was on has been silent for longer than its own time-out."""
         silent_s = 0.0 if self.reading is None else now_s - self.reading.arrival_s
-        return self.been_on and silent_s > OWN_TIMEOUT_s
+        return self.been_on and silent_s > self.own_timeout_s
 
     def _note_bridge(self, command: Command, *, on: bool) -> None:
         """Keep whether the bridge has come on by the command, not still is by the one before."""

@@ -56,10 +56,11 @@ FAULTS = [
 ]
 
 
-def motor(stale_s: float) -> Configuration:
-    """The example of a motor, with a limit for the age of its measurements."""
+def motor(stale_s: float, own_timeout_s: float) -> Configuration:
+    """The example of a motor: how old its measurements may be, and when its drive stops."""
     tables = tomllib.loads(MOTOR.read_text())
     tables["interlocks"]["stale_s"] = stale_s
+    tables["bus"]["command_timeout_s"] = own_timeout_s
     return validate_configuration(tables, MOTOR)
 
 
@@ -67,16 +68,18 @@ class Story(RuleBasedStateMachine):
     """One drive, one daemon at a time, and all that may happen to them.
 
     Attributes:
-        stale_s: `interlocks.stale_s` of the daemon; the drive's own time-out is 0.1 s.
+        stale_s: `interlocks.stale_s` of the daemon.
+        own_timeout_s: The drive's own time-out, as the configuration states it.
     """
 
     stale_s = 0.05
+    own_timeout_s = OWN_TIMEOUT_s
 
     def __init__(self) -> None:
         super().__init__()
         self.now = 1000.0
-        self.must = MustBeOff(self.stale_s)
-        self.configuration = motor(self.stale_s)
+        self.must = MustBeOff(self.stale_s, self.own_timeout_s)
+        self.configuration = motor(self.stale_s, self.own_timeout_s)
         self.values = dict(HEALTHY)
         self.counter = 0
         self.bridge = False
@@ -119,7 +122,7 @@ class Story(RuleBasedStateMachine):
         self.daemon.wait(self.now)
         self.daemon.port.catch_up()
 
-    @rule(ticks=st.sampled_from([3, 8, 60]))
+    @rule(ticks=st.sampled_from([3, 8, 20, 60]))
     def freeze_within_a_tick(self, ticks: int) -> None:
         schedule = self.daemon.fast._schedule
         tick = schedule._controller.tick
@@ -264,7 +267,7 @@ class Story(RuleBasedStateMachine):
         """The drive lives for half a cycle and sends; it is heard, kept for later, or lost."""
         self.now += lasts_s
         self.counter += 1
-        if self.now - self.commanded_s > OWN_TIMEOUT_s and self.obeys:
+        if self.now - self.commanded_s > self.own_timeout_s and self.obeys:
             self.bridge = False
         reading = self._reading()
         if keep and self.daemon.port.up:
@@ -302,3 +305,9 @@ class PatientStory(Story):
     """A daemon that drives on through a silence in which the drive stops by itself."""
 
     stale_s = 0.45
+
+
+class HastyDriveStory(PatientStory):
+    """The same with a drive that stops by itself sooner than one of an unknown time-out may."""
+
+    own_timeout_s = 0.05

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import os
 
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis.stateful import run_state_machine_as_test
 
+from adaptdrive.runtime import bridge_watch
 from adaptdrive.runtime.bridge_watch import BridgeWatch
 from adaptdrive.runtime.interlock_board import InterlockBoard
 from adaptdrive.runtime.requests import SetSetpoint
-from tests.faults.story import PatientStory, Story
+from tests.faults.story import HastyDriveStory, PatientStory, Story
 
 STORIES = int(os.environ.get("STORIES", "40"))
 QUICK = settings(
@@ -36,6 +38,9 @@ TestStory.settings = QUICK
 TestPatientStory = PatientStory.TestCase
 TestPatientStory.settings = QUICK
 
+TestHastyDriveStory = HastyDriveStory.TestCase
+TestHastyDriveStory.settings = QUICK
+
 
 def _no_cause(*_: object, **__: object) -> None:
     return None
@@ -57,6 +62,33 @@ def test_a_daemon_without_one_protection_is_found_out(
     monkeypatch.setattr(owner, name, _no_cause)
     with pytest.raises(AssertionError, match=r"although|without a reset"):
         run_state_machine_as_test(story, settings=UNSHRUNK)
+
+
+def test_a_daemon_that_does_not_know_a_short_time_out_is_found_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(bridge_watch, "on_for_certain_s", lambda *_: math.inf)
+    with pytest.raises(AssertionError, match="stopped unheard"):
+        run_state_machine_as_test(HastyDriveStory, settings=UNSHRUNK)
+
+
+@pytest.mark.parametrize(("kind", "ticks"), [(PatientStory, 20), (HastyDriveStory, 8)])
+def test_a_command_that_was_frozen_for_longer_than_the_time_out_waits_for_a_report(
+    kind: type[PatientStory], ticks: int
+) -> None:
+    story = kind()
+    story.wake_up(readings=62)
+    story.bring_up()
+    story.freeze_within_a_tick(ticks=ticks)
+    story.it_has_not_died()
+
+
+def test_a_drive_that_is_silent_from_its_start_on_has_not_refused_its_bridge() -> None:
+    story = PatientStory()
+    story.wake_up(readings=62)
+    story.enable()
+    story.lose_frames(ticks=38)
+    story.it_has_not_died()
 
 
 def test_a_command_that_a_request_made_between_two_ticks_shows_no_cause_yet() -> None:

@@ -68,6 +68,9 @@ class Seen:
     def awaits_report(self) -> bool:
         return self._watch.awaits_report
 
+    def must_report(self, unwatched: float) -> bool:
+        return self._watch.must_report(unwatched * TICK_S)
+
 
 @pytest.mark.parametrize(("ticks_per_reading", "last"), [(1, 29), (10, 20), (60, 120)])
 def test_a_bridge_has_thirty_half_cycles_and_three_readings(
@@ -317,6 +320,34 @@ def test_a_time_unwatched_that_leaves_a_drive_on_is_neither_waited_for_nor_named
     assert not seen.awaits_report
     assert seen.look(21.0, bridge=False)
     assert seen.cause == STOPPED
+
+
+@pytest.mark.parametrize(
+    ("timeout", "punctual", "late"), [(None, 10.2, 10.3), (4.0, 3.0, 3.1), (6.0, 4.7, 4.9)]
+)
+def test_before_a_late_command_a_drive_that_was_on_must_report(
+    timeout: float | None, punctual: float, late: float
+) -> None:
+    seen = Seen(timeout=timeout)
+    seen.look(0.0, bridge=True)
+    assert not seen.must_report(punctual)
+    assert seen.must_report(late)
+
+
+@pytest.mark.parametrize(("reported", "on"), [(True, False), (False, True)])
+def test_before_a_late_command_no_drive_must_report_that_cannot_show_a_stop(
+    *, reported: bool, on: bool
+) -> None:
+    seen = Seen(reported=reported)
+    seen.look(0.0, bridge=on)
+    assert not seen.must_report(100.0)
+
+
+def test_before_a_punctual_command_a_drive_that_was_silent_must_report() -> None:
+    seen = Seen()
+    seen.look(0.0, bridge=True)
+    seen.look(11.0, bridge=True, old=11.0)
+    assert seen.must_report(0.0)
 
 
 def test_no_report_is_waited_for_of_a_drive_that_was_not_on() -> None:

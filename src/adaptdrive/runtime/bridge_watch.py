@@ -116,6 +116,15 @@ class BridgeWatch:
         unheard_s = max(self._gap_s, self._silent_s) if self._reported else 0.0
         return self._been_on and unheard_s > self._on_s
 
+    def must_report(self, unwatched_s: float) -> bool:
+        """Return whether a drive must report before a command that this process has come late with.
+
+        Args:
+            unwatched_s: Time since the last look.
+        """
+        late = self._reported and self._been_on and unwatched_s > self._on_s
+        return late or self.awaits_report
+
     def _rest(self, *, bridge: bool) -> None:
         """Begin anew with a drive that is commanded off; its bridge may still be on."""
         self._off_s, self._been_on, self._lingers = None, False, bridge

@@ -296,7 +296,7 @@ class FastLoop:
         if self._overslept():
             self.send_safe()
             return
-        if command.bridge and self._interlocks.awaits_bridge:
+        if command.bridge and self._interlocks.awaits_bridge(self._surroundings.now_s()):
             self.counts.withheld += 1
             return
         self._send(command)

@@ -65,10 +65,9 @@ class InterlockBoard:
         """True once the rate of the drive was judged; at an unknown one it is not energised."""
         return self._rate is None or self._rate.judged
 
-    @property
-    def awaits_bridge(self) -> bool:
-        """True while nothing that energises may be sent before the drive has reported again."""
-        return self._bridge.awaits_report or self._restarts.in_doubt
+    def awaits_bridge(self, now_s: float) -> bool:
+        """Return whether nothing that energises may be sent before the drive has reported again."""
+        return self._restarts.in_doubt or self._bridge.must_report(now_s - self._watched_s)
 
     def look(self, now_s: float) -> float:
         """Note an evaluation; return the time since the one before, in s."""
