@@ -745,6 +745,23 @@ async def test_a_drive_that_came_on_and_stopped_between_two_readings_is_shown_to
         assert port.send(COMMAND)
 
 
+async def test_a_bridge_that_bounces_between_two_readings_has_not_stopped(
+    port: CanPort, drive: Drive, ear: Ear
+) -> None:
+    async with running(port, ear):
+        drive.send_status(BridgeOn=0)
+        drive.send_load()
+        await ear.hears(1)
+        assert port.send(COMMAND)
+        for bridge in (1, 0, 1):
+            drive.send_status(BridgeOn=bridge)
+        for count in (2, 3):
+            drive.send_load()
+            await ear.hears(count)
+            assert port.send(COMMAND)
+        assert [reading.bridge for reading in ear.readings] == [False, True, True]
+
+
 @pytest.mark.parametrize("last", [SAFE_COMMAND, replace(COMMAND, bridge=False)])
 async def test_a_drive_that_was_off_when_its_bus_was_lost_may_be_off_after_it(
     port: CanPort, drive: Drive, ear: Ear, last: Command

@@ -100,9 +100,15 @@ class StatusAssembly:
         self._note_bridge(on=self.powered)
 
     def _note_bridge(self, *, on: bool) -> None:
-        """Note a report of the bridge, of which there may be several between two readings."""
+        """Note a report of the bridge, of which there may be several between two readings.
+
+        Before a reading has had it on, it may bounce: the newest report decides.
+        """
         self._come_on = self._come_on or on
-        self.stop_seen = self.stop_seen or ((self._carried_on or self._come_on) and not on)
+        if self._carried_on:
+            self.stop_seen = self.stop_seen or not on
+        else:
+            self.stop_seen = self._come_on and not on
 
     def carry(self, reading: Reading) -> None:
         """Note a reading that is handed out; a stop seen after it was composed stays.

@@ -80,9 +80,9 @@ def _unstated(message: str, limit_s: float) -> str:
 def _seldom(message: str, cycle_s: float, limit_s: float) -> str:
     return (
         f"message {message!r} comes every {cycle_s * 1e3:.4g} ms: after {limit_s * 1e3:.4g} ms "
-        "without the daemon or the drive, nothing energises before its next report, and a drive "
-        "stops meanwhile whose own time-out (bus.command_timeout_s) is not longer than "
-        f"{(limit_s + cycle_s) * 1e3:.4g} ms"
+        "without the daemon or the drive, or a leap of an alive counter, nothing energises before "
+        "its next report, and a drive stops meanwhile whose own time-out (bus.command_timeout_s) "
+        f"is not longer than {(limit_s + cycle_s) * 1e3:.4g} ms"
     )
 
 
