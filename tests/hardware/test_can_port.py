@@ -745,6 +745,23 @@ async def test_a_drive_that_came_on_and_stopped_between_two_readings_is_shown_to
         assert port.send(COMMAND)
 
 
+@pytest.mark.parametrize("last", [None, replace(COMMAND, bridge=False)])
+async def test_a_bridge_that_goes_off_while_it_is_not_commanded_on_is_off(
+    port: CanPort, drive: Drive, ear: Ear, last: Command | None
+) -> None:
+    async with running(port, ear):
+        drive.send_status(BridgeOn=0)
+        drive.send_load()
+        await ear.hears(1)
+        if last is not None:
+            assert port.send(last)
+        drive.send_status(BridgeOn=1)
+        drive.send_status(BridgeOn=0)
+        drive.send_load()
+        await ear.hears(2)
+        assert not ear.readings[1].bridge
+
+
 async def test_a_bridge_that_bounces_between_two_readings_has_not_stopped(
     port: CanPort, drive: Drive, ear: Ear
 ) -> None:

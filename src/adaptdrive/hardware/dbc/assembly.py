@@ -124,7 +124,8 @@ class StatusAssembly:
     def reading(self, arrival_s: float, *, bridge_sent: bool, stopped: bool) -> Reading | None:
         """Return the newest values and each fault since the last reading; None before all came.
 
-        A drive that came on and stopped between two readings has one with its bridge on first.
+        A drive that came on by command and stopped between two readings has one with its bridge on
+        first.
 
         A drive at rest may confirm its stop although values are missing since the bus was opened
         again: it has the reading before with the bridge of now.
@@ -140,7 +141,7 @@ class StatusAssembly:
             return self._stop(arrival_s) if stopped else None
         self._last = self._whole(arrival_s, due_s - slack_s, slack_s, bridge_sent=bridge_sent)
         if self.stop_seen and not stopped:  # a drive that is driven has stopped meanwhile
-            self._last = replace(self._last, bridge=not self._carried_on)
+            self._last = replace(self._last, bridge=bridge_sent and not self._carried_on)
         return self._last
 
     def _whole(
