@@ -5,8 +5,9 @@ every quantity has been heard once, there is a reading, as old as its oldest val
 was read as soon as it came is handed out at once. One whose frame has waited is held back until no
 more frames wait: of readings that piled up while the process did not run, only the newest is worth
 a tick. A frame that fails a check is counted and changes nothing, but for the words of one that is
-whole and has another value out of range: its fault word and its bridge are believed. A drive at
-rest that sends such clocking frames has readings of old values, so that it can confirm its stop.
+whole and no repetition: its fault word and its bridge are believed where another value is out of
+range, or its alive counter leapt or stands. A drive at rest that sends clocking frames with values
+out of range has readings of old values, so that it can confirm its stop.
 """
 
 from __future__ import annotations
