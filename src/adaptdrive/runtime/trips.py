@@ -249,16 +249,16 @@ TRIPS = (
     Trip(
         r"^the drive refuses commands: ",
         "the drive refuses commands: exception code 3 (illegal value) at register 0; …",
-        "Modbus: two commands in a row were refused, or three were not taken; the drive may still "
+        "Modbus: two commands in a row were refused, or five were not taken; the drive may still "
         "follow the last accepted command",
         "check the register map, its limits, remote mode and write access",
     ),
     Trip(
         r"^the drive does not answer commands: ",
         "the drive does not answer commands: …",
-        "Modbus: the drive answered reads, but took none of three commands in a row, the last one "
-        "without a reply",
-        "check write access; look at `timeouts` in `bus`",
+        "Modbus: the drive answered reads, but took none of five commands in a row: no reply, "
+        "*busy*, or a line that was not silent in time",
+        "check write access; look at `timeouts`, `exceptions` and `foreign` in `bus`",
     ),
     Trip(
         r"^the bus does not take commands: ",

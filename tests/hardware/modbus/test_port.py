@@ -403,6 +403,74 @@ async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(
         assert one.port.complaint is None
 
 
+def reported(changes: dict[str, str | None]) -> dict[str, str | None]:
+    """A map whose state register is the report of the bridge."""
+    address, table = (15, "holding") if changes else (5, "input")
+    register = f"{{ address = {address}, table = '{table}', type = 'uint16' }}"
+    return {**changes, "bus__registers__closed": register, "signals__bridge": '"closed"'}
+
+
+@pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
+@both
+async def test_a_drive_one_of_whose_reports_is_lost_is_read_before_it_is_driven_on(
+    kind: str, changes: dict[str, str | None], tmp_path: Path, free_tcp_port: int
+) -> None:
+    """It may have started anew: what energises is not written before it has reported again."""
+    async with driven(kind, tmp_path, free_tcp_port, 1, **reported(changes)) as one:
+        peer = one.peer
+        lost: list[int] = []
+
+        def lose(reply: bytes) -> Pieces:
+            if lost or peer.requests[-1][0] == 16:
+                return untouched(reply)
+            lost.append(len(peer.requests))
+            return []
+
+        peer.spoil = lose
+        await until(lambda: bool(lost) and len(peer.requests) > lost[0] + 3)
+        functions = [request[0] for request in peer.requests[lost[0] :]]
+        assert functions[0] in {3, 4}
+        assert 16 in functions
+
+
+@both
+async def test_a_command_from_before_the_bridge_went_off_is_not_written_again(
+    kind: str, tmp_path: Path, free_tcp_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever decides may hold the next one back: a drive that has just come on may bounce."""
+    async with driven(kind, tmp_path, free_tcp_port, 1, **reported({})) as one:
+        await until(lambda: one.told()[1] == 1)
+        await one.hears(2)
+        take, written = one.ear.on_reading, []
+
+        def note(reading: Reading) -> None:
+            take(reading)
+            written.append((reading.bridge, len(one.peer.writes)))
+
+        monkeypatch.setattr(one.ear, "on_reading", note)
+        one.peer.state = 0
+        await until(lambda: [bridge for bridge, _ in written].count(False) == 4)
+        known = next(count for bridge, count in written if not bridge)
+        assert len(one.peer.writes) == known
+        one.port.send(RUN)
+        await until(lambda: len(one.peer.writes) > known)
+
+
+@both
+async def test_a_command_follows_the_read_of_the_bridge(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    """Of several reads that of the bridge is the last: no slow one gives it time to stop."""
+    bridge = {
+        "bus__registers__on": "{ address = 0, table = 'input', bit = 2 }",
+        "signals__bridge": '"on"',
+    }
+    async with driven(kind, tmp_path, free_tcp_port, 1, **SCATTERED, **bridge) as one:
+        await until(lambda: len(one.peer.writes) > 3)
+        read = {before for before, after in pairwise(one.peer.requests) if after[0] == 16}
+        assert {request[:3] for request in read} == {b"\x04\0\0"}
+
+
 @both
 async def test_a_safe_command_that_no_poll_has_carried_is_written_at_the_end(
     kind: str, tmp_path: Path, free_tcp_port: int

@@ -29,12 +29,6 @@ class PollAssembly:
         self._refused: list[str] = []
 
     @property
-    def bridge_reported(self) -> bool:
-        """True for a drive whose map has a register for its bridge."""
-        sources = (source for _, each in self._poll.reads for source in each)
-        return any(source.quantity == "bridge" for source in sources)
-
-    @property
     def heartbeat(self) -> float | None:
         """Heartbeat of the drive in this poll, None where it must not be used."""
         return self._values.get(HEARTBEAT)

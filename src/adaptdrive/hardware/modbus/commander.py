@@ -8,11 +8,12 @@ from collections.abc import Callable
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.modbus.capacity import Exchange
-from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
+from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, OvertakenError
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll
 from adaptdrive.hardware.modbus.replies import EXCEPTIONS
+from adaptdrive.hardware.modbus.sight import Sight
 from adaptdrive.hardware.port import OBEY_S
-from adaptdrive.hardware.relink import REFUSED, UNANSWERED, UNREAD, Relink, silence_limit_s
+from adaptdrive.hardware.relink import REFUSED, UNANSWERED, UNREAD, Relink
 
 _FROZEN_POLLS = 2.0
 """Time without a step of the port, in polls, after which the process counts as having stood still.
@@ -21,10 +22,16 @@ No exchange that a running process awaits takes as long: its time-out is shorter
 """
 
 _REFUSED_WRITES = 2
-"""Commands refused in a row after which the drive counts as refusing: one may find it busy."""
+"""Commands refused in a row after which the drive counts as refusing."""
 
-_UNTAKEN_WRITES = 3
-"""Commands in a row that a drive which answers reads has not taken, for whatever reasons."""
+_UNTAKEN_WRITES = 5
+"""Commands in a row that a drive which answers reads has not taken, for whatever reasons.
+
+Where one reply in twenty is lost, five in a row are within days, and three within minutes.
+"""
+
+_BUSY = frozenset({5, 6})
+"""Exception codes of a drive that has no time for a command, and does not refuse it."""
 
 
 class Commander:
@@ -40,28 +47,28 @@ class Commander:
         self,
         poll: Poll,
         poll_s: float,
+        sight: Sight,
         counts: Counter[str],
         clock: Callable[[], float],
-        sure_s: float = math.inf,
     ) -> None:
         """Hold no command yet.
 
         Args:
             poll: Registers of the drive.
             poll_s: Time between two polls, in s.
+            sight: Freshness of what is known of the drive.
             counts: `sent`, `send_drops` and `withheld_commands` are counted here.
             clock: Monotonic clock, in s.
-            sure_s: Time in which the drive's own time-out does not stop it, in s.
         """
         self._poll = poll
         self._poll_s = poll_s
-        self._silence_limit_s = silence_limit_s(poll_s, sure_s)
         self._counts = counts
         self._clock = clock
         self._command: Command | None = None
         self._written: Command | None = None
         self._withheld = False
         self._relink = Relink()
+        self._sight = sight
         self._safe = False
         self._refused = self._untaken = 0
         self._silent = False
@@ -73,7 +80,6 @@ class Commander:
         self._stopped_s = math.inf
         self._powered = False
         self._stepped_s = math.inf
-        self._fed_s = -math.inf
         self._outdated = False
         self._tried_bridge = False
         self.bridge = False
@@ -132,6 +138,7 @@ class Commander:
         self._relink.open(bridge=self.bridge or self._tried_bridge)
         self._silent = self._powered = self._safe = self.bridge = self._tried_bridge = False
         self._blank = True
+        self._sight.forget()
         self._stepped_s = self._clock()
         if self._command == SAFE_COMMAND:
             self._stopped_s = self._clock()
@@ -160,7 +167,10 @@ class Commander:
 
     def note_bridge(self, *, powered: bool) -> None:
         """Note a reading: whether the drive reports its bridge on, or is assumed to have it on."""
+        if self.bridge and self._powered and not powered:
+            self._outdated = True  # a command from before the bridge went off
         self._powered = powered
+        self._sight.look()
         self._blank, self._read_s = False, self._clock()
         self._relink.hear(bridge=powered)
 
@@ -170,20 +180,53 @@ class Commander:
         Args:
             powered: The bridge beside the refused values, None where it must not be used.
         """
+        if powered is not None:
+            self._sight.look()
         if powered is False:
             self._relink.open(bridge=self.bridge or self._tried_bridge, how=REFUSED)
 
-    async def read(self, link: ModbusConnection, exchange: Exchange, *, first: bool) -> list[int]:
-        """Read a block; write the command with the first one where the drive can do both at once.
+    def begin_poll(self) -> bool:
+        """Begin a poll; return whether the command goes with its first read.
+
+        A command that energises does so only while nothing is unusual: the drive takes it before
+        it reports, and one that had stopped by itself would be switched on unseen. Otherwise the
+        drive is read first, and the command follows.
+        """
+        command = self._current()
+        joins = self._poll.combined and command is not None and self._may_join(command)
+        if not joins:
+            self._written = None  # it takes none with this read
+            self._sight.forget()
+        return joins
+
+    def is_starved(self, since_s: float) -> bool:
+        """Return whether a drive that is commanded on has taken no command since a time."""
+        command = self._command
+        return command is not None and command.bridge and self._sight.fed_s < since_s
+
+    async def read(self, link: ModbusConnection, exchange: Exchange, *, joined: bool) -> list[int]:
+        """Read a block, and write the command with it where it joins the read.
 
         Raises:
             ExchangeError: The drive did not give the block.
         """
-        command = self._current() if first and self._poll.combined else None
-        if command is None:
-            if first:  # it has taken none with this poll
-                self._written = None
-            return await self._read(link, exchange)
+        command = self._current() if joined else None
+        try:
+            if command is None:
+                return await self._read(link, exchange)
+            return await self._read_with(link, exchange, command)
+        finally:
+            if joined:
+                self._sight.forget()
+
+    async def _read_with(
+        self, link: ModbusConnection, exchange: Exchange, command: Command
+    ) -> list[int]:
+        """Read a block and write a command at once.
+
+        Raises:
+            ExchangeError: The drive did not give the block.
+        """
         block, _ = self._poll.writes[0]
         words = self._words(command)[0]
         at_once = self._at_once
@@ -191,8 +234,10 @@ class Commander:
         both = Exchange(exchange.read, block)
         try:
             registers = await self._exchange(
-                link, both, words, at_once=at_once, void=lambda: self._is_void(command)
+                link, both, words, at_once=at_once, void=lambda: not self._may_join(command)
             )
+        except OvertakenError:
+            return await self._read(link, exchange)
         except ExchangeError as failure:
             if not self._is_void(command):
                 self._note_refusal(both, failure)
@@ -203,9 +248,9 @@ class Commander:
         return registers
 
     async def write(self, link: ModbusConnection) -> None:
-        """Write the newest command, unless it is void."""
+        """Write the newest command, unless it is void, or the drive was not seen in this poll."""
         command = self._current()
-        if command is None:
+        if command is None or not self._may_follow(command):
             self._count_withheld()
             return
         at_once = self._at_once
@@ -265,7 +310,11 @@ class Commander:
         """Write one block of a command; whether the drive has taken it."""
         try:
             await self._exchange(
-                link, exchange, registers, at_once=at_once, void=lambda: self._is_void(command)
+                link,
+                exchange,
+                registers,
+                at_once=at_once,
+                void=lambda: not self._may_follow(command),
             )
         except ExchangeError as failure:
             if self._is_void(command):
@@ -278,8 +327,9 @@ class Commander:
         return True
 
     def _count_withheld(self) -> None:
-        """Count the newest command once if it is void; one that another has replaced is not."""
-        if self._command is not None and not self._withheld and self._current() is None:
+        """Count the newest command once if it must not go out; one that is replaced is not it."""
+        command = self._command
+        if command is not None and not self._withheld and not self._may_follow(command):
             self._withheld = True
             self._counts["withheld_commands"] += 1
 
@@ -299,12 +349,12 @@ class Commander:
     @property
     def _unfed(self) -> bool:
         """True if a silent drive has acknowledged no command for as long as it may need to stop."""
-        return self._silent and self._clock() - self._fed_s > self._silence_limit_s
+        return self._silent and self._sight.may_have_timed_out
 
     @property
     def _unread(self) -> bool:
         """True if the polls have given no reading for as long as the drive may be silent."""
-        return self._blank and self._clock() - self._read_s > self._silence_limit_s
+        return self._blank and self._clock() - self._read_s > self._sight.limit_s
 
     @property
     def _stands_still(self) -> bool:
@@ -313,6 +363,14 @@ class Commander:
     def _is_void(self, command: Command) -> bool:
         """Return whether a command that energises must not be sent any more."""
         return command != SAFE_COMMAND and self._current() in {None, SAFE_COMMAND}
+
+    def _may_join(self, command: Command) -> bool:
+        """Return whether a command may be written with a read."""
+        return not self._is_void(command) and (not command.bridge or self._sight.joins_look)
+
+    def _may_follow(self, command: Command) -> bool:
+        """Return whether a command may be written after a read."""
+        return not self._is_void(command) and (not command.bridge or self._sight.follows_look)
 
     def _words(self, command: Command) -> list[list[int]]:
         """The registers of every block that is written, with the next heartbeat.
@@ -332,7 +390,7 @@ class Commander:
         reason = failure.problem
         if code is not None:
             reason = f"exception code {code} ({EXCEPTIONS.get(code, 'of its maker')})"
-        self._refused = 0 if code is None else self._refused + 1
+        self._refused = 0 if code is None or code in _BUSY else self._refused + 1
         self._untaken += not self._silent
         register = "" if block is None else f" at register {block.address}"
         self._refusal = (
@@ -349,7 +407,8 @@ class Commander:
 
     def _confirm(self, command: Command) -> None:
         self._counts["sent"] += 1
-        self._written, self.bridge, self._fed_s = command, command.bridge, self._clock()
+        self._written, self.bridge = command, command.bridge
+        self._sight.feed()
         self._safe = command == SAFE_COMMAND
         self._refused = self._untaken = 0
         self._doubtful = False

@@ -254,7 +254,7 @@ class ModbusConnection:
                 raise ExchangeError("the line is never silent")
             await asyncio.sleep(min(left_s, _LOOK_S))
         if void():
-            raise OvertakenError("the safe command goes first")
+            raise OvertakenError("not sent: the line was not silent in time")
 
     def unsettled_s(self) -> float:
         """Return how much longer a serial line must be silent before a reply is its request's."""

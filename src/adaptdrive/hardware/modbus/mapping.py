@@ -122,6 +122,16 @@ class Poll:
     combined: bool
     other: tuple[str, ...] = ()
 
+    @property
+    def reports_bridge(self) -> bool:
+        """True for a drive whose map has a register for its bridge."""
+        return any(_has_bridge(block) for block in self.reads)
+
+    @property
+    def bridge_last(self) -> tuple[tuple[Block, tuple[RegisterSource, ...]], ...]:
+        """The reads, that of the bridge last: a command that follows knows the newest report."""
+        return tuple(sorted(self.reads, key=_has_bridge))
+
     def exchanges(self) -> Iterator[Exchange]:
         """Every exchange of a poll in which a new command goes out."""
         for number, (block, _) in enumerate(self.reads):
@@ -129,6 +139,10 @@ class Poll:
             yield Exchange(read=block, write=self.writes[0][0] if together else None)
         for block, _ in self.writes:
             yield Exchange(write=block)
+
+
+def _has_bridge(block: tuple[Block, tuple[RegisterSource, ...]]) -> bool:
+    return any(source.quantity == "bridge" for source in block[1])
 
 
 def map_drive(

@@ -27,8 +27,9 @@ from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, Ove
 from adaptdrive.hardware.modbus.mapping import Poll
 from adaptdrive.hardware.modbus.replies import are_alike
 from adaptdrive.hardware.modbus.serial_port import SerialPort
+from adaptdrive.hardware.modbus.sight import Sight
 from adaptdrive.hardware.port import Listener, PortStatistics
-from adaptdrive.hardware.relink import on_for_certain_s
+from adaptdrive.hardware.relink import on_for_certain_s, silence_limit_s
 
 _SILENT_POLLS = 3
 """Polls without a reading after which the drive is reported lost."""
@@ -58,8 +59,9 @@ class ModbusPort:
         self._poll_s = poll_s
         self._clock = clock
         self._counts: Counter[str] = Counter()
-        sure_s = on_for_certain_s(poll_s, config.command_timeout_s)
-        self._commander = Commander(poll, poll_s, self._counts, clock, sure_s)
+        limit_s = silence_limit_s(poll_s, on_for_certain_s(poll_s, config.command_timeout_s))
+        sight = Sight(poll.reports_bridge, poll_s, config.timeout_s, limit_s, clock)
+        self._commander = Commander(poll, poll_s, sight, self._counts, clock)
         self._listener: Listener | None = None
         self._link: ModbusConnection | None = None
         self._wake = asyncio.Event()
@@ -68,8 +70,9 @@ class ModbusPort:
         self._heartbeat = DriveHeartbeat(config.heartbeat)
         self._silent = 0
         self._foreign = 0
-        reads = [one for one in poll.exchanges() if one.read is not None]
-        self._alike = are_alike(config, reads)
+        joined = [one for one in poll.exchanges() if one.read is not None]
+        apart = [Exchange(read=block) for block, _ in poll.bridge_last]
+        self._alike = any(are_alike(config, reads) for reads in (joined, apart))
         self._up = True
         self._failure = ""
 
@@ -96,7 +99,7 @@ class ModbusPort:
     @property
     def stop_slack_s(self) -> float | None:
         """Nothing, or None for a drive whose map has no register for its bridge."""
-        return 0.0 if self._assembly.bridge_reported else None
+        return 0.0 if self._poll.reports_bridge else None
 
     @property
     def bridge_cycle_s(self) -> float:
@@ -213,13 +216,19 @@ class ModbusPort:
         self._link = link
         self._heartbeat.forget()
         self._commander.begin()
-        next_s = self._clock()
+        next_s, hurried = self._clock(), False
         try:
             while link.lost is None and not self._closing:
                 self._commander.note_step()
+                start_s = self._clock()
                 await self._poll_once(link)
-                next_s = self._next(next_s)
-                await self._idle(link, next_s)
+                hurried = not hurried and self._commander.is_starved(start_s)
+                due_s = self._next(next_s)
+                if hurried:  # once, before the drive's own time-out ends
+                    due_s = min(due_s, start_s + self._config.timeout_s)
+                else:
+                    next_s = due_s
+                await self._idle(link, due_s)
             await self._commander.leave_safe(link)
         except Exception:
             with contextlib.suppress(Exception):  # the first problem counts
@@ -279,10 +288,12 @@ class ModbusPort:
         """
         assembly = self._assembly
         assembly.begin()
-        for number, (block, sources) in enumerate(self._poll.reads):
+        joined = self._commander.begin_poll()
+        for block, sources in self._poll.reads if joined else self._poll.bridge_last:
             if self._commander.urgent:
                 await self._commander.write(link)
-            words = await self._commander.read(link, Exchange(read=block), first=number == 0)
+            words = await self._commander.read(link, Exchange(read=block), joined=joined)
+            joined = False
             assembly.take(block, sources, words)
         self._failure = assembly.refusal
         self._counts["out_of_range"] += bool(assembly.refusal)

@@ -1,0 +1,81 @@
+"""Freshness of what is known of a drive that is commanded on: it may stop by itself at any time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+_LOOK_TIMEOUTS = 1.5
+"""Age of a report, in time-outs, at which a write still follows it: one exchange may be between."""
+
+_USUAL_POLLS = 1.5
+"""The same in polls for a command that goes with the next read: it may be one poll late by half."""
+
+
+class Sight:
+    """Times of the last report of a drive's bridge and of the last command that it took.
+
+    A drive without such a report shows nothing, and is commanded all the same.
+
+    Attributes:
+        limit_s: Time after which a drive that takes no command may have stopped, in s.
+    """
+
+    def __init__(
+        self,
+        reported: bool,
+        poll_s: float,
+        timeout_s: float,
+        limit_s: float,
+        clock: Callable[[], float],
+    ) -> None:
+        """See and feed nothing yet.
+
+        Args:
+            reported: Whether the drive reports its bridge.
+            poll_s: Time between two polls, in s.
+            timeout_s: Longest time from a request to its reply, in s.
+            limit_s: Time after which a drive that takes no command may have stopped, in s.
+            clock: Monotonic clock, in s.
+        """
+        self._reported = reported
+        self.limit_s = limit_s
+        self._look_s = _LOOK_TIMEOUTS * timeout_s
+        self._usual_s = _USUAL_POLLS * poll_s
+        self._clock = clock
+        self._seen_s = self._fed_s = -math.inf
+
+    @property
+    def fed_s(self) -> float:
+        """Time at which the drive took the last command."""
+        return self._fed_s
+
+    @property
+    def may_have_timed_out(self) -> bool:
+        """True if the drive has taken no command for as long as its own time-out may be."""
+        return self._clock() - self._fed_s > self.limit_s
+
+    @property
+    def follows_look(self) -> bool:
+        """True if what energises may be written: the poll has a report that is still good."""
+        age_s = self._clock() - self._seen_s
+        fresh = age_s <= self._look_s or not self.may_have_timed_out
+        return not self._reported or (age_s < math.inf and fresh)
+
+    @property
+    def joins_look(self) -> bool:
+        """True if what energises may be written with the read that would show a stop."""
+        usual = self._clock() - self._seen_s <= self._usual_s and not self.may_have_timed_out
+        return not self._reported or usual
+
+    def feed(self) -> None:
+        """Note a command that the drive has taken."""
+        self._fed_s = self._clock()
+
+    def look(self) -> None:
+        """Note a report of the bridge, on or off."""
+        self._seen_s = self._clock()
+
+    def forget(self) -> None:
+        """Begin a poll: reports of the one before do not count for its commands."""
+        self._seen_s = -math.inf

@@ -1,0 +1,124 @@
+"""A healthy drive on a line that loses or repeats replies, judged by counts in virtual time."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from adaptdrive.app.ports import build_port
+from adaptdrive.control.signals import Command
+from adaptdrive.hardware.modbus import bus, port
+from adaptdrive.hardware.modbus.port import ModbusPort
+from adaptdrive.hardware.port import Reading
+from tests.config.modbus_documents import parse
+from tests.hardware.modbus.bench import FUNCTION_23, MAP, Ear, Peer, serial
+from tests.hardware.modbus.virtual import Follower, VirtualDrive, VirtualLoop, VirtualSerialPort
+
+POLLS = 6000
+LOST_SHARE = 0.05
+STARVED = 8
+"""Reads without a command in between: five replies in a row are lost before, or it is held back."""
+
+REPEATED = 20
+"""The request whose reply is repeated, or one soon after."""
+
+APART_s = 0.0015
+"""Time after a reply at which its copy comes, before the next request."""
+
+
+async def _found(host: str, *_: object) -> tuple[str, ...]:
+    return (host,)
+
+
+class Line:
+    """A port in virtual time that commands its drive on with each reading.
+
+    Attributes:
+        drive: The drive, which reports its bridge on.
+        ear: What was heard.
+        complaints: Every complaint of the port.
+    """
+
+    def __init__(self, kind: str, changes: dict[str, str | None], device: Path) -> None:
+        address, table = (15, "holding") if changes else (5, "input")
+        on = {
+            "bus__registers__on": f"{{ address = {address}, table = '{table}', type = 'uint16' }}",
+            "signals__bridge": '"on"',
+        }
+        link = serial(device) if kind == "rtu" else {}
+        peer = Peer(10 if changes else 0)
+        peer.state = 1
+        self.drive = VirtualDrive(peer)
+        self._loop = VirtualLoop(self.drive)
+        document = parse(**{**MAP, **link, **changes, **on})
+        tested = build_port(document, self._loop.time, "losses.toml")
+        assert isinstance(tested, ModbusPort)
+        self.port = tested
+        self.ear: Ear = Follower(self._decide)
+        self.complaints: set[str | None] = set()
+
+    def _decide(self, reading: Reading) -> None:
+        self.complaints.add(self.port.complaint)
+        assert reading.bridge
+        wanted_V = 250.0 + len(self.ear.readings) % 100
+        self.port.send(Command(current_scale_S=0.0, boost_reference_V=wanted_V, bridge=True))
+
+    def run(self, enough: Callable[[], bool]) -> None:
+        """Poll until there is enough."""
+
+        async def poll() -> None:
+            serving = asyncio.create_task(self.port.run(self.ear, lambda: None))
+            while not enough():  # noqa: ASYNC110 - virtual time
+                await asyncio.sleep(1.0)
+            serving.cancel()
+            await asyncio.gather(serving, return_exceptions=True)
+
+        try:
+            self._loop.run_until_complete(poll())
+        finally:
+            self._loop.close()
+
+
+@pytest.fixture(autouse=True)
+def in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no name server and no serial port be asked."""
+    monkeypatch.setattr(bus, "find", _found)
+    monkeypatch.setattr(port, "SerialPort", VirtualSerialPort)
+
+
+@pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
+@pytest.mark.parametrize("kind", ["tcp", "rtu"])
+def test_five_lost_replies_in_a_hundred_neither_trip_nor_starve(
+    kind: str, changes: dict[str, str | None], tmp_path: Path
+) -> None:
+    line, draw = Line(kind, changes, tmp_path / "line"), random.Random(5)
+    line.drive.copies = lambda _: () if draw.random() < LOST_SHARE else (0.0,)
+    line.run(lambda: len(line.ear.readings) > POLLS)
+    assert line.port.statistics.timeouts > 0.5 * LOST_SHARE * POLLS
+    assert line.complaints == {None}
+    assert line.drive.longest < STARVED
+    assert len({words[0] for _, words in line.drive.peer.writes}) > 99
+
+
+def test_a_drive_seen_before_a_line_that_repeats_fell_silent_is_read_again(
+    tmp_path: Path,
+) -> None:
+    """The command waits for the silence, and the drive's own time-out may end meanwhile."""
+    line = Line("rtu", {}, tmp_path / "line")
+    requests, spoiled = line.drive.peer.requests, list[int]()
+
+    def repeated(_: bytes) -> tuple[float, ...]:
+        if spoiled or len(requests) < REPEATED or requests[-1][0] == 16:
+            return (0.0,)
+        spoiled.append(len(requests))
+        return (0.0, APART_s)
+
+    line.drive.copies = repeated
+    line.run(lambda: bool(spoiled) and len(requests) > spoiled[0] + 3)
+    functions = [request[0] for request in requests[spoiled[0] :]]
+    assert functions[0] in {3, 4}
+    assert functions[1] == 16

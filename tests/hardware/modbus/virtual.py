@@ -1,0 +1,118 @@
+"""A Modbus port in virtual time, on a wire in memory: thousands of polls in a second, no stall.
+
+Time passes only while every task waits, so what a test counts is the same on any machine.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import selectors
+import struct
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from adaptdrive.hardware.port import Reading
+from tests.hardware.modbus.bench import Ear, Peer, framed
+
+_TURNAROUND_s = 0.002
+
+
+class _Selector(selectors.SelectSelector):
+    """Passes the time that it is asked to wait."""
+
+    now_s = 1000.0
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        assert timeout is not None, "every task waits, and for nothing"
+        self.now_s += max(0.0, timeout)
+        return super().select(0.0)
+
+
+class VirtualLoop(asyncio.SelectorEventLoop):
+    """An event loop whose time is virtual, and whose connections all end at one drive."""
+
+    def __init__(self, drive: VirtualDrive) -> None:
+        self._virtual = _Selector()
+        super().__init__(self._virtual)
+        self._drive = drive
+
+    def time(self) -> float:
+        return self._virtual.now_s
+
+    async def create_connection(  # type: ignore[override]
+        self, factory: Callable[[], asyncio.Protocol], *_: object, **__: object
+    ) -> tuple[asyncio.Transport, asyncio.Protocol]:
+        return self.joined(factory())
+
+    def joined(self, protocol: asyncio.Protocol) -> tuple[asyncio.Transport, asyncio.Protocol]:
+        """Connect a protocol to the drive."""
+        wire = _Wire(self, self._drive, protocol)
+        self.call_soon(protocol.connection_made, wire)
+        return wire, protocol
+
+
+class _Wire(asyncio.Transport):
+    """The port's end of the wire."""
+
+    def __init__(self, loop: VirtualLoop, drive: VirtualDrive, protocol: asyncio.Protocol) -> None:
+        super().__init__()
+        self._loop, self._drive, self._protocol = loop, drive, protocol
+
+    def write(self, data: Any) -> None:
+        reply = self._drive.hear(bytes(data))
+        for delay_s in self._drive.copies(reply):
+            self._loop.call_later(_TURNAROUND_s + delay_s, self._protocol.data_received, reply)
+
+    def close(self) -> None:
+        """End the connection."""
+
+
+class VirtualSerialPort:
+    """Stands for the serial port of a link."""
+
+    def __init__(self, _: object) -> None:
+        """Take any link."""
+
+    async def open(self, protocol: asyncio.Protocol) -> tuple[asyncio.Transport, asyncio.Protocol]:
+        """Connect a protocol to the drive."""
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        return loop.joined(protocol)
+
+
+class VirtualDrive:
+    """A drive whose replies a test may lose or repeat, and which counts how long it is not fed.
+
+    Attributes:
+        peer: Its registers.
+        copies: Returns the delay of each copy of a reply, in s; none of one that is lost.
+        unfed: Requests that read, since the last command that was taken.
+        longest: The highest of those counts.
+    """
+
+    def __init__(self, peer: Peer) -> None:
+        self.peer = peer
+        self.copies: Callable[[bytes], Sequence[float]] = lambda _: (0.0,)
+        self.unfed = self.longest = 0
+
+    def hear(self, frame: bytes) -> bytes:
+        """Take a request; return its reply."""
+        serial = frame[-2:] == framed(frame[:-2])[-2:]
+        pdu = self.peer.reply(frame[1:-2] if serial else frame[7:])
+        self.unfed = 0 if pdu[0] in {16, 23} else self.unfed + 1
+        self.longest = max(self.longest, self.unfed)
+        if serial:
+            return framed(frame[:1] + pdu)
+        return frame[:2] + struct.pack(">HH", 0, len(pdu) + 1) + frame[6:7] + pdu
+
+
+class Follower(Ear):
+    """An ear that calls back for each reading, as the fast loop decides on each."""
+
+    def __init__(self, decide: Callable[[Reading], None]) -> None:
+        super().__init__()
+        self._decide = decide
+
+    def on_reading(self, reading: Reading) -> None:
+        super().on_reading(reading)
+        self._decide(reading)
