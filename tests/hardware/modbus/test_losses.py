@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
 
 from adaptdrive.app.ports import build_port
+from adaptdrive.config.sensors import ModbusRtuSensors
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.modbus import bus, port
+from adaptdrive.hardware.modbus import bus, port, sensors
 from adaptdrive.hardware.modbus.port import ModbusPort
+from adaptdrive.hardware.modbus.sensors import build_modbus_sensors
 from adaptdrive.hardware.port import Reading
 from tests.config.modbus_documents import parse
 from tests.hardware.modbus.bench import FUNCTION_23, MAP, Ear, Peer, serial
+from tests.hardware.modbus.test_sensors import COMMON as SENSORS
 from tests.hardware.modbus.virtual import Follower, VirtualDrive, VirtualLoop, VirtualSerialPort
 
 POLLS = 6000
@@ -88,6 +91,7 @@ def in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no name server and no serial port be asked."""
     monkeypatch.setattr(bus, "find", _found)
     monkeypatch.setattr(port, "SerialPort", VirtualSerialPort)
+    monkeypatch.setattr(sensors, "SerialPort", VirtualSerialPort)
 
 
 @pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
@@ -122,3 +126,42 @@ def test_a_drive_seen_before_a_line_that_repeats_fell_silent_is_read_again(
     functions = [request[0] for request in requests[spoiled[0] :]]
     assert functions[0] in {3, 4}
     assert functions[1] == 16
+
+
+class SensorEar:
+    """Counts the values of two registers that are those of the other one."""
+
+    def __init__(self) -> None:
+        self.mixed_up = 0
+
+    def on_values(self, values: Mapping[str, float], _: float) -> None:
+        own = {"number": values.get("number") != 30012, "voltage": values.get("voltage") == 300.12}
+        self.mixed_up += not all(own[name] for name in own.keys() & values.keys())
+
+    def on_bus(self, up: bool, detail: str) -> None:
+        """Take note of nothing."""
+
+
+def test_a_sensor_line_that_repeats_each_reply_mixes_up_one_value() -> None:
+    """The copy comes when the next cycle has begun: it passed for the reply to its first read."""
+    peer = Peer()
+    drive = VirtualDrive(peer)
+    drive.copies = lambda _: (0.002, 0.022)
+    loop, ear = VirtualLoop(drive), SensorEar()
+    line = {"type": "modbus-rtu", "device": "line", "baud": 115200, "parity": "none"}
+    cycle = {"cycle_s": 0.05, "timeout_s": 0.024, "max_gap": 0, "max_block": 2}
+    config = ModbusRtuSensors.model_validate(SENSORS | line | cycle)
+    tested = build_modbus_sensors(config, "sensor_bus.0", loop.time)
+
+    async def run() -> None:
+        serving = asyncio.create_task(tested.run(ear))
+        await asyncio.sleep(60.0)
+        serving.cancel()
+        await asyncio.gather(serving, return_exceptions=True)
+
+    try:
+        loop.run_until_complete(run())
+    finally:
+        loop.close()
+    assert tested.statistics.foreign > 100
+    assert ear.mixed_up <= 1

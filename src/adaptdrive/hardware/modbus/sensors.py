@@ -154,11 +154,21 @@ class ModbusSensorPort:
                 continue
             heard = True
             self._report(listener, up=True)
-            if not self._alike or self._counts["foreign"] == known:  # since the last cycle began
+            if not self._is_mixed_up(known):
                 listener.on_values(self._values(turn.block, words), link.asked_s)
+        if self._is_mixed_up(known):
+            link.suspect()  # the replies that are left would answer the next cycle
         self._silent = 0 if heard else self._silent + 1
         if self._silent >= _SILENT_CYCLES:
             self._report(listener, up=False, problem=problem)
+
+    def _is_mixed_up(self, known: int) -> bool:
+        """Return whether replies came that nothing asked for, and may be taken for others.
+
+        Args:
+            known: How many there were when the last cycle began.
+        """
+        return self._alike and self._counts["foreign"] > known
 
     async def _ask(self, link: ModbusConnection, turns: Turns, turn: Turn) -> list[int]:
         """Return the registers of a block, and note whether its device answers.
