@@ -70,3 +70,13 @@ def test_the_figures_of_the_examples_are_those_of_the_page(kind: str) -> None:
     row = next(line for line in PAGE.splitlines() if line.startswith(f"| `{name}`"))
     assert f"{len(exchanges)} exchanges, {total} bytes" in row
     assert f"{time_ms:.0f} ms" in row
+
+
+@pytest.mark.parametrize("load", ["motor", "bath"])
+def test_two_lost_replies_on_the_serial_line_of_an_example_do_not_trip(load: str) -> None:
+    """Each keeps the line busy for three time-outs, the silence included."""
+    whole = load_configuration(ROOT / "deploy" / "examples" / f"{load}-modbus-rtu.toml")
+    assert isinstance(whole.bus, ModbusRtu)
+    poll_s = 0.5 * whole.bus.poll_ticks / whole.drive.line_frequency_Hz
+    oldest_s = poll_s + 2.0 * 3.0 * whole.bus.timeout_s + 0.5 * poll_s
+    assert oldest_s < whole.interlocks.stale_s
