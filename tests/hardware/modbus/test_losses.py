@@ -104,6 +104,7 @@ def test_five_lost_replies_in_a_hundred_neither_trip_nor_starve(
     line.run(lambda: len(line.ear.readings) > POLLS)
     assert line.port.statistics.timeouts > 0.5 * LOST_SHARE * POLLS
     assert line.complaints == {None}
+    assert line.port.statistics.reconnects == 0
     assert line.drive.longest < STARVED
     assert len({words[0] for _, words in line.drive.peer.writes}) > 99
 

@@ -26,6 +26,9 @@ from adaptdrive.hardware.modbus.serial_port import SerialPort
 _PATIENCE = 3
 """Replies that may be missing in a row before a TCP connection is taken to be half open."""
 
+_PATIENCE_S = 0.25
+"""Time for which they must be missing: short time-outs are lost in a row by chance."""
+
 _SILENT_TIMEOUTS = 2.0
 """Silence after a failure, in time-outs: a reply up to three time-outs old answers nothing."""
 
@@ -98,6 +101,7 @@ class ModbusConnection:
         self._strange = b""
         self._suspect_s: float | None = clock() if self._serial else None
         self._missed = 0
+        self._replied_s = clock()
         self._commands = False
         self.lost: str | None = None
         self.asked_s = clock()
@@ -216,7 +220,8 @@ class ModbusConnection:
 
     def note_silence(self) -> None:
         """Take a TCP connection on which no device answers for half open, after some replies."""
-        if self.lost is None and not self._serial and self._missed >= _PATIENCE:
+        silent = self._missed >= _PATIENCE and self._clock() - self._replied_s >= _PATIENCE_S
+        if self.lost is None and not self._serial and silent:
             self.lost = f"no reply to {self._missed} requests in a row"
 
     def _came_instead(self, exchange: Exchange) -> str:
@@ -227,7 +232,7 @@ class ModbusConnection:
         return f"; {explain_other(self._heard, transaction, self._device_of(exchange))}"
 
     def _checked(self, reply: ModbusPDU, exchange: Exchange) -> list[int]:
-        self._missed = 0
+        self._missed, self._replied_s = 0, self._clock()
         if not self._serial and reply.transaction_id != int.from_bytes(self._transaction):
             self._counts["foreign"] += 1
             raise ExchangeError("a reply with another transaction id")
