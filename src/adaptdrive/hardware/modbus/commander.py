@@ -10,7 +10,7 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, OvertakenError
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll
-from adaptdrive.hardware.modbus.replies import EXCEPTIONS
+from adaptdrive.hardware.modbus.refusals import Refusals
 from adaptdrive.hardware.modbus.sight import Sight
 from adaptdrive.hardware.port import OBEY_S
 from adaptdrive.hardware.relink import REFUSED, UNANSWERED, UNREAD, Relink
@@ -20,18 +20,6 @@ _FROZEN_POLLS = 2.0
 
 No exchange that a running process awaits takes as long: its time-out is shorter than a poll.
 """
-
-_REFUSED_WRITES = 2
-"""Commands refused in a row after which the drive counts as refusing."""
-
-_UNTAKEN_WRITES = 5
-"""Commands in a row that a drive which answers reads has not taken, for whatever reasons.
-
-Where one reply in twenty is lost, five in a row are within days, and three within minutes.
-"""
-
-_BUSY = frozenset({5, 6})
-"""Exception codes of a drive that has no time for a command, and does not refuse it."""
 
 
 class Commander:
@@ -70,12 +58,10 @@ class Commander:
         self._relink = Relink()
         self._sight = sight
         self._safe = False
-        self._refused = self._untaken = 0
+        self._refusals = Refusals()
         self._silent = False
         self._blank = True
         self._read_s = -math.inf
-        self._refusal = ""
-        self._doubtful = False
         self._alive = 0
         self._stopped_s = math.inf
         self._powered = False
@@ -89,10 +75,7 @@ class Commander:
     @property
     def complaint(self) -> str | None:
         """Reason not to energise the drive: it does not accept its commands, or has stopped."""
-        if self._refused < _REFUSED_WRITES and self._untaken < _UNTAKEN_WRITES:
-            return self._relink.complaint
-        does = "refuses" if self._refused else "does not answer"
-        return f"the drive {does} commands: {self._refusal}"
+        return self._refusals.complaint or self._relink.complaint
 
     @property
     def urgent(self) -> bool:
@@ -102,7 +85,7 @@ class Commander:
     @property
     def _at_once(self) -> bool:
         """True if the command cannot wait for a silent line, unless only silence can prove it."""
-        return self.urgent and not self._doubtful
+        return self.urgent and not self._refusals.doubtful
 
     @property
     def _disobeyed(self) -> bool:
@@ -134,7 +117,8 @@ class Commander:
 
     def begin(self) -> None:
         """Forget what was acknowledged on the link before."""
-        self.safe_s, self._refused, self._untaken = math.inf, 0, 0
+        self.safe_s = math.inf
+        self._refusals.forget()
         self._relink.open(bridge=self.bridge or self._tried_bridge)
         self._silent = self._powered = self._safe = self.bridge = self._tried_bridge = False
         self._blank = True
@@ -240,7 +224,7 @@ class Commander:
             return await self._read(link, exchange)
         except ExchangeError as failure:
             if not self._is_void(command):
-                self._note_refusal(both, failure)
+                self._refusals.note(both, failure, silent=self._silent)
             if failure.code is None:
                 raise
             return await self._read(link, exchange)
@@ -322,7 +306,7 @@ class Commander:
                 return False
             self._counts["send_drops"] += 1
             self.refused_write = f"command: {failure.problem}"
-            self._note_refusal(exchange, failure)
+            self._refusals.note(exchange, failure, silent=self._silent)
             return False
         return True
 
@@ -383,20 +367,6 @@ class Commander:
             for _, sinks in self._poll.writes
         ]
 
-    def _note_refusal(self, exchange: Exchange, failure: ExchangeError) -> None:
-        """Note that the drive has not taken a command, or not provably."""
-        self._doubtful = failure.doubtful
-        code, block = failure.code, exchange.write
-        reason = failure.problem
-        if code is not None:
-            reason = f"exception code {code} ({EXCEPTIONS.get(code, 'of its maker')})"
-        self._refused = 0 if code is None or code in _BUSY else self._refused + 1
-        self._untaken += not self._silent
-        register = "" if block is None else f" at register {block.address}"
-        self._refusal = (
-            f"{reason}{register}; check [bus.registers], its remote mode and write access"
-        )
-
     def _doubt(self, command: Command) -> None:
         """Mark the drive's command as unknown, from the first byte sent until the reply."""
         self._written = None
@@ -410,7 +380,6 @@ class Commander:
         self._written, self.bridge = command, command.bridge
         self._sight.feed()
         self._safe = command == SAFE_COMMAND
-        self._refused = self._untaken = 0
-        self._doubtful = False
+        self._refusals.clear()
         if self._safe and self.safe_s == math.inf:
             self.safe_s = self._clock()
