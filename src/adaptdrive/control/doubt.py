@@ -5,6 +5,9 @@ since: at rest any dynamics predict the same output, an alarm takes samples to b
 what explains it best for the moment may be wrong. While that is so, the standard deviations shown
 are those of P opened up for another load (`hypotheses`): the load is known as it was, and the
 loop goes on with the gains that it has.
+
+P takes the innovations for independent. Under a disturbance that moves each resembles the one
+before, and the deviations shown are wider by what that costs.
 """
 
 from __future__ import annotations
@@ -16,7 +19,12 @@ from adaptdrive.control.certainty import deviations_of
 from adaptdrive.control.estimator import EstimatorState
 from adaptdrive.control.evidence import EARLIEST, FEWEST, MEMORY, NOISE_FLOOR, UNKNOWN
 from adaptdrive.control.hypotheses import load_direction
-from adaptdrive.control.in_force import covariance_in_force, residual_noise, theta_in_force
+from adaptdrive.control.in_force import (
+    correlation_factor,
+    covariance_in_force,
+    residual_noise,
+    theta_in_force,
+)
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import fitted_order
 from adaptdrive.control.rls import predict
@@ -74,6 +82,7 @@ def doubted_deviations(
     known_upper, known_diagonal = covariance_in_force(state)
     upper, diagonal = list(known_upper), list(known_diagonal)
     noise = math.sqrt(noise * noise + NOISE_FLOOR + MEMORY * state.rounding * state.rounding)
+    noise *= correlation_factor(state)
     if learning.alert and noise > 0.0 and is_doubtful(state):
         spread = UNKNOWN / noise
         for i in range(fitted_order(learning, load)):

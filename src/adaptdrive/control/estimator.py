@@ -46,6 +46,8 @@ class EstimatorState:
         regressor: r of the last sample, scaled.
         residual_power: Forgetting sum of squared normalised innovations.
         residual_weight: Forgetting count of them.
+        residual_lag: Forgetting sum of the products of each and the one before.
+        residual_last: The last of them.
         innovation: ε of the last sample, in the unit of the output.
         excitation: rᵀPr of the last sample.
         periods: Slow periods since start.
@@ -73,6 +75,8 @@ class EstimatorState:
     integrated: Integrated
     residual_power: float = 0.0
     residual_weight: float = 0.0
+    residual_lag: float = 0.0
+    residual_last: float = 0.0
     innovation: float = math.nan
     excitation: float = 0.0
     periods: int = 0
@@ -263,6 +267,9 @@ def remember_residual(
     power = rls.normalised(excitation, innovation, learning.forgetting)
     state.residual_power = learning.forgetting * state.residual_power + power
     state.residual_weight = learning.forgetting * state.residual_weight + 1.0
+    own = math.copysign(math.sqrt(max(0.0, power)), innovation)
+    state.residual_lag = learning.forgetting * state.residual_lag + own * state.residual_last
+    state.residual_last = own
 
 
 def hold_estimate(state: EstimatorState) -> None:

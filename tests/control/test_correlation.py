@@ -1,0 +1,61 @@
+"""Deviations shown under innovations that resemble their neighbours, against numpy."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adaptdrive.control.estimator import EstimatorState, new_estimator, remember_residual
+from adaptdrive.control.in_force import correlation_factor
+from tests.closed_loop.bench import MOTOR, SCALED_LEARNING
+from tests.control.systems import Array
+
+LONG = replace(SCALED_LEARNING, forgetting=0.9995)
+
+
+def neighbours(correlation: float, shape: tuple[int, int], seed: int) -> Array:
+    """Draw rows whose samples have this correlation with the one before, and variance 1."""
+    noise = np.random.default_rng(seed).standard_normal(shape)
+    rows = np.empty(shape)
+    rows[:, 0] = noise[:, 0]
+    for i in range(1, shape[1]):
+        rows[:, i] = correlation * rows[:, i - 1] + math.sqrt(1.0 - correlation**2) * noise[:, i]
+    return rows
+
+
+def fed(innovations: Array) -> EstimatorState:
+    """Return an estimator that has seen these innovations, each of them certain."""
+    state = new_estimator(LONG, MOTOR, 2)
+    for one in innovations:
+        remember_residual(state, LONG, 0.0, float(one))
+    return state
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.3, 0.6, 0.8])
+def test_a_mean_is_as_uncertain_as_the_factor_says(correlation: float) -> None:
+    """The spread of the means of 2000 rows, over that of independent samples."""
+    spread = neighbours(correlation, (2000, 200), 91).mean(axis=1).std() * math.sqrt(200)
+    found = correlation_factor(fed(neighbours(correlation, (1, 6000), 92)[0]))
+    assert found == pytest.approx(spread, rel=0.08)
+
+
+def test_innovations_of_alternating_sign_narrow_nothing() -> None:
+    assert correlation_factor(fed(np.resize([1.0, -1.0], 500))) == 1.0
+
+
+def test_innovations_that_are_all_alike_are_one_sample() -> None:
+    state = fed(np.full(500, 0.1))
+    assert correlation_factor(state) == pytest.approx(math.sqrt(state.residual_weight), rel=0.01)
+
+
+def test_without_an_innovation_nothing_is_widened() -> None:
+    assert correlation_factor(fed(np.zeros(0))) == 1.0
+
+
+def test_an_estimate_whose_bias_walks_follows_what_correlates() -> None:
+    state = fed(np.full(500, 0.1))
+    state.integrated.in_force = True
+    assert correlation_factor(state) == 1.0
