@@ -10,8 +10,8 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, OvertakenError
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll
-from adaptdrive.hardware.modbus.refusals import Refusals
 from adaptdrive.hardware.modbus.sight import Sight
+from adaptdrive.hardware.modbus.untaken import UntakenCommands
 from adaptdrive.hardware.port import OBEY_S
 from adaptdrive.hardware.relink import REFUSED, UNANSWERED, UNREAD, Relink
 
@@ -58,7 +58,7 @@ class Commander:
         self._relink = Relink()
         self._sight = sight
         self._safe = False
-        self._refusals = Refusals()
+        self._untaken = UntakenCommands()
         self._silent = False
         self._blank = True
         self._read_s = -math.inf
@@ -75,7 +75,7 @@ class Commander:
     @property
     def complaint(self) -> str | None:
         """Reason not to energise the drive: it does not accept its commands, or has stopped."""
-        return self._refusals.complaint or self._relink.complaint
+        return self._untaken.complaint or self._relink.complaint
 
     @property
     def urgent(self) -> bool:
@@ -85,7 +85,7 @@ class Commander:
     @property
     def _at_once(self) -> bool:
         """True if the command cannot wait for a silent line, unless only silence can prove it."""
-        return self.urgent and not self._refusals.doubtful
+        return self.urgent and not self._untaken.doubtful
 
     @property
     def _disobeyed(self) -> bool:
@@ -118,7 +118,7 @@ class Commander:
     def begin(self) -> None:
         """Forget what was acknowledged on the link before."""
         self.safe_s = math.inf
-        self._refusals.forget()
+        self._untaken.forget()
         self._relink.open(bridge=self.bridge or self._tried_bridge)
         self._silent = self._powered = self._safe = self.bridge = self._tried_bridge = False
         self._blank = True
@@ -224,7 +224,7 @@ class Commander:
             return await self._read(link, exchange)
         except ExchangeError as failure:
             if not self._is_void(command):
-                self._refusals.note(both, failure, silent=self._silent)
+                self._untaken.note(both, failure, silent=self._silent)
             if failure.code is None:
                 raise
             return await self._read(link, exchange)
@@ -306,7 +306,7 @@ class Commander:
                 return False
             self._counts["send_drops"] += 1
             self.refused_write = f"command: {failure.problem}"
-            self._refusals.note(exchange, failure, silent=self._silent)
+            self._untaken.note(exchange, failure, silent=self._silent)
             return False
         return True
 
@@ -380,6 +380,6 @@ class Commander:
         self._written, self.bridge = command, command.bridge
         self._sight.feed()
         self._safe = command == SAFE_COMMAND
-        self._refusals.clear()
+        self._untaken.clear()
         if self._safe and self.safe_s == math.inf:
             self.safe_s = self._clock()

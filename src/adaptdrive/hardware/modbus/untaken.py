@@ -19,7 +19,7 @@ _BUSY = frozenset({5, 6})
 """Exception codes of a drive that has no time for a command, and does not refuse it."""
 
 
-class Refusals:
+class UntakenCommands:
     """Counts of commands that failed since the last one that the drive acknowledged.
 
     Attributes:
