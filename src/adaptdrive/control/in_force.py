@@ -92,8 +92,8 @@ def correlation_factor(state: EstimatorState) -> float:
     n samples whose neighbours have the correlation φ tell as much as n (1 - φ)/(1 + φ) independent
     ones (G. V. Bayley and J. M. Hammersley, Suppl. J. Roy. Stat. Soc. 8, 1946,
     doi:10.2307/2983560), and no less than one. Noise has no correlation; the error that a moving
-    disturbance leaves has, and what came with an alarm counts until it is forgotten: the explanation
-    of it is not confirmed yet. A bias that walks follows a disturbance.
+    disturbance leaves has one, and so has what came with an alarm, until it is forgotten: its
+    explanation is not confirmed yet. A bias that walks follows a disturbance.
 
     Args:
         state: Sums over the innovations.
