@@ -39,6 +39,10 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def time(self) -> float:
         return self._virtual.now_s
 
+    def stand_still(self, seconds: float) -> None:
+        """Let time pass in which nothing of this process runs."""
+        self._virtual.now_s += seconds
+
     async def create_connection(  # type: ignore[override]
         self, factory: Callable[[], asyncio.Protocol], *_: object, **__: object
     ) -> tuple[asyncio.Transport, asyncio.Protocol]:

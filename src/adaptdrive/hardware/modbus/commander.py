@@ -129,8 +129,9 @@ class Commander:
 
     def note_step(self) -> None:
         """Note that the port does its work; a command from before a standstill is void."""
-        self._outdated = self._outdated or self._stands_still
-        self._stepped_s = self._clock()
+        now_s = self._clock()  # one look: the process may stand still between two
+        self._outdated = self._outdated or self._stands_still(now_s)
+        self._stepped_s = now_s
 
     def note_read(self, *, answered: bool) -> None:
         """Note the end of a poll, which gives no reading unless its bridge is noted next.
@@ -154,8 +155,8 @@ class Commander:
         if self.bridge and self._powered and not powered:
             self._outdated = True  # a command from before the bridge went off
         self._powered = powered
-        self._sight.look()
-        self._blank, self._read_s = False, self._clock()
+        self._sight.look(self._read_s)
+        self._blank = False
         self._relink.hear(bridge=powered)
 
     def note_refused(self, *, powered: bool | None) -> None:
@@ -165,7 +166,7 @@ class Commander:
             powered: The bridge beside the refused values, None where it must not be used.
         """
         if powered is not None:
-            self._sight.look()
+            self._sight.look(self._read_s)
         if powered is False:
             self._relink.open(bridge=self.bridge or self._tried_bridge, how=REFUSED)
 
@@ -197,11 +198,15 @@ class Commander:
         command = self._current() if joined else None
         try:
             if command is None:
-                return await self._read(link, exchange)
-            return await self._read_with(link, exchange, command)
+                registers = await self._read(link, exchange)
+            else:
+                registers = await self._read_with(link, exchange, command)
         finally:
             if joined:
                 self._sight.forget()
+        if self._poll.bridge_block in {None, exchange.read}:
+            self._read_s = link.asked_s
+        return registers
 
     async def _read_with(
         self, link: ModbusConnection, exchange: Exchange, command: Command
@@ -228,7 +233,7 @@ class Commander:
             if failure.code is None:
                 raise
             return await self._read(link, exchange)
-        self._confirm(command)
+        self._confirm(command, link.asked_s)
         return registers
 
     async def write(self, link: ModbusConnection) -> None:
@@ -249,7 +254,7 @@ class Commander:
                 taken &= await self._wrote(link, exchange, registers, command, at_once=at_once)
         if taken:
             self.refused_write = ""
-            self._confirm(command)
+            self._confirm(command, link.asked_s)
 
     async def leave_safe(self, link: ModbusConnection) -> None:
         """Write the safe command as the last one, unless it is in force or none was ever given."""
@@ -327,7 +332,7 @@ class Commander:
         command = self._command
         if command is None or command == SAFE_COMMAND:
             return command
-        void = self._outdated or self._stands_still or self._unfed or self._unread
+        void = self._outdated or self._stands_still(self._clock()) or self._unfed or self._unread
         return None if void or not self._relink.admits(bridge=command.bridge) else command
 
     @property
@@ -340,9 +345,8 @@ class Commander:
         """True if the polls have given no reading for as long as the drive may be silent."""
         return self._blank and self._clock() - self._read_s > self._sight.limit_s
 
-    @property
-    def _stands_still(self) -> bool:
-        return self._clock() - self._stepped_s > _FROZEN_POLLS * self._poll_s
+    def _stands_still(self, now_s: float) -> bool:
+        return now_s - self._stepped_s > _FROZEN_POLLS * self._poll_s
 
     def _is_void(self, command: Command) -> bool:
         """Return whether a command that energises must not be sent any more."""
@@ -375,10 +379,10 @@ class Commander:
         if command != SAFE_COMMAND:
             self.safe_s = math.inf
 
-    def _confirm(self, command: Command) -> None:
+    def _confirm(self, command: Command, asked_s: float) -> None:
         self._counts["sent"] += 1
         self._written, self.bridge = command, command.bridge
-        self._sight.feed()
+        self._sight.feed(asked_s)
         self._safe = command == SAFE_COMMAND
         self._untaken.clear()
         if self._safe and self.safe_s == math.inf:

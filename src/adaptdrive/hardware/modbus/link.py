@@ -158,6 +158,8 @@ class ModbusConnection:
             drop_unsent(client, drop=True)
         hasty = self.unsettled_s() > 0.0
         self.asked_s = self._clock()
+        if not at_once and void():  # asked last: the process may have stood still until here
+            raise OvertakenError("not sent: the line was not silent in time")
         reply = await self._reply_to(client, exchange, words)
         await asyncio.sleep(silence_s(self._config))
         registers = self._checked(reply, exchange)
@@ -251,15 +253,13 @@ class ModbusConnection:
         """Let what may still come from an earlier request pass by unread, while it is wanted.
 
         Raises:
-            ExchangeError: The line is never silent, or the exchange is void.
+            ExchangeError: The line is never silent.
         """
         end_s = self._clock() + _NOISE_ROUNDS * _SILENT_TIMEOUTS * self._config.timeout_s
         while (left_s := self.unsettled_s()) > 0.0 and not void():
             if self._clock() > end_s:
                 raise ExchangeError("the line is never silent")
             await asyncio.sleep(min(left_s, _LOOK_S))
-        if void():
-            raise OvertakenError("not sent: the line was not silent in time")
 
     def unsettled_s(self) -> float:
         """Return how much longer a serial line must be silent before a reply is its request's."""

@@ -125,7 +125,12 @@ class Poll:
     @property
     def reports_bridge(self) -> bool:
         """True for a drive whose map has a register for its bridge."""
-        return any(_has_bridge(block) for block in self.reads)
+        return self.bridge_block is not None
+
+    @property
+    def bridge_block(self) -> Block | None:
+        """The block with the report of the bridge, None for a drive without one."""
+        return next((read[0] for read in self.reads if _has_bridge(read)), None)
 
     @property
     def bridge_last(self) -> tuple[tuple[Block, tuple[RegisterSource, ...]], ...]:

@@ -27,7 +27,7 @@ from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, Ove
 from adaptdrive.hardware.modbus.mapping import Poll
 from adaptdrive.hardware.modbus.replies import are_alike
 from adaptdrive.hardware.modbus.serial_port import SerialPort
-from adaptdrive.hardware.modbus.sight import Sight
+from adaptdrive.hardware.modbus.sight import Sight, look_limit_s
 from adaptdrive.hardware.port import Listener, PortStatistics
 from adaptdrive.hardware.relink import on_for_certain_s, silence_limit_s
 
@@ -60,7 +60,8 @@ class ModbusPort:
         self._clock = clock
         self._counts: Counter[str] = Counter()
         limit_s = silence_limit_s(poll_s, on_for_certain_s(poll_s, config.command_timeout_s))
-        sight = Sight(poll.reports_bridge, poll_s, config.timeout_s, limit_s, clock)
+        look_s = look_limit_s(config.timeout_s, len(poll.writes))
+        sight = Sight(poll.reports_bridge, poll_s, look_s, limit_s, clock)
         self._commander = Commander(poll, poll_s, sight, self._counts, clock)
         self._listener: Listener | None = None
         self._link: ModbusConnection | None = None

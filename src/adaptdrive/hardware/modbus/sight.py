@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-_LOOK_TIMEOUTS = 1.5
-"""Age of a report, in time-outs, at which a write still follows it: one exchange may be between."""
+_LOOK_TIMEOUTS = 0.5
+"""Age of a report at which a write still follows it, in time-outs beside those of the exchanges."""
 
 _USUAL_POLLS = 1.5
 """The same in polls for a command that goes with the next read: it may be one poll late by half."""
@@ -15,6 +15,7 @@ _USUAL_POLLS = 1.5
 class Sight:
     """Times of the last report of a drive's bridge and of the last command that it took.
 
+    Both count from their request: the process may have stood still with the reply in its buffer.
     A drive without such a report shows nothing, and is commanded all the same.
 
     Attributes:
@@ -25,7 +26,7 @@ class Sight:
         self,
         reported: bool,
         poll_s: float,
-        timeout_s: float,
+        look_s: float,
         limit_s: float,
         clock: Callable[[], float],
     ) -> None:
@@ -34,20 +35,20 @@ class Sight:
         Args:
             reported: Whether the drive reports its bridge.
             poll_s: Time between two polls, in s.
-            timeout_s: Longest time from a request to its reply, in s.
+            look_s: Age of a report at which a write still follows it, in s.
             limit_s: Time after which a drive that takes no command may have stopped, in s.
             clock: Monotonic clock, in s.
         """
         self._reported = reported
         self.limit_s = limit_s
-        self._look_s = _LOOK_TIMEOUTS * timeout_s
+        self._look_s = look_s
         self._usual_s = _USUAL_POLLS * poll_s
         self._clock = clock
         self._seen_s = self._fed_s = -math.inf
 
     @property
     def fed_s(self) -> float:
-        """Time at which the drive took the last command."""
+        """Time at which the last command that the drive took was sent."""
         return self._fed_s
 
     @property
@@ -68,14 +69,34 @@ class Sight:
         usual = self._clock() - self._seen_s <= self._usual_s and not self.may_have_timed_out
         return not self._reported or usual
 
-    def feed(self) -> None:
-        """Note a command that the drive has taken."""
-        self._fed_s = self._clock()
+    def feed(self, asked_s: float) -> None:
+        """Note a command that the drive has taken.
 
-    def look(self) -> None:
-        """Note a report of the bridge, on or off."""
-        self._seen_s = self._clock()
+        Args:
+            asked_s: When it was sent, monotonic clock.
+        """
+        self._fed_s = asked_s
+
+    def look(self, asked_s: float) -> None:
+        """Note a report of the bridge, on or off.
+
+        Args:
+            asked_s: When it was asked for, monotonic clock.
+        """
+        self._seen_s = asked_s
 
     def forget(self) -> None:
         """Begin a poll: reports of the one before do not count for its commands."""
         self._seen_s = -math.inf
+
+
+def look_limit_s(timeout_s: float, writes: int) -> float:
+    """Return the age of a report at which a write still follows it, in s.
+
+    It is that of a drive that answers the read, and each write before the last, just in time.
+
+    Args:
+        timeout_s: Longest time from a request to its reply, in s.
+        writes: Writes that make one command.
+    """
+    return (writes + _LOOK_TIMEOUTS) * timeout_s
