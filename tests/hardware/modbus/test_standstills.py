@@ -17,6 +17,12 @@ from tests.hardware.modbus.virtual import Follower, VirtualDrive, VirtualLoop, V
 
 TIMEOUT_s = 0.15
 STANDSTILL_s = 0.3
+SHORTEST_s = 0.077
+"""A time-out little above the shortest that is accepted, one and a half polls."""
+
+SLOW_s = 0.005
+"""Delay of each reply with which the five exchanges of a poll take most of its time."""
+
 UNSEEN_s = 0.1
 """Time since a stop at which no report of a bridge that is on is good any more."""
 
@@ -139,3 +145,17 @@ def test_a_drive_that_stopped_in_a_standstill_is_not_energised_unseen(
         if any(unseen_s > UNSEEN_s for unseen_s in rig.peer.revived_s):
             revived[instant] = rig.peer.revived_s
     assert sorted(revived) == []
+
+
+@pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
+def test_the_shortest_time_out_lets_no_healthy_drive_stop(
+    changes: dict[str, str | None], tmp_path: Path
+) -> None:
+    """Commands that now go with the read, now after it, would be two polls apart."""
+    scattered = {"bus__max_block": "2", "bus__max_gap": "0"}
+    known = {**changes, **scattered, "bus__command_timeout_s": str(SHORTEST_s)}
+    rig = Rig(tmp_path / "line", known, SHORTEST_s)
+    rig.drive.copies = lambda _: (SLOW_s,)
+    rig.run(20.0)
+    assert rig.peer.revived_s == []
+    assert rig.peer.fed > 300

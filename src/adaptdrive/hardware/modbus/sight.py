@@ -43,6 +43,7 @@ class Sight:
         self.limit_s = limit_s
         self._look_s = look_s
         self._usual_s = _USUAL_POLLS * poll_s
+        self._each_poll = limit_s >= poll_s  # joined now and then, commands would be far apart
         self._clock = clock
         self._seen_s = self._fed_s = -math.inf
 
@@ -67,7 +68,7 @@ class Sight:
     def joins_look(self) -> bool:
         """True if what energises may be written with the read that would show a stop."""
         usual = self._clock() - self._seen_s <= self._usual_s and not self.may_have_timed_out
-        return not self._reported or usual
+        return not self._reported or (self._each_poll and usual)
 
     def feed(self, asked_s: float) -> None:
         """Note a command that the drive has taken.
