@@ -16,6 +16,9 @@ from tests.hardware.modbus.bench import RUN, bench, until
 ALONE = ["unshare", "--map-root-user", "--net", "sh", "-c"]
 OWN_NETWORK = "ADAPTDRIVE_TESTS_OWN_NETWORK"
 DELIVERS = "test_a_lost_network_delivers_no_command_when_it_comes_back"
+PROMPT = {"bus__poll_ticks": "3", "bus__timeout_s": "0.02"}
+"""Polls of which three are over before the kernel sends a command again."""
+
 RETRANSMITTED_S = 2.0
 """Time in which a kernel that keeps a command sends it again after so short a loss."""
 
@@ -41,7 +44,7 @@ def test_a_command_from_before_the_loss_is_never_delivered() -> None:
 async def test_a_lost_network_delivers_no_command_when_it_comes_back(
     tmp_path: Path, free_tcp_port: int
 ) -> None:
-    async with bench("tcp", tmp_path, free_tcp_port) as one:
+    async with bench("tcp", tmp_path, free_tcp_port, **PROMPT) as one:
         one.port.send(RUN)
         await until(lambda: bool(one.peer.writes) and one.told()[1] == 1)
         loopback("down")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import fcntl
 import logging
 import socket
 import struct
@@ -29,6 +30,9 @@ _CONNECT_S = 1.0
 
 _LINGER = struct.Struct("ii")
 """Linux's `struct linger`: whether it applies, and for how many seconds."""
+
+_COUNT = struct.Struct("i")
+"""Answer of the kernel to how much a connection still holds."""
 
 
 def describe_bus(config: ModbusLink) -> str:
@@ -108,6 +112,21 @@ def drop_unsent(client: Client, *, drop: bool) -> None:
         return
     with contextlib.suppress(OSError):  # a connection that has just ended keeps nothing either
         link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.pack(drop, 0))
+
+
+def undelivered_bytes(client: Client) -> int:
+    """Return how much of what was sent on TCP has not reached the device's end of the connection.
+
+    Args:
+        client: A client; a serial line keeps nothing.
+    """
+    link = client.ctx.transport.get_extra_info("socket") if client.connected else None
+    if link is None:
+        return 0
+    with contextlib.suppress(OSError):  # a connection that has just ended
+        queued = fcntl.ioctl(link.fileno(), termios.TIOCOUTQ, bytes(_COUNT.size))
+        return int(_COUNT.unpack(queued)[0])
+    return 0
 
 
 def unconnected_client(

@@ -18,7 +18,7 @@ from pymodbus.pdu import ModbusPDU
 
 from adaptdrive.config.modbus import RtuLink, TcpLink
 from adaptdrive.errors import AdaptdriveError
-from adaptdrive.hardware.modbus.bus import Client, drop_unsent, open_client
+from adaptdrive.hardware.modbus.bus import Client, drop_unsent, open_client, undelivered_bytes
 from adaptdrive.hardware.modbus.capacity import RTU_FRAME, Exchange, silence_s
 from adaptdrive.hardware.modbus.replies import answers, explain_exception, explain_other
 from adaptdrive.hardware.modbus.serial_port import SerialPort
@@ -27,7 +27,8 @@ _PATIENCE = 3
 """Replies that may be missing in a row before a TCP connection is taken to be half open."""
 
 _PATIENCE_S = 0.25
-"""Time for which they must be missing: short time-outs are lost in a row by chance."""
+"""Time for which they must be missing where the requests arrive: short time-outs are lost in a row
+by chance. Where they do not, they are dropped at once: they would arrive with the network."""
 
 _SILENT_TIMEOUTS = 2.0
 """Silence after a failure, in time-outs: a reply up to three time-outs old answers nothing."""
@@ -222,8 +223,10 @@ class ModbusConnection:
 
     def note_silence(self) -> None:
         """Take a TCP connection on which no device answers for half open, after some replies."""
-        silent = self._missed >= _PATIENCE and self._clock() - self._replied_s >= _PATIENCE_S
-        if self.lost is None and not self._serial and silent:
+        if self.lost is not None or self._serial or self._missed < _PATIENCE:
+            return
+        stuck = self._client is not None and undelivered_bytes(self._client) > 0
+        if stuck or self._clock() - self._replied_s >= _PATIENCE_S:
             self.lost = f"no reply to {self._missed} requests in a row"
 
     def _came_instead(self, exchange: Exchange) -> str:
