@@ -56,7 +56,8 @@ class ChargeState:
     Attributes:
         current_A: i_cv, the current that the voltage allows.
         ending_periods: Slow periods in a row below the end current.
-        flowed_A: Last current that was asked for and flowed, of those not below the end current.
+        flowed_A: Last current that flowed, of those not below the end current; no more than was
+            asked for.
     """
 
     current_A: float
@@ -98,10 +99,7 @@ def taper(
         terminal_V: V.
         current_A: y, for the end of the charge.
     """
-    flows_A = min(state.current_A, current_A)
-    if flows_A >= charging.end_current_A:
-        state.flowed_A = flows_A
-    state.flowed_A = min(state.flowed_A, setpoint_A)
+    _note_flow(charging, state, setpoint_A, current_A)
     margin_V = charging.voltage_max_V - terminal_V
     allowed = state.current_A + TAPER_GAIN * margin_V / charging.internal_Ohm
     state.current_A = min(max(allowed, 0.0), setpoint_A)
@@ -110,6 +108,19 @@ def taper(
     ending = near and tapers and max(state.current_A, current_A) < charging.end_current_A
     state.ending_periods = state.ending_periods + 1 if ending else 0
     return state.current_A
+
+
+def _note_flow(charging: Charging, state: ChargeState, setpoint_A: float, current_A: float) -> None:
+    """Keep the last current from before the end.
+
+    The current lags what is asked for, which may be 0 while the current still tapers.
+    """
+    flows_A = min(state.current_A, current_A)
+    if flows_A >= charging.end_current_A:
+        state.flowed_A = flows_A
+    elif current_A >= charging.end_current_A:
+        state.flowed_A = min(state.flowed_A, current_A)
+    state.flowed_A = min(state.flowed_A, setpoint_A)
 
 
 def is_complete(charging: Charging, state: ChargeState) -> bool:
