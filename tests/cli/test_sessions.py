@@ -60,6 +60,12 @@ def test_a_session_is_shown(state: Path) -> None:
     assert "last tick     1970-01-01T00:00:58.325000+00:00" in answer.stdout
 
 
+def test_trips_of_a_session_whose_events_cannot_be_read_are_not_none(state: Path) -> None:
+    (state / "sessions" / NAME / "events.sqlite").write_bytes(b"no database" * 100)
+    answer = run(state, "sessions", "show", NAME)
+    assert "trips         damaged" in answer.stdout
+
+
 def test_a_whole_session_passes_and_a_damaged_one_fails(tmp_path: Path) -> None:
     state = recorded(tmp_path, Dropped())
     assert run(state, "sessions", "verify", NAME).returncode == 0

@@ -15,10 +15,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from aiomqtt import MqttError, ProtocolVersion
 from structlog.testing import capture_logs
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.conversation import NoAnswerError, conversation
+from adaptdrive.operation.link import connection
 from adaptdrive.runtime.reports import Event, Severity, State
 from adaptdrive.runtime.requests import Disable, SetSetpoint
 from tests.operation.peers import (
@@ -225,6 +227,19 @@ async def test_a_broker_that_hangs_keeps_nobody_from_stopping(
     async with asyncio.timeout(PATIENCE_S), serving(mortal.address, "frozen", tmp_path):
         mortal.process.send_signal(signal.SIGSTOP)
     mortal.process.send_signal(signal.SIGCONT)
+
+
+async def test_an_answer_that_comes_after_the_wait_for_it_is_not_logged(
+    mortal: MortalBroker, caplog: pytest.LogCaptureFixture
+) -> None:
+    place = Mqtt(host=mortal.address.host, port=mortal.address.port)
+    async with connection(place, ProtocolVersion.V311, None, None) as client:
+        mortal.process.send_signal(signal.SIGSTOP)
+        with pytest.raises(MqttError):
+            await client.subscribe("late", timeout=0.1)
+        mortal.process.send_signal(signal.SIGCONT)
+        await client.subscribe("next", timeout=PATIENCE_S)
+    assert caplog.records == []
 
 
 async def test_the_broker_says_offline_when_the_daemon_is_killed(

@@ -107,7 +107,7 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
         ("segments", str(newest_number(segments(found.path)))),
         ("events", unread or str(len(found.events))),
         ("commands", unread or str(len(found.commands))),
-        ("trips", ", ".join(_trips(found.path)) or "none"),
+        ("trips", ", ".join(_trips(found.path)) or unread or "none"),
         ("size", f"{_size(found.path) / 1e6:.1f} MB"),
     ]
     if found.damage:

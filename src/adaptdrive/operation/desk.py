@@ -162,6 +162,8 @@ class Desk:
     def _flaw(self, command: OperatorCommand, payload: Payload) -> str:
         if command.retained:
             return "it is retained; publish without retain"
+        if command.verb == PING:
+            return ""
         try:
             self._read(command, payload)
         except AdaptdriveError as problem:

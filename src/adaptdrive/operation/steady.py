@@ -124,6 +124,14 @@ class SteadyClient(Client):
         self._largest = getattr(args[-1], "MaximumPacketSize", None)
         super()._on_connect(*args)
 
+    def _on_subscribe(self, client: paho.Client, userdata: object, mid: int, *args: Any) -> None:  # noqa: ANN401 - aiomqtt's signature
+        """Take the answer to a subscription that is still awaited.
+
+        aiomqtt logs one that comes after the end of the wait with a traceback.
+        """
+        if mid in self._pending_subscribes:
+            super()._on_subscribe(client, userdata, mid, *args)
+
     def _on_message(self, client: paho.Client, userdata: object, message: paho.MQTTMessage) -> None:
         if self._receive is None:
             super()._on_message(client, userdata, message)
