@@ -311,6 +311,21 @@ async def test_one_stall_is_reported_once_however_long_it_lasts(sessions: Path) 
     assert since == []
 
 
+async def test_a_disk_that_takes_nothing_is_named_where_ticks_are_lost(sessions: Path) -> None:
+    await asyncio.to_thread(sessions.touch)  # no folder
+    async with recording(sessions, backlog_bytes=TIGHT, close_s=0.1) as bench:
+        heard: list[Event] = []
+
+        def lost() -> bool:
+            heard.extend(bench.said())
+            return any("ticks are lost" in event.detail for event in heard)
+
+        await bench.publish_slowly_until(lambda: bench.recorder.failing)
+        await bench.publish_until(lost)
+        await bench.stop()
+    assert [event.detail for event in heard if "stalled" in event.detail] == []
+
+
 async def test_a_full_disk_stops_recording_which_resumes_in_a_new_segment(sessions: Path) -> None:
     async with recording(sessions) as bench:
         await bench.publish_until(lambda: bench.rows() > 100)

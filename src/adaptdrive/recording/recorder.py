@@ -297,8 +297,15 @@ class Recorder:
     def _note_refused(self, batch: Batch) -> None:
         self._lose(ticks=batch.tick_rows, slow=len(batch.slow))
         if not self._stalled:
-            self._report(Severity.WARNING, "the recorder process has stalled; ticks are lost")
+            self._report(Severity.WARNING, f"{self._hindrance}; ticks are lost")
         self._stalled = True
+
+    @property
+    def _hindrance(self) -> str:
+        """What keeps ticks from being written, in words."""
+        if self._delivery.failing:
+            return "no more ticks can wait until recording goes on"
+        return "the recorder process has stalled"
 
     def _lose(self, ticks: int = 0, slow: int = 0, events: int = 0) -> None:
         self._lost += Dropped(ticks, slow, events)
