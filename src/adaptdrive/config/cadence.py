@@ -93,13 +93,23 @@ def clock_flaws(bus: CanBus, configuration: Sections) -> Iterator[Flaw]:
             yield Flaw(place, f"its {ticks} ticks must be a multiple of bus.clock_ticks = {stride}")
 
 
-def sync_flaws(_: CanOpenBus, configuration: Sections) -> Iterator[Flaw]:
+def sync_flaws(bus: CanOpenBus, configuration: Sections) -> Iterator[Flaw]:
     """Yield the contradictions to a drive that sends after each SYNC.
 
     Args:
+        bus: `[bus]`.
         configuration: The other sections.
     """
     yield from _stale_flaws(1, configuration, "a half cycle, from one SYNC to the next")
+    half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
+    given_s, lowest_s = bus.command_timeout_s, COMMAND_READINGS * half_cycle_s
+    if given_s < lowest_s and not math.isclose(given_s, lowest_s):
+        lowest = f"bus.heartbeat_s = {bus.heartbeat_s} and {COMMAND_READINGS} half cycles"
+        yield Flaw(
+            "bus.heartbeat_timeout_s",
+            f"{bus.heartbeat_timeout_s} must be at least {bus.heartbeat_s + lowest_s:.4g} s, "
+            f"{lowest}: heartbeats come with commands",
+        )
 
 
 def _stale_flaws(ticks: int, configuration: Sections, reading: str) -> Iterator[Flaw]:

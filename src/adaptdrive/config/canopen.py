@@ -53,9 +53,12 @@ class CanOpenBus(CanLink, BusSection):
     )
 
     @property
-    def command_timeout_s(self) -> None:
-        """Return None: it watches heartbeats, and no command alone brings it up again."""
-        return None
+    def command_timeout_s(self) -> float:
+        """Time after a command for which the drive does not miss the heartbeat.
+
+        The heartbeat before that command may be the last one: not each command has one.
+        """
+        return self.heartbeat_timeout_s - self.heartbeat_s
 
     @property
     def drive_clocks(self) -> bool:

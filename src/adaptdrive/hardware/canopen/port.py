@@ -28,6 +28,7 @@ from adaptdrive.hardware.canopen.reports import Reports
 from adaptdrive.hardware.canopen.sdo import describe_node
 from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
 from adaptdrive.hardware.canopen.sync import SyncProducer
+from adaptdrive.hardware.canopen.unseen import UnseenStop
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.link.bus import describe_bus
 from adaptdrive.hardware.link.connection import CanConnection
@@ -66,7 +67,8 @@ class CanOpenPort:
         self._counts: Counter[str] = Counter()
         self._connection = CanConnection(config, self, self._arrivals, self._counts)
         self._control = DriveControl()
-        self._reports = Reports(mapping.statuses, self._control, self._counts)
+        self._unseen = UnseenStop(self._control, half_cycle_s, config.command_timeout_s)
+        self._reports = Reports(mapping.statuses, self._control, self._unseen, self._counts)
         self._master = Master(config, mapping, half_cycle_s, self._put, clock)
         self._health = Health(self._control, self._master)
         self._sync = SyncProducer(half_cycle_s, clock, self._send_sync)
@@ -146,7 +148,9 @@ class CanOpenPort:
         Raises:
             ValueError: A value is not finite, or its object cannot hold it; nothing is sent.
         """
+        self._unseen.look(self._clock())
         word = self._control.controlword(command)
+        self._unseen.note(word)
         frames = list(command_frames(self._mapping, command, word))
         if command != SAFE_COMMAND:
             self._safe_s = math.inf
@@ -155,12 +159,12 @@ class CanOpenPort:
             if command == SAFE_COMMAND:
                 self._disable_lost()
             return False
-        if not self._disobeyed:
-            self._beat()
         taken = [self._put(*frame) for frame in frames]
         self._connection.uptake.note(taken=all(taken))
         if not all(taken):
             return False
+        if not self._disobeyed:
+            self._beat()
         if command == SAFE_COMMAND and self._safe_s == math.inf:
             self._safe_s = self._clock()
         return True

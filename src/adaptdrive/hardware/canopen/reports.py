@@ -10,6 +10,7 @@ from adaptdrive.hardware.canopen.assembly import Assembly
 from adaptdrive.hardware.canopen.dictionary import label
 from adaptdrive.hardware.canopen.mapping import StatusPdo
 from adaptdrive.hardware.canopen.profile import POWERED, STATUSWORD, DriveControl
+from adaptdrive.hardware.canopen.unseen import UnseenStop
 from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.link.integrity import FrameVerdict
 from adaptdrive.hardware.port import Reading
@@ -26,18 +27,24 @@ class Reports:
     """
 
     def __init__(
-        self, statuses: tuple[StatusPdo, ...], control: DriveControl, counts: Counter[str]
+        self,
+        statuses: tuple[StatusPdo, ...],
+        control: DriveControl,
+        unseen: UnseenStop,
+        counts: Counter[str],
     ) -> None:
         """Expect PDOs; none has come yet.
 
         Args:
             statuses: PDOs of a reading.
             control: Follows the statusword.
+            unseen: Watches the time between two statuswords.
             counts: Counts of the port, to which refused PDOs are added.
         """
         self.assembly = Assembly(statuses)
         self.faults = FaultLatch()
         self._control = control
+        self._unseen = unseen
         self._counts = counts
         self._newest: Reading | None = None
         self._handed_out: Reading | None = None
@@ -59,7 +66,7 @@ class Reports:
             Whether it was the last of its set.
         """
         decoded = status.codec.decode(data)
-        self._hear_words(status, decoded.values or decoded.words)
+        self._hear_words(status, decoded.values or decoded.words, arrival_s)
         if decoded.verdict is not FrameVerdict.GOOD:
             self._counts[decoded.verdict] += 1
             if decoded.verdict is not FrameVerdict.OUT_OF_RANGE:
@@ -93,11 +100,12 @@ class Reports:
         self.assembly.forget()
         self._newest = None
 
-    def _hear_words(self, status: StatusPdo, values: Mapping[str, float]) -> None:
+    def _hear_words(self, status: StatusPdo, values: Mapping[str, float], arrival_s: float) -> None:
         """Follow the statusword and the fault word of a PDO."""
         statusword = values.get(_STATUSWORD)
         if statusword is not None:
             self._control.hear(int(statusword))
+            self._unseen.hear(arrival_s)
             self._stated_s = self.assembly.sampled_s
         for source in status.sources:
             if source.quantity == "fault":
