@@ -34,7 +34,7 @@ class CanOpenBus(CanLink, BusSection):
         description="sender of SYNC each half line cycle; the drive sends it at a fixed line phase",
     )
     heartbeat_s: PositiveFloat = Field(
-        default=0.04,
+        default=0.02,
         ge=0.005,
         le=1.0,
         description="time between two heartbeats, of the drive and of the daemon",

@@ -72,7 +72,7 @@ def test_a_counter_wraps_where_its_type_does() -> None:
             "is missing",
         ),
         ({"bus/own_node_id": 5}, "bus.own_node_id", "5 is the drive's own node id"),
-        ({"bus/heartbeat_timeout_s": 0.05}, "bus.heartbeat_timeout_s", "at least 2 times"),
+        ({"bus/heartbeat_timeout_s": 0.035}, "bus.heartbeat_timeout_s", "at least 2 times"),
         ({"bus/node_id": 128}, "bus.node_id", "less than or equal to 127"),
         ({"bus/channel": "can0"}, "bus.channel", "an IPv4 multicast group"),
         ({"bus/eds": "none.eds"}, "bus.eds", "no such file"),

@@ -36,7 +36,7 @@ async def test_a_node_is_told_everything_before_it_is_started(peer: Peer) -> Non
         await bench.ready()
     number = peer.number
     assert number(0x1016, 1) == 127 << 16 | 2000
-    assert number(0x1017) == 40
+    assert number(0x1017) == 20
     assert number(0x6007) == 2
     assert (number(0x1005), number(0x1006)) == (0x80, 8333)
     assert number(0x6060) == 0xFF
@@ -516,6 +516,9 @@ async def test_commands_that_the_bus_does_not_take_are_a_complaint_until_it_take
         with monkeypatch.context() as stuck:
             stuck.setattr(bus, "send", refuse)
             await bench.complains("the bus does not take commands: ")
+            known = len(peer.beats)
+            await asyncio.sleep(0.2)
+            assert len(peer.beats) == known  # nor does a heartbeat keep the command before in force
         await until(lambda: bench.port.complaint is None)
 
 

@@ -116,6 +116,11 @@ def test_the_time_out_from_a_command_on_is_that_of_a_heartbeat_sent_long_before(
     assert bus.command_timeout_s == pytest.approx(0.07)
 
 
+def test_three_heartbeats_in_a_row_may_be_lost_unless_the_file_says_otherwise() -> None:
+    bus = bus_of(parse({"bus/heartbeat_s": None, "bus/heartbeat_timeout_s": None}))
+    assert bus.heartbeat_timeout_s > 4.0 * bus.heartbeat_s
+
+
 def test_a_time_out_that_ends_between_two_commands_is_refused() -> None:
     found = flaws({"bus/heartbeat_s": 0.01, "bus/heartbeat_timeout_s": 0.02})
     assert "must be at least 0.0225 s" in found["bus.heartbeat_timeout_s"]

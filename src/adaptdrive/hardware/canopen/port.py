@@ -72,6 +72,7 @@ class CanOpenPort:
         self._master = Master(config, mapping, half_cycle_s, self._put, clock)
         self._health = Health(self._control, self._master)
         self._sync = SyncProducer(half_cycle_s, clock, self._send_sync)
+        self._half_cycle_s = half_cycle_s
         self._beat_s = -math.inf
         self._safe_s = math.inf
         self._been_up = False
@@ -283,9 +284,9 @@ class CanOpenPort:
                 self._put(*frame)
 
     def _beat(self) -> None:
-        """Send the daemon's heartbeat when it is due."""
+        """Send the daemon's heartbeat where the next command would be too late for it."""
         now_s = self._clock()
-        if now_s - self._beat_s >= self._config.heartbeat_s:
+        if now_s - self._beat_s > self._config.heartbeat_s - self._half_cycle_s:
             self._beat_s = now_s
             self._put(0x700 + self._config.own_node_id, bytes((NodeState.OPERATIONAL,)))
 
