@@ -390,6 +390,30 @@ async def test_what_the_drive_has_not_though_the_eds_says_so_is_named(
         peer.close()
 
 
+QUICK_STOP = """[605A]
+ParameterName=Quick stop option code
+ObjectType=0x7
+DataType=0x0003
+AccessType=rw
+DefaultValue={}
+PDOMapping=0
+
+[6060]"""
+
+
+@pytest.mark.parametrize(
+    ("option", "written"), [(0, 0), (2, 2), (5, 1), (6, 2), (8, 4), (-1, 0xFFFF)]
+)
+async def test_a_quick_stop_ends_where_no_single_command_ends_it(
+    tmp_path: Path, option: int, written: int
+) -> None:
+    eds = other_eds(tmp_path, ("[6060]", QUICK_STOP.format(option)))
+    with contextlib.closing(Peer(f"canopen {tmp_path.name}", eds)) as peer:
+        async with running(peer, eds=eds) as bench:
+            await bench.ready()
+        assert peer.number(0x605A) == written
+
+
 async def test_a_frame_id_that_is_too_long_is_refused_like_any_other_answer(
     tmp_path: Path,
 ) -> None:

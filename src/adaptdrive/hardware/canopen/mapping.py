@@ -39,8 +39,9 @@ SYNC_PERIOD = (0x1006, 0)
 HEARTBEATS_HEARD = (0x1016, 1)
 HEARTBEAT_SENT = (0x1017, 0)
 ABORT_OPTION = (0x6007, 0)
+QUICK_STOP_OPTION = (0x605A, 0)
 
-_OPTIONAL = (SYNC_PERIOD, ABORT_OPTION)
+_OPTIONAL = (SYNC_PERIOD, ABORT_OPTION, QUICK_STOP_OPTION)
 _CHANNELS = 4  # CiA 301 preconfigures the identifiers of four PDOs in each direction
 _NEEDED = {
     SYNC_ID: "its measurements could not be synchronised",

@@ -15,6 +15,7 @@ from adaptdrive.hardware.canopen.mapping import (
     DEVICE_TYPE,
     HEARTBEAT_SENT,
     HEARTBEATS_HEARD,
+    QUICK_STOP_OPTION,
     SYNC_ID,
     SYNC_PERIOD,
     CanOpenMapping,
@@ -26,6 +27,10 @@ SYNC_COB_ID = 0x080
 
 _PROFILE = 402
 _DISABLE_VOLTAGE = 2
+_STAYING_STOPS = range(5, 9)
+_ENDED = 4
+"""Options of a quick stop that ends in *switch on disabled* are those of one that stays, less 4."""
+
 _PRODUCES_SYNC = 1 << 30
 _INVALID = 1 << 31
 _NO_REMOTE_REQUEST = 1 << 30
@@ -52,6 +57,7 @@ def set_up(server: Server, bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_
         # a consumer that is written anew waits for a first heartbeat: its time-out would not end
         if address != HEARTBEATS_HEARD or server.read(address) != data:
             server.write_surely(address, data)
+    _end_quick_stops(server, mapping)
     for address, data in sync_writes(bus, mapping, half_cycle_s):
         server.write(address, data)
     for channel in mapping.unused:
@@ -94,6 +100,18 @@ def _identify(server: Server, bus: CanOpenBus, mapping: CanOpenMapping) -> None:
                 f"is not the drive of {bus.eds.name}: its {names[address]} is 0x{found:08X}, "
                 f"the EDS is for 0x{expected:08X}"
             )
+
+
+def _end_quick_stops(server: Server, mapping: CanOpenMapping) -> None:
+    """Let a quick stop end in *switch on disabled*, after the same ramp.
+
+    One that stays is ended by the next command to enable operation, before anybody has seen it.
+    """
+    if QUICK_STOP_OPTION not in mapping.present:
+        return
+    option = server.number(QUICK_STOP_OPTION)
+    if option in _STAYING_STOPS:
+        server.write_surely(QUICK_STOP_OPTION, (option - _ENDED).to_bytes(2, "little"))
 
 
 def _describe(server: Server, pdo: Pdo, transmission: int) -> None:
