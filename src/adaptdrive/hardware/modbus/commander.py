@@ -61,7 +61,7 @@ class Commander:
         self._untaken = UntakenCommands()
         self._silent = False
         self._blank = True
-        self._read_s = -math.inf
+        self._read_s = self._reported_s = -math.inf
         self._alive = 0
         self._stopped_s = math.inf
         self._powered = False
@@ -155,8 +155,8 @@ class Commander:
         if self.bridge and self._powered and not powered:
             self._outdated = True  # a command from before the bridge went off
         self._powered = powered
-        self._sight.look(self._read_s)
-        self._blank = False
+        self._sight.look(self._reported_s)
+        self._blank, self._read_s = False, self._reported_s
         self._relink.hear(bridge=powered)
 
     def note_refused(self, *, powered: bool | None) -> None:
@@ -166,7 +166,7 @@ class Commander:
             powered: The bridge beside the refused values, None where it must not be used.
         """
         if powered is not None:
-            self._sight.look(self._read_s)
+            self._sight.look(self._reported_s)
         if powered is False:
             self._relink.open(bridge=self.bridge or self._tried_bridge, how=REFUSED)
 
@@ -205,7 +205,7 @@ class Commander:
             if joined:
                 self._sight.forget()
         if self._poll.bridge_block in {None, exchange.read}:
-            self._read_s = link.asked_s
+            self._reported_s = link.asked_s
         return registers
 
     async def _read_with(
