@@ -161,3 +161,18 @@ def test_the_rate_of_a_drive_that_is_the_clock_must_be_known_and_right(
     reading = replace(CALM, arrival_s=START_S, oldest_s=START_S)
     standing = of.standing_cause(PORT, reading, START_S)
     assert standing == cause if cause is None else (standing or "").startswith(cause)
+
+
+def test_a_count_may_stand_for_as_long_as_a_reading_is_fresh() -> None:
+    rate = FrameRate(TICK_S, 1, counted=True)
+    of = InterlockBoard(LIMITS, (), rate, TICK_S, 1)
+    rate.add(START_S, None, stood_in=False)
+    for number in range(1, 10):
+        now_s = START_S + number * TICK_S
+        rate.add(now_s, None, stood_in=False, repeated=True)
+        reading = replace(CALM, arrival_s=now_s, oldest_s=now_s)
+        standing = of.standing_cause(PORT, reading, now_s)
+        assert (standing is None) == (number <= 8)
+    assert standing is not None
+    assert standing.startswith("half-cycle counter: the drive's count has stood for 70 ms while")
+    assert "limit 62.5 ms" in standing

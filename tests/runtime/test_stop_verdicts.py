@@ -75,3 +75,54 @@ def test_the_reason_names_the_time_since_the_stop() -> None:
     watched = Watched()
     why = watched.watch.why_not(None, math.inf, STOP_S + 2.0)
     assert why.startswith("it has not taken the safe command 2000 ms after the stop; ")
+
+
+class Started:
+    """The start of a drive at 64 s, whose bridge stays off while its boost voltage rises."""
+
+    def __init__(self, *, confirmed: bool) -> None:
+        self.watch = StopWatch(LIMIT_S, READING_S, 0.0)
+        self.watch.command(STOP_S)
+        if confirmed:
+            off = replace(CALM, arrival_s=STOP_S + 0.25, oldest_s=STOP_S + 0.25, bridge=False)
+            assert self.watch.judge(off, STOP_S, STOP_S + 0.25) is Stop.CONFIRMED
+        self.watch.release()
+
+    def judge(self, after_s: float, *, bridge: bool) -> Stop:
+        now_s = STOP_S + after_s
+        reading = replace(CALM, arrival_s=now_s, oldest_s=now_s, bridge=bridge)
+        return self.watch.judge_start(reading, now_s)
+
+
+def test_a_bridge_that_was_off_before_the_start_denies_it_by_its_second_reading() -> None:
+    started = Started(confirmed=True)
+    assert started.judge(0.5, bridge=True) is Stop.CONFIRMED
+    assert started.judge(0.5, bridge=True) is Stop.CONFIRMED  # the same reading
+    assert started.judge(0.625, bridge=True) is Stop.DENIED
+
+
+def test_a_flicker_in_the_start_denies_nothing() -> None:
+    started = Started(confirmed=True)
+    for number in range(10):
+        assert started.judge(1.0 + number, bridge=True) is Stop.CONFIRMED
+        assert started.judge(1.5 + number, bridge=False) is Stop.CONFIRMED
+
+
+def test_a_stop_that_a_start_has_cut_short_may_last_as_long_as_any() -> None:
+    started = Started(confirmed=False)
+    assert started.judge(LIMIT_S, bridge=True) is Stop.AWAITED
+    assert started.judge(LIMIT_S + READING_S, bridge=True) is Stop.OVERDUE
+
+
+def test_an_off_in_the_start_is_its_stop_and_a_bridge_that_is_on_after_it_denies_it() -> None:
+    started = Started(confirmed=False)
+    assert started.judge(0.125, bridge=False) is Stop.CONFIRMED
+    assert started.judge(0.25, bridge=True) is Stop.CONFIRMED
+    assert started.judge(0.375, bridge=True) is Stop.DENIED
+
+
+def test_an_off_from_the_moment_of_the_stop_is_none_of_it() -> None:
+    started = Started(confirmed=False)
+    assert started.judge(0.0, bridge=False) is Stop.CONFIRMED
+    assert started.judge(0.25, bridge=True) is Stop.AWAITED
+    assert started.judge(0.375, bridge=True) is Stop.AWAITED
