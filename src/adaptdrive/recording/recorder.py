@@ -302,7 +302,7 @@ class Recorder:
 
     @property
     def _hindrance(self) -> str:
-        """What keeps ticks from being written, in words."""
+        """Reason why ticks are not written, in words."""
         if self._delivery.failing:
             return "no more ticks can wait until recording goes on"
         return "the recorder process has stalled"

@@ -115,7 +115,15 @@ TRIPS = (
         "before `reset` is accepted",
     ),
     Trip(
-        r"^node \d+: the drive left its state by itself",
+        r"^node \d+: the drive left its state by itself, or may have: ",
+        "node 5: the drive left its state by itself, or may have: nothing was heard of it for 60 "
+        "ms while it was commanded on",
+        "a CiA 402 drive is not on after a silence in which its own time-out may have stopped it",
+        "look for lost frames on the bus and an overloaded machine; `bus.heartbeat_timeout_s` must "
+        "be longer than the silences of both",
+    ),
+    Trip(
+        r"^node \d+: the drive left its state by itself: ",
         "node 5: the drive left its state by itself: fault",
         "a CiA 402 drive entered a fault without an emergency, or another state without a command",
         "look the fault up in the drive's manual; `reset` also resets the drive's fault",
