@@ -92,10 +92,27 @@ def test_asking_for_manual_again_does_not_move_the_voltage() -> None:
     assert desk.machine.manual_V(desk.tick) == 300.0
 
 
-@pytest.mark.parametrize(("output", "setpoint"), [(3.5, 3.5), (9.0, 4.5), (-1.0, 0.0)])
-def test_after_manual_the_present_output_is_held(output: float, setpoint: float) -> None:
+@pytest.mark.parametrize(
+    ("output", "setpoint"), [(3.5, 3.5), (9.0, REACH.high), (2.0, REACH.low), (-1.0, REACH.low)]
+)
+def test_after_manual_the_present_output_is_held_within_reach(
+    output: float, setpoint: float
+) -> None:
+    """One below it is on its way there: V_c is at its lowest value at least."""
     desk = by_hand()
     desk.ask(SetMode(Mode.FIXED), output)
+    assert desk.machine.setpoint == setpoint
+
+
+@pytest.mark.parametrize(("output", "setpoint"), [(1.0, 1.0), (9.0, 4.5), (-1.0, 0.0)])
+def test_a_coasting_drive_takes_its_output_for_its_set_point_after_manual(
+    output: float, setpoint: float
+) -> None:
+    desk = machine_desk()
+    desk.ask(SetMode(Mode.MANUAL))
+    desk.ask(Enable(), 3.0)
+    desk.ask(SetMode(Mode.FIXED), output)
+    assert desk.machine.coasting
     assert desk.machine.setpoint == setpoint
 
 

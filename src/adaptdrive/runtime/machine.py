@@ -154,6 +154,8 @@ class Machine:
     def set_mode(self, mode: Mode, tick: int, output: float, voltage_V: float) -> None:
         """Change the mode without a bump: V_c stays into manual, the output stays out of it.
 
+        An output that is still on its way into reach goes to its edge.
+
         Args:
             mode: Controller asked for, or manual.
             tick: Present tick.
@@ -167,7 +169,8 @@ class Machine:
         if mode is Mode.MANUAL:
             self.manual = self._limits.held(voltage_V, tick)
         elif self.mode is Mode.MANUAL and self.energised:
-            self.setpoint = self._limits.nearest_reference(output)
+            held = self._limits.nearest_reference(output)
+            self.setpoint = held if self._coasts else self.reach.nearest(held)
         self.mode = mode
 
     def set_voltage(self, value: float, hold_s: float | None, tick: int) -> None:
