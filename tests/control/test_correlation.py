@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adaptdrive.control.doubt import doubted_deviations
 from adaptdrive.control.estimator import EstimatorState, new_estimator, remember_residual
 from adaptdrive.control.in_force import correlation_factor
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING
@@ -59,3 +60,13 @@ def test_an_estimate_whose_bias_walks_follows_what_correlates() -> None:
     state = fed(np.full(500, 0.1))
     state.integrated.in_force = True
     assert correlation_factor(state) == 1.0
+
+
+def test_the_deviations_shown_are_wider_by_the_factor() -> None:
+    state, values = fed(np.full(500, 0.1)), [0.011, 33.4, 234.0]
+    wide = doubted_deviations(state, LONG, MOTOR, values)
+    factor = correlation_factor(state)
+    state.residual_lag = 0.0
+    known = doubted_deviations(state, LONG, MOTOR, values)
+    assert np.array(wide) == pytest.approx(factor * np.array(known), rel=1e-6)
+    assert factor > 10.0

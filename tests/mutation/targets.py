@@ -73,7 +73,7 @@ SUPERVISION = _control({
     "reach": "test_rest",
     "reasons": "test_reasons",
     "redesign": "test_redesign",
-    "doubt": "test_explanation",
+    "doubt": "test_explanation test_correlation",
     "certainty": "test_certainty",
 })  # fmt: skip
 
@@ -89,7 +89,7 @@ LEARNING = _control({
     "explanation": "test_explanation test_settling",
     "estimator": (
         "test_estimator test_prior test_charge test_redesign test_explanation test_settling "
-        "test_lambda_method"
+        "test_lambda_method test_correlation"
     ),
     "lambda_method": "test_lambda_method test_methods test_charge test_explanation",
     "direct_method": "test_direct_method test_estimator",
