@@ -119,6 +119,7 @@ def test_bounds_are_those_of_the_nominal_parameter() -> None:
         (GAIN, 12.0, "12 times larger in gain"),
         (GAIN, 0.125, "8 times smaller in gain"),
         (SUM_s, 9.0, "9 times slower"),
+        (SUM_s, 9.874, "9.9 times slower"),
         (SUM_s, 0.1, "10 times faster"),
         (GAIN, 164.0, "160 times larger in gain"),
         (GAIN, 1e300, "1000000 times larger in gain"),
