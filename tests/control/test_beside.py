@@ -155,3 +155,23 @@ def test_forgetting_along_the_sample_alone_would_keep_the_old_dynamics() -> None
     sure = np.sqrt(np.diag(along.covariance)[:2])
     assert np.all(wrong[0] > 25.0 * sure)
     assert np.all(wrong[1] < 0.1)
+
+
+@pytest.mark.parametrize(("gate", "limit"), [(2.0, 0.06), (40.0, 0.5)])
+@pytest.mark.parametrize("share", [0.999, 1.001])
+def test_a_sample_teaches_the_dynamics_from_its_limit_on(
+    gate: float, limit: float, share: float
+) -> None:
+    """With a diagonal P: x = r_d² P_dd, c = r_w² P_ww, and the limit is a share of 1 + c."""
+    one = Beside(2, 1, 0.0, 0.97, gate)
+    p_d, p_w, r_w = 0.25, 2.0, 1.5
+    one.diagonal[:] = p_d, p_w
+    noise = 1.0 + r_w**2 * p_w
+    r = np.array([np.sqrt(share * limit * noise / p_d), r_w])
+    one.take(r, 1.0)
+    if share > 1.0:
+        assert one.theta[0] > 0.0
+        assert one.covariance[0, 0] != pytest.approx(p_d, rel=1e-6)
+        return
+    assert one.theta == pytest.approx([0.0, p_w * r_w / noise])
+    assert one.covariance[0, 0] == pytest.approx(p_d, rel=1e-9)
