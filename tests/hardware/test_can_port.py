@@ -548,6 +548,14 @@ async def test_a_bus_closed_under_the_reader_is_reported_and_opened_again(
         assert port.statistics.reconnects == 1
 
 
+async def command_on(port: CanPort, drive: Drive, ear: Ear) -> None:
+    """Command a drive on that has reported its bridge off."""
+    drive.send_status(BridgeOn=0)
+    drive.send_load()
+    await ear.hears(1)
+    assert port.send(COMMAND)
+
+
 async def lose_the_bus(port: CanPort, ear: Ear) -> None:
     """Close the bus under the port, and wait until it is open again."""
     known = len(ear.bus)
@@ -580,10 +588,7 @@ async def test_a_drive_that_lost_its_bus_before_it_started_is_driven_on(
     port: CanPort, drive: Drive, ear: Ear
 ) -> None:
     async with running(port, ear):
-        drive.send_status(BridgeOn=0)
-        drive.send_load()
-        await ear.hears(1)
-        assert port.send(COMMAND)
+        await command_on(port, drive, ear)
         await lose_the_bus(port, ear)
         assert not port.send(COMMAND)
         drive.send_status(BridgeOn=0)
@@ -729,10 +734,7 @@ async def test_a_drive_that_came_on_and_stopped_between_two_readings_is_shown_to
 ) -> None:
     """By the newest of its frames alone it is yet to come on, and may be commanded on."""
     async with running(port, ear):
-        drive.send_status(BridgeOn=0)
-        drive.send_load()
-        await ear.hears(1)
-        assert port.send(COMMAND)
+        await command_on(port, drive, ear)
         drive.send_status(BridgeOn=1)
         drive.send_status(BridgeOn=0)
         drive.send_load()
@@ -766,10 +768,7 @@ async def test_a_bridge_that_bounces_between_two_readings_has_not_stopped(
     port: CanPort, drive: Drive, ear: Ear
 ) -> None:
     async with running(port, ear):
-        drive.send_status(BridgeOn=0)
-        drive.send_load()
-        await ear.hears(1)
-        assert port.send(COMMAND)
+        await command_on(port, drive, ear)
         for bridge in (1, 0, 1):
             drive.send_status(BridgeOn=bridge)
         for count in (2, 3):

@@ -103,7 +103,7 @@ def sync_flaws(bus: CanOpenBus, configuration: Sections) -> Iterator[Flaw]:
     yield from _stale_flaws(1, configuration, "a half cycle, from one SYNC to the next")
     half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
     given_s, lowest_s = bus.command_timeout_s, COMMAND_READINGS * half_cycle_s
-    if given_s < lowest_s and not math.isclose(given_s, lowest_s):
+    if _is_below(given_s, lowest_s):
         lowest = f"bus.heartbeat_s = {bus.heartbeat_s} and {COMMAND_READINGS} half cycles"
         yield Flaw(
             "bus.heartbeat_timeout_s",
@@ -112,11 +112,16 @@ def sync_flaws(bus: CanOpenBus, configuration: Sections) -> Iterator[Flaw]:
         )
 
 
+def _is_below(given_s: float, lowest_s: float) -> bool:
+    """Return whether a time is too short, by more than rounding."""
+    return given_s < lowest_s and not math.isclose(given_s, lowest_s)
+
+
 def _stale_flaws(ticks: int, configuration: Sections, reading: str) -> Iterator[Flaw]:
     stale_s = configuration.interlocks.stale_s
     reading_s = 0.5 * ticks / configuration.drive.line_frequency_Hz
     lowest_s = STALE_READINGS * reading_s
-    if stale_s < lowest_s and not math.isclose(stale_s, lowest_s):
+    if _is_below(stale_s, lowest_s):
         lowest = f"{lowest_s:.4g} s, {STALE_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
         yield Flaw("interlocks.stale_s", f"{stale_s} must be at least {lowest}")
 
@@ -127,7 +132,7 @@ def _timeout_flaws(
     """Yield a time-out of the drive that its commands, one for each reading, cannot keep off."""
     reading_s = 0.5 * ticks / configuration.drive.line_frequency_Hz
     given_s, lowest_s = bus.command_timeout_s, COMMAND_READINGS * reading_s
-    if given_s is not None and given_s < lowest_s and not math.isclose(given_s, lowest_s):
+    if given_s is not None and _is_below(given_s, lowest_s):
         lowest = f"{lowest_s:.4g} s, {COMMAND_READINGS} times {reading} ({reading_s * 1e3:.4g} ms)"
         yield Flaw(
             "bus.command_timeout_s",

@@ -143,8 +143,8 @@ class FastLoop:
 
         The next one may replace it before a tick, and its report of a bridge that is to be on.
         """
-        cause = self._interlocks.standing_cause(self._port, reading, now_s)
-        if self.command.bridge or cause is not None:
+        driven = self.command.bridge
+        if driven or self._interlocks.standing_cause(self._port, reading, now_s) is not None:
             self._watch_between_ticks(now_s)
 
     def on_deadline(self, deadline_s: float) -> None:

@@ -12,14 +12,13 @@ import pytest
 from adaptdrive.app.ports import build_port
 from adaptdrive.config.sensors import ModbusRtuSensors
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.modbus import bus, port, sensors
 from adaptdrive.hardware.modbus.port import ModbusPort
 from adaptdrive.hardware.modbus.sensors import build_modbus_sensors
 from adaptdrive.hardware.port import Reading
 from tests.config.modbus_documents import parse
 from tests.hardware.modbus.bench import FUNCTION_23, MAP, Ear, Peer, serial
 from tests.hardware.modbus.test_sensors import COMMON as SENSORS
-from tests.hardware.modbus.virtual import Follower, VirtualDrive, VirtualLoop, VirtualSerialPort
+from tests.hardware.modbus.virtual import Follower, VirtualDrive, VirtualLoop, use_memory
 
 POLLS = 6000
 LOST_SHARE = 0.05
@@ -31,10 +30,6 @@ REPEATED = 20
 
 APART_s = 0.0015
 """Time after a reply at which its copy comes, before the next request."""
-
-
-async def _found(host: str, *_: object) -> tuple[str, ...]:
-    return (host,)
 
 
 class Line:
@@ -88,10 +83,7 @@ class Line:
 
 @pytest.fixture(autouse=True)
 def in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let no name server and no serial port be asked."""
-    monkeypatch.setattr(bus, "find", _found)
-    monkeypatch.setattr(port, "SerialPort", VirtualSerialPort)
-    monkeypatch.setattr(sensors, "SerialPort", VirtualSerialPort)
+    use_memory(monkeypatch)
 
 
 @pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])

@@ -9,11 +9,10 @@ import pytest
 
 from adaptdrive.app.ports import build_port
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.modbus import bus, port
 from adaptdrive.hardware.port import Reading
 from tests.config.modbus_documents import parse
 from tests.hardware.modbus.bench import FUNCTION_23, MAP, Peer, serial
-from tests.hardware.modbus.virtual import Follower, VirtualDrive, VirtualLoop, VirtualSerialPort
+from tests.hardware.modbus.virtual import Follower, VirtualDrive, VirtualLoop, use_memory
 
 TIMEOUT_s = 0.15
 STANDSTILL_s = 0.3
@@ -33,15 +32,9 @@ COMMANDS = 3
 """Commands after which the looks are counted: the drive has reported its bridge on."""
 
 
-async def _found(host: str, *_: object) -> tuple[str, ...]:
-    return (host,)
-
-
 @pytest.fixture(autouse=True)
 def in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let no name server and no serial port be asked."""
-    monkeypatch.setattr(bus, "find", _found)
-    monkeypatch.setattr(port, "SerialPort", VirtualSerialPort)
+    use_memory(monkeypatch)
 
 
 class WatchedPeer(Peer):

@@ -11,6 +11,9 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import pytest
+
+from adaptdrive.hardware.modbus import bus, port, sensors
 from adaptdrive.hardware.port import Reading
 from tests.hardware.modbus.bench import Ear, Peer, framed
 
@@ -120,3 +123,14 @@ class Follower(Ear):
     def on_reading(self, reading: Reading) -> None:
         super().on_reading(reading)
         self._decide(reading)
+
+
+async def _found(host: str, *_: object) -> tuple[str, ...]:
+    return (host,)
+
+
+def use_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no name server and no serial port be asked."""
+    monkeypatch.setattr(bus, "find", _found)
+    monkeypatch.setattr(port, "SerialPort", VirtualSerialPort)
+    monkeypatch.setattr(sensors, "SerialPort", VirtualSerialPort)
