@@ -363,6 +363,47 @@ async def test_a_drive_that_stopped_while_it_was_silent_is_not_driven_on(
         assert set(bench.sent[known:]) == {SAFE_COMMAND}
 
 
+@pytest.mark.parametrize("bridge", [True, False])
+async def test_a_command_that_waits_is_sent_when_the_drive_reports_that_it_is_still_on(
+    bridge: bool,
+) -> None:
+    """The report comes in the tick that the command waits in, and no other tick may follow soon."""
+    limits = replace(FAST.limits, stale_s=0.5)
+    async with fast_bench(replace(FAST, limits=limits)) as bench:
+        bench.start()
+        bench.frames(10)
+        bench.wait(0.3)
+        tick, known = bench.loop.tick, len(bench.sent)
+        bench.frame(0.0, steps=34, bridge=bridge)
+        assert bench.loop.tick == tick
+        assert bench.machine.energised is bridge
+        assert [command.bridge for command in bench.sent[known:]] == [bridge]
+
+
+async def test_a_command_that_waits_is_forgotten_with_the_run_it_was_decided_in() -> None:
+    """The process stood still in a stand-in tick, and the reading that it stands for is next."""
+    limits = replace(FAST.limits, stale_s=0.5)
+    async with fast_bench(replace(FAST, limits=limits)) as bench:
+        bench.start()
+        bench.frames(10)
+        decide = bench.controller.replace_tick
+
+        def decide_late(measurement: Measurement, order: Order) -> Command:
+            bench.around.now += 0.2
+            return decide(measurement, order)
+
+        bench.controller.replace_tick = decide_late
+        tick, known, due_s = bench.loop.tick, len(bench.sent), bench.around.deadline_s
+        bench.around.now = due_s
+        bench.loop.on_deadline(due_s)
+        assert len(bench.sent) == known
+        bench.ask(Disable())
+        late = replace(bench.measured, arrival_s=due_s, oldest_s=due_s, bridge=True)
+        bench.port.deliver(replace(late, counter=bench.counter + 1))
+        assert bench.loop.tick == tick + 1
+        assert not any(command.bridge for command in bench.sent[known:])
+
+
 async def test_a_drive_that_stopped_while_another_node_went_on_clocking_is_not_driven_on() -> None:
     """Its own cable was out for longer than its time-out; what clocks the readings still came."""
     limits = replace(FAST.limits, stale_s=0.5)

@@ -86,6 +86,7 @@ class FastLoop:
         self._stopping = Stopping(self._stop_watch, machine, surroundings.not_stopped)
         self._order: Order | None = None
         self._wanted = SAFE_COMMAND
+        self._waits = False
         self._sequence = 0
         self._deadline_s = math.inf
         self.tick = -1
@@ -146,6 +147,12 @@ class FastLoop:
         driven = self.command.bridge
         if driven or self._interlocks.standing_cause(self._port, reading, now_s) is not None:
             self._watch_between_ticks(now_s)
+        if self._is_wanted_still() and not self._interlocks.awaits_bridge(now_s):
+            self._send_in_time(self._wanted)
+
+    def _is_wanted_still(self) -> bool:
+        """Return whether this tick's command waits for a report, in the stage it was decided in."""
+        return self._waits and self._order is not None and self._order.stage is self._machine.stage
 
     def on_deadline(self, deadline_s: float) -> None:
         """Run a stand-in tick on the held values: no frame came in time.
@@ -293,10 +300,19 @@ class FastLoop:
         command = self._schedule.tick(measurement, order)
         self.measurement = measurement
         self._wanted = command
+        self._send_in_time(command)
+
+    def _send_in_time(self, command: Command) -> None:
+        """Send the command of this tick; one that energises waits for a report that is due.
+
+        A later reading of the same tick may bring that report.
+        """
+        self._waits = False
         if self._overslept():
             self.send_safe()
             return
         if command.bridge and self._interlocks.awaits_bridge(self._surroundings.now_s()):
+            self._waits = True
             self.counts.withheld += 1
             return
         self._send(command)
