@@ -57,6 +57,15 @@ def test_the_table_has_milliseconds_and_half_cycles() -> None:
     assert "output standing still never interlocks.stuck_s = 0" in rows
 
 
+@pytest.mark.parametrize(
+    ("limit_s", "ticks"), [(0.123456, "14.81"), (83.32, "9998"), (120.0, "14400"), (6e4, "7200000")]
+)
+def test_the_table_has_no_powers_of_ten(limit_s: float, ticks: str) -> None:
+    line = limits_table([("far", limit_s, "key")], 1.0 / 120.0).splitlines()[1]
+    assert line.split()[2] == ticks
+    assert float(line.split()[1]) == pytest.approx(1e3 * limit_s)
+
+
 def test_check_prints_the_table(capsys: pytest.CaptureFixture[str]) -> None:
     assert check(EXAMPLES / "battery.toml") == 0
     assert "stale output" in capsys.readouterr().out

@@ -78,6 +78,17 @@ def test_a_whole_session_passes_and_a_damaged_one_fails(tmp_path: Path) -> None:
     assert "ticks-0001.parquet" in answer.stderr
 
 
+def test_a_session_without_its_facts_is_named_and_not_passed_over(state: Path) -> None:
+    (state / "sessions" / NAME / "session.json").unlink()
+    listed = run(state, "sessions", "list")
+    assert listed.stdout.startswith(f"{NAME}  damaged: ")
+    for command in ("verify", "show"):
+        answer = run(state, "sessions", command, *([NAME] if command == "show" else []))
+        assert answer.returncode == 1
+        assert "session.json: No such file" in answer.stderr
+        assert "Traceback" not in answer.stderr
+
+
 @pytest.mark.parametrize(
     ("name", "message"),
     [

@@ -10,6 +10,9 @@ from adaptdrive.config import Configuration
 from adaptdrive.hardware.bus_kind import Row
 from adaptdrive.runtime.refused_share import WINDOW_S
 
+_WHOLE_TICKS = 1e4
+"""Number of half cycles from which on all digits are printed."""
+
 
 def time_limits(configuration: Configuration, source: Path | str) -> list[Row]:
     """Return the limits of time that are in force, 0 for none.
@@ -48,7 +51,9 @@ def limits_table(rows: list[Row], tick_s: float) -> str:
 def _line(what: str, limit_s: float, keys: str, tick_s: float) -> str:
     if not limit_s:
         return f"{what:36} {'never':>9} {'':>8}  {keys} = 0"
-    return f"{what:36} {limit_s * 1e3:9.6g} {limit_s / tick_s:8.4g}  {keys}"
+    ticks = limit_s / tick_s
+    number = f"{ticks:.4g}" if ticks < _WHOLE_TICKS else f"{ticks:.0f}"
+    return f"{what:36} {limit_s * 1e3:9.9g} {number:>8}  {keys}"
 
 
 def _sensor_rows(configuration: Configuration) -> Iterator[Row]:

@@ -56,11 +56,11 @@ def list_sessions(*, directory: Folder = None, as_json: Json = False) -> int:
     from adaptdrive.recording.session import (  # noqa: PLC0415
         Dropped,
         read_info,
-        session_directories,
+        recorded_directories,
     )
 
     found: list[dict[str, object]] = []
-    for path in session_directories(_folder(directory)):
+    for path in recorded_directories(_folder(directory)):
         try:
             info = read_info(path)
         except RecordingError as problem:
@@ -135,14 +135,14 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
     """
     from adaptdrive.errors import RecordingError, escaped  # noqa: PLC0415 - see above
     from adaptdrive.recording.reader import read_session  # noqa: PLC0415
-    from adaptdrive.recording.session import session_directories  # noqa: PLC0415
+    from adaptdrive.recording.session import recorded_directories  # noqa: PLC0415
     from adaptdrive.recording.verify import Verification  # noqa: PLC0415
     from adaptdrive.recording.verify import verify as verify_session  # noqa: PLC0415
 
     status = 0
     verdicts: dict[str, object] = {}
     named = [(name, _find(name, directory)) for name in sessions]
-    found = named or [(path.name, path) for path in session_directories(_folder(directory))]
+    found = named or [(path.name, path) for path in recorded_directories(_folder(directory))]
     for name, path in found:
         try:
             verdict = verify_session(read_session(path))

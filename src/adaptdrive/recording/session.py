@@ -228,8 +228,17 @@ class SessionLock:
 
 def session_directories(sessions: Path) -> Iterator[Path]:
     """Yield the directories of sessions in a folder, the oldest first."""
+    yield from _with_any(sessions, (INFO_FILE,))
+
+
+def recorded_directories(sessions: Path) -> Iterator[Path]:
+    """Yield these, and those of sessions whose `session.json` is lost."""
+    yield from _with_any(sessions, (INFO_FILE, EVENTS_FILE, f"{TICKS}-*.parquet"))
+
+
+def _with_any(sessions: Path, files: tuple[str, ...]) -> Iterator[Path]:
     if sessions.is_dir():
-        found = (path.parent for path in sessions.glob(f"*/{INFO_FILE}"))
+        found = {path.parent for file in files for path in sessions.glob(f"*/{file}")}
         finished = (path for path in found if not path.name.startswith("."))
         yield from sorted(finished, key=lambda path: path.name.removeprefix(TRIP_PREFIX))
 
@@ -243,7 +252,7 @@ def find_session(name: str, sessions: Path) -> Path:
         RecordingError: There is none.
     """
     for directory in (Path(name), sessions / name):
-        if (directory / INFO_FILE).is_file():
+        if (directory / INFO_FILE).is_file() or (directory / EVENTS_FILE).is_file():
             return directory if directory.name.strip(".") else directory.resolve()
     raise RecordingError(name, f"no such session, neither as a path nor in {sessions}")
 
