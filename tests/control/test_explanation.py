@@ -14,6 +14,7 @@ from adaptdrive.control import estimator as est
 from adaptdrive.control import regression as reg
 from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING
+from adaptdrive.control.rls import predict
 from tests.closed_loop.bench import MOTOR, SCALED_LEARNING
 from tests.control.systems import Array
 
@@ -69,6 +70,7 @@ class Seen:
     kinds: list[int] = field(default_factory=list)
     alarms: list[int] = field(default_factory=list)
     thetas: list[list[float]] = field(default_factory=list)
+    innovations: list[tuple[float, float]] = field(default_factory=list)
 
 
 def learn(voltages: Array, outputs: Array, spike: float = 0.0) -> Seen:
@@ -92,7 +94,10 @@ def learn_second(seen: Seen, output: float, y: list[float], u: list[float]) -> N
     reg.fill_filtered_regressor(state.regressor, LEARNING, MOTOR, y, u)
     reg.fill_initial_state(state.regressor, LEARNING, MOTOR, state.elapsed_s - state.origin_s)
     reg.fill_lowered_regressor(state.rivals.lowered, LEARNING, MOTOR, output, y, u)
+    expected = LEARNING.output_scale * predict(state.theta, state.regressor)
     est.learn(state, LEARNING, MOTOR, output, usable=True)
+    if state.rivals.samples == 0 and state.surprise.alarms == (seen.alarms or [0])[-1]:
+        seen.innovations.append((state.innovation, output - expected))
     values = MOTOR.physical(*reg.filtered_model(state.theta, LEARNING, MOTOR))
     seen.values.append(values)
     seen.shown.append(LEARNING.method.shown_deviations(state, LEARNING, MOTOR, values))
@@ -118,6 +123,13 @@ def other_load() -> Seen:
 @pytest.fixture
 def torque() -> Seen:
     return learn(*course((2.0, 2.0), (0.0, -25.0)))
+
+
+def test_the_innovation_is_what_the_output_differs_from_its_prediction(other_load: Seen) -> None:
+    """In the unit of the output."""
+    shown, expected = np.array(other_load.innovations).T
+    assert len(shown) > 100
+    assert shown == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.fixture

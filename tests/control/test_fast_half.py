@@ -13,7 +13,7 @@ from scipy.signal import lsim
 
 from adaptdrive.control import fast_half as fast
 from adaptdrive.control.signals import Measurement
-from tests.closed_loop.bench import EXACT, MOTOR, RATES, STAGE, TICK_s
+from tests.closed_loop.bench import EXACT, MOTOR, PAPER, RATES, STAGE, TICK_s
 from tests.control.systems import Array
 
 plausible = st.floats(-10.0, 400.0)
@@ -50,12 +50,15 @@ def test_missed_ticks_are_bridged_by_a_straight_line(missed: int) -> None:
     random = np.random.default_rng(1)
     outputs = np.asarray(3.0 + 0.1 * random.normal(size=60), np.float64)
     time_s = np.arange(60) * missed * TICK_s
-    filters = bank(float(outputs[0]))
-    for y in outputs[1:]:
-        fast.filter_sample(filters, float(y), 280.0, missed)
+    voltages = np.asarray(280.0 + 5.0 * random.normal(size=60), np.float64)
+    filters = bank(float(outputs[0]), float(voltages[0]))
+    for y, voltage in zip(outputs[1:], voltages[1:], strict=True):
+        fast.filter_sample(filters, float(y), float(voltage), missed)
     for order in (1, 2):
         expected = filtered_line(outputs, time_s, order)[-1]
         assert filters.outputs[order - 1] == pytest.approx(expected, abs=1e-12)
+        expected = filtered_line(voltages, time_s, order)[-1]
+        assert filters.inputs[order - 1] == pytest.approx(expected, abs=1e-10)
 
 
 @given(st.lists(st.tuples(plausible, plausible), min_size=1, max_size=20))
@@ -149,7 +152,33 @@ def test_a_change_is_kicked_where_the_stage_kicks(ticks: int, first_V: float) ->
     assert fast.drive(books, kicking, measured(2))[1] == first_V
 
 
-@pytest.mark.parametrize("clip", [0.0, 6.0])
+@pytest.mark.parametrize(("ticks", "bridged"), [(1, 1), (5, 5), (120, 120), (1000, 120)])
+def test_a_gap_is_bridged_for_as_long_as_a_slow_period_at_most(ticks: int, bridged: int) -> None:
+    filters, books, alone = bank(), state(), bank()
+    fast.take_in(EXACT, MOTOR, books, filters, measured(ticks, output=3.4))
+    fast.filter_sample(alone, 3.4, 300.0, bridged)
+    assert filters.outputs == pytest.approx(alone.outputs, rel=1e-12)
+    assert filters.inputs == pytest.approx(alone.inputs, rel=1e-12)
+
+
+def test_each_tick_is_in_the_books_of_its_period() -> None:
+    filters, books = bank(), state()
+    for tick in range(1, 121):
+        fresh = replace(measured(tick), boost_voltage_V=300.0 + tick, fresh=tick % 3 != 0)
+        ended = fast.take_in(EXACT, MOTOR, books, filters, fresh)
+        assert ended is (tick == 120)
+    assert fast.close_period(books, EXACT) == (pytest.approx(360.5), True, 40)
+
+
+def test_the_paper_knows_no_rounding() -> None:
+    filters, books = bank(), state()
+    for tick in range(1, 2401):
+        output = 3.0 + 0.02 * (tick // 40 % 5)
+        fast.take_in(EXACT, MOTOR, books, filters, measured(tick, output=output))
+    assert fast.take_rounding(PAPER, filters) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("clip", [0.0, 0.5, 6.0])
 def test_a_spike_reaches_the_filters_only_without_a_screen(clip: float) -> None:
     settings = replace(EXACT, rates=replace(RATES, clip=clip))
     filters, books = bank(), state()
@@ -166,6 +195,43 @@ def test_a_tick_that_comes_twice_moves_the_filters_once() -> None:
     once = [*filters.outputs, *filters.inputs, filters.output]
     fast.take_in(EXACT, MOTOR, books, filters, measured(5, output=3.5))
     assert [*filters.outputs, *filters.inputs, filters.output] == once
+
+
+@pytest.mark.parametrize(("voltage_V", "error"), [(290.0, 5900.0), (300.0, 0.0), (310.0, -6100.0)])
+def test_the_sum_of_errors_grows_by_the_difference_of_the_squares(
+    voltage_V: float, error: float
+) -> None:
+    books = state(error_sum=9.0 * voltage_V**2)
+    before = books.error_sum
+    regulate(books, voltage_V)
+    assert (books.limit, books.error_sum - before) == (0, pytest.approx(error))
+
+
+@pytest.mark.parametrize(("power_W", "limit"), [(1e5, 1), (-1e5, -1)])
+@pytest.mark.parametrize("voltage_V", [290.0, 310.0])
+def test_at_a_limit_the_sum_of_errors_goes_away_from_it_only(
+    power_W: float, limit: int, voltage_V: float
+) -> None:
+    books = state()
+    regulate(books, voltage_V, power=power_W)
+    error = 300.0**2 - voltage_V**2
+    assert books.limit == limit
+    assert books.error_sum - state().error_sum == (error if error * limit < 0.0 else 0.0)
+
+
+@pytest.mark.parametrize(("highest_V", "ceiling_V"), [(250.0, 250.0), (150.0, 200.0)])
+def test_a_load_holds_V_c_below_what_it_bears(highest_V: float, ceiling_V: float) -> None:
+    books = state()
+    fast.hold_below(books, STAGE, highest_V)
+    assert books.ceiling_V == ceiling_V
+    fast.hold_below(books, STAGE, highest_V + 60.0)
+    assert books.ceiling_V == ceiling_V
+
+
+def test_at_just_the_power_of_the_drive_V_c_is_not_held_back_further() -> None:
+    books = state(boost_reference_V=400.0, ceiling_V=300.0)
+    assert fast.limit_power(books, STAGE, 310.0, STAGE.load_power_max_W) > 300.0
+    assert 300.0 < books.ceiling_V < 310.0
 
 
 def test_too_much_power_holds_the_voltage_back_and_lets_it_rise_slowly() -> None:

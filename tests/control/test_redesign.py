@@ -227,6 +227,21 @@ def test_an_estimate_that_no_load_can_have_begins_anew_after_sixty_periods() -> 
     assert adapted(state) == Verdict.UNCERTAIN
 
 
+def test_where_the_walking_bias_is_in_force_its_estimate_alone_begins_anew() -> None:
+    """The estimate whose bias rests goes on, and is in force again."""
+    state = known(30.0)
+    estimator = state.estimator
+    estimator.integrated.in_force, estimator.integrated.samples = True, 200
+    estimator.integrated.branch.theta[:] = estimator.theta
+    estimator.integrated.branch.diagonal[:] = estimator.diagonal
+    before = list(estimator.theta)
+    assert lost(state, CAREFUL, 61)[-2:] == [60, 0]
+    assert not estimator.integrated.in_force
+    assert estimator.integrated.samples == 0
+    assert estimator.theta == before
+    assert estimator.origin_s == 0.0
+
+
 def test_periods_that_teach_nothing_do_not_count() -> None:
     state = known(30.0)
     lost(state, CAREFUL, 30)

@@ -7,11 +7,15 @@ from dataclasses import replace
 
 import pytest
 
+from adaptdrive.control import controller as controller_module
 from adaptdrive.control.charging import Charging
 from adaptdrive.control.controller import Controller
+from adaptdrive.control.load import Load
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.settings import ControllerSettings, Rates
 from adaptdrive.control.signals import Decision, Measurement, Mode, Order, Snapshot, Stage
+from adaptdrive.control.slow_half import slow_step
+from adaptdrive.control.slow_state import SlowSample, SlowState
 from tests.closed_loop.bench import EXACT, MOTOR, PLAIN_LEARNING, REST_V, TICKS, TICK_s, order
 
 
@@ -71,6 +75,27 @@ def test_a_charge_begins_at_the_lowest_V_c_unless_it_goes_on(stage: Stage, first
     assert commands[0].boost_reference_V == first_V
     seen_V = snapshot_of(controller).input_filtered
     assert seen_V == pytest.approx([320.0] * len(seen_V))  # a battery rests at its own EMF
+
+
+@pytest.mark.parametrize(("asked_V", "held_V"), [(399.0, 330.0), (310.0, 310.0)])
+def test_by_hand_the_terminals_of_a_battery_stay_at_their_voltage_limit(
+    asked_V: float, held_V: float
+) -> None:
+    """At 2 A they are at 80 V where V_c is (80 V + 1.2 Ohm · 2 A) over 0.25, 329.6 V."""
+    controller = Controller(EXACT, BATTERY)
+    controller.tick(measured(0, 2.0, boost_V=300.0), order(stage=Stage.PRECHARGE))
+    by_hand = Order(Stage.RUN, 3.0, Mode.MANUAL, 0.7, asked_V)
+    commands = [controller.tick(measured(tick, 2.0, boost_V=300.0), by_hand) for tick in (1, 2)]
+    assert commands[-1].boost_reference_V == pytest.approx(held_V, abs=0.5)
+
+
+@pytest.mark.parametrize("bias", [True, False])
+def test_an_offset_of_the_input_is_shown_where_it_is_estimated(*, bias: bool) -> None:
+    controller = Controller(replace(EXACT, learning=replace(EXACT.learning, bias=bias)), MOTOR)
+    for tick in range(TICKS + 1):
+        controller.tick(measured(tick), order())
+    shown = controller.decide(snapshot_of(controller)).estimates
+    assert set(shown) == {*MOTOR.names, *(["input_offset"] if bias else [])}
 
 
 def test_the_step_of_the_sensor_is_found_in_its_samples_and_kept_by_the_next_run() -> None:
@@ -154,3 +179,27 @@ def test_before_an_estimate_its_deviations_are_unknown() -> None:
     unknown = stuck(replace(RESPONDING, learning=PLAIN_LEARNING), order(), 1)[0].estimates
     assert [*unknown] == list(MOTOR.names)
     assert all(math.isnan(one.std) for one in unknown.values())
+
+
+@pytest.mark.parametrize(("load", "known"), [(MOTOR, True), (BATTERY, False)])
+def test_the_slow_half_is_told_the_reach_where_it_is_known(
+    load: Load, *, known: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A probe stays within it; a battery whose EMF is not known yet has none."""
+    samples: list[SlowSample] = []
+
+    def noted(
+        settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample
+    ) -> float:
+        samples.append(sample)
+        return slow_step(settings, load, state, sample)
+
+    monkeypatch.setattr(controller_module, "slow_step", noted)
+    controller = Controller(EXACT, load)
+    for tick in range(TICKS + 1):
+        controller.tick(measured(tick), order())
+    decided = controller.decide(snapshot_of(controller))
+    reach = (samples[0].lowest, samples[0].highest)
+    assert reach == ((2.2, 4.4) if known else (-math.inf, math.inf))
+    assert math.isfinite(decided.reach_high) is known
+    assert (samples[0].low, samples[0].high) == (200.0, 400.0)

@@ -64,7 +64,7 @@ SUPERVISION = _control({
     "screen": "test_screen",
     "rounding": "test_rounding_search",
     "probing": "test_probing",
-    "charging": "test_charging",
+    "charging": "test_charging test_slow_laws test_slow_battery",
     "supervisor": "test_supervisor",
     "robustness": "test_robustness",
     "noise_limit": "test_noise_limit",
@@ -86,7 +86,7 @@ LEARNING = _control({
     "hypotheses": "test_hypotheses",
     "rivals": "test_rivals test_unsure_explanation",
     "challenger": "test_rivals",
-    "explanation": "test_explanation test_settling",
+    "explanation": "test_explanation test_settling test_challenger",
     "estimator": (
         "test_estimator test_prior test_charge test_redesign test_explanation test_settling "
         "test_lambda_method test_correlation"
@@ -114,7 +114,10 @@ DESIGN = _control({
 
 HALVES = _control({
     "fast_half": "test_fast_half test_kick test_rounding",
-    "slow_half": "test_slow_half test_slow_laws test_robustness test_probing test_runs",
+    "slow_half": (
+        "test_slow_half test_slow_laws test_slow_battery test_slow_watches test_robustness "
+        "test_probing test_runs"
+    ),
     "slow_state": "test_slow_half test_slow_laws test_probing",
     "controller": "test_controller test_schedule test_runs test_prior",
 })  # fmt: skip
