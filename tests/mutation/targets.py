@@ -39,7 +39,7 @@ RUNTIME: dict[str, tuple[str, ...]] = {
     "adaptdrive.runtime.half_cycles": (*_RATE, "tests/runtime/test_fast_loop.py"),
     "adaptdrive.runtime.frame_rate": _RATE,
     "adaptdrive.runtime.stop_watch": _STOP,
-    "adaptdrive.runtime.stopping": _STOP,
+    "adaptdrive.runtime.stopping": (*_STOP, "tests/runtime/test_frame_rate.py"),
     "adaptdrive.runtime.statistics": ("tests/runtime/test_statistics.py",),
     "adaptdrive.control.schedule": ("tests/control/test_schedule.py", *_LOOP),  # the loop's order
 }

@@ -280,9 +280,10 @@ class FastLoop:
         if cause is not None:
             machine.latch(cause)
             self._stop_watch.command(now_s)
-        elif reading is not None:
+        else:
             known = interlocks.rate_known
-            machine.advance(self.tick, reading.boost_voltage_V, rate_known=known, now_s=now_s)
+            voltage_V = math.nan if reading is None else reading.boost_voltage_V
+            machine.advance(self.tick, voltage_V, rate_known=known, now_s=now_s)
             if stage is _OFF and machine.stage is not _OFF:
                 self._stopping.release()
 
