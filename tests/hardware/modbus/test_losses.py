@@ -16,9 +16,9 @@ from adaptdrive.hardware.modbus.port import ModbusPort
 from adaptdrive.hardware.modbus.sensors import build_modbus_sensors
 from adaptdrive.hardware.port import Reading
 from tests.config.modbus_documents import parse
-from tests.hardware.modbus.bench import FUNCTION_23, MAP, Ear, Peer, serial
+from tests.hardware.modbus.bench import FUNCTION_23, MAP, Ear, Peer, framed, serial
 from tests.hardware.modbus.test_sensors import COMMON as SENSORS
-from tests.hardware.modbus.virtual import Follower, VirtualDrive, VirtualLoop, use_memory
+from tests.hardware.modbus.virtual import Follower, VirtualDrive, VirtualLoop, is_serial, use_memory
 
 POLLS = 6000
 LOST_SHARE = 0.05
@@ -158,3 +158,10 @@ def test_a_sensor_line_that_repeats_each_reply_mixes_up_one_value() -> None:
         loop.close()
     assert tested.statistics.foreign > 100
     assert ear.mixed_up <= 1
+
+
+def test_a_request_on_tcp_that_ends_with_its_own_checksum_is_not_taken_for_a_serial_one() -> None:
+    request = bytes.fromhex("01550000000b0110000000020461a50001")
+    assert framed(request[:-2]) == request
+    assert not is_serial(request)
+    assert is_serial(framed(bytes.fromhex("010400000002")))
