@@ -71,6 +71,12 @@ class Seen:
     alarms: list[int] = field(default_factory=list)
     thetas: list[list[float]] = field(default_factory=list)
     innovations: list[tuple[float, float]] = field(default_factory=list)
+    waiting: list[int] = field(default_factory=list)
+
+    def settled_after(self, period: int) -> int:
+        """Return the first period after this one whose comparison of explanations has ended."""
+        begun = next(n for n in range(period - 1, len(self.waiting)) if self.waiting[n] > 0)
+        return next(n for n in range(begun, len(self.waiting)) if self.waiting[n] == 0)
 
 
 def learn(voltages: Array, outputs: Array, spike: float = 0.0) -> Seen:
@@ -103,6 +109,7 @@ def learn_second(seen: Seen, output: float, y: list[float], u: list[float]) -> N
     seen.shown.append(LEARNING.method.shown_deviations(state, LEARNING, MOTOR, values))
     seen.doubtful.append(doubt.is_doubtful(state))
     seen.kinds.append(state.rivals.kind)
+    seen.waiting.append(state.rivals.samples)
     seen.alarms.append(state.surprise.alarms)
     seen.thetas.append(list(state.theta))
 
@@ -160,6 +167,27 @@ def test_a_spike_is_an_alarm_of_nothing_and_is_hardly_learnt(spike: Seen) -> Non
     assert spike.kinds[CHANGE_s + 40] == NOTHING
     assert spike.state.rivals.samples == 0
     assert error(spike.values[-1], 2.0) < 0.05
+
+
+def test_a_disturbance_that_was_found_is_remembered_in_its_size_and_forgotten(
+    torque: Seen, other_load: Seen
+) -> None:
+    """25 V of 280 V; a load that was found is none."""
+    periods = END_s - 1 - torque.settled_after(CHANGE_s)
+    left = (1.0 - 1.0 / 150.0) ** periods
+    assert math.sqrt(torque.state.rivals.moved / left) == pytest.approx(25.0 / 280.0, rel=0.1)
+    assert other_load.state.rivals.moved == 0.0
+
+
+def test_what_a_disturbance_may_have_moved_is_part_of_what_is_shown(torque: Seen) -> None:
+    """Each value by the disturbance over the scale of the input, beside its own deviation."""
+    state, values = torque.state, torque.values[-1]
+    share = math.sqrt(state.rivals.moved)
+    shown = np.array(doubt.doubted_deviations(state, LEARNING, MOTOR, values))
+    state.rivals.moved = 0.0
+    own = np.array(doubt.doubted_deviations(state, LEARNING, MOTOR, values))
+    assert shown**2 - own**2 == pytest.approx((share * np.array(values)) ** 2, rel=1e-6)
+    assert share > 0.03
 
 
 @pytest.mark.parametrize("name", ["other_load", "torque", "spike"])

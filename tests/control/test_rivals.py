@@ -319,8 +319,19 @@ def test_loads_that_were_found_are_counted_and_forgotten() -> None:
     riv.settle(rivals)
     assert rivals.loads == 2.0
     for _ in range(150):
-        riv.forget_loads(rivals)
+        riv.forget_changes(rivals)
     assert rivals.loads == pytest.approx(2.0 / math.e, rel=0.01)
+
+
+def test_disturbances_add_up_by_their_squares_and_are_forgotten() -> None:
+    rivals = compared(6)
+    rivals.offset, rivals.moved = 0.02, 0.0
+    for offset in (0.05, -0.02, math.nan):
+        riv.note_disturbance(rivals, offset)
+    assert rivals.moved == pytest.approx(0.03**2 + 0.04**2)
+    for _ in range(150):
+        riv.forget_changes(rivals)
+    assert rivals.moved == pytest.approx(0.0025 / math.e, rel=0.01)
 
 
 def test_the_variance_that_remains_is_a_mean_with_the_prior() -> None:

@@ -8,6 +8,11 @@ loop goes on with the gains that it has.
 
 P takes the innovations for independent. Under a disturbance that moves each resembles the one
 before, and the deviations shown are wider by what that costs.
+
+An explanation may divide what has happened wrongly between load and disturbance. With u_0 the scale
+of the input, a disturbance d that passes for dynamics moves a parameter by about d/u_0 of its
+value. The deviations shown therefore include sqrt(Σ (d/u_0)²) of the values, over the disturbances
+that were found lately: others of their size may not have been.
 """
 
 from __future__ import annotations
@@ -88,4 +93,6 @@ def doubted_deviations(
         for i in range(fitted_order(learning, load)):
             direction = load_direction(theta, i, learning, load)
             widen(upper, diagonal, direction, spread * spread)
-    return deviations_of(theta, upper, diagonal, noise, learning, load, values)
+    own = deviations_of(theta, upper, diagonal, noise, learning, load, values)
+    share = math.sqrt(state.rivals.moved)
+    return [math.hypot(own[i], share * values[i]) for i in range(len(values))]

@@ -190,7 +190,7 @@ def learn(
     if not (usual and math.isfinite(state.excitation)):
         return
     state.idle_periods += 1
-    riv.forget_loads(state.rivals)
+    riv.forget_changes(state.rivals)
     if not usable or state.periods <= learning.settle_periods:
         return
     watch_noise(state.surprise, innovation)

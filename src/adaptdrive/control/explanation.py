@@ -15,9 +15,9 @@ from adaptdrive.control.estimator import (
     take_in,
 )
 from adaptdrive.control.evidence import FEWEST, WINDOW
-from adaptdrive.control.hypotheses import BOTH, LOAD, NOTHING, Branch
+from adaptdrive.control.hypotheses import BOTH, DISTURBANCE, LOAD, NOTHING, Branch
 from adaptdrive.control.load import Load
-from adaptdrive.control.regression import fill_initial_state
+from adaptdrive.control.regression import fill_initial_state, input_offset
 from adaptdrive.control.rls import normalised
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.surprise import is_surprising
@@ -66,7 +66,7 @@ def _explain(state: EstimatorState, learning: Learning, load: Load, target: floa
     settled = not alarm and riv.is_settled(rivals, learning, load)
     _publish(state, learning)
     if settled:
-        _settle(state)
+        _settle(state, learning, load)
     return alarm
 
 
@@ -78,6 +78,8 @@ def _split(state: EstimatorState, learning: Learning, load: Load, target: float)
     if state.periods - state.alarm_period < WINDOW:
         state.surprise.power *= _LOUDER
     state.alarm_period = state.periods
+    if state.rivals.samples == 0:
+        state.rivals.offset = _offset_share(state, learning, load)
     riv.settle(state.rivals)
     riv.keep_sample(state.rivals, state.regressor, target, state.elapsed_s, riv.ROOM)
     begun = _challenge_anew(state, learning, load, target)
@@ -96,9 +98,16 @@ def _mark(state: EstimatorState, target: float) -> None:
     riv.drop_anchor(state.rivals, state.regressor, state.elapsed_s)
 
 
-def _settle(state: EstimatorState) -> None:
+def _offset_share(state: EstimatorState, learning: Learning, load: Load) -> float:
+    """Return the offset of the input over its scale; NaN without a bias."""
+    return input_offset(state.theta, learning, load, state.charge) / learning.input_scale
+
+
+def _settle(state: EstimatorState, learning: Learning, load: Load) -> None:
     """Keep the explanation that has won."""
     rivals = state.rivals
+    if rivals.kind == DISTURBANCE:
+        riv.note_disturbance(rivals, _offset_share(state, learning, load))
     power = riv.posterior_power(rivals)
     if rivals.kind >= LOAD:
         state.surprise.power = power

@@ -71,6 +71,8 @@ class Rivals:
         samples: Samples that the explanations have taken in; 0 when nothing is to be explained.
         kind: The likeliest explanation, of the last alarm when nothing is to be explained.
         loads: Changes of the load that were found, forgotten with time.
+        offset: Offset of the input at the alarm, over the input's scale.
+        moved: Sum of the squares of its changes by disturbances that were found, forgotten alike.
     """
 
     now: Branch
@@ -88,6 +90,8 @@ class Rivals:
     samples: int = 0
     kind: int = NOTHING
     loads: float = 0.0
+    offset: float = 0.0
+    moved: float = 0.0
 
 
 def new_rivals(count: int) -> Rivals:
@@ -107,9 +111,22 @@ def new_rivals(count: int) -> Rivals:
     )
 
 
-def forget_loads(rivals: Rivals) -> None:
+def forget_changes(rivals: Rivals) -> None:
     """Let a slow period pass."""
     rivals.loads *= 1.0 - 1.0 / LIFE
+    rivals.moved *= 1.0 - 1.0 / LIFE
+
+
+def note_disturbance(rivals: Rivals, offset: float) -> None:
+    """Remember the size of a disturbance that was found.
+
+    Args:
+        rivals: Overwritten.
+        offset: Offset of the input with it, over the input's scale; NaN for an unknown one.
+    """
+    moved = offset - rivals.offset
+    if math.isfinite(moved):
+        rivals.moved += moved * moved
 
 
 def copy_estimate(target: Branch, source: Branch) -> None:
