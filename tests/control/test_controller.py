@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adaptdrive.control.controller import Controller
+from adaptdrive.control.design import compensator_gains, discrete_model
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import ControllerSettings, Jacket, Rates
 from adaptdrive.control.signals import (
@@ -212,6 +213,9 @@ def test_a_decision_takes_effect_at_the_next_tick_after_it_is_applied() -> None:
 # bumpless change
 
 
+NOMINAL = list(MOTOR.numerator), list(MOTOR.denominator)
+
+
 @pytest.fixture(scope="module")
 def learnt() -> Bench:
     """A motor whose true load differs from the nominal one, learnt, and back at rest."""
@@ -233,6 +237,19 @@ def test_at_rest_the_change_of_mode_is_bumpless(learnt: Bench) -> None:
         learnt.run(3.0, order(3.0, mode))
         assert learnt.decisions[-1].controller is mode
         assert learnt.commands[-1].boost_reference_V == pytest.approx(reference, abs=1.0)
+
+
+def test_the_gains_shown_are_those_of_the_law_in_force(learnt: Bench) -> None:
+    """R and S, then their sum S(1), which multiplies the reference."""
+    shown = []
+    for mode in (Mode.ADAPTIVE, Mode.FIXED):
+        learnt.run(3.0, order(3.0, mode))
+        *gains, forward = learnt.decisions[-1].gains
+        assert forward == pytest.approx(sum(gains[-MOTOR.order - 1 :]))
+        shown.append(gains)
+    nominal = compensator_gains(*discrete_model(EXACT, MOTOR, *NOMINAL, 1.0), MOTOR.order, 0.7)
+    assert shown[1] == pytest.approx(nominal, rel=1e-3)
+    assert shown[0] != pytest.approx(nominal, rel=0.1)
 
 
 def test_the_two_laws_differ_while_the_reference_steps(learnt: Bench) -> None:

@@ -89,6 +89,54 @@ def test_by_hand_the_terminals_of_a_battery_stay_at_their_voltage_limit(
     assert commands[-1].boost_reference_V == pytest.approx(held_V, abs=0.5)
 
 
+def test_a_law_cannot_raise_the_terminals_of_a_battery_far_above_their_limit() -> None:
+    """By 2 %, in the tick of the measurement: 1.02 · 329.6 V at 2 A."""
+    controller = Controller(EXACT, BATTERY)
+    for tick in range(TICKS + 1):
+        controller.tick(measured(tick, 2.0, boost_V=300.0), order())
+    decision = controller.decide(snapshot_of(controller))
+    controller.apply(replace(decision, boost_reference_V=390.0))
+    command = controller.tick(measured(TICKS + 1, 2.0, boost_V=300.0), order())
+    assert command.boost_reference_V == pytest.approx(1.02 * 329.6, rel=0.003)
+
+
+@pytest.mark.parametrize("mode", [Mode.FIXED, Mode.MANUAL])
+def test_a_voltage_by_hand_and_a_law_do_not_overwrite_each_other(mode: Mode) -> None:
+    """A decision of the law that comes after the hand is older, and so is one of the hand."""
+    controller = Controller(EXACT, MOTOR)
+    for tick in range(TICKS + 1):
+        controller.tick(measured(tick), order())
+    decision = controller.decide(snapshot_of(controller))
+    by_hand = Order(Stage.RUN, 3.0, Mode.MANUAL, 0.7, 310.0)
+    now = by_hand if mode is Mode.FIXED else order()
+    before_V = controller.tick(measured(TICKS + 1), now).boost_reference_V
+    controller.apply(replace(decision, boost_reference_V=350.0, controller=mode))
+    assert controller.tick(measured(TICKS + 2), now).boost_reference_V == before_V
+
+
+def test_a_snapshot_that_nobody_took_ends_with_its_run() -> None:
+    controller = Controller(EXACT, MOTOR)
+    for tick in range(TICKS + 1):
+        controller.tick(measured(tick), order())
+    controller.tick(measured(TICKS + 1), order(stage=Stage.OFF))
+    assert controller.take_snapshot() is None
+
+
+@pytest.mark.parametrize("after_A", [0.0, 8.0])
+def test_a_battery_whose_current_leaves_in_one_step_is_a_fault(after_A: float) -> None:
+    """From 8 A to nothing, at the voltage limit: 80 V are V_c of (80 + 1.2 · y) over 0.25."""
+    controller, faults = Controller(replace(EXACT, rates=SMALL), BATTERY), []
+    for tick in range(1, 160):
+        output = 8.0 if tick < 40 else after_A
+        at_limit = measured(tick, output, boost_V=4.0 * (80.5 + 1.2 * output), period_s=1.0)
+        controller.tick(at_limit, order(8.0))
+        if (snapshot := controller.take_snapshot()) is not None:
+            faults.append(controller.decide(snapshot).fault)
+    text = "no current: the current has left in one step: is the battery disconnected?"
+    assert set(faults) == ({"", text} if after_A == 0.0 else {""})
+    assert faults == sorted(faults)
+
+
 @pytest.mark.parametrize("bias", [True, False])
 def test_an_offset_of_the_input_is_shown_where_it_is_estimated(*, bias: bool) -> None:
     controller = Controller(replace(EXACT, learning=replace(EXACT.learning, bias=bias)), MOTOR)
