@@ -404,6 +404,31 @@ async def test_a_command_that_waits_is_forgotten_with_the_run_it_was_decided_in(
         assert not any(command.bridge for command in bench.sent[known:])
 
 
+@pytest.mark.parametrize(("frozen_s", "trips"), [(0.05, False), (0.2, True)])
+async def test_a_command_that_stood_still_on_its_way_to_the_bus_is_followed_by_the_safe_one(
+    frozen_s: float, *, trips: bool
+) -> None:
+    """The drive may have stopped by its own time-out before the command, and be on again by it."""
+    limits = replace(FAST.limits, stale_s=0.5)
+    async with fast_bench(replace(FAST, limits=limits)) as bench:
+        bench.start()
+        bench.frames(10)
+        known = len(bench.sent)
+
+        def freeze(_: Command) -> bool:
+            bench.around.now += frozen_s if len(bench.sent) == known else 0.0
+            return False
+
+        bench.unsendable = freeze
+        bench.frame()
+        assert [command.bridge for command in bench.sent[known:]] == [True, False][: 1 + trips]
+        assert bench.machine.energised is not trips
+        if trips:
+            assert (bench.machine.trip or "").startswith(
+                "overslept: the daemon did not run for 200 ms while it sent a command: "
+            )
+
+
 async def test_a_drive_that_stopped_while_another_node_went_on_clocking_is_not_driven_on() -> None:
     """Its own cable was out for longer than its time-out; what clocks the readings still came."""
     limits = replace(FAST.limits, stale_s=0.5)

@@ -317,15 +317,19 @@ class FastLoop:
             self.counts.withheld += 1
             return
         self._send(command)
-        if self._overslept():  # between that look at the clock and the bus
+        if self._overslept(sent=command.bridge):  # between that look at the clock and the bus
             self.send_safe()
 
-    def _overslept(self) -> bool:
-        """Return whether this tick was kept from running for so long that its command is void."""
-        machine = self._machine
-        cause = (
-            self._interlocks.gap_cause(self._surroundings.now_s()) if machine.energised else None
-        )
+    def _overslept(self, *, sent: bool = False) -> bool:
+        """Return whether this tick was kept from running for so long that its command is void.
+
+        Args:
+            sent: Whether a command that energises may have been sent after that time.
+        """
+        machine, interlocks, now_s = self._machine, self._interlocks, self._surroundings.now_s()
+        if not machine.energised:
+            return False
+        cause = interlocks.gap_cause(now_s) or (interlocks.blind_cause(now_s) if sent else None)
         if cause is not None:
             machine.latch(cause)
         return cause is not None

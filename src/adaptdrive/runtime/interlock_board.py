@@ -117,6 +117,20 @@ class InterlockBoard:
         """Return the cause of a trip when this process did not run for long until now."""
         return self._gap_cause(now_s - self._watched_s)
 
+    def blind_cause(self, now_s: float) -> str | None:
+        """Return the cause of a trip when a drive that may have stopped was just driven on.
+
+        This process did not run between its last look at the drive and the bus. The next report
+        says that the bridge is on in either case.
+        """
+        if not self.awaits_bridge(now_s):
+            return None
+        return (
+            f"overslept: the daemon did not run for {(now_s - self._watched_s) * 1e3:.0f} ms while "
+            "it sent a command: the drive may have stopped by itself and been switched on again; "
+            "see [realtime]"
+        )
+
     def _gap_cause(self, unwatched_s: float) -> str | None:
         if unwatched_s <= self._gap_limit_s:
             return None
