@@ -126,6 +126,21 @@ def test_a_time_out_that_ends_before_the_daemon_drives_on_is_named(
     assert all(words in flaw.message for flaw in flaws)
 
 
+@pytest.mark.parametrize(
+    ("heartbeat_s", "timeout_s", "survived"),
+    [(0.02, 0.1, None), (0.025, 0.1, None), (0.04, 0.1, 1), (0.05, 0.125, 1), (0.04, 0.16, None)],
+)
+def test_heartbeats_of_which_few_may_be_lost_are_named(
+    heartbeat_s: float, timeout_s: float, survived: int | None
+) -> None:
+    configuration = load_configuration(EXAMPLES / "motor-cia402.toml")
+    changes = {"heartbeat_s": heartbeat_s, "heartbeat_timeout_s": timeout_s}
+    bus = configuration.bus.model_copy(update=changes)
+    flaws = list(advice(configuration.model_copy(update={"bus": bus})))
+    assert [flaw.place for flaw in flaws] == ([] if survived is None else ["bus.heartbeat_s"])
+    assert all(f"no more than {survived} in a row may be lost" in one.message for one in flaws)
+
+
 def test_the_longer_of_stale_s_and_stale_cycles_is_held_against_the_time_out() -> None:
     (flaw,) = found("motor-inverter.toml", "stale_cycles = 4.0", "stale_cycles = 8.0")
     assert flaw.message == (

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.errors import Flaw
 from adaptdrive.hardware.bus_kind import BusKind, Row, stale_limits
 from adaptdrive.hardware.canopen.mapping import map_drive
 from adaptdrive.hardware.canopen.port import CanOpenPort
 from adaptdrive.hardware.canopen.watch import CanOpenWatch
 from adaptdrive.hardware.demands import demands_of
 from adaptdrive.hardware.port import Port
+
+_LOST_HEARTBEATS = 2
+"""Heartbeats in a row that a bus may lose now and then without a fault: one of 50 frames lost."""
 
 
 def _build(
@@ -35,9 +40,22 @@ def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[R
     yield "silent node", _bus(configuration).heartbeat_timeout_s, "bus.heartbeat_timeout_s"
 
 
+def _cautions(configuration: Configuration) -> Iterator[Flaw]:
+    """Yield that a few lost frames may stop the drive."""
+    bus = _bus(configuration)
+    survived = math.ceil(bus.heartbeat_timeout_s / bus.heartbeat_s - 1e-9) - 2
+    if survived < _LOST_HEARTBEATS:
+        yield Flaw(
+            "bus.heartbeat_s",
+            f"{bus.heartbeat_s:g} s: of the heartbeats within bus.heartbeat_timeout_s = "
+            f"{bus.heartbeat_timeout_s:g} s no more than {survived} in a row may be lost before "
+            "the drive stops, or the daemon trips; shorten it, or lengthen that time-out",
+        )
+
+
 def _bus(configuration: Configuration) -> CanOpenBus:
     assert isinstance(configuration.bus, CanOpenBus)  # noqa: S101 - selected by its type
     return configuration.bus
 
 
-CANOPEN = BusKind(_build, time_limits=_time_limits)
+CANOPEN = BusKind(_build, time_limits=_time_limits, cautions=_cautions)
