@@ -290,6 +290,20 @@ def test_no_stream_of_samples_ends_learning(values: list[float]) -> None:
     assert min(after_stream(values).diagonal) > 0.0
 
 
+@pytest.mark.parametrize(
+    ("entry", "output", "taught"),
+    [(9e19, 9e19, True), (1e20, 1.0, False), (1.0, 1e20, False), (math.nan, 1.0, False)],
+)
+def test_numbers_that_no_sensor_gives_teach_nothing(
+    entry: float, output: float, *, taught: bool
+) -> None:
+    """From 1e20 on, where 1 is usual: the squares of larger ones leave the doubles."""
+    state = est.new_estimator(PLAIN_LEARNING, MOTOR, 2)
+    state.regressor[:] = [1.0, entry, 0.0]
+    est.learn(state, PLAIN_LEARNING, MOTOR, output, usable=False)
+    assert (state.idle_periods == 1) is taught
+
+
 def test_a_sample_that_is_not_usable_is_predicted_but_not_learnt() -> None:
     state = taught(PLAIN_LEARNING)
     before, periods = memory(state), state.periods

@@ -218,6 +218,20 @@ def compared(
     return rivals
 
 
+@pytest.mark.parametrize("best", range(4))
+@pytest.mark.parametrize("rival", range(4))
+@pytest.mark.parametrize(("distance", "clear"), [(9.9, False), (10.1, True)])
+def test_an_explanation_is_clear_when_it_has_left_each_other_behind(
+    best: int, rival: int, distance: float, *, clear: bool
+) -> None:
+    """By odds of e^10."""
+    rivals = compared(6)
+    for kind in range(4):
+        riv.branch_of(rivals, kind).score = -distance if kind == rival else -50.0
+    riv.branch_of(rivals, best).score = 0.0
+    assert riv.is_clear(rivals) is (clear or best == rival)
+
+
 def decision(rivals: riv.Rivals) -> int | None:
     """The explanation that a comparison ends with, None while it goes on."""
     rivals.kind = 99

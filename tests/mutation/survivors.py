@@ -132,6 +132,16 @@ CONTROL: dict[str, str] = {
     "jacobian = [1.0] * (len(values) * count)": _OVERWRITTEN,
     "control.certainty:deviations_of: deviations = [0.0] * len(values) -> "
     "deviations = [1.0] * len(values)": _OVERWRITTEN,
+    "control.rivals:_take_in: branch.score = -0.5 * (branch.logs + weight * math.log(mean / "
+    "weight)) - _rarity(rivals, kind) -> branch.score = -0.5 * (branch.logs + weight * "
+    "math.log(mean * weight)) - _rarity(rivals, kind)": "each explanation gets the same beside "
+    "it, and only their differences count",
+    "control.fast_half:limit_power: if state.ceiling_V < stage.boost_reference_max_V: -> "
+    "if state.ceiling_V <= stage.boost_reference_max_V:": "a ceiling above the highest V_c "
+    "lowers none",
+    "control.ud_factors:given: unit, gain = ([0.0] * size, [0.0] * size) -> "
+    "unit, gain = ([0.0] * size, [1.0] * size)": _OVERWRITTEN,
+    "control.ud_factors:bound: gain = [0.0] * size -> gain = [1.0] * size": _OVERWRITTEN,
     "control.controller:Controller.__init__: self._fast = fast.FastState(tick=0, "
     "boost_reference_V=0.0, error_sum=0.0) -> pass": _SET_BEFORE_USE,
     "control.controller:Controller.__init__: self._bank = self._new_bank("
