@@ -6,6 +6,7 @@ from adaptdrive.config.load import Charge
 from adaptdrive.control.charging import (
     ChargeState,
     Charging,
+    begin_anew,
     highest_boost_voltage,
     is_complete,
     is_disconnected,
@@ -143,6 +144,19 @@ def test_a_current_that_leaves_in_one_step_is_no_full_battery(left_A: float, *, 
     for _ in range(60):
         taper(LIMITS, state, 10.0, 58.0 * 1.02, 0.0)
     assert (is_complete(LIMITS, state), is_disconnected(LIMITS, state)) == (not gone, gone)
+
+
+@pytest.mark.parametrize("current_A", [10.0, 0.5, 0.0, -0.5])
+def test_a_charge_that_begins_anew_is_a_new_charge(current_A: float) -> None:
+    """It goes on from the current that flows, which a battery does not give back."""
+    state = ChargeState(4.5)
+    taper(LIMITS, state, 10.0, 58.0, 4.5)
+    for _ in range(60):
+        taper(LIMITS, state, 10.0, 58.0 * 1.02, 0.0)
+    assert is_disconnected(LIMITS, state)
+    begin_anew(state, current_A)
+    assert state == ChargeState(max(0.0, current_A))
+    assert (is_complete(LIMITS, state), is_disconnected(LIMITS, state)) == (False, False)
 
 
 def test_a_set_point_that_was_lowered_explains_a_current_that_left() -> None:

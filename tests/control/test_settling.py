@@ -201,6 +201,38 @@ def test_a_challenger_that_has_won_is_the_estimate() -> None:
     assert state.residual_power == state.surprise.power * state.residual_weight
 
 
+def test_a_challenger_that_wins_ends_a_suspicion_with_it() -> None:
+    """What looked like the next change was expected by the new estimate."""
+    state = compared(DISTURBANCE)
+    state.rivals.samples, state.surprise.sum = 0, 8.0
+    ahead(state)
+    take(state)
+    assert state.theta[MARK] == 0.9
+    assert (state.surprise.sum, state.rivals.waiting) == (0.0, 0)
+
+
+@pytest.mark.parametrize("error", [0.0, 2.0 * SIGMA, -0.5 * SIGMA])
+def test_the_error_of_an_explanation_is_shown_in_the_unit_of_the_output(error: float) -> None:
+    state = compared(DISTURBANCE)
+    state.rivals.samples = 5
+    take(state, error)
+    assert state.rivals.samples == 6
+    assert state.innovation == pytest.approx(error * LEARNING.output_scale, abs=1e-12)
+
+
+@pytest.mark.parametrize(("expected", "samples"), [(True, 31), (False, 1)])
+def test_a_challenger_that_expected_what_surprised_goes_on(expected: bool, samples: int) -> None:
+    """An alarm that is new to it too begins it anew."""
+    state, error = compared(NOTHING), 20.0 * SIGMA
+    state.rivals.samples, state.surprise.sum = 0, 1e3
+    sure_branch(state.challenger.branch, state, 0.9, 0.0)
+    state.challenger.samples, state.challenger.power = 30, POWER
+    state.challenger.branch.theta[-1] += error if expected else 0.0
+    take(state, error)
+    assert state.alarm_period == state.periods
+    assert state.challenger.samples == samples
+
+
 def test_a_challenger_waits_while_a_load_is_compared() -> None:
     state = compared(LOAD)
     state.rivals.samples = 5
