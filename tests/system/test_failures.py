@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import signal
+import sys
 
 import pytest
 
@@ -76,6 +77,30 @@ def test_each_signal_that_ends_leaves_the_bridge_off(
         farewell = bus.commands()[-3:]
     assert all(command.safe for command in farewell)
     site.await_state(state="standby")
+
+
+BLOCKED = (
+    "import os, signal, sys;"
+    "signal.pthread_sigmask(signal.SIG_BLOCK, {*range(1, 32)});"
+    "signal.signal(signal.SIGCHLD, signal.SIG_IGN);"
+    "os.execv(sys.argv[1], sys.argv[1:])"
+)
+"""A launcher that a careless supervisor resembles: its children inherit what it blocks."""
+
+
+def test_a_daemon_whose_starter_blocked_its_signals_ends_by_them(make_site: MakeSite) -> None:
+    site = make_site()
+    site.start_broker()
+    site.start_device("--initial-voltage", "280")
+    site.start_daemon(sys.executable, "-c", BLOCKED)
+    site.await_measurement()
+    site.run_drive()
+    with BusEar(site.config) as bus:
+        until(lambda: bus.commands() and bus.commands()[-1].bridge, "the bridge is commanded on")
+        assert site.stop_daemon() == 0
+        farewell = bus.commands()[-3:]
+    assert all(command.safe for command in farewell)
+    assert "Unknown child process" not in site.daemon_log
 
 
 def test_asked_to_end_the_daemon_says_goodbye(make_site: MakeSite) -> None:

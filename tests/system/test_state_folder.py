@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -43,6 +44,26 @@ def test_without_a_sessions_folder_it_drives_and_says_so(
     assert directory in said
     runs_and_stops(site, status=4)
     assert "nothing is recorded" in site.daemon_log
+
+
+DELETED = (
+    "import os, sys;"
+    "os.mkdir('gone'); os.chdir('gone'); os.rmdir('../gone');"
+    "os.execv(sys.argv[1], sys.argv[1:])"
+)
+
+
+def test_in_a_folder_that_was_deleted_it_drives_and_says_so(make_site: MakeSite) -> None:
+    site = make_site()
+    site.environment["STATE_DIRECTORY"] = ""
+    site.start_broker()
+    site.start_device("--initial-voltage", "280")
+    site.start_daemon(sys.executable, "-c", DELETED)
+    site.await_measurement()
+    (said, *_) = events(site, "recording")
+    assert said.startswith("nothing is recorded")
+    assert "sessions" in said
+    runs_and_stops(site, status=4)
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, Path.mkdir], ids=["FIFO", "directory"])

@@ -62,7 +62,7 @@ def build_recorder(
 
 def _sessions(configured: Path | None) -> str:
     """Return the folder of sessions, whose name goes to the recorder process as text."""
-    sessions = str(sessions_directory(configured, os.environ).absolute())
+    sessions = str(_absolute(sessions_directory(configured, os.environ)))
     try:
         sessions.encode()
     except UnicodeEncodeError as problem:
@@ -71,6 +71,14 @@ def _sessions(configured: Path | None) -> str:
             "the name of the folder of sessions is not UTF-8; recording.directory may name another",
         ) from problem
     return sessions
+
+
+def _absolute(path: Path) -> Path:
+    """Return a path from the root, or as it is where the present folder has been deleted."""
+    try:
+        return path.absolute()
+    except FileNotFoundError:
+        return path
 
 
 def sensor_columns(configuration: Configuration) -> tuple[SensorColumn, ...]:

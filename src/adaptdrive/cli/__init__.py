@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensError
 
 from adaptdrive import __version__
+from adaptdrive.cli.inherited_signals import heed_signals
 from adaptdrive.cli.standard_files import (
     FAILED,
     complain,
@@ -56,6 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit status: 0 done or accepted, 1 failed or refused, 2 unusable arguments or
         configuration, 3 no answer, 4 the end of a session is not recorded, 130 interrupted.
     """
+    heed_signals()
     open_standard_files()
     lay_out_help(sys.argv[1:] if arguments is None else arguments)
     try:

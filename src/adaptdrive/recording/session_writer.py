@@ -142,7 +142,7 @@ class SessionWriter:
         self._claim.release()
 
     def _made(self) -> Path:
-        sessions = Path(self._header.sessions).absolute()
+        sessions = Path(self._header.sessions)
         sessions.mkdir(parents=True, exist_ok=True)
         reserve.set_aside(sessions)
         return create_session(NewSession(sessions, self._header.info, self._header.config_text))
