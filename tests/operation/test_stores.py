@@ -207,6 +207,31 @@ async def test_a_damaged_file_is_told_as_an_event(path: Path) -> None:
     assert f"{path.name}.damaged" in detail
 
 
+async def test_a_file_that_opens_and_takes_nothing_is_told_once(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("adaptdrive.operation.archive.JOURNAL_RETRY_S", 0.02)
+    async with open_journal(path):
+        pass
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        database.execute(
+            "CREATE TRIGGER full BEFORE INSERT ON reply BEGIN SELECT RAISE(ABORT, 'full'); END"
+        )
+    told: list[str] = []
+    archive = Archive(Journal(path), wall, lambda: 0.0)
+    keeping = asyncio.create_task(archive.run(lambda *event: told.append(event[2]), list))
+    await archive.replies.ready()
+    with capture_logs() as lines:
+        await archive.replies.keep("a", _reply("a"))
+        while sum(line["event"] == "operating without a journal" for line in lines) < 4:  # noqa: ASYNC110 - of a thread
+            await asyncio.sleep(0.01)
+    keeping.cancel()
+    await asyncio.wait([keeping])
+    await archive.close()
+    (detail,) = told
+    assert "full" in detail
+
+
 def _spoil_second_page(path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[4096 : 4096 + 2048] = random.Random(1).randbytes(2048)

@@ -38,6 +38,7 @@ class Archive:
             monotonic: Clock for intervals, in seconds.
         """
         self._journal = journal
+        self._reported = ""
         self.replies = ReplyMemory(journal, wall, monotonic)
         self.trips = TripMemory(journal)
         self.outbox = Outbox(journal, wall)
@@ -49,8 +50,9 @@ class Archive:
             report: Takes the journal's problems.
             recalled: Called once, when what an earlier run left has been read.
         """
-        loaded, reported = False, ""
+        loaded = False
         while True:
+            self._report_new_problem(report)  # of a file that took some of what it was asked to
             if await self._journal.open():
                 if not loaded:
                     unread = await self._load()
@@ -59,9 +61,9 @@ class Archive:
                 loaded = True
                 self._rewrite()
             self.replies.begin()
-            if self._journal.problem != reported:
-                self._complain(report, self._journal.problem)
-            reported = self._journal.problem
+            await self.replies.written()  # a file may be opened that takes nothing
+            if self._journal.problem:
+                self._report_new_problem(report)
             await asyncio.sleep(JOURNAL_RETRY_S)
 
     async def close(self) -> None:
@@ -81,6 +83,12 @@ class Archive:
         self.replies.rewrite()
         self.outbox.rewrite()
         self.trips.rewrite()
+
+    def _report_new_problem(self, report: Report) -> None:
+        """Report the journal's problem once, until it is another one or gone for a while."""
+        if self._journal.problem != self._reported:
+            self._complain(report, self._journal.problem)
+        self._reported = self._journal.problem
 
     def _complain(self, report: Report, problem: str) -> None:
         if problem:
