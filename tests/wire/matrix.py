@@ -49,6 +49,7 @@ class Cell:
         count: The count of the port in which it shows, if it shows in one.
         words: What an event of the bus says, if there is one.
         cause: How the cause of the trip begins.
+        otherwise: Words of the trip where a busy machine comes to another cause first.
         hears: Whether the drive can hear the safe command meanwhile.
         floats: Whether it needs the database with a floating-point signal.
     """
@@ -58,6 +59,7 @@ class Cell:
     count: str = ""
     words: str = ""
     cause: str = "stale"
+    otherwise: str = ""
     hears: bool = True
     floats: bool = False
 
@@ -207,10 +209,15 @@ async def away(wire: Wire, _: Rig) -> None:
 
 
 def modbus_both(
-    count: str, *, trips: bool = True, cause: str = "stale", **changes: object
+    count: str,
+    *,
+    trips: bool = True,
+    cause: str = "stale",
+    otherwise: str = "",
+    **changes: object,
 ) -> tuple[Cell, Cell]:
     """The same cell on TCP and on RTU."""
-    cell = Cell(on_modbus(**changes), trips=trips, count=count, cause=cause)
+    cell = Cell(on_modbus(**changes), trips=trips, count=count, cause=cause, otherwise=otherwise)
     return cell, cell
 
 
@@ -324,7 +331,12 @@ ROWS = (
         "exception",
         "exception replies",
         "CAN has none",
-        *modbus_both("exceptions", cause="the drive refuses commands", answer=spoils.exception),
+        *modbus_both(
+            "exceptions",
+            cause="the drive refuses commands",
+            otherwise="the polls give no reading: exception reply",
+            answer=spoils.exception,
+        ),
     ),
     Row(
         "noise",

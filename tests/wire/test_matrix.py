@@ -97,7 +97,8 @@ async def tripped(cell: Cell, wire: Wire, rig: Rig) -> float:
     await rig.reaches(State.TRIPPED)
     when_s = next(when for when, event in rig.events if event.kind == "trip")
     (told,) = rig.heard("trip")
-    assert told.startswith(f"{cell.cause}: "), told
+    named = told.startswith(f"{cell.cause}: ") or (cell.otherwise and cell.otherwise in told)
+    assert named, told
     if cell.hears:
         await until(lambda: not wire.told[1])
         when_s = wire.told[0]
