@@ -1,0 +1,134 @@
+"""Which of the two estimates is in force, and what is told of it; which parameters walk."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from adaptdrive.control import estimator as est
+from adaptdrive.control import in_force
+from adaptdrive.control.drift import OFFSET_WALK, learn_sample, walking_count
+from adaptdrive.control.ud_factors import covariance
+from tests.closed_loop.bench import MOTOR, SCALED_LEARNING
+
+LEARNING = replace(SCALED_LEARNING, bias=True, initial_state=True, alert=True)
+BOTH = pytest.mark.parametrize("walks", [False, True])
+
+
+def two_estimates(*, walks: bool) -> est.EstimatorState:
+    """Two estimates that differ in every number; the one whose bias walks may be in force."""
+    state = est.new_estimator(LEARNING, MOTOR, 2)
+    count = len(state.theta)
+    state.theta[:] = [1.0] * count
+    state.diagonal[:] = [2.0] * count
+    state.residual_power, state.residual_weight = 48.0, count + 3.0
+    state.innovation, state.excitation = 0.25, 0.5
+    walking = state.integrated
+    walking.branch.theta[:] = [3.0] * count
+    walking.branch.diagonal[:] = [4.0] * count
+    walking.branch.innovation, walking.branch.excitation = 0.125, 0.75
+    walking.residual_power, walking.residual_weight = 8.0, count + 2.0
+    walking.in_force, walking.samples = walks, 50
+    return state
+
+
+@BOTH
+def test_parameters_covariance_and_noise_are_those_of_the_estimate_in_force(walks: bool) -> None:
+    state = two_estimates(walks=walks)
+    assert in_force.theta_in_force(state)[0] == (3.0 if walks else 1.0)
+    assert in_force.covariance_in_force(state)[1][0] == (4.0 if walks else 2.0)
+    assert in_force.residual_noise(state) == (2.0 if walks else 4.0)
+
+
+@BOTH
+def test_innovation_and_excitation_are_those_of_the_estimate_in_force(walks: bool) -> None:
+    """The innovation in the unit of the output, of which a branch knows the scaled one."""
+    state = two_estimates(walks=walks)
+    in_force.show(state, LEARNING)
+    expected = (0.125 * LEARNING.output_scale, 0.75) if walks else (0.25, 0.5)
+    assert (state.innovation, state.excitation) == expected
+
+
+@pytest.mark.parametrize(("more", "known"), [(-1.0, False), (0.0, False), (1.0, True)])
+def test_noise_is_known_from_more_samples_than_parameters(more: float, *, known: bool) -> None:
+    state = two_estimates(walks=False)
+    state.residual_weight = len(state.theta) + more
+    assert math.isfinite(in_force.residual_noise(state)) is known
+
+
+@pytest.mark.parametrize("excitation", [0.0, 0.5, 30.0])
+def test_the_residual_is_the_noise_that_would_make_such_an_innovation(excitation: float) -> None:
+    """ε² has the mean σ² (1 + rᵀPr/ρ)."""
+    state, sigma = two_estimates(walks=False), 0.01
+    spread = sigma * math.sqrt(1.0 + excitation / LEARNING.forgetting)
+    state.innovation, state.excitation = spread * LEARNING.output_scale, excitation
+    assert in_force.own_residual(state, LEARNING) == pytest.approx(sigma**2)
+
+
+def test_the_estimate_whose_bias_walks_begins_where_the_other_is() -> None:
+    state = two_estimates(walks=False)
+    state.integrated.samples, state.integrated.lead = 0, 5.0
+    state.origin_s, state.elapsed_s = 7.0, 100.0
+    before = covariance(state.upper, state.diagonal)
+    in_force.let_both_predict(
+        state, LEARNING, MOTOR, float(np.dot(state.theta, state.regressor)), 0.0
+    )
+    branch = state.integrated.branch
+    assert branch.theta == pytest.approx(state.theta)
+    assert branch.origin_s == 7.0
+    assert (state.integrated.samples, state.integrated.lead) == (1, 0.0)
+    widened = np.array(covariance(branch.upper, branch.diagonal)) - np.array(before)
+    assert np.abs(widened.ravel()[:-1]).max() < 0.2
+    assert widened.ravel()[-1] > 100.0
+
+
+@pytest.mark.parametrize(
+    ("bias", "charge", "drifts", "walking"),
+    [
+        (False, False, False, 0),
+        (False, False, True, 0),
+        (False, True, False, 0),
+        (True, False, False, 0),
+        (True, False, True, 1),
+        (True, True, False, 2),
+        (True, True, True, 2),
+    ],
+)
+def test_an_offset_that_drifts_walks_and_so_do_an_emf_and_its_rise(
+    bias: bool, charge: bool, drifts: bool, walking: int
+) -> None:
+    learning = replace(LEARNING, bias=bias, charge=charge, drifts=drifts)
+    assert walking_count(learning) == walking
+
+
+@pytest.mark.parametrize("drifts", [False, True])
+def test_an_offset_that_drifts_is_less_certain_by_its_walk(drifts: bool) -> None:
+    """A sample of it alone leaves 1/(1/p + 1), and the walk adds its variance."""
+    learning = replace(LEARNING, drifts=drifts, forgetting=1.0)
+    theta, upper, diagonal = [0.0, 0.0], [1.0, 0.0, 0.0, 1.0], [0.25, 0.5]
+    learn_sample(theta, upper, diagonal, [0.0, 1.0], 0.3, learning, 0.0)
+    variances = np.diag(np.array(covariance(upper, diagonal)).reshape(2, 2))
+    walked = OFFSET_WALK**2 if drifts else 0.0
+    assert variances == pytest.approx([0.25, 0.5 / 1.5 + walked])
+    assert theta == pytest.approx([0.0, 0.3 / 3.0])
+
+
+@pytest.mark.parametrize("lag", [48.0, 50.0])
+def test_innovations_that_do_not_differ_are_one(lag: float) -> None:
+    """Their deviation is wider by the root of their number."""
+    state = two_estimates(walks=False)
+    state.residual_lag = lag
+    factor = in_force.correlation_factor(state)
+    assert factor == pytest.approx(math.sqrt(state.residual_weight))
+
+
+@pytest.mark.parametrize("lag", [-30.0, 0.0, 0.5, 12.0])
+def test_a_correlation_widens_by_its_factor_and_none_narrows(lag: float) -> None:
+    state = two_estimates(walks=False)
+    state.residual_lag = lag
+    correlation = max(0.0, lag / 48.0)
+    factor = in_force.correlation_factor(state)
+    assert factor == pytest.approx(math.sqrt((1.0 + correlation) / (1.0 - correlation)))
