@@ -298,6 +298,16 @@ async def test_without_a_journal_commands_are_carried_out(
     assert bench.host.asked == [SetSetpoint(1.0), Disable()]
 
 
+async def test_the_farewell_of_another_daemon_does_not_stand(
+    mosquitto: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("adaptdrive.operation.session.ONLINE_EVERY_S", 0.1)
+    async with serving(mosquitto, "outlived", tmp_path) as bench:
+        await publish(mosquitto, "adaptdrive/outlived/availability", "offline", "-r")
+        await expect_retained(bench, "availability", "online")
+    await expect_retained(bench, "availability", "offline")
+
+
 async def test_a_state_folder_deleted_during_the_run_is_reported(
     mosquitto: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -28,6 +28,9 @@ PAUSE_S = 0.005
 LOGGED_EVERY_S = 10.0
 HISTOGRAMS_EVERY_S = 10.0
 HISTORY_EVERY_S = 5.0
+ONLINE_EVERY_S = 10.0
+"""For the farewell or the last will of another connection, which the broker keeps in its place."""
+
 FAREWELL_S = 1.0
 LOWEST_FAILURE_CODE = 128
 
@@ -78,6 +81,7 @@ class BrokerSession:
                 tasks.create_task(self._answer_commands(), name="mqtt replies")
                 tasks.create_task(self._answer_stops(), name="mqtt stops")
                 tasks.create_task(self._send_state(), name="mqtt state")
+                tasks.create_task(self._repeat_online(), name="mqtt availability")
                 tasks.create_task(self._send_events(), name="mqtt events")
                 tasks.create_task(self._send_load(), name="mqtt telemetry/load")
                 tasks.create_task(self._send_drive(), name="mqtt telemetry/drive")
@@ -92,7 +96,15 @@ class BrokerSession:
         self._client.receive_with(self._receive)
         await self._subscribe()
         await self._publish_state()
+        await self._publish_online()
+
+    async def _publish_online(self) -> None:
         await self._client.publish(self._topics.availability, ONLINE, qos=1, retain=True)
+
+    async def _repeat_online(self) -> None:
+        while True:
+            await asyncio.sleep(ONLINE_EVERY_S)
+            await self._publish_online()
 
     async def _subscribe(self) -> None:
         topics = [self._topics.commands, self._topics.ask_history]
