@@ -95,7 +95,7 @@ LEARNING = _control({
     "direct_method": "test_direct_method test_estimator",
     "batch": "test_batch",
     "drift": "test_drift test_in_force test_charge test_estimator",
-    "integrated": "test_in_force test_integrated",
+    "integrated": "test_integrated_samples test_in_force test_integrated",
     "in_force": (
         "test_in_force test_integrated test_explanation test_unsure_explanation test_correlation"
     ),
