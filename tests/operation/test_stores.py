@@ -219,7 +219,7 @@ async def test_a_file_that_opens_and_takes_nothing_is_told_once(
         )
     told: list[str] = []
     archive = Archive(Journal(path), wall, lambda: 0.0)
-    keeping = asyncio.create_task(archive.run(lambda *event: told.append(event[2]), list))
+    keeping = asyncio.create_task(archive.run(lambda *event: told.append(event[2]), lambda: None))
     await archive.replies.ready()
     with capture_logs() as lines:
         await archive.replies.keep("a", _reply("a"))
