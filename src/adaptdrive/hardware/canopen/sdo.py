@@ -26,6 +26,10 @@ T = TypeVar("T")
 _NUMBER_BYTES = 4
 """Bytes of the longest number that a set-up reads."""
 
+_SEGMENT_BYTES = 7
+_LONGEST_BYTES = 1024
+"""Bytes of an entry at which it counts as one without an end; names and texts have up to 100."""
+
 logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it logs is raised, too
 
 
@@ -86,12 +90,19 @@ class Server:
         """The bytes of an entry.
 
         Raises:
-            BusError: The drive refuses to be read.
+            BusError: The drive refuses to be read, or its answer does not end.
         """
+        data = bytearray()
         try:
-            return self._client.upload(*address)
+            with self._client.open(*address, buffering=0) as stream:
+                while part := stream.read(_SEGMENT_BYTES):
+                    data += part
+                    if len(data) > _LONGEST_BYTES:
+                        self._client.abort()
+                        raise self.refuse(f"{label(address)} has over {_LONGEST_BYTES} bytes")
         except (SdoError, struct.error) as problem:
             raise self._failure("read", address, problem) from problem
+        return bytes(data)
 
     def number(self, address: Address) -> int:
         """Return an unsigned entry.
