@@ -598,6 +598,26 @@ async def test_a_drive_that_lost_its_bus_before_it_started_is_driven_on(
         assert port.send(COMMAND)
 
 
+@pytest.mark.parametrize("losses", [1, 2])
+async def test_a_drive_that_came_on_just_before_its_bus_was_lost_is_not_driven_on_when_it_is_off(
+    port: CanPort, drive: Drive, ear: Ear, losses: int
+) -> None:
+    """No reading carries a report that comes between the last clock and the loss."""
+    async with running(port, ear):
+        await command_on(port, drive, ear)
+        drive.send_status(BridgeOn=1)
+        await heard_by(port, 3)
+        for _ in range(losses):
+            await lose_the_bus(port, ear)
+        drive.send_status(BridgeOn=0)
+        drive.send_load()
+        await ear.hears(2)
+        assert "drive stopped" in str(port.complaint)
+        assert not port.send(COMMAND)
+        assert port.send(SAFE_COMMAND)
+        assert port.complaint is None
+
+
 @pytest.mark.parametrize("message", ["DriveStatus", "DriveLoad"])
 @pytest.mark.parametrize("stopped", [False, True])
 async def test_a_drive_whose_alive_counter_leaps_is_heard_before_it_is_driven_on(

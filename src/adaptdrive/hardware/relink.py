@@ -71,16 +71,18 @@ class Relink:
         """Reason not to energise the drive, None for none."""
         return f"{_STOPPED}; {self._how}" if self._stopped else None
 
-    def open(self, *, bridge: bool, how: str = LOST) -> None:
+    def open(self, *, bridge: bool, how: str = LOST, reported_on: bool = False) -> None:
         """Begin a connection, or a silence of one.
 
         Args:
             bridge: Whether the last command that reached the drive had the bridge on.
             how: Why nothing is heard of the drive.
+            reported_on: Whether its last report has the bridge on, though no reading carried it.
         """
         if not (self._was_on and how == UNREAD):  # what keeps the readings away says more
             self._how = how
         self._was_on = self._commanded and (self._was_on or bridge)
+        self._reported_on = self._reported_on or (self._was_on and reported_on)
 
     def hear(self, *, bridge: bool) -> None:
         """Note a reading.
