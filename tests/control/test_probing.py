@@ -195,6 +195,11 @@ def test_it_goes_where_there_is_room(lowest: float, highest: float, levels: set[
         assert {round(level - LOW, 9) for level in found} == levels
 
 
+def test_a_reach_that_is_not_known_leaves_room_on_either_side() -> None:
+    unknown = replace(ASKED, lowest=math.nan, highest=math.nan)
+    assert shifts(unknown_load(), 8 * HALF, unknown) == shifts(unknown_load(), 8 * HALF)
+
+
 @pytest.mark.parametrize(("off", "rests"), [(0.0899, True), (-0.0899, True), (-0.0901, False)])
 def test_an_output_within_the_amplitude_rests(off: float, rests: bool) -> None:
     assert any(shifts(unknown_load(), 5 * HALF, replace(ASKED, output=LOW + off))) is rests

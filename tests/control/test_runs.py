@@ -7,15 +7,11 @@ from dataclasses import replace
 
 import pytest
 
-from adaptdrive.control import controller as controller_module
 from adaptdrive.control.charging import Charging
 from adaptdrive.control.controller import Controller
-from adaptdrive.control.load import Load
 from adaptdrive.control.loads.battery import battery_load
-from adaptdrive.control.settings import ControllerSettings, Rates
+from adaptdrive.control.settings import ControllerSettings, Probing, Rates
 from adaptdrive.control.signals import Decision, Measurement, Mode, Order, Snapshot, Stage
-from adaptdrive.control.slow_half import slow_step
-from adaptdrive.control.slow_state import SlowSample, SlowState
 from tests.closed_loop.bench import EXACT, MOTOR, PLAIN_LEARNING, REST_V, TICKS, TICK_s, order
 
 
@@ -229,25 +225,25 @@ def test_before_an_estimate_its_deviations_are_unknown() -> None:
     assert all(math.isnan(one.std) for one in unknown.values())
 
 
-@pytest.mark.parametrize(("load", "known"), [(MOTOR, True), (BATTERY, False)])
-def test_the_slow_half_is_told_the_reach_where_it_is_known(
-    load: Load, *, known: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A probe stays within it; a battery whose EMF is not known yet has none."""
-    samples: list[SlowSample] = []
+UNSURE = replace(  # no motor is damped so well: its estimate stays in doubt
+    EXACT,
+    rates=SMALL,
+    jacket=replace(EXACT.jacket, warm_up_periods=0, damping_min=2.0),
+    probing=Probing(amplitude=0.09, stale_periods=5, lowest=0.0, highest=9.0),
+)
 
-    def noted(
-        settings: ControllerSettings, load: Load, state: SlowState, sample: SlowSample
-    ) -> float:
-        samples.append(sample)
-        return slow_step(settings, load, state, sample)
 
-    monkeypatch.setattr(controller_module, "slow_step", noted)
-    controller = Controller(EXACT, load)
-    for tick in range(TICKS + 1):
-        controller.tick(measured(tick), order())
-    decided = controller.decide(snapshot_of(controller))
-    reach = (samples[0].lowest, samples[0].highest)
-    assert reach == ((2.2, 4.4) if known else (-math.inf, math.inf))
-    assert math.isfinite(decided.reach_high) is known
-    assert (samples[0].low, samples[0].high) == (200.0, 400.0)
+@pytest.mark.parametrize(
+    ("level", "shift"), [(4.35, -0.09), (4.25, 0.09), (2.25, 0.09), (2.35, 0.09)]
+)
+def test_a_probe_stays_where_V_c_reaches(level: float, shift: float) -> None:
+    """The motor rests between 0.011 · 200 V and 0.011 · 400 V; upwards is tried first."""
+    controller, found = Controller(UNSURE, MOTOR), []
+    wanted = replace(order(level, mode=Mode.ADAPTIVE), steady=True)
+    for tick in range(201):
+        controller.tick(measured(tick, level, boost_V=level / 0.011, period_s=1.0), wanted)
+        if (snapshot := controller.take_snapshot()) is not None:
+            found.append(controller.decide(snapshot).probe)
+    moved = [one for one in found if math.isfinite(one) and one != 0.0]
+    assert moved[0] == pytest.approx(shift)
+    assert all(2.2 <= level + one <= 4.4 for one in moved)

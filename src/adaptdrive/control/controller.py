@@ -300,8 +300,8 @@ class Controller:
             manual=snapshot.order.mode is Mode.MANUAL,
             held=to_input(snapshot.held_V, gain, exponent),
             steady=snapshot.order.steady,
-            lowest=self._reach.low if self._reach.is_known else -math.inf,
-            highest=self._reach.high if self._reach.is_known else math.inf,
+            lowest=self._reach.low,
+            highest=self._reach.high,
             rounding=snapshot.rounding,
         )
 

@@ -141,5 +141,5 @@ def _shift(
 
 def _has_room(probing: Probing, sample: SlowSample, level: float) -> bool:
     """Return whether a level is a set-point that V_c can hold."""
-    low = max(probing.lowest, sample.lowest)
-    return low <= level <= min(probing.highest, sample.highest)
+    beyond = level < sample.lowest or level > sample.highest  # neither of a reach not known yet
+    return probing.lowest <= level <= probing.highest and not beyond

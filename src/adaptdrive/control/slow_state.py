@@ -133,8 +133,8 @@ class SlowSample:
         manual: True when the operator sets the input.
         held: Input in force that the operator has set in the elapsed period, NaN for none.
         steady: Whether r is a constant set-point.
-        lowest: Lowest output that V_c can hold.
-        highest: Highest output that V_c can hold.
+        lowest: Lowest output that V_c can hold, NaN while unknown.
+        highest: Highest output that V_c can hold, NaN while unknown.
         rounding: Standard deviation of the rounding error of the output.
     """
 
