@@ -63,6 +63,7 @@ class Relink:
         self._commanded = False
         self._was_on = False
         self._reported_on = False
+        self._glimpsed_on = False
         self._stopped = False
         self._how = LOST
 
@@ -71,18 +72,26 @@ class Relink:
         """Reason not to energise the drive, None for none."""
         return f"{_STOPPED}; {self._how}" if self._stopped else None
 
-    def open(self, *, bridge: bool, how: str = LOST, reported_on: bool = False) -> None:
+    def open(self, *, bridge: bool, how: str = LOST) -> None:
         """Begin a connection, or a silence of one.
 
         Args:
             bridge: Whether the last command that reached the drive had the bridge on.
             how: Why nothing is heard of the drive.
-            reported_on: Whether its last report has the bridge on, though no reading carried it.
         """
         if not (self._was_on and how == UNREAD):  # what keeps the readings away says more
             self._how = how
         self._was_on = self._commanded and (self._was_on or bridge)
-        self._reported_on = self._reported_on or (self._was_on and reported_on)
+
+    def glimpse_on(self, how: str = LOST) -> None:
+        """Note a report of the bridge on that no reading carries, of a drive commanded on.
+
+        It keeps no command back. If the next reading has it off, the drive has stopped meanwhile.
+
+        Args:
+            how: Why no reading carries it.
+        """
+        self._glimpsed_on, self._how = self._commanded, how
 
     def hear(self, *, bridge: bool) -> None:
         """Note a reading.
@@ -90,9 +99,9 @@ class Relink:
         Args:
             bridge: Whether it has the bridge on.
         """
-        lost = self._was_on and self._reported_on
+        lost = self._glimpsed_on or (self._was_on and self._reported_on)
         self._stopped = self._stopped or (lost and not bridge)
-        self._was_on, self._reported_on = False, bridge
+        self._was_on, self._reported_on, self._glimpsed_on = False, bridge, False
 
     def note(self, *, bridge: bool, safe: bool) -> None:
         """Note a command, sent or not; the safe one ends what was driven.
@@ -102,6 +111,7 @@ class Relink:
             safe: Whether it is the safe command.
         """
         self._commanded = bridge
+        self._glimpsed_on = self._glimpsed_on and bridge
         if safe:
             self._stopped = self._was_on = False
 

@@ -567,6 +567,38 @@ async def test_a_drive_that_reports_its_stop_beside_refused_values_is_not_driven
         assert one.port.complaint is None
 
 
+@both
+@pytest.mark.parametrize("stops_unseen", [True, False])
+async def test_a_drive_that_came_on_beside_refused_values_and_stopped_is_not_driven_on(
+    kind: str, tmp_path: Path, free_tcp_port: int, *, stops_unseen: bool
+) -> None:
+    """The first reading after the command has its bridge off, as has the one before it."""
+    bridge = {
+        "bus__registers__on": "{ address = 5, table = 'input', bit = 0 }",
+        "signals__bridge": '"on"',
+    }
+    async with bench(kind, tmp_path, free_tcp_port, **bridge) as one:
+        one.peer.state = 0
+        await one.hears(2)
+        one.peer.speed, one.peer.state = math.nan, 1
+        one.port.send(RUN)
+        await until(lambda: bool(one.peer.writes))
+        await one.asks(4)
+        if not stops_unseen:
+            one.peer.state = 0
+            await one.asks(4)
+        known, one.peer.state, one.peer.speed = len(one.ear.readings), 0, 3.25
+        await one.hears(known + 1)
+        assert (one.port.complaint or "").startswith("drive stopped: ")
+        assert "its other values were refused meanwhile" in str(one.port.complaint)
+        written = len(one.peer.writes)
+        await one.asks(4)
+        assert one.peer.writes[written:] == []
+        one.port.send(SAFE_COMMAND)
+        await until(lambda: one.told() == [0, 0])
+        assert one.port.complaint is None
+
+
 STANDING: dict[str, str | None] = {
     "bus__heartbeat__drive": '"state"',
     "bus__registers__on": "{ address = 0, table = 'input', bit = 2 }",

@@ -322,7 +322,9 @@ class CanPort:
     def _serve(self, announce: Callable[[], None]) -> Awaitable[str]:
         """Use the open bus until it is lost; return the reason."""
         self._newest, self._safe_s = None, math.inf
-        self._relink.open(bridge=self._bridge_sent, reported_on=self._assembly.powered)
+        if self._bridge_sent and self._assembly.powered:
+            self._relink.glimpse_on()
+        self._relink.open(bridge=self._bridge_sent)
         self._bridge_sent = False
         self._assembly.forget()
         return self._connection.read_after(announce, partial(self.send, SAFE_COMMAND))

@@ -162,6 +162,8 @@ class Commander:
     def note_refused(self, *, powered: bool | None) -> None:
         """Note a poll without a reading: what energises waits where it has the bridge off.
 
+        One that has it on counts as a report: a drive that is off in the next reading has stopped.
+
         Args:
             powered: The bridge beside the refused values, None where it must not be used.
         """
@@ -169,6 +171,8 @@ class Commander:
             self._sight.look(self._reported_s)
         if powered is False:
             self._relink.open(bridge=self.bridge or self._tried_bridge, how=REFUSED)
+        elif powered and self.bridge:
+            self._relink.glimpse_on(REFUSED)
 
     def begin_poll(self) -> bool:
         """Begin a poll; return whether the command goes with its first read.
