@@ -132,3 +132,23 @@ def test_a_correlation_widens_by_its_factor_and_none_narrows(lag: float) -> None
     correlation = max(0.0, lag / 48.0)
     factor = in_force.correlation_factor(state)
     assert factor == pytest.approx(math.sqrt((1.0 + correlation) / (1.0 - correlation)))
+
+
+@pytest.mark.parametrize(("bias", "charge"), [(False, False), (True, True)])
+def test_without_a_bias_or_with_an_emf_there_is_no_second_estimate(
+    bias: bool, charge: bool
+) -> None:
+    state = two_estimates(walks=False)
+    state.integrated.samples = 0
+    in_force.let_both_predict(state, replace(LEARNING, bias=bias, charge=charge), MOTOR, 1.0, 0.0)
+    assert state.integrated.samples == 0
+
+
+def test_the_walk_of_an_emf_is_not_added_with_its_samples() -> None:
+    """The estimator adds it once in each slow period, whether a sample teaches or not."""
+    learning = replace(LEARNING, charge=True, forgetting=1.0)
+    theta, diagonal = [0.0] * 3, [0.25, 0.5, 0.5]
+    upper = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    learn_sample(theta, upper, diagonal, [0.0, 0.0, 1.0], 0.3, learning, 0.0)
+    variances = np.diag(np.array(covariance(upper, diagonal)).reshape(3, 3))
+    assert variances == pytest.approx([0.25, 0.5, 0.5 / 1.5])
