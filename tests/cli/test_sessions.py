@@ -78,8 +78,12 @@ def test_a_whole_session_passes_and_a_damaged_one_fails(tmp_path: Path) -> None:
     assert "ticks-0001.parquet" in answer.stderr
 
 
-def test_a_session_without_its_facts_is_named_and_not_passed_over(state: Path) -> None:
-    (state / "sessions" / NAME / "session.json").unlink()
+@pytest.mark.parametrize("lost", [["session.json"], ["session.json", "events.sqlite"]])
+def test_a_session_without_its_facts_is_named_and_not_passed_over(
+    state: Path, lost: list[str]
+) -> None:
+    for name in lost:
+        (state / "sessions" / NAME / name).unlink()
     listed = run(state, "sessions", "list")
     assert listed.stdout.startswith(f"{NAME}  damaged: ")
     for command in ("verify", "show"):

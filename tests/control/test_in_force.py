@@ -1,4 +1,4 @@
-"""Which of the two estimates is in force, and what is told of it; which parameters walk."""
+"""The estimate in force of the two, what it reports, and the parameters that walk."""
 
 from __future__ import annotations
 
@@ -114,24 +114,6 @@ def test_an_offset_that_drifts_is_less_certain_by_its_walk(drifts: bool) -> None
     walked = OFFSET_WALK**2 if drifts else 0.0
     assert variances == pytest.approx([0.25, 0.5 / 1.5 + walked])
     assert theta == pytest.approx([0.0, 0.3 / 3.0])
-
-
-@pytest.mark.parametrize("lag", [48.0, 50.0])
-def test_innovations_that_do_not_differ_are_one(lag: float) -> None:
-    """Their deviation is wider by the root of their number."""
-    state = two_estimates(walks=False)
-    state.residual_lag = lag
-    factor = in_force.correlation_factor(state)
-    assert factor == pytest.approx(math.sqrt(state.residual_weight))
-
-
-@pytest.mark.parametrize("lag", [-30.0, 0.0, 0.5, 12.0])
-def test_a_correlation_widens_by_its_factor_and_none_narrows(lag: float) -> None:
-    state = two_estimates(walks=False)
-    state.residual_lag = lag
-    correlation = max(0.0, lag / 48.0)
-    factor = in_force.correlation_factor(state)
-    assert factor == pytest.approx(math.sqrt((1.0 + correlation) / (1.0 - correlation)))
 
 
 @pytest.mark.parametrize(("bias", "charge"), [(False, False), (True, True)])

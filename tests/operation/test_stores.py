@@ -217,9 +217,11 @@ async def test_a_file_that_opens_and_takes_nothing_is_told_once(
         database.execute(
             "CREATE TRIGGER full BEFORE INSERT ON reply BEGIN SELECT RAISE(ABORT, 'full'); END"
         )
-    told: list[str] = []
+    reported: list[str] = []
     archive = Archive(Journal(path), wall, lambda: 0.0)
-    keeping = asyncio.create_task(archive.run(lambda *event: told.append(event[2]), lambda: None))
+    keeping = asyncio.create_task(
+        archive.run(lambda *event: reported.append(event[2]), lambda: None)
+    )
     await archive.replies.ready()
     with capture_logs() as lines:
         await archive.replies.keep("a", _reply("a"))
@@ -228,7 +230,7 @@ async def test_a_file_that_opens_and_takes_nothing_is_told_once(
     keeping.cancel()
     await asyncio.wait([keeping])
     await archive.close()
-    (detail,) = told
+    (detail,) = reported
     assert "full" in detail
 
 

@@ -40,6 +40,9 @@ SLOW = "slow"
 SENSORS = "sensors"
 TABLES = (TICKS, SLOW, SENSORS)
 
+_PARTS = (INFO_FILE, EVENTS_FILE, f"{TICKS}-*.parquet")
+"""Files by which a folder is known as a session, although one of them may be lost."""
+
 
 class Ending(StrEnum):
     """Kind of end of a session."""
@@ -233,7 +236,7 @@ def session_directories(sessions: Path) -> Iterator[Path]:
 
 def recorded_directories(sessions: Path) -> Iterator[Path]:
     """Yield these, and those of sessions whose `session.json` is lost."""
-    yield from _with_any(sessions, (INFO_FILE, EVENTS_FILE, f"{TICKS}-*.parquet"))
+    yield from _with_any(sessions, _PARTS)
 
 
 def _with_any(sessions: Path, files: tuple[str, ...]) -> Iterator[Path]:
@@ -252,7 +255,7 @@ def find_session(name: str, sessions: Path) -> Path:
         RecordingError: There is none.
     """
     for directory in (Path(name), sessions / name):
-        if (directory / INFO_FILE).is_file() or (directory / EVENTS_FILE).is_file():
+        if any(path.is_file() for part in _PARTS for path in directory.glob(part)):
             return directory if directory.name.strip(".") else directory.resolve()
     raise RecordingError(name, f"no such session, neither as a path nor in {sessions}")
 

@@ -48,6 +48,12 @@ SCATTERED: dict[str, str | None] = {
 
 both = pytest.mark.parametrize("kind", ["tcp", "rtu"])
 
+REPORTED = {
+    "bus__registers__on": "{ address = 5, table = 'input', bit = 0 }",
+    "signals__bridge": '"on"',
+}
+"""The bridge is a bit of the peer's state."""
+
 
 @contextlib.asynccontextmanager
 async def driven(
@@ -519,13 +525,11 @@ async def test_a_drive_at_rest_confirms_its_stop_by_the_bridge_beside_refused_va
     kind: str, tmp_path: Path, free_tcp_port: int
 ) -> None:
     """A driven one is not controlled by old values; all ones are no bridge."""
-    bits = {
-        "bus__registers__on": "{ address = 5, table = 'input', bit = 0 }",
+    fault = {
         "bus__registers__fault": "{ address = 5, table = 'input', bit = 1 }",
-        "signals__bridge": '"on"',
         "signals__fault": '"fault"',
     }
-    async with driven(kind, tmp_path, free_tcp_port, 1, **bits) as one:
+    async with driven(kind, tmp_path, free_tcp_port, 1, **REPORTED, **fault) as one:
         one.peer.speed = math.nan
         await one.asks(12)
         good = one.ear.readings[-1]
@@ -547,11 +551,7 @@ async def test_a_drive_at_rest_confirms_its_stop_by_the_bridge_beside_refused_va
 async def test_a_drive_that_reports_its_stop_beside_refused_values_is_not_driven_on(
     kind: str, tmp_path: Path, free_tcp_port: int
 ) -> None:
-    bridge = {
-        "bus__registers__on": "{ address = 5, table = 'input', bit = 0 }",
-        "signals__bridge": '"on"',
-    }
-    async with driven(kind, tmp_path, free_tcp_port, 1, **bridge) as one:
+    async with driven(kind, tmp_path, free_tcp_port, 1, **REPORTED) as one:
         one.peer.speed, one.peer.state = math.nan, 0
         await one.asks(4)
         known = len(one.peer.writes)
@@ -573,11 +573,7 @@ async def test_a_drive_that_came_on_beside_refused_values_and_stopped_is_not_dri
     kind: str, tmp_path: Path, free_tcp_port: int, *, stops_unseen: bool
 ) -> None:
     """The first reading after the command has its bridge off, as has the one before it."""
-    bridge = {
-        "bus__registers__on": "{ address = 5, table = 'input', bit = 0 }",
-        "signals__bridge": '"on"',
-    }
-    async with bench(kind, tmp_path, free_tcp_port, **bridge) as one:
+    async with bench(kind, tmp_path, free_tcp_port, **REPORTED) as one:
         one.peer.state = 0
         await one.hears(2)
         one.peer.speed, one.peer.state = math.nan, 1
@@ -644,11 +640,7 @@ async def test_a_drive_that_reports_its_stop_beside_a_standing_heartbeat_is_not_
 async def test_a_drive_without_values_confirms_its_stop_over_a_new_link(
     kind: str, tmp_path: Path, free_tcp_port: int
 ) -> None:
-    bridge = {
-        "bus__registers__on": "{ address = 5, table = 'input', bit = 0 }",
-        "signals__bridge": '"on"',
-    }
-    async with bench(kind, tmp_path, free_tcp_port, **bridge) as one:
+    async with bench(kind, tmp_path, free_tcp_port, **REPORTED) as one:
         one.peer.state = 1
         one.port.send(RUN)
         await until(lambda: bool(one.ear.readings) and one.ear.readings[-1].bridge)

@@ -27,6 +27,8 @@ _NUMBER_BYTES = 4
 """Bytes of the longest number that a set-up reads."""
 
 _SEGMENT_BYTES = 7
+"""Bytes that one frame of a long answer carries."""
+
 _LONGEST_BYTES = 1024
 """Bytes of an entry at which it counts as one without an end; names and texts have up to 100."""
 
