@@ -131,6 +131,7 @@ async def test_a_verb_without_a_value_needs_none(bench: Bench) -> None:
         ("waveform", json.dumps({"id": "x", "value": SQUARE | {"low": float("nan")}}), "value.low"),
         ("waveform", '{"id": "x", "value": "on"}', "Invalid enum value 'on'"),
         ("explode", '{"id": "x"}', "unknown verb 'explode'; known are setpoint"),
+        ("Ping", '{"id": "x"}', "reset, ping"),
         ("setpoint/more", '{"id": "x", "value": 3}', "unknown verb 'setpoint/more'"),
         ("", '{"id": "x", "value": 3}', "unknown verb ''"),
     ],

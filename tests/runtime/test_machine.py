@@ -187,6 +187,11 @@ def test_a_set_point_of_0_coasts_and_one_out_of_reach_is_refused() -> None:
     assert (desk.state(), desk.machine.coasting) == (State.STOPPING, False)
 
 
+def test_a_set_point_of_minus_0_is_0(running: Desk) -> None:
+    running.ask(SetSetpoint(-0.0))
+    assert math.copysign(1.0, running.machine.reference(0)) == 1.0
+
+
 @pytest.mark.parametrize("output", [-0.01, 0.0, 0.02])
 def test_a_drive_of_unknown_reach_coasts_until_any_set_point_and_at_none(output: float) -> None:
     """The lowest V_c may already charge a battery whose EMF is not known."""

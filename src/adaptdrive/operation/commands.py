@@ -102,7 +102,7 @@ class Payload:
             RefusedError: The payload is malformed, or the verb is not known.
         """
         if verb not in REQUESTS:
-            raise RefusedError(f"unknown verb {verb!r}; known are {', '.join(REQUESTS)}")
+            raise RefusedError(f"unknown verb {verb!r}; known are {', '.join((*REQUESTS, PING))}")
         if self._flaw:
             raise RefusedError(self._flaw)
         kind = REQUESTS[verb]

@@ -193,7 +193,7 @@ class Machine:
         self.manual = replace(
             self.manual,
             start_V=self.manual.value(tick),
-            target_V=value,
+            target_V=value + 0.0,
             since_tick=tick,
             hold_s=hold_s,
             hold_ticks=0 if hold_s is None else math.ceil(hold_s / limits.tick_s),
@@ -212,7 +212,7 @@ class Machine:
         coasts = value <= 0.0 and not value >= self.reach.low  # which may not be known
         if not coasts:
             self._limits.require_reach("setpoint", value, self.reach)
-        self.setpoint = value
+        self.setpoint = value + 0.0  # without the sign of -0
         self.waveform = None
         if coasts:
             self._coast()
