@@ -7,11 +7,13 @@ from dataclasses import dataclass, field, replace
 import pytest
 
 from adaptdrive.hardware.port import Reading
+from adaptdrive.runtime.bridge_watch import BridgeWatch
 from adaptdrive.runtime.frame_rate import FrameRate
 from adaptdrive.runtime.interlock_board import InterlockBoard
 from adaptdrive.runtime.interlocks import Limits
+from adaptdrive.runtime.restart_watch import RestartWatch
 from tests.loopback_port import LoopbackPort
-from tests.runtime.bench import CALM
+from tests.runtime.bench import CALM, FAST
 
 TICK_S = 2.0**-7
 """A half cycle whose multiples are exact."""
@@ -40,10 +42,24 @@ class NotedWatch:
         return self.cause
 
 
+def new_board(
+    *watches: NotedWatch, rate: FrameRate | None = None, ticks_per_reading: int = 1
+) -> InterlockBoard:
+    """A board that has not been looked at yet."""
+    settings = replace(
+        FAST,
+        limits=LIMITS,
+        tick_s=TICK_S,
+        ticks_per_reading=ticks_per_reading,
+        watches=tuple(one.build for one in watches),
+    )
+    bridge = BridgeWatch(TICK_S, ticks_per_reading, reported=True, cycle_s=0.0, timeout_s=None)
+    return InterlockBoard(settings, rate, bridge, RestartWatch(None, TICK_S))
+
+
 def board(*watches: NotedWatch, ticks_per_reading: int = 1) -> InterlockBoard:
     """A board without a rate, that has been looked at once."""
-    builds = tuple(one.build for one in watches)
-    built = InterlockBoard(LIMITS, builds, None, TICK_S, ticks_per_reading)
+    built = new_board(*watches, ticks_per_reading=ticks_per_reading)
     built.look(START_S)
     return built
 
@@ -75,7 +91,7 @@ def test_a_gap_may_last_as_long_as_a_reading_is_fresh_and_two_readings_take(
 
 
 def test_nothing_was_overslept_before_the_first_look() -> None:
-    of = InterlockBoard(LIMITS, (), None, TICK_S, 1)
+    of = new_board()
     assert cause_of(of, START_S) is None
 
 
@@ -156,7 +172,7 @@ def rate_of(share: float, readings: int) -> FrameRate:
 def test_the_rate_of_a_drive_that_is_the_clock_must_be_known_and_right(
     rate: FrameRate | None, *, known: bool, cause: str | None
 ) -> None:
-    of = InterlockBoard(LIMITS, (), rate, TICK_S, 1)
+    of = new_board(rate=rate)
     assert of.rate_known is known
     reading = replace(CALM, arrival_s=START_S, oldest_s=START_S)
     standing = of.standing_cause(PORT, reading, START_S)
@@ -165,7 +181,7 @@ def test_the_rate_of_a_drive_that_is_the_clock_must_be_known_and_right(
 
 def test_a_count_may_stand_for_as_long_as_a_reading_is_fresh() -> None:
     rate = FrameRate(TICK_S, 1, counted=True)
-    of = InterlockBoard(LIMITS, (), rate, TICK_S, 1)
+    of = new_board(rate=rate)
     rate.add(START_S, None, stood_in=False)
     for number in range(1, 10):
         now_s = START_S + number * TICK_S

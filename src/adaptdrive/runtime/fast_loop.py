@@ -24,6 +24,7 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.hardware.port import Port, Reading
+from adaptdrive.runtime.bridge_watch import BridgeWatch
 from adaptdrive.runtime.guard import Guard
 from adaptdrive.runtime.half_cycles import HalfCycles
 from adaptdrive.runtime.interlock_board import InterlockBoard
@@ -38,6 +39,16 @@ from adaptdrive.runtime.stopping import Stopping
 _OFF: Final[Stage] = Stage.OFF  # found at once by compiled code
 _PRECHARGE: Final[Stage] = Stage.PRECHARGE
 _RUN: Final[Stage] = Stage.RUN
+
+
+def _bridge_watch(port: Port, settings: FastLoopSettings) -> BridgeWatch:
+    return BridgeWatch(
+        settings.tick_s,
+        settings.ticks_per_reading,
+        reported=port.stop_slack_s is not None,
+        cycle_s=port.bridge_cycle_s,
+        timeout_s=settings.command_timeout_s,
+    )
 
 
 class FastLoop:
@@ -71,18 +82,12 @@ class FastLoop:
         self._surroundings = surroundings
         self._restarts = RestartWatch(port.counter_modulus, settings.tick_s)
         self._interlocks = InterlockBoard(
-            settings.limits,
-            settings.watches,
+            settings,
             self._half_cycles.rate if settings.drive_clocks else None,
-            settings.tick_s,
-            settings.ticks_per_reading,
-            bridge_reported=port.stop_slack_s is not None,
-            bridge_cycle_s=port.bridge_cycle_s,
-            command_timeout_s=settings.command_timeout_s,
-            restarts=self._restarts,
+            _bridge_watch(port, settings),
+            self._restarts,
         )
-        reading_s = settings.ticks_per_reading * settings.tick_s
-        self._stop_watch = StopWatch(settings.stop_s, reading_s, port.stop_slack_s)
+        self._stop_watch = StopWatch(settings.stop_s, settings.reading_s, port.stop_slack_s)
         self._stopping = Stopping(self._stop_watch, machine, surroundings.not_stopped)
         self._order: Order | None = None
         self._wanted = SAFE_COMMAND

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 from adaptdrive.hardware.port import Port, Reading
 from adaptdrive.runtime.bridge_watch import BridgeWatch
 from adaptdrive.runtime.frame_rate import FrameRate
-from adaptdrive.runtime.interlocks import Limits, Watch, find_cause
+from adaptdrive.runtime.interlocks import find_cause
+from adaptdrive.runtime.loop_interface import FastLoopSettings
 from adaptdrive.runtime.restart_watch import RestartWatch
 
 _GAP_READINGS = 2
@@ -18,47 +18,29 @@ _GAP_READINGS = 2
 class InterlockBoard:
     """The interlocks of a drive, and the time since they were last evaluated."""
 
-    def __init__(  # noqa: PLR0913 - what the interlocks of a drive depend on
+    def __init__(
         self,
-        limits: Limits,
-        watches: tuple[Callable[[], Watch], ...],
+        settings: FastLoopSettings,
         rate: FrameRate | None,
-        tick_s: float,
-        ticks_per_reading: int,
-        *,
-        bridge_reported: bool = True,
-        bridge_cycle_s: float = 0.0,
-        command_timeout_s: float | None = None,
-        restarts: RestartWatch | None = None,
+        bridge: BridgeWatch,
+        restarts: RestartWatch,
     ) -> None:
         """Evaluate nothing yet.
 
         Args:
-            limits: Trip levels.
-            watches: Factories of the watches over the output, in the order of their causes.
+            settings: Trip levels, watches over the output and rates.
             rate: Rate of the drive's frames, None where this process decides it.
-            tick_s: Half a line cycle at nominal frequency, in s.
-            ticks_per_reading: Half cycles from one reading to the next.
-            bridge_reported: Whether the drive reports its bridge.
-            bridge_cycle_s: Time from one such report to the next, 0 where each reading has one,
-                infinite where it is not known.
-            command_timeout_s: The drive's own time-out without commands, None for an unknown one.
-            restarts: Watch over its half-cycle counter, None for a drive without one.
+            bridge: Watch over the drive's reports of its bridge.
+            restarts: Watch over its half-cycle counter.
         """
-        self._limits = limits
-        self._watches = [build() for build in watches]
+        self._limits = settings.limits
+        self._watches = [build() for build in settings.watches]
         self._rate = rate
-        self._bridge = BridgeWatch(
-            tick_s,
-            ticks_per_reading,
-            reported=bridge_reported,
-            cycle_s=bridge_cycle_s,
-            timeout_s=command_timeout_s,
-        )
-        self._restarts = restarts or RestartWatch(None, tick_s)
+        self._bridge = bridge
+        self._restarts = restarts
         self._watched_s = math.inf
         # a drive that sends seldom leaves nothing to evaluate between two readings
-        self._gap_limit_s = max(limits.stale_s, _GAP_READINGS * ticks_per_reading * tick_s)
+        self._gap_limit_s = max(self._limits.stale_s, _GAP_READINGS * settings.reading_s)
 
     @property
     def rate_known(self) -> bool:

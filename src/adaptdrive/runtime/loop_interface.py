@@ -62,6 +62,11 @@ class FastLoopSettings:
     stop_s: float = 0.5
     command_timeout_s: float | None = None
 
+    @property
+    def reading_s(self) -> float:
+        """Time from one reading to the next at nominal frequency."""
+        return self.ticks_per_reading * self.tick_s
+
 
 class LoopSurroundings(Protocol):
     """Interfaces of the fast loop to the rest of the runtime; every call returns at once."""
