@@ -12,14 +12,8 @@ from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, Ove
 from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll
 from adaptdrive.hardware.modbus.sight import Sight
 from adaptdrive.hardware.modbus.untaken import UntakenCommands
+from adaptdrive.hardware.modbus.validity import CommandValidity
 from adaptdrive.hardware.port import OBEY_S
-from adaptdrive.hardware.relink import REFUSED, UNANSWERED, UNREAD, Relink
-
-_FROZEN_POLLS = 2.0
-"""Time without a step of the port, in polls, after which the process counts as having stood still.
-
-No exchange that a running process awaits takes as long: its time-out is shorter than a poll.
-"""
 
 
 class Commander:
@@ -55,18 +49,13 @@ class Commander:
         self._command: Command | None = None
         self._written: Command | None = None
         self._withheld = False
-        self._relink = Relink()
         self._sight = sight
+        self._validity = CommandValidity(poll_s, sight, clock)
         self._safe = False
         self._untaken = UntakenCommands()
-        self._silent = False
-        self._blank = True
-        self._read_s = self._reported_s = -math.inf
+        self._reported_s = -math.inf
         self._alive = 0
         self._stopped_s = math.inf
-        self._powered = False
-        self._stepped_s = math.inf
-        self._outdated = False
         self._tried_bridge = False
         self.bridge = False
         self.safe_s = math.inf
@@ -75,7 +64,7 @@ class Commander:
     @property
     def complaint(self) -> str | None:
         """Reason not to energise the drive: it does not accept its commands, or has stopped."""
-        return self._untaken.complaint or self._relink.complaint
+        return self._untaken.complaint or self._validity.complaint
 
     @property
     def urgent(self) -> bool:
@@ -91,7 +80,7 @@ class Commander:
     def _disobeyed(self) -> bool:
         """True if the drive is still energised, or may be, long after it was commanded safe."""
         late = self._clock() - self._stopped_s > OBEY_S + self._poll_s
-        return late and (self._powered or not self._safe)
+        return late and (self._validity.powered or not self._safe)
 
     @property
     def pending(self) -> bool:
@@ -111,68 +100,48 @@ class Commander:
             self._stopped_s = math.inf
         elif self._stopped_s == math.inf:
             self._stopped_s = self._clock()
-        self._relink.note(bridge=command.bridge, safe=command == SAFE_COMMAND)
+        self._validity.renew(command)
         self._command = command
-        self._outdated = self._withheld = False
+        self._withheld = False
 
     def begin(self) -> None:
         """Forget what was acknowledged on the link before."""
         self.safe_s = math.inf
         self._untaken.forget()
-        self._relink.open(bridge=self.bridge or self._tried_bridge)
-        self._silent = self._powered = self._safe = self.bridge = self._tried_bridge = False
-        self._blank = True
-        self._sight.forget()
-        self._stepped_s = self._clock()
+        self._validity.begin(given_on=self._given_on)
+        self._safe = self.bridge = self._tried_bridge = False
         if self._command == SAFE_COMMAND:
             self._stopped_s = self._clock()
 
     def note_step(self) -> None:
         """Note that the port does its work; a command from before a standstill is void."""
-        now_s = self._clock()  # one look: the process may stand still between two
-        self._outdated = self._outdated or self._stands_still(now_s)
-        self._stepped_s = now_s
+        self._validity.note_step()
 
     def note_read(self, *, answered: bool) -> None:
         """Note the end of a poll, which gives no reading unless its bridge is noted next.
 
-        A drive that has given none for as long as its own time-out may be, or has neither answered
-        a read nor acknowledged a command, may have stopped: what energises waits for a reading, as
-        after a lost link, and is written after the read of a poll, not with it.
+        What has to wait for a reading is written after the read of a poll, not with it.
 
         Args:
-            answered: Whether the drive answered: a silent one ignores more than commands.
+            answered: Whether the drive answered.
         """
-        self._silent = self._silent or not answered
-        if self._unfed or self._unread:
-            how = UNANSWERED if self._silent else UNREAD
+        if self._validity.note_read(answered=answered, given_on=self._given_on):
             self._written = None
-            self._relink.open(bridge=self.bridge or self._tried_bridge, how=how)
-        self._silent, self._blank = not answered, True
 
     def note_bridge(self, *, powered: bool) -> None:
         """Note a reading: whether the drive reports its bridge on, or is assumed to have it on."""
-        if self.bridge and self._powered and not powered:
-            self._outdated = True  # a command from before the bridge went off
-        self._powered = powered
-        self._sight.look(self._reported_s)
-        self._blank, self._read_s = False, self._reported_s
-        self._relink.hear(bridge=powered)
+        self._validity.note_bridge(
+            powered=powered, acknowledged_on=self.bridge, reported_s=self._reported_s
+        )
 
     def note_refused(self, *, powered: bool | None) -> None:
-        """Note a poll without a reading: what energises waits where it has the bridge off.
-
-        One that has it on counts as a report: a drive that is off in the next reading has stopped.
-
-        Args:
-            powered: The bridge beside the refused values, None where it must not be used.
-        """
-        if powered is not None:
-            self._sight.look(self._reported_s)
-        if powered is False:
-            self._relink.open(bridge=self.bridge or self._tried_bridge, how=REFUSED)
-        elif powered and self.bridge:
-            self._relink.glimpse_on(REFUSED)
+        """Note a poll without a reading, and its bridge; None where that must not be used."""
+        self._validity.note_refused(
+            powered=powered,
+            acknowledged_on=self.bridge,
+            given_on=self._given_on,
+            reported_s=self._reported_s,
+        )
 
     def begin_poll(self) -> bool:
         """Begin a poll; return whether the command goes with its first read.
@@ -233,7 +202,7 @@ class Commander:
             return await self._read(link, exchange)
         except ExchangeError as failure:
             if not self._is_void(command):
-                self._untaken.note(both, failure, silent=self._silent)
+                self._untaken.note(both, failure, silent=self._validity.silent)
             if failure.code is None:
                 raise
             return await self._read(link, exchange)
@@ -315,7 +284,7 @@ class Commander:
                 return False
             self._counts["send_drops"] += 1
             self.refused_write = f"command: {failure.problem}"
-            self._untaken.note(exchange, failure, silent=self._silent)
+            self._untaken.note(exchange, failure, silent=self._validity.silent)
             return False
         return True
 
@@ -327,30 +296,14 @@ class Commander:
             self._counts["withheld_commands"] += 1
 
     def _current(self) -> Command | None:
-        """Return the command in force, None for none.
-
-        A process that did not run for long finds here what it decided before: that is void. So is
-        one for a drive that was on when its link was lost or a read failed, before it is read, and
-        one that was decided by a reading of long ago.
-        """
+        """Return the command that is in force and still valid, None for none."""
         command = self._command
-        if command is None or command == SAFE_COMMAND:
-            return command
-        void = self._outdated or self._stands_still(self._clock()) or self._unfed or self._unread
-        return None if void or not self._relink.admits(bridge=command.bridge) else command
+        return command if command is not None and self._validity.admits(command) else None
 
     @property
-    def _unfed(self) -> bool:
-        """True if a silent drive has acknowledged no command for as long as it may need to stop."""
-        return self._silent and self._sight.may_have_timed_out
-
-    @property
-    def _unread(self) -> bool:
-        """True if the polls have given no reading for as long as the drive may be silent."""
-        return self._blank and self._clock() - self._read_s > self._sight.limit_s
-
-    def _stands_still(self, now_s: float) -> bool:
-        return now_s - self._stepped_s > _FROZEN_POLLS * self._poll_s
+    def _given_on(self) -> bool:
+        """True if the last command that the drive may have received had the bridge on."""
+        return self.bridge or self._tried_bridge
 
     def _is_void(self, command: Command) -> bool:
         """Return whether a command that energises must not be sent any more."""
@@ -358,11 +311,11 @@ class Commander:
 
     def _may_join(self, command: Command) -> bool:
         """Return whether a command may be written with a read."""
-        return not self._is_void(command) and (not command.bridge or self._sight.joins_look)
+        return not self._is_void(command) and self._validity.may_join(command)
 
     def _may_follow(self, command: Command) -> bool:
         """Return whether a command may be written after a read."""
-        return not self._is_void(command) and (not command.bridge or self._sight.follows_look)
+        return not self._is_void(command) and self._validity.may_follow(command)
 
     def _words(self, command: Command) -> list[list[int]]:
         """The registers of every block that is written, with the next heartbeat.
