@@ -10,8 +10,10 @@ import random
 import tomllib
 from collections import deque
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.file import validate_configuration
@@ -47,6 +49,16 @@ DISCHARGED_V = 300.0
 Sensor = Callable[[float, float], float]
 
 
+def example_path(name: str) -> Path:
+    """Return the file of an example."""
+    return EXAMPLES / FILES[name]
+
+
+def example(name: str) -> dict[str, Any]:
+    """Return the tables of an example."""
+    return tomllib.loads(example_path(name).read_text())
+
+
 def honest(_: float, output: float) -> float:
     """What a healthy sensor reads of an output."""
     return output
@@ -65,22 +77,21 @@ class Course:
         highest: The highest output that the plant has had, noise left out.
     """
 
-    def __init__(self, name: str, seed: int, stale_s: float | None = None) -> None:
+    def __init__(self, name: str, seed: int, tables: dict[str, Any] | None = None) -> None:
         """Put a load that turns, is warm or is half charged behind a daemon.
 
         Args:
             name: One of `FILES`.
             seed: Of the errors of the model, the noise and the set-points.
-            stale_s: `interlocks.stale_s`, None for that of the example.
+            tables: The daemon's configuration, None for that of the example.
         """
         self.draw = random.Random(f"{name} {seed}")
-        path = EXAMPLES / FILES[name]
+        path = example_path(name)
         truth = load_configuration(path)
-        tables = tomllib.loads(path.read_text())
+        tables = example(name) if tables is None else deepcopy(tables)
         self.load = tables["load"]["type"]
         for key in WRONG[self.load]:
             tables["load"]["model"][key] *= 1.3 ** self.draw.uniform(-1.0, 1.0)
-        tables["interlocks"]["stale_s"] = stale_s or tables["interlocks"]["stale_s"]
         self.configuration = validate_configuration(tables, path)
         span = truth.load.reference_max - truth.load.reference_min
         self.sigma = self.draw.choice([0.0, 0.002, 0.01]) * span

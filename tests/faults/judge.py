@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from adaptdrive.control.signals import SAFE_COMMAND
 from adaptdrive.runtime.reports import State
-from tests.faults.course import AFTER_s, Course, honest
+from tests.faults.course import AFTER_s, Course, example, honest
 from tests.faults.rows import Row
 
 BOOST_MAX_V = 460.0
@@ -37,7 +37,10 @@ class Verdict:
 
 def judge(row: Row, name: str, seed: int) -> Verdict | None:
     """Run one course; None when the daemon refuses the load before any fault."""
-    course = Course(name, seed, row.stale_s)
+    tables = example(name)
+    if row.stale_s is not None:
+        tables["interlocks"]["stale_s"] = row.stale_s
+    course = Course(name, seed, tables)
     if row.from_start:
         _put(row, course)
     if not course.begin():

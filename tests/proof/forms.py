@@ -1,6 +1,6 @@
 """The long forms of the tests, each as a command of the interpreter.
 
-SEEDS, STORIES, INPUTS, MUTANTS, KILLS, DAYS and MINUTES of the environment make some of them
+SEEDS, STORIES, CONFIGURATIONS, INPUTS, MUTANTS, KILLS, DAYS and MINUTES of the environment make some of them
 shorter or longer; AT_MOST is the real time in minutes after which the virtual days end.
 """
 
@@ -47,11 +47,14 @@ def forms() -> tuple[Form, ...]:
     days, minutes = os.environ.get("DAYS", "7"), os.environ.get("MINUTES", "120")
     kills = os.environ.get("KILLS", "200")
     at_most = ("--at-most", os.environ["AT_MOST"]) if "AT_MOST" in os.environ else ()
+    drawn = ("-m", "pytest", "-q", "tests/faults/test_configurations.py", "--timeout", "86400")
     energised = ("-m", "pytest", "-q", "tests/faults/test_energised.py", "--timeout", "86400")
     return (
         *(Form(group, f"Faults: {group}", ("-m", "tests.faults.table", seeds, group),
                as_table=True) for group in GROUPS),
         Form("stories", "Stories that must energise nothing", energised, {"STORIES": stories}),
+        Form("configurations", "Configurations of any valid values", drawn,
+             {"CONFIGURATIONS": os.environ.get("CONFIGURATIONS", "500")}),
         Form("inputs", "Damaged inputs of each decoder", ("-m", "tests.fuzz", inputs)),
         Form("foreign", "A drive of foreign code", ("-m", "pytest", "-q", "tests/peers")),
         Form("deceived", "Sensors that lie", ("-m", "tests.closed_loop.deceived", seeds),
