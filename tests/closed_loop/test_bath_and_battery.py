@@ -34,9 +34,9 @@ def world(load: SimulatedLoad, noise: float) -> World:
     return World(load, WorldParameters(noise=NoiseParameters(sigma=noise)))
 
 
-def enabled(name: str, plant: World) -> OperatedDrive:
+def enabled(configuration: Configuration, plant: World) -> OperatedDrive:
     """A drive that has just reached `running`."""
-    drive = OperatedDrive(configured(name), plant)
+    drive = OperatedDrive(configuration, plant)
     drive.tick()
     drive.carry_out(Enable())
     while drive.machine.state is not State.RUNNING:
@@ -58,7 +58,7 @@ def overshoots(mode: Mode) -> list[float]:
     bath = Bath(BathParameters())
     plant = world(bath, 0.05)
     plant.settle(plant.boost_voltage_for(10.0))
-    drive = enabled("bath", plant)
+    drive = enabled(configured("bath"), plant)
     drive.carry_out(SetMode(mode))
     drive.carry_out(SetWaveform(Waveform(Shape.SQUARE, 10.0, 13.0, 2 * HALF_s)))
     found = []
@@ -89,7 +89,7 @@ def test_a_battery_is_charged_tapers_and_is_complete(
     battery: BatteryParameters, mode: Mode
 ) -> None:
     plant = Battery(dataclasses.replace(battery, charge=0.45, capacity_Ah=4.0))
-    drive = enabled("battery", world(plant, 0.02))
+    drive = enabled(configured("battery"), world(plant, 0.02))
     drive.carry_out(SetMode(mode))
     drive.carry_out(SetSetpoint(12.0))
     for _ in periods(drive, 40.0):
@@ -115,13 +115,28 @@ def test_a_battery_is_charged_tapers_and_is_complete(
     assert plant.output == 0.0
 
 
+@pytest.mark.parametrize("mode", [Mode.FIXED, Mode.ADAPTIVE])
+def test_a_battery_is_charged_while_it_is_learnt_without_filters(mode: Mode) -> None:
+    """Such a model has no direct term: that parameter of it is exactly 0."""
+    tables = example_tables("battery.toml")
+    tables["estimator"] |= {"method": "rls", "settle_s": 5.0}
+    tables["supervisor"]["warm_up_s"] = 10.0
+    plant = Battery(dataclasses.replace(ONE, charge=0.45))
+    drive = enabled(validate_configuration(tables, FOLDER / "battery.toml"), world(plant, 0.02))
+    drive.carry_out(SetMode(mode))
+    drive.carry_out(SetSetpoint(6.0))
+    currents = [plant.output for _ in periods(drive, 60.0)]
+    assert drive.machine.state is State.RUNNING, drive.machine.trip
+    assert currents[-1] == pytest.approx(6.0, rel=0.05)
+
+
 @pytest.mark.parametrize("charge", [0.2, 0.35, 0.5, 0.65])
 @pytest.mark.parametrize("current_A", [0.5, 2.0, 5.0])
 def test_the_first_current_into_a_battery_overshoots_little(
     charge: float, current_A: float
 ) -> None:
     plant = Battery(dataclasses.replace(ONE, charge=charge))
-    drive = enabled("battery", world(plant, 0.02))
+    drive = enabled(configured("battery"), world(plant, 0.02))
     drive.carry_out(SetSetpoint(current_A))
     highest_A, end_s = 0.0, drive.time_s + 40.0
     while drive.time_s < end_s:
@@ -136,7 +151,7 @@ def test_the_current_of_a_battery_follows_a_wave_under_adaptive_control(
     battery: BatteryParameters,
 ) -> None:
     plant = Battery(battery)
-    drive = enabled("battery", world(plant, 0.02))
+    drive = enabled(configured("battery"), world(plant, 0.02))
     drive.carry_out(SetMode(Mode.ADAPTIVE))
     drive.carry_out(SetSetpoint(8.0))
     for _ in periods(drive, 60.0):
@@ -154,7 +169,7 @@ def test_the_current_of_a_battery_follows_a_wave_under_adaptive_control(
 
 
 def test_a_steady_current_teaches_nothing_and_says_so() -> None:
-    drive = enabled("battery", world(Battery(ONE), 0.02))
+    drive = enabled(configured("battery"), world(Battery(ONE), 0.02))
     drive.carry_out(SetMode(Mode.ADAPTIVE))
     drive.carry_out(SetSetpoint(12.0))
     for _ in periods(drive, 200.0):

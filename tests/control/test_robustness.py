@@ -128,6 +128,15 @@ def test_what_is_unknown_is_not_tried() -> None:
     assert stands_uncertainty(BOLD, MOTOR, motor_gains(23.4), values, [math.nan] * 3, 1.0)
 
 
+@pytest.mark.parametrize("deviation", [0.0, 1.0, math.nan])
+def test_a_parameter_of_0_is_not_tried(deviation: float) -> None:
+    """A battery that is learnt without filters has a model without a direct term."""
+    battery, values = LOADS["battery"], [0.0, 0.2, 15.0]
+    a, b = discrete_model(BOLD, battery, *battery.realise(values), 1.0)
+    gains = compensator_gains(a, b, battery.order, 0.7)
+    assert stands_uncertainty(BOLD, battery, gains, values, [deviation, math.nan, 0.0], 1.0)
+
+
 def judged(settings: ControllerSettings, trusted_s: float, alarms: int = 0) -> int:
     """The verdict on a sound nominal estimate beside a trusted model that lies elsewhere."""
     jacket = replace(settings.jacket, warm_up_periods=0)

@@ -52,6 +52,8 @@ def stands_uncertainty(
     if not confidence > 0.0:
         return True
     for i in range(len(values)):
+        if values[i] == 0.0:  # a direct term that the model has not: any share of it is 0, too
+            continue
         share = deviations[i] / abs(values[i])
         if not share > SURE:
             continue
