@@ -5,8 +5,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
+from adaptdrive.runtime.interlocks import MEASURED
+from adaptdrive.runtime.requests import Enable
+from tests.faults.course import Course
 from tests.faults.judge import judge
 from tests.faults.rows import QUICK, ROWS, Row
 
@@ -24,3 +29,18 @@ def test_a_fault_is_safe_in_time_and_named_or_ridden_through(row: Row) -> None:
     verdict = judge(row, _load_of(row), SEED)
     assert verdict is not None
     assert verdict.flaws == ()
+
+
+@pytest.mark.parametrize("value", [-1e200, 1e200])
+@pytest.mark.parametrize("quantity", MEASURED)
+@pytest.mark.parametrize("name", ["motor, CAN", "bath, Modbus", "battery, CAN"])
+def test_a_number_that_no_drive_measures_ends_no_daemon(
+    name: str, quantity: str, value: float
+) -> None:
+    course = Course(name, SEED)
+    course.run(3.0)
+    assert course.daemon.accepts(Enable())
+    course.run(3.0)
+    course.frame = lambda reading: replace(reading, **{quantity: value})  # type: ignore[arg-type]
+    course.run(3.0)
+    assert not (course.daemon.trip or "").startswith("internal error")

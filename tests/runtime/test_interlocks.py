@@ -71,6 +71,7 @@ def test_an_output_without_a_unit_is_named_without_one() -> None:
         ({"oldest_s": math.nan}, "stale: "),
         ({"fault": 0x12}, "drive fault: word 0x12"),
         ({"boost_voltage_V": 430.1}, "over-voltage: v_bst = 430.1 V, limit 430 V"),
+        ({"boost_voltage_V": -430.1}, "over-voltage: v_bst = -430.1 V, limit 430 V"),
         ({"output": 5.01}, "output above its limit: speed = 5.01 V, limit 5 V"),
         ({"output": -1.1}, "output below its limit: speed = -1.1 V, limit -1 V"),
         ({"boost_voltage_V": math.nan}, "invalid: "),

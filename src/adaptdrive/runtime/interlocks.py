@@ -95,7 +95,7 @@ def _unhealthy(reading: Reading) -> str | None:
 
 
 def _exceeded(reading: Reading, limits: Limits) -> str | None:
-    if reading.boost_voltage_V > limits.boost_voltage_max_V:
+    if abs(reading.boost_voltage_V) > limits.boost_voltage_max_V:
         return (
             f"over-voltage: v_bst = {reading.boost_voltage_V:.1f} V, "
             f"limit {limits.boost_voltage_max_V:g} V"
