@@ -167,7 +167,8 @@ def test_a_set_point_that_was_lowered_explains_a_current_that_left() -> None:
     assert is_complete(LIMITS, state)
 
 
-def test_the_terminals_may_be_as_far_above_the_limit_as_its_key_says() -> None:
-    highest_V = terminal_voltage(LIMITS, voltage_limit(LIMITS, 0.0), 0.0)
+@pytest.mark.parametrize("current_A", [0.0, 14.0])
+def test_the_terminals_may_be_as_far_above_the_limit_as_its_key_says(current_A: float) -> None:
+    highest_V = terminal_voltage(LIMITS, voltage_limit(LIMITS, current_A), current_A)
     share = highest_V / LIMITS.voltage_max_V - 1.0
     assert f"by {100.0 * share:.3g} % at most" in str(Charge.model_fields["voltage_max_V"])

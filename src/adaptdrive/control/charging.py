@@ -78,13 +78,17 @@ def terminal_voltage(charging: Charging, boost_voltage_V: float, current_A: floa
 
 def highest_boost_voltage(charging: Charging, current_A: float) -> float:
     """Return the v_bst at which the terminals are at V_max, with a current into the battery."""
-    drop_V = charging.droop_Ohm * max(0.0, current_A)
-    return (charging.voltage_max_V + drop_V) / charging.turns_ratio
+    return _boost_voltage(charging, charging.voltage_max_V, current_A)
 
 
 def voltage_limit(charging: Charging, current_A: float) -> float:
     """Return the largest V_c: a current that wants more has no battery to flow into."""
-    return _ABOVE * highest_boost_voltage(charging, current_A)
+    return _boost_voltage(charging, _ABOVE * charging.voltage_max_V, current_A)
+
+
+def _boost_voltage(charging: Charging, terminal_V: float, current_A: float) -> float:
+    """Return the v_bst at which the terminals are at a voltage."""
+    return (terminal_V + charging.droop_Ohm * max(0.0, current_A)) / charging.turns_ratio
 
 
 def taper(
