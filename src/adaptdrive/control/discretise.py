@@ -275,6 +275,11 @@ def impulse_invariant_pair(
     return a, [0.0, b1, 0.0]
 
 
+def exponential(exponent: float) -> float:
+    """e^x, infinite where it is too large for a double, as an absurd estimate may have it."""
+    return math.exp(exponent) if exponent < _LARGEST_EXPONENT else math.inf
+
+
 def _cosh_root(square: float, time_s: float) -> float:
     """cosh(sqrt(q) t), real for either sign of q."""
     angle = math.sqrt(abs(square)) * time_s

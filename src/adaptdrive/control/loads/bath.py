@@ -8,8 +8,7 @@ the boost voltage (8): p = N2² v² R_h / (R_d + R_h)², inverted by (9).
 
 from __future__ import annotations
 
-import math
-
+from adaptdrive.control.discretise import exponential
 from adaptdrive.control.load import Load
 from adaptdrive.control.vectors import Vector
 
@@ -59,5 +58,5 @@ def realise(values: Vector) -> tuple[Vector, Vector]:
 def paper_model(numerator: Vector, denominator: Vector, period_s: float) -> tuple[Vector, Vector]:
     """The step-invariant model (12)-(13)."""
     resistance, tau_s = physical(numerator, denominator)
-    a1 = -math.exp(-period_s / tau_s)
+    a1 = -exponential(-period_s / tau_s)
     return [1.0, a1], [0.0, resistance * (1.0 + a1)]
