@@ -17,6 +17,7 @@ from adaptdrive.control.noise_limit import (
     quiet_loop,
     slowed_loop,
 )
+from adaptdrive.control.pole_placement import desired_polynomial
 from tests.closed_loop.bench import EXACT, MOTOR
 from tests.control.systems import distance, motor_system
 
@@ -59,6 +60,18 @@ def test_the_gain_is_what_a_noisy_loop_shows() -> None:
     loop = asked_loop(b, MOTOR.order, POLE)
     expected = input_of_a_noisy_loop(a, b, loop_gains(a, b, loop))
     assert noise_gain(a, b, loop) == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("count", [4, 6, 9])
+def test_a_norm_that_rounding_hides_is_not_taken_for_a_small_one(count: int) -> None:
+    assert impulse_norm([1.0], desired_polynomial(0.9999, count)) > 1e4
+
+
+@pytest.mark.parametrize("noise", [1e-4, 0.01, 1.0, 100.0])
+def test_poles_close_to_one_give_a_loop_at_any_noise(noise: float) -> None:
+    a, b = model(3)
+    found = np.roots(quiet_loop(a, b, MOTOR.order, 0.999, noise, 15.0))
+    assert np.all(np.isfinite(found))
 
 
 @pytest.mark.parametrize(("noise", "limit"), [(1e-4, 15.0), (0.0, 15.0), (1.0, 0.0)])

@@ -116,6 +116,8 @@ def noise_gain(a: Vector, b: Vector, loop: Vector) -> float:
 def impulse_norm(numerator: Vector, denominator: Vector) -> float:
     """Return the root of the sum of the squared impulse response of a stable filter in q^-1.
 
+    It is infinite where rounding hides it: that of many poles which all are close to 1.
+
     Args:
         numerator: b, no longer than a.
         denominator: a, its first entry 1.
@@ -126,10 +128,12 @@ def impulse_norm(numerator: Vector, denominator: Vector) -> float:
         b[i] = numerator[i]
     power = 0.0
     for k in range(degree, 0, -1):
+        if not a[0] > 0.0:
+            return math.inf
         beta = b[k] / a[0]
         power += beta * b[k]
         _reduce(a, b, k)
-    return math.sqrt(power + b[0] * b[0] / a[0])
+    return math.sqrt(power + b[0] * b[0] / a[0]) if a[0] > 0.0 else math.inf
 
 
 def _reduce(a: Vector, b: Vector, k: int) -> None:
