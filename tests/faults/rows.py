@@ -163,6 +163,15 @@ def _frame(change: Callable[[Course, Reading], Reading | None]) -> Put:
     return put
 
 
+def _boost_stuck(course: Course) -> None:
+    held_V = course.drive.world.boost.voltage_V
+    course.frame = lambda reading: replace(reading, boost_voltage_V=held_V)
+
+
+def _boost(read: Callable[[float], float]) -> Put:
+    return _frame(lambda _, r: replace(r, boost_voltage_V=read(r.boost_voltage_V)))
+
+
 def _line(course: Course) -> None:
     course.drive.world.line.parameters = replace(course.drive.world.line.parameters, voltage_V=30.0)
 
@@ -192,6 +201,8 @@ def _complaint(course: Course) -> None:
 NO_RESPONSE = ("no response", "stuck", "output", "load", "error")
 STALE = ("stale", "overslept", "drive stopped")
 
+WRONG_BOOST = (*NO_RESPONSE, "drive fault", "over-voltage")
+
 ROWS: tuple[Row, ...] = (
     Row("sensor", "stuck, then a step", _stuck, EVERY, {"motor": 45.0, "bath": 250.0}, NO_RESPONSE),
     Row("sensor", "drifts up by 1 % of the range per second",
@@ -210,6 +221,10 @@ ROWS: tuple[Row, ...] = (
     Row("sensor", "3 readings late", _late(3)),
     Row("sensor", "5 readings late", _late(5)),
     Row("sensor", "spikes of 10 % of the range in 2 % of the readings", _spikes),
+    Row("sensor", "v_bst stuck, then a step", _boost_stuck, EVERY, None, WRONG_BOOST, mends=False),
+    Row("sensor", "v_bst reads 0", _boost(lambda _: 0.0), EVERY, None, WRONG_BOOST, mends=False),
+    Row("sensor", "scale of v_bst × 0.8", _boost(lambda v: 0.8 * v), EVERY, None, WRONG_BOOST,
+        mends=False),
     Row("plant", "seized shaft", _seized, MOTORS, {"motor": 75.0}, NO_RESPONSE, mends=False),
     Row("plant", "load beyond the drive: 4 N m", _brake, MOTORS, mends=False),
     Row("plant", "broken heater", _broken_heater, BATHS, {"bath": 900.0}, NO_RESPONSE, mends=False),
