@@ -415,22 +415,57 @@ async def test_what_is_not_mapped_is_sent_as_zero(
     assert message.decode_simple(bytes(frame.data))["BoostReference"] == 0.0
 
 
-async def test_a_command_may_be_spread_over_messages(
-    config: CanBus, drive: Drive, ear: Ear, tmp_path: Path
-) -> None:
+def spread_over_messages(config: CanBus, folder: Path) -> CanPort:
+    """The port of a drive whose bridge has a message of its own."""
     text = (EXAMPLES / "adaptdrive.dbc").read_text()
     extra = 'BO_ 129 Switch: 8 Controller\n SG_ On : 0|1@1+ (1,0) [0|1] "" Drive\n\nBO_ 256'
-    database = tmp_path / "two.dbc"
+    database = folder / "two.dbc"
     database.write_text(text.replace("BO_ 256", extra, 1))
     command = CommandSignals.model_validate(
         {"current_scale_S": "DriveCommand.CurrentScale", "bridge": "Switch.On"}
     )
-    port = build_port(config.model_copy(update={"database": database}), command=command)
+    return build_port(config.model_copy(update={"database": database}), command=command)
+
+
+async def test_a_command_may_be_spread_over_messages(
+    config: CanBus, drive: Drive, ear: Ear, tmp_path: Path
+) -> None:
+    port = spread_over_messages(config, tmp_path)
     async with running(port, ear):
         assert port.send(COMMAND)
         frames = [await asyncio.to_thread(drive.bus.recv, 5.0) for _ in range(2)]
         assert port.statistics.sent == 2
     assert [frame.arbitration_id for frame in frames if frame] == [0x080, 0x081]
+
+
+async def test_a_stop_arrives_on_a_bus_that_takes_one_frame_of_each_command(
+    config: CanBus, drive: Drive, ear: Ear, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A queue with room for one frame in each half cycle: the others would feed a drive that is on.
+
+    The drive obeys the bridge, and any frame of its commands keeps its own time-out from ending.
+    """
+    port = spread_over_messages(config, tmp_path)
+    async with running(port, ear):
+        assert port.send(COMMAND)
+        bus = port._connection.bus
+        assert bus is not None
+        take, room = bus.send, 0
+
+        def take_one(frame: can.Message, timeout: float | None = None) -> None:
+            nonlocal room
+            if not room:
+                raise can.CanOperationError("Transmit buffer full")
+            room -= 1
+            take(frame, timeout)
+
+        monkeypatch.setattr(bus, "send", take_one)
+        for _ in range(3):
+            room = 1
+            assert not port.send(SAFE_COMMAND)
+        frames = [await asyncio.to_thread(drive.bus.recv, 5.0) for _ in range(5)]
+    bridges = [frame.data[0] & 1 for frame in frames if frame and frame.arbitration_id == 0x081]
+    assert bridges == [1, 0, 0, 0]
 
 
 @pytest.mark.parametrize(

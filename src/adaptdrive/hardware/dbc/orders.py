@@ -70,6 +70,11 @@ class CommandFrame:
     parts: tuple[Part, ...]
     fixed: Mapping[str, float]
 
+    @property
+    def switches_bridge(self) -> bool:
+        """True if it carries the bridge."""
+        return any(part.field == "bridge" for part in self.parts)
+
     def encode(self, command: Command) -> bytes:
         """Make the next frame.
 
@@ -78,6 +83,11 @@ class CommandFrame:
         """
         values = {part.signal: part.value(command) for part in self.parts}
         return self.codec.encode({**self.fixed, **values})
+
+
+def bridge_first(orders: Iterable[CommandFrame]) -> tuple[CommandFrame, ...]:
+    """Return frames in their order, those that carry the bridge first: a bus may take one alone."""
+    return tuple(sorted(orders, key=lambda order: not order.switches_bridge))
 
 
 Page = tuple[tuple[str, float], ...]

@@ -25,7 +25,7 @@ from adaptdrive.config.bus import CanBus
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.dbc.assembly import StatusAssembly
 from adaptdrive.hardware.dbc.mapping import CanMapping, StatusFrame
-from adaptdrive.hardware.dbc.orders import CommandFrame
+from adaptdrive.hardware.dbc.orders import CommandFrame, bridge_first
 from adaptdrive.hardware.dbc.refusals import Refusals
 from adaptdrive.hardware.link.arrival import PROMPT_S, ArrivalClock
 from adaptdrive.hardware.link.bus import as_received, describe_bus
@@ -73,6 +73,7 @@ class CanPort:
         self._refusals = Refusals()
         self._hears_all = hears_all
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
+        self._stopping = bridge_first(mapping.orders)
         self._bridge_sent = False
         self._relink = Relink()
         self._leapt_s = -math.inf
@@ -134,7 +135,7 @@ class CanPort:
         return self._connection.run(ids, self._serve, listener, opened)
 
     def send(self, command: Command) -> bool:
-        """Send one command now.
+        """Send one command now; one that has the bridge off begins with the frame that says so.
 
         Args:
             command: Command to the drive; it must have passed the guard.
@@ -150,8 +151,9 @@ class CanPort:
         Raises:
             ValueError: A value is not finite, or its signal cannot hold it; nothing is sent.
         """
-        frames = [self._frame(order, command) for order in self._mapping.orders]
         bridge = command.bridge
+        orders = self._mapping.orders if bridge else self._stopping
+        frames = [self._frame(order, command) for order in orders]
         safe = not bridge and command == SAFE_COMMAND
         if not safe:
             self._safe_s = math.inf
