@@ -13,6 +13,7 @@ import pytest
 from adaptdrive.config.bus import CanBus, CommandSignals, SignalSource
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
+from adaptdrive.hardware.backoff import BusBackoff
 from adaptdrive.hardware.dbc.mapping import map_drive
 from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.link.bus import open_bus
@@ -862,6 +863,35 @@ async def test_a_controller_that_goes_bus_off_is_reported_and_opened_again(
         assert "bus-off" in ear.bus[0][1]
         drive.send_both()
         await ear.hears(2)
+
+
+async def lose_by_errors(drive: Drive, ear: Ear) -> None:
+    """Let a controller warn and leave the bus; return when the bus is open again."""
+    known = len(ear.bus)
+    for error in (0x04, 0x40):
+        frame = can.Message(arbitration_id=error, is_error_frame=True, dlc=8, data=bytes(8))
+        drive.bus.send(frame)
+    await until(lambda: len(ear.bus) == known + 2)
+
+
+async def test_a_bus_that_carries_errors_alone_is_opened_again_ever_later(
+    port: CanPort, drive: Drive, ear: Ear, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A shorted bus whose controller restarts by itself: each time, warnings precede bus-off."""
+    delays_s: list[float] = []
+
+    class Noted(BusBackoff):
+        def next_s(self) -> float:
+            delays_s.append(super().next_s())
+            return delays_s[-1]
+
+    monkeypatch.setattr("adaptdrive.hardware.link.connection.BusBackoff", Noted)
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        for _ in range(3):
+            await lose_by_errors(drive, ear)
+    assert delays_s == [0.1, 0.2, 0.4]
 
 
 async def test_a_bus_that_stays_away_is_reported_once(

@@ -78,7 +78,8 @@ class CanConnection:
             BusError: The bus cannot be opened at the first attempt.
         """
         self.listener, ids = listener, tuple(ids)
-        backoff = BusBackoff(lambda: self._counts["received"])
+        # error frames are received, too: a shorted bus that restarts by itself carries nothing else
+        backoff = BusBackoff(lambda: self._counts["received"] - self._counts["foreign"])
         problem = await self._use(self._open(ids), serve, opened)
         while True:
             self.report(up=False, detail=problem)
