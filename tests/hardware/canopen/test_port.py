@@ -208,6 +208,38 @@ async def test_a_lost_node_that_obeys_nothing_is_switched_off_by_its_own_watch(p
             await until(lambda: not peer.powered)
 
 
+async def test_a_node_that_stays_on_while_its_communication_starts_anew_is_switched_off(
+    peer: Peer,
+) -> None:
+    """Another master resets its communication: its watch begins anew, its power stage goes on."""
+
+    def take(*, index: int, data: bytes, **_: object) -> None:
+        if index == 0x6040 and data == b"\0\0":
+            peer.statusword = REST
+        if peer.powered:
+            refuse_mapping(index=index)
+
+    peer.deaf = True
+    async with running(peer) as bench:
+        await bench.run_drive()
+        peer.node.add_write_callback(take)
+        bench.ear.command = SAFE_COMMAND
+        peer.boot()
+        await bench.reports("has been restarted")
+        await until(lambda: bench.port.complaint is None)
+        assert not peer.powered
+
+
+async def test_a_node_that_takes_no_controlword_over_sdo_is_set_up(peer: Peer) -> None:
+    def refuse(*, index: int, **_: object) -> None:
+        if index == 0x6040:
+            raise SdoAbortedError(0x08000022)
+
+    peer.node.add_write_callback(refuse)
+    async with running(peer) as bench:
+        await bench.ready()
+
+
 async def test_a_restarted_node_gets_no_command_before_it_is_set_up(peer: Peer) -> None:
     """Its RPDOs are those of the manufacturer again."""
     async with running(peer) as bench:

@@ -1,14 +1,16 @@
 """Set-up of a node over SDO: identity, heartbeats, SYNC and PDO mapping.
 
-The daemon energises no drive meanwhile. One that is still energised is switched off by its own
-watch, which the set-up leaves running.
+The daemon energises no drive meanwhile. One that is still energised is commanded off first, or else
+switched off by its own watch, which the set-up leaves running.
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 
 from adaptdrive.config.canopen import CanOpenBus
+from adaptdrive.errors import BusError
 from adaptdrive.hardware.canopen.dictionary import PRODUCT, VENDOR, Address
 from adaptdrive.hardware.canopen.mapping import (
     ABORT_OPTION,
@@ -21,12 +23,13 @@ from adaptdrive.hardware.canopen.mapping import (
     CanOpenMapping,
 )
 from adaptdrive.hardware.canopen.pdo import Channel, Pdo
+from adaptdrive.hardware.canopen.profile import CONTROLWORD, DISABLE_VOLTAGE
 from adaptdrive.hardware.canopen.sdo import Server
 
 SYNC_COB_ID = 0x080
 
 _PROFILE = 402
-_DISABLE_VOLTAGE = 2
+_TO_DISABLE_VOLTAGE = 2
 _STAYING_STOPS = range(5, 9)
 _ENDED = 4
 """Options of a quick stop that ends in *switch on disabled* are those of one that stays, less 4."""
@@ -53,6 +56,7 @@ def set_up(server: Server, bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_
         BusError: The drive does not answer, refuses, or is not the one that the EDS describes.
     """
     _identify(server, bus, mapping)
+    _disable_voltage(server)
     for address, data in watch_writes(bus, mapping):
         # a consumer that is written anew waits for a first heartbeat: its time-out would not end
         if address != HEARTBEATS_HEARD or server.read(address) != data:
@@ -76,7 +80,7 @@ def watch_writes(bus: CanOpenBus, mapping: CanOpenMapping) -> Iterator[Write]:
     consumer = bus.own_node_id << 16 | _milliseconds(bus.heartbeat_timeout_s)
     yield HEARTBEATS_HEARD, consumer.to_bytes(4, "little")
     if ABORT_OPTION in mapping.present:
-        yield ABORT_OPTION, _DISABLE_VOLTAGE.to_bytes(2, "little")
+        yield ABORT_OPTION, _TO_DISABLE_VOLTAGE.to_bytes(2, "little")
 
 
 def sync_writes(bus: CanOpenBus, mapping: CanOpenMapping, half_cycle_s: float) -> Iterator[Write]:
@@ -100,6 +104,16 @@ def _identify(server: Server, bus: CanOpenBus, mapping: CanOpenMapping) -> None:
                 f"is not the drive of {bus.eds.name}: its {names[address]} is 0x{found:08X}, "
                 f"the EDS is for 0x{expected:08X}"
             )
+
+
+def _disable_voltage(server: Server) -> None:
+    """Command a drive off that is on although its communication has started anew.
+
+    CiA 402 lets its state go on then, without the watch, and it may refuse its PDOs while it is on.
+    One that takes no controlword here is left to what it does by itself.
+    """
+    with contextlib.suppress(BusError):
+        server.write(CONTROLWORD, DISABLE_VOLTAGE.to_bytes(2, "little"))
 
 
 def _end_quick_stops(server: Server, mapping: CanOpenMapping) -> None:
