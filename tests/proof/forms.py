@@ -1,7 +1,8 @@
 """The long forms of the tests, each as a command of the interpreter.
 
 SEEDS, STORIES, CONFIGURATIONS, INPUTS, MUTANTS, KILLS, DAYS and MINUTES of the environment make
-some of them shorter or longer; AT_MOST is the real time in minutes after which the virtual days end.
+some of them shorter or longer; AT_MOST is the real time in minutes after which the virtual days
+end.
 """
 
 from __future__ import annotations
