@@ -15,7 +15,7 @@ import paho.mqtt.publish as paho
 import pytest
 from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
-from playwright.sync_api import expect
+from playwright.sync_api import Page, WebSocketRoute, expect
 
 from tests.panel.browser import PATIENCE_MS, Panel, PanelSite
 from tests.panel.conftest import MakePanel
@@ -216,6 +216,49 @@ def test_what_was_asked_before_a_loss_of_the_broker_does_not_act_after_it(
     operator.expect_text(".answer", "mode fixed: accepted")
     assert not site.state["enabled"]
     operator.expect_state("standby")
+
+
+class Network:
+    """The way of a page to its broker, which can lose all that is sent."""
+
+    def __init__(self, page: Page) -> None:
+        self.lost = False
+        page.route_web_socket("**", self._join)
+
+    def _join(self, page: WebSocketRoute) -> None:
+        broker = page.connect_to_server()
+        page.on_message(lambda message: self._pass(broker, message))
+        broker.on_message(lambda message: self._pass(page, message))
+
+    def _pass(self, to: WebSocketRoute, message: str | bytes) -> None:
+        if not self.lost:
+            to.send(message)
+
+
+def test_a_stop_that_a_silent_network_has_lost_is_sent_again(
+    make_panel: MakePanel, panel_site: PanelSite
+) -> None:
+    """The page itself ends a connection on which nothing more comes."""
+    panel = make_panel()
+    network = Network(panel.page)
+    panel.log_in(panel_site.address, "operator")
+    panel.open_drive()
+    panel_site.site.run_drive()
+    panel.expect_state("running")
+    network.lost = True
+    panel.page.get_by_role("button", name="STOP").click()
+    panel.expect_text(".answer", "disable: no answer within 5 s")
+    expect(panel.page.locator(".notice")).to_be_visible(timeout=PATIENCE_MS)
+    assert panel_site.site.state["state"] == "running"
+    network.lost = False
+    panel.expect_state("standby")
+
+
+def test_an_address_that_names_no_drive_leaves_the_page_alive(operator: Panel) -> None:
+    operator.page.evaluate("location.hash = '#100%'")
+    operator.expect_state("unknown")
+    operator.page.evaluate("location.hash = '#motor'")
+    operator.expect_text(".age", "live")
 
 
 def test_a_viewer_sees_everything_and_changes_nothing(

@@ -99,8 +99,7 @@ const Link = (() => {
   function endSilence() {
     if (status !== "online" || !Drives.expected() || performance.now() - heardMs < patienceMs) return;
     patienceMs = Math.min(2 * patienceMs, LONGEST_SILENCE_MS);
-    const own = client;
-    own.end(true, () => { if (own === client) own.reconnect(); });
+    client.stream.destroy(); // as where a network is lost: `end` would forget a stop that is to be sent again
   }
   window.setInterval(endSilence, RETRY_MS);
 

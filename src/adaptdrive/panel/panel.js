@@ -12,7 +12,7 @@
     page?.end();
     body.replaceChildren();
     body.className = "";
-    const name = decodeURIComponent(location.hash.slice(1));
+    const name = location.hash.slice(1); // no name of a drive has a letter that an address encodes
     document.title = name ? `${name} · adaptdrive` : "adaptdrive";
     page = name ? DrivePage.open(body, Drives.named(name)) : SitePage.open(body);
     page.draw();

@@ -42,7 +42,7 @@ const SitePage = (() => {
 
   /** @param {string} name */
   function newRow(name) {
-    const link = Dom.make("a", { href: `#${encodeURIComponent(name)}` }, name);
+    const link = Dom.make("a", { href: `#${name}` }, name);
     return Dom.make("tr", {}, Dom.make("th", { scope: "row" }, link), ...HEADS.slice(1).map((head) => Dom.make("td", { "data-head": head })));
   }
 
