@@ -81,3 +81,14 @@ def test_the_file_keeps_its_owner_its_rights_and_the_link_to_it(tmp_path: Path) 
     assert sorted(one.name for one in tmp_path.iterdir()) == sorted(
         [link.name, file.name, backup.name]
     )
+
+
+def test_what_was_there_before_any_commissioning_is_still_there_after_the_third(
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / "motor.toml"
+    file.write_text("by hand", encoding="utf-8")
+    backups = [write_values(file, f"proposal {number}") for number in range(3)]
+    assert [one.name for one in backups] == ["motor.toml.bak", "motor.toml.bak2", "motor.toml.bak3"]
+    texts = [one.read_text(encoding="utf-8") for one in (*backups, file)]
+    assert texts == ["by hand", "proposal 0", "proposal 1", "proposal 2"]

@@ -6,6 +6,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Mapping
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -46,12 +47,18 @@ def write_values(path: Path, text: str) -> Path:
     """
     try:
         file = path.resolve(strict=True)
-        backup = file.with_name(f"{file.name}.bak")
+        backup = _free_backup(file)
         _replace(backup, file.read_bytes(), like=file)
         _replace(file, text.encode("utf-8"), like=file)
     except OSError as problem:
         raise _unwritable(path, problem) from problem
     return backup
+
+
+def _free_backup(file: Path) -> Path:
+    """Return the path of a copy: what an earlier copy holds may be nowhere else."""
+    names = (f"{file.name}.bak{number}" for number in chain([""], count(2)))
+    return next(path for path in map(file.with_name, names) if not os.path.lexists(path))
 
 
 def refuse_unwritable(path: Path) -> None:
