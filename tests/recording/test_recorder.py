@@ -18,10 +18,11 @@ import msgspec
 import pytest
 
 from adaptdrive.errors import RecordingError
-from adaptdrive.recording.batches import EventRow, Header
+from adaptdrive.recording.batches import EventRow, Header, Keep
 from adaptdrive.recording.left_trips import left_trips
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.recorder import EVENT_KIND, Clocks, Feed, Recorder, WritePace
+from adaptdrive.recording.retention import prune
 from adaptdrive.recording.session import Dropped, Ending, read_info, session_directories
 from adaptdrive.recording.spool import left_spools
 from adaptdrive.recording.writer_process import WriterProcess
@@ -354,6 +355,24 @@ async def test_a_full_disk_stops_recording_which_resumes_in_a_new_segment(sessio
     assert "recording goes on in segment" in heard[-1].detail
     assert (bench.directory / "ticks-0001.parquet").exists()
     assert (bench.directory / "ticks-0002.parquet").exists()
+
+
+async def test_a_session_is_not_pruned_while_a_full_disk_interrupts_it(sessions: Path) -> None:
+    """A person makes room with `sessions prune`, which leaves the session in progress alone."""
+    async with recording(sessions) as bench:
+        await bench.publish_until(lambda: bench.rows() > 100)
+        writer = bench.writer()
+        size = (bench.directory / "ticks-0001.arrows").stat().st_size
+        _, hard = resource.prlimit(writer, resource.RLIMIT_FSIZE, (size + 5000, FREE[1]))
+        await bench.publish_until(lambda: bool(bench.said()))
+        for _ in range(20):
+            assert list(prune(sessions, Keep(bytes=1), datetime.now(UTC))) == []
+            await asyncio.sleep(0.05)
+        resource.prlimit(writer, resource.RLIMIT_FSIZE, (FREE[0], hard))
+        await bench.settle()
+        await bench.stop()
+    assert sequences(bench.session()) == list(range(bench.published))
+    assert list(prune(sessions, Keep(bytes=1), datetime.now(UTC))) != []
 
 
 async def test_a_removed_session_is_told_and_a_new_one_begins(sessions: Path) -> None:

@@ -224,6 +224,13 @@ class SessionLock:
             return None
         return cls(descriptor)
 
+    def covers(self, directory: Path) -> bool:
+        """Return whether the lock is on what has a path now: it may have been moved or replaced."""
+        try:
+            return os.path.samestat(os.fstat(self._descriptor), directory.stat())
+        except OSError:
+            return False
+
     def release(self) -> None:
         """Let go of the lock."""
         os.close(self._descriptor)

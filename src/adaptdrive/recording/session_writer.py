@@ -57,13 +57,20 @@ class SessionWriter:
         segment: Number of the segment in progress.
     """
 
-    def __init__(self, header: Header, report: Report, housekeeper: Housekeeper) -> None:
+    def __init__(
+        self,
+        header: Header,
+        report: Report,
+        housekeeper: Housekeeper,
+        held: SessionLock | None = None,
+    ) -> None:
         """Make the session, or go on with it after an interruption.
 
         Args:
             header: The session; `directory` is empty for a new one.
             report: Reports an event.
             housekeeper: Closes segments, repairs and prunes sessions.
+            held: The lock of the session that is gone on with, None where nobody holds it.
 
         Raises:
             OSError: It cannot be written.
@@ -84,14 +91,15 @@ class SessionWriter:
         self._began_s = time.monotonic()
         goes_on = bool(header.directory) and Path(header.directory).is_dir()
         self.directory = Path(header.directory) if goes_on else self._made()
-        claim = SessionLock.on(self.directory)
+        claim = held or SessionLock.on(self.directory)
         if claim is None:
             raise RecordingError(self.directory, "another process writes this session")
         self._claim = claim
         try:
             self._info, self._written = self._known()
         except BaseException:
-            claim.release()
+            if claim is not held:
+                claim.release()
             raise
         self.segment = self._written.segment + 1
         if not goes_on:
@@ -135,11 +143,15 @@ class SessionWriter:
 
     def abandon(self) -> None:
         """Leave everything as it is, to be gone on with later."""
+        self.interrupt().release()
+
+    def interrupt(self) -> SessionLock:
+        """Do the same, and return the lock of the session, which is still held."""
         for stream in self._streams.values():
             stream.abandon()
         if self._events is not None:
             self._events.abandon()
-        self._claim.release()
+        return self._claim
 
     def _made(self) -> Path:
         sessions = Path(self._header.sessions)

@@ -24,7 +24,7 @@ from adaptdrive.recording import reserve
 from adaptdrive.recording.batches import STOPPED, UNBEGUN, Batch, Header, News, read_frames
 from adaptdrive.recording.housekeeping import ERRORS, Housekeeper
 from adaptdrive.recording.recovery import left_batches, recover
-from adaptdrive.recording.session import Dropped, Ending
+from adaptdrive.recording.session import Dropped, Ending, SessionLock
 from adaptdrive.recording.session_writer import SessionWriter
 from adaptdrive.recording.spool import spool_path
 from adaptdrive.runtime.reports import Severity
@@ -51,6 +51,7 @@ class PatientWriter:
         self._send = send
         self._pause_s = pause_s
         self._writer: SessionWriter | None = None
+        self._claim: SessionLock | None = None  # between two attempts, when no writer has it
         self._was_full = False
         self._housekeeper = Housekeeper(lambda detail: self._report(Severity.WARNING, detail))
         self._parent = os.getppid()
@@ -80,9 +81,10 @@ class PatientWriter:
 
     def leave(self) -> None:
         """Leave the session as it is, to be gone on with at the next start."""
-        if self._writer is not None:
-            self._writer.abandon()
-            self._writer = None
+        self._interrupt()
+        if self._claim is not None:
+            self._claim.release()
+            self._claim = None
 
     def finish(self) -> None:
         """Wait until the closed session is in order."""
@@ -121,16 +123,32 @@ class PatientWriter:
 
     def _opened(self) -> SessionWriter:
         if self._writer is None:
-            self._writer = SessionWriter(self._header, self._report, self._housekeeper)
+            self._writer = SessionWriter(
+                self._header, self._report, self._housekeeper, self._held_claim()
+            )
+            self._claim = None
             directory = str(self._writer.directory)
             self._header = msgspec.structs.replace(self._header, directory=directory)
             self._send(News(directory=directory))
         return self._writer
 
+    def _held_claim(self) -> SessionLock | None:
+        """Return the lock of the session that is gone on with, None where its folder is gone."""
+        if self._claim is not None and not self._claim.covers(Path(self._header.directory)):
+            self._claim.release()
+            self._claim = None
+        return self._claim
+
+    def _interrupt(self) -> None:
+        """Leave the files as they are; the lock keeps others from pruning or closing them."""
+        if self._writer is not None:
+            self._claim = self._writer.interrupt()
+            self._writer = None
+
     def _give_up(self, problem: Exception, waited_s: float) -> None:
         """Leave the files as they are; end when the control process has ended."""
         self._was_full |= reserve.is_full(problem)
-        self.leave()
+        self._interrupt()
         if os.getppid() != self._parent and waited_s > _ORPHAN_PATIENCE_S:
             raise problem
 
