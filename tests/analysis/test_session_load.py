@@ -58,6 +58,14 @@ def test_a_part_in_which_nothing_ran_is_refused(session_path: Path) -> None:
         identify_session(session_path, 1000.0)
 
 
+@pytest.mark.parametrize("begin_s", [10.3, 10.5, 10.7])
+def test_a_part_that_is_shorter_than_a_slow_period_is_refused(
+    session_path: Path, begin_s: float
+) -> None:
+    with pytest.raises(IdentificationError, match="too short"):
+        identify_session(session_path, begin_s, begin_s + 0.1)
+
+
 def test_the_command_draws_and_prints(
     session_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

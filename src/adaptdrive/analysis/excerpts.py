@@ -73,7 +73,7 @@ def read_stretches(
         end_s: Seconds after its first tick, None for its last one.
 
     Raises:
-        IdentificationError: The drive did not run in there.
+        IdentificationError: The drive did not run in there, or for too short.
     """
     rows = _running(session, begin_s or 0.0, math.inf if end_s is None else end_s)
     if len(rows["tick"]) < 2:
@@ -87,7 +87,10 @@ def read_stretches(
     found = [
         _stretch({n: v[part] for n, v in rows.items()}, stride, period, period_s) for part in parts
     ]
-    return [one for one in found if one is not None]
+    whole = [one for one in found if one is not None]
+    if not whole:
+        raise IdentificationError(f"{session.path}: the drive ran for too short in that time")
+    return whole
 
 
 def block_samples(stretches: list[Stretch]) -> int:
