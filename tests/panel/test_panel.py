@@ -254,6 +254,23 @@ def test_a_stop_that_a_silent_network_has_lost_is_sent_again(
     panel.expect_state("standby")
 
 
+def test_a_stop_without_an_answer_is_sent_again_on_the_same_connection(
+    make_panel: MakePanel, panel_site: PanelSite
+) -> None:
+    """Too short a loss for the page to end its connection: MQTT alone does not send it again."""
+    panel = make_panel()
+    network = Network(panel.page)
+    panel.log_in(panel_site.address, "operator")
+    panel.open_drive()
+    panel_site.site.run_drive()
+    panel.expect_state("running")
+    network.lost = True
+    panel.page.get_by_role("button", name="STOP").click()
+    panel.expect_text(".answer", "disable: no answer within 5 s")
+    network.lost = False
+    panel.expect_state("standby")
+
+
 def test_an_address_that_names_no_drive_leaves_the_page_alive(operator: Panel) -> None:
     operator.page.evaluate("location.hash = '#100%'")
     operator.expect_state("unknown")

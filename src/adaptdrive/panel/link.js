@@ -3,6 +3,7 @@
 
 const Link = (() => {
   const ANSWER_S = 5;
+  const REPEAT_S = 60; // a stop that nobody answers is sent again for so long
   const SILENCE_MS = 10_000; // ten times the longest pause of a drive that is online
   const LONGEST_SILENCE_MS = 300_000;
   const RETRY_MS = 2000;
@@ -14,6 +15,7 @@ const Link = (() => {
 
   /** @type {any} */ let client = null;
   /** @type {Map<string, (reply: Reply|null) => void>} */ const waiting = new Map();
+  /** @type {Map<string, () => void>} */ const unanswered = new Map(); // stops, by id
   /** @type {Set<number>} */ const fleeting = new Set(); // packets that no later connection may carry
   /** @type {Set<() => void>} */ const listeners = new Set();
   /** @type {Set<string>} */ const remembered = new Set(); // drives whose last hour is shown
@@ -89,7 +91,10 @@ const Link = (() => {
     const place = Contract.place(topic);
     if (place?.kind === "reply") {
       const reply = Contract.read(place.kind, payload);
-      if (reply) waiting.get(reply.id)?.(reply);
+      if (reply) {
+        unanswered.get(reply.id)?.();
+        waiting.get(reply.id)?.(reply);
+      }
     }
     Drives.take(topic, payload, packet.retain === true);
   }
@@ -103,7 +108,8 @@ const Link = (() => {
   }
   window.setInterval(endSilence, RETRY_MS);
 
-  /** Send a command and wait for the daemon's answer. Only a stop is sent again after a loss of the broker.
+  /** Send a command and wait for the daemon's answer. Only a stop is sent again: after a loss of the broker,
+   * and while it has no answer, as where the broker took it before the daemon was back.
    * @param {string} drive @param {string} verb @param {unknown} [value]
    * @returns {Promise<{accepted: boolean, text: string}>} what the daemon said, or that it did not */
   function ask(drive, verb, value) {
@@ -133,14 +139,28 @@ const Link = (() => {
       const timer = setTimeout(() => end(false, `no answer within ${ANSWER_S} s`), 1000 * ANSWER_S);
       waiting.set(id, (reply) => end(reply?.accepted === true, reply?.accepted ? "accepted" : `refused: ${reply?.reason}`));
       if (!client?.connected) return end(false, "not sent: no broker");
+      let number = 0; // no packet's, as long as it is not known
       client.publish(topic, payload, { qos: 1 }, (/** @type {any} */ error, /** @type {any} */ packet) => {
         const code = packet?.reasonCode ?? error?.code;
         fleeting.delete(number);
         if (error || DENIED.has(code)) end(false, DENIED.has(code) ? "not allowed for this user" : "no answer: the connection to the broker was lost");
       });
-      const number = client.getLastMessageId();
-      if (!again) fleeting.add(number);
+      number = client.getLastMessageId();
+      if (again) repeat(topic, payload, id);
+      else fleeting.add(number);
     });
+  }
+
+  /** Send a stop again, under its own id, until it is answered. The daemon acts once on an id.
+   * @param {string} topic @param {string} payload @param {string} id */
+  function repeat(topic, payload, id) {
+    const own = client;
+    const end = () => { clearInterval(timer); unanswered.delete(id); };
+    const timer = setInterval(() => {
+      if (own === client && own.connected) own.publish(topic, payload, { qos: 1 });
+    }, 1000 * ANSWER_S);
+    unanswered.set(id, end);
+    setTimeout(end, 1000 * REPEAT_S);
   }
 
   /** Ask for the last hour of a drive, now and after each loss of the broker. @param {string} drive */
