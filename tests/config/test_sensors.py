@@ -113,6 +113,32 @@ def test_what_does_not_fit_is_a_flaw_with_its_place(
     assert words in found[place]
 
 
+VOLTMETER = """
+[[sensor_bus]]
+name = "meter"
+type = "modbus-tcp"
+host = "127.0.0.1"
+cycle_s = 0.1
+registers.dc_link = { address = 0, table = "input" }
+signals.dc_link = { signal = "dc_link" }
+[derived.boost_voltage_V]
+rule = "mean"
+of = ["dc_link"]
+"""
+"""v_bst of a meter beside the drive."""
+
+
+@pytest.mark.parametrize(("cycle_s", "refused"), [("0.1", True), ("0.026", True), ("0.025", False)])
+def test_a_boost_voltage_that_comes_seldom_needs_a_drive_that_holds_it(
+    cycle_s: str, refused: bool
+) -> None:
+    text = VOLTMETER.replace("cycle_s = 0.1", f"cycle_s = {cycle_s}")
+    output = '"DriveLoad.Tachometer"'
+    found = flaws(text, signals__boost_voltage_V=None, signals__output__signal=output)
+    assert ("sensor_bus.0.cycle_s" in found) is refused
+    assert not refused or "voltage_loop.where = 'daemon': at most 0.025 s" in str(found)
+
+
 def test_two_buses_need_two_names_and_two_lines() -> None:
     second = THERMOCOUPLES.replace("signals.hot", "signals.a").replace("signals.cold", "signals.b")
     found = flaws(THERMOCOUPLES + second + DIFFERENCE)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from crccheck.crc import Crc8GsmA
 from adaptdrive.app.ports import build_port
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.config.bus import CanBus, SignalSource
+from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.dbc.port import CanPort
@@ -392,6 +394,20 @@ def test_a_voltage_that_comes_seldom_is_no_business_of_the_fast_loop(tmp_path: P
     bus = motor.bus.model_copy(update={"database": path})
     with pytest.raises(ConfigurationError, match=r"signals\.boost_voltage_V.*too seldom"):
         port_of(motor.model_copy(update={"bus": bus}))
+
+
+def test_a_voltage_that_comes_seldom_feeds_no_voltage_loop_by_a_detour(tmp_path: Path) -> None:
+    path = tmp_path / "slow.dbc"
+    text = (EXAMPLES / "adaptdrive.dbc").read_text()
+    path.write_text(text.replace('"GenMsgCycleTime" BO_ 256 8', '"GenMsgCycleTime" BO_ 256 100'))
+    tables = tomllib.loads((EXAMPLES / "motor.toml").read_text())
+    tables["bus"]["database"] = str(path)
+    signals = tables["signals"]
+    signals["other"] = {"dc_link": signals.pop("boost_voltage_V")}
+    tables["derived"] = {"boost_voltage_V": {"rule": "mean", "of": ["dc_link"]}}
+    tables["interlocks"]["stale_s"] = 0.3  # three cycles are no older than that
+    with pytest.raises(ConfigurationError, match=r"signals\.other\.dc_link.*too seldom"):
+        port_of(validate_configuration(tables, EXAMPLES / "motor.toml"))
 
 
 def test_a_safe_command_that_would_be_sent_as_another_value_is_a_flaw() -> None:

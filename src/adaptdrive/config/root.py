@@ -23,7 +23,7 @@ from adaptdrive.config.sensors import (
     sensor_flaws,
 )
 from adaptdrive.config.services import InterlocksSection, Mqtt, Realtime, Recording
-from adaptdrive.config.supply import supply_flaws
+from adaptdrive.config.supply import supply_flaws, voltage_flaws
 from adaptdrive.errors import Flaw
 
 SensorBus = Annotated[
@@ -107,6 +107,12 @@ def _sensor_flaws(configuration: Configuration) -> Iterator[Flaw]:
         yield from sensor_flaws(bus, f"sensor_bus.{number}", configuration.load.period_s)
 
 
+def _voltage_flaws(configuration: Configuration) -> Iterator[Flaw]:
+    if configuration.voltage_loop.where == "daemon":
+        half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
+        yield from voltage_flaws(half_cycle_s, configuration.sensor_bus, configuration.derived)
+
+
 def _command_flaws(configuration: Configuration) -> Iterator[Flaw]:
     where = configuration.voltage_loop.where
     needed = ["current_scale_S" if where == "daemon" else "boost_reference_V"]
@@ -181,6 +187,7 @@ _CHECKS: tuple[tuple[Callable[[Configuration], Iterator[Flaw]], frozenset[str]],
         frozenset({"drive", "bus", "signals", "load", "interlocks", "voltage_loop"}),
     ),
     (_sensor_flaws, frozenset({"bus", "signals", "sensor_bus", "derived", "load"})),
+    (_voltage_flaws, frozenset({"drive", "voltage_loop", "sensor_bus", "derived"})),
     (_command_flaws, frozenset({"bus", "signals", "voltage_loop"})),
     (_lag_flaws, frozenset({"voltage_loop", "load"})),
     (_trip_flaws, frozenset({"drive", "load", "interlocks"})),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from adaptdrive.config.bus import Signals
@@ -12,6 +12,10 @@ from adaptdrive.config.references import MEASURED, WORDS
 from adaptdrive.config.section import Section
 from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.errors import Flaw
+
+VOLTAGE_TICKS = 3.0
+"""Half cycles from one value of v_bst to the next for a voltage loop in the daemon: it overshoots
+by a fiftieth then, with 12 it charges the capacitor past the trip of `boost_voltage_max_V`."""
 
 _DRIVE = (*MEASURED, *WORDS, "heartbeat")
 
@@ -52,16 +56,42 @@ def supply_flaws(
     yield from _line_flaws(bus, buses)
 
 
-def needed_names(derived: Mapping[str, Derived]) -> set[str]:
-    """Every name that a quantity is made of, and the quantities themselves."""
+def needed_names(derived: Mapping[str, Derived], names: Iterable[str] = MEASURED) -> set[str]:
+    """Return every name that values are made of, and their own.
+
+    Args:
+        derived: `[derived]`.
+        names: Names of the values, the quantities when left out.
+    """
     needed: set[str] = set()
-    wanted = list(MEASURED)
+    wanted = list(names)
     while wanted:
         name = wanted.pop()
         if name not in needed:
             needed.add(name)
             wanted += derived[name].of if name in derived else []
     return needed
+
+
+def voltage_flaws(
+    half_cycle_s: float, buses: Sequence[AnySensorBus], derived: Mapping[str, Derived]
+) -> Iterator[Flaw]:
+    """Yield the sensor buses that give v_bst too seldom for a voltage loop in the daemon.
+
+    Args:
+        half_cycle_s: Half a line cycle.
+        buses: `[[sensor_bus]]`.
+        derived: `[derived]`.
+    """
+    parts = needed_names(derived, ("boost_voltage_V",))
+    longest_s = VOLTAGE_TICKS * half_cycle_s
+    for number, bus in enumerate(buses):
+        if not parts.isdisjoint(bus.signals) and bus.cycle_s > longest_s:
+            yield Flaw(
+                f"sensor_bus.{number}.cycle_s",
+                f"{bus.cycle_s:g} s is too long for boost_voltage_V with voltage_loop.where = "
+                f"'daemon': at most {longest_s:.4g} s, {VOLTAGE_TICKS:g} half cycles",
+            )
 
 
 def _givers(

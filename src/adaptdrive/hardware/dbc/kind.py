@@ -7,6 +7,7 @@ from pathlib import Path
 
 from adaptdrive.config import Configuration
 from adaptdrive.config.bus import CanBus
+from adaptdrive.config.supply import needed_names
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.bus_kind import BusKind, Row
 from adaptdrive.hardware.command_timeout import lost_command, silence, timeout_cautions
@@ -96,6 +97,7 @@ def _timing(configuration: Configuration) -> Timing:
         half_cycle_s=0.5 / configuration.drive.line_frequency_Hz,
         stale_s=configuration.interlocks.stale_s,
         daemon_holds_voltage=configuration.voltage_loop.where == "daemon",
+        voltage_parts=frozenset(needed_names(configuration.derived, ("boost_voltage_V",))),
     )
 
 

@@ -14,6 +14,7 @@ from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import CanBus, Signals, SignalSource, SwitchSource
+from adaptdrive.config.supply import VOLTAGE_TICKS
 from adaptdrive.config.units import WANTED, unit_problem
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.dbc.database import (
@@ -44,11 +45,17 @@ class Timing:
         half_cycle_s: Half a line cycle.
         stale_s: Oldest usable measurement, `interlocks.stale_s`.
         daemon_holds_voltage: Whether the voltage loop runs in the daemon.
+        voltage_parts: What v_bst is made of, itself among them.
     """
 
     half_cycle_s: float
     stale_s: float
     daemon_holds_voltage: bool
+    voltage_parts: frozenset[str] = frozenset({"boost_voltage_V"})
+
+    def feeds_voltage_loop(self, quantity: str) -> bool:
+        """Return whether a quantity goes into the daemon's voltage loop as v_bst."""
+        return self.daemon_holds_voltage and quantity.removeprefix(OTHER) in self.voltage_parts
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +183,8 @@ def _find_sources(
         if clock is not None:  # a value is taken with the clock: it waits for that
             cycle = max(cycle, _cycle(clock, bus, timing), key=lambda one: one.cycle_s)
         slack_s = max(0.0, bus.stale_cycles * cycle.cycle_s - timing.stale_s)
-        if slack_s and quantity == "boost_voltage_V" and timing.daemon_holds_voltage:
+        seldom = slack_s > 0.0 or cycle.cycle_s > VOLTAGE_TICKS * timing.half_cycle_s
+        if seldom and timing.feeds_voltage_loop(quantity):
             _note_slow(catalogue, cycle.message, place)
         if timing.stale_s + slack_s > LONGEST_STALE_S:
             _note_old(catalogue, cycle.message, place, timing.stale_s + slack_s)
