@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -136,6 +137,12 @@ async def test_what_home_assistant_shows_is_in_the_messages(
 def test_limits_and_units_are_those_of_the_drive() -> None:
     number = discovery(profile("x"), "homeassistant").payload["components"]["setpoint"]
     assert (number["min"], number["max"], number["unit_of_measurement"]) == (0.0, 4.0, "V")
+
+
+def test_a_narrow_range_has_a_step_that_home_assistant_takes() -> None:
+    narrow = replace(profile("x"), limits={"setpoint": (0.0, 0.5)})
+    number = discovery(narrow, "homeassistant").payload["components"]["setpoint"]
+    assert number["step"] == 1e-3  # it leaves a control with a smaller one out
 
 
 def test_enabling_from_home_assistant_must_be_switched_on_there() -> None:

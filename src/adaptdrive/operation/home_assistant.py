@@ -15,6 +15,9 @@ from adaptdrive.operation.topics import Topics
 from adaptdrive.runtime.reports import State
 
 _STEPS = 1000
+_SMALLEST_STEP = 1e-3
+"""Home Assistant leaves a control with a smaller one out."""
+
 _DEVICE_CLASSES = {"V": "voltage", "A": "current", "K": "temperature", "°C": "temperature"}
 _LAST_TRIP = (  # a state in Home Assistant has at most 255 characters
     "{{ value_json.last_trip.text[:255] if value_json.last_trip else 'none' }}"
@@ -141,7 +144,7 @@ def _controls(profile: Profile, topics: Topics) -> dict[str, Payload]:
             "name": "set-point",
             "min": low,
             "max": high,
-            "step": (high - low) / _STEPS,
+            "step": max(_SMALLEST_STEP, (high - low) / _STEPS),
             "mode": "box",
             "state_topic": topics.state,
             "value_template": "{{ value_json.setpoint }}",
