@@ -18,13 +18,14 @@ import msgspec
 import pytest
 
 from adaptdrive.errors import RecordingError
-from adaptdrive.recording.batches import EventRow, Header, Keep
+from adaptdrive.recording.batches import Batch, EventRow, Header, Keep, News
 from adaptdrive.recording.left_trips import left_trips
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.recorder import EVENT_KIND, Clocks, Feed, Recorder, WritePace
 from adaptdrive.recording.retention import prune
 from adaptdrive.recording.session import Dropped, Ending, read_info, session_directories
 from adaptdrive.recording.spool import left_spools
+from adaptdrive.recording.writer import PatientWriter
 from adaptdrive.recording.writer_process import WriterProcess
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import CommandReport, Event, Severity
@@ -394,6 +395,27 @@ async def test_a_removed_session_is_told_and_a_new_one_begins(sessions: Path) ->
     read = bench.session()
     assert sequences(read)[-200:] == list(range(first, first + 200))
     assert read.info.ended is Ending.ORDERLY
+
+
+@pytest.mark.parametrize("name", ["ticks-0001.arrows", "events.sqlite"])
+def test_a_removed_file_of_a_session_is_told_and_another_begins(name: str, tmp_path: Path) -> None:
+    news: list[News] = []
+    writer = PatientWriter(Header(INFO, "", str(tmp_path)), news.append, pause_s=0.01)
+
+    def batch(number: int) -> Batch:
+        event = EventRow(INFO.started, number, "trip", "alarm", f"{number}", 1.0, number)
+        return msgspec.structs.replace(make_batch([make_tick(number)]), events=[event])
+
+    writer.write(batch(1))
+    (directory,) = session_directories(tmp_path)
+    (directory / name).unlink()
+    writer.write(batch(2))
+    writer.close(Ending.ORDERLY, Dropped())
+    writer.finish()
+    assert any(one.failing and name in one.detail for one in news)
+    read = read_session(directory)
+    assert sequences(read)[-1] == 2
+    assert [event.detail for event in read.events][-1] == "2"
 
 
 async def test_an_end_with_a_full_disk_is_told_and_counted(sessions: Path) -> None:

@@ -59,10 +59,13 @@ class EventLog:
     A row that is there already is left as it is, so that a batch may be written again. What was
     appended outlives this process at once, and a power cut after the next `sync`: a slow disk must
     not keep the rows behind it in memory.
+
+    Attributes:
+        path: Its file.
     """
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self.path = path
         self._database = sqlite3.connect(path)
         try:
             self._database.execute("PRAGMA journal_mode=WAL")
@@ -90,7 +93,7 @@ class EventLog:
             OSError: The disk has failed.
         """
         with contextlib.suppress(FileNotFoundError):  # closed meanwhile, which wrote all of it
-            descriptor = os.open(f"{self._path}-wal", os.O_RDONLY)
+            descriptor = os.open(f"{self.path}-wal", os.O_RDONLY)
             try:
                 os.fdatasync(descriptor)
             finally:

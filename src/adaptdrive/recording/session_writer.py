@@ -110,10 +110,10 @@ class SessionWriter:
         """Put one batch on disk, events first: they are few and matter most.
 
         Raises:
-            OSError: It cannot be written, or the session was removed from its place, where files
-                that are still open would take what nobody can read.
+            OSError: It cannot be written, or a file of the session was removed from its place:
+                one that is still open would take what nobody can read.
         """
-        (self.directory / INFO_FILE).stat()
+        self._require_files()
         if time.monotonic() - self._began_s >= self._header.segment_s:
             self._begin_segment()
         if batch.events or batch.commands:
@@ -152,6 +152,13 @@ class SessionWriter:
         if self._events is not None:
             self._events.abandon()
         return self._claim
+
+    def _require_files(self) -> None:
+        (self.directory / INFO_FILE).stat()
+        for stream in self._streams.values():
+            stream.path.stat()
+        if self._events is not None:
+            self._events.path.stat()
 
     def _made(self) -> Path:
         sessions = Path(self._header.sessions)

@@ -48,9 +48,14 @@ def open_file(path: Path, mode: str) -> pa.OSFile:
 
 
 class StreamWriter:
-    """One Arrow stream; each batch is in the operating system's hands when `write` returns."""
+    """One Arrow stream; each batch is in the operating system's hands when `write` returns.
+
+    Attributes:
+        path: Its file.
+    """
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
+        self.path = path
         self._sink = pa.OSFile(str(path), "wb")
         options = ipc.IpcWriteOptions(compression="zstd")
         self._stream = ipc.new_stream(self._sink, schema, options=options)
