@@ -18,7 +18,8 @@ from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.modbus.sensors import ModbusSensorPort, build_modbus_sensors
 from adaptdrive.hardware.modbus.turns import SELDOM_CYCLES
-from tests.hardware.modbus.bench import Pieces, RtuPeer, TcpPeer, until
+from tests.hardware.modbus.bench import Peer, Pieces, RtuPeer, TcpPeer, until
+from tests.hardware.modbus.virtual import VirtualDrive, VirtualLoop, use_memory
 
 CYCLE_s = 0.1
 COMMON = {
@@ -334,6 +335,29 @@ async def test_a_value_that_waited_for_a_silent_line_is_as_old_as_its_request_on
         await until(lambda: one.port.statistics.timeouts >= 3 and hears_of(one, 1) >= 4)
         for values, taken_s, _ in one.ear.heard:
             assert 0.0 <= one.peer.taken[round(values["number_1"])] - taken_s < 0.2
+
+
+def test_the_end_does_not_wait_for_a_line_that_is_never_silent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    use_memory(monkeypatch)
+    drive = VirtualDrive(Peer())
+    drive.copies = lambda _: [0.02 * number for number in range(1000)]
+    loop = VirtualLoop(drive)
+    line = {"type": "modbus-rtu", "device": "/dev/noisy", "baud": 115200, "parity": "none"}
+    config = ModbusRtuSensors.model_validate(COMMON | line)
+    port = build_modbus_sensors(config, "sensor_bus.0", loop.time)
+
+    async def end_s(after_s: float) -> float:
+        task = asyncio.create_task(port.run(Ear()))
+        await asyncio.sleep(after_s)
+        began_s = loop.time()
+        task.cancel()
+        await asyncio.wait([task])
+        return loop.time() - began_s
+
+    assert loop.run_until_complete(end_s(1.0)) < 2.0 * config.timeout_s
+    loop.close()
 
 
 def test_each_device_on_the_line_is_asked_for_its_own_registers() -> None:

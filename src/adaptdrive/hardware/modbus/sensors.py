@@ -177,7 +177,7 @@ class ModbusSensorPort:
             ExchangeError: They did not come.
         """
         try:
-            words = await link.exchange(turn.block.exchange, [])
+            words = await link.exchange(turn.block.exchange, [], void=self._closing.is_set)
         except ExchangeError as failure:
             silent = failure.code is None or failure.code in _GATEWAY_CODES
             turns.note(turn, answered=not silent)
