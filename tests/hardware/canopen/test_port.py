@@ -240,6 +240,17 @@ async def test_a_node_that_takes_no_controlword_over_sdo_is_set_up(peer: Peer) -
         await bench.ready()
 
 
+async def test_a_node_that_answers_a_controlword_late_is_set_up(peer: Peer) -> None:
+    """The answer comes when the daemon has given it up."""
+
+    def dawdle(*, index: int, **_: object) -> None:
+        time.sleep(0.13 if index == 0x6040 else 0.01)
+
+    peer.node.add_write_callback(dawdle)
+    async with running(peer, sdo_timeout_s=0.1) as bench:
+        await bench.ready()
+
+
 async def test_a_restarted_node_gets_no_command_before_it_is_set_up(peer: Peer) -> None:
     """Its RPDOs are those of the manufacturer again."""
     async with running(peer) as bench:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import struct
+import time
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -151,6 +152,18 @@ class Server:
         if kept != data:
             found, wanted = kept[::-1].hex(), data[::-1].hex()
             raise self.refuse(f"{label(address)} is 0x{found} after 0x{wanted} was written")
+
+    def offer(self, address: Address, data: bytes) -> None:
+        """Write an entry that the drive need not take.
+
+        An answer that is late is waited for: it would be taken for that to the next request.
+        """
+        try:
+            self._client.download(*address, data)
+        except SdoAbortedError:
+            pass
+        except (SdoError, struct.error):
+            time.sleep(self._client.RESPONSE_TIMEOUT)
 
     def _failure(self, verb: str, address: Address, problem: Exception) -> BusError:
         if not isinstance(problem, SdoAbortedError):

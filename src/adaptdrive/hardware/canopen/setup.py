@@ -6,11 +6,9 @@ switched off by its own watch, which the set-up leaves running.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterator
 
 from adaptdrive.config.canopen import CanOpenBus
-from adaptdrive.errors import BusError
 from adaptdrive.hardware.canopen.dictionary import PRODUCT, VENDOR, Address
 from adaptdrive.hardware.canopen.mapping import (
     ABORT_OPTION,
@@ -112,8 +110,7 @@ def _disable_voltage(server: Server) -> None:
     CiA 402 lets its state go on then, without the watch, and it may refuse its PDOs while it is on.
     One that takes no controlword here is left to what it does by itself.
     """
-    with contextlib.suppress(BusError):
-        server.write(CONTROLWORD, DISABLE_VOLTAGE.to_bytes(2, "little"))
+    server.offer(CONTROLWORD, DISABLE_VOLTAGE.to_bytes(2, "little"))
 
 
 def _end_quick_stops(server: Server, mapping: CanOpenMapping) -> None:
