@@ -139,6 +139,17 @@ def test_a_boost_voltage_that_comes_seldom_needs_a_drive_that_holds_it(
     assert not refused or "voltage_loop.where = 'daemon': at most 0.025 s" in str(found)
 
 
+@pytest.mark.parametrize(("stale_s", "refused"), [("0.08", True), ("0.04", False)])
+def test_a_boost_voltage_for_the_daemons_loop_is_held_no_longer_than_the_drives_values(
+    stale_s: str, refused: bool
+) -> None:
+    text = VOLTMETER.replace("cycle_s = 0.1", f"cycle_s = 0.01\nstale_s = {stale_s}")
+    output = '"DriveLoad.Tachometer"'
+    found = flaws(text, signals__boost_voltage_V=None, signals__output__signal=output)
+    assert ("sensor_bus.0.stale_s" in found) is refused
+    assert not refused or "at most interlocks.stale_s = 0.05 s" in found["sensor_bus.0.stale_s"]
+
+
 def test_two_buses_need_two_names_and_two_lines() -> None:
     second = THERMOCOUPLES.replace("signals.hot", "signals.a").replace("signals.cold", "signals.b")
     found = flaws(THERMOCOUPLES + second + DIFFERENCE)

@@ -109,8 +109,12 @@ def _sensor_flaws(configuration: Configuration) -> Iterator[Flaw]:
 
 def _voltage_flaws(configuration: Configuration) -> Iterator[Flaw]:
     if configuration.voltage_loop.where == "daemon":
-        half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
-        yield from voltage_flaws(half_cycle_s, configuration.sensor_bus, configuration.derived)
+        yield from voltage_flaws(
+            0.5 / configuration.drive.line_frequency_Hz,
+            configuration.interlocks.stale_s,
+            configuration.sensor_bus,
+            configuration.derived,
+        )
 
 
 def _command_flaws(configuration: Configuration) -> Iterator[Flaw]:
@@ -187,7 +191,10 @@ _CHECKS: tuple[tuple[Callable[[Configuration], Iterator[Flaw]], frozenset[str]],
         frozenset({"drive", "bus", "signals", "load", "interlocks", "voltage_loop"}),
     ),
     (_sensor_flaws, frozenset({"bus", "signals", "sensor_bus", "derived", "load"})),
-    (_voltage_flaws, frozenset({"drive", "voltage_loop", "sensor_bus", "derived"})),
+    (
+        _voltage_flaws,
+        frozenset({"drive", "voltage_loop", "interlocks", "sensor_bus", "derived"}),
+    ),
     (_command_flaws, frozenset({"bus", "signals", "voltage_loop"})),
     (_lag_flaws, frozenset({"voltage_loop", "load"})),
     (_trip_flaws, frozenset({"drive", "load", "interlocks"})),

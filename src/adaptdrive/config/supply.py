@@ -74,24 +74,31 @@ def needed_names(derived: Mapping[str, Derived], names: Iterable[str] = MEASURED
 
 
 def voltage_flaws(
-    half_cycle_s: float, buses: Sequence[AnySensorBus], derived: Mapping[str, Derived]
+    half_cycle_s: float,
+    stale_s: float,
+    buses: Sequence[AnySensorBus],
+    derived: Mapping[str, Derived],
 ) -> Iterator[Flaw]:
-    """Yield the sensor buses that give v_bst too seldom for a voltage loop in the daemon.
+    """Yield the sensor buses whose v_bst is too old for a voltage loop in the daemon.
 
     Args:
         half_cycle_s: Half a line cycle.
+        stale_s: `interlocks.stale_s`, in s.
         buses: `[[sensor_bus]]`.
         derived: `[derived]`.
     """
     parts = needed_names(derived, ("boost_voltage_V",))
     longest_s = VOLTAGE_TICKS * half_cycle_s
+    problem = "is too long for boost_voltage_V with voltage_loop.where = 'daemon': at most"
     for number, bus in enumerate(buses):
-        if not parts.isdisjoint(bus.signals) and bus.cycle_s > longest_s:
-            yield Flaw(
-                f"sensor_bus.{number}.cycle_s",
-                f"{bus.cycle_s:g} s is too long for boost_voltage_V with voltage_loop.where = "
-                f"'daemon': at most {longest_s:.4g} s, {VOLTAGE_TICKS:g} half cycles",
-            )
+        if parts.isdisjoint(bus.signals):
+            continue
+        if bus.cycle_s > longest_s:
+            limit = f"{longest_s:.4g} s, {VOLTAGE_TICKS:g} half cycles"
+            yield Flaw(f"sensor_bus.{number}.cycle_s", f"{bus.cycle_s:g} s {problem} {limit}")
+        elif bus.oldest_s > stale_s:
+            limit = f"interlocks.stale_s = {stale_s:g} s"
+            yield Flaw(f"sensor_bus.{number}.stale_s", f"{bus.oldest_s:.4g} s {problem} {limit}")
 
 
 def _givers(
