@@ -49,6 +49,17 @@ def test_sessions_older_than_allowed_are_removed(tmp_path: Path) -> None:
     assert told == [f"session {old.name} removed: it is older than 7 days"]
 
 
+def test_a_link_to_a_session_elsewhere_is_neither_counted_nor_removed(tmp_path: Path) -> None:
+    sessions = tmp_path / "sessions"
+    moved = recorded(tmp_path / "archive", 9.0, ticks=20_000)
+    kept = recorded(sessions, 1.0)
+    (sessions / moved.name).symlink_to(moved)
+    (sessions / "latest").symlink_to(kept)
+    assert list(prune(sessions, Keep(days=7.0, bytes=200_000), NOW, kept)) == []
+    assert (kept / "ticks-0001.parquet").exists()
+    assert names(sessions) == [moved.name, kept.name, "latest"]
+
+
 @pytest.mark.parametrize("leap_days", [0.0, 400.0])
 def test_a_clock_that_has_leapt_ahead_makes_no_session_too_old(
     tmp_path: Path, leap_days: float

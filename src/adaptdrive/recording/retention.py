@@ -3,6 +3,9 @@
 Ages follow the wall clock, which may be wrong at the start of a machine. A recorder removes
 sessions for their age only while one session, its own included, began at least a day and at most
 `keep.days` ago: after the clock has leapt ahead there is none.
+
+A symbolic link to a session, such as one that was moved to another disk, takes no room here: it is
+neither counted nor removed.
 """
 
 from __future__ import annotations
@@ -41,7 +44,7 @@ def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None
     Raises:
         RecordingError: A session cannot be removed; the others are.
     """
-    directories = list(session_directories(sessions))
+    directories = [path for path in session_directories(sessions) if not path.is_symlink()]
     older = [path for path in directories if path != current]
     outdated = _too_old(directories, keep, now, by_person=current is None)
     excess = sum(map(_size, directories)) - keep.bytes if keep.bytes is not None else 0
