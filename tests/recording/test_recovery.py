@@ -351,6 +351,16 @@ def test_a_folder_that_was_moved_takes_the_rest_of_its_session(tmp_path: Path) -
     assert not old.exists()
 
 
+@pytest.mark.parametrize("copied", ["{}-copy", "backup"])
+def test_a_copy_of_a_session_does_not_get_the_rest_of_it(copied: str, tmp_path: Path) -> None:
+    directory = create_session(NewSession(tmp_path, INFO, ""))
+    shutil.copytree(directory, tmp_path / copied.format(directory.name))
+    header = Header(INFO, "", str(tmp_path))
+    spool_path(tmp_path, INFO).write_bytes(stream(header, make_batch([make_tick(0)])))
+    next_start(tmp_path)
+    assert sequences(read_session(directory)) == [0]
+
+
 def test_the_spool_of_a_living_daemon_is_left_alone(tmp_path: Path) -> None:
     spool = Spool(spool_path(tmp_path, INFO))
     spool.append(framed(Header(INFO, "", str(tmp_path))))

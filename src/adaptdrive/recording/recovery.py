@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
@@ -20,6 +21,7 @@ from adaptdrive.recording.session import (
     SessionLock,
     read_info,
     session_directories,
+    session_name,
     set_aside,
     write_info,
 )
@@ -165,12 +167,19 @@ def _read(source: BinaryIO) -> tuple[Header | None, list[Batch]]:
 
 
 def _session_of(header: Header) -> Path | None:
-    """Return the folder of the session that a header describes, None where there is none yet."""
-    for directory in reversed(list(session_directories(Path(header.sessions)))):
-        try:
-            info = read_info(directory)
-        except RecordingError:
-            continue
-        if (info.started, info.drive) == (header.info.started, header.info.drive):
-            return directory
-    return None
+    """Return the folder of the session that a header describes, None where there is none yet.
+
+    A copy that somebody has made of it beside it has a longer name, or quite another one.
+    """
+    name = session_name(header.info)
+    found = filter(partial(_is_of, header), session_directories(Path(header.sessions)))
+    order = sorted(found, key=lambda path: (not path.name.startswith(name), len(path.name)))
+    return order[0] if order else None
+
+
+def _is_of(header: Header, directory: Path) -> bool:
+    try:
+        info = read_info(directory)
+    except RecordingError:
+        return False
+    return (info.started, info.drive) == (header.info.started, header.info.drive)

@@ -163,9 +163,14 @@ def create_session(new: NewSession) -> Path:
     unfinished.mkdir()
     try:
         write_facts(unfinished, new.info, new.config_text)
-        return rename_free(unfinished, f"{new.info.started:%Y%m%dT%H%M%SZ}_{new.info.drive}")
+        return rename_free(unfinished, session_name(new.info))
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def session_name(info: SessionInfo) -> str:
+    """Return the name of the directory of a session, where no other one has it."""
+    return f"{info.started:%Y%m%dT%H%M%SZ}_{info.drive}"
 
 
 def rename_free(unfinished: Path, name: str) -> Path:
