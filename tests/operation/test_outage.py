@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import os
 import shutil
 import signal
@@ -239,6 +240,23 @@ async def test_an_answer_that_comes_after_the_wait_for_it_is_not_logged(
             await client.subscribe("late", timeout=0.1)
         mortal.process.send_signal(signal.SIGCONT)
         await client.subscribe("next", timeout=PATIENCE_S)
+    assert caplog.records == []
+
+
+async def test_a_broker_that_hangs_up_on_a_publication_leaves_no_line_in_the_log(
+    mosquitto_launcher: MosquittoLauncher, free_tcp_port: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    launcher = replace(mosquitto_launcher, more="max_qos 0\n")
+    process = await asyncio.to_thread(launcher.start, free_tcp_port)
+    place = Mqtt(host="127.0.0.1", port=free_tcp_port)
+    try:
+        async with connection(place, ProtocolVersion.V311, None, None) as client:
+            with pytest.raises(MqttError):
+                await client.publish("topic", b"", qos=1, timeout=1.0)
+        del client
+        gc.collect()
+    finally:
+        stop_process(process)
     assert caplog.records == []
 
 

@@ -171,6 +171,8 @@ class SteadyClient(Client):
         keep-alive ends; the client under it can close them at once.
         """
         self._client.reinitialise()
+        if self._disconnected.done() and not self._disconnected.cancelled():
+            self._disconnected.exception()  # retrieved, where nobody waits for it any more
         if self._misc_task is not None:
             self._misc_task.cancel()
             await asyncio.wait([self._misc_task])
