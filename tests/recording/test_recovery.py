@@ -127,7 +127,7 @@ def next_start(sessions: Path) -> list[str]:
     told: list[News] = []
     record(io.BytesIO(source), told.append)
     problems = [news.detail for news in told if news.severity]
-    return problems + list(repair(sessions, sessions / "none", lambda: False))
+    return problems + list(repair(sessions, sessions / "none", INFO.drive, lambda: False))
 
 
 def recorded(sessions: Path) -> Session:

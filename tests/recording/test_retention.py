@@ -81,6 +81,14 @@ def test_after_a_day_a_clock_is_believed(tmp_path: Path) -> None:
     assert names(tmp_path) == [current.name] != [old.name]
 
 
+def test_a_cut_session_is_told_where_another_drive_has_a_newer_one(tmp_path: Path) -> None:
+    cut, other = recorded(tmp_path, 2.0), recorded(tmp_path, 1.0)
+    write_info(cut, msgspec.structs.replace(read_info(cut), ended=Ending.CUT))
+    write_info(other, msgspec.structs.replace(read_info(other), drive="other"))
+    (told,) = repair(tmp_path, tmp_path / "none", INFO.drive, lambda: False)
+    assert told.startswith(f"session {cut.name} ended without its close")
+
+
 def test_a_person_may_remove_what_is_old_by_any_clock(tmp_path: Path) -> None:
     recorded(tmp_path, 400.0)
     assert len(list(prune(tmp_path, Keep(days=7.0), NOW))) == 1
@@ -168,15 +176,17 @@ def lost(tmp_path: Path) -> Path:
 
 def test_a_session_that_was_lost_is_closed_and_reported(tmp_path: Path, lost: Path) -> None:
     current = recorded(tmp_path, 0.0)
-    (told,) = repair(tmp_path, current, lambda: False)
+    (told,) = repair(tmp_path, current, INFO.drive, lambda: False)
     assert f"session {lost.name} ended without its close" in told
     assert "1970-01-01T00:00:50.408333Z" in told  # 50 s and 49 ticks after the start of the clock
     session = read_session(lost)
     assert session.info.ended is Ending.LOST
     assert sum(session.info.histograms["lateness_us"]) == 50
-    assert list(repair(tmp_path, current, lambda: False)) == [told]  # the one before: still cut
+    assert list(repair(tmp_path, current, INFO.drive, lambda: False)) == [
+        told
+    ]  # the one before: still cut
     newer = recorded(tmp_path, -1.0)
-    assert list(repair(tmp_path, newer, lambda: False)) == []
+    assert list(repair(tmp_path, newer, INFO.drive, lambda: False)) == []
 
 
 def foreign(ticks: pa.Table, what: str) -> pa.Table:
@@ -196,7 +206,7 @@ def test_a_foreign_segment_is_named_and_keeps_no_other_session_from_being_closed
     pq.write_table(foreign(pq.read_table(mixed / "ticks-0001.parquet"), what), path)
     info = msgspec.structs.replace(read_info(mixed), ended=Ending.OPEN)
     write_info(mixed, info)
-    told = list(repair(tmp_path, current, lambda: False))
+    told = list(repair(tmp_path, current, INFO.drive, lambda: False))
     assert told[0].startswith(f"session {mixed.name} is left as it is: {path}: it does not hold")
     assert read_info(mixed) == info
     assert read_info(lost).ended is Ending.LOST
@@ -208,7 +218,7 @@ def test_a_session_that_is_being_written_is_left_alone(tmp_path: Path, lost: Pat
     current = recorded(tmp_path, 0.0)
     claim = SessionLock.on(lost)
     assert claim is not None
-    assert list(repair(tmp_path, current, lambda: False)) == []
+    assert list(repair(tmp_path, current, INFO.drive, lambda: False)) == []
     claim.release()
     assert read_info(lost).ended is Ending.OPEN
 
@@ -219,7 +229,7 @@ def test_a_damaged_session_keeps_no_other_from_being_closed(
 ) -> None:
     damaged, current = recorded(tmp_path, 4.0), recorded(tmp_path, 0.0)
     (damaged / "session.json").write_bytes(content)
-    told = list(repair(tmp_path, current, lambda: False))
+    told = list(repair(tmp_path, current, INFO.drive, lambda: False))
     assert [sentence.partition(" is left as it is: ")[0] for sentence in told][:1] == [
         f"session {damaged.name}"
     ]

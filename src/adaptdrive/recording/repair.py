@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 
 import msgspec
 
+from adaptdrive.errors import RecordingError
 from adaptdrive.recording.event_log import tidy
 from adaptdrive.recording.housekeeping import ERRORS
 from adaptdrive.recording.resume import find_written
@@ -26,26 +28,37 @@ from adaptdrive.recording.session import (
 _UNTIDY = {Ending.CUT, Ending.LOST}
 
 
-def repair(sessions: Path, current: Path, ending: Callable[[], bool]) -> Iterator[str]:
+def repair(sessions: Path, current: Path, drive: str, ending: Callable[[], bool]) -> Iterator[str]:
     """Close the sessions whose recorder has died.
 
     Args:
         sessions: Folder of all sessions.
         current: The session that is being written.
+        drive: Name of its drive; others may share the folder.
         ending: Returns True to have the rest left for another time.
 
     Yields:
-        A sentence for each session that was lost, for the one before this if it was cut, and for
-        each that cannot be read or written, which keeps no other from being closed.
+        A sentence for each session that was lost, for the drive's one before this if it was cut,
+        and for each that cannot be read or written, which keeps no other from being closed.
     """
     older = [path for path in session_directories(sessions) if path != current]
+    last = _last_of(older, drive)
     for directory in older:
         if ending():
             return
         try:
-            yield from _closed(directory, last=directory == older[-1])
+            yield from _closed(directory, last=directory == last)
         except ERRORS as problem:
             yield f"session {directory.name} is left as it is: {problem}"
+
+
+def _last_of(directories: list[Path], drive: str) -> Path | None:
+    """Return the newest session of a drive, None where none can be read."""
+    for directory in reversed(directories):
+        with suppress(RecordingError):
+            if read_info(directory).drive == drive:
+                return directory
+    return None
 
 
 def _closed(directory: Path, *, last: bool) -> Iterator[str]:

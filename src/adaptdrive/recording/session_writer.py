@@ -250,7 +250,7 @@ class SessionWriter:
 
     def _repair(self) -> None:
         ending = self._housekeeper.ending.is_set
-        for sentence in repair(self.directory.parent, self.directory, ending):
+        for sentence in repair(self.directory.parent, self.directory, self._info.drive, ending):
             self._report(Severity.WARNING, sentence)
 
     def _prune(self) -> None:
