@@ -225,6 +225,23 @@ def test_a_damaged_or_removed_segment_keeps_no_rest_from_its_session(
     assert pq.read_table(directory / "ticks-0004.parquet")["sequence"].to_pylist() == [3]
 
 
+@pytest.mark.parametrize("left", [b"", b"\xff\xff\xff\xff\x10"], ids=["empty", "torn"])
+def test_a_segment_that_was_killed_at_its_begin_has_no_row_written_twice(
+    tmp_path: Path, left: bytes
+) -> None:
+    """The spool still has rows of the segment before it, as the recorder was behind."""
+    directory = create_session(NewSession(tmp_path, INFO, ""))
+    header = Header(INFO, "", str(tmp_path), str(directory))
+    batches = [make_batch([make_tick(number)]) for number in range(3)]
+    record_messages(directory, header, *batches[:2])
+    write_info(directory, msgspec.structs.replace(read_info(directory), ended=Ending.OPEN))
+    (directory / "ticks-0002.arrows").write_bytes(left)
+    spool_path(tmp_path, INFO).write_bytes(stream(header, *batches[1:]))
+    next_start(tmp_path)
+    assert sequences(read_session(directory)) == [0, 1, 2]
+    assert sum(read_info(directory).histograms["lateness_us"]) == 3
+
+
 def test_an_end_that_was_left_to_the_next_start_is_an_orderly_one(tmp_path: Path) -> None:
     directory = create_session(NewSession(tmp_path, INFO, ""))
     last = msgspec.structs.replace(make_batch([make_tick(0)], last=True), dropped=Dropped(77))

@@ -44,7 +44,7 @@ def find_written(directory: Path, info: SessionInfo) -> Written:
 
     Args:
         directory: Directory of the session.
-        info: Its facts; only the last segments and those that it does not count are read.
+        info: Its facts; of the segments that it counts, only the last ones with a row are read.
 
     Raises:
         RecordingError: A segment is damaged, or holds another table.
@@ -55,23 +55,33 @@ def find_written(directory: Path, info: SessionInfo) -> Written:
         times=TickTimes(info.histograms),
         rows=dict(info.rows),
     )
-    newest = {segment.table: segment.number for segment in found}
     for segment in found:
-        counted = segment.number <= info.segments and bool(info.histograms)
-        if not counted or segment.number == newest[segment.table]:
-            _read(segment, written, counted=counted)
+        if segment.number > info.segments or not info.histograms:
+            _count(segment, written)
+    for segment in reversed(found):  # the newest has no row where it broke off at its begin
+        if segment.table not in written.last:
+            _find_last(segment, written)
     return written
 
 
-def _read(segment: Segment, written: Written, *, counted: bool) -> None:
-    table = segment.table
+def _count(segment: Segment, written: Written) -> None:
+    """Count the rows of a segment, and note its last one."""
     for batch in segment.batches():
-        if not counted:
-            if table == TICKS and not has_times(batch):
-                raise RecordingError(segment.path, "it does not hold the times of each tick")
-            written.count(table, batch)
-        if batch.num_rows and KEYS[table] in batch.schema.names:
-            written.last[table] = last_key(segment, batch)
+        if segment.table == TICKS and not has_times(batch):
+            raise RecordingError(segment.path, "it does not hold the times of each tick")
+        written.count(segment.table, batch)
+        _note_last(segment, batch, written)
+
+
+def _find_last(segment: Segment, written: Written) -> None:
+    """Note the last row of a segment, if it has one."""
+    for batch in segment.batches():
+        _note_last(segment, batch, written)
+
+
+def _note_last(segment: Segment, batch: pa.RecordBatch, written: Written) -> None:
+    if batch.num_rows and KEYS[segment.table] in batch.schema.names:
+        written.last[segment.table] = last_key(segment, batch)
 
 
 def last_key(segment: Segment, batch: pa.RecordBatch) -> float:
