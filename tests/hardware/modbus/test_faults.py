@@ -10,8 +10,11 @@ import asyncio
 import contextlib
 import itertools
 import math
+import socket
+import time
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
+from unittest.mock import ANY
 
 import pytest
 
@@ -20,6 +23,7 @@ from tests.hardware.modbus.bench import (
     FUNCTION_23,
     RUN,
     Bench,
+    PATIENCE_s,
     Peer,
     Pieces,
     QUIET_s,
@@ -51,6 +55,7 @@ from tests.hardware.modbus.spoils import (
 )
 
 Fault = Callable[[Peer], None]
+HELD_UP_s = 0.002
 REPEATED_s = 0.04
 """Time from a reply to its repetition: only a standstill for as long lets both come at once."""
 SLOW: dict[str, str | None] = {
@@ -330,6 +335,44 @@ async def test_a_server_that_restarts_is_found_again(tmp_path: Path, free_tcp_po
         assert one.ear.bus[-1][0] is True
         assert {tuple(words[:2]) for _, words in one.peer.writes} == {(0, 0)}
         one.check_honesty()
+
+
+async def test_a_device_that_closes_each_connection_at_once_is_found_again(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with watched("tcp", tmp_path, free_tcp_port) as one, sluggish_loop():
+        assert isinstance(one.peer, TcpPeer)
+        await one.peer.stop()
+        await asyncio.to_thread(close_at_once, free_tcp_port, 3)
+        assert one.ear.bus[-1] == (False, ANY)
+        await one.peer.start()
+        await one.hears(3)
+        assert one.ear.bus[-1][0] is True
+        one.check_honesty()
+
+
+def close_at_once(port: int, times: int) -> None:
+    """Be a gateway all of whose connections are in use: take each one, and close it."""
+    with socket.create_server(("127.0.0.1", port)) as server:
+        server.settimeout(PATIENCE_s)
+        for _ in range(times):
+            server.accept()[0].close()
+
+
+@contextlib.asynccontextmanager
+async def sluggish_loop() -> AsyncIterator[None]:
+    """Let the far end of a connection act in the middle of each step of this process."""
+
+    async def hold_up() -> None:
+        while True:
+            time.sleep(HELD_UP_s)  # noqa: ASYNC251 - it is to hold up the event loop
+            await asyncio.sleep(0)
+
+    task = asyncio.create_task(hold_up())
+    try:
+        yield
+    finally:
+        task.cancel()
 
 
 async def test_a_serial_adapter_that_is_pulled_and_put_back_is_found_again(

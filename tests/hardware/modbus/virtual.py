@@ -76,6 +76,9 @@ class _Wire(asyncio.Transport):
     def close(self) -> None:
         """End the connection."""
 
+    def is_closing(self) -> bool:
+        return False
+
 
 def is_serial(request: bytes) -> bool:
     """Return whether a request is framed for a serial line.

@@ -93,8 +93,19 @@ async def _connected(client: Client, config: TcpLink | RtuLink) -> Client:
     if not connected:
         client.close()
         raise BusError(describe_bus(config), _why_not(config))
+    if not is_connected(client):
+        client.close()
+        raise BusError(describe_bus(config), "the device closed the connection at once")
     client.ctx.comm_params.timeout_connect = config.timeout_s  # of replies too, from now on
     return client
+
+
+def is_connected(client: Client) -> bool:
+    """Return whether a client has a connection that has not ended.
+
+    pymodbus alone does not say so: it keeps a connection that ended before its `connect` was over.
+    """
+    return client.connected and not client.ctx.transport.is_closing()
 
 
 def drop_unsent(client: Client, *, drop: bool) -> None:
@@ -107,7 +118,7 @@ def drop_unsent(client: Client, *, drop: bool) -> None:
         client: A connected client; a serial line keeps nothing.
         drop: Whether they are dropped, and the connection is reset.
     """
-    link = client.ctx.transport.get_extra_info("socket") if client.connected else None
+    link = client.ctx.transport.get_extra_info("socket") if is_connected(client) else None
     if link is None:
         return
     with contextlib.suppress(OSError):  # a connection that has just ended keeps nothing either
@@ -120,7 +131,7 @@ def undelivered_bytes(client: Client) -> int:
     Args:
         client: A client; a serial line keeps nothing.
     """
-    link = client.ctx.transport.get_extra_info("socket") if client.connected else None
+    link = client.ctx.transport.get_extra_info("socket") if is_connected(client) else None
     if link is None:
         return 0
     with contextlib.suppress(OSError):  # a connection that has just ended

@@ -18,7 +18,13 @@ from pymodbus.pdu import ModbusPDU
 
 from adaptdrive.config.modbus import RtuLink, TcpLink
 from adaptdrive.errors import AdaptdriveError
-from adaptdrive.hardware.modbus.bus import Client, drop_unsent, open_client, undelivered_bytes
+from adaptdrive.hardware.modbus.bus import (
+    Client,
+    drop_unsent,
+    is_connected,
+    open_client,
+    undelivered_bytes,
+)
 from adaptdrive.hardware.modbus.capacity import RTU_FRAME, Exchange, silence_s
 from adaptdrive.hardware.modbus.replies import answers, explain_exception, explain_other
 from adaptdrive.hardware.modbus.serial_port import SerialPort
@@ -180,7 +186,7 @@ class ModbusConnection:
             self._waiting = False
 
     def _require(self) -> Client:
-        if self._client is None or not self._client.connected:
+        if self._client is None or not is_connected(self._client):
             self.lost = self.lost or "the connection was closed"
             raise ExchangeError(self.lost)
         return self._client
@@ -213,7 +219,7 @@ class ModbusConnection:
         self.suspect()
         self._missed += 1
         self._counts["timeouts"] += 1
-        if self._client is None or not self._client.connected:
+        if self._client is None or not is_connected(self._client):
             self.lost = "the device closed the connection"
         elif self._serial and self._heard:
             short = len(self._heard) < exchange.reply_bytes + RTU_FRAME
