@@ -6,6 +6,7 @@ import os
 import sys
 import threading
 import tracemalloc
+from array import array
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
@@ -57,8 +58,8 @@ class Meter:
         """
         self.name = name
         self._look = look
-        self._hours: list[float] = []
-        self._values: dict[str, list[float]] = {}
+        self._hours = array("d")  # one block of memory, which is metered too
+        self._values: dict[str, array[float]] = {}
 
     def look(self, hours: float) -> None:
         """Measure it once.
@@ -69,7 +70,7 @@ class Meter:
         found = self._look()
         self._hours.append(hours)
         for figure, value in found.items():
-            self._values.setdefault(figure, []).append(value)
+            self._values.setdefault(figure, array("d")).append(value)
 
     def trends(self) -> dict[str, Trend]:
         """Return the trend of each figure."""
