@@ -128,13 +128,18 @@ of = ["dc_link"]
 """v_bst of a meter beside the drive."""
 
 
+def voltmeter_flaws(times: str) -> dict[str, str]:
+    """Flaws of the daemon's voltage loop with this meter, by their place."""
+    text = VOLTMETER.replace("cycle_s = 0.1", times)
+    output = '"DriveLoad.Tachometer"'
+    return flaws(text, signals__boost_voltage_V=None, signals__output__signal=output)
+
+
 @pytest.mark.parametrize(("cycle_s", "refused"), [("0.1", True), ("0.026", True), ("0.025", False)])
 def test_a_boost_voltage_that_comes_seldom_needs_a_drive_that_holds_it(
     cycle_s: str, refused: bool
 ) -> None:
-    text = VOLTMETER.replace("cycle_s = 0.1", f"cycle_s = {cycle_s}")
-    output = '"DriveLoad.Tachometer"'
-    found = flaws(text, signals__boost_voltage_V=None, signals__output__signal=output)
+    found = voltmeter_flaws(f"cycle_s = {cycle_s}")
     assert ("sensor_bus.0.cycle_s" in found) is refused
     assert not refused or "voltage_loop.where = 'daemon': at most 0.025 s" in str(found)
 
@@ -143,9 +148,7 @@ def test_a_boost_voltage_that_comes_seldom_needs_a_drive_that_holds_it(
 def test_a_boost_voltage_for_the_daemons_loop_is_held_no_longer_than_the_drives_values(
     stale_s: str, refused: bool
 ) -> None:
-    text = VOLTMETER.replace("cycle_s = 0.1", f"cycle_s = 0.01\nstale_s = {stale_s}")
-    output = '"DriveLoad.Tachometer"'
-    found = flaws(text, signals__boost_voltage_V=None, signals__output__signal=output)
+    found = voltmeter_flaws(f"cycle_s = 0.01\nstale_s = {stale_s}")
     assert ("sensor_bus.0.stale_s" in found) is refused
     assert not refused or "at most interlocks.stale_s = 0.05 s" in found["sensor_bus.0.stale_s"]
 

@@ -27,7 +27,9 @@ MOTOR = load_configuration(EXAMPLES / "motor.toml")
 assert isinstance(MOTOR.bus, CanBus)
 MOTOR_BUS = MOTOR.bus
 PATIENCE_S = 120.0
-TIMING = Timing(half_cycle_s=1.0 / 120.0, stale_s=0.05, daemon_holds_voltage=True)
+TIMING = Timing(
+    half_cycle_s=1.0 / 120.0, stale_s=0.05, voltage_parts=frozenset({"boost_voltage_V"})
+)
 
 STATUS = {"BoostVoltage": 300.12, "LineVoltage": 120.4, "LoadPower": 431.7, "BridgeOn": 1}
 LOAD = {"Tachometer": 3.123456, "LoadCurrent": 5.76}

@@ -147,7 +147,7 @@ def rarely_clocked(config: CanBus, folder: Path, clock: Clock) -> CanPort:
     database = folder / "rare.dbc"
     database.write_text(text.replace("BO_ 257 8;", "BO_ 257 100;"), encoding="utf-8")
     bus = config.model_copy(update={"database": database, "clock_ticks": 12})
-    timing = replace(TIMING, stale_s=0.15, daemon_holds_voltage=False)
+    timing = replace(TIMING, stale_s=0.15, voltage_parts=frozenset())
     return CanPort(bus, map_drive(bus, motor_signals(), timing), clock, lambda: 0.0)
 
 
@@ -741,7 +741,7 @@ async def test_a_rare_report_of_the_bridge_is_waited_for_too(
     database = tmp_path / "seldom.dbc"
     database.write_text(text.replace("BO_ 256 8;", "BO_ 256 500;"), encoding="utf-8")
     bus = config.model_copy(update={"database": database})
-    timing = replace(TIMING, daemon_holds_voltage=False)
+    timing = replace(TIMING, voltage_parts=frozenset())
     port = CanPort(bus, map_drive(bus, motor_signals(), timing), clock, lambda: 0.0)
     async with running(port, ear):
         drive.send_both()

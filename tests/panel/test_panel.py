@@ -235,10 +235,8 @@ class Network:
             to.send(message)
 
 
-def test_a_stop_that_a_silent_network_has_lost_is_sent_again(
-    make_panel: MakePanel, panel_site: PanelSite
-) -> None:
-    """The page itself ends a connection on which nothing more comes."""
+def stop_over_a_lost_network(make_panel: MakePanel, panel_site: PanelSite) -> tuple[Panel, Network]:
+    """Press STOP while nothing passes between the page and its broker."""
     panel = make_panel()
     network = Network(panel.page)
     panel.log_in(panel_site.address, "operator")
@@ -248,6 +246,14 @@ def test_a_stop_that_a_silent_network_has_lost_is_sent_again(
     network.lost = True
     panel.page.get_by_role("button", name="STOP").click()
     panel.expect_text(".answer", "disable: no answer within 5 s")
+    return panel, network
+
+
+def test_a_stop_that_a_silent_network_has_lost_is_sent_again(
+    make_panel: MakePanel, panel_site: PanelSite
+) -> None:
+    """The page itself ends a connection on which nothing more comes."""
+    panel, network = stop_over_a_lost_network(make_panel, panel_site)
     expect(panel.page.locator(".notice")).to_be_visible(timeout=PATIENCE_MS)
     assert panel_site.site.state["state"] == "running"
     network.lost = False
@@ -258,15 +264,7 @@ def test_a_stop_without_an_answer_is_sent_again_on_the_same_connection(
     make_panel: MakePanel, panel_site: PanelSite
 ) -> None:
     """Too short a loss for the page to end its connection: MQTT alone does not send it again."""
-    panel = make_panel()
-    network = Network(panel.page)
-    panel.log_in(panel_site.address, "operator")
-    panel.open_drive()
-    panel_site.site.run_drive()
-    panel.expect_state("running")
-    network.lost = True
-    panel.page.get_by_role("button", name="STOP").click()
-    panel.expect_text(".answer", "disable: no answer within 5 s")
+    panel, network = stop_over_a_lost_network(make_panel, panel_site)
     network.lost = False
     panel.expect_state("standby")
 

@@ -73,7 +73,7 @@ def read_stretches(
         end_s: Seconds after its first tick, None for its last one.
 
     Raises:
-        IdentificationError: The drive did not run in there, or for too short.
+        IdentificationError: The drive did not run in there, or for less than a slow period.
     """
     rows = _running(session, begin_s or 0.0, math.inf if end_s is None else end_s)
     if len(rows["tick"]) < 2:
@@ -89,7 +89,9 @@ def read_stretches(
     ]
     whole = [one for one in found if one is not None]
     if not whole:
-        raise IdentificationError(f"{session.path}: the drive ran for too short in that time")
+        raise IdentificationError(
+            f"{session.path}: too short: the drive ran for less than a slow period in that time"
+        )
     return whole
 
 

@@ -6,7 +6,6 @@ import contextlib
 import fcntl
 import time
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
@@ -172,9 +171,11 @@ def _session_of(header: Header) -> Path | None:
     A copy that somebody has made of it beside it has a longer name, or quite another one.
     """
     name = session_name(header.info)
-    found = filter(partial(_is_of, header), session_directories(Path(header.sessions)))
-    order = sorted(found, key=lambda path: (not path.name.startswith(name), len(path.name)))
-    return order[0] if order else None
+    likeliest_first = sorted(
+        session_directories(Path(header.sessions)),
+        key=lambda path: (not path.name.startswith(name), len(path.name)),
+    )
+    return next((path for path in likeliest_first if _is_of(header, path)), None)
 
 
 def _is_of(header: Header, directory: Path) -> bool:

@@ -93,11 +93,12 @@ def _bus(configuration: Configuration) -> CanBus:
 
 
 def _timing(configuration: Configuration) -> Timing:
+    in_daemon = configuration.voltage_loop.where == "daemon"
+    voltage = ("boost_voltage_V",) if in_daemon else ()
     return Timing(
         half_cycle_s=0.5 / configuration.drive.line_frequency_Hz,
         stale_s=configuration.interlocks.stale_s,
-        daemon_holds_voltage=configuration.voltage_loop.where == "daemon",
-        voltage_parts=frozenset(needed_names(configuration.derived, ("boost_voltage_V",))),
+        voltage_parts=frozenset(needed_names(configuration.derived, voltage)),
     )
 
 

@@ -44,18 +44,17 @@ class Timing:
     Attributes:
         half_cycle_s: Half a line cycle.
         stale_s: Oldest usable measurement, `interlocks.stale_s`.
-        daemon_holds_voltage: Whether the voltage loop runs in the daemon.
-        voltage_parts: What v_bst is made of, itself among them.
+        voltage_parts: Values of which the daemon's voltage loop makes its v_bst, itself among
+            them; empty where the drive holds its own.
     """
 
     half_cycle_s: float
     stale_s: float
-    daemon_holds_voltage: bool
-    voltage_parts: frozenset[str] = frozenset({"boost_voltage_V"})
+    voltage_parts: frozenset[str]
 
     def feeds_voltage_loop(self, quantity: str) -> bool:
         """Return whether a quantity goes into the daemon's voltage loop as v_bst."""
-        return self.daemon_holds_voltage and quantity.removeprefix(OTHER) in self.voltage_parts
+        return quantity.removeprefix(OTHER) in self.voltage_parts
 
 
 @dataclass(frozen=True, slots=True)
