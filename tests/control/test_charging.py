@@ -1,5 +1,7 @@
 """Charging a battery that is simulated as a rising voltage behind a resistance."""
 
+from dataclasses import replace
+
 import pytest
 
 from adaptdrive.config.load import Charge
@@ -10,6 +12,7 @@ from adaptdrive.control.charging import (
     highest_boost_voltage,
     is_complete,
     is_disconnected,
+    is_too_long,
     taper,
     terminal_voltage,
     voltage_limit,
@@ -165,6 +168,13 @@ def test_a_set_point_that_was_lowered_explains_a_current_that_left() -> None:
     for _ in range(60):
         taper(LIMITS, state, 2.0, 58.0 * 1.02, 0.0)
     assert is_complete(LIMITS, state)
+
+
+@pytest.mark.parametrize(("lasted_s", "trips"), [(0.0, False), (3600.0, False), (3601.0, True)])
+def test_a_charge_may_last_for_its_longest_time(lasted_s: float, *, trips: bool) -> None:
+    state = ChargeState(10.0, lasted_s=lasted_s)
+    assert is_too_long(replace(LIMITS, longest_s=3600.0), state) is trips
+    assert not is_too_long(LIMITS, state)
 
 
 @pytest.mark.parametrize("current_A", [0.0, 14.0])

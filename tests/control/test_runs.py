@@ -133,6 +133,25 @@ def test_a_battery_whose_current_leaves_in_one_step_is_a_fault(after_A: float) -
     assert faults == sorted(faults)
 
 
+@pytest.mark.parametrize("mode", [Mode.FIXED, Mode.ADAPTIVE, Mode.MANUAL])
+def test_a_charge_that_lasts_too_long_is_a_fault_in_every_mode(mode: Mode) -> None:
+    """With a slow period of 2 s and a longest charge of 36 s."""
+    charging = replace(BATTERY.charging, longest_s=36.0)  # type: ignore[type-var]
+    controller = Controller(replace(EXACT, rates=SMALL), replace(BATTERY, charging=charging))
+    faults = []
+    for tick in range(1, 160):
+        controller.tick(measured(tick, 2.0, period_s=1.0), replace(order(2.0), mode=mode))
+        if (snapshot := controller.take_snapshot()) is not None:
+            faults.append((tick, controller.decide(snapshot).fault))
+    text = (
+        "charge time: the charge has not ended within load.charge.longest_h = 0.01 h: does the "
+        "current sensor read too high?"
+    )
+    assert {fault for _, fault in faults} == {"", text}
+    assert 36 < min(tick for tick, fault in faults if fault) <= 36 + 2 * SMALL.ticks_per_period
+    assert [fault for _, fault in faults] == sorted(fault for _, fault in faults)
+
+
 @pytest.mark.parametrize("bias", [True, False])
 def test_an_offset_of_the_input_is_shown_where_it_is_estimated(*, bias: bool) -> None:
     controller = Controller(replace(EXACT, learning=replace(EXACT.learning, bias=bias)), MOTOR)

@@ -6,7 +6,7 @@ import pytest
 
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Enable, SetSetpoint
-from tests.faults.course import Course
+from tests.faults.course import Course, example
 
 BATTERY_V_MAX = 82.0
 
@@ -46,3 +46,23 @@ def test_terminals_whose_battery_is_disconnected_stay_near_their_limit() -> None
     assert world.true_output == 0.0
     assert ratio * course.highest_V < 1.08 * BATTERY_V_MAX
     assert (course.daemon.trip or "").startswith("no current: ")
+
+
+@pytest.mark.parametrize("offset_A", [0.0, 1.5])
+def test_a_charge_whose_current_reads_too_high_ends_at_its_longest_time(offset_A: float) -> None:
+    """It tapers to 0 A, which reads as more than `end_current_A`, here 1 A."""
+    tables = example("battery, CAN")
+    tables["load"]["charge"]["longest_h"] = 0.25
+    course = Course("battery, CAN", 3, tables)
+    course.drive.world.load.charge = 0.97  # type: ignore[attr-defined]
+    course.sensor = lambda _, output: output + offset_A
+    course.fault_s = 0.0
+    course.run(0.7)
+    assert course.daemon.accepts(Enable())
+    assert course.daemon.accepts(SetSetpoint(8.0))
+    course.run(850.0)
+    still_on = offset_A > 0.0
+    assert (course.daemon.state is State.RUNNING) is still_on, course.daemon.trip
+    course.run(70.0)
+    assert (course.daemon.trip or "").startswith("charge time: ") is still_on
+    assert course.off

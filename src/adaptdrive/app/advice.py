@@ -40,6 +40,7 @@ def advice(configuration: Configuration) -> Iterator[Flaw]:
     yield from _power(configuration, load)
     yield from _pace(configuration, load)
     yield from _delay(configuration)
+    yield from _charge(configuration)
     yield from _paper(configuration)
     yield from _broker(configuration)
     yield from bus_kind(configuration.bus.type).cautions(configuration)
@@ -103,6 +104,14 @@ def _highest_power_W(configuration: Configuration, load: Load) -> float:
     highest_V = min(volts, configuration.drive.limits.boost_reference_max_V)
     model = section.model
     return (model.turns_ratio * highest_V) ** 2 / (model.droop_Ohm + model.heater_Ohm)
+
+
+def _charge(configuration: Configuration) -> Iterator[Flaw]:
+    """A charge ends, whatever its sensor reads."""
+    section = configuration.load
+    if isinstance(section, BatterySection) and section.charge.longest_h is None:
+        text = "is left out: a charge whose current is measured too high never ends"
+        yield Flaw("load.charge.longest_h", text)
 
 
 def _pace(configuration: Configuration, load: Load) -> Iterator[Flaw]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BathSection, BatterySection, MotorSection
 from adaptdrive.control.charging import Charging
@@ -40,10 +42,12 @@ def total_lag_s(load: Load) -> float:
 
 
 def _charging(battery: BatterySection) -> Charging:
+    longest_h = battery.charge.longest_h
     return Charging(
         turns_ratio=battery.model.turns_ratio,
         droop_Ohm=battery.model.droop_Ohm,
         internal_Ohm=battery.model.internal_Ohm,
         voltage_max_V=battery.charge.voltage_max_V,
         end_current_A=battery.charge.end_current_A,
+        longest_s=math.inf if longest_h is None else 3600.0 * longest_h,
     )

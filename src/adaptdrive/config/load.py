@@ -216,6 +216,12 @@ class Charge(Section):
         "while, by 2 % at most, where V_c is held back: the battery must stand that voltage"
     )
     end_current_A: PositiveFloat = Field(description="tapering current at which charging ends")
+    longest_h: PositiveFloat | None = Field(
+        default=None,
+        description="longest time that the drive may be on without a break, in every mode, after "
+        "which it trips: more than the charge of an empty battery takes; when left out a charge "
+        "whose current is measured too high, by more than `end_current_A`, never ends",
+    )
 
 
 class BatterySection(LoadSection):

@@ -9,10 +9,12 @@ because one ampere less is R_0 volts less at the terminals. V comes from what is
 V = N2 v_bst - R_d y. κ is small against the poles of the current loop, so that the two do not
 meet. Charging is complete when the tapering current has stayed below its end value. A current that
 leaves in one step, from several times that value, does not taper: the battery is disconnected.
+A charge has a longest time, since a current that is measured too high never tapers to its end.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from adaptdrive.control.evidence import EARLIEST
@@ -40,6 +42,7 @@ class Charging:
         internal_Ohm: R_0.
         voltage_max_V: V_max.
         end_current_A: Current at which charging ends.
+        longest_s: Longest charge.
     """
 
     turns_ratio: float
@@ -47,6 +50,7 @@ class Charging:
     internal_Ohm: float
     voltage_max_V: float
     end_current_A: float
+    longest_s: float = math.inf
 
 
 @dataclass(slots=True)
@@ -58,11 +62,13 @@ class ChargeState:
         ending_periods: Slow periods in a row below the end current.
         flowed_A: Last current that flowed, of those not below the end current; no more than was
             asked for.
+        lasted_s: Time that the run has lasted, in every mode.
     """
 
     current_A: float
     ending_periods: int = 0
     flowed_A: float = 0.0
+    lasted_s: float = 0.0
 
 
 def begin_anew(state: ChargeState, current_A: float) -> None:
@@ -135,6 +141,11 @@ def is_complete(charging: Charging, state: ChargeState) -> bool:
 def is_disconnected(charging: Charging, state: ChargeState) -> bool:
     """True when the charge has ended because its current left in one step."""
     return _has_ended(state) and state.flowed_A > _STEP * charging.end_current_A
+
+
+def is_too_long(charging: Charging, state: ChargeState) -> bool:
+    """True when the charge has lasted for longer than it may."""
+    return state.lasted_s > charging.longest_s
 
 
 def _has_ended(state: ChargeState) -> bool:

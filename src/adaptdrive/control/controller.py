@@ -17,6 +17,7 @@ from adaptdrive.control.charging import (
     highest_boost_voltage,
     is_complete,
     is_disconnected,
+    is_too_long,
     voltage_limit,
 )
 from adaptdrive.control.estimator import start_from
@@ -43,6 +44,10 @@ from adaptdrive.control.watch import Fallback
 
 _UNRESPONSIVE = "no response: input at its limit for long, and the output has not moved"
 _DISCONNECTED = "no current: the current has left in one step: is the battery disconnected?"
+_TOO_LONG = (
+    "charge time: the charge has not ended within load.charge.longest_h = {:g} h: does the "
+    "current sensor read too high?"
+)
 _CYCLING = "limit cycle: the fixed controller drives V_c from limit to limit"
 
 # found at once by compiled code
@@ -342,4 +347,6 @@ def _fault(state: SlowState, charging: Charging | None) -> str:
         return _UNRESPONSIVE
     if charging is not None and is_disconnected(charging, state.charge):
         return _DISCONNECTED
+    if charging is not None and is_too_long(charging, state.charge):
+        return _TOO_LONG.format(charging.longest_s / 3600.0)
     return _CYCLING if state.cycling else ""

@@ -125,6 +125,7 @@ def _design_fixed(
 def _governed_reference(load: Load, state: SlowState, sample: SlowSample) -> float:
     """The reference, lowered where the load must be spared; the output where it is led by hand."""
     charging = load.charging
+    state.charge.lasted_s += sample.period_s
     if sample.manual:
         begin_anew(state.charge, sample.output)
         return sample.output

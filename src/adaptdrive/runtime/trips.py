@@ -345,6 +345,14 @@ TRIPS = (
         "check the battery's cable, its fuse and its own protection",
     ),
     Trip(
+        r"^charge time: ",
+        "charge time: the charge has not ended within load.charge.longest_h = … h: does the "
+        "current sensor read too high?",
+        "the drive of a battery was on for longer than `load.charge.longest_h`, in any mode",
+        "with the drive off, look whether the current is shown as 0; is the battery larger than "
+        "the time allows for, does it leak, or is its set-point too small?",
+    ),
+    Trip(
         r"^limit cycle: ",
         "limit cycle: the fixed controller drives V_c from limit to limit",
         "at a constant set-point V_c went sixty times from one limit to the other, and the "
