@@ -28,7 +28,8 @@ from tests.faults.by_hand import DaemonByHand
 from tests.faults.course import Course, honest
 from tests.faults.off import MustBeOff
 from tests.faults.rows import ROWS, Row
-from tests.soak.tape import Judged, Tape
+from tests.soak.tape import Tape
+from tests.soak.verdict import Judged
 
 NAME = "motor, CAN"
 FLUSH_s = 60.0

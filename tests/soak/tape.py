@@ -6,41 +6,19 @@ A tape that ends is replayed, and held against what was published.
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
 
-from adaptdrive.app.loads import build_load
-from adaptdrive.app.settings import controller_settings
 from adaptdrive.config.root import Configuration
-from adaptdrive.control.controller import Controller
 from adaptdrive.recording.batches import Batch, EventRow, Header, TickTable, slow_row
-from adaptdrive.recording.reader import read_session
-from adaptdrive.recording.replay import replay
 from adaptdrive.recording.session import Dropped
 from adaptdrive.recording.writer import PatientWriter
 from adaptdrive.runtime.reports import Event, LoadReport, TickReport
 from tests.faults.by_hand import DaemonByHand
 from tests.recording.material import INFO
+from tests.soak.verdict import Judged, Published, judge_elsewhere
 
 HELD = 20_000
 """Reports that a queue holds: more than two minutes of ticks."""
-
-
-@dataclass(frozen=True, slots=True)
-class Judged:
-    """One session that was closed, read and replayed.
-
-    Attributes:
-        ticks: Ticks that were replayed.
-        slow_steps: Slow steps that were replayed.
-        events: Events that were read.
-        flaws: What is not as it should be.
-    """
-
-    ticks: int
-    slow_steps: int
-    events: int
-    flaws: tuple[str, ...]
 
 
 class Tape:
@@ -86,19 +64,8 @@ class Tape:
         """Close the session, replay it, and remove it."""
         self.flush(last=True)
         self._writer.finish()
-        session = read_session(self._folder)
-        if not self._published_ticks:
-            return Judged(0, 0, len(session.events), ())
-        settings, load = controller_settings(self._configuration), build_load(self._configuration)
-        report = replay(session, Controller(settings, load))
-        flaws = [] if report.exact else [str(report)]
-        if report.differing_decisions:
-            flaws.append(f"{report.differing_decisions} slow steps differ")
-        if report.ticks != self._published_ticks:
-            flaws.append(f"{self._published_ticks} ticks published, {report.ticks} recorded")
-        if len(session.events) != self._published_events:
-            flaws.append(f"{self._published_events} events, {len(session.events)} recorded")
-        if self._ticks.dropped or self._others.dropped:
-            flaws.append("a queue was too short")
+        dropped = bool(self._ticks.dropped or self._others.dropped)
+        published = Published(self._published_ticks, self._published_events, dropped)
+        judged = judge_elsewhere(self._folder, self._configuration, published)
         shutil.rmtree(self._folder)
-        return Judged(report.ticks, report.slow_steps, len(session.events), tuple(flaws))
+        return judged

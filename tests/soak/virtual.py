@@ -29,7 +29,7 @@ def soak(days: float, seed: int, minutes: float) -> tuple[list[str], bool]:
     Returns:
         Lines of a report, and whether all of it is as it should be.
     """
-    meter = Meter("daemon, drive, recorder and replay", of_this)
+    meter = Meter("daemon, drive and recorder", of_this)
     place = MEMORY if MEMORY.is_dir() else None
     with TemporaryDirectory(dir=place) as folder:
         life = Life(seed, Path(folder) / "session")
