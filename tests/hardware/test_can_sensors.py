@@ -9,10 +9,12 @@ import time
 from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
 
+import can
 import pytest
 
 from adaptdrive.config.sensors import CanSensorSection as Config
 from adaptdrive.errors import ConfigurationError
+from adaptdrive.hardware.backoff import BusBackoff
 from adaptdrive.hardware.dbc.sensors import CanSensorPort, build_can_sensors
 from adaptdrive.hardware.link.bus import open_bus
 from tests.hardware.bench import EXAMPLES, Drive, until
@@ -59,6 +61,9 @@ class Bench:
 
     async def receives(self, count: int) -> None:
         await until(lambda: self.port.statistics.received >= count)
+
+    async def reopens(self, count: int) -> None:
+        await until(lambda: self.port.statistics.reconnects >= count)
 
 
 @contextlib.asynccontextmanager
@@ -136,6 +141,28 @@ async def test_a_bus_that_cannot_be_opened_is_told_and_tried_again() -> None:
     assert not task.done()
     task.cancel()
     await asyncio.wait([task])
+
+
+async def test_a_bus_that_carries_errors_alone_is_opened_again_ever_later(
+    free_udp_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A shorted bus whose controller restarts by itself: each time, warnings precede bus-off."""
+    delays_s: list[float] = []
+
+    class Noted(BusBackoff):
+        def next_s(self) -> float:
+            delays_s.append(super().next_s())
+            return delays_s[-1]
+
+    monkeypatch.setattr("adaptdrive.hardware.dbc.sensors.BusBackoff", Noted)
+    async with bench(free_udp_port) as wires:
+        wires.drive.send_both()
+        await wires.hears(1)
+        for count in (1, 2, 3):
+            for error in (0x04, 0x40):
+                wires.drive.bus.send(can.Message(arbitration_id=error, is_error_frame=True))
+            await wires.reopens(count)
+    assert delays_s == [0.1, 0.2, 0.4]
 
 
 def test_what_the_database_does_not_have_is_listed_with_its_place(tmp_path: Path) -> None:

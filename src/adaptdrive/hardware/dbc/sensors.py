@@ -149,7 +149,7 @@ class CanSensorPort:
 
     async def _hear(self) -> None:
         """One bus after the other, less and less often while there is none."""
-        backoff = BusBackoff(lambda: self._counts["received"])
+        backoff = BusBackoff(lambda: self._counts["received"] - self._counts["foreign"])
         while True:
             self._report(up=False, problem=await self._try())
             await asyncio.sleep(backoff.next_s())
