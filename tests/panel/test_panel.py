@@ -41,7 +41,10 @@ def rest(panel_site: PanelSite) -> None:
         panel_site.site.ask("reset")
         return bool(panel_site.site.state["state"] == "standby")
 
-    until(at_rest, "standby")
+    try:
+        until(at_rest, "standby")
+    except AssertionError as problem:
+        raise AssertionError(f"{problem}; it is {panel_site.site.state}") from None
 
 
 def stop_in_vain(operator: Panel) -> None:
