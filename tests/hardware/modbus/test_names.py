@@ -7,14 +7,17 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from adaptdrive.app.lock import lock_names
+from adaptdrive.config import load_configuration
 from adaptdrive.config.modbus import ModbusTcp
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.modbus.bus import open_client
 from tests.config.modbus_documents import parse
+from tests.faults.course import EXAMPLES
 from tests.hardware.modbus.bench import TcpPeer
 
 
@@ -82,3 +85,18 @@ def test_one_device_has_one_lock_however_its_host_is_written() -> None:
     drive = f"drive {one.drive.name!r}"
     assert shared - {drive}
     assert {*lock_names(one)} & {*lock_names(far)} == {drive}
+
+
+def test_serial_devices_of_two_folders_have_two_locks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (EXAMPLES / "motor-modbus-rtu.toml").read_text()
+    names = []
+    for drive in ("one", "other"):
+        folder = tmp_path / drive
+        folder.mkdir()
+        (folder / "drive.toml").write_text(text.replace('name = "motor"', f'name = "{drive}"'))
+        monkeypatch.chdir(folder)
+        names.append({*lock_names(load_configuration(Path("drive.toml")))})
+        assert names[-1] == {*lock_names(load_configuration(folder / "drive.toml"))}
+    assert not names[0] & names[1]

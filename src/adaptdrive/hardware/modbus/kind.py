@@ -47,10 +47,15 @@ def _cautions(configuration: Configuration) -> Iterator[Flaw]:
 
 
 def _lock_names(configuration: Configuration) -> Iterator[str]:
-    """Yield the device, by its addresses, too: Modbus shows no requests of another client."""
+    """Yield the device, by its addresses, too: Modbus shows no requests of another client.
+
+    A serial device that is named relative to its file is that of this folder alone.
+    """
     bus = _bus(configuration)
-    yield describe_bus(bus)
-    if isinstance(bus, ModbusTcp):
+    if isinstance(bus, ModbusRtu):
+        yield describe_bus(bus.model_copy(update={"device": bus.device.absolute()}))
+    else:
+        yield describe_bus(bus)
         for address in _addresses(bus):
             yield f"modbus-tcp address {address} port {bus.port} device {bus.device_id}"
 
