@@ -37,6 +37,14 @@ COMMON = {
 }
 
 
+_WIDE_DBC = """VERSION ""
+BU_: MODULE
+BO_ 801 Wide: 16 MODULE
+ SG_ Temperature : 16|16@1- (0.1,0) [-20|120] "degC" Vector__XXX
+"""
+"""A message of 16 bytes, 0x321."""
+
+
 class Ear:
     def __init__(self) -> None:
         self.heard: list[tuple[dict[str, float], float]] = []
@@ -182,3 +190,38 @@ def test_what_the_database_does_not_have_is_listed_with_its_place(tmp_path: Path
     absent = config.model_copy(update={"database": tmp_path / "none.dbc"})
     with pytest.raises(ConfigurationError, match=r"sensor_bus\.1\.database"):
         build_can_sensors(absent, "sensor_bus.1", time.monotonic)
+
+
+async def test_a_sensor_whose_frames_are_those_of_can_fd_is_heard(
+    free_udp_port: int, tmp_path: Path
+) -> None:
+    description = tmp_path / "wide.dbc"
+    description.write_text(_WIDE_DBC)
+    changes = {
+        "udp_port": free_udp_port,
+        "fd": True,
+        "database": str(description),
+        "integrity": {},
+        "signals": {"temperature": {"signal": "Wide.Temperature", "unit": "degC"}},
+    }
+    config = Config.model_validate(COMMON | changes, strict=False)
+    port, ear = build_can_sensors(config, "sensor_bus.0", time.monotonic), Ear()
+    module = open_bus(config)
+    task = asyncio.create_task(port.run(ear))
+    await asyncio.sleep(0.05)
+    data = [0, 0, 250, *13 * [0]]
+    frame = can.Message(arbitration_id=0x321, data=data, is_extended_id=False, is_fd=True)
+    module.send(frame)
+    await until(lambda: bool(ear.heard))
+    assert ear.heard[0][0] == {"temperature": pytest.approx(25.0 + 273.15)}
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+    module.shutdown()
+
+
+def test_a_bus_of_sensors_on_can_fd_takes_its_frames_from_every_interface() -> None:
+    for fd, protocol in ((True, can.CanProtocol.CAN_FD), (False, can.CanProtocol.CAN_20)):
+        changes = {"interface": "virtual", "channel": "wide", "fd": fd}
+        bus = open_bus(Config.model_validate(COMMON | changes, strict=False))
+        assert bus.protocol is protocol
+        bus.shutdown()

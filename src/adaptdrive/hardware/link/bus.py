@@ -18,6 +18,7 @@ import can
 from can.interfaces.udp_multicast.utils import pack_message
 
 from adaptdrive.config.bus import CanBus, CanLink
+from adaptdrive.config.sensors import CanSensorSection
 from adaptdrive.errors import BusError, Flaw
 from adaptdrive.hardware.link.multicast import LoopbackMulticast, parse
 
@@ -84,7 +85,7 @@ def as_received(config: CanLink, frame: can.Message) -> Callable[[], can.Message
 
 def _has_fd(config: CanLink) -> bool:
     """Return whether the bus carries CAN FD frames; CANopen's are classic."""
-    return isinstance(config, CanBus) and config.fd
+    return isinstance(config, CanBus | CanSensorSection) and config.fd
 
 
 def _is_group(channel: str) -> bool:
