@@ -20,6 +20,7 @@ from adaptdrive.runtime.reports import Event, LoadReport, Severity
 from tests.config.documents import parse
 from tests.runtime.bench import until
 
+EXAMPLES = Path(__file__).parents[2] / "deploy" / "examples"
 VALUES = (0.021, 20.0, 90.0)
 RESOLUTION = 0.0049
 CONFIGURATION = parse()
@@ -94,6 +95,9 @@ def test_without_a_file_there_is_nothing_to_tell(tmp_path: Path) -> None:
         {"load__model__tau_motor_s": "9.5"},
         {"estimator__tau_lambda_s": "5.0"},
         {"drive__name": '"other"'},
+        {"signals__output__scale": "0.9"},
+        {"bus__channel": '"plant"'},
+        {"voltage_loop__feed_forward": "false"},
     ],
 )
 def test_another_configuration_does_not_take_it(path: Path, change: dict[str, str]) -> None:
@@ -102,6 +106,19 @@ def test_another_configuration_does_not_take_it(path: Path, change: dict[str, st
     assert event is not None
     assert event.severity is Severity.WARNING
     assert "another configuration" in event.detail
+
+
+def test_a_message_with_another_scale_does_not_take_it(tmp_path: Path) -> None:
+    database = tmp_path / "bench.dbc"
+    configuration = parse(bus__database=f'"{database}"')
+    database.write_bytes((EXAMPLES / "adaptdrive.dbc").read_bytes())
+    path = cp.checkpoint_path(tmp_path, "bench")
+    key = cp.configuration_key(configuration)
+    cp.write_checkpoint(path, key, LOAD.names, cp.Learnt(VALUES))
+    moved = database.rename(tmp_path / "moved.dbc")
+    assert recall(path, parse(bus__database=f'"{moved}"'))[0] == VALUES
+    moved.write_bytes(moved.read_bytes().replace(b"(0.000001,0)", b"(0.000002,0)"))
+    assert recall(path, parse(bus__database=f'"{moved}"'))[0] is None
 
 
 def test_what_has_nothing_to_do_with_the_load_may_change(path: Path) -> None:

@@ -24,6 +24,7 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.errors import NOT_JSON, AdaptdriveError, reason_of
+from adaptdrive.hardware.description import description_text
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Event, LoadReport, Severity
 
@@ -36,7 +37,12 @@ PATIENCE_S = 5.0
 """Longest wait for the disk: one that hangs must not keep the daemon from ending."""
 
 _REPORTS_HELD = 8
-_SECTIONS = {"drive", "load", "estimator"}
+_SECTIONS = {
+    *("drive", "bus", "signals", "sensor_bus", "derived"),  # what is measured, and of which drive
+    *("voltage_loop", "load", "estimator"),
+}
+_DESCRIPTIONS = ("database", "eds")
+"""Keys of a bus that name a file in which scales and offsets of its signals are."""
 
 Values = tuple[float, ...]
 
@@ -105,7 +111,18 @@ def checkpoint_path(state: Path, drive: str) -> Path:
 def configuration_key(configuration: Configuration) -> str:
     """Hash of everything in a configuration that gives estimates their meaning."""
     sections = configuration.model_dump(mode="json", include=_SECTIONS)
+    for bus in (sections["bus"], *sections["sensor_bus"]):
+        bus |= {name: _contents(Path(bus[name])) for name in _DESCRIPTIONS if name in bus}
     text = json.dumps(sections, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _contents(path: Path) -> str:
+    """Return a hash of a description, which means the same in another folder; empty without one."""
+    try:
+        text = description_text(path)
+    except (OSError, ValueError):
+        return ""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
