@@ -115,6 +115,21 @@ def test_a_battery_is_charged_tapers_and_is_complete(
     assert plant.output == 0.0
 
 
+def test_the_terminals_of_a_full_battery_pass_their_limit_by_two_percent_at_most() -> None:
+    tables = example_tables("battery.toml")
+    limit_V = tables["load"]["charge"]["voltage_max_V"]
+    plant = Battery(dataclasses.replace(ONE, charge=0.93))
+    assert plant.open_circuit_V > limit_V
+    drive = enabled(configured("battery"), world(plant, 0.0))
+    drive.carry_out(SetMode(Mode.ADAPTIVE))
+    drive.carry_out(SetSetpoint(12.6))
+    highest_V = 0.0
+    while drive.time_s < 30.0:
+        drive.tick()
+        highest_V = max(highest_V, plant.terminal_voltage_V)
+    assert 1.019 * limit_V < highest_V < 1.0205 * limit_V
+
+
 @pytest.mark.parametrize("mode", [Mode.FIXED, Mode.ADAPTIVE])
 def test_a_battery_is_charged_while_it_is_learnt_without_filters(mode: Mode) -> None:
     """Such a model has no direct term: that parameter of it is exactly 0."""

@@ -279,10 +279,10 @@ class Controller:
         fast.set_by_hand(self._fast, self._settings.stage, order.manual_V, highest_V)
 
     def _drive(self, measurement: Measurement, bridge: bool) -> Command:
-        stage, charging = self._settings.stage, self._load.charging
+        charging, highest_V = self._load.charging, math.inf
         if charging is not None:
-            fast.hold_below(self._fast, stage, voltage_limit(charging, measurement.output))
-        scale, reference = fast.drive(self._fast, stage, measurement)
+            highest_V = voltage_limit(charging, measurement.output)
+        scale, reference = fast.drive(self._fast, self._settings.stage, measurement, highest_V)
         return Command(scale, reference, bridge)
 
     def _sample(self, snapshot: Snapshot) -> SlowSample:

@@ -215,10 +215,21 @@ def take_rounding(settings: ControllerSettings, bank: FilterBank) -> tuple[float
     return step, rounding_error(step, grid.share)
 
 
-def drive(state: FastState, stage: PowerStage, measurement: Measurement) -> tuple[float, float]:
-    """Return the command for the drive: current scale k in siemens, and V_c in force in volts."""
+def drive(
+    state: FastState, stage: PowerStage, measurement: Measurement, highest_V: float = math.inf
+) -> tuple[float, float]:
+    """Return the command for the drive: current scale k in siemens, and V_c in force in volts.
+
+    Args:
+        state: Overwritten.
+        stage: Limits.
+        measurement: Of this tick.
+        highest_V: V_c that the load bears at present.
+    """
     voltage_V, power_W = measurement.boost_voltage_V, measurement.load_power_W
     reference_V = limit_power(state, stage, voltage_V, power_W)
+    hold_below(state, stage, highest_V)  # after the ceiling has risen, or V_c would pass it
+    reference_V = min(reference_V, state.ceiling_V)
     if stage.kick_ticks > 0:
         reference_V = kick(state, stage, reference_V, measurement.tick)
     if stage.holds_voltage:
