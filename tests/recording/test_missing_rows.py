@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -111,3 +112,24 @@ def test_a_foreign_file_beside_the_segments_is_no_segment(tmp_path: Path) -> Non
     record_in_two_parts(tmp_path)
     (tmp_path / "ticks-copy.torn").touch()
     assert verdict(tmp_path).whole
+
+
+@pytest.mark.parametrize("table", ["ticks", "slow", "sensors"])
+def test_a_copy_in_the_place_of_another_segment_hides_nothing(tmp_path: Path, table: str) -> None:
+    header = Header(INFO, "", sensors=SENSORS)
+    for number in range(3):
+        record_messages(tmp_path, header, batch(number, last=number == 2))
+    assert verdict(tmp_path).whole
+    shutil.copy(tmp_path / f"{table}-0001.parquet", tmp_path / f"{table}-0002.parquet")
+    assert f"{table}-0002.parquet: its rows are not later than those before them" in (
+        verdict(tmp_path).problems
+    )
+
+
+def test_segments_in_each_others_place_are_a_problem(tmp_path: Path) -> None:
+    record_in_two_parts(tmp_path)
+    first, second = tmp_path / "ticks-0001.parquet", tmp_path / "ticks-0002.parquet"
+    kept = first.read_bytes()
+    first.write_bytes(second.read_bytes())
+    second.write_bytes(kept)
+    assert not verdict(tmp_path).whole

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import math
 import sqlite3
 from collections.abc import Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+
+import pyarrow as pa
 
 from adaptdrive.config.regular_file import require_regular
 from adaptdrive.errors import RecordingError, reason_of
 from adaptdrive.recording.event_log import count_rows
 from adaptdrive.recording.reader import Session
-from adaptdrive.recording.resume import last_key
-from adaptdrive.recording.segments import segments
+from adaptdrive.recording.resume import KEYS, last_key
+from adaptdrive.recording.segments import Segment, segments
 from adaptdrive.recording.session import EVENTS_FILE, TICKS, Dropped
 from adaptdrive.recording.streams import TORN
 from adaptdrive.recording.tick_times import EVERY_TICK
@@ -46,21 +49,15 @@ def verify(session: Session) -> Verification:
     Args:
         session: The session.
     """
-    rows: dict[str, int] = {}
     problems = list(_event_problems(session.path / EVENTS_FILE, session.info.logged))
-    expected, missing = session.first_sequence, 0
+    count = _Count(session.first_sequence)
     for segment in segments(session.path):
         try:
             for batch in segment.batches(strict=True):
-                rows[segment.table] = rows.get(segment.table, 0) + batch.num_rows
-                if segment.table == TICKS and batch.num_rows:
-                    following = int(last_key(segment, batch)) + 1
-                    if expected is None:
-                        expected = batch.column("sequence")[0].as_py()
-                    missing += following - expected - batch.num_rows
-                    expected = following
+                count.take(segment, batch)
         except RecordingError as problem:
             problems.append(f"{segment.path.name}: {problem.problem}")
+    rows, missing = count.rows, count.missing_ticks
     problems += _missing_rows(rows, session.info.rows)
     problems += _unrecorded(session.info.dropped)
     # a whole file that is gone leaves no gap in the running numbers
@@ -68,6 +65,44 @@ def verify(session: Session) -> Verification:
     missing = max(missing, session.info.dropped.ticks, counted - rows.get(TICKS, 0))
     problems += _torn_ends(session.path)
     return Verification(rows, missing, tuple(problems))
+
+
+@dataclass(slots=True)
+class _Count:
+    """Rows of a session, in the order in which they must be.
+
+    Attributes:
+        next_sequence: Running number of the next tick; None where any may be the first.
+        missing_ticks: Ticks between those that were counted.
+        rows: Rows by table.
+        last: Last key by table.
+    """
+
+    next_sequence: int | None
+    missing_ticks: int = 0
+    rows: dict[str, int] = field(default_factory=dict)
+    last: dict[str, float] = field(default_factory=dict)
+
+    def take(self, segment: Segment, batch: pa.RecordBatch) -> None:
+        """Count the rows of a batch.
+
+        Raises:
+            RecordingError: They are not later than those before them, as in a copy of a file.
+        """
+        table = segment.table
+        if batch.num_rows and (table == TICKS or KEYS[table] in batch.schema.names):
+            first, last = last_key(segment, batch.slice(length=1)), last_key(segment, batch)
+            if first <= self.last.get(table, -math.inf):
+                raise RecordingError(segment.path, "its rows are not later than those before them")
+            self.last[table] = last
+            if table == TICKS:
+                self._count_missing(int(first), int(last), batch.num_rows)
+        self.rows[table] = self.rows.get(table, 0) + batch.num_rows
+
+    def _count_missing(self, first: int, last: int, rows: int) -> None:
+        expected = first if self.next_sequence is None else self.next_sequence
+        self.missing_ticks += last + 1 - expected - rows
+        self.next_sequence = last + 1
 
 
 def _torn_ends(directory: Path) -> Iterator[str]:
