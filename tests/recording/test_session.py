@@ -115,6 +115,17 @@ def test_damaged_facts_are_an_error_that_says_where(
         read_info(directory)
 
 
+@pytest.mark.parametrize(
+    ("fact", "value"),
+    [("ticks_per_period", 0), ("ticks_per_period", 10**30), ("line_frequency_Hz", 0.0)],
+)
+def test_facts_that_give_no_clock_are_damage(directory: Path, fact: str, value: float) -> None:
+    facts = json.loads((directory / "session.json").read_text()) | {fact: value}
+    (directory / "session.json").write_text(json.dumps(facts))
+    with pytest.raises(RecordingError, match=fact):
+        read_info(directory)
+
+
 def test_a_directory_without_a_session_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="No such file"):
         read_info(tmp_path)

@@ -18,7 +18,7 @@ from datetime import datetime
 from enum import StrEnum
 from itertools import count
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Self
 
 import msgspec
 
@@ -78,6 +78,10 @@ class Dropped(msgspec.Struct, frozen=True):
         return f"{rows} and {self.commands} commands"
 
 
+_MOST_TICKS = 1_000_000_000
+"""More than any slow period has: three months."""
+
+
 class SessionInfo(msgspec.Struct, frozen=True):
     """Contents of `session.json`.
 
@@ -105,9 +109,9 @@ class SessionInfo(msgspec.Struct, frozen=True):
     drive: str
     version: str
     started: datetime
-    ticks_per_period: int
+    ticks_per_period: Annotated[int, msgspec.Meta(ge=1, le=_MOST_TICKS)]
     latency_ticks: int
-    line_frequency_Hz: float
+    line_frequency_Hz: Annotated[float, msgspec.Meta(gt=0.0)]
     ended: Ending = Ending.OPEN
     dropped: Dropped = Dropped()
     prior: tuple[float, ...] | None = None
