@@ -22,7 +22,8 @@ from adaptdrive.hardware.dbc.database import (
     load_database,
     message_codec,
 )
-from adaptdrive.hardware.dbc.orders import CommandFrame, build_orders, find_orders, page_of, resolve
+from adaptdrive.hardware.dbc.orders import CommandFrame, build_orders, find_orders, resolve
+from adaptdrive.hardware.dbc.pages import carried_signals, page_of, sent_pages
 from adaptdrive.hardware.link.codec import MessageCodec, counter_modulus
 from adaptdrive.hardware.link.layout import compile_field
 from adaptdrive_sim.devices.drive import Frame
@@ -192,16 +193,13 @@ def _find_sinks(
 def _pages(
     catalogue: SignalCatalogue, message: Message, sinks: list[tuple[Signal, SignalSink]]
 ) -> Iterator[Page]:
-    """Every page, whether or not it carries something; what pages have in common is in each."""
+    """Every page, whether or not it carries something; what several carry is in each of them."""
     place = f"bus.database.{message.name}"
-    pages: dict[tuple[tuple[str, float], ...], list[SignalSink]] = {
-        page_of(catalogue, message, signal, place): [] for signal in message.signals
-    }
-    for signal, sink in sinks:
-        pages[page_of(catalogue, message, signal, place)].append(sink)
-    common = pages.pop((), [])
-    for page, own in (pages or {(): []}).items():
-        yield Page(dict(page), (*common, *own))
+    pages = dict.fromkeys(page_of(catalogue, message, one, place) for one in message.signals)
+    for page in sent_pages(pages):
+        carried = carried_signals(message, dict(page))
+        own = tuple(sink for signal, sink in sinks if signal.name in carried)
+        yield Page(dict(page), own)
 
 
 def _every_ticks(message: Message, bus: CanBus, half_cycle_ms: float) -> int:

@@ -1,7 +1,7 @@
 """The command on its way out: which parts of it travel in which frames.
 
-A multiplexed message is sent once for each page that carries something; what all of its pages have
-in common travels in each of them.
+A multiplexed message is sent once for each page that carries something; what several of its pages
+carry travels in each of them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from adaptdrive.config.bus import CanBus, CommandSignal, CommandSwitch, Signals
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.units import WANTED, unit_problem
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.dbc.database import SignalCatalogue, is_word
+from adaptdrive.hardware.dbc.database import SignalCatalogue
+from adaptdrive.hardware.dbc.pages import Page, carried_signals, page_of, sent_pages
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.link.codec import MessageCodec
 from adaptdrive.hardware.link.layout import compile_field, initial_value
@@ -90,10 +91,6 @@ def bridge_first(orders: Iterable[CommandFrame]) -> tuple[CommandFrame, ...]:
     return tuple(sorted(orders, key=lambda order: not order.switches_bridge))
 
 
-Page = tuple[tuple[str, float], ...]
-"""The multiplexers of a frame, outermost first, and their values."""
-
-
 @dataclass(slots=True)
 class _Draft:
     """Commanded signals of one page of a message."""
@@ -129,12 +126,18 @@ def build_orders(
 ) -> Iterator[CommandFrame]:
     """The frames of a command, from drafts without a flaw."""
     for name, pages in drafts.items():
-        codec = MessageCodec(catalogue.known(name), bus.integrity.get(name))
-        common = pages.get((), _Draft())
-        for page in [page for page in pages if page] or [()]:
-            draft = pages[page] if page else _Draft()
-            parts = (*common.parts, *draft.parts)
-            yield CommandFrame(codec, parts, {**common.fixed, **draft.fixed, **dict(page)})
+        message = catalogue.known(name)
+        codec = MessageCodec(message, bus.integrity.get(name))
+        parts = [part for draft in pages.values() for part in draft.parts]
+        fixed = {key: value for draft in pages.values() for key, value in draft.fixed.items()}
+        for page in sent_pages(pages):
+            chosen = {**fixed, **dict(page)}
+            carried = carried_signals(message, chosen)
+            yield CommandFrame(
+                codec,
+                tuple(part for part in parts if part.signal in carried),
+                {key: value for key, value in chosen.items() if key in carried},
+            )
 
 
 def resolve(
@@ -149,11 +152,6 @@ def resolve(
     hint = nearest(given, names)
     catalogue.note(place, f"the value table of {signal.name!r} has no {given!r}{hint}")
     return None
-
-
-def page_of(catalogue: SignalCatalogue, message: Message, signal: Signal, place: str) -> Page:
-    """Return the selector of the frames with a signal, empty if all frames have it."""
-    return tuple(_selectors(catalogue, message, signal, place))
 
 
 def _find_constants(
@@ -281,16 +279,3 @@ def _draft(
 ) -> _Draft:
     page = page_of(catalogue, message, signal, place)
     return drafts.setdefault(message.name, {}).setdefault(page, _Draft())
-
-
-def _selectors(
-    catalogue: SignalCatalogue, message: Message, signal: Signal, place: str
-) -> Iterator[tuple[str, float]]:
-    if not signal.multiplexer_ids or signal.multiplexer_signal is None:
-        return
-    selector = message.get_signal_by_name(signal.multiplexer_signal)
-    yield from _selectors(catalogue, message, selector, place)
-    if not is_word(selector):
-        problem = f"its multiplexer {selector.name!r} has a factor or an offset"
-        catalogue.note(place, problem)
-    yield selector.name, float(signal.multiplexer_ids[0])
