@@ -17,6 +17,7 @@ NAMES = ("availability", "state", "telemetry/load", "telemetry/drive", "event", 
 OWN = [f"adaptdrive/motor/{name}" for name in NAMES]
 OTHERS = [f"adaptdrive/bath/{name}" for name in NAMES]
 OWN_STOP = "adaptdrive/motor/command/disable"
+OWN_PROBE = "adaptdrive/motor/command/probe"
 COMMANDS = [f"adaptdrive/{drive}/command/{verb}" for drive in ("motor", "bath") for verb in "ab"]
 QUESTIONS = [f"adaptdrive/{drive}/ask/history" for drive in ("motor", "bath")]
 ELSEWHERE = ["adaptdrive", "adaptdrive/motor", "adaptdrive/motor/state/x", "adaptdrive//state"]
@@ -50,8 +51,8 @@ def heard(
 def test_a_drive_speaks_for_itself_alone(guarded: GuardedBroker, listen: Listen) -> None:
     other_stop = OWN_STOP.replace("motor", "bath")
     others = [*COMMANDS, *QUESTIONS, *ELSEWHERE]
-    tried = [*OWN, *OTHERS, *others, "adaptdrive/operator/state", other_stop]
-    assert heard(guarded, listen, "operator", "motor", [*tried, OWN_STOP]) == [*OWN, OWN_STOP]
+    tried = [*OWN, *OTHERS, *others, "adaptdrive/operator/state", other_stop, OWN_STOP, OWN_PROBE]
+    assert heard(guarded, listen, "operator", "motor", tried) == [*OWN, OWN_STOP, OWN_PROBE]
 
 
 def test_a_drive_hears_its_own_commands_only(guarded: GuardedBroker, listen: Listen) -> None:
@@ -59,7 +60,7 @@ def test_a_drive_hears_its_own_commands_only(guarded: GuardedBroker, listen: Lis
     assert heard(guarded, listen, "motor", "operator", COMMANDS) == own
     assert heard(guarded, listen, "motor", "bath", OTHERS) == []
     telemetry = ["adaptdrive/motor/telemetry/drive"]
-    assert heard(guarded, listen, "motor", "motor", OWN) == telemetry
+    assert heard(guarded, listen, "motor", "motor", [*OWN, OWN_PROBE]) == [*telemetry, OWN_PROBE]
 
 
 @pytest.mark.parametrize(

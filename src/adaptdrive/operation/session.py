@@ -18,6 +18,7 @@ from adaptdrive.operation.intake import Intake
 from adaptdrive.operation.link import BrokerConnection
 from adaptdrive.operation.messages import OFFLINE, ONLINE, Reply, encode
 from adaptdrive.operation.pace import Pace
+from adaptdrive.operation.probe import CommandProbe
 from adaptdrive.operation.topics import Topics
 from adaptdrive.runtime.reports import Severity
 
@@ -59,6 +60,7 @@ class BrokerSession:
         self._commands: Mailbox[OperatorCommand] = Mailbox(COMMANDS_HELD)
         self._stops: Mailbox[OperatorCommand] = Mailbox(COMMANDS_HELD)
         self._asked = asyncio.Event()
+        self._probe = CommandProbe(line.client, topics.probe, intake)
         self._logged = 0
         self._logged_s = -LOGGED_EVERY_S
 
@@ -87,6 +89,8 @@ class BrokerSession:
                 tasks.create_task(self._send_drive(), name="mqtt telemetry/drive")
                 tasks.create_task(self._send_histograms(), name="mqtt telemetry/histograms")
                 tasks.create_task(self._send_history(), name="mqtt history")
+                if self._protocol is ProtocolVersion.V5:
+                    tasks.create_task(self._probe.run(), name="mqtt probe")
         except asyncio.CancelledError:
             await self._take_leave()
             raise
@@ -118,6 +122,8 @@ class BrokerSession:
                 value = code.value if isinstance(code, ReasonCode) else code
                 if value >= LOWEST_FAILURE_CODE:
                     self._report_refusal(topic, str(code))
+        if self._protocol is ProtocolVersion.V5:
+            await self._client.subscribe(self._topics.probe, qos=1)  # with what it publishes
 
     def _report_refusal(self, topic: str, code: str) -> None:
         """Log a refused subscription, and report it where no command arrives without it."""
@@ -136,6 +142,8 @@ class BrokerSession:
             await self._client.publish(self._topics.state, encode(message), qos=1, retain=True)
 
     def _receive(self, message: Message) -> None:
+        if self._probe.takes(message):
+            return
         if message.topic.value == self._topics.drive_telemetry:
             self._line.name.heard_rival()
             return

@@ -54,6 +54,7 @@ class SteadyClient(Client):
         self._largest: int | None = None
         self._withheld: set[str] = set()
         self._refusals: set[int] = set()
+        self._offers: dict[int, asyncio.Future[bool]] = {}
 
     async def publish(  # type: ignore[override]
         self,
@@ -78,6 +79,21 @@ class SteadyClient(Client):
                 bytes=size,
                 largest=self._largest,
             )
+
+    async def offer(self, topic: str, payload: bytes) -> bool:
+        """Publish a message that may be refused; return whether the broker takes it.
+
+        A broker of MQTT 3.1.1 does not say that it refuses a message.
+
+        Raises:
+            MqttError: The broker does not answer.
+        """
+        number = self._client.publish(topic, payload, qos=1).mid
+        self._offers[number] = answer = self._loop.create_future()
+        try:
+            return await self._wait_for(answer, None)
+        finally:
+            del self._offers[number]
 
     def receive_with(self, receive: Callable[[Message], None]) -> None:
         """Hand each message over as it arrives, ahead of every queue and task."""
@@ -141,7 +157,11 @@ class SteadyClient(Client):
 
     def _on_publish(self, *args: Any) -> None:  # noqa: ANN401 - aiomqtt's signature
         super()._on_publish(*args)
-        self._log_refusal(args[3])
+        offer = self._offers.get(args[2])
+        if offer is None:
+            self._log_refusal(args[3])
+        elif not offer.done():
+            offer.set_result(not args[3].is_failure)
         self._acknowledge_segment()
 
     def _log_refusal(self, code: ReasonCode) -> None:

@@ -69,6 +69,11 @@ class Topics:
         """Filter that catches every command, those with an unknown verb too."""
         return self._below("command/#")
 
+    @property
+    def probe(self) -> str:
+        """Topic among the commands that the daemon itself publishes on, and hears."""
+        return self.command("probe")
+
     def command(self, verb: str) -> str:
         """The topic on which a verb is asked for."""
         return self._below(f"command/{verb}")
