@@ -172,6 +172,11 @@ def _boost(read: Callable[[float], float]) -> Put:
     return _frame(lambda _, r: replace(r, boost_voltage_V=read(r.boost_voltage_V)))
 
 
+def _scaled(name: str, factor: float) -> Put:
+    """Return the wrong scale of one measured quantity of the drive."""
+    return _frame(lambda _, r: replace(r, **{name: factor * getattr(r, name)}))
+
+
 def _line(course: Course) -> None:
     course.drive.world.line.parameters = replace(course.drive.world.line.parameters, voltage_V=30.0)
 
@@ -202,6 +207,7 @@ NO_RESPONSE = ("no response", "stuck", "output", "load", "error")
 STALE = ("stale", "overslept", "drive stopped")
 
 WRONG_BOOST = (*NO_RESPONSE, "drive fault", "over-voltage")
+WRONG_SUPPLY = (*WRONG_BOOST, "output above its limit")
 
 ROWS: tuple[Row, ...] = (
     Row("sensor", "stuck, then a step", _stuck, EVERY, {"motor": 45.0, "bath": 250.0}, NO_RESPONSE),
@@ -225,6 +231,11 @@ ROWS: tuple[Row, ...] = (
     Row("sensor", "v_bst reads 0", _boost(lambda _: 0.0), EVERY, None, WRONG_BOOST, mends=False),
     Row("sensor", "scale of v_bst × 0.8", _boost(lambda v: 0.8 * v), EVERY, None, WRONG_BOOST,
         mends=False),
+    Row("sensor", "scale of the line voltage × 0.5", _scaled("line_voltage_V", 0.5), EVERY, None,
+        WRONG_SUPPLY),
+    Row("sensor", "scale of the load power × 3", _scaled("load_power_W", 3.0), EVERY, None,
+        WRONG_SUPPLY),
+    Row("sensor", "load power reads 0", _scaled("load_power_W", 0.0), EVERY, None, WRONG_SUPPLY),
     Row("plant", "seized shaft", _seized, MOTORS, {"motor": 75.0}, NO_RESPONSE, mends=False),
     Row("plant", "load beyond the drive: 4 N m", _brake, MOTORS, mends=False),
     Row("plant", "broken heater", _broken_heater, BATHS, {"bath": 900.0}, NO_RESPONSE, mends=False),
