@@ -145,12 +145,16 @@ def test_precharge_holds_the_lowest_voltage_with_the_bridge_off() -> None:
 
 
 @pytest.mark.parametrize("boost", [0.0, 170.0, 215.0, 333.0, 450.0])
-def test_entering_run_starts_from_the_present_voltage(boost: float) -> None:
+@pytest.mark.parametrize("output", [2.0, 3.2, 4.5])
+def test_entering_run_starts_from_the_present_voltage_but_moves_no_load(
+    boost: float, output: float
+) -> None:
     controller = Controller(EXACT, MOTOR)
     controller.tick(measurement(0, boost=boost), order(stage=Stage.PRECHARGE))
-    command = controller.tick(measurement(1, boost=boost), order())
+    command = controller.tick(measurement(1, boost=boost, output=output), order())
     assert command.bridge
-    assert command.boost_reference_V == min(max(boost, 200.0), 400.0)
+    at_rest_V = max(REST_V * output / 3.0, 200.0)
+    assert command.boost_reference_V == pytest.approx(min(max(boost, 200.0), at_rest_V, 400.0))
 
 
 def test_entering_run_again_starts_from_the_present_not_from_the_past() -> None:

@@ -200,31 +200,40 @@ class Controller:
         self._stage = stage
         self._snapshot = None
         limits = self._settings.stage
-        voltage = measurement.boost_voltage_V
-        reference = min(max(voltage, limits.boost_reference_min_V), limits.boost_reference_max_V)
+        output, voltage = measurement.output, measurement.boost_voltage_V
+        unfed = stage is Stage.RUN and not fed
+        held = self._held_voltage(output, voltage) if unfed else voltage
+        reference = min(max(held, limits.boost_reference_min_V), limits.boost_reference_max_V)
         if stage is Stage.PRECHARGE:
             reference = limits.boost_reference_min_V
         self._fast = fast.FastState(
             tick=measurement.tick,
             boost_reference_V=reference,
-            error_sum=initial_sum(voltage),
+            error_sum=initial_sum(held),
         )
         if stage is Stage.RUN:
             self._recall()
-            output = measurement.output
-            if not fed and self._load.charging is not None:
-                # the capacitor may still be charged: holding it would charge at any current
-                self._fast.boost_reference_V = limits.boost_reference_min_V
-                self._fast.error_sum = initial_sum(limits.boost_reference_min_V)
             at_rest = voltage if fed else self._resting_voltage(output, voltage)
             grid = self._bank.grid  # the sensor is the same in every run
             self._bank = self._new_bank(measurement.tick_period_s, output, at_rest)
             self._bank.grid = grid
-            self._slow = new_slow_state(self._settings, self._load, output, voltage)
+            first = held if self._load.charging is None else voltage
+            self._slow = new_slow_state(self._settings, self._load, output, first)
             self._reach = nominal_reach(self._load, limits)
             if self._prior is not None:
                 learning, values = self._settings.learning, list(self._prior)
                 start_from(self._slow.estimator, learning, self._load, values)
+
+    def _held_voltage(self, output: float, voltage: float) -> float:
+        """The voltage from which V_c begins: the measured one, at most what the load rests at.
+
+        The capacitor may still be full from the run before: holding it would move a load, and
+        charge a battery at any current.
+        """
+        floor_V = self._settings.stage.boost_reference_min_V
+        if self._load.charging is not None:
+            return floor_V
+        return min(voltage, max(self._resting_voltage(output, voltage), floor_V))
 
     def _resting_voltage(self, output: float, voltage: float) -> float:
         """The voltage at which the load would rest at this output: 0 for one at a standstill.
