@@ -129,6 +129,39 @@ async def test_setting_the_clock_makes_nobody_forget(path: Path) -> None:
         assert memory.recall("a") == _reply("a")
 
 
+async def test_a_reply_from_before_the_clock_was_set_outlives_an_orderly_end(path: Path) -> None:
+    time = Time(wall=datetime(1970, 1, 1, tzinfo=UTC))
+    archive, recalled = (
+        Archive(Journal(path), lambda: time.wall, lambda: time.running_s),
+        asyncio.Event(),
+    )
+    keeping = asyncio.create_task(archive.run(lambda *_: None, recalled.set))
+    await recalled.wait()
+    await archive.replies.keep("a", _reply("a"))
+    time.wall = datetime(2026, 1, 1, tzinfo=UTC)
+    keeping.cancel()
+    await asyncio.wait([keeping])
+    await archive.close()
+    async with remembering(path, time) as memory:
+        assert memory.recall("a") == _reply("a")
+
+
+async def test_a_reply_from_before_the_clock_was_set_outlives_a_kill(path: Path) -> None:
+    time = Time(wall=datetime(1970, 1, 1, tzinfo=UTC))
+    async with remembering(path, time) as memory:
+        await memory.keep("a", _reply("a"))
+        time.wall = datetime(2026, 1, 1, tzinfo=UTC)
+        memory.follow_clock()
+        await memory.written()
+        left = Path(shutil.copytree(path.parent, path.parent.with_name("left"))) / path.name
+    time.pass_by(LIFETIME_S - 1.0)
+    async with remembering(left, time) as memory:
+        assert memory.recall("a") == _reply("a")
+    time.pass_by(2.0)
+    async with remembering(left, time) as memory:
+        assert memory.recall("a") is None
+
+
 async def test_events_leave_in_order_and_only_when_acknowledged(path: Path) -> None:
     async with open_journal(path) as journal:
         outbox = Outbox(journal, wall)

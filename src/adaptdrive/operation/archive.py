@@ -60,6 +60,7 @@ class Archive:
                     recalled()
                 loaded = True
                 self._rewrite()
+            self.replies.follow_clock()
             self.replies.begin()
             await self.replies.written()  # a file may be opened that takes nothing
             if self._journal.problem:
@@ -68,6 +69,7 @@ class Archive:
 
     async def close(self) -> None:
         """Close the journal, in bounded time."""
+        self.replies.follow_clock()
         await self._journal.close(FAREWELL_S)
 
     async def _load(self) -> str:

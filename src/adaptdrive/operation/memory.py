@@ -17,6 +17,8 @@ from adaptdrive.operation.messages import Reply, encode
 LIMIT = 1000
 LIFETIME_S = 24 * 3600.0
 PATIENCE_S = 1.0
+CLOCK_STEP_S = 60.0
+"""Change of the difference of the two clocks that is no drift: the wall clock was set."""
 UNREADABLE = "the reply to the first command with this id cannot be read any more"
 
 
@@ -37,7 +39,8 @@ class ReplyMemory:
     """The last replies by id, across restarts.
 
     Ages run on the monotonic clock, so that a wall clock which is set right after start does not
-    make the daemon forget; only the time between two runs is taken from the wall clock.
+    make the daemon forget; only the time between two runs is taken from the wall clock. The
+    times in the file are of the wall clock, and are written anew after it was set.
     """
 
     def __init__(
@@ -49,6 +52,7 @@ class ReplyMemory:
         self._limit = limit
         self._entries: OrderedDict[str, _Entry] = OrderedDict()
         self._loaded = asyncio.Event()
+        self._written_ahead_s: float | None = None
 
     async def load(self) -> int:
         """Recall what an earlier run replied, as older than what this one has.
@@ -65,14 +69,21 @@ class ReplyMemory:
                 self._entries[identity] = _Entry(reply, self._born_s(time_s), asked)
         self._entries.update(held)
         self._forget()
+        self._written_ahead_s = self._wall_ahead_s()
         return sum(known is None for _, _, known in kept)
 
     def rewrite(self) -> None:
         """Write all that is remembered; the disk has missed some of it."""
         self._journal.post("DELETE FROM reply")
-        now_s, wall_s = self._monotonic(), self._wall().timestamp()
+        ahead_s = self._written_ahead_s = self._wall_ahead_s()
         for identity, entry in self._entries.items():
-            self._post(identity, wall_s - (now_s - entry.born_s), entry)
+            self._post(identity, ahead_s + entry.born_s, entry)
+
+    def follow_clock(self) -> None:
+        """Write all that is remembered where the wall clock was set since it was recalled."""
+        known_ahead_s = self._written_ahead_s
+        if known_ahead_s is not None and abs(self._wall_ahead_s() - known_ahead_s) > CLOCK_STEP_S:
+            self.rewrite()
 
     def begin(self) -> None:
         """Let commands in: what an earlier run replied is known, or cannot be."""
@@ -121,6 +132,10 @@ class ReplyMemory:
         body = encode(msgspec.structs.asdict(entry.reply) | {"asked": entry.asked})
         row = identity, time_s, body
         self._journal.post("INSERT OR REPLACE INTO reply VALUES (?, ?, ?)", row)
+
+    def _wall_ahead_s(self) -> float:
+        """Return the difference of the wall clock from the monotonic one."""
+        return self._wall().timestamp() - self._monotonic()
 
     def _born_s(self, time_s: object) -> float:
         """Return the monotonic time of a row."""
