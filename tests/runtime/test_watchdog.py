@@ -98,3 +98,21 @@ def test_a_service_manager_that_does_not_listen_blocks_nothing(ear: Ear) -> None
         manager.status(f"line {number}")
     manager.close()
     assert ear.heard()[0] == "STATUS=line 0"
+
+
+def test_what_the_service_manager_had_no_room_for_is_sent_again(ear: Ear) -> None:
+    manager = ServiceManager({"NOTIFY_SOCKET": ear.address, "WATCHDOG_USEC": "1000000"})
+    crowd = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    crowd.settimeout(0.0)
+    with pytest.raises(BlockingIOError):
+        while True:
+            crowd.sendto(b"of another service", ear.address.replace("@", "\0", 1))
+    crowd.close()
+    manager.ready()
+    manager.status("standby")
+    manager.status("running")
+    manager.feed(1.0)
+    assert set(ear.heard()) == {"of another service"}
+    manager.feed(1.1)
+    manager.close()
+    assert ear.heard() == ["READY=1", "STATUS=running", "WATCHDOG=1"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import socket
 from collections.abc import Mapping
 
@@ -26,6 +25,7 @@ class ServiceManager:
             self._address = address
         watchdog_us = environment.get("WATCHDOG_USEC", "")
         self._feed_every_s = int(watchdog_us) * 1e-6 / 4.0 if watchdog_us.isdigit() else 0.0
+        self._unsent: dict[str, str] = {}
         self._fed_s = float("-inf")
         self._status = ""
 
@@ -45,6 +45,8 @@ class ServiceManager:
 
     def feed(self, now_s: float) -> None:
         """Report a tick that met its deadline, four times per watchdog period."""
+        if self._unsent:
+            self._deliver()
         if self._feed_every_s and now_s - self._fed_s >= self._feed_every_s:
             self._fed_s = now_s
             self._notify("WATCHDOG=1")
@@ -56,6 +58,19 @@ class ServiceManager:
             self._socket = None
 
     def _notify(self, message: str) -> None:
+        """Send a message after those that wait; a newer one of its kind takes its place there."""
         if self._socket is not None:
-            with contextlib.suppress(OSError):
+            self._unsent[message.partition("=")[0]] = message
+            self._deliver()
+
+    def _deliver(self) -> None:
+        """Send what waits as far as the manager has room; nothing waits for one that is gone."""
+        while self._socket is not None and self._unsent:
+            kind, message = next(iter(self._unsent.items()))
+            try:
                 self._socket.sendto(message.encode(), self._address)
+            except BlockingIOError:
+                return
+            except OSError:
+                pass
+            del self._unsent[kind]
