@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -104,7 +105,7 @@ def test_what_the_service_manager_had_no_room_for_is_sent_again(ear: Ear) -> Non
     manager = ServiceManager({"NOTIFY_SOCKET": ear.address, "WATCHDOG_USEC": "1000000"})
     crowd = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     crowd.settimeout(0.0)
-    with pytest.raises(BlockingIOError):
+    with suppress(BlockingIOError):
         while True:
             crowd.sendto(b"of another service", ear.address.replace("@", "\0", 1))
     crowd.close()
