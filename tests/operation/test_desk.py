@@ -326,6 +326,22 @@ async def test_refusing_unread_names_the_state_and_cleans_the_reason(office: Off
     assert not office.desk.receive("enable", b"x", retained=False).remains_on_broker
 
 
+async def test_each_command_after_the_end_of_the_session_is_in_the_log(office: Office) -> None:
+    for number in range(30):
+        await office.send("ping", {"id": f"p{number}"})
+    office.desk.log_every_command()
+    with capture_logs() as lines:
+        for number in range(30):
+            office.desk.refuse(
+                office.receive("enable", f"e{number}"), "the daemon is shutting down"
+            )
+        await office.send("disable", {"id": "d"})
+    assert [(line["id"], line["accepted"]) for line in lines] == [
+        *((f"e{number}", False) for number in range(30)),
+        ("d", True),
+    ]
+
+
 async def test_each_answer_is_logged_until_the_ration_is_used_up(office: Office) -> None:
     with capture_logs() as lines:
         await office.send("enable", {"id": "a"})

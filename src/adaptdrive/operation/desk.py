@@ -133,11 +133,18 @@ class Desk:
         return reply
 
     def refuse(self, command: OperatorCommand, reason: str) -> Reply:
-        """Refuse a command without looking further than its id."""
+        """Refuse a command without looking further than its id; the log alone records it."""
         payload = Payload(command.raw)
+        reply = self._refused(command, payload, reason)
         if payload.id is None:
             self._log_unreadable(command)
-        return self._refused(command, payload, reason)
+        else:
+            self._log_reply(reply)
+        return reply
+
+    def log_every_command(self) -> None:
+        """Withhold no line of the log from here on: the session is closed, and has no command."""
+        self._ration.lift()
 
     def _refused(self, command: OperatorCommand, payload: Payload, reason: str) -> Reply:
         refusal = _refusal(command, payload)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -61,6 +62,10 @@ class LogRation:
         self.used += 1
         withheld, self.withheld = self.withheld, 0
         return withheld
+
+    def lift(self) -> None:
+        """Withhold nothing from here on."""
+        self.lines = sys.maxsize
 
 
 @dataclass(slots=True)
