@@ -311,6 +311,14 @@ async def test_one_reading_that_is_looked_at_again_and_again_is_one_flicker() ->
         assert bench.state() is State.TRIPPED
 
 
+async def test_a_drive_whose_last_word_is_that_its_bridge_is_on_is_no_stopped_one() -> None:
+    async with fast_bench() as bench:
+        bench.frames(20)
+        bench.frame(bridge=True)
+        bench.wait(FAST.stop_s + 10 * TICK_S)
+        assert (bench.state(), bench.loop.stop) == (State.TRIPPED, StopWord.MISSING)
+
+
 async def test_a_drive_found_on_at_start_must_stop() -> None:
     async with fast_bench() as bench:
         bench.wait(10.0)

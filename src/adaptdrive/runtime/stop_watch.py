@@ -64,7 +64,7 @@ class StopWatch:
         if not self._confirmable:
             self._confirmed = self._confirmed or safe_s < math.inf
         elif reading is not None and reading.bridge and self._confirmed:
-            return self._denied(reading)
+            return self._denied(reading, now_s)
         elif reading is not None and not reading.bridge:
             self._on.clear()
             self._confirmed = self._confirmed or reading.bridge_reported_s > max(
@@ -88,17 +88,20 @@ class StopWatch:
             self._was_off = self._was_off or reading.bridge_reported_s > self._off_s
             return Stop.CONFIRMED
         if self._was_off:
-            return self._denied(reading)
+            return self._denied(reading, now_s)
         if now_s - self._off_s <= self.limit_s:
             return Stop.AWAITED
         self.doubt(self._off_s)
         return Stop.OVERDUE
 
-    def _denied(self, reading: Reading) -> Stop:
-        """The bridge is on after a confirmed stop: denied by the second such reading."""
+    def _denied(self, reading: Reading, now_s: float) -> Stop:
+        """The bridge is on after a confirmed stop: denied by the second such reading.
+
+        One that no other follows in the time of a stop is the drive's last word.
+        """
         if reading.arrival_s not in self._on:
             self._on.append(reading.arrival_s)
-        if len(self._on) < _ON_READINGS:
+        if len(self._on) < _ON_READINGS and now_s - reading.arrival_s <= self.limit_s:
             return Stop.CONFIRMED
         self.doubt(reading.arrival_s)
         return Stop.DENIED
