@@ -34,6 +34,7 @@ class RefusingHost:
     """A drive that notes each request, and refuses or delays it where a test sets that."""
 
     refusal: str = ""
+    ending: bool = False
     state: State = State.STANDBY
     done: list[str] = field(default_factory=list)
     free: asyncio.Event = field(default_factory=asyncio.Event)
@@ -89,7 +90,7 @@ def open_office(memory: ReplyMemory, time: Time) -> Office:
 
     ration = LogRation(lambda: time.running_s, lines=20)
     desk = Desk(host, memory, lambda: host.state, lambda: time.wall, ration,
-                report=reports.append, kept=keep)  # fmt: skip
+                report=reports.append, kept=keep, shutting_down=lambda: host.ending)  # fmt: skip
     return Office(desk, host, memory, time, reports, kept)
 
 
@@ -326,10 +327,10 @@ async def test_refusing_unread_names_the_state_and_cleans_the_reason(office: Off
     assert not office.desk.receive("enable", b"x", retained=False).remains_on_broker
 
 
-async def test_each_command_after_the_end_of_the_session_is_in_the_log(office: Office) -> None:
+async def test_each_command_at_the_end_of_the_daemon_is_in_the_log(office: Office) -> None:
     for number in range(30):
         await office.send("ping", {"id": f"p{number}"})
-    office.desk.log_every_command()
+    office.host.ending = True
     with capture_logs() as lines:
         for number in range(30):
             office.desk.refuse(

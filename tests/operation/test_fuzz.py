@@ -140,7 +140,7 @@ def desk_of(host: VirtualHost, folder: Path) -> Desk:
     memory.begin()
     hub, ration = Hub(), LogRation(clock, lines=0)
     return Desk(host, memory, lambda: host.machine.state, lambda: NOW, ration,
-                report=hub.publish, kept=hub.kept)  # fmt: skip
+                report=hub.publish, kept=hub.kept, shutting_down=lambda: False)  # fmt: skip
 
 
 @pytest.mark.parametrize("state", [State.STANDBY, State.RUNNING])

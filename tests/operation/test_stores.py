@@ -462,7 +462,7 @@ class DyingHost:
 def dying_desk(memory: ReplyMemory, time: Time) -> Desk:
     hub, ration = Hub(), LogRation(lambda: time.running_s)
     return Desk(DyingHost(), memory, lambda: None, lambda: time.wall, ration,
-                report=hub.publish, kept=hub.kept)  # fmt: skip
+                report=hub.publish, kept=hub.kept, shutting_down=lambda: False)  # fmt: skip
 
 
 async def test_a_command_cut_short_by_a_crash_does_not_act_a_second_time(path: Path) -> None:

@@ -68,6 +68,11 @@ class StateBoard:
         return self._report.state if self._report else None
 
     @property
+    def shutting_down(self) -> bool:
+        """Whether the daemon ends."""
+        return self._report is not None and self._report.shutting_down
+
+    @property
     def message(self) -> Payload | None:
         """Payload to publish, None before the first report."""
         if self._report is None:

@@ -69,6 +69,7 @@ class Desk:
         *,
         report: Callable[[CommandReport], None],
         kept: Keep,
+        shutting_down: Callable[[], bool],
     ) -> None:
         """Prepare to answer.
 
@@ -80,8 +81,10 @@ class Desk:
             ration: Bounds the lines of the log.
             report: Takes a report of each command that was answered for the first time.
             kept: Waits until the report is recorded, before the command is answered.
+            shutting_down: Returns whether the daemon ends.
         """
         self._kept = kept
+        self._shutting_down = shutting_down
         self._report = report
         self._host = host
         self._memory = memory
@@ -142,10 +145,6 @@ class Desk:
             self._log_reply(reply)
         return reply
 
-    def log_every_command(self) -> None:
-        """Withhold no line of the log from here on: the session is closed, and has no command."""
-        self._ration.lift()
-
     def _refused(self, command: OperatorCommand, payload: Payload, reason: str) -> Reply:
         refusal = _refusal(command, payload)
         return replace(refusal, reason=_clean(reason), state=self._present_state())
@@ -177,8 +176,17 @@ class Desk:
             return str(problem)
         return self._other_use(command, payload) or ""
 
+    def _withheld_lines(self) -> int | None:
+        """Return how many lines were withheld before this one, None when this one is withheld.
+
+        A daemon that ends withholds none: its session may be closed already.
+        """
+        if self._shutting_down():
+            self._ration.lift()
+        return self._ration.take()
+
     def _log_unreadable(self, command: OperatorCommand) -> None:
-        if (withheld := self._ration.take()) is not None:
+        if (withheld := self._withheld_lines()) is not None:
             self._log.warning(
                 "command without a readable id",
                 verb=command.verb,
@@ -188,7 +196,7 @@ class Desk:
             )
 
     def _log_reply(self, reply: Reply) -> None:
-        if (withheld := self._ration.take()) is not None:
+        if (withheld := self._withheld_lines()) is not None:
             self._log.info(
                 "command",
                 id=reply.id,

@@ -109,6 +109,7 @@ class MqttService:
             LogRation(self._around.monotonic),
             report=hub.publish,
             kept=hub.kept,
+            shutting_down=lambda: self._board.shutting_down,
         )
 
     def _build_link(self, settings: Mqtt, drive: str) -> BrokerLink:

@@ -238,7 +238,6 @@ class BrokerSession:
 
     async def _take_leave(self) -> None:
         """Publish the end while commands are still answered: all but a stop are refused."""
-        self._desk.log_every_command()
         try:
             async with asyncio.TaskGroup() as tasks:
                 answering = [
