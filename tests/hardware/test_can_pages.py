@@ -12,6 +12,7 @@ import pytest
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus
 from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.dbc.mapping import map_drive
 from tests.hardware.bench import EXAMPLES, TIMING
 
@@ -54,8 +55,26 @@ SG_MUL_VAL_ {_COMMAND} I_LIMIT PART 8-8;
 )
 """The voltage in a page within the page of request and mode."""
 
+_UNCHOSEN = (
+    """ SG_ REQUEST m1 : 15|8@0+ (1,0) [0|255] ""  INV
+ SG_ MODE m1 : 23|4@0+ (1,0) [0|15] ""  INV
+ SG_ PART m1M : 19|4@0+ (1,0) [0|15] ""  INV
+ SG_ U_DC_SET m1 : 31|16@0+ (0.02,0) [0|600] "V"  INV
+ SG_ I_LIMIT m8 : 47|16@0+ (0.05,0) [0|1600] "A"  INV
+""",
+    f"""SG_MUL_VAL_ {_COMMAND} REQUEST CMD_PAGE 1-1;
+SG_MUL_VAL_ {_COMMAND} MODE CMD_PAGE 1-1;
+SG_MUL_VAL_ {_COMMAND} PART CMD_PAGE 1-1;
+SG_MUL_VAL_ {_COMMAND} U_DC_SET CMD_PAGE 1-1;
+SG_MUL_VAL_ {_COMMAND} I_LIMIT PART 8-8;
+""",
+)
+"""A page within the page of all that is commanded, which nothing selects; it begins as 0."""
 
-def frames(folder: Path, dbc: tuple[str, str], command: Command) -> list[dict[str, Any]]:
+
+def frames(
+    folder: Path, dbc: tuple[str, str], command: Command, **constants: float
+) -> list[dict[str, Any]]:
     """The frames of a command, as cantools reads them; without a command the drive would run."""
     text = (EXAMPLES / "inverter.dbc").read_text()
     assert _SIGNALS in text
@@ -66,7 +85,9 @@ def frames(folder: Path, dbc: tuple[str, str], command: Command) -> list[dict[st
     assert isinstance(configuration.bus, CanBus)
     bus = configuration.bus.model_copy(update={"database": path})
     timing = replace(TIMING, stale_s=0.1, voltage_parts=frozenset())
-    orders = map_drive(bus, configuration.signals, timing).orders
+    signals = configuration.signals
+    signals.command.constants.update({f"HOST_CMD.{name}": constants[name] for name in constants})
+    orders = map_drive(bus, signals, timing).orders
     message = cantools.database.load_file(path).get_message_by_name("HOST_CMD")  # type: ignore[union-attr]
     return [
         message.decode(order.encode(command), decode_choices=False)  # type: ignore[misc]
@@ -92,3 +113,12 @@ def test_the_voltage_is_in_its_own_page_alone(
     assert len(sent) == count
     (voltage,) = [frame["U_DC_SET"] for frame in sent if "U_DC_SET" in frame]
     assert voltage == pytest.approx(300.0)
+
+
+def test_a_page_that_the_message_has_not_is_refused_until_one_is_named(tmp_path: Path) -> None:
+    """It could not be encoded: the daemon would end with its first command."""
+    problem = "'PART' is a multiplexer: it would be sent as 0, which is none of its pages"
+    with pytest.raises(ConfigurationError, match=problem):
+        frames(tmp_path, _UNCHOSEN, SAFE_COMMAND)
+    (frame,) = frames(tmp_path, _UNCHOSEN, _RUN, PART=8.0)
+    assert (frame["PART"], frame["REQUEST"], frame["U_DC_SET"]) == (8, 85, 300.0)

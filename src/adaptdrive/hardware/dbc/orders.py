@@ -18,7 +18,13 @@ from adaptdrive.config.proposals import nearest
 from adaptdrive.config.units import WANTED, unit_problem
 from adaptdrive.control.signals import Command
 from adaptdrive.hardware.dbc.database import SignalCatalogue
-from adaptdrive.hardware.dbc.pages import Page, carried_signals, page_of, sent_pages
+from adaptdrive.hardware.dbc.pages import (
+    Page,
+    absent_pages,
+    carried_signals,
+    page_of,
+    sent_pages,
+)
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.link.codec import MessageCodec
 from adaptdrive.hardware.link.layout import compile_field, initial_value
@@ -118,6 +124,7 @@ def find_orders(
     if signals.command.bridge is not None:
         _find_switch(catalogue, bus, signals.command.bridge, drafts)
     _check_initial(catalogue, drafts)
+    _check_pages(catalogue, drafts)
     return drafts
 
 
@@ -129,15 +136,19 @@ def build_orders(
         message = catalogue.known(name)
         codec = MessageCodec(message, bus.integrity.get(name))
         parts = [part for draft in pages.values() for part in draft.parts]
-        fixed = {key: value for draft in pages.values() for key, value in draft.fixed.items()}
-        for page in sent_pages(pages):
-            chosen = {**fixed, **dict(page)}
+        for chosen in _frames(pages):
             carried = carried_signals(message, chosen)
             yield CommandFrame(
                 codec,
                 tuple(part for part in parts if part.signal in carried),
                 {key: value for key, value in chosen.items() if key in carried},
             )
+
+
+def _frames(pages: Mapping[Page, _Draft]) -> Iterator[dict[str, float]]:
+    """The values that are always the same, multiplexers among them, of each frame of a message."""
+    fixed = {key: value for draft in pages.values() for key, value in draft.fixed.items()}
+    return ({**fixed, **dict(page)} for page in sent_pages(pages))
 
 
 def resolve(
@@ -239,6 +250,16 @@ def _check_initial(catalogue: SignalCatalogue, drafts: _Drafts) -> None:
                 problem = f"initial value (GenSigStartValue) {signal.raw_initial:.12g}"
                 bits = f"signal {signal.name!r} of {signal.length} bits cannot hold"
                 catalogue.note("signals.command", f"message {name!r}: {bits} its {problem}")
+
+
+def _check_pages(catalogue: SignalCatalogue, drafts: _Drafts) -> None:
+    """Each frame is of a page that its message has: no other can be encoded."""
+    for name, pages in drafts.items():
+        for chosen in _frames(pages):
+            for selector, value in absent_pages(catalogue.known(name), chosen):
+                place = f"signals.command.constants.{name}.{selector}"
+                problem = f"it would be sent as {value:g}, which is none of its pages; name one"
+                catalogue.note(place, f"{selector!r} is a multiplexer: {problem}")
 
 
 def _check_proof(

@@ -52,6 +52,21 @@ def carried_signals(message: Message, chosen: Mapping[str, float]) -> frozenset[
     )
 
 
+def absent_pages(message: Message, chosen: Mapping[str, float]) -> Iterator[tuple[str, float]]:
+    """Yield the multiplexers in a frame whose value selects none of their pages, with that value.
+
+    Args:
+        message: The message of the frame.
+        chosen: Values of its multiplexers; the others have their initial value.
+    """
+    for selector in message.signals:
+        if selector.is_multiplexer and _is_carried(message, selector, chosen):
+            value = _selected(selector, chosen)
+            paged = [one for one in message.signals if one.multiplexer_signal == selector.name]
+            if not any(value in (one.multiplexer_ids or ()) for one in paged):
+                yield selector.name, value
+
+
 def _is_part(page: Page) -> Callable[[Page], bool]:
     return lambda other: len(other) > len(page) and other[: len(page)] == page
 
@@ -60,8 +75,12 @@ def _is_carried(message: Message, signal: Signal, chosen: Mapping[str, float]) -
     if not signal.multiplexer_ids or signal.multiplexer_signal is None:
         return True
     selector = message.get_signal_by_name(signal.multiplexer_signal)
-    value = chosen.get(selector.name, initial_value(selector) or 0)
+    value = _selected(selector, chosen)
     return value in signal.multiplexer_ids and _is_carried(message, selector, chosen)
+
+
+def _selected(selector: Signal, chosen: Mapping[str, float]) -> float:
+    return chosen.get(selector.name, initial_value(selector) or 0)
 
 
 def _selectors(
