@@ -30,8 +30,8 @@ from adaptdrive.operation.topics import Topics
 
 AnyReply = TypeVar("AnyReply", Reply, DeviceReply)
 
-_FARTHEST_S = 1e9
-"""Difference of a clock, 30 years, from which on it says nothing."""
+_FARTHEST_S = 3e9
+"""Difference of a clock, 95 years, from which on it says nothing; one may have begun in 1970."""
 
 
 class _Timed(msgspec.Struct):
