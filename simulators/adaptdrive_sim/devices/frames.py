@@ -16,13 +16,14 @@ from cantools.database.can.signal import Signal
 from adaptdrive.config.bus import CanBus, SignalSource, SwitchSource
 from adaptdrive.config.root import Configuration
 from adaptdrive.errors import ConfigurationError
+from adaptdrive.hardware.dbc.command_frame import CommandFrame
 from adaptdrive.hardware.dbc.database import (
     SignalCatalogue,
     cycle_time_s,
     load_database,
     message_codec,
 )
-from adaptdrive.hardware.dbc.orders import CommandFrame, build_orders, find_orders, resolve
+from adaptdrive.hardware.dbc.orders import build_orders, find_orders, resolve
 from adaptdrive.hardware.dbc.pages import carried_signals, page_of, sent_pages
 from adaptdrive.hardware.link.codec import MessageCodec, counter_modulus
 from adaptdrive.hardware.link.layout import compile_field

@@ -17,13 +17,14 @@ from adaptdrive.config.bus import CanBus, Signals, SignalSource, SwitchSource
 from adaptdrive.config.supply import VOLTAGE_TICKS
 from adaptdrive.config.units import WANTED, unit_problem
 from adaptdrive.errors import ConfigurationError
+from adaptdrive.hardware.dbc.command_frame import CommandFrame
 from adaptdrive.hardware.dbc.database import (
     SignalCatalogue,
     cycle_time_s,
     is_word,
     load_database,
 )
-from adaptdrive.hardware.dbc.orders import CommandFrame, build_orders, find_orders, resolve
+from adaptdrive.hardware.dbc.orders import build_orders, find_orders, resolve
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.link.bus import channel_flaws
 from adaptdrive.hardware.link.codec import MessageCodec, counter_modulus

@@ -16,7 +16,7 @@ from cantools.database.can.signal import Signal
 from adaptdrive.config.bus import CanBus, CommandSignal, CommandSwitch, Signals
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.units import WANTED, unit_problem
-from adaptdrive.control.signals import Command
+from adaptdrive.hardware.dbc.command_frame import CommandFrame, Part
 from adaptdrive.hardware.dbc.database import SignalCatalogue
 from adaptdrive.hardware.dbc.pages import (
     Page,
@@ -36,65 +36,6 @@ _ROUNDING = 1e-6
 
 _PRECISION = 1e-12
 """Share of itself by which a value of more than 40 bits may do so."""
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """One field of `Command` on its way into a signal: base + factor × field.
-
-    Attributes:
-        field: Field of `Command`.
-        signal: Name of the signal.
-        base: Value of the signal where the field is 0 or False.
-        factor: Units of the signal per unit of the field.
-    """
-
-    field: str
-    signal: str
-    base: float
-    factor: float
-
-    def value(self, command: Command) -> float:
-        """The signal's value, in the unit of the DBC."""
-        return self.base + self.factor * float(getattr(command, self.field))
-
-    def field_value(self, value: float) -> float:
-        """The field that a value of the signal stands for."""
-        return (value - self.base) / self.factor
-
-
-@dataclass(frozen=True, slots=True)
-class CommandFrame:
-    """One frame that carries a part of the command.
-
-    Attributes:
-        codec: Codec of its message; frames of one message share it, and its alive counter.
-        parts: What is taken from the command.
-        fixed: Values that are always the same: constants, and what selects the page.
-    """
-
-    codec: MessageCodec
-    parts: tuple[Part, ...]
-    fixed: Mapping[str, float]
-
-    @property
-    def switches_bridge(self) -> bool:
-        """True if it carries the bridge."""
-        return any(part.field == "bridge" for part in self.parts)
-
-    def encode(self, command: Command) -> bytes:
-        """Make the next frame.
-
-        Raises:
-            ValueError: A value is not finite, or its signal cannot hold it.
-        """
-        values = {part.signal: part.value(command) for part in self.parts}
-        return self.codec.encode({**self.fixed, **values})
-
-
-def bridge_first(orders: Iterable[CommandFrame]) -> tuple[CommandFrame, ...]:
-    """Return frames in their order, those that carry the bridge first: a bus may take one alone."""
-    return tuple(sorted(orders, key=lambda order: not order.switches_bridge))
 
 
 @dataclass(slots=True)
