@@ -69,7 +69,7 @@ class StateBoard:
 
     @property
     def shutting_down(self) -> bool:
-        """Whether the daemon ends."""
+        """True while the daemon ends."""
         return self._report is not None and self._report.shutting_down
 
     @property
