@@ -129,8 +129,10 @@ async def hold(rig: Rig, stranger: Stranger) -> None:
             break
     assert rig.heard("trip") == []
     assert stranger.values["STATE"] == "Run"
-    # a busy machine lets less of the drive's time pass
+    # a busy machine lets less of the drive's time pass until then
     await until(lambda: abs(stranger.number("N_ACT") * VOLTS_PER_RPM - 3.3) < 0.02)
+    assert await is_held(rig)
+    assert stranger.number("N_ACT") * VOLTS_PER_RPM == pytest.approx(3.3, abs=0.02)
     await until(lambda: abs(stranger.number("U_DC") - stranger.number("U_DC_SET")) < 1.0)
     assert (stranger.values["REQUEST"], stranger.values["MODE"]) == ("Run", "Remote")
     assert stranger.number("I_LIMIT") == 20.0  # the DBC's start value: 400 × 0.05 A
