@@ -168,10 +168,6 @@ def _boost_stuck(course: Course) -> None:
     course.frame = lambda reading: replace(reading, boost_voltage_V=held_V)
 
 
-def _boost(read: Callable[[float], float]) -> Put:
-    return _frame(lambda _, r: replace(r, boost_voltage_V=read(r.boost_voltage_V)))
-
-
 def _scaled(name: str, factor: float) -> Put:
     """Return the wrong scale of one measured quantity of the drive."""
     return _frame(lambda _, r: replace(r, **{name: factor * getattr(r, name)}))
@@ -228,9 +224,10 @@ ROWS: tuple[Row, ...] = (
     Row("sensor", "5 readings late", _late(5)),
     Row("sensor", "spikes of 10 % of the range in 2 % of the readings", _spikes),
     Row("sensor", "v_bst stuck, then a step", _boost_stuck, EVERY, None, WRONG_BOOST, mends=False),
-    Row("sensor", "v_bst reads 0", _boost(lambda _: 0.0), EVERY, None, WRONG_BOOST, mends=False),
-    Row("sensor", "scale of v_bst × 0.8", _boost(lambda v: 0.8 * v), EVERY, None, WRONG_BOOST,
+    Row("sensor", "v_bst reads 0", _scaled("boost_voltage_V", 0.0), EVERY, None, WRONG_BOOST,
         mends=False),
+    Row("sensor", "scale of v_bst × 0.8", _scaled("boost_voltage_V", 0.8), EVERY, None,
+        WRONG_BOOST, mends=False),
     Row("sensor", "scale of the line voltage × 0.5", _scaled("line_voltage_V", 0.5), EVERY, None,
         WRONG_SUPPLY),
     Row("sensor", "scale of the load power × 3", _scaled("load_power_W", 3.0), EVERY, None,

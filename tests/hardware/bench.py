@@ -13,11 +13,13 @@ from pathlib import Path
 
 import can
 import cantools
+import pytest
 from cantools.database.can.database import Database
 from crccheck.crc import Crc8SaeJ1850
 
 from adaptdrive.config import load_configuration
 from adaptdrive.config.bus import CanBus, Signals
+from adaptdrive.hardware.backoff import BusBackoff
 from adaptdrive.hardware.dbc.mapping import Timing, map_drive
 from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.port import Reading
@@ -68,6 +70,19 @@ def motor_signals(**changes: object) -> Signals:
 def with_crc(data: bytes) -> bytes:
     """A frame of the reference DBC with its last byte set to the right checksum."""
     return data[:-1] + bytes((Crc8SaeJ1850.calc(data[:-1]),))
+
+
+def noted_delays(module: str, monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Return a list that grows by each delay before a bus of a module is opened again."""
+    delays_s: list[float] = []
+
+    class Noted(BusBackoff):
+        def next_s(self) -> float:
+            delays_s.append(super().next_s())
+            return delays_s[-1]
+
+    monkeypatch.setattr(f"{module}.BusBackoff", Noted)
+    return delays_s
 
 
 class Drive:

@@ -13,7 +13,6 @@ import pytest
 from adaptdrive.config.bus import CanBus, CommandSignals, SignalSource
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
-from adaptdrive.hardware.backoff import BusBackoff
 from adaptdrive.hardware.dbc.mapping import map_drive
 from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.link.bus import open_bus
@@ -32,6 +31,7 @@ from tests.hardware.bench import (
     build_port,
     motor_bus,
     motor_signals,
+    noted_delays,
     reference_database,
     running,
     until,
@@ -878,14 +878,7 @@ async def test_a_bus_that_carries_errors_alone_is_opened_again_ever_later(
     port: CanPort, drive: Drive, ear: Ear, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A shorted bus whose controller restarts by itself: each time, warnings precede bus-off."""
-    delays_s: list[float] = []
-
-    class Noted(BusBackoff):
-        def next_s(self) -> float:
-            delays_s.append(super().next_s())
-            return delays_s[-1]
-
-    monkeypatch.setattr("adaptdrive.hardware.link.connection.BusBackoff", Noted)
+    delays_s = noted_delays("adaptdrive.hardware.link.connection", monkeypatch)
     async with running(port, ear):
         drive.send_both()
         await ear.hears(1)

@@ -14,10 +14,9 @@ import pytest
 
 from adaptdrive.config.sensors import CanSensorSection as Config
 from adaptdrive.errors import ConfigurationError
-from adaptdrive.hardware.backoff import BusBackoff
 from adaptdrive.hardware.dbc.sensors import CanSensorPort, build_can_sensors
 from adaptdrive.hardware.link.bus import open_bus
-from tests.hardware.bench import EXAMPLES, Drive, until
+from tests.hardware.bench import EXAMPLES, Drive, noted_delays, until
 
 COMMON = {
     "name": "bench",
@@ -155,14 +154,7 @@ async def test_a_bus_that_carries_errors_alone_is_opened_again_ever_later(
     free_udp_port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A shorted bus whose controller restarts by itself: each time, warnings precede bus-off."""
-    delays_s: list[float] = []
-
-    class Noted(BusBackoff):
-        def next_s(self) -> float:
-            delays_s.append(super().next_s())
-            return delays_s[-1]
-
-    monkeypatch.setattr("adaptdrive.hardware.dbc.sensors.BusBackoff", Noted)
+    delays_s = noted_delays("adaptdrive.hardware.dbc.sensors", monkeypatch)
     async with bench(free_udp_port) as wires:
         wires.drive.send_both()
         await wires.hears(1)

@@ -90,8 +90,8 @@ async def test_messages_that_the_broker_refuses_are_logged_once(
             assert "Not authorized" in refused()[0]
 
 
-def told(reports: Subscription) -> list[tuple[Severity, str]]:
-    """Events of the broker."""
+def broker_events(reports: Subscription) -> list[tuple[Severity, str]]:
+    """Events of the broker since the last call."""
     events = [one for one in reports.drain() if isinstance(one, Event) and one.kind == "broker"]
     return [(one.severity, one.detail) for one in events]
 
@@ -107,7 +107,7 @@ async def test_a_daemon_whose_commands_are_not_delivered_raises_an_alarm(
         reports, seen = host.hub.subscribe(Event, size=100), list[tuple[Severity, str]]()
 
         def grown(count: int) -> bool:
-            seen.extend(told(reports))
+            seen.extend(broker_events(reports))
             return len(seen) >= count
 
         await asyncio.sleep(1.0)
@@ -135,5 +135,5 @@ async def test_a_broker_that_refuses_the_probe_raises_no_alarm(
             reports = host.hub.subscribe(Event, size=100)
             await until(lambda: any(line["event"] == "broker connected" for line in lines))
             await asyncio.sleep(2.0)
-            assert told(reports) == []
+            assert broker_events(reports) == []
     assert not [line for line in lines if "refuses to deliver" in line["event"]]

@@ -30,7 +30,8 @@ class CommandProbe:
         """Send nothing yet.
 
         Args:
-            client: Of MQTT 5: an older broker does not tell whether it takes a message.
+            client: Connected by MQTT 5; a broker of MQTT 3.1.1 does not answer whether it takes a
+                message.
             topic: Subscribed to beside the commands, with the daemon's own messages.
             intake: Takes the alarm, and its end.
         """
