@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,11 +19,11 @@ ALLOWED = dict.fromkeys(
 )
 
 
-def rights(drive: str) -> dict[str, Any]:
-    """Rights of everybody: all but to hear the commands and the requests for the history."""
+def rights() -> dict[str, Any]:
+    """Rights of everybody: `deaf` hears no commands or requests, `untried` no probe."""
     refused = [
-        {"acltype": "subscribeLiteral", "topic": f"adaptdrive/{drive}/{name}", "allow": False}
-        for name in ("command/#", "ask/history")
+        {"acltype": "subscribeLiteral", "topic": f"adaptdrive/{name}", "allow": False}
+        for name in ("deaf/command/#", "deaf/ask/history", "untried/command/probe")
     ]
     return {
         "defaultACLAccess": ALLOWED,
@@ -37,12 +38,12 @@ def rights(drive: str) -> dict[str, Any]:
 def strict(
     mosquitto_launcher: MosquittoLauncher, tmp_path: Path, free_tcp_port: int
 ) -> Iterator[Broker]:
-    """A broker that refuses the subscription to the commands of the drive `deaf`."""
+    """A broker that refuses subscriptions of the drives `deaf` and `untried`."""
     plugin = next(Path("/usr/lib").glob(f"**/{PLUGIN}"), None)
     if plugin is None:
         pytest.skip(f"{PLUGIN} is not installed")
     file = tmp_path / "rights.json"
-    file.write_text(json.dumps(rights("deaf")), encoding="utf-8")
+    file.write_text(json.dumps(rights()), encoding="utf-8")
     more = f"plugin {plugin}\nplugin_opt_config_file {file}\nuser root\n"
     launcher = MosquittoLauncher(mosquitto_launcher.program, tmp_path, more)
     process = launcher.start(free_tcp_port)
@@ -70,6 +71,20 @@ async def test_a_daemon_that_hears_its_commands_raises_none(strict: Broker, tmp_
         listening(strict, "adaptdrive/hearing/event") as ear,
         serving(strict, "hearing", tmp_path) as bench,
     ):
+        assert (await ask(bench, "disable", '{"id": "a"}'))["accepted"]
+        await publish(strict, bench.topic("event"), '{"kind": "end"}')
+        assert (await ear.on(bench.topic("event"))).content == {"kind": "end"}
+
+
+async def test_a_refused_subscription_to_the_probe_alone_raises_none(
+    strict: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("adaptdrive.operation.probe.PATIENCE_S", 0.5)
+    async with (
+        listening(strict, "adaptdrive/untried/event") as ear,
+        serving(strict, "untried", tmp_path) as bench,
+    ):
+        await asyncio.sleep(1.5)
         assert (await ask(bench, "disable", '{"id": "a"}'))["accepted"]
         await publish(strict, bench.topic("event"), '{"kind": "end"}')
         assert (await ear.on(bench.topic("event"))).content == {"kind": "end"}

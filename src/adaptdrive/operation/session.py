@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any
 
@@ -61,6 +62,7 @@ class BrokerSession:
         self._stops: Mailbox[OperatorCommand] = Mailbox(COMMANDS_HELD)
         self._asked = asyncio.Event()
         self._probe = CommandProbe(line.client, topics.probe, intake)
+        self._refused: set[str] = set()
         self._logged = 0
         self._logged_s = -LOGGED_EVERY_S
 
@@ -89,11 +91,16 @@ class BrokerSession:
                 tasks.create_task(self._send_drive(), name="mqtt telemetry/drive")
                 tasks.create_task(self._send_histograms(), name="mqtt telemetry/histograms")
                 tasks.create_task(self._send_history(), name="mqtt history")
-                if self._protocol is ProtocolVersion.V5:
+                if self._can_probe:
                     tasks.create_task(self._probe.run(), name="mqtt probe")
         except asyncio.CancelledError:
             await self._take_leave()
             raise
+
+    @property
+    def _can_probe(self) -> bool:
+        allowed = self._topics.probe not in self._refused
+        return allowed and self._protocol is ProtocolVersion.V5
 
     async def _greet(self) -> None:
         self._intake.forget_telemetry()
@@ -111,19 +118,23 @@ class BrokerSession:
             await self._publish_online()
 
     async def _subscribe(self) -> None:
-        topics = [self._topics.commands, self._topics.ask_history]
-        wishes: dict[str, Any] = {"qos": 1}
-        if self._protocol is ProtocolVersion.V5:
-            wishes = {"options": SubscribeOptions(qos=1, retainAsPublished=True, noLocal=True)}
-            if self._line.name.given_way:  # what it publishes itself does not come back
-                topics.append(self._topics.drive_telemetry)
-        for topic in topics:
+        for topic, wishes in self._subscriptions():
             for code in await self._client.subscribe(topic, **wishes):
                 value = code.value if isinstance(code, ReasonCode) else code
                 if value >= LOWEST_FAILURE_CODE:
+                    self._refused.add(topic)
                     self._report_refusal(topic, str(code))
-        if self._protocol is ProtocolVersion.V5:
-            await self._client.subscribe(self._topics.probe, qos=1)  # with what it publishes
+
+    def _subscriptions(self) -> Iterator[tuple[str, dict[str, Any]]]:
+        topics = [self._topics.commands, self._topics.ask_history]
+        if self._protocol is not ProtocolVersion.V5:
+            yield from ((topic, {"qos": 1}) for topic in topics)
+            return
+        if self._line.name.given_way:  # what it publishes itself does not come back
+            topics.append(self._topics.drive_telemetry)
+        foreign = SubscribeOptions(qos=1, retainAsPublished=True, noLocal=True)
+        yield from ((topic, {"options": foreign}) for topic in topics)
+        yield self._topics.probe, {"qos": 1}  # with what it publishes itself
 
     def _report_refusal(self, topic: str, code: str) -> None:
         """Log a refused subscription, and report it where no command arrives without it."""
