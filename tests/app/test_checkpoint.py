@@ -4,6 +4,7 @@ import asyncio
 import json
 import math
 import os
+import re
 import threading
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 from adaptdrive.app import checkpoint as cp
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
-from adaptdrive.config import Configuration
+from adaptdrive.config import Configuration, parse_configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Decision, Measurement, Mode, Order, Snapshot, Stage
 from adaptdrive.runtime.hub import Hub
@@ -123,6 +124,15 @@ def test_a_message_with_another_scale_does_not_take_it(tmp_path: Path) -> None:
 
 def test_what_has_nothing_to_do_with_the_load_may_change(path: Path) -> None:
     assert recall(path, parse(mqtt__port="1884", supervisor__warm_up_s="60"))[0] == VALUES
+
+
+def test_the_limits_of_a_charge_have_nothing_to_do_with_its_battery() -> None:
+    source = EXAMPLES / "battery.toml"
+    text = source.read_text(encoding="utf-8")
+    longer = re.sub("longest_h = .*", "longest_h = 8.5", text)
+    assert longer != text
+    keys = {cp.configuration_key(parse_configuration(one, source)) for one in (text, longer)}
+    assert len(keys) == 1
 
 
 @pytest.mark.parametrize(

@@ -41,6 +41,9 @@ _SECTIONS = {
     *("drive", "bus", "signals", "sensor_bus", "derived"),  # what is measured, and of which drive
     *("voltage_loop", "load", "estimator"),
 }
+_LIMITS = {"load": {"charge"}}
+"""Within them: what only ends a charge."""
+
 _DESCRIPTIONS = ("database", "eds")
 """Keys of a bus that name a file in which scales and offsets of its signals are."""
 
@@ -110,7 +113,7 @@ def checkpoint_path(state: Path, drive: str) -> Path:
 
 def configuration_key(configuration: Configuration) -> str:
     """Hash of everything in a configuration that gives estimates their meaning."""
-    sections = configuration.model_dump(mode="json", include=_SECTIONS)
+    sections = configuration.model_dump(mode="json", include=_SECTIONS, exclude=_LIMITS)
     for bus in (sections["bus"], *sections["sensor_bus"]):
         bus |= {name: _contents(Path(bus[name])) for name in _DESCRIPTIONS if name in bus}
     text = json.dumps(sections, sort_keys=True)
