@@ -2,6 +2,7 @@
 
 import errno
 import shutil
+import threading
 from datetime import timedelta
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from adaptdrive.recording.session import (
     SessionLock,
     create_session,
     read_info,
+    recorded_directories,
     session_directories,
     write_info,
 )
@@ -134,6 +136,24 @@ def test_a_session_that_cannot_be_removed_keeps_no_other_from_it(
         with pytest.raises(RecordingError, match=rf"{foreign.name}.*Permission denied"):
             next(removals)
     assert names(tmp_path) == [foreign.name, young.name]
+
+
+def test_sessions_that_others_remove_meanwhile_are_neither_counted_nor_a_problem(
+    tmp_path: Path,
+) -> None:
+    """As where three drives share the folder, and each of them removes what is too old."""
+    kept = recorded(tmp_path, 1.0)
+    for _ in range(100):
+        doomed = tmp_path / "20261111T000000Z_other"
+        for number in range(8):
+            shutil.copytree(kept, doomed / f"trip-{number}")
+        shutil.copy(kept / "session.json", doomed)
+        other = threading.Thread(target=shutil.rmtree, args=(doomed,))
+        other.start()
+        while other.is_alive():
+            assert list(prune(tmp_path, Keep(bytes=100_000_000), NOW, kept)) == []
+            assert set(recorded_directories(tmp_path)) <= {kept, doomed}
+        other.join()
 
 
 def test_a_session_in_progress_loses_its_oldest_segments_only(tmp_path: Path) -> None:

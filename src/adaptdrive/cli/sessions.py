@@ -53,6 +53,7 @@ def list_sessions(*, directory: Folder = None, as_json: Json = False) -> int:
         as_json: Print JSON.
     """
     from adaptdrive.errors import RecordingError, escaped  # noqa: PLC0415 - `--help` reads none
+    from adaptdrive.recording.retention import size_of  # noqa: PLC0415
     from adaptdrive.recording.session import (  # noqa: PLC0415
         Dropped,
         read_info,
@@ -74,7 +75,7 @@ def list_sessions(*, directory: Folder = None, as_json: Json = False) -> int:
         trips = len(_trips(path))
         lost = f", not recorded: {info.dropped}" if info.dropped != Dropped() else ""
         tripped = f", {trips} trips" if trips else ""
-        print(f"{path.name}  {info.ended:<8} {_size(path) / 1e6:9.1f} MB{tripped}{lost}")
+        print(f"{path.name}  {info.ended:<8} {size_of(path) / 1e6:9.1f} MB{tripped}{lost}")
     if as_json:
         _print_json(found)
     return 0
@@ -91,6 +92,7 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
     """
     from adaptdrive.recording.reader import read_session  # noqa: PLC0415 - see above
     from adaptdrive.recording.repair import last_tick_time  # noqa: PLC0415
+    from adaptdrive.recording.retention import size_of  # noqa: PLC0415
     from adaptdrive.recording.segments import newest_number, segments  # noqa: PLC0415
 
     found = read_session(_find(session, directory))
@@ -108,7 +110,7 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
         ("events", unread or str(len(found.events))),
         ("commands", unread or str(len(found.commands))),
         ("trips", ", ".join(_trips(found.path)) or unread or "none"),
-        ("size", f"{_size(found.path) / 1e6:.1f} MB"),
+        ("size", f"{size_of(found.path) / 1e6:.1f} MB"),
     ]
     if found.damage:
         print(f"adaptdrive: {found.damage}", file=sys.stderr)
@@ -238,10 +240,11 @@ def _condition(verdict: Verification) -> str:
 
 def _facts(path: Path, info: object) -> dict[str, object]:
     from adaptdrive.errors import escaped  # noqa: PLC0415 - see above
+    from adaptdrive.recording.retention import size_of  # noqa: PLC0415
 
     return {
         "session": escaped(path.name),
-        "bytes": _size(path),
+        "bytes": size_of(path),
         "trips": _trips(path),
         "info": info,
     }
@@ -275,7 +278,3 @@ def _find(name: str, directory: Path | None) -> Path:
     from adaptdrive.recording.session import find_session  # noqa: PLC0415 - see above
 
     return find_session(name, _folder(directory))
-
-
-def _size(directory: Path) -> int:
-    return sum(path.stat().st_size for path in directory.rglob("*") if path.is_file())

@@ -11,6 +11,7 @@ neither counted nor removed.
 from __future__ import annotations
 
 import math
+import os
 import shutil
 import stat
 from collections.abc import Iterator
@@ -47,10 +48,10 @@ def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None
     directories = [path for path in session_directories(sessions) if not path.is_symlink()]
     older = [path for path in directories if path != current]
     outdated = _too_old(directories, keep, now, by_person=current is None)
-    excess = sum(map(_size, directories)) - keep.bytes if keep.bytes is not None else 0
+    excess = sum(map(size_of, directories)) - keep.bytes if keep.bytes is not None else 0
     failed: list[RecordingError] = []
     for directory in older:
-        size = _size(directory)
+        size = size_of(directory)
         if excess > 0:
             cause = f"sessions take more than {(keep.bytes or 0) / 1e6:g} MB"
         elif directory in outdated:
@@ -59,6 +60,8 @@ def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None
             continue
         try:
             removed = _remove(directory)
+        except FileNotFoundError:
+            continue  # another drive that shares the folder, or a person, has removed it
         except OSError as problem:
             failed.append(RecordingError(directory, f"the session cannot be removed: {problem}"))
             continue
@@ -114,8 +117,10 @@ def _age_days(directory: Path, now: datetime) -> float:
         return math.nan
 
 
-def _size(directory: Path) -> int:
-    return sum(map(_file_size, directory.rglob("*")))
+def size_of(directory: Path) -> int:
+    """Return the bytes of the files in a folder; what is removed meanwhile takes none."""
+    files = (Path(folder, name) for folder, _, names in os.walk(directory) for name in names)
+    return sum(map(_file_size, files))
 
 
 def _file_size(path: Path) -> int:

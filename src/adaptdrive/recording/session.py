@@ -257,9 +257,16 @@ def recorded_directories(sessions: Path) -> Iterator[Path]:
 
 def _with_any(sessions: Path, files: tuple[str, ...]) -> Iterator[Path]:
     if sessions.is_dir():
-        found = {path.parent for file in files for path in sessions.glob(f"*/{file}")}
-        finished = (path for path in found if not path.name.startswith("."))
-        yield from sorted(finished, key=lambda path: path.name.removeprefix(TRIP_PREFIX))
+        finished = (path for path in sessions.iterdir() if not path.name.startswith("."))
+        found = [path for path in finished if _has_any(path, files)]
+        yield from sorted(found, key=lambda path: path.name.removeprefix(TRIP_PREFIX))
+
+
+def _has_any(directory: Path, files: tuple[str, ...]) -> bool:
+    try:
+        return any(True for file in files for _ in directory.glob(file))
+    except FileNotFoundError:  # removed meanwhile
+        return False
 
 
 def find_session(name: str, sessions: Path) -> Path:
