@@ -63,6 +63,21 @@ async def test_of_two_daemons_one_trips_and_both_stop(mosquitto: Broker, tmp_pat
         await asyncio.wait(chatting)
 
 
+async def test_a_drive_that_connects_ends_no_connection_of_another(
+    mosquitto: Broker, tmp_path: Path
+) -> None:
+    """The name of a drive may go on with a hyphen and a word."""
+    async with (
+        serving(mosquitto, "pair-probe", tmp_path / "first") as first,
+        listening(mosquitto, first.topic("availability")) as ear,
+    ):
+        async with serving(mosquitto, "pair", tmp_path / "second") as second:
+            assert (await ask(second, "ping", '{"id": "a"}'))["accepted"]
+        await publish(mosquitto, first.topic("availability"), "end")
+        await ear.until(lambda message: message.payload == "end")
+        assert {message.payload for message in ear.heard} == {"online", "end"}
+
+
 async def chat(host: RememberingHost) -> None:
     """Report as a running daemon does."""
     ticks = 0

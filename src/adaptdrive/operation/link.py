@@ -94,9 +94,10 @@ class BrokerLink:
         """Find the newest protocol of the broker.
 
         It is asked without a last will: brokers of only the older protocol take the will
-        of the newer one for garbage and hang up, instead of naming the reason.
+        of the newer one for garbage and hang up, instead of naming the reason. The name has a
+        letter that no drive's has: a broker would end the connection of a drive of that name.
         """
-        probe = f"{self._name.present}-probe"
+        probe = f"{self._name.present}.probe"
         try:
             async with connection(self._settings, ProtocolVersion.V5, probe, None):
                 return ProtocolVersion.V5
