@@ -1,5 +1,7 @@
 import json
 import shutil
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -51,6 +53,24 @@ def test_sessions_of_one_second_do_not_share_a_directory(new_session: NewSession
     names = [create_session(new_session).name for _ in range(3)]
     first = "20261121T012209Z_motor"
     assert names == [first, f"{first}-2", f"{first}-3"]
+
+
+def test_drives_of_two_containers_that_begin_at_once_make_a_session_each(
+    new_session: NewSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A container counts its processes for itself: the same number is there twice."""
+    monkeypatch.setattr(threading, "get_native_id", lambda: 7)
+    drives = [
+        NewSession(
+            new_session.sessions, msgspec.structs.replace(new_session.info, drive=name), name
+        )
+        for name in ("motor", "bath")
+    ]
+    with ThreadPoolExecutor(max_workers=2) as both:
+        for _ in range(100):
+            for drive, directory in zip(drives, both.map(create_session, drives), strict=True):
+                assert read_info(directory) == drive.info
+                assert (directory / "config.toml").read_text() == drive.config_text
 
 
 def test_a_file_in_the_way_is_an_error_that_names_it(new_session: NewSession) -> None:

@@ -162,7 +162,8 @@ def create_session(new: NewSession) -> Path:
         OSError: The directory cannot be made.
     """
     new.sessions.mkdir(parents=True, exist_ok=True)
-    unfinished = new.sessions / f".new-{threading.get_native_id()}"
+    # beside the drive: in two containers two processes have one number
+    unfinished = new.sessions / f".new-{threading.get_native_id()}_{new.info.drive}"
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.mkdir()
     try:
