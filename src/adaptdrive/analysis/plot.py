@@ -7,7 +7,7 @@ from pathlib import Path
 from adaptdrive.analysis.curves import find_window, read_curves
 from adaptdrive.analysis.figure import draw_session
 from adaptdrive.analysis.report import report_page
-from adaptdrive.config.regular_file import replace_regular
+from adaptdrive.config.regular_file import replace_result
 from adaptdrive.errors import escaped
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.what_if import reconfigured
@@ -38,6 +38,6 @@ def plot(
     folder = path if into is None else into
     figure, report = folder / "figure.png", folder / "report.html"
     page = report_page(session, curves, png)
-    replace_regular(figure, png)
-    replace_regular(report, escaped(page).encode())
+    replace_result(figure, png)
+    replace_result(report, escaped(page).encode())
     return figure, report

@@ -15,7 +15,7 @@ from cyclopts import Parameter
 
 from adaptdrive.cli.extra import Extra
 from adaptdrive.cli.folders import refuse_unwritable
-from adaptdrive.config.regular_file import replace_regular
+from adaptdrive.config.regular_file import replace_result
 
 
 def _check_second(_type: object, second: float | None) -> None:
@@ -94,7 +94,7 @@ def identify(session: str, /, *, view: SessionView = _WHOLE) -> int:
     path = _find(session)
     figure = view.folder(path) / "load.png"
     found = session_load.identify_session(path, view.begin, view.end)
-    replace_regular(figure, draw_load(found))
+    replace_result(figure, draw_load(found))
     text = f"{session_load.as_text(found)}\n\n{figure}"
     return view.present(text, session_load.as_json(found), figure)
 
@@ -126,7 +126,7 @@ def whatif(
     found = what_if(path, settings, view.begin, view.end)
     for one in found.idle:
         print(f"adaptdrive: {one}: has no effect on the loop", file=sys.stderr)
-    replace_regular(figure, draw_comparison(found, settings))
+    replace_result(figure, draw_comparison(found, settings))
     text = f"{whatif_report.as_text(found)}\n\n{figure}"
     return view.present(text, whatif_report.as_json(found), figure)
 

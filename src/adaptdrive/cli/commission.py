@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from adaptdrive.cli.contact import Contact, DriveName
 from adaptdrive.cli.extra import Extra
 from adaptdrive.cli.folders import refuse_unwritable
-from adaptdrive.config.regular_file import replace_regular
+from adaptdrive.config.regular_file import replace_result
 from adaptdrive.errors import ConfigurationError, Flaw
 
 _HERE = Contact()
@@ -70,7 +70,7 @@ def commission(  # noqa: PLR0913 - the words of the command line
     if write:
         print(f"\n{path} is written, the old file is {run.write(path, commissioned)}")
     figure = into / "commission.png"
-    replace_regular(figure, run.draw(commissioned))
+    replace_result(figure, run.draw(commissioned))
     print(f"\n{figure}")
     return 0
 

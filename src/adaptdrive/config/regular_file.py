@@ -7,6 +7,7 @@ import errno
 import os
 import stat
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 _LARGEST_BYTES = 1 << 20
 """Four times a bundle of all public certificate authorities, the largest of these files."""
@@ -76,6 +77,27 @@ def replace_regular(path: Path, content: bytes) -> None:
         with contextlib.suppress(OSError):
             unfinished.unlink()
         problem.filename = str(path)
+        raise
+    _sync_directory(path.parent)
+
+
+def replace_result(path: Path, content: bytes) -> None:
+    """Replace a file that two commands may make at once; the later one's stays, whole.
+
+    Args:
+        path: The file.
+        content: What it shall hold.
+
+    Raises:
+        OSError: The disk refuses; it names the file, which is as before.
+    """
+    try:
+        with TemporaryDirectory(dir=path.parent, prefix=".unfinished-") as beside:
+            whole = Path(beside, path.name)
+            replace_regular(whole, content)
+            whole.replace(path)
+    except OSError as problem:
+        problem.filename, problem.filename2 = str(path), None
         raise
     _sync_directory(path.parent)
 
