@@ -98,6 +98,14 @@ def test_telegraf_reads_topics_and_keys_that_are_published() -> None:
         assert source["json_time_key"] in published
 
 
+def test_telegraf_has_the_client_name_of_no_drive() -> None:
+    """A broker would end the connection of a drive of that name, which trips."""
+    document = tomllib.loads((FOLDER / "telegraf.conf").read_text(encoding="utf-8"))
+    names = [one["client_id"] for one in document["inputs"]["mqtt_consumer"]]
+    assert len(set(names)) == len(names) > 1
+    assert not any(re.fullmatch("adaptdrive-[A-Za-z0-9_-]+", name) for name in names)
+
+
 def test_the_dashboard_shows_fields_that_telegraf_stores() -> None:
     dashboard = json.loads((FOLDER / "grafana-dashboard.json").read_text(encoding="utf-8"))
     queries = [target["query"] for panel in dashboard["panels"] for target in panel["targets"]]
