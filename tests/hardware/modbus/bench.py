@@ -33,6 +33,8 @@ QUIET_s = 3.0 * TIMEOUT_s
 _TICK_s, _PROMPT_s = 0.001, 0.005
 _ADDED_UP_s = 4.0 * QUIET_s
 """Time before a failure in which a standstill may have caused it: that of three polls."""
+REPEATED = 0x100
+"""Registers after which those of the device are found again."""
 RUN = Command(current_scale_S=0.0, boost_reference_V=287.65, bridge=True)
 
 MAP: dict[str, str | None] = {
@@ -125,7 +127,7 @@ class Peer:
         speed = struct.unpack(">2H", struct.pack(">f", self.speed))
         state = number if self.state is None else self.state
         image = [self.voltage, 1204, number, *speed, state]
-        words = [image[a - self.first] for a in range(address, address + count)]
+        words = [image[(a - self.first) % REPEATED] for a in range(address, address + count)]
         return bytes((function, 2 * count)) + struct.pack(f">{count}H", *words)
 
     async def send(self, reply: bytes, put: Callable[[bytes], None]) -> None:

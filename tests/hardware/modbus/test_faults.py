@@ -32,6 +32,7 @@ from tests.hardware.modbus.bench import (
     TcpPeer,
     TIMEOUT_s,
     bench,
+    framed,
     judged,
     until,
     untouched,
@@ -58,6 +59,7 @@ Fault = Callable[[Peer], None]
 HELD_UP_s = 0.002
 REPEATED_s = 0.04
 """Time from a reply to its repetition: only a standstill for as long lets both come at once."""
+FLOAT = ", type = 'float32'"
 SLOW: dict[str, str | None] = {
     "bus__poll_ticks": "24",
     "bus__timeout_s": "0.15",
@@ -413,6 +415,31 @@ async def test_a_repeated_reply_is_not_taken_for_that_to_the_next_read_for_long(
         await one.hears(2)
         one.ear.readings.clear()
         await one.hears(3)
+        one.check_honesty()
+
+
+@pytest.mark.parametrize("at_once", [False, True], ids=["before the reply", "with the reply"])
+async def test_an_adapter_that_hears_what_it_sends_answers_no_request(
+    tmp_path: Path, free_tcp_port: int, at_once: bool
+) -> None:
+    """A request for the one register 0x302 is a reply of three bytes, too."""
+    names = {"voltage": ", scale = 0.01", "line": ", scale = 0.1", "power": "", "speed": FLOAT}
+    registers: dict[str, str | None] = {
+        f"bus__registers__{name}": f"{{ address = {0x300 + at}, table = 'input'{rest} }}"
+        for at, (name, rest) in enumerate(names.items())
+    }
+    registers["bus__registers__state"] = "{ address = 0x305, table = 'input' }"
+    apart = {"bus__max_block": "2", **SLOW, **registers}
+    async with bench("rtu", tmp_path, free_tcp_port, **apart) as one:
+
+        def echoed(reply: bytes) -> Pieces:
+            echo = framed(b"\x01" + one.peer.requests[-1])
+            return [(0.0, echo + reply)] if at_once else [(0.0, echo), (0.002, reply)]
+
+        one.peer.spoil = echoed
+        one.port.send(RUN)
+        await one.hears(5)
+        assert one.told() == [28765, 1]
         one.check_honesty()
 
 

@@ -152,12 +152,41 @@ def unconnected_client(
     """
     # a reply that is missing is counted; a line in the log each time would wear out the disk
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
-    client = _client(config, trace, serial)
+    echo = _Echo(trace)
+    client = _client(config, echo.trace, serial)
     framer = client.ctx.framer
-    vars(framer)["handleFrame"] = _without_errors(framer.handleFrame)
+    vars(framer)["handleFrame"] = _without_errors(echo.skipped(framer.handleFrame))
     # pymodbus closes after five missing replies, were it one of many devices: the link judges that
     client.ctx.max_until_disconnect = client.ctx.count_until_disconnect = sys.maxsize
     return client
+
+
+class _Echo:
+    """The request as a line repeats it: an adapter of two wires hears what it sends.
+
+    The request for one register from 0x300 to 0x3FF is, byte for byte, also a reply of three bytes.
+    """
+
+    def __init__(self, trace: Trace) -> None:
+        self._trace = trace
+        self._sent = b""
+
+    def trace(self, sending: bool, packet: bytes) -> bytes:
+        """Keep what is sent, and let the owner see every packet."""
+        if sending:
+            self._sent = packet
+        return self._trace(sending, packet)
+
+    def skipped(self, decode: Decode) -> Decode:
+        """Return a decoder that passes over the request before a reply."""
+
+        def decoded(data: bytes, device_id: int, transaction: int) -> tuple[int, ModbusPDU | None]:
+            echoed = bool(self._sent) and data.startswith(self._sent)
+            start = len(self._sent) if echoed else 0
+            used, reply = decode(data[start:], device_id, transaction)
+            return start + used, reply
+
+        return decoded
 
 
 def _without_errors(decode: Decode) -> Decode:
