@@ -305,6 +305,22 @@ def test_each_flaw_of_a_command_names_its_place(
     assert words in found
 
 
+def test_a_name_of_several_values_is_a_flaw(tmp_path: Path) -> None:
+    """A drive that runs in two directions: in one of them its bridge would read as off."""
+    text = (EXAMPLES / "inverter.dbc").read_text()
+    path = tmp_path / "directions.dbc"
+    path.write_text(
+        text.replace('2 "Run"', '2 "Run" 4 "Run"').replace('85 "Run"', '85 "Run" 3 "Run"')
+    )
+    configuration = commanding()
+    bus = configuration.bus.model_copy(update={"database": path})
+    with pytest.raises(ConfigurationError) as caught:
+        port_of(configuration.model_copy(update={"bus": bus}))
+    found = {flaw.place: flaw.message for flaw in caught.value.flaws}
+    assert found["signals.bridge.on"].endswith("several values the name 'Run': 2, 4")
+    assert found["signals.command.bridge"].endswith("several values the name 'Run': 3, 85")
+
+
 @pytest.mark.parametrize("amperes", [0.05, 20.15, 1599.95])
 def test_a_constant_may_miss_its_count_in_binary(amperes: float) -> None:
     port_of(commanding(constants={"HOST_CMD.I_LIMIT": amperes}))

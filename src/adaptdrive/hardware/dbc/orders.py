@@ -98,11 +98,17 @@ def resolve(
     """Return a value, or the one that a name of the signal's value table stands for."""
     if not isinstance(given, str):
         return given
-    names = {str(name): raw for raw, name in (signal.choices or {}).items()}
-    if given in names:
-        return compile_field(signal).physical(names[given])
-    hint = nearest(given, names)
-    catalogue.note(place, f"the value table of {signal.name!r} has no {given!r}{hint}")
+    names = [(str(name), raw) for raw, name in (signal.choices or {}).items()]
+    found = sorted(raw for name, raw in names if name == given)
+    if len(found) == 1:
+        return compile_field(signal).physical(found[0])
+    table = f"the value table of {signal.name!r}"
+    if found:
+        values = ", ".join(map(str, found))
+        catalogue.note(place, f"{table} gives several values the name {given!r}: {values}")
+    else:
+        hint = nearest(given, [name for name, _ in names])
+        catalogue.note(place, f"{table} has no {given!r}{hint}")
     return None
 
 
