@@ -533,6 +533,27 @@ async def test_the_rest_of_a_command_gives_way_to_the_safe_command(
         assert (9, [1]) not in one.peer.writes
 
 
+async def test_a_stop_reaches_a_drive_that_hangs_up_at_a_write_of_its_set_point(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    apart = {"bus__registers__control": "{ address = 9, table = 'holding' }"}
+    async with bench("tcp", tmp_path, free_tcp_port, **apart) as one:
+        peer = one.peer
+        assert isinstance(peer, TcpPeer)
+
+        def hang_up(reply: bytes) -> bytes:
+            if peer.writes and peer.writes[-1] == (0, [0]):
+                peer.writes.clear()
+                peer.hang_up()
+            return reply
+
+        one.port.send(RUN)
+        await until(lambda: (9, [1]) in peer.writes)
+        peer.answer = hang_up
+        one.port.send(SAFE_COMMAND)
+        await until(lambda: (9, [0]) in peer.writes)
+
+
 async def test_a_heartbeat_that_stands_still_shows_no_life_on_a_new_connection(
     tmp_path: Path, free_tcp_port: int
 ) -> None:

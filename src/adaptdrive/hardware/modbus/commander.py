@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.modbus.capacity import Exchange
 from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection, OvertakenError
-from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll
+from adaptdrive.hardware.modbus.mapping import HEARTBEAT, Poll, RegisterSink
 from adaptdrive.hardware.modbus.sight import Sight
 from adaptdrive.hardware.modbus.untaken import UntakenCommands
 from adaptdrive.hardware.modbus.validity import CommandValidity
@@ -210,16 +210,21 @@ class Commander:
         return registers
 
     async def write(self, link: ModbusConnection) -> None:
-        """Write the newest command, unless it is void, or the drive was not seen in this poll."""
+        """Write the newest command, unless it is void, or the drive was not seen in this poll.
+
+        One that has the bridge off begins with that: the other writes may have no answer.
+        """
         command = self._current()
         if command is None or not self._may_follow(command):
             self._count_withheld()
             return
         at_once = self._at_once
-        words = self._words(command)
+        parts = [*zip(self._poll.writes, self._words(command), strict=True)]
+        if not command.bridge:
+            parts.sort(key=lambda part: not _has_bridge(part[0][1]))
         self._doubt(command)
         taken = True
-        for (block, sinks), registers in zip(self._poll.writes, words, strict=True):
+        for (block, sinks), registers in parts:
             if self._disobeyed and all(sink.name == HEARTBEAT for sink in sinks):
                 continue
             if taken or (command == SAFE_COMMAND and link.lost is None):
@@ -344,3 +349,7 @@ class Commander:
         self._untaken.clear()
         if self._safe and self.safe_s == math.inf:
             self.safe_s = self._clock()
+
+
+def _has_bridge(sinks: Iterable[RegisterSink]) -> bool:
+    return any(sink.name == "bridge" for sink in sinks)
