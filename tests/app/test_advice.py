@@ -69,6 +69,13 @@ def test_a_drive_that_holds_its_voltage_has_the_power_of_its_own_limit_alone() -
         ),
         ("motor.toml", "period_s = 1.0 ", "period_s = 10.0 ", "load.period_s", "0.108…5.42 s"),
         ("motor.toml", "pole = 0.70 ", "pole = 0.3\npole_min = 0.3 ", "load.pole", "at least 0.34"),
+        (
+            "battery.toml",
+            "reference_max_V = 400.0",
+            "reference_max_V = 328.0",
+            "load.charge.voltage_max_V",
+            "82 V is never passed, so that no charge ends by itself: V_c = 328 V gives 82 V",
+        ),
         ("motor.toml", '"127.0.0.1"', '"broker.site"', "mqtt.tls", "'broker.site' is remote"),
         (
             "motor.toml",

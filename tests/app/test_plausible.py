@@ -46,6 +46,7 @@ def test_every_example_is_plausible(path: Path) -> None:
             "5000…1e+04 V",
         ),
         ("battery.toml", "ratio = 0.25 ", "ratio = 0.025 ", "load.model.turns_ratio", "5…10 V"),
+        ("battery.toml", "unidirectional", "bidirectional", "drive.kind", "discharge the battery"),
         (
             "motor.toml",
             "capacitance_F = 1.0e-3",

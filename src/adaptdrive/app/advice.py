@@ -108,10 +108,20 @@ def _highest_power_W(configuration: Configuration, load: Load) -> float:
 
 def _charge(configuration: Configuration) -> Iterator[Flaw]:
     """A charge ends, whatever its sensor reads."""
-    section = configuration.load
-    if isinstance(section, BatterySection) and section.charge.longest_h is None:
+    section, limits = configuration.load, configuration.drive.limits
+    if not isinstance(section, BatterySection):
+        return
+    if section.charge.longest_h is None:
         text = "is left out: a charge whose current is measured too high never ends"
         yield Flaw("load.charge.longest_h", text)
+    limit_V = section.charge.voltage_max_V
+    highest_V = section.model.turns_ratio * limits.boost_reference_max_V
+    if highest_V <= limit_V:  # at the limit itself nothing tapers yet
+        text = (
+            f"{limit_V:g} V is never passed, so that no charge ends by itself: V_c = "
+            f"{limits.boost_reference_max_V:g} V gives {highest_V:.4g} V at most"
+        )
+        yield Flaw("load.charge.voltage_max_V", text)
 
 
 def _pace(configuration: Configuration, load: Load) -> Iterator[Flaw]:

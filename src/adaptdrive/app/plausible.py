@@ -71,6 +71,9 @@ def _battery_flaws(configuration: Configuration) -> Iterator[Flaw]:
     section, limits = configuration.load, configuration.drive.limits
     if not isinstance(section, BatterySection):
         return
+    if configuration.drive.kind == "bidirectional":
+        problem = "'bidirectional': every start, at the lowest V_c, would discharge the battery"
+        yield Flaw("drive.kind", f"{problem}; a charger is 'unidirectional'")
     ratio, highest_V = section.model.turns_ratio, section.charge.voltage_max_V
     low_V = ratio * limits.boost_reference_min_V
     high_V = ratio * limits.boost_reference_max_V
