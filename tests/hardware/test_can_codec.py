@@ -1,9 +1,11 @@
 import math
+from collections import OrderedDict
 
 import pytest
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 from cantools.database.conversion import BaseConversion
+from cantools.database.namedsignalvalue import NamedSignalValue
 from crccheck.crc import Crc8SaeJ1850
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -172,6 +174,30 @@ def test_a_float_that_is_not_finite_is_refused(value: float) -> None:
     assert MessageCodec(message).decode(frame).verdict is FrameVerdict.OUT_OF_RANGE
     with pytest.raises(ValueError, match="Volts"):
         MessageCodec(message).encode({"Volts": value})
+
+
+@pytest.mark.parametrize(
+    ("raw", "name", "known"),
+    [
+        (0, "Unknown", False),
+        (0, "Off", True),
+        (7, "SNA", False),
+        (7, "Not available or not requested", False),
+        (7, "signal_not_available", False),
+        (7, "Error", True),
+        (7, "Unknown device", True),
+        (7, "Invalid parameters", True),
+    ],
+)
+def test_a_state_whose_name_says_that_nothing_is_known_is_none(
+    raw: int, name: str, known: bool
+) -> None:
+    conversion = BaseConversion.factory(choices=OrderedDict({raw: NamedSignalValue(raw, name)}))
+    message = Message(0x123, "Drive", 1, [Signal("State", 0, 3, conversion=conversion)])
+    codec, frame = MessageCodec(message, states={"State"}), bytes((raw,))
+    expected = FrameVerdict.GOOD if known else FrameVerdict.OUT_OF_RANGE
+    assert codec.decode(frame).verdict is expected
+    assert MessageCodec(message).decode(frame).verdict is FrameVerdict.GOOD
 
 
 def reference(name: str) -> MessageCodec:

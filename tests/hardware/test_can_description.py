@@ -152,6 +152,7 @@ async def test_names_of_the_value_tables_are_used_and_told(
     [
         ("INV_STATE", STATE, {"N_ACT": -8388.608}),  # "Encoder broken"
         ("INV_STATE", STATE, {"N_ACT": 8388.607}),  # "SNA"
+        ("INV_STATE", STATE, {"STATE": "SNA"}),
         ("INV_ACT", MAINS, {"U_MAINS": 6553.4}),  # "Out of range"
         ("INV_ACT", MAINS, {"U_MAINS": 6553.5}),  # "SNA"
         ("INV_ACT", VOLTAGES, {"U_DC": 1310.7}),  # all ones, though the DBC's range has room for it

@@ -303,7 +303,7 @@ def _bridge_on(catalogue: SignalCatalogue, bridge: SwitchSource | None, sources:
 def _check_on(catalogue: SignalCatalogue, signal: Signal, value: float) -> None:
     """Refuse a value that no good frame has: every reading would say that the bridge is off."""
     try:
-        compile_field(signal).raw(value)
+        compile_field(signal, state=True).raw(value)
     except ValueError as problem:
         catalogue.note("signals.bridge.on", f"the bridge would never be on: {problem}")
 
@@ -333,6 +333,7 @@ def _status(
         bus.integrity.get(name),
         wanted=dict.fromkeys(source.signal.name for source in sources),
         measured={source.signal.name for source in sources if source.quantity not in _WORDS},
+        states={source.signal.name for source in sources if source.quantity == "bridge"},
     )
     return StatusFrame(codec, sources)
 

@@ -78,6 +78,7 @@ class MessageCodec:
         *,
         wanted: Collection[str] | None = None,
         measured: Collection[str] = (),
+        states: Collection[str] = (),
     ) -> None:
         """Compile a message.
 
@@ -86,6 +87,7 @@ class MessageCodec:
             integrity: Its alive counter and checksum; None for neither.
             wanted: Signals to decode and to check, all of them when None.
             measured: Signals whose largest raw value always means "not available".
+            states: Signals of which a value whose name says that nothing is known is no value.
         """
         integrity = integrity or _UNPROTECTED
         self.name = message.name
@@ -94,7 +96,9 @@ class MessageCodec:
         self.is_fd = needs_fd(message)
         self._length = message.length
         self._fields = {
-            signal.name: compile_field(signal, measured=signal.name in measured)
+            signal.name: compile_field(
+                signal, measured=signal.name in measured, state=signal.name in states
+            )
             for signal in message.signals
         }
         self._prepare_integrity(message, integrity)

@@ -8,6 +8,7 @@ same results.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, cast
@@ -18,6 +19,12 @@ from cantools.database.can.signal import Signal
 Raw = int | float
 Unpack = Callable[[bytes], Mapping[str, Raw]]
 Pack = Callable[[Mapping[str, Raw]], bytes]
+
+_UNKNOWN = re.compile(
+    "(sna|n/?a|unknown|undefined|invalid)$|(signal[ _]?)?(not[ _]?available|unavailable)",
+    re.IGNORECASE,
+)
+"""Names of a raw value that says nothing."""
 
 _ROUNDING = 1e-6
 """Share of one count by which a declared limit may miss its count in binary."""
@@ -68,7 +75,7 @@ class SignalField:
         return raw
 
 
-def compile_field(signal: Signal, *, measured: bool = False) -> SignalField:
+def compile_field(signal: Signal, *, measured: bool = False, state: bool = False) -> SignalField:
     """Compile one signal.
 
     Args:
@@ -76,9 +83,14 @@ def compile_field(signal: Signal, *, measured: bool = False) -> SignalField:
         measured: Whether the largest raw value means "not available" even where the range that the
             DBC declares (or fails to declare) has room for it, and whatever its value table names
             next to the ends ("error") is no value either.
+        state: Whether the values that are no state are those at the ends of the range whose names
+            say so ("SNA").
     """
     bottom, top = _natural_limits(signal)
     low, high = _declared_limits(signal)
+    if state:
+        unknown = _unknown_states(signal)
+        low, high = -_below_names([-raw for raw in unknown], -low), _below_names(unknown, high)
     if measured and not signal.is_float and signal.length > 1:
         names = list(signal.choices or ())
         high = high if high < top - 1 else _below_names(names, top - 1)
@@ -134,6 +146,10 @@ def _declared_limits(signal: Signal) -> tuple[Raw, Raw]:
     if signal.is_float:
         return max(low, ends[0]), min(high, ends[1])
     return max(low, math.ceil(ends[0] - _ROUNDING)), min(high, math.floor(ends[1] + _ROUNDING))
+
+
+def _unknown_states(signal: Signal) -> list[int]:
+    return [raw for raw, name in (signal.choices or {}).items() if _UNKNOWN.match(str(name))]
 
 
 def _below_names(names: Collection[int], end: Raw) -> Raw:
