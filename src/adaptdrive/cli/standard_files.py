@@ -33,9 +33,7 @@ def open_standard_files() -> None:
     if isinstance(getattr(sys.stdout, "buffer", None), FileIO) and not sys.stdout.isatty():
         # unbuffered: a reader that has had enough would end the command before its end
         sys.stdout = _stream(_OUTPUT, "w", sys.stdout.encoding, sys.stdout.errors)
-    if isinstance(sys.stdout, TextIOWrapper) and (
-        sys.stdout.errors == "strict" or sys.stdout.encoding.lower() != "utf-8"
-    ):
+    if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
         # Latin-1 has no "…": what a terminal cannot show is escaped, as it is on standard error
         sys.stdout.reconfigure(errors="backslashreplace")
 
