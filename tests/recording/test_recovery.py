@@ -464,8 +464,15 @@ def test_after_its_folder_was_deleted_a_killed_daemon_loses_nothing_new(
         wait_until(lambda: bool(list(session_directories(sessions))))
         (recorder,) = children(control.pid)
         os.kill(recorder, signal.SIGSTOP)
-        wait_until(lambda: any(len(spooled(spool)) > 5 for spool in left_spools(sessions)))
-        held = spooled(left_spools(sessions)[0])
+        held: list[Batch] = []
+
+        def holds_ticks() -> bool:
+            spools = [spooled(spool) for spool in left_spools(sessions)]
+            longest: list[Batch] = max(spools, key=len, default=[])
+            held[:] = longest
+            return sum(batch.tick_rows > 0 for batch in held) > 5
+
+        wait_until(holds_ticks)
         kill(control, recorder, sessions)
     next_start(sessions)
     assert sequences(recorded(sessions))[-1] >= last_sequence(held)
