@@ -200,6 +200,22 @@ def test_a_state_whose_name_says_that_nothing_is_known_is_none(
     assert MessageCodec(message).decode(frame).verdict is FrameVerdict.GOOD
 
 
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["DI_STATE_OFF", "DI_STATE_ON", "DI_STATE_FAULT", "DI_STATE_SNA"],
+        ["Bridge open", "Bridge closed", "Bridge fault", "Bridge unknown"],
+        ["Not ready", "Not off", "Not on", "Not available"],
+    ],
+)
+def test_a_prefix_of_all_names_hides_no_state_of_which_nothing_is_known(names: list[str]) -> None:
+    choices: OrderedDict[int, str | NamedSignalValue] = OrderedDict(enumerate(names))
+    state = Signal("State", 0, 2, conversion=BaseConversion.factory(choices=choices))
+    codec = MessageCodec(Message(0x123, "Drive", 1, [state]), states={"State"})
+    verdicts = [codec.decode(bytes((raw,))).verdict for raw in range(4)]
+    assert verdicts == [*3 * [FrameVerdict.GOOD], FrameVerdict.OUT_OF_RANGE]
+
+
 def reference(name: str) -> MessageCodec:
     message = reference_database().get_message_by_name(name)
     return MessageCodec(message, motor_bus().integrity[name])

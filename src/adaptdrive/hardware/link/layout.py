@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
+from os.path import commonprefix
 from typing import Literal, NamedTuple, cast
 
 from cantools.database.can.message import Message
@@ -149,7 +150,13 @@ def _declared_limits(signal: Signal) -> tuple[Raw, Raw]:
 
 
 def _unknown_states(signal: Signal) -> list[int]:
-    return [raw for raw, name in (signal.choices or {}).items() if _UNKNOWN.match(str(name))]
+    """Return the raw values that say nothing; a prefix that all names share is no part of them."""
+    names = {raw: str(name) for raw, name in (signal.choices or {}).items()}
+    shared = commonprefix(list(names.values()))  # noqa: RUF071 - names, no paths
+    behind = max(shared.rfind("_"), shared.rfind(" ")) + 1
+    return [
+        raw for raw, name in names.items() if _UNKNOWN.match(name) or _UNKNOWN.match(name[behind:])
+    ]
 
 
 def _below_names(names: Collection[int], end: Raw) -> Raw:
