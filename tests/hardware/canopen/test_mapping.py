@@ -36,6 +36,23 @@ def test_an_object_is_named_by_number_or_by_name(reference: str) -> None:
     assert (output.scale, output.offset) == (1e-6, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("described", "has"),
+    [
+        ("DataType=0x0006\nHighLimit=0x1F", "16 bits from 0 to 31"),
+        ("DataType=0x0006\nLowLimit=0x06", "16 bits from 6 to 65535"),
+        ("DataType=0x0005", "8 bits from 0 to 255"),
+    ],
+)
+def test_an_eds_that_keeps_a_controlword_from_being_sent_is_refused(
+    described: str, has: str, tmp_path: Path
+) -> None:
+    head = "[6040]\nParameterName=Controlword\nObjectType=0x7\n"
+    eds = other_eds(tmp_path, (f"{head}DataType=0x0006", f"{head}{described}"))
+    found = flaws({"bus/eds": str(eds)})
+    assert f"0x6040 has {has}" in found["bus.eds"]
+
+
 def test_one_object_may_be_two_quantities() -> None:
     mapping = plan({"signals/output": {"signal": "0x6079", "scale": 1e-3}})
     labels = [entry.label for pdo in mapping.transmits for entry in pdo.entries]

@@ -28,7 +28,15 @@ from adaptdrive.hardware.canopen.pdo import (
     receive_channel,
     transmit_channel,
 )
-from adaptdrive.hardware.canopen.profile import CONTROLWORD, STATUSWORD
+from adaptdrive.hardware.canopen.profile import (
+    CONTROLWORD,
+    DISABLE_VOLTAGE,
+    ENABLE_OPERATION,
+    FAULT_RESET,
+    SHUTDOWN,
+    STATUSWORD,
+    SWITCH_ON,
+)
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands, is_whole
 from adaptdrive.hardware.link.bus import channel_flaws
 from adaptdrive.hardware.link.codec import MessageCodec
@@ -50,6 +58,8 @@ _NEEDED = {
     CONTROLWORD: "it is no CiA 402 drive",
     STATUSWORD: "it is no CiA 402 drive",
 }
+_CONTROLWORDS = (DISABLE_VOLTAGE, SHUTDOWN, SWITCH_ON, ENABLE_OPERATION, FAULT_RESET)
+_WORD_BITS = 16
 _OURS = frozenset({SYNC_ID[0], SYNC_PERIOD[0], HEARTBEATS_HEARD[0], HEARTBEAT_SENT[0]})
 _FIRST_PDO, _BEHIND_PDOS = 0x1400, 0x1C00
 
@@ -161,6 +171,7 @@ class _Plan:
             if catalogue.at(address) is None:
                 missing = f"the EDS has no object {label(address)}: {consequence}"
                 catalogue.note("bus.eds", missing)
+        self._check_controlword(catalogue.at(CONTROLWORD))
 
     def find_sources(self, signals: Signals) -> None:
         """Entries of the measured quantities."""
@@ -222,6 +233,17 @@ class _Plan:
             present=frozenset(one for one in _OPTIONAL if self._catalogue.at(one)),
             identity=self._catalogue.identity,
         )
+
+    def _check_controlword(self, entry: Entry | None) -> None:
+        """Refuse a controlword whose type or limits in the EDS keep a command from being sent."""
+        if entry is None:
+            return
+        low, high = entry.limits
+        refused = [f"0x{word:02X}" for word in _CONTROLWORDS if not low <= word <= high]
+        if refused or entry.real or entry.bits != _WORD_BITS:
+            has = f"{entry.bits} bits from {low:g} to {high:g}"
+            needs = f"{_WORD_BITS} bits with 0x00, 0x06, 0x07, 0x0F and 0x80"
+            self._catalogue.note("bus.eds", f"{label(CONTROLWORD)} has {has}, it needs {needs}")
 
     def _check_word(self, source: MappedObject, place: str) -> None:
         entry = source.entry
