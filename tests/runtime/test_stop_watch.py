@@ -53,6 +53,27 @@ async def test_a_stop_in_the_tick_of_the_start_is_a_stop_of_its_own() -> None:
         assert (bench.state(), bench.loop.stop) == (State.STANDBY, StopWord.CONFIRMED)
 
 
+@pytest.mark.parametrize("comes_on", [True, False])
+async def test_a_bridge_that_has_yet_to_obey_is_not_off_for_good(*, comes_on: bool) -> None:
+    """A drive that obeys late reports off, then on, and off again by the safe command."""
+    async with fast_bench() as bench:
+        bench.frames(RATE_FRAMES)
+        bench.ask(Enable())
+        while not bench.sent[-1].bridge:
+            bench.frame(bridge=False)
+        bench.frame(bridge=False)
+        disable(bench)
+        for _ in range(5):
+            bench.frame(bridge=False)
+            assert (bench.state(), bench.loop.stop) == (State.STOPPING, StopWord.AWAITED)
+        for _ in range(3 if comes_on else 0):
+            bench.frame(bridge=True)
+            assert (bench.state(), bench.loop.stop) == (State.STOPPING, StopWord.AWAITED)
+        for _ in range(1 if comes_on else STOP_TICKS // 2):
+            bench.frame(bridge=False)
+        assert (bench.state(), bench.loop.stop) == (State.STANDBY, StopWord.CONFIRMED)
+
+
 async def test_a_word_from_before_the_stop_confirms_nothing(running: FastBench) -> None:
     disable(running)
     said_s = running.around.now

@@ -276,7 +276,7 @@ class FastLoop:
         elif stage is _PRECHARGE and reading is not None and not self.command.bridge:
             self._stopping.judge_start(reading, now_s)
         else:
-            self._stopping.release()
+            self._stopping.release(reading, bridge=self.command.bridge)
         if not machine.energised:
             interlocks.look(now_s)
             return

@@ -14,6 +14,11 @@ _ON_READINGS = 2
 """Readings with the bridge on that are no flicker of a drive that has just stopped."""
 
 
+_COMING_SHARE = 0.5
+"""Share of the time of a stop in which a bridge that was commanded on and has not come on yet may
+still do so: a drive that obeys late reports off until then."""
+
+
 class Stop(Enum):
     """State of the stop of a drive that is commanded off."""
 
@@ -40,11 +45,19 @@ class StopWatch:
         self.limit_s = max(limit_s, _LIMIT_READINGS * reading_period_s) + (slack_s or 0.0)
         self._commanded_s = math.inf
         self._confirmed = False
+        self._coming = self._been_on = False
         self._was_off, self._off_s = False, math.inf
         self._on: list[float] = []
 
-    def release(self) -> None:
-        """Note that the drive is energised: the next stop begins anew."""
+    def release(self, reading: Reading | None = None, *, bridge: bool = False) -> None:
+        """Note that the drive is energised: the next stop begins anew.
+
+        Args:
+            reading: The latest reading, None before the first.
+            bridge: Whether the last command had the bridge on.
+        """
+        self._been_on = bridge and (self._been_on or (reading is not None and reading.bridge))
+        self._coming = bridge and not self._been_on
         self._was_off, self._off_s = self._confirmed, self._commanded_s
         self._commanded_s, self._confirmed = math.inf, False
 
@@ -67,12 +80,17 @@ class StopWatch:
             return self._denied(reading, now_s)
         elif reading is not None and not reading.bridge:
             self._on.clear()
-            self._confirmed = self._confirmed or reading.bridge_reported_s > max(
-                safe_s, self._commanded_s
-            )
+            self._confirmed = self._confirmed or reading.bridge_reported_s > self._due_s(safe_s)
+        elif reading is not None:
+            self._coming = False
         if self._confirmed:
             return Stop.CONFIRMED
         return Stop.OVERDUE if now_s - self._commanded_s > self.limit_s else Stop.AWAITED
+
+    def _due_s(self, safe_s: float) -> float:
+        """Return the time after which a report of the bridge off confirms the stop."""
+        coming_s = _COMING_SHARE * self.limit_s if self._coming else 0.0
+        return max(safe_s, self._commanded_s) + coming_s
 
     def judge_start(self, reading: Reading, now_s: float) -> Stop:
         """Return what is known of the bridge of a drive that only raises its boost voltage.

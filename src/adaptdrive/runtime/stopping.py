@@ -37,9 +37,14 @@ class Stopping:
         self._settled_s = -math.inf
         self.word = StopWord.AWAITED
 
-    def release(self) -> None:
-        """Note that the drive is energised: its word of the stop before says nothing any more."""
-        self._watch.release()
+    def release(self, reading: Reading | None = None, *, bridge: bool = False) -> None:
+        """Note that the drive is energised: its word of the stop before says nothing any more.
+
+        Args:
+            reading: The latest reading, None before the first.
+            bridge: Whether the last command had the bridge on.
+        """
+        self._watch.release(reading, bridge=bridge)
         self._settled_s = -math.inf
         self.word = StopWord.AWAITED
 
