@@ -326,6 +326,24 @@ def test_the_words_beside_a_refused_value_are_those_in_range(
     assert decoded.words == words
 
 
+@pytest.mark.parametrize(
+    ("status", "words"),
+    [("ff", {"On": -1}), ("fe", {"On": 0}), ("7e", {"On": 0}), ("02", {"State": 1, "On": 0})],
+)
+def test_all_bits_set_are_no_word_where_they_have_a_sign_either(
+    status: str, words: dict[str, float]
+) -> None:
+    """-1 is none of the states of a drive, and would be a bridge that is off."""
+    signals = """ SG_ Volts : 0|16@1+ (0.1,0) [0|6553.4] "V" X
+ SG_ On : 16|1@1- (1,0) [0|0] "" X
+ SG_ State : 17|7@1- (1,0) [0|0] "" X"""
+    decoded = MessageCodec(dbc(signals), measured={"Volts"}).decode(
+        bytes.fromhex("ffff") + bytes.fromhex(status) + bytes(5)
+    )
+    assert decoded.verdict is FrameVerdict.OUT_OF_RANGE
+    assert decoded.words == words
+
+
 def test_a_frame_with_nothing_available_has_no_words() -> None:
     """As a drive sends while its control starts; a word of one bit looks like a 1 there."""
     codec = MessageCodec(dbc(WORDS), FrameIntegrity(), measured={"Volts", "Amps"})

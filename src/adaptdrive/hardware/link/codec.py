@@ -230,9 +230,9 @@ class MessageCodec:
         words = {}
         for field_ in self._words:
             value = raw.get(field_.name)
-            if value is None or not field_.low <= value <= field_.high:
+            if value is None or value in field_.blanks:
                 continue
-            if value < field_.unavailable or value == 1:
+            if field_.low <= value <= field_.high:
                 words[field_.name] = value * field_.scale + field_.offset
         return words
 

@@ -44,6 +44,8 @@ class SignalField:
         integer: Whether raw values are integers.
         unavailable: Raw value that means "not available".
         idle: Raw value of a signal that the sender does not set.
+        blanks: Raw values that are no word beside refused values: "not available" and all bits
+            set; none for a signal of one bit.
     """
 
     name: str
@@ -54,6 +56,7 @@ class SignalField:
     integer: bool
     unavailable: Raw
     idle: Raw
+    blanks: frozenset[Raw]
 
     def physical(self, raw: Raw) -> float:
         """The physical value of a raw one, in the unit of the signal."""
@@ -106,6 +109,7 @@ def compile_field(signal: Signal, *, measured: bool = False, state: bool = False
         integer=not signal.is_float,
         unavailable=math.nan if signal.is_float else top,
         idle=initial_value(signal) or 0,
+        blanks=_blanks(signal, top),
     )
 
 
@@ -124,6 +128,13 @@ def initial_value(signal: Signal) -> Raw | None:
     if signal.is_float:
         return raw
     return int(raw) if raw == int(raw) else None
+
+
+def _blanks(signal: Signal, top: Raw) -> frozenset[Raw]:
+    """Return "not available" and all bits set, which are one where there is no sign."""
+    if signal.length == 1:
+        return frozenset()
+    return frozenset((top, -1) if signal.is_signed else (top,))
 
 
 def _natural_limits(signal: Signal) -> tuple[Raw, Raw]:
