@@ -548,37 +548,6 @@ async def test_a_drive_at_rest_confirms_its_stop_by_the_bridge_beside_refused_va
 
 
 @both
-@pytest.mark.parametrize(
-    ("register", "on", "nothing"),
-    [("type = 'uint16'", 1, 0xFFFF), ("type = 'int16'", 1, 0x8000), ("bit = 3", 0, 0xFFFF)],
-    ids=["unsigned", "signed", "bit"],
-)
-async def test_a_count_for_no_value_confirms_no_stop(  # noqa: PLR0917
-    register: str, on: int, nothing: int, kind: str, tmp_path: Path, free_tcp_port: int
-) -> None:
-    """It comes beside good values, and a count that means off is waited for."""
-    state = {
-        "bus__registers__state": f"{{ address = 5, table = 'input', {register} }}",
-        "signals__bridge": f"{{ signal = 'state', on = {on} }}",
-    }
-    async with bench(kind, tmp_path, free_tcp_port, **state) as one:
-        one.peer.state = on
-        one.port.send(RUN)
-        await one.hears(3)
-        one.peer.state = nothing
-        await one.asks(4)
-        known = len(one.ear.readings)
-        one.port.send(SAFE_COMMAND)
-        await one.asks(12)
-        assert one.ear.readings[known:] == []
-        assert "bridge: " in one.port.explain_age()
-        assert "its word for no value" in one.port.explain_age()
-        one.peer.state = 8
-        await one.hears(2)
-    assert [reading.bridge for reading in one.ear.readings[known:]][-1:] == [False]
-
-
-@both
 async def test_a_drive_that_reports_its_stop_beside_refused_values_is_not_driven_on(
     kind: str, tmp_path: Path, free_tcp_port: int
 ) -> None:

@@ -52,13 +52,9 @@ class RegisterSource:
         value = decode_value(self.register, taken, measured=self.quantity not in _COUNTS)
         if value is None:
             return None
-        if self.on is None:
-            return value * self.scale + self.offset
-        return 1.0 if value == self.on else self._off(taken)
-
-    def _off(self, taken: list[int]) -> float | None:
-        """Return 0, or None for the count for `no value`: it does not say that a switch is off."""
-        return None if decode_value(self.register, taken, measured=True) is None else 0.0
+        if self.on is not None:
+            return float(value == self.on)
+        return value * self.scale + self.offset
 
     def word(self, block: Block, words: list[int]) -> float | None:
         """The word beside values that are refused: all its bits set are no word there."""
@@ -71,8 +67,7 @@ class RegisterSource:
     def explain(self, block: Block, words: list[int]) -> str:
         """Return why the quantity must not be used: its name, its place and what is there."""
         register, taken = self.register, self._words(block, words)
-        measured = self.quantity not in _COUNTS or self.on is not None
-        found = refusal(register, taken, measured=measured)
+        found = refusal(register, taken, measured=self.quantity not in _COUNTS)
         return f"{self.quantity}: {Block(register.table, register.address, register.words)} {found}"
 
     def _words(self, block: Block, words: list[int]) -> list[int]:
