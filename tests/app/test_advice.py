@@ -133,6 +133,12 @@ def test_a_time_out_that_ends_before_the_daemon_drives_on_is_named(
     assert all(words in flaw.message for flaw in flaws)
 
 
+def test_a_report_of_the_bridge_that_may_be_the_command_itself_is_named() -> None:
+    (flaw,) = found("motor-modbus-tcp.toml", 'bridge = "status"', 'bridge = "control"')
+    assert flaw.place == "signals.bridge"
+    assert "'control' lies in the register of signals.command.bridge" in flaw.message
+
+
 @pytest.mark.parametrize(
     ("heartbeat_s", "timeout_s", "survived"),
     [(0.02, 0.1, None), (0.025, 0.1, None), (0.04, 0.1, 1), (0.05, 0.125, 1), (0.04, 0.16, None)],

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from adaptdrive.config import Configuration
+from adaptdrive.config.bus import Signals
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.bus_kind import BusKind
@@ -36,13 +37,31 @@ def _build(
 
 
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
-    """Yield what the drive's own time-out does not fit."""
+    """Yield what the drive's own time-out does not fit, and a report that may be an echo."""
     bus = _bus(configuration)
     poll_s = 0.5 * bus.poll_ticks / configuration.drive.line_frequency_Hz
-    return timeout_cautions(
+    yield from timeout_cautions(
         bus.command_timeout_s,
         lost_command(poll_s, "bus.poll_ticks"),
         silence(configuration.interlocks.stale_s, "interlocks.stale_s"),
+    )
+    yield from _echo_cautions(bus, configuration.signals)
+
+
+def _echo_cautions(bus: ModbusTcp | ModbusRtu, signals: Signals) -> Iterator[Flaw]:
+    """Yield one word on a report of the bridge in the register of its command."""
+    report, command = signals.bridge, signals.command.bridge
+    if report is None or command is None:
+        return
+    read, written = bus.registers[report.signal], bus.registers[command.signal]
+    if (read.table, read.address) != (written.table, written.address):
+        return
+    yield Flaw(
+        "signals.bridge",
+        f"{report.signal!r} lies in the register of signals.command.bridge: where the drive only "
+        "keeps there what was written, each stop is confirmed, of a drive that does not obey too; "
+        "name a register that follows the power stage, or see with the drive in local mode that "
+        "the register does not follow the command",
     )
 
 
