@@ -113,6 +113,20 @@ async def test_a_drive_that_falls_silent_in_its_stop_is_an_alarm(running: FastBe
     )
 
 
+async def test_a_drive_that_falls_silent_after_its_stop_confirms_it_no_longer(
+    running: FastBench,
+) -> None:
+    """Somebody may switch it on behind a cable that is out."""
+    disable(running)
+    running.frame(bridge=False)
+    running.wait(FAST.stop_s)
+    assert running.loop.stop is StopWord.CONFIRMED
+    running.wait(3 * TICK_S)
+    assert (running.state(), running.loop.stop) == (State.STANDBY, StopWord.AWAITED)
+    running.frame(bridge=False)
+    assert running.loop.stop is StopWord.CONFIRMED
+
+
 async def test_a_stop_that_no_bus_takes_is_an_alarm(
     running: FastBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:

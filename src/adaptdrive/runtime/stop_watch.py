@@ -128,6 +128,19 @@ class StopWatch:
         """Wait for a confirmation again."""
         self._confirmed, self._commanded_s = False, now_s
 
+    def is_silent(self, reading: Reading | None, now_s: float) -> bool:
+        """Return whether a drive that reports its bridge has not done so for a stop's time.
+
+        It may have been switched on meanwhile: what it has confirmed is no word on it now.
+
+        Args:
+            reading: The latest reading, None before the first.
+            now_s: Monotonic time.
+        """
+        if not self._confirmable:
+            return False
+        return reading is None or now_s - reading.bridge_reported_s > self.limit_s
+
     def why_not(self, reading: Reading | None, safe_s: float, now_s: float) -> str:
         """Return why the stop is not confirmed, and the likeliest remedy."""
         waited = f"{(now_s - self._commanded_s) * 1e3:.0f} ms after the stop"

@@ -56,9 +56,7 @@ class Stopping:
         settled = self._is_settled(verdict, now_s)
         if verdict is Stop.CONFIRMED:
             machine.confirm_stop()
-            confirmable = port.stop_slack_s is not None
-            word = StopWord.CONFIRMED if confirmable else StopWord.IMPOSSIBLE
-            self.word = word if settled else self.word
+            self.word = self._confirmation(port, reading, now_s) if settled else self.word
         elif verdict is Stop.DENIED:
             machine.doubt_stop()
             self._miss(_SWITCHED_ON)
@@ -78,6 +76,13 @@ class Stopping:
             self._miss(_SWITCHED_ON)
         elif verdict is Stop.OVERDUE:
             self._miss(f"the drive does not stop: {self._watch.why_not(reading, now_s, now_s)}")
+
+    def _confirmation(self, port: Port, reading: Reading | None, now_s: float) -> StopWord:
+        """Return the word on a stop that is complete."""
+        if port.stop_slack_s is None:
+            return StopWord.IMPOSSIBLE
+        silent = self._watch.is_silent(reading, now_s)
+        return StopWord.AWAITED if silent else StopWord.CONFIRMED
 
     def _is_settled(self, verdict: Stop, now_s: float) -> bool:
         """Return whether a tripped drive that denied its stop has stayed off for a stop's time.
