@@ -236,6 +236,30 @@ async def test_a_last_frame_that_is_repeated_for_ever_trips_in_the_time_of_a_sta
         bench.ask(Reset())
 
 
+@pytest.mark.parametrize("held", [2, 3, 7, 100])
+async def test_last_frames_that_are_repeated_in_turn_trip_as_one_does(held: int) -> None:
+    """Buffers of a drive whose control hangs, or of a gateway: their values differ by the noise."""
+    async with fast_bench() as bench:
+        run_by_hand(bench, None)
+        bench.frames(held)
+        for number in range(7):  # 58 ms
+            assert bench.state() is State.RUNNING
+            bench.frame(steps=1 if number % held else 1 - held)
+        assert bench.state() is State.TRIPPED
+        assert (bench.machine.trip or "").startswith("half-cycle counter: the drive's count has ")
+
+
+@pytest.mark.parametrize("leap", [-3, -20_000, 5000])
+async def test_a_count_that_is_wrong_once_is_no_repeated_frame(leap: int) -> None:
+    async with fast_bench() as bench:
+        bench.start()
+        bench.frames(5)
+        bench.frame(steps=leap)
+        bench.frame(steps=2 - leap)
+        bench.frames(60)
+        assert bench.state() is State.RUNNING
+
+
 async def test_a_frame_repeated_in_place_of_a_lost_one_trips_nothing() -> None:
     async with fast_bench() as bench:
         bench.start()

@@ -35,6 +35,12 @@ _PERIOD_TOLERANCE = 0.02
 _MARK_EVERY_TICKS = 60
 """Half cycles between two marks: 0.5 s on a 60 Hz line."""
 
+_OLDER_SHARE = 0.25
+"""Share of its range by which a repeated count is older than the newest, at the most."""
+
+_ANEW_FRAMES = 8
+"""Frames in step after which the counter has jumped, and goes on from there."""
+
 _MARKS = 20
 """Marks of the measured window: 10 s on a 60 Hz line, beside which jitter is small."""
 
@@ -54,6 +60,8 @@ class HalfCycles:
         self._modulus = modulus
         self._nominal_s = nominal_tick_s
         self._counter: int | None = None
+        self._newest: tuple[int, float] | None = None
+        self._in_step = 0
         self._arrival_s = 0.0
         self._grid_s = 0.0
         self._frame_tick = -1
@@ -79,7 +87,9 @@ class HalfCycles:
             latest_tick: Latest tick that has been run, stand-ins included.
         """
         steps = self._steps(counter, arrival_s)
-        stood_in, repeated = latest_tick > self._frame_tick, self._is_repeated(counter, arrival_s)
+        stood_in = latest_tick > self._frame_tick
+        self._in_step = 0 if steps is None else self._in_step + 1
+        repeated = self._is_repeated(counter, arrival_s)
         self.rate.add(arrival_s, steps, stood_in=stood_in, repeated=repeated)
         if steps is None:
             tick, self._grid_s = self.following(latest_tick), arrival_s
@@ -113,10 +123,21 @@ class HalfCycles:
         return steps if steps >= 1 and abs(steps - elapsed) <= _SLACK_TICKS else None
 
     def _is_repeated(self, counter: int | None, arrival_s: float) -> bool:
-        """Return whether the counter is where it was, and had no time to come round to it."""
-        if counter is None or counter != self._counter or self._modulus is None:
+        """Return whether the counter is where it was, and had no time to come round to it.
+
+        Frames that are repeated in turn go on from one to the next, and back. A leap of any other
+        kind is none, and counts as the newest once those after it keep step with it.
+        """
+        if counter is None or self._modulus is None:
             return False
-        return arrival_s - self._arrival_s < 0.5 * self._modulus * self.tick_period_s
+        newest, newest_s = self._newest or (counter - 1, arrival_s)
+        ahead = (counter - newest) % self._modulus
+        passed = (arrival_s - newest_s) / self.tick_period_s
+        if self._in_step >= _ANEW_FRAMES or 0 < ahead <= passed + _SLACK_TICKS:
+            self._newest = counter, arrival_s
+            return False
+        is_old = -ahead % self._modulus < max(1.0, _OLDER_SHARE * self._modulus)
+        return is_old and arrival_s - self._arrival_s < 0.5 * self._modulus * self.tick_period_s
 
     def _measure(self, tick: int, arrival_s: float) -> None:
         if self._stride > 1:
