@@ -548,6 +548,27 @@ async def test_a_drive_at_rest_confirms_its_stop_by_the_bridge_beside_refused_va
 
 
 @both
+async def test_a_register_without_a_value_confirms_no_stop(
+    kind: str, tmp_path: Path, free_tcp_port: int
+) -> None:
+    """A gateway gives all ones for a module that it does not reach; the other values are right."""
+    state = {
+        "bus__registers__closed": "{ address = 5, table = 'input' }",
+        "signals__bridge": "{ signal = 'closed', on = 4 }",
+    }
+    async with driven(kind, tmp_path, free_tcp_port, 4, **state) as one:
+        one.peer.state = 0xFFFF
+        one.port.send(SAFE_COMMAND)
+        await until(lambda: one.told() == [0, 0])
+        await one.asks(12)
+        assert one.ear.readings[-1].bridge
+        assert "bridge: input 5 (address from 0) holds ffff" in one.port.explain_age()
+        one.peer.state = 0
+        await one.hears(2)
+        assert not one.ear.readings[-1].bridge
+
+
+@both
 async def test_a_drive_that_reports_its_stop_beside_refused_values_is_not_driven_on(
     kind: str, tmp_path: Path, free_tcp_port: int
 ) -> None:

@@ -21,6 +21,7 @@ from adaptdrive.hardware.modbus.capacity import Exchange, capacity_flaws
 from adaptdrive.hardware.modbus.codec import decode_value, encode_count, encode_value, refusal
 
 HEARTBEAT = "heartbeat"
+_BRIDGE = "bridge"
 _MAX_WRITE = 121
 """Registers that function 23 can write (Modbus application protocol, 6.17)."""
 
@@ -53,7 +54,9 @@ class RegisterSource:
         if value is None:
             return None
         if self.on is not None:
-            return float(value == self.on)
+            value = float(value == self.on)
+        if not value and self._is_blank(taken):
+            return None
         return value * self.scale + self.offset
 
     def word(self, block: Block, words: list[int]) -> float | None:
@@ -67,8 +70,20 @@ class RegisterSource:
     def explain(self, block: Block, words: list[int]) -> str:
         """Return why the quantity must not be used: its name, its place and what is there."""
         register, taken = self.register, self._words(block, words)
-        found = refusal(register, taken, measured=self.quantity not in _COUNTS)
+        measured = self.quantity not in _COUNTS or self._is_blank(taken)
+        found = refusal(register, taken, measured=measured)
         return f"{self.quantity}: {Block(register.table, register.address, register.words)} {found}"
+
+    def _is_blank(self, taken: list[int]) -> bool:
+        """Return whether a bridge holds its count for no value, which may read as off.
+
+        Of a bit all bits of its word count, as 0x8000 is a word of which one is set.
+        """
+        if self.quantity != _BRIDGE:
+            return False
+        known = decode_value(self.register, taken, measured=True) is not None
+        part = self.register.bit is not None and any(word != _ALL_ONES for word in taken)
+        return not (known or part)
 
     def _words(self, block: Block, words: list[int]) -> list[int]:
         start = self.register.address - block.address
@@ -92,7 +107,7 @@ class RegisterSink:
         """
         if self.name == HEARTBEAT:
             return encode_count(self.register, heartbeat % heartbeat_modulus(self.register))
-        if self.name == "bridge":
+        if self.name == _BRIDGE:
             return encode_count(
                 self.register, self.register.on if command.bridge else self.register.off
             )
@@ -147,7 +162,7 @@ class Poll:
 
 
 def _has_bridge(block: tuple[Block, tuple[RegisterSource, ...]]) -> bool:
-    return any(source.quantity == "bridge" for source in block[1])
+    return any(source.quantity == _BRIDGE for source in block[1])
 
 
 def map_drive(
@@ -238,7 +253,7 @@ def _command_flaws(sinks: Iterable[RegisterSink]) -> Iterator[Flaw]:
         except ValueError as problem:
             yield Flaw(place, f"the drive could not be switched: {problem}")
             continue
-        if sink.name == "bridge" and on == off:
+        if sink.name == _BRIDGE and on == off:
             yield Flaw(place, f"on and off are both {sink.register.on}")
         if sink.name in WANTED and sink.sent_for_zero:
             yield Flaw(place, f"0 would be sent as {sink.sent_for_zero:.4g}: it could not be safe")
