@@ -372,6 +372,18 @@ async def test_the_operator_may_forget_an_emergency_of_a_drive_without_a_fault(p
         assert bench.port.complaint is None
 
 
+async def test_an_emergency_does_not_hide_why_its_node_is_not_set_up(peer: Peer) -> None:
+    """A reset ends neither, and the operator must know what to mend."""
+    peer.override(0x1018, 1, b"\xff\xff\xff\x7f")
+    async with running(peer) as bench:
+        await bench.reports("its vendor is")
+        peer.node.emcy.send(0x4310, 0x09, b"hot")
+        text = await bench.complains("0x4310")
+        await bench.port.reset_fault()
+        assert text == bench.port.complaint
+        assert "not ready: is not the drive of cia402.eds" in text
+
+
 async def test_a_fault_is_reset_by_an_edge_when_the_operator_says_so(peer: Peer) -> None:
     async with running(peer) as bench:
         await bench.run_drive()

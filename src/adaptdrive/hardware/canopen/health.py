@@ -19,9 +19,13 @@ class Health:
 
     @property
     def problem(self) -> str | None:
-        """The most telling thing that is wrong, None when nothing is."""
+        """The most telling thing that is wrong, None when nothing is.
+
+        A node that is not ready cannot be reset from its emergency: why it is not is told, too.
+        """
         if self._emergency is not None:
-            return str(self._emergency)
+            more = "" if self._master.ready else f"; not ready: {self._master.problem}"
+            return f"{self._emergency}{more}"
         if self._control.fallen is not None:
             return self._control.fallen
         if not self._master.ready:
