@@ -115,3 +115,21 @@ def test_after_a_reset_any_counter_is_the_first() -> None:
     counter.check(5)
     counter.reset()
     assert counter.check(5) == (FrameVerdict.GOOD, 0)
+
+
+@pytest.mark.parametrize("after", [0, 1, 9, 15])
+def test_after_a_pause_any_counter_but_the_last_is_the_first(after: int) -> None:
+    counter = AliveCounter(16, max_jump=1)
+    counter.check(5)
+    counter.resume()
+    for _ in range(3):
+        assert counter.check(5) == (FrameVerdict.COUNTER_STUCK, 0)
+    assert counter.check(after) == (FrameVerdict.GOOD, 0)
+    assert counter.check((after + 2) % 16) == (FrameVerdict.COUNTER_LOST, 1)
+
+
+def test_before_the_first_counter_a_pause_changes_nothing() -> None:
+    counter = AliveCounter(16, max_jump=1)
+    counter.resume()
+    assert [counter.check(value)[0] for value in (5, 6)] == [FrameVerdict.GOOD] * 2
+    assert counter.check(9) == (FrameVerdict.COUNTER_LOST, 2)

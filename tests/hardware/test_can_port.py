@@ -620,6 +620,27 @@ async def test_a_drive_that_was_on_when_its_bus_was_lost_is_heard_before_it_is_d
         assert port.complaint is None
 
 
+async def test_a_last_frame_that_is_repeated_is_none_when_the_bus_is_open_again(
+    port: CanPort, drive: Drive, ear: Ear
+) -> None:
+    """The drive may have stopped since: a gateway repeats its bridge, which is on."""
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        assert port.send(COMMAND)
+        await lose_the_bus(port, ear)
+        heard = port.statistics.received
+        for _ in range(3):
+            drive.alive = dict.fromkeys(drive.alive, 0)
+            drive.send_both()
+        await heard_by(port, heard + 6)
+        assert len(ear.readings) == 1
+        assert not port.send(COMMAND)
+        drive.send_both()
+        await ear.hears(2)
+        assert port.send(COMMAND)
+
+
 async def test_a_drive_that_lost_its_bus_before_it_started_is_driven_on(
     port: CanPort, drive: Drive, ear: Ear
 ) -> None:

@@ -67,9 +67,9 @@ class StatusAssembly:
         return bridge is not None and bridge == self._bridge_on
 
     def forget(self) -> None:
-        """Discard every arrival and counter: the bus was opened again."""
+        """Discard every arrival: the bus was opened again, and counters may have gone on."""
         for status in self._statuses:
-            status.codec.reset()
+            status.codec.resume()
         for source in self._sources:
             self._dues[source.quantity] = -math.inf, 0.0
 

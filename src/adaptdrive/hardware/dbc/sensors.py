@@ -165,7 +165,7 @@ class CanSensorPort:
         if self._presence.known:
             self._counts["reconnects"] += 1
         for message in self._messages.values():
-            message.codec.reset()
+            message.codec.resume()
         try:
             return await read_frames(bus, self, self._arrivals)
         finally:

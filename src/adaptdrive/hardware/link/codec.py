@@ -188,6 +188,10 @@ class MessageCodec:
         self._alive.reset()
         self._data = b""
 
+    def resume(self) -> None:
+        """Accept any alive counter but the last one: nothing was received for a time."""
+        self._alive.resume()
+
     def _is_whole(self, data: bytes) -> bool:
         span = self._span
         if span is None:

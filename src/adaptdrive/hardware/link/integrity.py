@@ -131,7 +131,7 @@ class AliveCounter:
         self._modulus = modulus
         self._max_jump = max_jump
         self._last: int | None = None
-        self._leapt = False
+        self._leapt = self._resumed = False
 
     def check(self, value: int) -> tuple[FrameVerdict, int]:
         """Compare a counter with the one before it.
@@ -149,9 +149,16 @@ class AliveCounter:
         if jump == 0:
             return FrameVerdict.COUNTER_STUCK, 0
         self._last = value
+        if self._resumed:
+            self._resumed = False
+            return _GOOD, 0
         self._leapt = jump > (1 if self._leapt else self._max_jump)
         return FrameVerdict.COUNTER_LOST if self._leapt else _GOOD, jump - 1
 
     def reset(self) -> None:
         """Forget the past: the next counter is the first one."""
-        self._last, self._leapt = None, False
+        self._last, self._leapt, self._resumed = None, False, False
+
+    def resume(self) -> None:
+        """Accept any next counter but the last one: a repeated frame stays one after a pause."""
+        self._leapt, self._resumed = False, self._last is not None
