@@ -19,6 +19,7 @@ from adaptdrive.hardware.link.bus import open_bus
 from adaptdrive.hardware.port import Reading
 from adaptdrive.hardware.rival import QUIET_S
 from adaptdrive.runtime.interlocks import Limits, find_cause
+from adaptdrive.runtime.stop_watch import Stop, StopWatch
 from tests.hardware.bench import (
     EXAMPLES,
     PATIENCE_S,
@@ -724,6 +725,35 @@ async def test_a_stop_in_the_frame_whose_alive_counter_stands_or_leaps_is_believ
         drive.send_both()
         await ear.hears(3)
         assert [reading.bridge for reading in ear.readings] == [True, False, True]
+
+
+@pytest.mark.parametrize("alive", [1, 9], ids=["stands", "leaps"])
+async def test_an_old_frame_confirms_no_stop(
+    port: CanPort, clock: Clock, drive: Drive, ear: Ear, alive: int
+) -> None:
+    """A gateway repeats one from before the drive came on, which does not obey the safe command."""
+    watch = StopWatch(0.5, 1.0 / 120.0, port.stop_slack_s)
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        assert port.send(COMMAND)
+        assert port.send(SAFE_COMMAND)
+        watch.command(clock.now_s)
+        clock.now_s += 0.01
+        drive.send_both()
+        await ear.hears(2)
+        known, drive.alive["DriveStatus"] = drive.alive["DriveStatus"], alive
+        drive.send_status(BridgeOn=0)
+        drive.send_load()
+        await ear.hears(3)
+        assert watch.judge(ear.readings[-1], port.safe_s, clock.now_s) is Stop.AWAITED
+        drive.alive["DriveStatus"] = known
+        for _ in range(2):  # the first one after a leap is refused
+            clock.now_s += 0.01
+            drive.send_status(BridgeOn=0)
+        drive.send_load()
+        await ear.hears(4)
+        assert watch.judge(ear.readings[-1], port.safe_s, clock.now_s) is Stop.CONFIRMED
 
 
 async def test_a_repeated_frame_reports_no_stop(port: CanPort, drive: Drive, ear: Ear) -> None:

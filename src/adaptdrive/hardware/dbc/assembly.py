@@ -99,6 +99,36 @@ class StatusAssembly:
         self.faults.see(values.get("fault"))
         self._note_bridge(on=self.powered)
 
+    def keep_words(
+        self,
+        status: StatusFrame,
+        words: Mapping[str, float],
+        arrival_s: float,
+        *,
+        alive: bool,
+        stopped: bool,
+    ) -> None:
+        """Keep the words of a message whose other values are refused.
+
+        One whose alive counter leapt or stands may be an old one. It shows that a drive which is
+        driven may have stopped, and confirms no stop.
+
+        Args:
+            status: The message.
+            words: Words by signal.
+            arrival_s: Arrival by the monotonic clock.
+            alive: Whether its alive counter has advanced as it must.
+            stopped: Whether the safe command is in force.
+        """
+        if stopped and not alive:
+            off = {one.signal.name for one in status.sources if one.quantity == "bridge"}
+            words = {
+                name: value
+                for name, value in words.items()
+                if name not in off or value == self._bridge_on
+            }
+        self.keep(status, words, arrival_s, alive=alive)
+
     def _note_bridge(self, *, on: bool) -> None:
         """Note a report of the bridge, of which there may be several between two readings.
 

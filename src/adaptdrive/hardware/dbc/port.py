@@ -257,7 +257,10 @@ class CanPort:
                 self._doubt(arrival_s)
             if decoded.words:
                 alive = decoded.verdict is FrameVerdict.OUT_OF_RANGE
-                self._assembly.keep(status, decoded.words, arrival_s, alive=alive)
+                stopped = self._safe_s < math.inf
+                self._assembly.keep_words(
+                    status, decoded.words, arrival_s, alive=alive, stopped=stopped
+                )
             if decoded.verdict is not FrameVerdict.OUT_OF_RANGE or not self._awaits_bridge:
                 return
         if status is self._clocking:
