@@ -78,8 +78,9 @@ def test_a_silent_name_server_keeps_neither_the_helper_threads_nor_the_end(
     assert time.monotonic() - started_s < 60.0  # without an end, were it waited for
 
 
-def test_one_device_has_one_lock_however_its_host_is_written() -> None:
-    one, other = (parse(bus__host=f'"{host}"') for host in ("127.0.0.1", "localhost"))
+@pytest.mark.parametrize("host", ["localhost", "127.1", "::ffff:127.0.0.1"])
+def test_one_device_has_one_lock_however_its_host_is_written(host: str) -> None:
+    one, other = (parse(bus__host=f'"{name}"') for name in ("127.0.0.1", host))
     far = parse(bus__host='"127.0.0.1"', bus__device_id="2")
     shared = {*lock_names(one)} & {*lock_names(other)}
     drive = f"drive {one.drive.name!r}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from ipaddress import IPv6Address, ip_address
 from pathlib import Path
 
 from adaptdrive.config import Configuration
@@ -75,7 +76,7 @@ def _lock_names(configuration: Configuration) -> Iterator[str]:
         yield describe_bus(bus.model_copy(update={"device": bus.device.absolute()}))
     else:
         yield describe_bus(bus)
-        for address in _addresses(bus):
+        for address in sorted({*map(_plain, _addresses(bus))}):
             yield f"modbus-tcp address {address} port {bus.port} device {bus.device_id}"
 
 
@@ -85,6 +86,13 @@ def _addresses(bus: ModbusTcp) -> tuple[str, ...]:
         return look_up(bus.host, bus.port).result(_LOOK_UP_S)
     except (OSError, ValueError, TimeoutError):
         return ()
+
+
+def _plain(address: str) -> str:
+    """Return the IPv4 address that an IPv6 address stands for, and each other one as it is."""
+    found = ip_address(address)
+    mapped = found.ipv4_mapped if isinstance(found, IPv6Address) else None
+    return str(mapped or found)
 
 
 def _bus(configuration: Configuration) -> ModbusTcp | ModbusRtu:
