@@ -75,3 +75,21 @@ def test_a_gain_has_the_unit_of_the_output_for_each_volt() -> None:
 def test_no_word_of_a_broker_reaches_the_terminal_as_a_control_character() -> None:
     status = DriveStatus("\x1b[31mred", {}, live=True)
     assert "\x1b" not in describe("motor", status)
+
+
+@pytest.mark.calculating
+@pytest.mark.parametrize(
+    ("name", "row"),
+    [
+        ("speed", "  speed       10.1 K"),
+        ("over-temperature", "  over-temperature 10.1 K"),
+        ("\x1b[2Jred", "  ?[2Jred     10.1 K"),
+    ],
+)
+def test_the_name_of_an_output_is_apart_from_its_value_and_commands_no_terminal(
+    name: str, row: str
+) -> None:
+    telemetry = {"drive": {"output": 10.1, "output_name": name}}
+    state = {"state": "running", "output": {"name": name, "unit": "K"}}
+    text = describe("oven", DriveStatus("online", state, telemetry, live=True))
+    assert row in text.splitlines()

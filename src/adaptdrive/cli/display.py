@@ -193,4 +193,4 @@ def _number(value: object, unit: str = "") -> str:
 
 
 def _row(name: str, text: str) -> str:
-    return f"  {name:<12}{printable(text)}"
+    return f"  {printable(name):<11} {printable(text)}"
