@@ -15,9 +15,10 @@ from adaptdrive.analysis.whatif import Comparison, what_if
 from adaptdrive.analysis.whatif_report import as_text
 from adaptdrive.cli import main
 from adaptdrive.control.signals import Mode
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.errors import ConfigurationError, IdentificationError
 from adaptdrive.recording.batches import Header
 from adaptdrive.recording.session import NewSession, create_session
+from adaptdrive.runtime.reports import LoadReport, TickReport
 from tests.app.test_replay import EXAMPLE, PRIOR, lived
 from tests.closed_loop.bench import STEP
 from tests.recording.material import INFO, make_batch, record_messages
@@ -98,17 +99,29 @@ def test_quality_is_that_of_a_known_response() -> None:
     assert (found.steps, found.unsettled) == (1, 0)
 
 
+def by_hand(ticks: list[TickReport]) -> list[TickReport]:
+    return [
+        replace(one, order=replace(one.order, mode=Mode.MANUAL, manual_V=300.0)) for one in ticks
+    ]
+
+
+def recorded(folder: Path, ticks: list[TickReport], slow: list[LoadReport]) -> Path:
+    text = EXAMPLE.read_text(encoding="utf-8")
+    directory = create_session(NewSession(folder, INFO, text))
+    record_messages(directory, Header(INFO, text), make_batch(ticks, slow, last=True))
+    return directory
+
+
 def test_a_longer_part_set_by_hand_is_not_the_loop(tmp_path: Path) -> None:
     ticks, slow = lived(PRIOR, 260)
-    controlled = ticks[: 100 * RATE]
-    by_hand = [
-        replace(one, order=replace(one.order, mode=Mode.MANUAL, manual_V=300.0))
-        for one in ticks[110 * RATE :]
-    ]
-    text = EXAMPLE.read_text(encoding="utf-8")
-    directory = create_session(NewSession(tmp_path, INFO, text))
-    batch = make_batch([*controlled, *by_hand], slow, last=True)
-    record_messages(directory, Header(INFO, text), batch)
-    found = what_if(directory, [])
+    found = what_if(
+        recorded(tmp_path, [*ticks[: 100 * RATE], *by_hand(ticks[110 * RATE :])], slow), []
+    )
     assert found.recorded.time_s[-1] <= 100.0
     assert "of the session, its longest part" in as_text(found)
+
+
+def test_a_session_that_a_hand_alone_has_set_has_no_loop_to_compare(tmp_path: Path) -> None:
+    ticks, slow = lived(PRIOR, 260)
+    with pytest.raises(IdentificationError, match="no controller was in force"):
+        what_if(recorded(tmp_path, by_hand(ticks), slow), ["load.pole=0.8"])

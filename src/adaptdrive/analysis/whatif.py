@@ -19,7 +19,7 @@ from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Mode, Order, Stage
-from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.errors import ConfigurationError, Flaw, IdentificationError
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.what_if import reconfigured
 
@@ -81,12 +81,15 @@ def what_if(
         end_s: Last second used, None for the last.
 
     Raises:
-        AdaptdriveError: The session does not show its load, or a setting is not valid.
+        AdaptdriveError: The session does not show its load, no controller was in force in it, or a
+            setting is not valid.
     """
     source = path / "config.toml"
     changed = _changed(read_session(path).config_text, source, settings)
     found = identify_session(path, begin_s, end_s)
     part = max(found.stretches, key=_controlled)
+    if not _controlled(part)[0]:
+        raise IdentificationError(f"{path}: V_c was set by hand: no controller was in force then")
     # From its enabling on: what the controller has learnt at the first second used is unknown.
     runs = read_stretches(found.session, None, end_s)
     run = [one for one in runs if one.begin_s <= part.begin_s][-1]
