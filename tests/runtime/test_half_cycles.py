@@ -240,3 +240,49 @@ def test_only_frames_after_a_stand_in_come_too_seldom(*, stands_in: bool) -> Non
     for number in range(200):
         latest = base.place(2 * number % 256, 64.0 + 2 * number * EXACT_S, latest + stands_in)
     assert (base.rate.cause is None) is not stands_in
+
+
+def standing_ticks(modulus: int | None, *frames: tuple[int, int]) -> list[float]:
+    """For how long the count has stood, after each frame of a tick and a count."""
+    half_s = 1.0 / 128.0  # an exact number
+    base, found = HalfCycles(modulus, half_s), []
+    for tick, count in frames:
+        base.place(None if modulus is None else count % modulus, tick * half_s, -1)
+        found.append(base.rate.standing_s / half_s)
+    return found
+
+
+def in_step(first: int, count: int, frames: int) -> list[tuple[int, int]]:
+    """Frames of a drive that counts its half cycles."""
+    return [(first + n, count + n) for n in range(frames)]
+
+
+@pytest.mark.parametrize("modulus", [None, 4, 16, 256, 65536])
+def test_the_count_of_a_drive_that_runs_stands_never(modulus: int | None) -> None:
+    assert set(standing_ticks(modulus, *in_step(100, 3, 300))) == {0.0}
+
+
+@pytest.mark.parametrize(
+    ("then", "stands"),
+    [
+        ([(1, 0)], True),
+        ([(1, 2), (2, 1)], True),  # two frames in the wrong order
+        ([(1, 4), (2, 3)], True),
+        ([(1, 5), (2, 3)], False),  # 5 has leapt, and is no newer frame
+        ([(10, 10), (11, 9)], True),  # nine frames were lost
+        ([(1, -63)], True),
+        ([(1, -64)], False),  # a drive that counts from elsewhere
+    ],
+)
+def test_a_count_behind_the_newest_stands(then: list[tuple[int, int]], stands: bool) -> None:
+    assert (standing_ticks(256, (0, 0), *then)[-1] > 0.0) is stands
+
+
+def test_a_count_of_two_bits_is_ahead_or_repeated() -> None:
+    assert standing_ticks(4, (0, 0), (1, 1), (2, 0)) == [0.0, 0.0, 0.0]
+    assert standing_ticks(4, (0, 0), (1, 1), (2, 1)) == [0.0, 0.0, 1.0]
+
+
+def test_a_drive_that_counts_anew_moves_from_its_ninth_frame_on() -> None:
+    stood = standing_ticks(256, *in_step(0, 100, 3), *in_step(3, 82, 12))
+    assert stood[3:] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 0.0, 0.0, 0.0, 0.0]

@@ -137,8 +137,6 @@ class StopWatch:
             reading: The latest reading, None before the first.
             now_s: Monotonic time.
         """
-        if not self._confirmable:
-            return False
         return reading is None or now_s - reading.bridge_reported_s > self.limit_s
 
     def why_not(self, reading: Reading | None, safe_s: float, now_s: float) -> str:
