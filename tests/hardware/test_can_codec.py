@@ -181,6 +181,7 @@ def test_a_float_that_is_not_finite_is_refused(value: float) -> None:
     [
         (0, "Unknown", False),
         (0, "Off", True),
+        (3, "Invalid", False),
         (7, "SNA", False),
         (7, "Not available or not requested", False),
         (7, "signal_not_available", False),

@@ -322,6 +322,16 @@ def test_a_name_of_several_values_is_a_flaw(tmp_path: Path) -> None:
     assert found["signals.command.bridge"].endswith("several values the name 'Run': 3, 85")
 
 
+def test_a_bridge_that_is_on_where_nothing_is_known_is_a_flaw() -> None:
+    document = INVERTER.model_dump()
+    document["signals"]["bridge"]["on"] = "SNA"
+    with pytest.raises(ConfigurationError) as caught:
+        port_of(Configuration.model_validate(document, strict=False))
+    (flaw,) = caught.value.flaws
+    assert flaw.place == "signals.bridge.on"
+    assert flaw.message.endswith("STATE = 15 says nothing by its name")
+
+
 @pytest.mark.parametrize("amperes", [0.05, 20.15, 1599.95])
 def test_a_constant_may_miss_its_count_in_binary(amperes: float) -> None:
     port_of(commanding(constants={"HOST_CMD.I_LIMIT": amperes}))

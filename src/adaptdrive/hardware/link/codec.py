@@ -221,7 +221,7 @@ class MessageCodec:
             value = raw.get(field_.name)
             if value is None:
                 continue
-            if not field_.low <= value <= field_.high:
+            if not field_.low <= value <= field_.high or value in field_.unknown:
                 return Decoded(FrameVerdict.OUT_OF_RANGE, lost=lost, words=self._find_words(raw))
             values[field_.name] = value * field_.scale + field_.offset
         return Decoded(_GOOD, values, lost)
@@ -236,7 +236,7 @@ class MessageCodec:
             value = raw.get(field_.name)
             if value is None or value in field_.blanks:
                 continue
-            if field_.low <= value <= field_.high:
+            if field_.low <= value <= field_.high and value not in field_.unknown:
                 words[field_.name] = value * field_.scale + field_.offset
         return words
 

@@ -46,6 +46,7 @@ class SignalField:
         idle: Raw value of a signal that the sender does not set.
         blanks: Raw values that are no word beside refused values: "not available" and all bits
             set; none for a signal of one bit.
+        unknown: Raw values within the range that say nothing.
     """
 
     name: str
@@ -57,6 +58,7 @@ class SignalField:
     unavailable: Raw
     idle: Raw
     blanks: frozenset[Raw]
+    unknown: frozenset[Raw]
 
     def physical(self, raw: Raw) -> float:
         """The physical value of a raw one, in the unit of the signal."""
@@ -66,7 +68,7 @@ class SignalField:
         """The raw value of a physical one; None stands for "not available".
 
         Raises:
-            ValueError: The value is not finite, or outside the range of the signal.
+            ValueError: The value is not finite, outside the range of the signal, or says nothing.
         """
         if value is None:
             return self.unavailable
@@ -76,6 +78,8 @@ class SignalField:
         if not self.low <= raw <= self.high:
             ends = f"{self.physical(self.low):g}…{self.physical(self.high):g}"
             raise ValueError(f"{self.name} = {value:.10g} is outside {ends}")
+        if raw in self.unknown:
+            raise ValueError(f"{self.name} = {value:.10g} says nothing by its name")
         return raw
 
 
@@ -87,14 +91,10 @@ def compile_field(signal: Signal, *, measured: bool = False, state: bool = False
         measured: Whether the largest raw value means "not available" even where the range that the
             DBC declares (or fails to declare) has room for it, and whatever its value table names
             next to the ends ("error") is no value either.
-        state: Whether the values that are no state are those at the ends of the range whose names
-            say so ("SNA").
+        state: Whether a value whose name says that nothing is known ("SNA") is none.
     """
     bottom, top = _natural_limits(signal)
     low, high = _declared_limits(signal)
-    if state:
-        unknown = _unknown_states(signal)
-        low, high = -_below_names([-raw for raw in unknown], -low), _below_names(unknown, high)
     if measured and not signal.is_float and signal.length > 1:
         names = list(signal.choices or ())
         high = high if high < top - 1 else _below_names(names, top - 1)
@@ -110,6 +110,7 @@ def compile_field(signal: Signal, *, measured: bool = False, state: bool = False
         unavailable=math.nan if signal.is_float else top,
         idle=initial_value(signal) or 0,
         blanks=_blanks(signal, top),
+        unknown=_unknown_states(signal) if state else frozenset(),
     )
 
 
@@ -160,14 +161,14 @@ def _declared_limits(signal: Signal) -> tuple[Raw, Raw]:
     return max(low, math.ceil(ends[0] - _ROUNDING)), min(high, math.floor(ends[1] + _ROUNDING))
 
 
-def _unknown_states(signal: Signal) -> list[int]:
+def _unknown_states(signal: Signal) -> frozenset[Raw]:
     """Return the raw values that say nothing; a prefix that all names share is no part of them."""
     names = {raw: str(name) for raw, name in (signal.choices or {}).items()}
     shared = commonprefix(list(names.values()))  # noqa: RUF071 - names, no paths
     behind = max(shared.rfind("_"), shared.rfind(" ")) + 1
-    return [
+    return frozenset(
         raw for raw, name in names.items() if _UNKNOWN.match(name) or _UNKNOWN.match(name[behind:])
-    ]
+    )
 
 
 def _below_names(names: Collection[int], end: Raw) -> Raw:
