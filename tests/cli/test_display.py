@@ -93,3 +93,19 @@ def test_the_name_of_an_output_is_apart_from_its_value_and_commands_no_terminal(
     state = {"state": "running", "output": {"name": name, "unit": "K"}}
     text = describe("oven", DriveStatus("online", state, telemetry, live=True))
     assert row in text.splitlines()
+
+
+@pytest.mark.calculating
+@pytest.mark.parametrize("word", ["awaited", "missing", "cannot be confirmed"])
+def test_a_drive_that_has_not_reported_its_bridge_off_is_not_shown_as_off(word: str) -> None:
+    state = {"state": "standby", "stop": word}
+    text = describe("oven", DriveStatus("online", state, live=True))
+    assert f"  stop        {word}: the drive has not reported its bridge off" in text.splitlines()
+
+
+@pytest.mark.calculating
+@pytest.mark.parametrize("word", ["confirmed", None])
+def test_a_stop_is_shown_only_where_it_is_not_confirmed(word: str | None) -> None:
+    state = {"state": "standby", "stop": word}
+    text = describe("oven", DriveStatus("online", state, live=True))
+    assert "reported its bridge" not in text

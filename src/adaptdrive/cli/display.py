@@ -107,6 +107,7 @@ def _state(state: dict[str, Any], unit: str, *, live: bool) -> list[str]:
     since = state.get("since") or state.get("time")
     rows = [
         ("state" if live else "last state", f"{state.get('state')}, since {_moment(since)}"),
+        *_stop(state),
         *_trip(state),
         ("controller", _controller(state)),
         ("set-point", _setpoint(state, unit)),
@@ -114,6 +115,14 @@ def _state(state: dict[str, Any], unit: str, *, live: bool) -> list[str]:
         ("clock", str(state.get("clock"))),
     ]
     return [_row(name, text) for name, text in rows]
+
+
+def _stop(state: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return that the drive may be energised although it is commanded off."""
+    word = state.get("stop")
+    if word is None or word == "confirmed":
+        return []
+    return [("stop", f"{word}: the drive has not reported its bridge off")]
 
 
 def _trip(state: dict[str, Any]) -> list[tuple[str, str]]:
