@@ -74,6 +74,18 @@ async def test_a_bridge_that_has_yet_to_obey_is_not_off_for_good(*, comes_on: bo
         assert (bench.state(), bench.loop.stop) == (State.STANDBY, StopWord.CONFIRMED)
 
 
+async def test_a_bridge_that_has_been_on_and_stopped_by_itself_is_off_at_once(
+    running: FastBench,
+) -> None:
+    """It has obeyed already, and a report off is its own: nothing of it is under way."""
+    running.frame(bridge=True)
+    running.frame(bridge=False)
+    disable(running)
+    running.frame(bridge=False)
+    running.frame(bridge=False)
+    assert running.loop.stop is StopWord.CONFIRMED
+
+
 async def test_a_word_from_before_the_stop_confirms_nothing(running: FastBench) -> None:
     disable(running)
     said_s = running.around.now

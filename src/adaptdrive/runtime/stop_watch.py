@@ -13,7 +13,6 @@ _LIMIT_READINGS = 4.0
 _ON_READINGS = 2
 """Readings with the bridge on that are no flicker of a drive that has just stopped."""
 
-
 _COMING_SHARE = 0.5
 """Share of the time of a stop in which a bridge that was commanded on and has not come on yet may
 still do so: a drive that obeys late reports off until then."""
@@ -90,7 +89,7 @@ class StopWatch:
     def _due_s(self, safe_s: float) -> float:
         """Return the time after which a report of the bridge off confirms the stop."""
         coming_s = _COMING_SHARE * self.limit_s if self._coming else 0.0
-        return max(safe_s, self._commanded_s) + coming_s
+        return max(safe_s, self._commanded_s + coming_s)
 
     def judge_start(self, reading: Reading, now_s: float) -> Stop:
         """Return what is known of the bridge of a drive that only raises its boost voltage.
