@@ -91,7 +91,7 @@ class FrameRate:
     Attributes:
         judged: Whether enough readings have come at the right rate.
         cause: The wrong rate, once it has lasted.
-        standing_s: Time for which readings have come with the same count, 0 while it moves.
+        standing_s: Time for which no reading has come with a newer count, 0 while it moves.
     """
 
     def __init__(self, tick_s: float, stride: int, *, counted: bool) -> None:
@@ -125,7 +125,7 @@ class FrameRate:
             arrival_s: Arrival of its clocking frame, monotonic clock.
             steps: Half cycles since the reading before, None where they cannot be known.
             stood_in: Whether a stand-in tick had to run before it.
-            repeated: Whether its count is that of the reading before.
+            repeated: Whether it is an old reading, by its count.
         """
         self._moved_s = self._moved_s if repeated else arrival_s
         self.standing_s = arrival_s - self._moved_s

@@ -123,10 +123,11 @@ class HalfCycles:
         return steps if steps >= 1 and abs(steps - elapsed) <= _SLACK_TICKS else None
 
     def _is_repeated(self, counter: int | None, arrival_s: float) -> bool:
-        """Return whether the counter is where it was, and had no time to come round to it.
+        """Return whether a frame is an old one: its counter stands, or is behind the newest.
 
-        Frames that are repeated in turn go on from one to the next, and back. A leap of any other
-        kind is none, and counts as the newest once those after it keep step with it.
+        Frames that are repeated in turn go on from one to the next, and back. A counter that had
+        time to come round is no old one. One that has leapt elsewhere is the newest once those
+        after it keep step with it.
         """
         if counter is None or self._modulus is None:
             return False
