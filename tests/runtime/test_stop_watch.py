@@ -53,15 +53,19 @@ async def test_a_stop_in_the_tick_of_the_start_is_a_stop_of_its_own() -> None:
         assert (bench.state(), bench.loop.stop) == (State.STANDBY, StopWord.CONFIRMED)
 
 
+@pytest.mark.parametrize("ticks_on", [0, 1])
 @pytest.mark.parametrize("comes_on", [True, False])
-async def test_a_bridge_that_has_yet_to_obey_is_not_off_for_good(*, comes_on: bool) -> None:
+async def test_a_bridge_that_has_yet_to_obey_is_not_off_for_good(
+    *, comes_on: bool, ticks_on: int
+) -> None:
     """A drive that obeys late reports off, then on, and off again by the safe command."""
     async with fast_bench() as bench:
         bench.frames(RATE_FRAMES)
         bench.ask(Enable())
         while not bench.sent[-1].bridge:
             bench.frame(bridge=False)
-        bench.frame(bridge=False)
+        for _ in range(ticks_on):
+            bench.frame(bridge=False)
         disable(bench)
         for _ in range(5):
             bench.frame(bridge=False)
@@ -84,6 +88,23 @@ async def test_a_bridge_that_has_been_on_and_stopped_by_itself_is_off_at_once(
     running.frame(bridge=False)
     running.frame(bridge=False)
     assert running.loop.stop is StopWord.CONFIRMED
+
+
+@pytest.mark.parametrize("share", [0.1 * tenth for tenth in range(10)])
+async def test_a_bridge_that_has_yet_to_obey_may_report_as_seldom_as_it_does(share: float) -> None:
+    """A stop just after the command to switch on is complete with the next report but one."""
+    cycle_s = 2.0
+    async with fast_bench(slack_s=1.5 * cycle_s) as bench:
+        bench.frames(RATE_FRAMES)
+        bench.ask(Enable())
+        while not bench.sent[-1].bridge:
+            bench.frame(bridge=False)
+        disable(bench)
+        reported_s = bench.around.now - share * cycle_s
+        while bench.state() is State.STOPPING:
+            reported_s += cycle_s * int((bench.around.now + TICK_S - reported_s) / cycle_s)
+            bench.frame(bridge=False, bridge_s=reported_s)
+        assert (bench.state(), bench.loop.stop) == (State.STANDBY, StopWord.CONFIRMED)
 
 
 async def test_a_word_from_before_the_stop_confirms_nothing(running: FastBench) -> None:

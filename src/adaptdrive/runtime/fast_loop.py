@@ -203,6 +203,8 @@ class FastLoop:
 
     def send_safe(self) -> None:
         """Send the safe command now, outside any tick, to a drive that is commanded off."""
+        if self.command.bridge:  # the last tick may have been the first to command it on
+            self._stopping.release(self.reading, bridge=True)
         self.command = self._guard.check(SAFE_COMMAND)
         self._port.send(self.command)
         self._stopping.judge(self._port, self.reading, self._surroundings.now_s())

@@ -14,8 +14,9 @@ _ON_READINGS = 2
 """Readings with the bridge on that are no flicker of a drive that has just stopped."""
 
 _COMING_SHARE = 0.5
-"""Share of the time of a stop in which a bridge that was commanded on and has not come on yet may
-still do so: a drive that obeys late reports off until then."""
+"""Share of the time of a stop, without that of a seldom report, in which a bridge that was
+commanded on and has not come on yet may still do so: a drive that obeys late reports off until
+then."""
 
 
 class Stop(Enum):
@@ -41,7 +42,9 @@ class StopWatch:
                 reports it.
         """
         self._confirmable = slack_s is not None
-        self.limit_s = max(limit_s, _LIMIT_READINGS * reading_period_s) + (slack_s or 0.0)
+        obeyed_s = max(limit_s, _LIMIT_READINGS * reading_period_s)
+        self._coming_s = _COMING_SHARE * obeyed_s
+        self.limit_s = obeyed_s + (slack_s or 0.0)
         self._commanded_s = math.inf
         self._confirmed = False
         self._coming = self._been_on = False
@@ -88,7 +91,7 @@ class StopWatch:
 
     def _due_s(self, safe_s: float) -> float:
         """Return the time after which a report of the bridge off confirms the stop."""
-        coming_s = _COMING_SHARE * self.limit_s if self._coming else 0.0
+        coming_s = self._coming_s if self._coming else 0.0
         return max(safe_s, self._commanded_s + coming_s)
 
     def judge_start(self, reading: Reading, now_s: float) -> Stop:
