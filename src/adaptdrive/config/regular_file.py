@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import secrets
 import stat
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 _LARGEST_BYTES = 1 << 20
 """Four times a bundle of all public certificate authorities, the largest of these files."""
@@ -65,20 +65,7 @@ def replace_regular(path: Path, content: bytes) -> None:
     Raises:
         OSError: The disk refuses; it names the file, which is as before.
     """
-    unfinished = unfinished_path(path)
-    try:
-        unfinished.unlink(missing_ok=True)
-        with unfinished.open("xb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        unfinished.replace(path)
-    except OSError as problem:
-        with contextlib.suppress(OSError):
-            unfinished.unlink()
-        problem.filename = str(path)
-        raise
-    _sync_directory(path.parent)
+    _replace(path, content, unfinished_path(path))
 
 
 def replace_result(path: Path, content: bytes) -> None:
@@ -91,12 +78,20 @@ def replace_result(path: Path, content: bytes) -> None:
     Raises:
         OSError: The disk refuses; it names the file, which is as before.
     """
+    _replace(path, content, path.with_name(f".unfinished-{secrets.token_hex(8)}"))
+
+
+def _replace(path: Path, content: bytes, unfinished: Path) -> None:
     try:
-        with TemporaryDirectory(dir=path.parent, prefix=".unfinished-") as beside:
-            whole = Path(beside, path.name)
-            replace_regular(whole, content)
-            whole.replace(path)
+        unfinished.unlink(missing_ok=True)
+        with unfinished.open("xb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        unfinished.replace(path)
     except OSError as problem:
+        with contextlib.suppress(OSError):
+            unfinished.unlink()
         problem.filename, problem.filename2 = str(path), None
         raise
     _sync_directory(path.parent)
