@@ -21,7 +21,7 @@ class Health:
     def problem(self) -> str | None:
         """The most telling thing that is wrong, None when nothing is.
 
-        A node that is not ready cannot be reset from its emergency: why it is not is told, too.
+        `reset` does not end the emergency of a node that is not ready: the reason follows it then.
         """
         if self._emergency is not None:
             more = "" if self._master.ready else f"; not ready: {self._master.problem}"
