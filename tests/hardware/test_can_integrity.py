@@ -1,3 +1,6 @@
+from collections.abc import Iterable
+from itertools import accumulate
+
 import pytest
 from crccheck.crc import Crc8GsmA, Crc8SaeJ1850
 from hypothesis import given
@@ -115,6 +118,66 @@ def test_after_a_reset_any_counter_is_the_first() -> None:
     counter.check(5)
     counter.reset()
     assert counter.check(5) == (FrameVerdict.GOOD, 0)
+
+
+def judge(counter: AliveCounter, values: Iterable[int], modulus: int) -> list[FrameVerdict]:
+    return [counter.check(value % modulus)[0] for value in values]
+
+
+@pytest.mark.parametrize("modulus", [15, 16, 256])
+@pytest.mark.parametrize("held", [2, 3, 4, 5, 7])
+@pytest.mark.parametrize("end", [0, 3, 14])
+def test_frames_that_are_repeated_in_turn_are_soon_believed_no_more(
+    modulus: int, held: int, end: int
+) -> None:
+    """Buffers of a drive that hangs, or of a gateway: each is the next of the one before."""
+    counter = AliveCounter(modulus, max_jump=3)
+    judge(counter, range(end - modulus, end + 1), modulus)
+    turn = range(end + 1 - held, end + 1)
+    first, *others = (judge(counter, turn, modulus) for _ in range(20))
+    assert FrameVerdict.GOOD not in first or held > modulus // 4
+    assert {verdict for one in others for verdict in one} == {FrameVerdict.COUNTER_LOST}
+    again = judge(counter, range(end + 1, end + 1 + 2 * modulus), modulus)  # the drive goes on
+    assert set(again[1:]) == {FrameVerdict.GOOD}
+
+
+@pytest.mark.parametrize("held", [2, 3, 4])
+def test_frames_that_are_repeated_in_turn_are_not_believed_after_a_pause(held: int) -> None:
+    counter = AliveCounter(16, max_jump=3)
+    judge(counter, range(8), 16)
+    counter.resume()
+    verdicts = {one for _ in range(20) for one in judge(counter, range(8 - held, 8), 16)}
+    assert FrameVerdict.GOOD not in verdicts
+    assert judge(counter, [8, 9], 16) == [FrameVerdict.GOOD] * 2
+
+
+@given(st.sampled_from([4, 15, 16, 256, 65536]), st.integers(0), st.integers(0), st.integers(2, 9))
+def test_a_sender_that_starts_anew_loses_a_few_frames_alone(
+    modulus: int, before: int, start: int, after: int
+) -> None:
+    """As many as were among the newest ones, a quarter of the range and eight at the most."""
+    counter = AliveCounter(modulus, max_jump=min(3, modulus - 1))
+    judge(counter, range(before % modulus + 1), modulus)
+    verdicts = judge(counter, range(start, start + after * modulus), modulus)
+    assert set(verdicts[min(8, max(1, modulus // 4)) :]) == {FrameVerdict.GOOD}
+
+
+@pytest.mark.parametrize("modulus", [15, 16, 256])
+def test_one_frame_from_elsewhere_costs_a_few_at_the_most(modulus: int) -> None:
+    """It may lie shortly ahead, so that those after it are among the newest ones."""
+    for elsewhere in range(8, modulus + 4):
+        counter = AliveCounter(modulus, max_jump=3)
+        judge(counter, range(5), modulus)
+        counter.check(elsewhere % modulus)
+        verdicts = judge(counter, range(5, 300), modulus)
+        assert set(verdicts[min(8, modulus // 4 + 1) :]) == {FrameVerdict.GOOD}
+
+
+@given(st.sampled_from([8, 15, 16, 256]), st.lists(st.integers(1, 3), max_size=600))
+def test_lost_frames_within_the_bound_are_no_repeated_ones(modulus: int, jumps: list[int]) -> None:
+    counter = AliveCounter(modulus, max_jump=3)
+    verdicts = judge(counter, accumulate(jumps, initial=0), modulus)
+    assert set(verdicts) == {FrameVerdict.GOOD}
 
 
 @pytest.mark.parametrize("after", [0, 1, 9, 15])

@@ -621,25 +621,50 @@ async def test_a_drive_that_was_on_when_its_bus_was_lost_is_heard_before_it_is_d
         assert port.complaint is None
 
 
-async def test_a_last_frame_that_is_repeated_is_none_when_the_bus_is_open_again(
-    port: CanPort, drive: Drive, ear: Ear
+async def repeat_in_turn(port: CanPort, drive: Drive, held: int) -> None:
+    """Send the last frames of both messages again and again, as the buffers of a gateway do."""
+    heard, last = port.statistics.received, drive.alive
+    for back in [*range(held - 1, -1, -1)] * 5:
+        drive.alive = {name: (alive - 1 - back) % 16 for name, alive in last.items()}
+        drive.send_both()
+    await heard_by(port, heard + 2 * 5 * held)
+    drive.alive = last
+
+
+@pytest.mark.parametrize("held", [1, 2, 4])
+async def test_last_frames_that_are_repeated_are_none_when_the_bus_is_open_again(
+    port: CanPort, drive: Drive, ear: Ear, clock: Clock, held: int
 ) -> None:
     """The drive may have stopped since: a gateway repeats its bridge, which is on."""
     async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
+        for number in range(1, 5):
+            drive.send_both()
+            await ear.hears(number)
         assert port.send(COMMAND)
         await lose_the_bus(port, ear)
-        heard = port.statistics.received
-        for _ in range(3):
-            drive.alive = dict.fromkeys(drive.alive, 0)
-            drive.send_both()
-        await heard_by(port, heard + 6)
-        assert len(ear.readings) == 1
+        await repeat_in_turn(port, drive, held)
+        assert len(ear.readings) == 4
         assert not port.send(COMMAND)
+        clock.now_s += 0.01
         drive.send_both()
-        await ear.hears(2)
+        await ear.hears(5)
         assert port.send(COMMAND)
+
+
+@pytest.mark.parametrize("held", [2, 4])
+async def test_last_frames_that_are_repeated_in_turn_make_no_value_newer(
+    port: CanPort, drive: Drive, ear: Ear, clock: Clock, held: int
+) -> None:
+    async with running(port, ear):
+        for number in range(1, 5):
+            drive.send_both()
+            await ear.hears(number)
+        clock.now_s += 0.1
+        await repeat_in_turn(port, drive, held)
+        assert len(ear.readings) == 4
+        for number in range(5, 7):
+            drive.send_both()
+            await ear.hears(number)
 
 
 async def test_a_drive_that_lost_its_bus_before_it_started_is_driven_on(

@@ -119,22 +119,39 @@ class FrameVerdict(StrEnum):
 _GOOD: Final[FrameVerdict] = FrameVerdict.GOOD  # found at once by compiled code
 
 
+_RECENT_SHARE = 4
+_RECENT_FRAMES = 8
+"""The newest counters are old ones: a quarter of the range, and eight at the most."""
+
+_BUFFERED_FRAMES = 16
+"""Frames that a gateway may hold: a counter that falls back further is that of a restart."""
+
+
 class AliveCounter:
     """Follows the alive counter of one message.
 
     A counter that stands still is a repeated frame. One that leaps further than `max_jump` is
     refused. So are those after it, until one is the very next of the one before: a restarted sender
     loses one frame, and of two senders that take turns neither is believed.
+
+    Frames that are repeated in turn are each the next of the one before, too. A counter among the
+    newest ones is refused until one is ahead of them. One that falls back a little further is
+    followed once, as that of a restarted sender. Where one falls back again before any was ahead of
+    the highest, all from there on are refused until one is.
     """
 
     def __init__(self, modulus: int, max_jump: int) -> None:
         self._modulus = modulus
         self._max_jump = max_jump
+        self._back = max(0, min(_BUFFERED_FRAMES, modulus // 2 - 1, modulus - 1 - max_jump))
+        self._recent = min(_RECENT_FRAMES, modulus // _RECENT_SHARE, self._back + 1)
         self._last: int | None = None
+        self._newest = 0
+        self._old, self._below = self._recent, -1
         self._leapt = self._resumed = False
 
     def check(self, value: int) -> tuple[FrameVerdict, int]:
-        """Compare a counter with the one before it.
+        """Compare a counter with those before it.
 
         Args:
             value: The counter of the frame at hand, 0…modulus-1.
@@ -143,22 +160,46 @@ class AliveCounter:
             The verdict, and how many frames went missing before this one.
         """
         if self._last is None:
-            self._last = value
+            self._last = self._newest = value
             return _GOOD, 0
         jump = (value - self._last) % self._modulus
         if jump == 0:
             return FrameVerdict.COUNTER_STUCK, 0
         self._last = value
+        if self._is_old(value):
+            self._leapt = True
+            return FrameVerdict.COUNTER_LOST, jump - 1
+        self._advance(value)
         if self._resumed:
-            self._resumed = False
+            self._leapt = self._resumed = False
             return _GOOD, 0
         self._leapt = jump > (1 if self._leapt else self._max_jump)
         return FrameVerdict.COUNTER_LOST if self._leapt else _GOOD, jump - 1
 
+    def _is_old(self, value: int) -> bool:
+        """Return whether a counter has been there; one that falls back twice makes more of them."""
+        behind = (self._newest - value) % self._modulus
+        if self._below >= 0 and behind <= self._back:
+            self._old = max(self._old, behind + 1)
+        return behind < self._old
+
+    def _advance(self, value: int) -> None:
+        """Go on from a counter, and note how far it is below the highest one; -1 if ahead of it."""
+        behind = (self._newest - value) % self._modulus
+        if behind <= self._back:  # for the first time
+            self._below = behind
+        else:
+            self._below = max(-1, self._below - (value - self._newest) % self._modulus)
+        if self._below < 0:
+            self._old = self._recent
+        self._newest = value
+
     def reset(self) -> None:
         """Forget the past: the next counter is the first one."""
-        self._last, self._leapt, self._resumed = None, False, False
+        self._last = None
+        self._old, self._below = self._recent, -1
+        self._leapt = self._resumed = False
 
     def resume(self) -> None:
-        """Accept any next counter but the last one: a repeated frame stays one after a pause."""
+        """Accept any next counter but the newest ones: a repeated frame stays one after a pause."""
         self._leapt, self._resumed = False, self._last is not None
