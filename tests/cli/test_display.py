@@ -101,6 +101,8 @@ def test_a_drive_that_has_not_reported_its_bridge_off_is_not_shown_as_off(word: 
     state = {"state": "standby", "stop": word}
     text = describe("oven", DriveStatus("online", state, live=True))
     assert f"  stop        {word}: the drive has not reported its bridge off" in text.splitlines()
+    table = site_table({"oven": DriveStatus("online", state, live=True)})
+    assert f"oven   standby, stop {word}  " in table
 
 
 @pytest.mark.calculating
@@ -109,3 +111,4 @@ def test_a_stop_is_shown_only_where_it_is_not_confirmed(word: str | None) -> Non
     state = {"state": "standby", "stop": word}
     text = describe("oven", DriveStatus("online", state, live=True))
     assert "reported its bridge" not in text
+    assert "oven   standby  " in site_table({"oven": DriveStatus("online", state, live=True)})

@@ -372,6 +372,26 @@ def test_a_gain_has_the_unit_of_the_output_for_each_volt(
     publish(port, "adaptdrive/fan/availability", "offline")
 
 
+def test_a_drive_that_has_not_confirmed_its_stop_is_not_shown_as_off(
+    operator: Panel, panel_site: PanelSite
+) -> None:
+    port = panel_site.site.broker_port
+    operator.page.get_by_role("link", name="all drives").click()
+    publish(port, "adaptdrive/lost/availability", "online")
+    hostile(port, "adaptdrive/lost/state", {"time": NOW, "state": "standby", "stop": "awaited"})
+    row = operator.page.get_by_role("row").filter(
+        has=operator.page.get_by_role("link", name="lost")
+    )
+    expect(row).to_contain_text("standby, stop awaited")
+    operator.open_drive("lost")
+    expect(operator.page.locator(".chip")).to_have_text("standby")
+    open_stop = operator.page.locator(".unconfirmed")
+    expect(open_stop).to_have_text("stop awaited: the bridge is not reported off")
+    hostile(port, "adaptdrive/lost/state", {"time": NOW, "state": "standby", "stop": "confirmed"})
+    expect(open_stop).to_have_text("")
+    publish(port, "adaptdrive/lost/availability", "offline")
+
+
 MARKUP = "<img src=x onerror=alert(1)><script>alert(2)</script>"
 KEYS = {
     "state": (
@@ -380,6 +400,7 @@ KEYS = {
         "controller",
         "reason",
         "trip",
+        "stop",
         "time",
         "since",
         "clock",

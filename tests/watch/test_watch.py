@@ -108,6 +108,13 @@ def test_a_trip_is_shown_with_its_remedy() -> None:
     assert "remedy: look for a load that feeds back" in text
 
 
+@pytest.mark.parametrize(
+    ("stop", "words"), [("awaited", "standby   stop awaited"), ("confirmed", "standby   fixed")]
+)
+def test_a_drive_that_has_not_confirmed_its_stop_is_not_shown_as_off(stop: str, words: str) -> None:
+    assert words in "\n".join(shown(live_record(Clock(), state="standby", stop=stop)))
+
+
 def test_old_data_are_unmistakable() -> None:
     clock = Clock()
     record = live_record(clock)

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from adaptdrive.operation.estimate_names import quantity_and_unit
-from adaptdrive.operation.listener import LIVE_S, DriveStatus, number, part, printable
+from adaptdrive.operation.listener import LIVE_S, DriveStatus
+from adaptdrive.operation.payloads import number, part, printable, unconfirmed_stop
 from adaptdrive.runtime.trips import remedy
 
 _FRACTION = re.compile(r"\.\d+(?=Z)")
@@ -88,7 +89,7 @@ def _site_row(name: str, status: DriveStatus) -> tuple[str, ...]:
     output, fresh = fast.get("output"), live and number(fast.get("age_s")) <= LIVE_S
     return (
         name,
-        _site_state(str(state.get("state")), status),
+        _site_state(state, status),
         _number(output, unit) if fresh and output is not None else "-",
         _setpoint(state, unit) if state else "-",
         str(state.get("controller") or "-"),
@@ -97,10 +98,11 @@ def _site_row(name: str, status: DriveStatus) -> tuple[str, ...]:
     )
 
 
-def _site_state(state: str, status: DriveStatus) -> str:
+def _site_state(state: dict[str, Any], status: DriveStatus) -> str:
     if not status.online:
         return str(status.availability)
-    return state if status.live else f"{state} (last known)"
+    text = ", ".join(filter(None, (str(state.get("state")), unconfirmed_stop(state))))
+    return text if status.live else f"{text} (last known)"
 
 
 def _state(state: dict[str, Any], unit: str, *, live: bool) -> list[str]:
@@ -119,10 +121,8 @@ def _state(state: dict[str, Any], unit: str, *, live: bool) -> list[str]:
 
 def _stop(state: dict[str, Any]) -> list[tuple[str, str]]:
     """Return that the drive may be energised although it is commanded off."""
-    word = state.get("stop")
-    if word is None or word == "confirmed":
-        return []
-    return [("stop", f"{word}: the drive has not reported its bridge off")]
+    word = unconfirmed_stop(state).removeprefix("stop ")
+    return [("stop", f"{word}: the drive has not reported its bridge off")] if word else []
 
 
 def _trip(state: dict[str, Any]) -> list[tuple[str, str]]:

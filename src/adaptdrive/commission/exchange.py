@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from adaptdrive.operation.listener import number, part
+from adaptdrive.operation.payloads import number, part
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import math
 import re
-from collections.abc import AsyncGenerator, Callable, Mapping
+from collections.abc import AsyncGenerator, Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -30,9 +29,6 @@ LIFE_WAIT_S = 3.0
 
 LIVE_S = 3.0
 """Longest age of a measurement that is shown as live."""
-
-_LARGEST = 1e100
-"""Least number that no quantity has: sums and differences of smaller ones are numbers still."""
 
 
 @dataclass(slots=True)
@@ -183,27 +179,6 @@ async def follow(broker: Mqtt, drive: str) -> AsyncGenerator[tuple[str, dict[str
                 yield name, {name: payload.decode("utf-8", "replace")}
             elif (content := json_object(payload)) is not None:
                 yield name, content
-
-
-def part(content: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return a part of a payload that is an object; empty where it is missing or something else.
-
-    Every client of the broker that may publish there decides what a payload holds.
-    """
-    found = content.get(name)
-    return found if isinstance(found, dict) else {}
-
-
-def number(value: object) -> float:
-    """Return a number in a payload as a float, NaN for anything else and where it is too large."""
-    if not isinstance(value, int | float) or not abs(value) < _LARGEST:
-        return math.nan
-    return float(value)
-
-
-def printable(value: object) -> str:
-    """Return a part of a payload as text without characters that command a terminal."""
-    return "".join(letter if letter.isprintable() else "?" for letter in str(value))
 
 
 def _complete(status: DriveStatus) -> bool:

@@ -8,7 +8,7 @@
  * @typedef {{
  *   state: string, mode: string, controller: string, reason: string, enabled: boolean,
  *   setpoint: number|null, waveform: Waveform|null, pole: number|null, trip: string|null,
- *   time: string, since: string, last_trip: Trip|null, clock: string,
+ *   stop: string|null, time: string, since: string, last_trip: Trip|null, clock: string,
  *   output: {name: string, unit: string}, modes: string[],
  *   limits: Record<string, [number|null, number|null]>, reach: [number|null, number|null]
  * }} State

@@ -8,6 +8,7 @@ const DrivePage = (() => {
     const answer = Dom.make("p.answer", { "aria-live": "polite" });
     const title = Dom.make("h1", {}, drive.name);
     const state = Dom.make("span.chip");
+    const open = Dom.make("strong.unconfirmed");
     const age = Dom.make("span.age");
     const alarm = Dom.make("div.alarm", { role: "alert", hidden: true });
     const stop = Controls.stop(drive, answer);
@@ -16,7 +17,7 @@ const DrivePage = (() => {
     const events = Dom.make("ol.events");
     const controls = Controls.panel(drive, answer);
     parent.append(
-      Dom.make("header.bar", {}, Dom.make("a", { href: "#", "aria-label": "all drives" }, "‹ drives"), title, state, age, stop),
+      Dom.make("header.bar", {}, Dom.make("a", { href: "#", "aria-label": "all drives" }, "‹ drives"), title, state, open, age, stop),
       alarm,
       Dom.make("div.columns", {}, now.root, plotted, controls.root),
       Dom.make("section", {}, Dom.make("h2", {}, "Events"), events),
@@ -28,6 +29,7 @@ const DrivePage = (() => {
 
     function draw() {
       drawState(drive, state, age, alarm);
+      Dom.say(open, drive.openStop && `${drive.openStop}: the bridge is not reported off`);
       parent.classList.toggle("stale", !drive.live);
       now.draw(drive);
       controls.draw();
@@ -56,9 +58,8 @@ const DrivePage = (() => {
   /** @param {DriveView} drive @param {HTMLElement} chip @param {HTMLElement} age @param {HTMLElement} alarm */
   function drawState(drive, chip, age, alarm) {
     const state = drive.state;
-    const shown = drive.availability === "online" ? state?.state ?? "unknown" : drive.availability;
-    Dom.say(chip, shown);
-    Dom.mark(chip, "data-state", shown);
+    Dom.say(chip, drive.shown);
+    Dom.mark(chip, "data-state", drive.shown);
     Dom.say(age, drive.ageText);
     const trip = state?.trip;
     alarm.hidden = !trip;

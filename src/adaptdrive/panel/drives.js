@@ -47,6 +47,17 @@ const Drives = (() => {
       return silent ? `drive silent: ${Dom.span(this.measurementAgeS)}` : `no data: ${Dom.span(this.ageS)}`;
     }
 
+    /** The state, or that the daemon is gone. */
+    get shown() {
+      return this.availability === "online" ? this.state?.state ?? "unknown" : this.availability;
+    }
+
+    /** A stop that the drive has not confirmed, empty for none: it may be energised. */
+    get openStop() {
+      const stop = this.availability === "online" ? this.state?.stop ?? "confirmed" : "confirmed";
+      return stop === "confirmed" ? "" : `stop ${stop}`;
+    }
+
     get unit() {
       return this.state?.output?.unit ?? "";
     }

@@ -51,7 +51,7 @@ const Payloads = (() => {
     return {
       state: text(raw.state), mode: text(raw.mode), controller: text(raw.controller),
       reason: text(raw.reason), time: text(raw.time), since: text(raw.since), clock: text(raw.clock),
-      trip: textOrNull(raw.trip), last_trip: trip(raw.last_trip), enabled: raw.enabled === true,
+      stop: textOrNull(raw.stop), trip: textOrNull(raw.trip), last_trip: trip(raw.last_trip), enabled: raw.enabled === true,
       setpoint: number(raw.setpoint), pole: number(raw.pole), waveform: waveform(raw.waveform),
       output: { name: text(output.name) || "output", unit: text(output.unit) },
       modes: Array.isArray(raw.modes) ? raw.modes.slice(0, 10).map(text) : ["fixed", "adaptive"],

@@ -50,7 +50,7 @@ const SitePage = (() => {
   function fill(row, drive) {
     const cells = [...row.children].slice(1);
     const state = drive.state;
-    const shown = drive.availability === "online" ? state?.state ?? "unknown" : drive.availability;
+    const shown = drive.openStop ? `${drive.shown}, ${drive.openStop}` : drive.shown;
     const texts = [
       state?.trip && drive.availability === "online" ? `${shown}: ${Drives.cause(state)}` : shown,
       Dom.measured(drive.fast?.output ?? drive.load?.output, drive.unit),
@@ -60,7 +60,7 @@ const SitePage = (() => {
       drive.ageText,
     ];
     texts.forEach((text, i) => Dom.say(cells[i], text));
-    Dom.mark(cells[0], "data-state", shown);
+    Dom.mark(cells[0], "data-state", drive.shown);
     row.classList.toggle("stale", !drive.live);
   }
 

@@ -15,7 +15,7 @@ from math import isfinite
 from typing import Any
 
 from adaptdrive.operation.commands import STOP
-from adaptdrive.operation.listener import number, part
+from adaptdrive.operation.payloads import number, part
 from adaptdrive.watch.record import WatchRecord
 
 QUIT = "q"

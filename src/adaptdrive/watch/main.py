@@ -8,7 +8,8 @@ import time
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.conversation import NoAnswerError
-from adaptdrive.operation.listener import follow, printable
+from adaptdrive.operation.listener import follow
+from adaptdrive.operation.payloads import printable
 from adaptdrive.watch.ending import ended_once, whole
 from adaptdrive.watch.keys import QUIT, KeyReader, pressed_keys
 from adaptdrive.watch.record import WatchRecord

@@ -10,7 +10,8 @@ from datetime import datetime
 from itertools import islice
 from typing import Any
 
-from adaptdrive.operation.listener import LIVE_S, number, part
+from adaptdrive.operation.listener import LIVE_S
+from adaptdrive.operation.payloads import number, part
 from adaptdrive.watch.plot import PlotPoint
 
 Payload = dict[str, Any]

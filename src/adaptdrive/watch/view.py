@@ -20,7 +20,7 @@ from rich.text import Text
 from adaptdrive.aside import in_thread
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.operation.estimate_names import quantity_and_unit
-from adaptdrive.operation.listener import number, part, printable
+from adaptdrive.operation.payloads import number, part, printable, unconfirmed_stop
 from adaptdrive.watch.plot import REFERENCE_STYLE, STYLES, plot
 from adaptdrive.watch.record import Payload, WatchRecord
 from adaptdrive.watch.tables import (
@@ -123,6 +123,7 @@ def _header(record: WatchRecord) -> Iterator[Text]:
     style = STATE_STYLES.get(name, "bold yellow")
     line = Text.assemble((f" {record.drive} ", "bold reverse"), " ", (f" {name} ", style), "  ")
     if state:
+        line.append(f"{unconfirmed_stop(state)}  ".lstrip(), "bold yellow")
         _add_controller(line, state)
     elif record.availability == "unknown" and not record.problem:
         line.append("nothing heard of this drive; see adaptdrive list for the names")
