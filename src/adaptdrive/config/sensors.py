@@ -50,7 +50,9 @@ class SensorBusSection(Section):
     stale_s: PositiveFloat | None = Field(
         default=None,
         description="oldest usable value; one that is needed and older trips the drive. Three "
-        "cycles when left out",
+        "cycles when left out. Control uses the values that were the newest when the drive was "
+        "last measured: while the drive is silent they grow older, by `interlocks.stale_s` at "
+        "the most",
     )
     signals: dict[str, Quantity] = Field(
         description="values by name: a quantity of `[signals]`, or any other name for `[derived]`"
