@@ -162,6 +162,19 @@ def test_a_sender_that_starts_anew_loses_a_few_frames_alone(
     assert set(verdicts[min(8, max(1, modulus // 4)) :]) == {FrameVerdict.GOOD}
 
 
+def test_a_sender_that_has_been_ahead_is_followed_back_again() -> None:
+    """After frames in turn, and after each restart of a sender that is started anew now and then."""
+    counter = AliveCounter(16, max_jump=3)
+    for _ in range(3):
+        judge(counter, range(10), 16)
+        assert set(judge(counter, [*range(3, 10)] * 3, 16)[7:]) == {FrameVerdict.COUNTER_LOST}
+        judge(counter, range(10, 16), 16)
+        for start in (9, 10, 11, 12):
+            verdicts = judge(counter, range(start, start + 8), 16)
+            assert verdicts == [FrameVerdict.COUNTER_LOST, *[FrameVerdict.GOOD] * 7]
+        judge(counter, range(20, 32), 16)
+
+
 @pytest.mark.parametrize("modulus", [15, 16, 256])
 def test_one_frame_from_elsewhere_costs_a_few_at_the_most(modulus: int) -> None:
     """It may lie shortly ahead, so that those after it are among the newest ones."""
