@@ -163,7 +163,7 @@ def test_a_sender_that_starts_anew_loses_a_few_frames_alone(
 
 
 def test_a_sender_that_has_been_ahead_is_followed_back_again() -> None:
-    """After frames in turn, and after each restart of a sender that is started anew now and then."""
+    """After frames in turn, and after each of several restarts."""
     counter = AliveCounter(16, max_jump=3)
     for _ in range(3):
         judge(counter, range(10), 16)
