@@ -578,6 +578,27 @@ async def test_another_master_of_the_node_is_a_complaint(peer: Peer) -> None:
         await bench.complains("another sender commands this drive: 2 x frame 0x205")
 
 
+async def test_a_node_whose_watch_another_sender_has_switched_off_is_set_up_again(
+    peer: Peer,
+) -> None:
+    async with running(peer) as bench:
+        await bench.ready()
+        watch = peer.number(0x1016, 1)
+        bus = can.Bus(interface=peer.interface, channel=peer.channel, ignore_config=True)
+        with contextlib.closing(_Shutting(bus)):
+            off = b"\x23\x16\x10\x01\0\0\0\0"
+            bus.send(can.Message(arbitration_id=0x605, is_extended_id=False, data=off))
+        await until(lambda: peer.number(0x1016, 1) == 0)
+        await bench.complains("another sender commands this drive")
+
+        while peer.number(0x1016, 1) != watch:
+            assert bench.port.complaint is not None, "it may be energised without its watch"
+            await asyncio.sleep(0.001)
+        await until(lambda: bench.port.complaint is None)
+        await bench.run_drive()
+        assert peer.number(0x1016, 1) == watch
+
+
 async def test_commands_that_the_bus_does_not_take_are_a_complaint_until_it_takes_one(
     peer: Peer, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -30,6 +30,8 @@ class Health:
             return self._control.fallen
         if not self._master.ready:
             return self._master.problem
+        if self._master.overwritten:
+            return "another sender has written its objects: it is set up again when that is quiet"
         state = self._control.state
         if self._control.faulty or state in _UNFIT:
             return f"the drive's state is {state or 'not known yet'}"

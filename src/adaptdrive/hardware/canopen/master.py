@@ -1,8 +1,9 @@
 """The daemon as NMT master of one node: bringing it up, watching it, and doing so again.
 
 A node is set up in state pre-operational and started then. It is lost when it is restarted, leaves
-the state operational, or its heartbeat stays away; it is then set up again. The port is notified
-first, and a node that may still take commands has time for the safe one.
+the state operational, or its heartbeat stays away; it is then set up again. So is one whose objects
+another sender has written, once that is quiet. The port is notified first, and a node that may
+still take commands has time for the safe one.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from adaptdrive.errors import BusError
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping
 from adaptdrive.hardware.canopen.sdo import SdoLink, describe_node, in_thread
 from adaptdrive.hardware.canopen.setup import set_up
+from adaptdrive.hardware.rival import QUIET_S
 
 NMT = 0x000
 _START, _PRE_OPERATIONAL = 0x01, 0x80
@@ -59,6 +61,7 @@ class Master:
     Attributes:
         ready: Whether the node is set up and operational.
         mapped: Whether it has been set up on this bus and not restarted since: its RPDOs are known.
+        overwritten: Whether another sender has written one of its objects since its set-up began.
         problem: Why it is not.
     """
 
@@ -89,7 +92,8 @@ class Master:
         self._heard_s = 0.0
         self._state: int | None = None
         self._booted = False
-        self.ready = self.mapped = False
+        self._written_s = 0.0
+        self.ready = self.mapped = self.overwritten = False
         self.problem = "not heard yet"
 
     async def run(self, report: NodeListener) -> None:
@@ -127,6 +131,10 @@ class Master:
             self._lose(self._departure())
         self._heard.set()
 
+    def doubt(self) -> None:
+        """Note that another sender has written an object: it may have changed what was set up."""
+        self.overwritten, self._written_s = True, self._clock()
+
     def leave(self, problem: str) -> None:
         """The bus is gone, and the node with it."""
         self._lose(problem)
@@ -151,7 +159,7 @@ class Master:
         Raises:
             BusError: It does not answer or refuses.
         """
-        self._booted = False
+        self._booted = self.overwritten = False
         self._command(_PRE_OPERATIONAL)
         await self._set_up()
         if self._booted:
@@ -185,6 +193,8 @@ class Master:
                 return self.problem
             if self._booted or self._state != NodeState.OPERATIONAL:
                 return self._departure()
+            if self.overwritten and self._clock() - self._written_s > QUIET_S:
+                return "is set up again: another sender has written its objects"
             silent_s = self._clock() - self._heard_s
             if silent_s > timeout_s:
                 heard_s = self._heard_s

@@ -69,6 +69,14 @@ class ForeignCommands:
         self._rival.hear(self.names[can_id])
         return True
 
+    def writes_objects(self, frame: can.Message) -> bool:
+        """Return whether a foreign frame that commands this drive writes one of its objects.
+
+        Args:
+            frame: A frame that `hear` has reported.
+        """
+        return frame.arbitration_id == self._sdo
+
 
 def _values(order: CommandPdo, command: Command, word: int) -> dict[str, float | None]:
     """Return the values of a PDO: its part of the command, and the controlword if mapped."""

@@ -210,6 +210,8 @@ class CanOpenPort:
         self._counts["foreign"] += 1
         if not odd and self._foreign.hear(frame):
             self._counts["foreign_commands"] += 1
+            if self._foreign.writes_objects(frame):
+                self._master.doubt()
 
     def take_garbage(self) -> None:
         """Count something on the bus that is no frame."""
