@@ -19,7 +19,6 @@ from adaptdrive.errors import BusError
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping
 from adaptdrive.hardware.canopen.sdo import SdoLink, describe_node, in_thread
 from adaptdrive.hardware.canopen.setup import set_up
-from adaptdrive.hardware.rival import QUIET_S
 
 NMT = 0x000
 _START, _PRE_OPERATIONAL = 0x01, 0x80
@@ -61,7 +60,6 @@ class Master:
     Attributes:
         ready: Whether the node is set up and operational.
         mapped: Whether it has been set up on this bus and not restarted since: its RPDOs are known.
-        overwritten: Whether another sender has written one of its objects since its set-up began.
         problem: Why it is not.
     """
 
@@ -92,8 +90,8 @@ class Master:
         self._heard_s = 0.0
         self._state: int | None = None
         self._booted = False
-        self._written_s = 0.0
-        self.ready = self.mapped = self.overwritten = False
+        self._others_quiet: Callable[[], bool] | None = None
+        self.ready = self.mapped = False
         self.problem = "not heard yet"
 
     async def run(self, report: NodeListener) -> None:
@@ -131,9 +129,18 @@ class Master:
             self._lose(self._departure())
         self._heard.set()
 
-    def doubt(self) -> None:
-        """Note that another sender has written an object: it may have changed what was set up."""
-        self.overwritten, self._written_s = True, self._clock()
+    @property
+    def overwritten(self) -> bool:
+        """True if another sender has written an object of the node since its set-up began."""
+        return self._others_quiet is not None
+
+    def doubt(self, others_quiet: Callable[[], bool]) -> None:
+        """Note that another sender has written an object: it may have changed what was set up.
+
+        Args:
+            others_quiet: Whether other senders leave the node alone, so that it is set up again.
+        """
+        self._others_quiet = others_quiet
 
     def leave(self, problem: str) -> None:
         """The bus is gone, and the node with it."""
@@ -159,7 +166,7 @@ class Master:
         Raises:
             BusError: It does not answer or refuses.
         """
-        self._booted = self.overwritten = False
+        self._booted, self._others_quiet = False, None
         self._command(_PRE_OPERATIONAL)
         await self._set_up()
         if self._booted:
@@ -193,7 +200,7 @@ class Master:
                 return self.problem
             if self._booted or self._state != NodeState.OPERATIONAL:
                 return self._departure()
-            if self.overwritten and self._clock() - self._written_s > QUIET_S:
+            if self._others_quiet is not None and self._others_quiet():
                 return "is set up again: another sender has written its objects"
             silent_s = self._clock() - self._heard_s
             if silent_s > timeout_s:

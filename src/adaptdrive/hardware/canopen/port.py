@@ -211,7 +211,7 @@ class CanOpenPort:
         if not odd and self._foreign.hear(frame):
             self._counts["foreign_commands"] += 1
             if self._foreign.writes_objects(frame):
-                self._master.doubt()
+                self._master.doubt(lambda: self._rival.complaint is None)
 
     def take_garbage(self) -> None:
         """Count something on the bus that is no frame."""
