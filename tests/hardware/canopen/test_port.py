@@ -89,6 +89,24 @@ async def test_without_one_of_its_pdos_there_is_no_reading(peer: Peer) -> None:
         assert len(bench.ear.readings) == known
 
 
+async def test_a_pdo_that_was_refused_long_ago_does_not_explain_why_none_comes(peer: Peer) -> None:
+    async with running(peer) as bench:
+        await bench.ready()
+        peer.network.send_message(0x180 + NODE, b"\0")
+        await until(lambda: bench.port.statistics.wrong_length == 1)
+        await bench.ready()
+        peer.silent = {1, 2}
+        await until(lambda: "TPDO1, TPDO2 has not come" in bench.port.explain_age())
+        assert "is SYNC on the bus" in bench.port.explain_age()
+
+
+async def test_a_pdo_that_comes_twice_before_the_others_is_named(peer: Peer) -> None:
+    async with running(peer) as bench:
+        await bench.ready()
+        peer.copies, peer.silent = 2, {2}
+        await until(lambda: "TPDO1 came twice" in bench.port.explain_age())
+
+
 async def test_the_drive_is_brought_up_and_down_again(peer: Peer) -> None:
     async with running(peer) as bench:
         await bench.run_drive()

@@ -14,12 +14,16 @@ class Assembly:
 
     A PDO that comes again before the others have ends the collection, and one without a SYNC since
     the last reading begins none: repeated PDOs make no readings of their own.
+
+    Attributes:
+        repeated: PDO that has last ended a collection since the last reading, empty for none.
     """
 
     def __init__(self, statuses: tuple[StatusPdo, ...]) -> None:
         self._count = len(statuses)
         self._heard: dict[str, Mapping[str, float]] = {}
         self._sampled_s: float | None = None
+        self.repeated = ""
         self._statuses = {status.codec.name: status for status in statuses}
 
     @property
@@ -59,6 +63,7 @@ class Assembly:
         """
         if name in self._heard:
             self.forget()
+            self.repeated = name
         if self._sampled_s is None:
             return False
         self._heard[name] = values
@@ -79,6 +84,7 @@ class Assembly:
         }
         sampled_s = arrival_s if self._sampled_s is None else self._sampled_s
         self.forget()
+        self.repeated = ""
         counter = found.pop("counter", None)
         return Reading(
             arrival_s=arrival_s,

@@ -46,6 +46,7 @@ class Reports:
         self._control = control
         self._unseen = unseen
         self._counts = counts
+        self._refused = 0
         self._newest: Reading | None = None
         self._handed_out: Reading | None = None
         self._stated_s: float | None = None
@@ -69,6 +70,7 @@ class Reports:
         self._hear_words(status, decoded.values or decoded.words, arrival_s)
         if decoded.verdict is not FrameVerdict.GOOD:
             self._counts[decoded.verdict] += 1
+            self._refused += 1
             if decoded.verdict is not FrameVerdict.OUT_OF_RANGE:
                 return False
         elif not self.assembly.waits:
@@ -89,11 +91,18 @@ class Reports:
     def explain(self) -> str:
         """Return the PDO that is missing for a reading, and the likeliest cause."""
         missing = ", ".join(self.assembly.missing)
-        refused = self._counts[FrameVerdict.WRONG_LENGTH] + self._counts[FrameVerdict.OUT_OF_RANGE]
-        why = f"{refused} PDOs were refused for their length or range: is the EDS the drive's own?"
-        if not refused:
-            why = "is SYNC on the bus, and the node operational?"
-        return f"no complete set of PDOs: {missing} has not come since the last SYNC: {why}"
+        return f"no complete set of PDOs: {missing} has not come since the last SYNC: {self._why}"
+
+    @property
+    def _why(self) -> str:
+        """The likeliest cause, by what has come since the last complete set."""
+        if self._refused:
+            refused = f"{self._refused} PDOs were refused for their length or range"
+            return f"{refused}: is the EDS the drive's own?"
+        if self.assembly.repeated:
+            twice = f"{self.assembly.repeated} came twice before the others"
+            return f"{twice}: look for a gateway that repeats it, and for another node with this id"
+        return "is SYNC on the bus, and the node operational?"
 
     def forget(self) -> None:
         """Forget all values; those of the last reading stay, for a drive at rest that has none."""
@@ -115,6 +124,7 @@ class Reports:
         """Return the reading of the PDOs after a SYNC, None for refused ones of a driven drive."""
         bridge, fault = self._control.state in POWERED, self.faults.word
         if not self.assembly.missing:
+            self._refused = 0
             return self.assembly.reading(arrival_s, bridge=bridge, fault=fault)
         if self._handed_out is None or not at_rest:
             return None
