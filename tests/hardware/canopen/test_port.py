@@ -133,6 +133,28 @@ async def test_a_drive_that_does_not_obey_the_safe_command_gets_no_heartbeat(pee
         await until(lambda: len(peer.beats) > known + 2)
 
 
+async def test_a_drive_that_was_on_and_says_nothing_since_its_set_up_gets_no_heartbeat(
+    peer: Peer,
+) -> None:
+    async with running(peer) as bench:
+        await bench.run_drive()
+        peer.obeys, peer.silent = False, {1, 2}
+        bench.ear.bus.clear()
+        peer.node.nmt.state = "PRE-OPERATIONAL"
+        await until(lambda: any(up for up, _ in bench.ear.bus))
+        end_s = time.monotonic() + 1.3
+        while time.monotonic() < end_s:  # the ticks, which no reading starts
+            bench.port.send(SAFE_COMMAND)
+            await asyncio.sleep(0.01)
+        known = len(peer.beats)
+        for _ in range(30):
+            bench.port.send(SAFE_COMMAND)
+            await asyncio.sleep(0.01)
+        assert len(peer.beats) == known
+        peer.statusword, peer.silent = REST, set()
+        await until(lambda: len(peer.beats) > known + 2)
+
+
 async def test_the_daemons_heartbeat_goes_out_with_its_commands_only(peer: Peer) -> None:
     async with running(peer) as bench:
         await bench.ready()

@@ -23,7 +23,7 @@ from adaptdrive.hardware.canopen.health import Health
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping, StatusPdo
 from adaptdrive.hardware.canopen.master import Master, NodeState
 from adaptdrive.hardware.canopen.orders import ForeignCommands, command_frames
-from adaptdrive.hardware.canopen.profile import DISABLE_VOLTAGE, POWERED, DriveControl
+from adaptdrive.hardware.canopen.profile import DISABLE_VOLTAGE, DriveControl
 from adaptdrive.hardware.canopen.reports import Reports
 from adaptdrive.hardware.canopen.sdo import describe_node
 from adaptdrive.hardware.canopen.setup import SYNC_COB_ID
@@ -277,7 +277,7 @@ class CanOpenPort:
     @property
     def _disobeyed(self) -> bool:
         """True if the drive is still energised long after it was commanded safe."""
-        return self._clock() - self._safe_s > OBEY_S and self._control.state in POWERED
+        return self._clock() - self._safe_s > OBEY_S and self._control.powered
 
     def _disable_lost(self) -> None:
         """Send the safe command, and no heartbeat, to a lost node that may still take it."""

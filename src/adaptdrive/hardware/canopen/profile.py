@@ -104,11 +104,13 @@ class DriveControl:
 
     Attributes:
         state: State heard last, None before the first.
+        powered: Whether the power stage may be on, by the state heard last, also a forgotten one.
         fallen: Why the drive is not brought up any further, None while all is well.
     """
 
     def __init__(self) -> None:
         self.state: DriveState | None = None
+        self.powered = False
         self.fallen: str | None = None
         self._goal = Goal.REST
         self._rested = False
@@ -123,6 +125,7 @@ class DriveControl:
     def hear(self, statusword: int) -> None:
         """Take the drive's state."""
         self.state = state = state_of(statusword)
+        self.powered = state in POWERED
         if state is DriveState.SWITCH_ON_DISABLED:
             self._rested = True
         if self._goal is Goal.REST or not self._rested:
