@@ -520,6 +520,26 @@ async def test_a_drive_that_refuses_the_safe_command_gets_no_heartbeat(
         await until(lambda: len(set(beats(one, int(register), known))) > 3)
 
 
+async def test_a_drive_that_was_on_gets_no_heartbeat_on_new_connections_without_readings(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    """It acknowledges the safe command and does not obey it; a drive that reports off is fed."""
+    async with driven("tcp", tmp_path, free_tcp_port, 1, **REPORTED) as one:
+        peer = one.peer
+        assert isinstance(peer, TcpPeer)
+        peer.answer = lambda pdu: bytes((0x84, 4)) if pdu[0] == 4 else pdu
+        one.port.send(SAFE_COMMAND)
+        for _ in range(4):
+            await asyncio.sleep(0.4)
+            peer.hang_up()
+        known = len(peer.writes)
+        await until(lambda: len(peer.writes) > known + 10)
+        assert len(set(beats(one, 2, known))) == 1
+        peer.answer, peer.state = (lambda pdu: pdu), 2
+        known = len(peer.writes)
+        await until(lambda: len(set(beats(one, 2, known))) > 3)
+
+
 @both
 async def test_a_drive_at_rest_confirms_its_stop_by_the_bridge_beside_refused_values(
     kind: str, tmp_path: Path, free_tcp_port: int

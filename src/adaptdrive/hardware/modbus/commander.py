@@ -56,6 +56,7 @@ class Commander:
         self._reported_s = -math.inf
         self._alive = 0
         self._stopped_s = math.inf
+        self._begun_s = -math.inf
         self._tried_bridge = False
         self.bridge = False
         self.safe_s = math.inf
@@ -79,8 +80,9 @@ class Commander:
     @property
     def _disobeyed(self) -> bool:
         """True if the drive is still energised, or may be, long after it was commanded safe."""
-        late = self._clock() - self._stopped_s > OBEY_S + self._poll_s
-        return late and (self._validity.powered or not self._safe)
+        due_s = self._clock() - (OBEY_S + self._poll_s)
+        on = self._validity.powered and due_s > self._stopped_s
+        return on or (not self._safe and due_s > max(self._stopped_s, self._begun_s))
 
     @property
     def pending(self) -> bool:
@@ -110,8 +112,7 @@ class Commander:
         self._untaken.forget()
         self._validity.begin(given_on=self._given_on)
         self._safe = self.bridge = self._tried_bridge = False
-        if self._command == SAFE_COMMAND:
-            self._stopped_s = self._clock()
+        self._begun_s = self._clock()
 
     def note_step(self) -> None:
         """Note that the port does its work; a command from before a standstill is void."""

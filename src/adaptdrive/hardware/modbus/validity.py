@@ -24,7 +24,8 @@ class CommandValidity:
 
     Attributes:
         silent: Whether the drive did not answer the last poll.
-        powered: Whether its last reading has the bridge on, or it is assumed to be on.
+        powered: Whether its last reading, on this link or before, has the bridge on, or it is
+            assumed to be on.
     """
 
     def __init__(self, poll_s: float, sight: Sight, clock: Callable[[], float]) -> None:
@@ -57,10 +58,9 @@ class CommandValidity:
         self._outdated = False
 
     def begin(self, *, given_on: bool) -> None:
-        """Begin a link: nothing is known of the drive on it."""
+        """Begin a link: no command follows from what was known of the drive before."""
         self._relink.open(bridge=given_on)
-        self.silent = self.powered = False
-        self._blank = True
+        self.silent, self._blank = False, True
         self._sight.forget()
         self._stepped_s = self._clock()
 
