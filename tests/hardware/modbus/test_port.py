@@ -523,7 +523,9 @@ async def test_a_drive_that_refuses_the_safe_command_gets_no_heartbeat(
 async def test_a_drive_that_was_on_gets_no_heartbeat_on_new_connections_without_readings(
     tmp_path: Path, free_tcp_port: int
 ) -> None:
-    """It acknowledges the safe command and does not obey it; a drive that reports off is fed."""
+    """It acknowledges the safe command and does not obey it; one that reports off is fed again,
+    also beside values that are refused.
+    """
     async with driven("tcp", tmp_path, free_tcp_port, 1, **REPORTED) as one:
         peer = one.peer
         assert isinstance(peer, TcpPeer)
@@ -535,7 +537,7 @@ async def test_a_drive_that_was_on_gets_no_heartbeat_on_new_connections_without_
         known = len(peer.writes)
         await until(lambda: len(peer.writes) > known + 10)
         assert len(set(beats(one, 2, known))) == 1
-        peer.answer, peer.state = (lambda pdu: pdu), 2
+        peer.answer, peer.state, peer.speed = (lambda pdu: pdu), 2, math.nan
         known = len(peer.writes)
         await until(lambda: len(set(beats(one, 2, known))) > 3)
 

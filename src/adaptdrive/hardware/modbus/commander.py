@@ -81,7 +81,7 @@ class Commander:
     def _disobeyed(self) -> bool:
         """True if the drive is still energised, or may be, long after it was commanded safe."""
         due_s = self._clock() - (OBEY_S + self._poll_s)
-        on = self._validity.powered and due_s > self._stopped_s
+        on = self._validity.may_be_on and due_s > self._stopped_s
         return on or (not self._safe and due_s > max(self._stopped_s, self._begun_s))
 
     @property

@@ -24,8 +24,9 @@ class CommandValidity:
 
     Attributes:
         silent: Whether the drive did not answer the last poll.
-        powered: Whether its last reading, on this link or before, has the bridge on, or it is
-            assumed to be on.
+        powered: Whether its last reading has the bridge on, or it is assumed to be on.
+        may_be_on: The same, of the last report on this link or before; it may stand beside refused
+            values.
     """
 
     def __init__(self, poll_s: float, sight: Sight, clock: Callable[[], float]) -> None:
@@ -46,6 +47,7 @@ class CommandValidity:
         self._outdated = False
         self.silent = False
         self.powered = False
+        self.may_be_on = False
 
     @property
     def complaint(self) -> str | None:
@@ -58,9 +60,10 @@ class CommandValidity:
         self._outdated = False
 
     def begin(self, *, given_on: bool) -> None:
-        """Begin a link: no command follows from what was known of the drive before."""
+        """Begin a link: nothing is known of the drive on it."""
         self._relink.open(bridge=given_on)
-        self.silent, self._blank = False, True
+        self.silent = self.powered = False
+        self._blank = True
         self._sight.forget()
         self._stepped_s = self._clock()
 
@@ -101,7 +104,7 @@ class CommandValidity:
         """
         if acknowledged_on and self.powered and not powered:
             self._outdated = True  # a command from before the bridge went off
-        self.powered = powered
+        self.powered = self.may_be_on = powered
         self._sight.look(reported_s)
         self._blank, self._read_s = False, reported_s
         self._relink.hear(bridge=powered)
@@ -120,6 +123,7 @@ class CommandValidity:
             reported_s: When the report was asked for, monotonic clock.
         """
         if powered is not None:
+            self.may_be_on = powered
             self._sight.look(reported_s)
         if powered is False:
             self._relink.open(bridge=given_on, how=REFUSED)
