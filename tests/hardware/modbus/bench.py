@@ -294,6 +294,14 @@ class Bench:
         count = len(self.peer.requests) + more
         await until(lambda: len(self.peer.requests) >= count)
 
+    async def reads(self, more: int) -> None:
+        """Wait until the drive has been asked for registers that many more times."""
+        count = self._reads() + more
+        await until(lambda: self._reads() >= count)
+
+    def _reads(self) -> int:
+        return sum(request[0] in {3, 4, 23} for request in self.peer.requests)
+
     def told(self) -> list[int]:
         """What the drive was told last: V_c and bridge."""
         return self.peer.writes[-1][1][:2]
