@@ -104,7 +104,7 @@ def simulate(
 
     Raises:
         ConfigurationError: The configuration is not valid.
-        IdentificationError: The plant returns a value that is not finite.
+        IdentificationError: A set-point, or a value that the plant returns, is not finite.
         ModuleNotFoundError: A library is not installed.
     """
     from adaptdrive.analysis.simulation import simulated  # noqa: PLC0415 - see above

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import numpy as np
 import pytest
 
 from adaptdrive.errors import IdentificationError
@@ -26,6 +28,18 @@ class ReferenceMotor:
 class Broken:
     def step(self, boost_voltage_V: float, duration_s: float) -> tuple[float, float]:
         return math.nan, 0.0 * boost_voltage_V * duration_s
+
+
+class InNumpy(ReferenceMotor):
+    """The same motor as the plant of a user who counts in numpy."""
+
+    def __init__(self, disks: int, number: type[np.floating]) -> None:
+        super().__init__(disks)
+        self._number = number
+
+    def step(self, boost_voltage_V: float, duration_s: float) -> tuple[Any, Any]:
+        output, power_W = super().step(boost_voltage_V, duration_s)
+        return self._number(output), self._number(power_W)
 
 
 def square(time_s: float) -> float:
@@ -54,3 +68,17 @@ def test_the_voltage_is_held_by_the_drives_own_loop_too() -> None:
 def test_a_plant_that_returns_no_number_is_named() -> None:
     with pytest.raises(IdentificationError, match=r"step 0 of the plant returned output nan"):
         simulate(EXAMPLES / "motor.toml", Broken(), 3.0, 1.0)
+
+
+@pytest.mark.parametrize("number", [np.float64, np.float32])
+def test_a_plant_may_return_numbers_of_numpy(number: type[np.floating]) -> None:
+    run = simulate(EXAMPLES / "motor.toml", InNumpy(1, number), 3.0, 200.0, "fixed")
+    assert run.ticks["output"][-1] == pytest.approx(3.0, abs=1e-3)
+
+
+def test_a_set_point_that_is_no_number_is_named() -> None:
+    def broken(time_s: float) -> float:
+        return math.nan if time_s > 0.1 else 3.0
+
+    with pytest.raises(IdentificationError, match=r"the set-point at 0\.108333 s is nan"):
+        simulate(EXAMPLES / "motor.toml", ReferenceMotor(1), broken, 1.0)

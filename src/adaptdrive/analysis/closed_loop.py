@@ -175,7 +175,8 @@ def _note(record: LoopRecord, time_s: float, wanted: Order, measured: Measuremen
 def _advanced(
     plant: Plant, voltage_V: float, duration_s: float, number: int
 ) -> tuple[float, float]:
-    output, power_W = plant.step(voltage_V, duration_s)
+    # a plant may count in numpy, whose numbers keep their own precision in all that follows
+    output, power_W = map(float, plant.step(voltage_V, duration_s))
     if not (math.isfinite(output) and math.isfinite(power_W)):
         raise IdentificationError(
             f"step {number} of the plant returned output {output} and power {power_W} W"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -11,6 +12,7 @@ from adaptdrive.analysis.closed_loop import LoopRecord, Plant, run_loop
 from adaptdrive.app.settings import tick_s
 from adaptdrive.config import Configuration
 from adaptdrive.control.signals import Mode, Order, Stage
+from adaptdrive.errors import IdentificationError
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,15 +45,25 @@ def simulated(
         setpoint: Set-point at each time, in s.
         duration_s: Simulated time.
         mode: Controller asked for.
+
+    Raises:
+        IdentificationError: A set-point, or a value that the plant returns, is not finite.
     """
     reading_s = tick_s(configuration) * configuration.bus.ticks_per_reading
     pole = configuration.load.pole
 
     def order(number: int) -> Order:
-        return Order(Stage.RUN, float(setpoint(number * reading_s)), mode, pole)
+        return Order(Stage.RUN, _finite(setpoint, number * reading_s), mode, pole)
 
     record = run_loop(configuration, plant, order, round(duration_s / reading_s))
     return Simulation(_ticks(record), _slow(record, tick_s(configuration)), record.fault)
+
+
+def _finite(setpoint: Callable[[float], float], time_s: float) -> float:
+    wanted = float(setpoint(time_s))
+    if not math.isfinite(wanted):
+        raise IdentificationError(f"the set-point at {time_s:g} s is {wanted}")
+    return wanted
 
 
 def _ticks(record: LoopRecord) -> pl.DataFrame:
