@@ -12,6 +12,7 @@ from typing import cast
 
 import pytest
 
+from adaptdrive.app.examine import examine_text
 from adaptdrive.commission.file import refuse_unwritable, write_values
 from adaptdrive.commission.run import Commissioned, CommissionRequest, announcement, write
 from adaptdrive.errors import ConfigurationError
@@ -55,6 +56,23 @@ def test_a_full_disk_is_found_before_the_experiment(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, usual)
     assert [one.name for one in tmp_path.iterdir()] == ["motor.toml"]
     assert file.read_text(encoding="utf-8") == "name = 1\n"
+
+
+def test_tables_that_are_too_scattered_are_refused_before_the_experiment(tmp_path: Path) -> None:
+    file = tmp_path / "motor.toml"
+    shutil.copy(EXAMPLES / "adaptdrive.dbc", tmp_path)
+    text = (EXAMPLES / "motor.toml").read_text(encoding="utf-8")
+    head, _, rest = text.partition("[bus.integrity.DriveCommand]")
+    own, load, rest = rest.partition("[load]")
+    inline = '[bus.integrity]\nDriveCommand = { counter = "CommandAlive" }\n'
+    signals = own[own.index("[signals]") :]
+    status = head[
+        head.index("[bus.integrity.DriveStatus]") : head.index("[bus.integrity.DriveLoad]")
+    ]
+    file.write_text(head.replace(status, "") + inline + signals + load + rest + status, "utf-8")
+    examine_text(file.read_text("utf-8"), file)  # the daemon takes it
+    with pytest.raises(ConfigurationError, match=r"motor\.toml: file: cannot be changed: .*line"):
+        refuse_unwritable(file)
 
 
 def test_the_configuration_of_another_drive_is_refused() -> None:

@@ -11,22 +11,32 @@ from pathlib import Path
 from typing import Any
 
 import tomlkit
+from tomlkit.exceptions import TOMLKitError
 
+from adaptdrive.config.file import read_text
 from adaptdrive.errors import ConfigurationError, Flaw
 
 
-def with_values(text: str, values: Mapping[str, float | int]) -> str:
+def with_values(path: Path, text: str, values: Mapping[str, float | int]) -> str:
     """Return a TOML document with new values, its comments and order as before.
 
     Args:
+        path: The file that it is from.
         text: The document.
         values: New values by dotted key; a missing table is made.
+
+    Raises:
+        ConfigurationError: The document cannot be changed: its tables are too scattered.
     """
-    document = tomlkit.parse(text)
+    try:
+        document = tomlkit.parse(text)
+    except TOMLKitError as problem:  # of some documents that are valid, too
+        flaw = f"cannot be changed: {problem}; write the parts of each table one after another"
+        raise ConfigurationError(path, [Flaw("file", flaw)]) from problem
     for key, value in values.items():
-        *path, name = key.split(".")
+        *tables, name = key.split(".")
         table: Any = document
-        for part in path:
+        for part in tables:
             table = table.setdefault(part, tomlkit.table())
         table[name] = value
     return tomlkit.dumps(document)
@@ -62,11 +72,12 @@ def _free_backup(file: Path) -> Path:
 
 
 def refuse_unwritable(path: Path) -> None:
-    """Make sure that a file can be replaced; it is as before.
+    """Make sure that a file can be changed and replaced; it is as before.
 
     Raises:
         ConfigurationError: It cannot.
     """
+    with_values(path, read_text(path), {})
     try:
         file = path.resolve(strict=True)
         _written(file, file.read_bytes(), like=file).unlink()

@@ -123,6 +123,6 @@ def write(path: Path, commissioned: Commissioned) -> Path:
     """
     text = read_text(path)
     parse_configuration(text, path)
-    proposed = with_values(text, commissioned.proposal.values)
+    proposed = with_values(path, text, commissioned.proposal.values)
     examine_text(proposed, path)
     return write_values(path, proposed)
