@@ -98,8 +98,8 @@ TRIPS = (
         r"^overslept: ",
         "overslept: the daemon did not run for 512 ms, limit 50 ms: …",
         "the process was frozen, suspended or starved for longer than `interlocks.stale_s`, or, "
-        "on the way of a command to the bus, for longer than the drive stays on without one; the "
-        "state of the drive during that time is unknown",
+        "on the way of a command to the bus, for longer than 80 ms (less where "
+        "`bus.command_timeout_s` is short): the state of the drive during that time is unknown",
         "reduce the load of the machine; see `[realtime]`",
     ),
     Trip(
