@@ -222,6 +222,26 @@ def test_what_was_asked_before_a_loss_of_the_broker_does_not_act_after_it(
     operator.expect_state("standby")
 
 
+def test_a_command_to_a_silent_drive_expires_by_the_clock_of_its_daemon(
+    make_panel: MakePanel, panel_site: PanelSite
+) -> None:
+    """The machine of the page is an hour behind, and the daemon goes on without measurements."""
+    panel, device = make_panel(), panel_site.site.device
+    assert device is not None
+    panel.page.add_init_script("Date.now = ((now) => () => now() - 3_600_000)(Date.now);")
+    panel.log_in(panel_site.address, "operator")
+    panel.open_drive()
+    panel.expect_text(".age", "live")
+    os.kill(device.pid, signal.SIGSTOP)
+    try:
+        panel.expect_text(".age", "drive silent")
+        panel.page.get_by_role("button", name="fixed").click()
+        panel.expect_text(".answer", "mode fixed: accepted")
+    finally:
+        os.kill(device.pid, signal.SIGCONT)
+        rest(panel_site)
+
+
 class Network:
     """The way of a page to its broker, which can lose all that is sent."""
 

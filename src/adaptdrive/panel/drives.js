@@ -35,16 +35,20 @@ const Drives = (() => {
       return this.ageS + (this.fast?.age_s ?? 0);
     }
 
+    /** Whether the daemon is heard, with a measurement or without. */
+    get heard() {
+      return this.availability === "online" && !this.lost && this.ageS < STALE_S;
+    }
+
     /** Whether what is shown may be taken for the present. */
     get live() {
-      return this.availability === "online" && !this.lost && this.measurementAgeS < STALE_S;
+      return this.heard && this.measurementAgeS < STALE_S;
     }
 
     /** How old what is shown is, in words. */
     get ageText() {
       if (this.live) return "live";
-      const silent = this.availability === "online" && !this.lost && this.ageS < STALE_S;
-      return silent ? `drive silent: ${Dom.span(this.measurementAgeS)}` : `no data: ${Dom.span(this.ageS)}`;
+      return this.heard ? `drive silent: ${Dom.span(this.measurementAgeS)}` : `no data: ${Dom.span(this.ageS)}`;
     }
 
     /** The state, or that the daemon is gone. */

@@ -174,7 +174,7 @@ const Link = (() => {
   /** The drive's clock now, as far as it is known. @param {string} drive */
   function clockMs(drive) {
     const view = Drives.named(drive);
-    return view.live && Number.isFinite(view.clockS) ? 1000 * (view.clockS + view.ageS) : Date.now();
+    return view.heard && Number.isFinite(view.clockS) ? 1000 * (view.clockS + view.ageS) : Date.now();
   }
 
   /** Find out why no command of this user is answered, by a request that does nothing.
