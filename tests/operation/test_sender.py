@@ -10,6 +10,7 @@ from contextlib import asynccontextmanager
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
+import numpy as np
 import pytest
 from aiomqtt import Client
 
@@ -58,6 +59,17 @@ async def test_a_command_expires_before_its_sender_gives_it_up(mosquitto: Broker
 async def test_a_disable_never_expires(mosquitto: Broker) -> None:
     command, _ = await ask(mosquitto, f"mute-{uuid.uuid4()}", "disable")
     assert "expires" not in command
+
+
+async def test_a_value_may_be_a_number_of_numpy(mosquitto: Broker) -> None:
+    drive = f"mute-{uuid.uuid4()}"
+    settings = Mqtt(host=mosquitto.host, port=mosquitto.port)
+    async with asyncio.timeout(PATIENCE_S), mute_drive(mosquitto, drive) as heard:
+        volts, hold_s = np.float32(280.5), np.int64(5)
+        with pytest.raises(NoAnswerError):
+            await send_command(settings, drive, "voltage", volts, TIMEOUT_S, hold_s=hold_s)
+        command = await heard.get()
+    assert (command["value"], command["hold_s"]) == (280.5, 5)
 
 
 @asynccontextmanager

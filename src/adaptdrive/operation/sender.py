@@ -120,7 +120,9 @@ async def _ask(
     asked, answered = places
     identity = str(uuid.uuid4())
     await client.subscribe(answered, qos=1)
-    await client.publish(asked, json.dumps(content | {"id": identity}), qos=1)
+    # a value may be a number of numpy, which JSON does not know
+    payload = json.dumps(content | {"id": identity}, default=float)
+    await client.publish(asked, payload, qos=1)
     async for message in client.messages:
         if message.topic.value == answered:
             reply = decoded(bytes(message.payload), kind)
