@@ -101,6 +101,20 @@ def test_five_lost_replies_in_a_hundred_neither_trip_nor_starve(
     assert len({words[0] for _, words in line.drive.peer.writes}) > 99
 
 
+@pytest.mark.parametrize("changes", [{}, FUNCTION_23], ids=["apart", "function-23"])
+@pytest.mark.parametrize("size", [1, 5, 8, 99])
+def test_an_adapter_that_hears_its_request_in_pieces_costs_no_reply(
+    size: int, changes: dict[str, str | None], tmp_path: Path
+) -> None:
+    """The event loop wakes up at a byte, and reads what has come until then."""
+    line = Line("rtu", changes, tmp_path / "line")
+    line.drive.echo = lambda sent: [sent[at : at + size] for at in range(0, len(sent), size)]
+    line.run(lambda: len(line.drive.peer.requests) > POLLS // 10)
+    counts = line.port.statistics
+    assert (counts.timeouts, counts.wrong_checksum, counts.foreign, counts.send_drops) == (0,) * 4
+    assert len(line.drive.peer.writes) >= len(line.ear.readings) > POLLS // 40
+
+
 def test_a_drive_seen_before_a_line_that_repeats_fell_silent_is_read_again(
     tmp_path: Path,
 ) -> None:

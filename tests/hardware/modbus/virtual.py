@@ -18,6 +18,7 @@ from adaptdrive.hardware.port import Reading
 from tests.hardware.modbus.bench import Ear, Peer, framed
 
 _TURNAROUND_s = 0.002
+_PIECE_s = 0.0001
 
 _TCP_SHORTEST = 12
 """Bytes of the shortest request on TCP, four more than of the same one on a serial line."""
@@ -69,6 +70,8 @@ class _Wire(asyncio.Transport):
         self._loop, self._drive, self._protocol = loop, drive, protocol
 
     def write(self, data: Any) -> None:
+        for number, piece in enumerate(self._drive.echo(bytes(data)), 1):
+            self._loop.call_later(number * _PIECE_s, self._protocol.data_received, piece)
         reply = self._drive.hear(bytes(data))
         for delay_s in self._drive.copies(reply):
             self._loop.call_later(_TURNAROUND_s + delay_s, self._protocol.data_received, reply)
@@ -108,6 +111,7 @@ class VirtualDrive:
     Attributes:
         peer: Its registers.
         copies: Returns the delay of each copy of a reply, in s; none of one that is lost.
+        echo: Returns the pieces in which the port hears its own request.
         unfed: Requests that read, since the last command that was taken.
         longest: The highest of those counts.
     """
@@ -115,6 +119,7 @@ class VirtualDrive:
     def __init__(self, peer: Peer) -> None:
         self.peer = peer
         self.copies: Callable[[bytes], Sequence[float]] = lambda _: (0.0,)
+        self.echo: Callable[[bytes], Sequence[bytes]] = lambda _: ()
         self.unfed = self.longest = 0
 
     def hear(self, frame: bytes) -> bytes:
