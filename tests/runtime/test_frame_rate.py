@@ -249,6 +249,20 @@ async def test_last_frames_that_are_repeated_in_turn_trip_as_one_does(held: int)
         assert (bench.machine.trip or "").startswith("half-cycle counter: the drive's count has ")
 
 
+@pytest.mark.parametrize("stale_s", [0.1, 0.45])
+@pytest.mark.parametrize("held", [9, 10, 16, 40, 100])
+async def test_many_frames_that_are_repeated_in_turn_trip_at_the_longest_age(
+    held: int, stale_s: float
+) -> None:
+    settings = replace(FAST, limits=replace(FAST.limits, stale_s=stale_s))
+    async with fast_bench(settings) as bench:
+        run_by_hand(bench, None)
+        bench.frames(held)
+        for number in range(math.ceil(1.1 * stale_s / TICK_S)):
+            bench.frame(steps=1 if number % held else 1 - held)
+        assert (bench.machine.trip or "").startswith("half-cycle counter: the drive's count has ")
+
+
 @pytest.mark.parametrize("leap", [-3, -20_000, 5000])
 async def test_a_count_that_is_wrong_once_is_no_repeated_frame(leap: int) -> None:
     async with fast_bench() as bench:

@@ -242,10 +242,12 @@ def test_only_frames_after_a_stand_in_come_too_seldom(*, stands_in: bool) -> Non
     assert (base.rate.cause is None) is not stands_in
 
 
-def standing_ticks(modulus: int | None, *frames: tuple[int, int]) -> list[float]:
+def standing_ticks(
+    modulus: int | None, *frames: tuple[int, int], stale_ticks: int = 0
+) -> list[float]:
     """For how long the count has stood, after each frame of a tick and a count."""
     half_s = 1.0 / 128.0  # an exact number
-    base, found = HalfCycles(modulus, half_s), []
+    base, found = HalfCycles(modulus, half_s, stale_s=stale_ticks * half_s), []
     for tick, count in frames:
         base.place(None if modulus is None else count % modulus, tick * half_s, -1)
         found.append(base.rate.standing_s / half_s)
@@ -286,3 +288,27 @@ def test_a_count_of_two_bits_is_ahead_or_repeated() -> None:
 def test_a_drive_that_counts_anew_moves_from_its_ninth_frame_on() -> None:
     stood = standing_ticks(256, *in_step(0, 100, 3), *in_step(3, 82, 12))
     assert stood[3:] == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 0.0, 0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(("modulus", "held"), [(8, 2), (16, 2), (16, 4), (64, 16), (256, 64)])
+def test_a_count_that_never_passes_the_newest_stands_for_ever(modulus: int, held: int) -> None:
+    in_turn = [(held + n, 10 + n % held) for n in range(2000)]
+    stood = standing_ticks(modulus, *in_step(0, 10, held), *in_turn, stale_ticks=held)
+    assert stood[-1] == 2000.0
+
+
+def test_a_count_that_leapt_back_moves_once_it_has_kept_step_for_the_longest_age() -> None:
+    stood = standing_ticks(256, *in_step(0, 100, 3), *in_step(3, 42, 40), stale_ticks=20)
+    assert [ticks for ticks in stood[3:] if ticks] == [float(n) for n in range(1, 23)]
+
+
+@pytest.mark.parametrize(("frames", "begin"), [(3, 0), (1, 3), (40, 39)])
+def test_a_drive_that_has_started_anew_repeats_nothing(frames: int, begin: int) -> None:
+    anew = in_step(5000 + frames, begin, 200)
+    assert set(standing_ticks(65536, *in_step(0, 0, 5000), *anew, stale_ticks=20)) == {0.0}
+
+
+@pytest.mark.parametrize("count", [0, 2, 30_000, 59_990])
+def test_one_count_that_is_wrong_lets_no_drive_stand_for_long(count: int) -> None:
+    strange = [*in_step(0, 59_000, 1000), (1000, count), *in_step(1001, 60_001, 200)]
+    assert max(standing_ticks(65536, *strange, stale_ticks=20)) <= 1.0

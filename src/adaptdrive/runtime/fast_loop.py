@@ -75,7 +75,10 @@ class FastLoop:
         self._schedule = Schedule(controller, settings.latency_ticks)
         self._machine = machine
         self._half_cycles = HalfCycles(
-            port.counter_modulus, settings.tick_s, settings.ticks_per_reading
+            port.counter_modulus,
+            settings.tick_s,
+            settings.ticks_per_reading,
+            settings.limits.stale_s,
         )
         self._guard = Guard(settings.command)
         self._settings = settings

@@ -14,6 +14,7 @@ apart, by the clock that polls it, and its ticks are multiples of that number.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 from adaptdrive.runtime.frame_rate import FrameRate
@@ -38,8 +39,12 @@ _MARK_EVERY_TICKS = 60
 _OLDER_SHARE = 0.25
 """Share of its range by which a repeated count is older than the newest, at the most."""
 
-_ANEW_FRAMES = 8
-"""Frames in step after which the counter has jumped, and goes on from there."""
+_ANEW_TICKS = 7.5
+"""Half cycles, at the least, that a counter goes on after a leap until it has jumped there."""
+
+_ANEW_SHARE = 1.1
+"""The same as a share of the longest age of a reading, of one that has leapt back: frames that are
+repeated in turn, however many they are, have stood for longer by then."""
 
 _MARKS = 20
 """Marks of the measured window: 10 s on a 60 Hz line, beside which jitter is small."""
@@ -48,20 +53,24 @@ _MARKS = 20
 class HalfCycles:
     """Unwraps the drive's counter and measures the half cycle."""
 
-    def __init__(self, modulus: int | None, nominal_tick_s: float, stride: int = 1) -> None:
+    def __init__(
+        self, modulus: int | None, nominal_tick_s: float, stride: int = 1, stale_s: float = 0.0
+    ) -> None:
         """Start without a frame.
 
         Args:
             modulus: Where the drive's counter wraps, None for a drive without one.
             nominal_tick_s: Half cycle at nominal line frequency.
             stride: Half cycles from one reading to the next, 1 for a drive that sends each.
+            stale_s: Longest age of a reading.
         """
         self._stride = stride
+        self._anew_ticks = max(_ANEW_TICKS, _ANEW_SHARE * stale_s / nominal_tick_s - 0.5)
         self._modulus = modulus
         self._nominal_s = nominal_tick_s
         self._counter: int | None = None
         self._newest: tuple[int, float] | None = None
-        self._in_step = 0
+        self._risen_s = self._leapt_s = -math.inf
         self._arrival_s = 0.0
         self._grid_s = 0.0
         self._frame_tick = -1
@@ -88,7 +97,6 @@ class HalfCycles:
         """
         steps = self._steps(counter, arrival_s)
         stood_in = latest_tick > self._frame_tick
-        self._in_step = 0 if steps is None else self._in_step + 1
         repeated = self._is_repeated(counter, arrival_s)
         self.rate.add(arrival_s, steps, stood_in=stood_in, repeated=repeated)
         if steps is None:
@@ -125,20 +133,49 @@ class HalfCycles:
     def _is_repeated(self, counter: int | None, arrival_s: float) -> bool:
         """Return whether a frame is an old one: its counter stands, or is behind the newest.
 
-        Frames that are repeated in turn go on from one to the next, and back. A counter that had
-        time to come round is no old one. One that has leapt elsewhere is the newest once those
-        after it keep step with it.
+        Frames that are repeated in turn go on from one to the next, and back. One that has leapt
+        elsewhere is the newest once it has gone on from there for a time: longer than a reading may
+        be old if it has leapt back.
         """
         if counter is None or self._modulus is None:
             return False
+        if not self._may_follow(self._counter, self._arrival_s, counter, arrival_s):
+            self._risen_s, self._leapt_s = arrival_s, self._arrival_s
         newest, newest_s = self._newest or (counter - 1, arrival_s)
-        ahead = (counter - newest) % self._modulus
-        passed = (arrival_s - newest_s) / self.tick_period_s
-        if self._in_step >= _ANEW_FRAMES or 0 < ahead <= passed + _SLACK_TICKS:
+        is_old = self._is_older(counter, newest, arrival_s)
+        in_time = not is_old and self._may_follow(newest, newest_s, counter, arrival_s)
+        risen = self._passed(self._risen_s, arrival_s)
+        if in_time or risen >= (self._anew_ticks if is_old else _ANEW_TICKS):
             self._newest = counter, arrival_s
             return False
-        is_old = -ahead % self._modulus < max(1.0, _OLDER_SHARE * self._modulus)
-        return is_old and arrival_s - self._arrival_s < 0.5 * self._modulus * self.tick_period_s
+        return is_old
+
+    def _is_older(self, counter: int, newest: int, arrival_s: float) -> bool:
+        """Return whether a count is behind the newest one.
+
+        One that had time to come round is not, nor is one that may have begun at 0 when it leapt:
+        the drive has started anew.
+        """
+        modulus = self._modulus or 1
+        behind = (newest - counter) % modulus
+        anew = counter <= self._passed(self._leapt_s, arrival_s) + _SLACK_TICKS
+        may_wrap = self._passed(self._arrival_s, arrival_s) >= 0.5 * modulus
+        if may_wrap or (anew and behind > 2 * _SLACK_TICKS):
+            return False
+        return behind < max(1.0, _OLDER_SHARE * modulus)
+
+    def _may_follow(
+        self, since: int | None, since_s: float, counter: int, arrival_s: float
+    ) -> bool:
+        """Return whether a count can be one after another: it does not advance faster than time."""
+        if since is None or self._modulus is None:
+            return True
+        ahead = (counter - since) % self._modulus
+        return 0 < ahead <= self._passed(since_s, arrival_s) + _SLACK_TICKS
+
+    def _passed(self, since_s: float, until_s: float) -> float:
+        """Half cycles between two times."""
+        return (until_s - since_s) / self.tick_period_s
 
     def _measure(self, tick: int, arrival_s: float) -> None:
         if self._stride > 1:
