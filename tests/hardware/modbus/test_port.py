@@ -570,12 +570,15 @@ async def test_a_drive_at_rest_confirms_its_stop_by_the_bridge_beside_refused_va
 
 
 @both
+@pytest.mark.parametrize("coded", ["uint16", "int16"])
 async def test_a_register_without_a_value_confirms_no_stop(
-    kind: str, tmp_path: Path, free_tcp_port: int
+    coded: str, kind: str, tmp_path: Path, free_tcp_port: int
 ) -> None:
     """A gateway gives all ones for a module that it does not reach; the other values are right."""
+    register = f"{{ address = 5, table = 'input', type = '{coded}' }}"
     state = {
-        "bus__registers__closed": "{ address = 5, table = 'input' }",
+        "bus__registers__state": register,
+        "bus__registers__closed": register,
         "signals__bridge": "{ signal = 'closed', on = 4 }",
     }
     async with driven(kind, tmp_path, free_tcp_port, 4, **state) as one:
@@ -584,7 +587,8 @@ async def test_a_register_without_a_value_confirms_no_stop(
         await until(lambda: one.told() == [0, 0])
         await one.asks(12)
         assert one.ear.readings[-1].bridge
-        assert "bridge: input 5 (address from 0) holds ffff" in one.port.explain_age()
+        why = "bridge: input 5 (address from 0) holds ffff, its word for no value"
+        assert why in one.port.explain_age()
         one.peer.state = 0
         await one.hears(2)
         assert not one.ear.readings[-1].bridge

@@ -70,8 +70,11 @@ class RegisterSource:
     def explain(self, block: Block, words: list[int]) -> str:
         """Return why the quantity must not be used: its name, its place and what is there."""
         register, taken = self.register, self._words(block, words)
-        measured = self.quantity not in _COUNTS or self._is_blank(taken)
-        found = refusal(register, taken, measured=measured)
+        if self.quantity == _BRIDGE and self._is_unset(taken):
+            found = f"holds {' '.join(f'{word:04x}' for word in taken)}, its word for no value"
+        else:
+            measured = self.quantity not in _COUNTS or self._is_blank(taken)
+            found = refusal(register, taken, measured=measured)
         return f"{self.quantity}: {Block(register.table, register.address, register.words)} {found}"
 
     def _is_blank(self, taken: list[int]) -> bool:
@@ -83,7 +86,14 @@ class RegisterSource:
             return False
         known = decode_value(self.register, taken, measured=True) is not None
         part = self.register.bit is not None and any(word != _ALL_ONES for word in taken)
-        return not (known or part)
+        return self._is_unset(taken) or not (known or part)
+
+    def _is_unset(self, taken: list[int]) -> bool:
+        """Return whether all bits are set, as by a gateway for a module that it does not reach.
+
+        In a signed register, too, where its map gives no other count for no value.
+        """
+        return self.register.not_available is None and all(word == _ALL_ONES for word in taken)
 
     def _words(self, block: Block, words: list[int]) -> list[int]:
         start = self.register.address - block.address
