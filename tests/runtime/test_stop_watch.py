@@ -54,11 +54,11 @@ async def test_a_stop_in_the_tick_of_the_start_is_a_stop_of_its_own() -> None:
 
 
 @pytest.mark.parametrize("ticks_on", [0, 1])
-@pytest.mark.parametrize("comes_on", [True, False])
+@pytest.mark.parametrize("comes", [[], [1, 1, 1, 0], [1, 0, 1, 1, 0], [0, 1, 0, 0, 1, 1, 1, 1]])
 async def test_a_bridge_that_has_yet_to_obey_is_not_off_for_good(
-    *, comes_on: bool, ticks_on: int
+    *, comes: list[int], ticks_on: int
 ) -> None:
-    """A drive that obeys late reports off, then on, and off again by the safe command."""
+    """A drive that obeys late reports off, then on, and off again; its contact may bounce."""
     async with fast_bench() as bench:
         bench.frames(RATE_FRAMES)
         bench.ask(Enable())
@@ -67,15 +67,31 @@ async def test_a_bridge_that_has_yet_to_obey_is_not_off_for_good(
         for _ in range(ticks_on):
             bench.frame(bridge=False)
         disable(bench)
-        for _ in range(5):
-            bench.frame(bridge=False)
+        for on in [*[0] * 5, *comes, *[0] * (STOP_TICKS // 2 - 5 - len(comes))]:
+            bench.frame(bridge=bool(on))
             assert (bench.state(), bench.loop.stop) == (State.STOPPING, StopWord.AWAITED)
-        for _ in range(3 if comes_on else 0):
-            bench.frame(bridge=True)
-            assert (bench.state(), bench.loop.stop) == (State.STOPPING, StopWord.AWAITED)
-        for _ in range(1 if comes_on else STOP_TICKS // 2):
-            bench.frame(bridge=False)
+        bench.frame(bridge=False)
         assert (bench.state(), bench.loop.stop) == (State.STANDBY, StopWord.CONFIRMED)
+
+
+async def test_a_late_bridge_that_comes_on_after_a_further_start_is_that_of_the_first() -> None:
+    """It coasts in the half cycle of its start, and starts again before it has obeyed."""
+    async with fast_bench() as bench:
+        bench.start()
+        bench.ask(SetSetpoint(0.0))
+        bench.frames(STOP_TICKS)
+        bench.ask(SetSetpoint(2.5))
+        while not bench.sent[-1].bridge:
+            bench.frame(bridge=False)
+        bench.ask(SetSetpoint(0.0))
+        bench.loop.send_safe()
+        bench.frame(bridge=False)
+        bench.ask(SetSetpoint(2.5))
+        bench.frame(bridge=False)
+        disable(bench)
+        for on in (False, False, True, True, True, False):
+            bench.frame(bridge=on)
+            assert (bench.state(), bench.machine.trip) == (State.STOPPING, None)
 
 
 async def test_a_bridge_that_has_been_on_and_stopped_by_itself_is_off_at_once(

@@ -48,6 +48,7 @@ class StopWatch:
         self._commanded_s = math.inf
         self._confirmed = False
         self._coming = self._been_on = False
+        self._come_s = -math.inf
         self._was_off, self._off_s = False, math.inf
         self._on: list[float] = []
 
@@ -67,6 +68,8 @@ class StopWatch:
         """Note that the drive is commanded off; the first time since its release counts."""
         if self._commanded_s == math.inf:
             self._commanded_s = now_s
+            if self._coming:
+                self._come_s = now_s + self._coming_s
 
     def judge(self, reading: Reading | None, safe_s: float, now_s: float) -> Stop:
         """Return what is known now.
@@ -83,16 +86,13 @@ class StopWatch:
         elif reading is not None and not reading.bridge:
             self._on.clear()
             self._confirmed = self._confirmed or reading.bridge_reported_s > self._due_s(safe_s)
-        elif reading is not None:
-            self._coming = False
         if self._confirmed:
             return Stop.CONFIRMED
         return Stop.OVERDUE if now_s - self._commanded_s > self.limit_s else Stop.AWAITED
 
     def _due_s(self, safe_s: float) -> float:
         """Return the time after which a report of the bridge off confirms the stop."""
-        coming_s = self._coming_s if self._coming else 0.0
-        return max(safe_s, self._commanded_s + coming_s)
+        return max(safe_s, self._commanded_s, self._come_s)
 
     def judge_start(self, reading: Reading, now_s: float) -> Stop:
         """Return what is known of the bridge of a drive that only raises its boost voltage.
@@ -105,7 +105,8 @@ class StopWatch:
         """
         if not reading.bridge:
             self._on.clear()
-            self._was_off = self._was_off or reading.bridge_reported_s > self._off_s
+            off_s = max(self._off_s, self._come_s)
+            self._was_off = self._was_off or reading.bridge_reported_s > off_s
             return Stop.CONFIRMED
         if self._was_off:
             return self._denied(reading, now_s)
