@@ -11,7 +11,8 @@ from adaptdrive.control.signals import SAFE_COMMAND, Command, Measurement, Order
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.reports import State, StopWord
 from adaptdrive.runtime.requests import Disable, Enable, Reset, SetSetpoint
-from tests.runtime.bench import FAST, RATE_FRAMES, TICK_S, FastBench, fast_bench
+from adaptdrive.runtime.stop_watch import Stop, StopWatch
+from tests.runtime.bench import CALM, FAST, RATE_FRAMES, TICK_S, FastBench, fast_bench
 
 STOP_TICKS = round(FAST.stop_s / TICK_S)
 
@@ -121,6 +122,20 @@ async def test_a_bridge_that_has_yet_to_obey_may_report_as_seldom_as_it_does(sha
             reported_s += cycle_s * int((bench.around.now + TICK_S - reported_s) / cycle_s)
             bench.frame(bridge=False, bridge_s=reported_s)
         assert (bench.state(), bench.loop.stop) == (State.STANDBY, StopWord.CONFIRMED)
+
+
+@pytest.mark.parametrize(("reading_s", "due_s"), [(1 / 120, 0.25), (0.2, 0.25), (1.0, 1.0)])
+def test_a_drive_that_is_read_seldom_has_one_reading_to_obey(
+    reading_s: float, due_s: float
+) -> None:
+    watch = StopWatch(0.5, reading_s, 0.0)
+    watch.release(CALM, bridge=True)
+    watch.command(1000.0)
+    found = [
+        watch.judge(replace(CALM, bridge_s=said_s), 1000.0, said_s)
+        for said_s in (1000.0 + due_s - 0.01, 1000.0 + due_s + 0.01)
+    ]
+    assert found == [Stop.AWAITED, Stop.CONFIRMED]
 
 
 async def test_a_word_from_before_the_stop_confirms_nothing(running: FastBench) -> None:

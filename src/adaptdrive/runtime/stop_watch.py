@@ -14,9 +14,9 @@ _ON_READINGS = 2
 """Readings with the bridge on that are no flicker of a drive that has just stopped."""
 
 _COMING_SHARE = 0.5
-"""Share of the time of a stop, without that of a seldom report, in which a bridge that was
-commanded on and has not come on yet may still do so: a drive that obeys late reports off until
-then."""
+"""Share of the time of a stop, at least one reading, in which a bridge that was commanded on and
+has not come on yet may still do so: a drive that obeys late reports off until then. With more
+readings none of those that a stop may take could be lost."""
 
 
 class Stop(Enum):
@@ -43,7 +43,7 @@ class StopWatch:
         """
         self._confirmable = slack_s is not None
         obeyed_s = max(limit_s, _LIMIT_READINGS * reading_period_s)
-        self._coming_s = _COMING_SHARE * obeyed_s
+        self._coming_s = max(_COMING_SHARE * limit_s, reading_period_s)
         self.limit_s = obeyed_s + (slack_s or 0.0)
         self._commanded_s = math.inf
         self._confirmed = False
