@@ -37,6 +37,7 @@ RUNTIME: dict[str, tuple[str, ...]] = {
         "tests/runtime/test_fast_loop.py",
     ),
     "adaptdrive.runtime.half_cycles": (*_RATE, "tests/runtime/test_fast_loop.py"),
+    "adaptdrive.runtime.repeated_frames": _RATE,
     "adaptdrive.runtime.frame_rate": _RATE,
     "adaptdrive.runtime.stop_watch": _STOP,
     "adaptdrive.runtime.stopping": (*_STOP, "tests/runtime/test_frame_rate.py"),

@@ -242,6 +242,20 @@ def test_only_frames_after_a_stand_in_come_too_seldom(*, stands_in: bool) -> Non
     assert (base.rate.cause is None) is not stands_in
 
 
+@pytest.mark.parametrize("stride", [1, 2])
+@pytest.mark.parametrize("kept", [(0, 1, 2), (0, 1, 2, 3, 4), (0, 4)])
+def test_lost_frames_of_a_drive_without_a_counter_are_no_wrong_rate(
+    stride: int, kept: tuple[int, ...]
+) -> None:
+    """Of each eight some are lost; the daemon has run no tick in their place."""
+    base, latest = HalfCycles(None, EXACT_S, stride), -1
+    for number in range(8000):
+        if number % 8 in kept:
+            latest = base.place(None, 64.0 + number * stride * EXACT_S, latest)
+    assert base.rate.judged
+    assert base.rate.cause is None
+
+
 def standing_ticks(
     modulus: int | None, *frames: tuple[int, int], stale_ticks: int = 0
 ) -> list[float]:
@@ -302,7 +316,26 @@ def test_a_count_that_leapt_back_moves_once_it_has_kept_step_for_the_longest_age
     assert [ticks for ticks in stood[3:] if ticks] == [float(n) for n in range(1, 23)]
 
 
-@pytest.mark.parametrize(("frames", "begin"), [(3, 0), (1, 3), (40, 39)])
+def test_a_count_that_leapt_ahead_stands_where_it_is_repeated() -> None:
+    leapt = [*in_step(0, 0, 100), *in_step(100, 1100, 10)]
+    again = [(110 + n, 1109) for n in range(5)]
+    stood = standing_ticks(65536, *leapt, *again, stale_ticks=40)
+    assert stood[100:] == [*[0.0] * 10, 1.0, 2.0, 3.0, 4.0, 5.0]
+
+
+@pytest.mark.parametrize(("before", "stands"), [(7, True), (8, False)])
+def test_a_count_of_0_is_that_of_a_restart_where_no_wrong_order_explains_it(
+    before: int, *, stands: bool
+) -> None:
+    assert (standing_ticks(256, *in_step(0, 0, before), (before, 0))[-1] > 0.0) is stands
+
+
+def test_a_count_that_cannot_have_begun_at_0_is_that_of_no_restart() -> None:
+    anew = in_step(5001, 6, 3)  # two half cycles after the last frame
+    assert standing_ticks(65536, *in_step(0, 0, 5000), *anew, stale_ticks=20)[-1] > 0.0
+
+
+@pytest.mark.parametrize(("frames", "begin"), [(3, 0), (1, 3), (1, 5), (40, 39)])
 def test_a_drive_that_has_started_anew_repeats_nothing(frames: int, begin: int) -> None:
     anew = in_step(5000 + frames, begin, 200)
     assert set(standing_ticks(65536, *in_step(0, 0, 5000), *anew, stale_ticks=20)) == {0.0}

@@ -14,13 +14,10 @@ apart, by the clock that polls it, and its ticks are multiples of that number.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 
 from adaptdrive.runtime.frame_rate import FrameRate
-
-_SLACK_TICKS = 3
-"""Permitted difference of counter and elapsed time, in half cycles, for jitter of the arrival."""
+from adaptdrive.runtime.repeated_frames import SLACK_TICKS, RepeatedFrames
 
 _LATE_TICKS = 0.75  # without a counter, a frame later than this is taken for the next one
 
@@ -35,16 +32,6 @@ _PERIOD_TOLERANCE = 0.02
 
 _MARK_EVERY_TICKS = 60
 """Half cycles between two marks: 0.5 s on a 60 Hz line."""
-
-_OLDER_SHARE = 0.25
-"""Share of its range by which a repeated count is older than the newest, at the most."""
-
-_ANEW_TICKS = 7.5
-"""Half cycles, at the least, that a counter goes on after a leap until it has jumped there."""
-
-_ANEW_SHARE = 1.1
-"""The same as a share of the longest age of a reading, of one that has leapt back: frames that are
-repeated in turn, however many they are, have stood for longer by then."""
 
 _MARKS = 20
 """Marks of the measured window: 10 s on a 60 Hz line, beside which jitter is small."""
@@ -65,12 +52,12 @@ class HalfCycles:
             stale_s: Longest age of a reading.
         """
         self._stride = stride
-        self._anew_ticks = max(_ANEW_TICKS, _ANEW_SHARE * stale_s / nominal_tick_s - 0.5)
         self._modulus = modulus
         self._nominal_s = nominal_tick_s
         self._counter: int | None = None
-        self._newest: tuple[int, float] | None = None
-        self._risen_s = self._leapt_s = -math.inf
+        self._repeated: RepeatedFrames | None = None
+        if modulus is not None:
+            self._repeated = RepeatedFrames(modulus, nominal_tick_s, stale_s)
         self._arrival_s = 0.0
         self._grid_s = 0.0
         self._frame_tick = -1
@@ -110,6 +97,11 @@ class HalfCycles:
         self._measure(tick, arrival_s)
         return tick
 
+    def _is_repeated(self, counter: int | None, arrival_s: float) -> bool:
+        if counter is None or self._repeated is None:
+            return False
+        return self._repeated.is_old(counter, arrival_s, self.tick_period_s)
+
     def _advance_grid(self, arrival_s: float) -> int:
         """Move the grid to the point of a frame; return the readings since that of the last one."""
         passed = (arrival_s - self._grid_s) / self.reading_period_s
@@ -128,54 +120,7 @@ class HalfCycles:
         if counter is None or self._counter is None or self._modulus is None:
             return max(1, int(elapsed / self._stride + 1.0 - _LATE_TICKS)) * self._stride
         steps = (counter - self._counter) % self._modulus
-        return steps if steps >= 1 and abs(steps - elapsed) <= _SLACK_TICKS else None
-
-    def _is_repeated(self, counter: int | None, arrival_s: float) -> bool:
-        """Return whether a frame is an old one: its counter stands, or is behind the newest.
-
-        Frames that are repeated in turn go on from one to the next, and back. One that has leapt
-        elsewhere is the newest once it has gone on from there for a time: longer than a reading may
-        be old if it has leapt back.
-        """
-        if counter is None or self._modulus is None:
-            return False
-        if not self._may_follow(self._counter, self._arrival_s, counter, arrival_s):
-            self._risen_s, self._leapt_s = arrival_s, self._arrival_s
-        newest, newest_s = self._newest or (counter - 1, arrival_s)
-        is_old = self._is_older(counter, newest, arrival_s)
-        in_time = not is_old and self._may_follow(newest, newest_s, counter, arrival_s)
-        risen = self._passed(self._risen_s, arrival_s)
-        if in_time or risen >= (self._anew_ticks if is_old else _ANEW_TICKS):
-            self._newest = counter, arrival_s
-            return False
-        return is_old
-
-    def _is_older(self, counter: int, newest: int, arrival_s: float) -> bool:
-        """Return whether a count is behind the newest one.
-
-        One that had time to come round is not, nor is one that may have begun at 0 when it leapt:
-        the drive has started anew.
-        """
-        modulus = self._modulus or 1
-        behind = (newest - counter) % modulus
-        anew = counter <= self._passed(self._leapt_s, arrival_s) + _SLACK_TICKS
-        may_wrap = self._passed(self._arrival_s, arrival_s) >= 0.5 * modulus
-        if may_wrap or (anew and behind > 2 * _SLACK_TICKS):
-            return False
-        return behind < max(1.0, _OLDER_SHARE * modulus)
-
-    def _may_follow(
-        self, since: int | None, since_s: float, counter: int, arrival_s: float
-    ) -> bool:
-        """Return whether a count can be one after another: it does not advance faster than time."""
-        if since is None or self._modulus is None:
-            return True
-        ahead = (counter - since) % self._modulus
-        return 0 < ahead <= self._passed(since_s, arrival_s) + _SLACK_TICKS
-
-    def _passed(self, since_s: float, until_s: float) -> float:
-        """Half cycles between two times."""
-        return (until_s - since_s) / self.tick_period_s
+        return steps if steps >= 1 and abs(steps - elapsed) <= SLACK_TICKS else None
 
     def _measure(self, tick: int, arrival_s: float) -> None:
         if self._stride > 1:
