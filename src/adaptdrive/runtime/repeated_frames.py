@@ -43,7 +43,7 @@ class RepeatedFrames:
         self._modulus = modulus
         self._anew_ticks = max(_ANEW_TICKS, _ANEW_SHARE * stale_s / nominal_tick_s - 0.5)
         self._last: tuple[int, float] | None = None
-        self._newest: tuple[int, float] | None = None
+        self._newest = 0, -math.inf
         self._risen_s = self._leapt_s = -math.inf
 
     def is_old(self, count: int, arrival_s: float, tick_s: float) -> bool:
@@ -54,9 +54,10 @@ class RepeatedFrames:
             arrival_s: Arrival of the frame, monotonic clock.
             tick_s: Half cycle as measured.
         """
-        last, self._last = self._last, (count, arrival_s)
-        if last is None or self._newest is None:
-            self._newest = self._last
+        frame = count, arrival_s
+        last, self._last = self._last, frame
+        if last is None:
+            self._newest = frame
             return False
         if not self._may_follow(last, count, arrival_s, tick_s):
             self._risen_s, self._leapt_s = arrival_s, last[1]
@@ -64,7 +65,7 @@ class RepeatedFrames:
         in_time = not is_behind and self._may_follow(self._newest, count, arrival_s, tick_s)
         risen = (arrival_s - self._risen_s) / tick_s
         if in_time or risen >= (self._anew_ticks if is_behind else _ANEW_TICKS):
-            self._newest = self._last
+            self._newest = frame
             return False
         return is_behind
 
@@ -73,8 +74,7 @@ class RepeatedFrames:
 
         One that had time to come round is not, nor is one that may have begun at 0 when it leapt.
         """
-        newest = self._newest[0] if self._newest else count
-        behind = (newest - count) % self._modulus
+        behind = (self._newest[0] - count) % self._modulus
         may_wrap = (arrival_s - last_s) / tick_s >= 0.5 * self._modulus
         anew = count <= (arrival_s - self._leapt_s) / tick_s + SLACK_TICKS
         if may_wrap or (anew and behind > _RESTART_TICKS):
