@@ -24,7 +24,7 @@ QUICK = settings(
 )
 UNSHRUNK = settings(
     QUICK,
-    max_examples=300,
+    max_examples=3000,
     derandomize=True,
     database=None,
     print_blob=False,
