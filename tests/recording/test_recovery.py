@@ -180,6 +180,34 @@ def test_a_spool_that_breaks_off_gives_its_whole_messages(tmp_path: Path, tail: 
     assert not left_spools(tmp_path)
 
 
+@pytest.mark.parametrize("damaged", [0, 1])
+def test_whole_messages_behind_a_damaged_one_are_kept_and_told(
+    tmp_path: Path, damaged: int
+) -> None:
+    header = Header(INFO, "", str(tmp_path))
+    messages = [framed(make_batch([make_tick(number)])) for number in range(3)]
+    messages[damaged] = b"\x02\x00\x00\x00\xc1\xc1"
+    path = spool_path(tmp_path, INFO)
+    path.write_bytes(framed(header) + b"".join(messages))
+    content = path.read_bytes()
+    told = next_start(tmp_path)
+    kept = path.with_name(f"damaged{path.name}")
+    assert kept.read_bytes() == content
+    assert any(kept.name in sentence and f"message {damaged + 2}" in sentence for sentence in told)
+    assert not left_spools(tmp_path)
+    assert sequences(recorded(tmp_path)) == [*range(damaged)]
+
+
+def test_a_damaged_message_of_a_session_that_was_closed_is_no_loss(tmp_path: Path) -> None:
+    directory = create_session(NewSession(tmp_path, INFO, ""))
+    header = Header(INFO, "", str(tmp_path), str(directory))
+    record_messages(directory, header, make_batch([make_tick(0)], last=True))
+    spool_path(tmp_path, INFO).write_bytes(framed(header) + b"\x00" * 4096)
+    assert not next_start(tmp_path)
+    assert not left_spools(tmp_path)
+    assert not list(tmp_path.glob("damaged*"))
+
+
 def test_a_spool_that_a_full_disk_kept_is_written_at_the_start_after(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -55,16 +55,17 @@ def _recover(path: Path, report: Report, housekeeper: Housekeeper) -> None:
     with path.open("rb") as source:
         if not _is_free(source):
             return
-        header, batches = _read(source)
-        if header is None and path.stat().st_size:
-            kept = set_aside(path)
-            report(Severity.WARNING, f"{kept} was not written into a session: it cannot be read")
-        elif header is None or not batches:
-            path.unlink(missing_ok=True)
+        left = _read(source)
+        if left.header is None:
+            unwritten: str | None = ": it cannot be read" if path.stat().st_size else ""
         else:
-            header = msgspec.structs.replace(header, sessions=str(path.parent))
-            if _write(header, batches, lambda of: SessionWriter(of, report, housekeeper)):
-                path.unlink(missing_ok=True)
+            header = msgspec.structs.replace(left.header, sessions=str(path.parent))
+            unwritten = _write(header, left, lambda of: SessionWriter(of, report, housekeeper))
+        if unwritten:
+            kept = set_aside(path)
+            report(Severity.WARNING, f"{kept} was not written into a session{unwritten}")
+        elif unwritten is not None:
+            path.unlink(missing_ok=True)
 
 
 def left_batches(path: Path) -> list[Batch] | None:
@@ -80,7 +81,8 @@ def left_batches(path: Path) -> list[Batch] | None:
         with path.open("rb") as source:
             for _ in range(_LOOKS):  # its files are closed one after another
                 if _is_free(source):
-                    return _read(source)[1]
+                    left = _read(source)
+                    return None if left.damage else left.batches
                 time.sleep(_LOOK_S)
     except FileNotFoundError:
         return []
@@ -98,24 +100,30 @@ def _is_free(source: BinaryIO) -> bool:
 
 
 def _write(
-    header: Header, batches: Sequence[Batch], open_session: Callable[[Header], SessionWriter]
-) -> bool:
-    """Write what a spool holds; False where another recorder still writes the session.
+    header: Header, left: _Left, open_session: Callable[[Header], SessionWriter]
+) -> str | None:
+    """Write what a spool holds.
 
     Its session is beside it, also where the folder of both has been moved since.
+
+    Returns:
+        The part that cannot be written, in words, empty for none; None where another recorder
+        still writes the session.
     """
     directory = _session_of(header)
     if directory is not None:
         ended = read_info(directory).ended
         if ended not in _UNFINISHED:
-            return True
-        if not _is_left(directory):
-            return False
-        if ended is Ending.LOST:
+            return ""
+        if left.batches and not _is_left(directory):
+            return None
+        if left.batches and ended is Ending.LOST:
             _reopen(directory)
-    name = "" if directory is None else str(directory)
-    _write_batches(open_session(msgspec.structs.replace(header, directory=name)), batches)
-    return True
+    if left.batches:
+        name = "" if directory is None else str(directory)
+        of_session = msgspec.structs.replace(header, directory=name)
+        _write_batches(open_session(of_session), left.batches)
+    return left.damage
 
 
 def _reopen(directory: Path) -> None:
@@ -153,16 +161,34 @@ def _is_left(directory: Path) -> bool:
     return True
 
 
-def _read(source: BinaryIO) -> tuple[Header | None, list[Batch]]:
-    """Return the messages up to the first one that is damaged, as a power cut leaves them."""
-    frames = read_frames(source)
-    batches: list[Batch] = []
+@dataclass(frozen=True, slots=True)
+class _Left:
+    """What a spool holds.
+
+    Attributes:
+        header: The session, None where the first message is missing or cannot be decoded.
+        batches: The batches after it, up to the first that cannot be decoded.
+        damage: Messages that cannot be decoded, in words; empty for none.
+    """
+
+    header: Header | None
+    batches: list[Batch]
+    damage: str = ""
+
+
+def _read(source: BinaryIO) -> _Left:
+    """Return the messages up to the first one that breaks off, or that cannot be decoded."""
     header: Header | None = None
-    with contextlib.suppress(*NOT_JSON):
-        header = msgspec.msgpack.decode(next(frames, b""), type=Header)
-        for frame in frames:
-            batches.append(msgspec.msgpack.decode(frame, type=Batch))  # noqa: PERF401 - keeps those before
-    return header, batches
+    batches: list[Batch] = []
+    for place, frame in enumerate(read_frames(source), 1):
+        try:
+            if header is None:
+                header = msgspec.msgpack.decode(frame, type=Header)
+            else:
+                batches.append(msgspec.msgpack.decode(frame, type=Batch))
+        except NOT_JSON:
+            return _Left(header, batches, f" from its message {place} on, which cannot be read")
+    return _Left(header, batches)
 
 
 def _session_of(header: Header) -> Path | None:
