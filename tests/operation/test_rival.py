@@ -6,18 +6,20 @@ import asyncio
 from collections.abc import Callable
 from pathlib import Path
 
+from adaptdrive.operation.name import ClientName
 from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import Disable, Reset
+from adaptdrive.runtime.requests import Disable, Request, Reset
 from tests.operation.peers import (
     PATIENCE_S,
     RememberingHost,
     ask,
     drive_report,
+    expect_retained,
     listening,
     publish,
     serving,
 )
-from tests.support import Broker, Spawn
+from tests.support import Broker, MosquittoLauncher, Spawn, stop_process
 
 
 async def until(wanted: Callable[[], bool]) -> None:
@@ -76,6 +78,54 @@ async def test_a_drive_that_connects_ends_no_connection_of_another(
         await publish(mosquitto, first.topic("availability"), "end")
         await ear.until(lambda message: message.payload == "end")
         assert {message.payload for message in ear.heard} == {"online", "end"}
+
+
+class RunningHost(RememberingHost):
+    """A drive that runs: a reset changes nothing."""
+
+    async def execute(self, request: Request) -> State:
+        self.asked.append(request)
+        return State.RUNNING
+
+
+async def test_a_daemon_that_loses_its_name_after_an_outage_connects_again_soon(
+    free_tcp_port: int, mosquitto_launcher: MosquittoLauncher, tmp_path: Path, spawn: Spawn
+) -> None:
+    """The waits of the outage have nothing to do with the name: meanwhile no stop is heard."""
+    waits: list[tuple[str, float]] = []
+    name: list[ClientName] = []
+
+    def wait(_: float, high: float) -> float:
+        waits.append((name[0].present if name else "", high))
+        return 0.01
+
+    broker = Broker("127.0.0.1", free_tcp_port)
+    async with serving(broker, "late", tmp_path, await_online=False, uniform=wait) as bench:
+        name.append(bench.service._link._name)
+        await until(lambda: len(waits) > 8)
+        process = mosquitto_launcher.start(free_tcp_port)
+        await expect_retained(bench, "availability", "online")
+        assert waits[-1][1] > 1.0
+        address = ("-h", broker.host, "-p", str(broker.port))
+        spawn("mosquitto_sub", *address, "-i", "adaptdrive-late", "-t", "tests/x")
+        await until(lambda: name[0].given_way and waits[-1][0] == name[0].present)
+        stop_process(process)
+        assert next(high for known, high in waits if known == name[0].present) <= 0.5
+
+
+async def test_a_reset_of_a_drive_that_runs_ends_no_connection(
+    mosquitto: Broker, tmp_path: Path, spawn: Spawn
+) -> None:
+    async with (
+        serving(mosquitto, "runs", tmp_path, RunningHost()) as bench,
+        listening(mosquitto, bench.topic("event")) as ear,
+    ):
+        address = ("-h", mosquitto.host, "-p", str(mosquitto.port))
+        spawn("mosquitto_sub", *address, "-i", "adaptdrive-runs", "-t", "tests/x")
+        await ear.until(lambda message: message.content["kind"] == "broker")
+        assert (await ask(bench, "reset", '{"id": "a"}'))["accepted"]
+        assert (await ask(bench, "ping", '{"id": "b"}'))["accepted"]
+        assert bench.service._link._name.given_way
 
 
 async def chat(host: RememberingHost) -> None:

@@ -79,11 +79,14 @@ class BrokerLink:
             serve: Called with each line that opens.
         """
         while True:
+            name = self._name.present
             try:
                 await _contained(self._serve_once(serve))
             except* Exception as problems:  # noqa: BLE001 - control goes on without a broker
                 self._report(_first(problems))
             lived_s = 0.0 if self._since_s is None else self._monotonic() - self._since_s
+            if self._name.present != name:  # the broker is there, and a stop must be heard
+                lived_s = math.inf
             await asyncio.sleep(self._backoff.after(lived_s))
 
     async def _serve_once(self, serve: Serve) -> None:

@@ -21,7 +21,7 @@ from adaptdrive.operation.messages import OFFLINE, ONLINE, Reply, encode
 from adaptdrive.operation.pace import Pace
 from adaptdrive.operation.probe import CommandProbe
 from adaptdrive.operation.topics import Topics
-from adaptdrive.runtime.reports import Severity
+from adaptdrive.runtime.reports import Severity, State
 
 COMMANDS_HELD = 100
 PAUSE_S = 0.005
@@ -37,6 +37,8 @@ FAREWELL_S = 1.0
 LOWEST_FAILURE_CODE = 128
 
 RESET = "reset"
+_OFF_STATES = (State.STANDBY, State.STOPPING)
+"""States after a reset in which nothing is energised."""
 SHUTTING_DOWN = "the daemon is shutting down"
 
 
@@ -170,8 +172,8 @@ class BrokerSession:
             reply = await self._desk.ask(await self._commands.take())
             await self._reply(reply)
             self._log_dropped()
-            if reply.accepted and reply.verb == RESET:
-                self._line.name.reclaim(self._client)
+            if reply.accepted and reply.verb == RESET and reply.state in _OFF_STATES:
+                self._line.name.reclaim(self._client)  # nothing is heard until it has connected
             await asyncio.sleep(PAUSE_S)
 
     async def _answer_stops(self) -> None:
