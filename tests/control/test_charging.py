@@ -13,6 +13,7 @@ from adaptdrive.control.charging import (
     is_complete,
     is_disconnected,
     is_too_long,
+    proven_current,
     taper,
     terminal_voltage,
     voltage_limit,
@@ -66,6 +67,15 @@ def test_the_terminal_voltage_is_what_the_droop_leaves() -> None:
 @pytest.mark.parametrize(("current_A", "boost_V"), [(10.0, 272.0), (0.0, 232.0), (-5.0, 232.0)])
 def test_a_voltage_puts_the_terminals_at_their_limit(current_A: float, boost_V: float) -> None:
     assert highest_boost_voltage(LIMITS, current_A) == boost_V
+
+
+@pytest.mark.parametrize(("reads_A", "proven_A"), [(9.0, 9.0), (10.0, 10.0), (15.0, 10.0)])
+def test_no_current_lowers_the_terminals_that_the_power_cannot_carry(
+    reads_A: float, proven_A: float
+) -> None:
+    """280 V at the boost capacitor are 70 V behind the transformer: 700 W are 10 A."""
+    assert proven_current(LIMITS, reads_A, 280.0, 700.0) == proven_A
+    assert proven_current(LIMITS, reads_A, 0.0, 0.0) == 0.0
 
 
 def test_the_current_falls_by_a_twentieth_of_what_the_resistance_asks_for() -> None:

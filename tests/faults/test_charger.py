@@ -48,6 +48,27 @@ def test_terminals_whose_battery_is_disconnected_stay_near_their_limit() -> None
     assert (course.daemon.trip or "").startswith("no current: ")
 
 
+@pytest.mark.parametrize(("factor", "offset_A"), [(1.5, 0.0), (1.0, 3.0)])
+def test_a_current_that_reads_too_high_takes_the_terminals_no_further(
+    factor: float, offset_A: float
+) -> None:
+    """What the reading has too much would look like a voltage that the output stage drops."""
+    course = Course("battery, CAN", 0)
+    load = course.drive.world.load
+    load.charge = 0.85  # type: ignore[attr-defined]
+    course.sensor = lambda _, output: factor * output + offset_A
+    course.fault_s = 0.0
+    course.run(0.7)
+    assert course.daemon.accepts(Enable())
+    assert course.daemon.accepts(SetSetpoint(10.0))
+    highest_V = 0.0
+    for _ in range(600):
+        course.run(1.0)
+        highest_V = max(highest_V, load.terminal_voltage_V)  # type: ignore[attr-defined]
+    assert course.daemon.state is State.RUNNING, course.daemon.trip
+    assert BATTERY_V_MAX < highest_V < 1.021 * BATTERY_V_MAX
+
+
 @pytest.mark.parametrize("offset_A", [0.0, 1.5])
 def test_a_charge_whose_current_reads_too_high_ends_at_its_longest_time(offset_A: float) -> None:
     """It tapers to 0 A, which reads as more than `end_current_A`, here 1 A."""

@@ -82,6 +82,18 @@ def terminal_voltage(charging: Charging, boost_voltage_V: float, current_A: floa
     return charging.turns_ratio * boost_voltage_V - charging.droop_Ohm * current_A
 
 
+def proven_current(
+    charging: Charging, current_A: float, boost_voltage_V: float, load_power_W: float
+) -> float:
+    """Return the current that lowers the terminals' voltage for certain.
+
+    What the power from the boost capacitor cannot carry does not flow: a current that is measured
+    too high must not raise the voltage of the battery.
+    """
+    carried_A = load_power_W / (charging.turns_ratio * max(boost_voltage_V, 1.0))
+    return min(current_A, carried_A)
+
+
 def highest_boost_voltage(charging: Charging, current_A: float) -> float:
     """Return the v_bst at which the terminals are at V_max, with a current into the battery."""
     return _boost_voltage(charging, charging.voltage_max_V, current_A)

@@ -18,6 +18,7 @@ from adaptdrive.control.charging import (
     is_complete,
     is_disconnected,
     is_too_long,
+    proven_current,
     voltage_limit,
 )
 from adaptdrive.control.estimator import start_from
@@ -284,13 +285,13 @@ class Controller:
         """Set V_c to the operator's value; a battery's terminals stay at their limit."""
         charging, highest_V = self._load.charging, math.inf
         if charging is not None:
-            highest_V = highest_boost_voltage(charging, measurement.output)
+            highest_V = highest_boost_voltage(charging, _proven_current(charging, measurement))
         fast.set_by_hand(self._fast, self._settings.stage, order.manual_V, highest_V)
 
     def _drive(self, measurement: Measurement, bridge: bool) -> Command:
         charging, highest_V = self._load.charging, math.inf
         if charging is not None:
-            highest_V = voltage_limit(charging, measurement.output)
+            highest_V = voltage_limit(charging, _proven_current(charging, measurement))
         scale, reference = fast.drive(self._fast, self._settings.stage, measurement, highest_V)
         return Command(scale, reference, bridge)
 
@@ -348,6 +349,11 @@ def _confirming(settings: ControllerSettings) -> ControllerSettings:
     jacket = settings.jacket
     periods = min(jacket.confirm_periods, jacket.warm_up_periods)
     return replace(settings, jacket=replace(jacket, warm_up_periods=periods))
+
+
+def _proven_current(charging: Charging, measurement: Measurement) -> float:
+    voltage_V, power_W = measurement.boost_voltage_V, measurement.load_power_W
+    return proven_current(charging, measurement.output, voltage_V, power_W)
 
 
 def _fault(state: SlowState, charging: Charging | None) -> str:
