@@ -163,7 +163,7 @@ def _is_left(directory: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Left:
-    """What a spool holds.
+    """Holds what is left in a spool.
 
     Attributes:
         header: The session, None where the first message is missing or cannot be decoded.
