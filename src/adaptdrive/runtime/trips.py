@@ -148,6 +148,12 @@ TRIPS = (
         "check the drive's supply and the cable; the daemon sets the drive up again",
     ),
     Trip(
+        r"^node \d+: is set up again: another sender has written its objects",
+        "node 5: is set up again: another sender has written its objects",
+        "another sender has written objects of a CiA 402 drive over SDO",
+        "end the other sender; the daemon sets the drive up again by itself",
+    ),
+    Trip(
         r"^node \d+: is not operational any more",
         "node 5: is not operational any more (state 127)",
         "another NMT master has stopped a CiA 402 drive",
