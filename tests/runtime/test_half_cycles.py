@@ -311,6 +311,23 @@ def test_a_count_that_never_passes_the_newest_stands_for_ever(modulus: int, held
     assert stood[-1] == 2000.0
 
 
+@pytest.mark.parametrize("first", [0, 1, 3, 248, 254])
+def test_counts_that_are_repeated_in_turn_about_zero_stand_for_ever(first: int) -> None:
+    """The first time they may be those of a drive that has started anew."""
+    in_turn = [(100 + n, first + n % 16) for n in range(2000)]
+    before = in_step(0, first - 84, 100)
+    assert standing_ticks(256, *before, *in_turn, stale_ticks=20)[-1] >= 1980.0
+
+
+@pytest.mark.parametrize(("ticks", "stands"), [(60, True), (61, False)])
+def test_a_drive_starts_anew_no_sooner_than_half_a_second_after_it_did(
+    ticks: int, *, stands: bool
+) -> None:
+    once = [*in_step(0, 0, 100), *in_step(100, 0, ticks)]
+    stood = standing_ticks(256, *once, *in_step(100 + ticks, 0, 3), stale_ticks=20)
+    assert (stood[-1] > 0.0) is stands
+
+
 def test_a_count_that_leapt_back_moves_once_it_has_kept_step_for_the_longest_age() -> None:
     stood = standing_ticks(256, *in_step(0, 100, 3), *in_step(3, 42, 40), stale_ticks=20)
     assert [ticks for ticks in stood[3:] if ticks] == [float(n) for n in range(1, 23)]

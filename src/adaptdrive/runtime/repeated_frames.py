@@ -4,7 +4,7 @@ A drive that hangs, or a gateway, may repeat its last frame for ever, or several
 these go on from one to the next, and back. A count that stands, or is behind the newest one, is
 therefore that of an old frame. A count that has leapt elsewhere, as of a drive that starts anew, is
 the newest once it has gone on from there for a time: longer than a reading may be old if it has
-leapt back.
+leapt back. That of a drive that starts anew at 0 is so at once.
 """
 
 from __future__ import annotations
@@ -23,6 +23,9 @@ _ANEW_TICKS = 7.5
 _ANEW_SHARE = 1.1
 """The same as a share of the longest age of a reading, of one that has leapt back: frames that are
 repeated in turn, however many they are, have stood for longer by then."""
+
+_BOOT_TICKS = 60
+"""Half cycles from one leap to the next between which a drive cannot have started anew: 0.5 s."""
 
 _RESTART_TICKS = 2 * SLACK_TICKS
 """Half cycles that a count near 0 is behind the newest where the drive has started anew: frames in
@@ -44,7 +47,8 @@ class RepeatedFrames:
         self._anew_ticks = max(_ANEW_TICKS, _ANEW_SHARE * stale_s / nominal_tick_s - 0.5)
         self._last: tuple[int, float] | None = None
         self._newest = 0, -math.inf
-        self._risen_s = self._leapt_s = -math.inf
+        self._risen_s = -math.inf
+        self._anew = False
 
     def is_old(self, count: int, arrival_s: float, tick_s: float) -> bool:
         """Return whether a frame is an old one.
@@ -60,7 +64,8 @@ class RepeatedFrames:
             self._newest = frame
             return False
         if not self._may_follow(last, count, arrival_s, tick_s):
-            self._risen_s, self._leapt_s = arrival_s, last[1]
+            self._leap(count, (arrival_s - last[1]) / tick_s, (arrival_s - self._risen_s) / tick_s)
+            self._risen_s = arrival_s
         is_behind = self._is_behind(last[1], count, arrival_s, tick_s)
         in_time = not is_behind and self._may_follow(self._newest, count, arrival_s, tick_s)
         risen = (arrival_s - self._risen_s) / tick_s
@@ -72,14 +77,25 @@ class RepeatedFrames:
     def _is_behind(self, last_s: float, count: int, arrival_s: float, tick_s: float) -> bool:
         """Return whether a count is behind the newest one.
 
-        One that had time to come round is not, nor is one that may have begun at 0 when it leapt.
+        One that had time to come round is not, nor is that of a drive that has started anew.
         """
         behind = (self._newest[0] - count) % self._modulus
         may_wrap = (arrival_s - last_s) / tick_s >= 0.5 * self._modulus
-        anew = count <= (arrival_s - self._leapt_s) / tick_s + SLACK_TICKS
-        if may_wrap or (anew and behind > _RESTART_TICKS):
+        if may_wrap or (self._anew and behind > _RESTART_TICKS):
             return False
         return behind < _OLDER_SHARE * self._modulus
+
+    def _leap(self, count: int, passed: float, risen: float) -> None:
+        """Note a count that does not follow the last one, and what it may be.
+
+        Frames that are repeated in turn leap back to the oldest of them, and soon again.
+
+        Args:
+            count: The count.
+            passed: Half cycles since the last frame: a drive may have begun at 0 meanwhile.
+            risen: Half cycles since the leap before.
+        """
+        self._anew = risen > _BOOT_TICKS and count <= passed + SLACK_TICKS
 
     def _may_follow(
         self, earlier: tuple[int, float], count: int, arrival_s: float, tick_s: float
