@@ -82,6 +82,7 @@ class DaemonByHand:
 
     Attributes:
         now: The time that the daemon reads, in s.
+        ran_s: When its timer last expired: it ran then, sent a command or none.
         port: Its bus.
         hub: Where it publishes its reports.
         revise: What becomes of each decision of the slow loop.
@@ -100,7 +101,7 @@ class DaemonByHand:
         settings = replace(daemon_settings(configuration), collect_ticks=0)
         controller = Controller(controller_settings(configuration), build_load(configuration))
         modulus = 65536 if configuration.signals.counter is not None else None
-        self.now = now
+        self.now, self.ran_s = now, -math.inf
         self.port = QueuedPort(commanded, modulus)
         self.hub = hub = Hub()
         self._reports = hub.subscribe(Event, LoadReport, size=100_000)
@@ -137,7 +138,7 @@ class DaemonByHand:
     def wait(self, until_s: float) -> None:
         """Let time pass; the timer expires when it is due."""
         while self._timer.deadline_s < until_s:
-            self.now = max(self.now, self._timer.deadline_s)
+            self.now = self.ran_s = max(self.now, self._timer.deadline_s)
             self.daemon._on_deadline(self._timer.deadline_s)
         self.now = max(self.now, until_s)
 

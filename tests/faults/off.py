@@ -42,7 +42,7 @@ class MustBeOff:
         readings: How many have been, since the daemon was started.
         judged: The reading at the last command.
         complaint: What another sender does, as the bus sees it.
-        ran_s: When the daemon last sent a command.
+        ran_s: When the daemon last ran: it sent a command, or a stand-in tick came without one.
         stalled: Whether the slow loop decides nothing.
         refused: Readings in a row with the bridge off after commands with it on: silence is none.
         refused_from_s: When the first of them was sent.
@@ -108,6 +108,10 @@ class MustBeOff:
         self.refused = self.refused + news if command.bridge and not reported else 0
         self.undecided = self.undecided + 1 if command.bridge and self.stalled else 0
         self._note_bridge(command, on=reported)
+
+    def note_run(self, ran_s: float) -> None:
+        """Take that a stand-in tick ran, which may send nothing to a drive that is silent."""
+        self.ran_s = max(self.ran_s, ran_s)
 
     def _unheard(self, now_s: float) -> bool:
         """Return whether a drive that was on has been silent for longer than its own time-out."""

@@ -12,6 +12,7 @@ from hypothesis.stateful import run_state_machine_as_test
 from adaptdrive.runtime import bridge_watch
 from adaptdrive.runtime.bridge_watch import BridgeWatch
 from adaptdrive.runtime.interlock_board import InterlockBoard
+from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import SetSetpoint
 from tests.faults.story import HastyDriveStory, PatientStory, Story
 
@@ -70,6 +71,19 @@ def test_a_daemon_that_does_not_know_a_short_time_out_is_found_out(
     monkeypatch.setattr(bridge_watch, "on_for_certain_s", lambda *_: math.inf)
     with pytest.raises(AssertionError, match="stopped unheard"):
         run_state_machine_as_test(HastyDriveStory, settings=UNSHRUNK)
+
+
+def test_a_silence_in_which_no_command_is_sent_is_no_freeze_of_the_daemon() -> None:
+    """The drive, whose bridge is stuck, says that it is on before it is driven on."""
+    story = HastyDriveStory()
+    story.wake_up(readings=62)
+    story.bring_up()
+    story.bridge_sticks(on=True)
+    story.freeze_within_a_tick(ticks=8)
+    story.pull_the_cable_for_a_while(ticks=50)
+    story.pass_ticks(ticks=1)
+    story.it_has_not_died()
+    assert story.daemon.state is State.RUNNING
 
 
 @pytest.mark.parametrize(("kind", "ticks"), [(PatientStory, 20), (HastyDriveStory, 8)])
