@@ -542,6 +542,21 @@ async def test_a_drive_that_was_on_gets_no_heartbeat_on_new_connections_without_
         await until(lambda: len(set(beats(one, 2, known))) > 3)
 
 
+async def test_a_drive_that_never_reports_its_bridge_is_fed_at_rest_beside_refused_values(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    async with driven("tcp", tmp_path, free_tcp_port, 1) as one:
+        peer = one.peer
+        assert isinstance(peer, TcpPeer)
+        peer.speed = math.nan
+        one.port.send(SAFE_COMMAND)
+        for _ in range(4):  # the connections only pass the time in which it must obey
+            await asyncio.sleep(0.4)
+            peer.hang_up()
+        known = len(peer.writes)
+        await until(lambda: len(set(beats(one, 2, known))) > 3)
+
+
 @both
 async def test_a_drive_at_rest_confirms_its_stop_by_the_bridge_beside_refused_values(
     kind: str, tmp_path: Path, free_tcp_port: int

@@ -136,13 +136,18 @@ class Commander:
         )
 
     def note_refused(self, *, powered: bool | None) -> None:
-        """Note a poll without a reading, and its bridge; None where that must not be used."""
+        """Note a poll without a reading, and its bridge; None where that must not be used.
+
+        A drive that never reports it is assumed to follow its last command, as in a reading.
+        """
         self._validity.note_refused(
             powered=powered,
             acknowledged_on=self.bridge,
             given_on=self._given_on,
             reported_s=self._reported_s,
         )
+        if not self._poll.reports_bridge:
+            self._validity.may_be_on = self.bridge
 
     def begin_poll(self) -> bool:
         """Begin a poll; return whether the command goes with its first read.
