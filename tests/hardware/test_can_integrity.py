@@ -141,6 +141,20 @@ def test_frames_that_are_repeated_in_turn_are_soon_believed_no_more(
     assert set(again[1:]) == {FrameVerdict.GOOD}
 
 
+@pytest.mark.parametrize(("cycle_s", "lost"), [(0.01, 8), (0.02, 5), (0.05, 2), (0.5, 1)])
+@pytest.mark.parametrize("behind", [2, 4, 7])
+def test_a_sender_of_a_slow_message_that_starts_anew_loses_a_tenth_of_a_second_or_one_frame(
+    cycle_s: float, lost: int, behind: int
+) -> None:
+    counter = AliveCounter(256, 3, cycle_s)
+    judge(counter, range(100), 256)
+    verdicts = judge(counter, range(99 - behind, 200), 256)
+    refused = verdicts.count(FrameVerdict.COUNTER_LOST)
+    assert refused == (behind + 1 if behind < lost else 1)
+    in_turn = [judge(counter, range(198, 200), 256) for _ in range(20)]
+    assert {verdict for one in in_turn[1:] for verdict in one} == {FrameVerdict.COUNTER_LOST}
+
+
 @pytest.mark.parametrize("held", [2, 3, 4])
 def test_frames_that_are_repeated_in_turn_are_not_believed_after_a_pause(held: int) -> None:
     counter = AliveCounter(16, max_jump=3)

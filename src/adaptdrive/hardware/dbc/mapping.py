@@ -328,12 +328,14 @@ def _status(
     catalogue: SignalCatalogue, bus: CanBus, name: str, sources: Iterable[CanSource]
 ) -> StatusFrame:
     sources = tuple(sources)
+    message = catalogue.known(name)
     codec = MessageCodec(
-        catalogue.known(name),
+        message,
         bus.integrity.get(name),
         wanted=dict.fromkeys(source.signal.name for source in sources),
         measured={source.signal.name for source in sources if source.quantity not in _WORDS},
         states={source.signal.name for source in sources if source.quantity == "bridge"},
+        cycle_s=cycle_time_s(message),
     )
     return StatusFrame(codec, sources)
 

@@ -203,5 +203,9 @@ def _codec(
 ) -> MessageCodec:
     signals = dict.fromkeys(signal for _, signal, _, _ in sources)
     return MessageCodec(
-        catalogue.known(name), bus.integrity.get(name), wanted=signals, measured=set(signals)
+        catalogue.known(name),
+        bus.integrity.get(name),
+        wanted=signals,
+        measured=set(signals),
+        cycle_s=bus.cycle_s,
     )

@@ -71,7 +71,7 @@ class MessageCodec:
     been checked, as `adaptdrive.hardware.dbc.database.message_codec` does.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - one for each property of a message
         self,
         message: Message,
         integrity: FrameIntegrity | None = None,
@@ -79,6 +79,7 @@ class MessageCodec:
         wanted: Collection[str] | None = None,
         measured: Collection[str] = (),
         states: Collection[str] = (),
+        cycle_s: float = 0.0,
     ) -> None:
         """Compile a message.
 
@@ -88,6 +89,7 @@ class MessageCodec:
             wanted: Signals to decode and to check, all of them when None.
             measured: Signals whose largest raw value always means "not available".
             states: Signals of which a value whose name says that nothing is known is no value.
+            cycle_s: Time from one frame to the next, 0 for a message of each half cycle.
         """
         integrity = integrity or _UNPROTECTED
         self.name = message.name
@@ -101,18 +103,20 @@ class MessageCodec:
             )
             for signal in message.signals
         }
-        self._prepare_integrity(message, integrity)
+        self._prepare_integrity(message, integrity, cycle_s)
         idle = {name: one.idle for name, one in self._fields.items()}
         self._pack = compile_pack(message, {**idle, **self._fixed})
         self._prepare_decoding(message, wanted)
         self._words = [one for one in self._wanted if one.integer and one.name not in measured]
 
-    def _prepare_integrity(self, message: Message, integrity: FrameIntegrity) -> None:
+    def _prepare_integrity(
+        self, message: Message, integrity: FrameIntegrity, cycle_s: float
+    ) -> None:
         self._counter = integrity.counter
         modulus = counter_modulus(self._fields[self._counter]) if self._counter else 1
         self._modulus = modulus
         self._next = 0
-        self._alive = AliveCounter(modulus, integrity.max_jump)
+        self._alive = AliveCounter(modulus, integrity.max_jump, cycle_s)
         self._data = b""
         self._checksum = checksum_function(integrity)
         self._span = checksum_span(message, integrity.checksum) if integrity.checksum else None

@@ -121,7 +121,9 @@ _GOOD: Final[FrameVerdict] = FrameVerdict.GOOD  # found at once by compiled code
 
 _RECENT_SHARE = 4
 _RECENT_FRAMES = 8
-"""The newest counters are old ones: a quarter of the range, and eight at the most."""
+_RECENT_S = 0.1
+"""The newest counters are old ones: a quarter of the range, and eight at the most, of a time that a
+sender that starts anew among them can lose."""
 
 _BUFFERED_FRAMES = 16
 """Frames that a gateway may hold: a counter that falls back further is that of a restart."""
@@ -140,11 +142,19 @@ class AliveCounter:
     the highest, all from there on are refused until one is.
     """
 
-    def __init__(self, modulus: int, max_jump: int) -> None:
+    def __init__(self, modulus: int, max_jump: int, cycle_s: float = 0.0) -> None:
+        """Start without a frame.
+
+        Args:
+            modulus: Where the counter wraps.
+            max_jump: Largest accepted advance.
+            cycle_s: Time from one frame to the next, 0 for a message of each half cycle.
+        """
         self._modulus = modulus
         self._max_jump = max_jump
         self._back = max(0, min(_BUFFERED_FRAMES, modulus // 2 - 1, modulus - 1 - max_jump))
-        self._recent = min(_RECENT_FRAMES, modulus // _RECENT_SHARE, self._back + 1)
+        most = _RECENT_FRAMES if cycle_s <= 0.0 else max(1, int(_RECENT_S / cycle_s))
+        self._recent = min(most, _RECENT_FRAMES, modulus // _RECENT_SHARE, self._back + 1)
         self._last: int | None = None
         self._newest = 0
         self._old, self._below = self._recent, -1
