@@ -319,6 +319,12 @@ def test_counts_that_are_repeated_in_turn_about_zero_stand_for_ever(first: int) 
     assert standing_ticks(256, *before, *in_turn, stale_ticks=20)[-1] >= 1980.0
 
 
+def test_a_drive_that_starts_anew_behind_frames_in_the_wrong_order_repeats_nothing() -> None:
+    swapped = [(n, 5000 + n + 1 - 2 * (n % 2)) for n in range(100)]
+    anew = standing_ticks(65536, *swapped, *in_step(100, 0, 100), stale_ticks=20)[100:]
+    assert set(anew) == {0.0}
+
+
 @pytest.mark.parametrize(("ticks", "stands"), [(60, True), (61, False)])
 def test_a_drive_starts_anew_no_sooner_than_half_a_second_after_it_did(
     ticks: int, *, stands: bool

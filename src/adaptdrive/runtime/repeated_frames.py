@@ -47,7 +47,7 @@ class RepeatedFrames:
         self._anew_ticks = max(_ANEW_TICKS, _ANEW_SHARE * stale_s / nominal_tick_s - 0.5)
         self._last: tuple[int, float] | None = None
         self._newest = 0, -math.inf
-        self._risen_s = -math.inf
+        self._risen_s = self._leapt_s = -math.inf
         self._anew = False
 
     def is_old(self, count: int, arrival_s: float, tick_s: float) -> bool:
@@ -64,8 +64,8 @@ class RepeatedFrames:
             self._newest = frame
             return False
         if not self._may_follow(last, count, arrival_s, tick_s):
-            self._leap(count, (arrival_s - last[1]) / tick_s, (arrival_s - self._risen_s) / tick_s)
             self._risen_s = arrival_s
+            self._leap(last, count, arrival_s, tick_s)
         is_behind = self._is_behind(last[1], count, arrival_s, tick_s)
         in_time = not is_behind and self._may_follow(self._newest, count, arrival_s, tick_s)
         risen = (arrival_s - self._risen_s) / tick_s
@@ -85,17 +85,17 @@ class RepeatedFrames:
             return False
         return behind < _OLDER_SHARE * self._modulus
 
-    def _leap(self, count: int, passed: float, risen: float) -> None:
-        """Note a count that does not follow the last one, and what it may be.
+    def _leap(self, last: tuple[int, float], count: int, arrival_s: float, tick_s: float) -> None:
+        """Note whether a count that does not follow the last one is that of a drive started anew.
 
-        Frames that are repeated in turn leap back to the oldest of them, and soon again.
-
-        Args:
-            count: The count.
-            passed: Half cycles since the last frame: a drive may have begun at 0 meanwhile.
-            risen: Half cycles since the leap before.
+        It may have begun at 0 since then. Frames that are repeated in turn leap back to the oldest
+        of them, and soon again; those in the wrong order leap back by less.
         """
-        self._anew = risen > _BOOT_TICKS and count <= passed + SLACK_TICKS
+        if (last[0] - count) % self._modulus <= _RESTART_TICKS:
+            return
+        begins = count <= (arrival_s - last[1]) / tick_s + SLACK_TICKS
+        self._anew = begins and (arrival_s - self._leapt_s) / tick_s > _BOOT_TICKS
+        self._leapt_s = arrival_s
 
     def _may_follow(
         self, earlier: tuple[int, float], count: int, arrival_s: float, tick_s: float
