@@ -77,6 +77,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 def virtual_time() -> Iterator[asyncio.Runner]:
     """Run coroutines in virtual time; what really takes time on Modbus holds it still."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ModbusConnection, "open", _held(ModbusConnection.open))
         patch.setattr(ModbusConnection, "_request", _held(ModbusConnection._request))
         patch.setattr(SerialPort, "open", _held(SerialPort.open))
         with asyncio.Runner(loop_factory=VirtualLoop) as runner:
