@@ -353,6 +353,12 @@ def test_a_count_of_0_is_that_of_a_restart_where_no_wrong_order_explains_it(
     assert (standing_ticks(256, *in_step(0, 0, before), (before, 0))[-1] > 0.0) is stands
 
 
+@pytest.mark.parametrize("behind", [1, 6])
+def test_a_frame_in_the_wrong_order_stands_after_a_restart_too(behind: int) -> None:
+    anew = [*in_step(0, 1000, 100), *in_step(100, 0, 20), (120, 19 - behind)]
+    assert standing_ticks(65536, *anew, stale_ticks=20)[-1] == 1.0
+
+
 def test_a_count_that_cannot_have_begun_at_0_is_that_of_no_restart() -> None:
     anew = in_step(5001, 6, 3)  # two half cycles after the last frame
     assert standing_ticks(65536, *in_step(0, 0, 5000), *anew, stale_ticks=20)[-1] > 0.0
