@@ -621,6 +621,13 @@ async def test_a_drive_that_was_on_when_its_bus_was_lost_is_heard_before_it_is_d
         assert port.complaint is None
 
 
+async def send_readings(drive: Drive, ear: Ear, count: int) -> None:
+    """Send both messages so many times; each pair gives a reading."""
+    for number in range(len(ear.readings) + 1, len(ear.readings) + count + 1):
+        drive.send_both()
+        await ear.hears(number)
+
+
 async def repeat_in_turn(port: CanPort, drive: Drive, held: int) -> None:
     """Send the last frames of both messages again and again, as the buffers of a gateway do."""
     heard, last = port.statistics.received, drive.alive
@@ -637,9 +644,7 @@ async def test_last_frames_that_are_repeated_are_none_when_the_bus_is_open_again
 ) -> None:
     """The drive may have stopped since: a gateway repeats its bridge, which is on."""
     async with running(port, ear):
-        for number in range(1, 5):
-            drive.send_both()
-            await ear.hears(number)
+        await send_readings(drive, ear, 4)
         assert port.send(COMMAND)
         await lose_the_bus(port, ear)
         await repeat_in_turn(port, drive, held)
@@ -656,15 +661,11 @@ async def test_last_frames_that_are_repeated_in_turn_make_no_value_newer(
     port: CanPort, drive: Drive, ear: Ear, clock: Clock, held: int
 ) -> None:
     async with running(port, ear):
-        for number in range(1, 5):
-            drive.send_both()
-            await ear.hears(number)
+        await send_readings(drive, ear, 4)
         clock.now_s += 0.1
         await repeat_in_turn(port, drive, held)
         assert len(ear.readings) == 4
-        for number in range(5, 7):
-            drive.send_both()
-            await ear.hears(number)
+        await send_readings(drive, ear, 2)
 
 
 async def test_a_drive_that_lost_its_bus_before_it_started_is_driven_on(

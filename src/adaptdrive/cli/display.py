@@ -101,7 +101,8 @@ def _site_row(name: str, status: DriveStatus) -> tuple[str, ...]:
 def _site_state(state: dict[str, Any], status: DriveStatus) -> str:
     if not status.online:
         return str(status.availability)
-    text = ", ".join(filter(None, (str(state.get("state")), unconfirmed_stop(state))))
+    word = unconfirmed_stop(state)
+    text = f"{state.get('state')}, stop {word}" if word else str(state.get("state"))
     return text if status.live else f"{text} (last known)"
 
 
@@ -121,7 +122,7 @@ def _state(state: dict[str, Any], unit: str, *, live: bool) -> list[str]:
 
 def _stop(state: dict[str, Any]) -> list[tuple[str, str]]:
     """Return that the drive may be energised although it is commanded off."""
-    word = unconfirmed_stop(state).removeprefix("stop ")
+    word = unconfirmed_stop(state)
     return [("stop", f"{word}: the drive has not reported its bridge off")] if word else []
 
 

@@ -32,7 +32,7 @@ def printable(value: object) -> str:
 
 
 def unconfirmed_stop(state: Mapping[str, Any]) -> str:
-    """Return the word for a stop that the drive has not confirmed, empty for none.
+    """Return the word of `stop` for a stop that the drive has not confirmed, empty for none.
 
     A drive may be energised then although it is commanded off.
 
@@ -40,4 +40,4 @@ def unconfirmed_stop(state: Mapping[str, Any]) -> str:
         state: Payload of `state`.
     """
     word = state.get("stop")
-    return "" if word is None or word == "confirmed" else f"stop {printable(word)}"
+    return "" if word is None or word == "confirmed" else printable(word)

@@ -1,4 +1,4 @@
-"""Old frames of a drive that counts its half cycles, told from new ones by their counts.
+"""Recognition of old frames of a drive that counts its half cycles, by their counts.
 
 A drive that hangs, or a gateway, may repeat its last frame for ever, or several of them in turn:
 these go on from one to the next, and back. A count that stands, or is behind the newest one, is

@@ -123,7 +123,8 @@ def _header(record: WatchRecord) -> Iterator[Text]:
     style = STATE_STYLES.get(name, "bold yellow")
     line = Text.assemble((f" {record.drive} ", "bold reverse"), " ", (f" {name} ", style), "  ")
     if state:
-        line.append(f"{unconfirmed_stop(state)}  ".lstrip(), "bold yellow")
+        if stop := unconfirmed_stop(state):
+            line.append(f"stop {stop}  ", "bold yellow")
         _add_controller(line, state)
     elif record.availability == "unknown" and not record.problem:
         line.append("nothing heard of this drive; see adaptdrive list for the names")
