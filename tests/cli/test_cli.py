@@ -363,9 +363,9 @@ def test_an_integer_is_not_rounded(capsys: pytest.CaptureFixture[str]) -> None:
 async def test_an_interrupted_command_is_quiet(mosquitto: Broker) -> None:
     # A suite that runs in the background may have been told to ignore interrupts, and pass it on.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    async with listening(mosquitto, "adaptdrive/nobody/command/enable") as ear:
+    async with listening(mosquitto, "adaptdrive/nobody/command/ping") as ear:
         process = await start("enable", "nobody", "--timeout", "60", *at(mosquitto))
-        await ear.on("adaptdrive/nobody/command/enable")
+        await ear.on("adaptdrive/nobody/command/ping")
     process.send_signal(signal.SIGINT)
     output, errors = await process.communicate()
     assert (process.returncode, output, errors) == (130, b"", b"")

@@ -25,29 +25,56 @@ TIMEOUT_S = 4.0
 PATIENCE_S = 60.0
 
 
+Heard = asyncio.Queue[tuple[str, dict[str, Any]]]
+
+
 @asynccontextmanager
-async def mute_drive(broker: Broker, drive: str) -> AsyncIterator[asyncio.Queue[dict[str, Any]]]:
-    """A drive that answers nothing; what it is asked comes into a queue."""
-    heard: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
+async def commands(broker: Broker, drive: str) -> AsyncIterator[Heard]:
+    """What a drive is asked: each verb and its payload come into a queue."""
+    heard: Heard = asyncio.Queue()
     async with Client(broker.host, broker.port) as client, asyncio.TaskGroup() as tasks:
         await client.subscribe(f"adaptdrive/{drive}/command/#")
 
         async def listen() -> None:
             async for message in client.messages:
-                heard.put_nowait(json.loads(bytes(message.payload)))
+                verb = message.topic.value.rpartition("/")[2]
+                heard.put_nowait((verb, json.loads(bytes(message.payload))))
 
         listening = tasks.create_task(listen())
         yield heard
         listening.cancel()
 
 
-async def ask(broker: Broker, drive: str, verb: str) -> tuple[dict[str, Any], datetime]:
+@asynccontextmanager
+async def mute_drive(broker: Broker, drive: str, ahead: timedelta) -> AsyncIterator[Heard]:
+    """A drive that publishes telemetry and answers nothing."""
+
+    async def tell() -> None:
+        async with SteadyClient(broker.host, broker.port) as client:
+            while True:
+                time = (datetime.now(UTC) + ahead).isoformat()
+                topic = f"adaptdrive/{drive}/telemetry/drive"
+                await client.publish(topic, json.dumps({"time": time}))
+                await asyncio.sleep(0.02)
+
+    async with commands(broker, drive) as heard:
+        telling = asyncio.create_task(tell())
+        try:
+            yield heard
+        finally:
+            telling.cancel()
+            await asyncio.wait([telling])
+
+
+async def ask(
+    broker: Broker, drive: str, verb: str, ahead: timedelta = timedelta()
+) -> tuple[dict[str, Any], datetime]:
     """What a drive hears of a command, and when its sender gave it up."""
     settings = Mqtt(host=broker.host, port=broker.port)
-    async with asyncio.timeout(PATIENCE_S), mute_drive(broker, drive) as heard:
+    async with asyncio.timeout(PATIENCE_S), mute_drive(broker, drive, ahead) as heard:
         with pytest.raises(NoAnswerError):
             await send_command(settings, drive, verb, None, TIMEOUT_S)
-        return await heard.get(), datetime.now(UTC)
+        return (await heard.get())[1], datetime.now(UTC)
 
 
 async def test_a_command_expires_before_its_sender_gives_it_up(mosquitto: Broker) -> None:
@@ -64,11 +91,11 @@ async def test_a_disable_never_expires(mosquitto: Broker) -> None:
 async def test_a_value_may_be_a_number_of_numpy(mosquitto: Broker) -> None:
     drive = f"mute-{uuid.uuid4()}"
     settings = Mqtt(host=mosquitto.host, port=mosquitto.port)
-    async with asyncio.timeout(PATIENCE_S), mute_drive(mosquitto, drive) as heard:
+    async with asyncio.timeout(PATIENCE_S), mute_drive(mosquitto, drive, timedelta()) as heard:
         volts, hold_s = np.float32(280.5), np.int64(5)
         with pytest.raises(NoAnswerError):
             await send_command(settings, drive, "voltage", volts, TIMEOUT_S, hold_s=hold_s)
-        command = await heard.get()
+        _, command = await heard.get()
     assert (command["value"], command["hold_s"]) == (280.5, 5)
 
 
@@ -104,20 +131,35 @@ async def test_the_time_of_the_end_is_by_the_clock_of_the_drive(
     mosquitto: Broker, ahead_s: float
 ) -> None:
     drive, ahead = f"mute-{uuid.uuid4()}", timedelta(seconds=ahead_s)
-
-    async def tell() -> None:
-        async with SteadyClient(mosquitto.host, mosquitto.port) as client:
-            while True:
-                time = (datetime.now(UTC) + ahead).isoformat()
-                topic = f"adaptdrive/{drive}/telemetry/drive"
-                await client.publish(topic, json.dumps({"time": time}))
-                await asyncio.sleep(0.02)
-
-    telling = asyncio.create_task(tell())
-    try:
-        command, given_up = await ask(mosquitto, drive, "enable")
-    finally:
-        telling.cancel()
-        await asyncio.wait([telling])
+    command, given_up = await ask(mosquitto, drive, "enable", ahead)
     expires = datetime.fromisoformat(command["expires"]) - ahead
     assert given_up - timedelta(seconds=TIMEOUT_S) < expires <= given_up
+
+
+async def test_nothing_but_a_stop_is_sent_to_a_drive_that_is_not_heard(mosquitto: Broker) -> None:
+    drive, settings = f"mute-{uuid.uuid4()}", Mqtt(host=mosquitto.host, port=mosquitto.port)
+    async with asyncio.timeout(PATIENCE_S), commands(mosquitto, drive) as heard:
+        for verb in ("enable", "setpoint", "disable"):
+            with pytest.raises(NoAnswerError):
+                await send_command(settings, drive, verb, None, TIMEOUT_S)
+        verbs = [heard.get_nowait()[0] for _ in range(heard.qsize())]
+    assert verbs == ["ping", "ping", "disable"]
+
+
+async def test_a_drive_without_telemetry_that_answers_is_commanded(mosquitto: Broker) -> None:
+    drive, settings = f"dumb-{uuid.uuid4()}", Mqtt(host=mosquitto.host, port=mosquitto.port)
+    async with asyncio.timeout(PATIENCE_S), commands(mosquitto, drive) as heard:
+        asking = asyncio.create_task(send_command(settings, drive, "enable", None, TIMEOUT_S))
+        async with Client(mosquitto.host, mosquitto.port) as client:
+            for verb in ("ping", "enable"):
+                asked, content = await heard.get()
+                assert asked == verb
+                reply = {
+                    "id": content["id"],
+                    "verb": verb,
+                    "accepted": True,
+                    "reason": "",
+                    "state": "standby",
+                }
+                await client.publish(f"adaptdrive/{drive}/reply", json.dumps(reply))
+        assert (await asking).verb == "enable"

@@ -242,6 +242,17 @@ def test_a_command_to_a_silent_drive_expires_by_the_clock_of_its_daemon(
         rest(panel_site)
 
 
+def test_nothing_is_asked_of_a_drive_that_is_not_heard(
+    operator: Panel, panel_site: PanelSite
+) -> None:
+    """A frozen daemon hears what was asked meanwhile when it goes on."""
+    with panel_site.site.stalled(panel_site.site.daemon):
+        operator.expect_text(".age", "no data")
+        operator.page.get_by_role("button", name="fixed").click()
+        operator.expect_text(".answer", "mode fixed: not sent: the drive is not heard")
+    rest(panel_site)
+
+
 class Network:
     """The way of a page to its broker, which can lose all that is sent."""
 

@@ -11,7 +11,7 @@ import pytest
 from adaptdrive.watch.view import REFRESH_S
 from tests.commission.answering_drive import answering_drive
 from tests.operation.peers import PATIENCE_S
-from tests.operation.test_sender import mute_drive
+from tests.operation.test_sender import commands
 from tests.support import Broker, acting
 from tests.watch.test_watch import Terminal, terminal
 
@@ -93,14 +93,14 @@ async def test_a_stopped_terminal_keeps_no_command_and_no_signal(mosquitto: Brok
 async def test_a_stopped_terminal_keeps_no_last_word_from_ending(mosquitto: Broker) -> None:
     """What was not answered is told to a terminal that takes output, and to no other."""
     name = f"ended-{uuid.uuid4()}"
-    async with mute_drive(mosquitto, name) as heard:
+    async with commands(mosquitto, name) as heard:
         seen = await started(mosquitto, name, "--timeout", "2")
         try:
             await seen.shows("waiting for the drive")
             seen.press("\x13")
             await asyncio.sleep(4 * REFRESH_S)
             seen.press("s")
-            assert (await asyncio.wait_for(heard.get(), PATIENCE_S))["value"] is None
+            assert (await asyncio.wait_for(heard.get(), PATIENCE_S))[1]["value"] is None
             seen.press("q")
             assert await outcome(seen) == 3
         finally:

@@ -25,7 +25,7 @@ from adaptdrive.watch.keys import CONFIRM_S, DELIBERATE_S, KeyCommand, KeyReader
 from adaptdrive.watch.record import POINTS, WatchRecord
 from adaptdrive.watch.view import screen
 from tests.operation.peers import PATIENCE_S, Bench, drive_report, load_report, serving
-from tests.operation.test_sender import mute_drive
+from tests.operation.test_sender import commands
 from tests.support import Broker
 
 AROUND = {"TERM": "xterm", "LINES": "40", "COLUMNS": "120"}
@@ -428,7 +428,7 @@ async def test_a_view_that_is_left_still_stops_the_drive(mosquitto: Broker, tmp_
 
 
 async def test_a_stop_that_nobody_answers_is_told_at_the_end(mosquitto: Broker) -> None:
-    async with mute_drive(mosquitto, "deaf") as heard:
+    async with commands(mosquitto, "deaf") as heard:
         seen = await terminal(mosquitto, "deaf", "--timeout", "2")
         try:
             await seen.shows("waiting for the drive")
@@ -436,7 +436,7 @@ async def test_a_stop_that_nobody_answers_is_told_at_the_end(mosquitto: Broker) 
             await seen.shows("adaptdrive: deaf: disable: no answer")
             async with asyncio.timeout(PATIENCE_S):
                 assert await seen.process.wait() == 3
-                assert (await heard.get())["value"] is None
+                assert (await heard.get())[1]["value"] is None
         finally:
             await seen.close()
 

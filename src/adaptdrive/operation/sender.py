@@ -16,7 +16,7 @@ import msgspec
 from aiomqtt import Client
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.commands import LONGEST_USER, STOP
+from adaptdrive.operation.commands import LONGEST_USER, PING, STOP
 from adaptdrive.operation.conversation import (
     TELEMETRY_WAIT_S,
     NoAnswerError,
@@ -43,7 +43,9 @@ async def send_command(
 ) -> Reply:
     """Send one command and wait for the reply to it; it expires when the wait ends.
 
-    A `disable` never expires. Where the drive publishes telemetry, the time is by its clock.
+    A `disable` never expires. The time is by the clock of the drive, which its telemetry tells. A
+    drive that publishes none is asked for an answer first, and without one the command is not
+    sent: it may wait on a network that stands still, and the sender's clock may be ahead.
 
     Args:
         broker: Where the broker is.
@@ -62,7 +64,7 @@ async def send_command(
     async with conversation(broker, drive, end_s) as client, asyncio.timeout_at(end_s):
         command = {"value": value, "user": _sender(), **fields}
         if verb != STOP:
-            command = {"expires": await _expiry(client, topics, end_s)} | command
+            command = {"expires": await _expiry(client, drive, topics, end_s)} | command
         return await _ask(client, drive, places, command, Reply)
 
 
@@ -86,15 +88,18 @@ async def disturb(
         return await _ask(client, drive, places, request, DeviceReply)
 
 
-async def _expiry(client: Client, topics: Topics, end_s: float) -> str:
+async def _expiry(client: Client, drive: str, topics: Topics, end_s: float) -> str:
     """Return the time at which a wait ends, by the clock of the drive where it is heard."""
     now_s = asyncio.get_running_loop().time
     ahead_s = await _clock_difference_s(client, topics, (end_s - now_s()) / 2.0)
+    if ahead_s is None:
+        ahead_s = 0.0
+        await _ask(client, drive, (topics.command(PING), topics.reply), {}, Reply)
     return (datetime.now(UTC) + timedelta(seconds=end_s - now_s() + ahead_s)).isoformat()
 
 
-async def _clock_difference_s(client: Client, topics: Topics, patience_s: float) -> float:
-    """Return how far the clock of a drive is ahead, 0 where no telemetry comes.
+async def _clock_difference_s(client: Client, topics: Topics, patience_s: float) -> float | None:
+    """Return how far the clock of a drive is ahead, None where no telemetry comes.
 
     Telemetry that comes late makes a command expire early, and never late.
     """
@@ -106,7 +111,7 @@ async def _clock_difference_s(client: Client, topics: Topics, patience_s: float)
                 if told is not None and not message.retain:
                     ahead_s = (told.time - datetime.now(UTC)).total_seconds()
                     return ahead_s if abs(ahead_s) < _FARTHEST_S else 0.0
-    return 0.0
+    return None
 
 
 async def _ask(

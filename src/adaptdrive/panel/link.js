@@ -109,11 +109,15 @@ const Link = (() => {
   window.setInterval(endSilence, RETRY_MS);
 
   /** Send a command and wait for the daemon's answer. Only a stop is sent again: after a loss of the broker,
-   * and while it has no answer, as where the broker took it before the daemon was back.
+   * and while it has no answer, as where the broker took it before the daemon was back. Where no telemetry has
+   * told the clock of the drive, nothing but a stop and a ping is sent: it may expire too late.
    * @param {string} drive @param {string} verb @param {unknown} [value]
    * @returns {Promise<{accepted: boolean, text: string}>} what the daemon said, or that it did not */
   function ask(drive, verb, value) {
-    const expires = verb === "disable" ? {} : { expires: new Date(clockMs(drive) + 1000 * ANSWER_S).toISOString() };
+    const now = clockMs(drive);
+    const lasting = verb === "disable" || verb === "ping"; // an old ping does nothing
+    if (!lasting && now === null) return Promise.resolve({ accepted: false, text: "not sent: the drive is not heard" });
+    const expires = lasting || now === null ? {} : { expires: new Date(now + 1000 * ANSWER_S).toISOString() };
     const content = { ...(value === undefined ? {} : { value }), ...expires };
     return request(Contract.command(drive, verb), content, verb === "disable");
   }
@@ -171,10 +175,10 @@ const Link = (() => {
     client?.publish(ask, "", { qos: 1 });
   }
 
-  /** The drive's clock now, as far as it is known. @param {string} drive */
+  /** The drive's clock now, null as long as it is not known. @param {string} drive */
   function clockMs(drive) {
     const view = Drives.named(drive);
-    return view.heard && Number.isFinite(view.clockS) ? 1000 * (view.clockS + view.ageS) : Date.now();
+    return view.heard && Number.isFinite(view.clockS) ? 1000 * (view.clockS + view.ageS) : null;
   }
 
   /** Find out why no command of this user is answered, by a request that does nothing.
