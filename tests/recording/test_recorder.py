@@ -25,6 +25,7 @@ from adaptdrive.recording.recorder import EVENT_KIND, Clocks, Feed, Recorder, Wr
 from adaptdrive.recording.retention import prune
 from adaptdrive.recording.session import Dropped, Ending, read_info, session_directories
 from adaptdrive.recording.spool import left_spools
+from adaptdrive.recording.verify import verify
 from adaptdrive.recording.writer import PatientWriter
 from adaptdrive.recording.writer_process import WriterProcess
 from adaptdrive.runtime.hub import Hub
@@ -163,6 +164,36 @@ async def test_an_orderly_end_records_every_tick_up_to_the_last(sessions: Path) 
     assert read.config_text == "# as configured\n"
     assert (bench.directory / "ticks-0001.parquet").exists()
     assert bench.said() == []
+
+
+async def test_an_event_during_the_end_is_in_the_session_once(sessions: Path) -> None:
+    said = [f"number {index}" for index in range(10_000)]
+    waiting = iter(said)
+    async with recording(sessions) as bench:
+        await bench.publish_until(lambda: bench.rows() > 500)
+        ending = asyncio.create_task(bench.stop())
+        while not ending.done():
+            bench.hub.publish(Event("bus", Severity.INFO, next(waiting), bench.published))
+            bench.hub.publish(COMMANDED)
+            await asyncio.sleep(0.005)
+    await bench.recorder.add_late()
+    read = bench.session()
+    assert read.info.ended is Ending.ORDERLY
+    last = said.index(next(waiting))
+    assert [event.detail for event in read.events] == said[:last]
+    assert len(read.commands) == last
+    assert sequences(read) == list(range(bench.published))
+    assert verify(read).whole
+
+
+async def test_a_session_that_never_began_takes_no_late_event(sessions: Path) -> None:
+    bench = Bench(sessions)
+    bench.running = asyncio.create_task(bench.recorder.run(asyncio.Event()))
+    bench.hub.publish(COMMANDED)
+    await asyncio.sleep(0)
+    await bench.stop()
+    await bench.recorder.add_late()
+    assert not sessions.exists()  # noqa: ASYNC240
 
 
 async def test_an_event_is_on_disk_before_the_next_flush(sessions: Path) -> None:
@@ -468,6 +499,7 @@ async def test_an_end_whose_recorder_is_killed_in_the_close_is_left_to_the_next_
             bench.kill_in_close()
             await asyncio.sleep(0.05)
         blocked.unlink()
+    await bench.recorder.add_late()
     (warning,) = bench.said()
     assert "records the end of the session, 0 ticks, 0 slow steps, 0 events" in warning.detail
     assert bench.session().info.ended is Ending.OPEN
@@ -480,7 +512,8 @@ async def test_an_end_whose_recorder_is_killed_in_the_close_is_left_to_the_next_
     read = bench.session()
     assert [news.detail for news in told if news.detail] == []
     assert read.info.ended is Ending.ORDERLY
-    assert read.info.logged == 1
+    assert [event.detail for event in read.events] == [warning.detail]
+    assert read.info.logged == 2
     assert sequences(read) == list(range(bench.published))
 
 

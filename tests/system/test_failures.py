@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 import re
 import signal
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -12,7 +15,7 @@ from adaptdrive.recording.session import Ending
 from tests.support import acting
 from tests.system.bus_ear import BusEar
 from tests.system.conftest import MakeSite
-from tests.system.site import PATIENCE_S, Site, until
+from tests.system.site import PATIENCE_S, Site, publish, until
 
 TICK_S = 1.0 / 120.0
 STALE_S = 0.1
@@ -121,6 +124,25 @@ def test_asked_to_end_the_daemon_says_goodbye(make_site: MakeSite) -> None:
     assert session.info.ended is Ending.ORDERLY
     assert session.info.dropped.ticks == 0
     assert "Traceback" not in site.daemon_log
+
+
+def test_what_the_daemon_says_at_its_end_is_in_the_session(make_site: MakeSite) -> None:
+    site = make_site()
+    site.start("--initial-voltage", "280")
+    numbers = itertools.count()
+    with ThreadPoolExecutor(1) as aside:
+        ending = aside.submit(site.stop_daemon)
+        while not ending.done():
+            payload = json.dumps({"id": f"at the end {next(numbers)}", "value": 3.0})
+            publish(site.broker_port, "adaptdrive/motor/command/setpoint", payload)
+        assert ending.result() == 0
+    session = site.session()
+    replies = [reply.content["id"] for reply in site.ear.on("reply")]
+    events = [event.content["detail"] for event in site.ear.on("event")]
+    assert replies
+    assert set(replies) <= {command.id for command in session.commands}
+    assert set(events) <= {event.detail for event in session.events}
+    assert session.info.ended is Ending.ORDERLY
 
 
 def test_a_killed_drive_trips_and_can_be_run_again_once_it_is_back(make_site: MakeSite) -> None:

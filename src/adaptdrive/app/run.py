@@ -151,6 +151,8 @@ async def _serve(
         start = functools.partial(_start, tasks, ending)
         start("lock", send_visitors_away(locks))
         start("log", log_events(events, logger, hub.kept))
+        if recorder is not None:
+            ending.push_async_callback(recorder.add_late)
         start("mqtt", _mqtt(configuration, daemon, hub, start_thread).run())
         if recorder is not None:
             start("recorder", recorder.run(daemon.opened))

@@ -136,12 +136,13 @@ class Desk:
         return reply
 
     def refuse(self, command: OperatorCommand, reason: str) -> Reply:
-        """Refuse a command without looking further than its id; the log alone records it."""
+        """Refuse a command without looking further than its id."""
         payload = Payload(command.raw)
         reply = self._refused(command, payload, reason)
         if payload.id is None:
             self._log_unreadable(command)
         else:
+            self._report(_report_of(payload, reply))
             self._log_reply(reply)
         return reply
 
@@ -179,7 +180,7 @@ class Desk:
     def _withheld_lines(self) -> int | None:
         """Return how many lines were withheld before this one, None when this one is withheld.
 
-        A daemon that ends withholds none: its session may be closed already.
+        A daemon that ends withholds none: it may have no time left for its session.
         """
         if self._shutting_down():
             self._ration.lift()

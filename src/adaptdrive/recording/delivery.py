@@ -155,6 +155,27 @@ class Delivery:
             self._report(Severity.WARNING, f"the next start completes the session's files: {cause}")
         return Dropped()
 
+    async def finish_again(self, timeout_s: float) -> Dropped:
+        """Have what was offered after `finish` written, or left to the next start with the rest.
+
+        Args:
+            timeout_s: Longest wait for a recorder process, which has to be started.
+
+        Returns:
+            What was lost now: it is reported.
+        """
+        cause: str | None = "the disk does not answer"
+        if len(self._unwritten) > 1:  # the end of the session is left to the next start
+            kept = await self._flushed(timeout_s)
+        else:
+            cause = await self._drain(timeout_s)
+            kept = not self._unwritten
+        if kept:
+            return Dropped()
+        lost = self._unwritten[-1].rows
+        self._report(Severity.ALARM, f"not recorded after the end of the session, {lost}: {cause}")
+        return lost
+
     async def _give_up(self, dropped: Dropped, cause: str, timeout_s: float) -> Dropped:
         left = sum((sent.rows for sent in self._unwritten), start=Dropped())
         if await self._flushed(timeout_s):

@@ -56,7 +56,8 @@ class WritePace:
         flush_s: Longest time that ticks stay in the control process.
         backlog_bytes: Bytes that may wait to be written: about 40 s; then batches are dropped.
         close_s: Longest time that the end of the recording takes, in four parts: the record of a
-            trip, the recorder process, another one in its place, and what then is left.
+            trip, the recorder process, another one in its place, and what then is left; and that
+            the events after it take.
         trip_s: How long the record of a trip goes on after it.
         keep_s: Longest time that an event waits for its record before it is published.
         start_thread: What a thread that writes does first.
@@ -158,6 +159,7 @@ class Recorder:
         self._reported_loss = Dropped()
         self._stalled = False
         self._open = False
+        self._closed = False
         self._last_tick = 0
 
     @property
@@ -188,11 +190,20 @@ class Recorder:
         It waits at most `keep_s`, and not at all for a disk that has just been slower than that.
         Before the session begins and after its end there is nothing to wait for.
         """
+        self._note(self._feed.events.drain())
         if self._open:
-            self._note(self._feed.events.drain())
             if self._events or self._commands:
                 self._send()
             await self._delivery.kept(self._pace.keep_s)
+
+    async def add_late(self) -> None:
+        """Add the events and commands since the close to the session; `run` must have ended."""
+        self._note(self._feed.events.drain())
+        if not (self._closed and self.complete and (self._events or self._commands)):
+            return
+        self._send(urgent=True, last=True)
+        lost = await self._delivery.finish_again(self._pace.close_s)
+        self.complete = lost == Dropped()
 
     async def _feed_for_ever(self) -> None:
         deadline = self._clocks.monotonic() + self._pace.flush_s
@@ -210,13 +221,13 @@ class Recorder:
         await self._black_box.finish(part_s)
         await self._send_rest()
         self._send(urgent=True, last=True)  # it has no rows: they are written before the close
-        self._open = False
+        self._open, self._closed = False, True
         lost = await self._delivery.finish(self._dropped(), part_s)
         self.complete = lost == Dropped()
 
     async def _send_rest(self) -> None:
-        self._note(self._feed.events.drain())
         await self._gather()
+        self._note(self._feed.events.drain())  # those that came meanwhile, too
         self._send(urgent=True)
 
     async def _events_until(self, deadline: float) -> Iterable[Report]:
