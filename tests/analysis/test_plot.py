@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import base64
 import re
+import shutil
 import struct
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow import parquet as pq
 
 from adaptdrive.analysis.curves import find_window, read_curves
 from adaptdrive.analysis.figure import draw_session
@@ -96,3 +99,28 @@ def test_a_session_with_a_manual_phase_is_drawn(session_path: Path, tmp_path: Pa
         slow = curves.slow | {"controller": np.full(len(curves.slow_s), mode.value)}
         configuration = reconfigured(session.config_text, tmp_path / "config.toml", ())
         assert draw_session(session, configuration, replace(curves, slow=slow))
+
+
+def test_a_table_in_the_place_of_another_is_named(session_path: Path, tmp_path: Path) -> None:
+    session = copied(session_path, tmp_path)
+    ticks, slow = session / "ticks-0001.parquet", session / "slow-0001.parquet"
+    slow.rename(tmp_path / "slow")
+    ticks.rename(slow)
+    (tmp_path / "slow").rename(ticks)
+    with pytest.raises(RecordingError, match=r"slow-0001.parquet: .* controller is None"):
+        plot(session, into=tmp_path)
+
+
+def test_a_controller_that_does_not_exist_is_named(session_path: Path, tmp_path: Path) -> None:
+    session = copied(session_path, tmp_path)
+    slow = session / "slow-0001.parquet"
+    table = pq.read_table(slow)
+    foreign = pa.array(["tuned"] * table.num_rows)
+    place = table.schema.get_field_index("controller")
+    pq.write_table(table.set_column(place, "controller", foreign), slow)
+    with pytest.raises(RecordingError, match=r"slow-0001.parquet: .* controller is 'tuned'"):
+        plot(session, into=tmp_path)
+
+
+def copied(session: Path, folder: Path) -> Path:
+    return Path(shutil.copytree(session, folder / "session"))

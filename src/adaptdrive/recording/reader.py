@@ -25,7 +25,7 @@ from adaptdrive.recording.session import (
     SessionInfo,
     read_info,
 )
-from adaptdrive.recording.tables import conform, slow_schema, ticks_schema
+from adaptdrive.recording.tables import conform, foreign_value, slow_schema, ticks_schema
 
 _LARGEST_TEXT_BYTES = 4 << 20
 """A configuration of a million characters, the longest that is accepted."""
@@ -91,7 +91,8 @@ class Session:
             columns: The columns wanted, None for all.
 
         Raises:
-            RecordingError: A file is damaged beyond a torn tail, or holds another table.
+            RecordingError: A file is damaged beyond a torn tail, or holds another table; a value of
+                an enumeration that is none of it shows that, too.
         """
         schema = self._schema_of(table, columns)
         for segment in segments(self.path, table):
@@ -134,6 +135,8 @@ def _conformed(segment: Segment, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
             conformed = conform(batch, schema)
         except (pa.ArrowException, KeyError) as problem:  # of another type, or there twice
             raise RecordingError(segment.path, f"a column is damaged: {problem}") from problem
+        if foreign := foreign_value(conformed):
+            raise RecordingError(segment.path, f"it is damaged, or of another table: {foreign}")
         yield conformed
 
 

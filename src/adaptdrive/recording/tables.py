@@ -30,6 +30,9 @@ _TYPES: dict[type, pa.DataType] = {
     tuple: pa.list_(pa.float64()),
     dict: pa.list_(_ESTIMATE),
 }
+_CHOICES = {one.name: one.choices for one in (*TICK_COLUMNS, *SLOW_COLUMNS) if one.choices}
+_IN_EVERY_VERSION = "controller"
+"""One of them that no version's slow steps lack: a table without it is another one."""
 
 
 def _field(name: str, kind: pa.DataType, unit: str, meaning: str, source: str) -> pa.Field:
@@ -124,6 +127,21 @@ def conform(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
     """
     arrays = [_column(batch, field) for field in schema]
     return pa.RecordBatch.from_arrays(arrays, schema=schema)
+
+
+def foreign_value(batch: pa.RecordBatch) -> str | None:
+    """Return a value that its column cannot have, in words; None where there is none.
+
+    Args:
+        batch: Rows that conform to a schema.
+    """
+    for name, choices in _CHOICES.items():
+        if name in batch.schema.names:
+            for value in pc.unique(batch.column(name)).to_pylist():
+                missing = value is None and name != _IN_EVERY_VERSION
+                if value not in choices and not missing:
+                    return f"{name} is {value!r}, which is none of {', '.join(choices)}"
+    return None
 
 
 def _column(batch: pa.RecordBatch, field: pa.Field) -> pa.Array:
