@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from adaptdrive.app.examine import examine_text
 from adaptdrive.app.loads import build_load
+from adaptdrive.app.lock import LockedError, locked
 from adaptdrive.commission.evaluate import evaluate
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.file import refuse_unwritable, with_values, write_values
@@ -26,6 +30,7 @@ from adaptdrive.errors import CommissionError, ConfigurationError, Flaw
 __all__ = [
     "CommissionRequest",
     "Commissioned",
+    "alone",
     "announcement",
     "as_text",
     "commission",
@@ -50,6 +55,25 @@ class CommissionRequest:
     move_share: float
     patience_s: float | None
     standby_s: float
+
+
+@contextmanager
+def alone(drive: str, broker: Mqtt) -> Iterator[None]:
+    """Keep other experiments off a drive until the block ends.
+
+    Args:
+        drive: Name of the drive.
+        broker: Its broker, as others may have a drive of that name.
+
+    Raises:
+        CommissionError: Another process of this machine commissions it.
+    """
+    experiment = f"commissioning of {drive!r} by {broker.host}:{broker.port}"
+    try:
+        with locked([experiment], os.environ):
+            yield
+    except LockedError as problem:
+        raise CommissionError(f"{drive} is already commissioned by {problem.holder}") from None
 
 
 def announcement(wanted: CommissionRequest, drive: str) -> str:
