@@ -22,6 +22,7 @@ from typing import NoReturn
 
 from adaptdrive.app.ports import bus_kind
 from adaptdrive.config import Configuration
+from adaptdrive.config.modbus import RtuLink
 from adaptdrive.errors import AdaptdriveError
 
 NAMESPACE = "ADAPTDRIVE_LOCK_NAMESPACE"
@@ -53,15 +54,19 @@ class LockedError(AdaptdriveError):
 
 
 def lock_names(configuration: Configuration) -> Iterator[str]:
-    """Return the names of exclusive resources: the drive's name and, on Modbus, its device.
+    """Yield the names of exclusive resources: the drive, on Modbus its device, and serial lines.
 
-    On CAN and CANopen another sender is heard; on Modbus nothing is heard of another client.
+    On CAN and CANopen another sender is heard; on Modbus nothing is heard of another client. A
+    serial line has one master, whether that reads a drive or sensors there.
 
     Args:
         configuration: The drive.
     """
     yield f"drive {configuration.drive.name!r}"
     yield from bus_kind(configuration.bus.type).lock_names(configuration)
+    for link in (configuration.bus, *configuration.sensor_bus):
+        if isinstance(link, RtuLink):
+            yield f"serial line {link.device.absolute()}"  # relative: that of this folder alone
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import socket
 import threading
 import time
@@ -13,6 +14,7 @@ import pytest
 
 from adaptdrive.app.lock import lock_names
 from adaptdrive.config import load_configuration
+from adaptdrive.config.file import parse_configuration
 from adaptdrive.config.modbus import ModbusTcp
 from adaptdrive.errors import BusError
 from adaptdrive.hardware.modbus.bus import open_client
@@ -101,3 +103,18 @@ def test_serial_devices_of_two_folders_have_two_locks(
         names.append({*lock_names(load_configuration(Path("drive.toml")))})
         assert names[-1] == {*lock_names(load_configuration(folder / "drive.toml"))}
     assert not names[0] & names[1]
+
+
+def locks(name: str, device: Path) -> set[str]:
+    """Locks of a daemon whose drive, or whose sensors, are on a serial line."""
+    document = (EXAMPLES / name).read_text()
+    text = re.sub(r'^device = "[^"]*"', f'device = "{device}"', document, flags=re.MULTILINE)
+    return {*lock_names(parse_configuration(text, EXAMPLES / name))}
+
+
+@pytest.mark.parametrize("other", ["motor-modbus-rtu.toml", "bath-thermocouples.toml"])
+def test_a_serial_line_has_one_master_whatever_is_on_it(other: str) -> None:
+    line = Path("/dev/serial/by-id/usb-FTDI-port0")
+    bath = locks("bath-modbus-rtu.toml", line)
+    assert locks(other, line) & bath - {"drive 'bath'"} == {f"serial line {line}"}
+    assert not locks(other, line.with_name("usb-FTDI-port1")) & bath - {"drive 'bath'"}

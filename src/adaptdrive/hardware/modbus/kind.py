@@ -67,14 +67,9 @@ def _echo_cautions(bus: ModbusTcp | ModbusRtu, signals: Signals) -> Iterator[Fla
 
 
 def _lock_names(configuration: Configuration) -> Iterator[str]:
-    """Yield the device, by its addresses, too: Modbus shows no requests of another client.
-
-    A serial device that is named relative to its file is that of this folder alone.
-    """
+    """Yield a device over TCP, by its addresses, too; a serial line is locked as a whole."""
     bus = _bus(configuration)
-    if isinstance(bus, ModbusRtu):
-        yield describe_bus(bus.model_copy(update={"device": bus.device.absolute()}))
-    else:
+    if isinstance(bus, ModbusTcp):
         yield describe_bus(bus)
         for address in sorted({*map(_plain, _addresses(bus))}):
             yield f"modbus-tcp address {address} port {bus.port} device {bus.device_id}"
