@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import AsyncIterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
@@ -20,7 +20,7 @@ import pytest
 from adaptdrive import __version__
 from adaptdrive.cli import main, operate
 from adaptdrive.config import Configuration
-from adaptdrive.control.signals import Mode
+from adaptdrive.control.signals import Estimate, Mode
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.runtime.requests import (
     REQUESTS,
@@ -53,6 +53,10 @@ class Outcome:
     status: int
     output: str
     errors: str
+
+
+C_LOCALE = {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}
+"""What leaves Python with ASCII."""
 
 
 def _environment() -> dict[str, str]:
@@ -167,6 +171,22 @@ async def test_status_tells_people(bench: Bench) -> None:
     assert (outcome.status, outcome.errors) == (0, "")
     assert outcome.output.startswith("bench is online\n  state       standby")
     assert "fixed (asked for fixed)" in outcome.output
+
+
+async def test_status_tells_what_the_letters_of_a_plain_locale_can(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in C_LOCALE.items():
+        monkeypatch.setenv(name, value)
+    report = load_report(5)
+    estimates = {"gain": Estimate(0.0113, 0.0002)}
+    async with listening(bench.broker, bench.topic("#")) as ear:
+        bench.hub.publish(replace(report, decision=replace(report.decision, estimates=estimates)))
+        await ear.on(bench.topic("telemetry/load"))
+    outcome = await status_of(bench)
+    assert (outcome.status, outcome.errors) == (0, "")
+    assert outcome.output.isascii()
+    assert "\\xb1" in outcome.output  # ±
 
 
 async def test_a_drive_that_only_the_broker_remembers_is_not_shown_as_running(
@@ -433,11 +453,11 @@ def test_help_that_nobody_reads_is_no_failure(words: str, unbuffered: str) -> No
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_a_letter_that_the_terminal_does_not_have_is_escaped() -> None:
+@pytest.mark.parametrize("around", [{"PYTHONIOENCODING": "latin-1"}, C_LOCALE], ids=str)
+def test_a_letter_that_the_terminal_does_not_have_is_escaped(around: dict[str, str]) -> None:
     example = Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml"
     words = [sys.executable, "-m", "adaptdrive.cli", "check", str(example)]
-    environment = _environment() | {"PYTHONIOENCODING": "latin-1"}
-    done = subprocess.run(words, capture_output=True, check=False, env=environment)
+    done = subprocess.run(words, capture_output=True, check=False, env=_environment() | around)
     assert (done.returncode, done.stderr) == (0, b"")
     assert rb"2.2\u20264.4 V" in done.stdout
 

@@ -383,10 +383,11 @@ async def test_a_drive_is_watched_and_commanded_from_a_terminal(
             await seen.close()
 
 
+@pytest.mark.parametrize("encoding", ["latin-1", "ascii:surrogateescape"])
 async def test_a_terminal_that_is_not_utf_8_shows_what_it_can(
-    mosquitto: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    mosquitto: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, encoding: str
 ) -> None:
-    monkeypatch.setenv("PYTHONIOENCODING", "latin-1")
+    monkeypatch.setenv("PYTHONIOENCODING", encoding)
     async with serving(mosquitto, "latin", tmp_path) as bench:
         seen = await terminal(mosquitto, "latin")
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import errno
 import os
 import shutil
@@ -33,7 +34,7 @@ def open_standard_files() -> None:
     if isinstance(getattr(sys.stdout, "buffer", None), FileIO) and not sys.stdout.isatty():
         # unbuffered: a reader that has had enough would end the command before its end
         sys.stdout = _stream(_OUTPUT, "w", sys.stdout.encoding, sys.stdout.errors)
-    if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
+    if isinstance(sys.stdout, TextIOWrapper) and _refuses_letters(sys.stdout):
         # Latin-1 has no "…": what a terminal cannot show is escaped, as it is on standard error
         sys.stdout.reconfigure(errors="backslashreplace")
 
@@ -115,6 +116,12 @@ def complain(program: str, text: str, status: int) -> int:
     for line in text.splitlines():
         print(f"{program}: {line}", file=sys.stderr)
     return status
+
+
+def _refuses_letters(stream: TextIO) -> bool:
+    """Return whether a letter that its encoding lacks is an error, as in the C locale."""
+    lacks_some = codecs.lookup(stream.encoding).name != "utf-8"
+    return stream.errors == "strict" or (lacks_some and stream.errors == "surrogateescape")
 
 
 def _is_open(number: int) -> bool:

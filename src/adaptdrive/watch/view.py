@@ -67,8 +67,10 @@ async def draw(screen_of: Callable[[tuple[int, int]], Layout]) -> NoReturn:
         ConfigurationError: The terminal shows no picture.
     """
     refuse_dumb_terminal()
-    encoding, errors = sys.stdout.encoding, sys.stdout.errors
-    output = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding=encoding, errors=errors)
+    # one column for each letter that the terminal does not have, too
+    output = os.fdopen(
+        os.dup(sys.stdout.fileno()), "w", encoding=sys.stdout.encoding, errors="replace"
+    )
     console = Console(file=output, force_terminal=True)
     live = Live(
         console=console,
