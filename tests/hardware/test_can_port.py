@@ -1116,7 +1116,8 @@ async def test_the_oldest_value_is_named_with_its_cause(
         await ear.hears(2)
         status = port.explain_age()
         assert "(0x100 (DriveStatus), " in status
-        assert "is the oldest value: other messages come, and this one has come before" in status
+        assert "is the oldest value, 100 ms old: other messages come, and this one has" in status
+        assert " come before" in status
         assert "as often as interlocks.stale_s needs?" in status
         drive.put("DriveStatus", bytes(8))
         await until(lambda: port.statistics.wrong_checksum == 1)
@@ -1129,6 +1130,27 @@ async def test_the_oldest_value_is_named_with_its_cause(
         await ear.hears(3)
         clock.now_s += 0.1
         assert "no message comes" in port.explain_age()
+
+
+async def test_the_oldest_value_is_named_with_its_own_age(
+    config: CanBus, drive: Drive, ear: Ear, clock: Clock
+) -> None:
+    """The last reading is as old as a value that has come again since."""
+    port, limits = build_port(config, clock), Limits(0.05, 430.0, 5.0, "V")
+    async with running(port, ear):
+        drive.send_status()
+        await heard_by(port, 1)
+        clock.now_s += 0.010
+        drive.send_load()
+        await ear.hears(1)
+        clock.now_s += 0.020
+        drive.send_status()
+        await heard_by(port, 3)
+        clock.now_s += 0.025
+        cause = find_cause(ear.readings[-1], clock.now_s, limits, port.explain_age)
+    assert cause is not None
+    assert "measurement is 55 ms old, limit 50 ms; output (0x101 (DriveLoad), Tach" in cause
+    assert ") is the oldest value, 45 ms old: " in cause
 
 
 async def test_without_its_bus_the_values_are_old_for_that(config: CanBus, clock: Clock) -> None:

@@ -28,7 +28,7 @@ class Trip:
 
 
 _STALE = "stale: measurement is 54 ms old, limit 50 ms"
-_OLDEST = f"{_STALE}; output (0x101 (DriveLoad), Tachometer) is the oldest value"
+_OLDEST = f"{_STALE}; output (0x101 (DriveLoad), Tachometer) is the oldest value, 54 ms old"
 
 TRIPS = (
     Trip(
@@ -51,9 +51,9 @@ TRIPS = (
         "compare the setting that the text names; `adaptdrive probe` shows the frames",
     ),
     Trip(
-        r"^stale: .*: the polls give no reading",
-        f"{_STALE}; output is the oldest value: the polls give no reading: exception reply 2 to "
-        "function 4 (illegal address), input 16…19 (address from 0)",
+        r"^stale: .*; the polls give no reading",
+        f"{_STALE}; the polls give no reading: exception reply 2 to function 4 (illegal address), "
+        "input 16…19 (address from 0)",
         "the Modbus device refuses the poll, or does not answer",
         "check the register map; `adaptdrive probe` shows the registers",
     ),

@@ -185,13 +185,14 @@ class CanPort:
             self.take(received())
 
     def explain_age(self) -> str:
-        """Return the oldest value, its source, and the likeliest cause of its age."""
+        """Return the oldest value, its source, its age, and the likeliest cause of that."""
         now_s = self._clock()
         status, source, oldest_s, newest_s = self._assembly.oldest()
         value = f"{source.quantity} ({_label(status.codec)}, {source.signal.name})"
-        found = "has never come" if oldest_s == -math.inf else "is the oldest value"
-        others_come = newest_s > oldest_s and now_s - newest_s < 0.5 * (now_s - oldest_s)
-        came = oldest_s > -math.inf
+        age_s, came = now_s - oldest_s, oldest_s > -math.inf
+        # not the age of the reading, which may be that of a value that has come since
+        found = f"is the oldest value, {age_s * 1e3:.0f} ms old" if came else "has never come"
+        others_come = newest_s > oldest_s and now_s - newest_s < 0.5 * age_s
         why = self._explain_silence(status, came=came, others_come=others_come)
         return f"{value} {found}: {why}"
 
