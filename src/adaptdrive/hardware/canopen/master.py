@@ -60,6 +60,7 @@ class Master:
     Attributes:
         ready: Whether the node is set up and operational.
         mapped: Whether it has been set up on this bus and not restarted since: its RPDOs are known.
+        overwritten: Whether another sender has written an object of it since its set-up began.
         problem: Why it is not.
     """
 
@@ -90,15 +91,16 @@ class Master:
         self._heard_s = 0.0
         self._state: int | None = None
         self._booted = False
-        self._others_quiet: Callable[[], bool] | None = None
-        self.ready = self.mapped = False
+        self.ready = self.mapped = self.overwritten = False
         self.problem = "not heard yet"
 
-    async def run(self, report: NodeListener) -> None:
+    async def run(self, report: NodeListener, others_quiet: Callable[[], bool]) -> None:
         """Bring the node up whenever it is lost, until cancelled.
 
         Args:
             report: Called when the node is ready, and when it is not, with each new reason.
+            others_quiet: Returns whether other senders leave the node alone: only then is one that
+                they have written to set up again.
         """
         reported = ""
         while True:
@@ -113,7 +115,7 @@ class Master:
                 continue
             self.ready = True
             report(up=True, detail="operational")
-            self._lose(await self._watch())
+            self._lose(await self._watch(others_quiet))
             reported = self.problem
             report(up=False, detail=reported)
             if self.mapped:
@@ -129,18 +131,9 @@ class Master:
             self._lose(self._departure())
         self._heard.set()
 
-    @property
-    def overwritten(self) -> bool:
-        """True if another sender has written an object of the node since its set-up began."""
-        return self._others_quiet is not None
-
-    def doubt(self, others_quiet: Callable[[], bool]) -> None:
-        """Note that another sender has written an object: it may have changed what was set up.
-
-        Args:
-            others_quiet: Whether other senders leave the node alone, so that it is set up again.
-        """
-        self._others_quiet = others_quiet
+    def doubt(self) -> None:
+        """Note that another sender has written an object: it may have changed what was set up."""
+        self.overwritten = True
 
     def leave(self, problem: str) -> None:
         """The bus is gone, and the node with it."""
@@ -166,7 +159,7 @@ class Master:
         Raises:
             BusError: It does not answer or refuses.
         """
-        self._booted, self._others_quiet = False, None
+        self._booted = self.overwritten = False
         self._command(_PRE_OPERATIONAL)
         await self._set_up()
         if self._booted:
@@ -192,7 +185,7 @@ class Master:
         finally:
             self._link = None
 
-    async def _watch(self) -> str:
+    async def _watch(self, others_quiet: Callable[[], bool]) -> str:
         """Wait until the node is lost; why it is."""
         timeout_s = self._bus.heartbeat_timeout_s
         while True:
@@ -200,7 +193,7 @@ class Master:
                 return self.problem
             if self._booted or self._state != NodeState.OPERATIONAL:
                 return self._departure()
-            if self._others_quiet is not None and self._others_quiet():
+            if self.overwritten and others_quiet():
                 return "is set up again: another sender has written its objects"
             silent_s = self._clock() - self._heard_s
             if silent_s > timeout_s:

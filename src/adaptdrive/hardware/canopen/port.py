@@ -211,7 +211,7 @@ class CanOpenPort:
         if not odd and self._foreign.hear(frame):
             self._counts["foreign_commands"] += 1
             if self._foreign.writes_objects(frame):
-                self._master.doubt(lambda: self._rival.complaint is None)
+                self._master.doubt()
 
     def take_garbage(self) -> None:
         """Count something on the bus that is no frame."""
@@ -314,7 +314,8 @@ class CanOpenPort:
     async def _read_and_watch(self) -> str:
         """Read the bus and keep the node set up; return the reason of a lost bus."""
         async with asyncio.TaskGroup() as tasks:
-            watch = tasks.create_task(self._master.run(self._report_node), name="node")
+            bringing_up = self._master.run(self._report_node, lambda: self._rival.complaint is None)
+            watch = tasks.create_task(bringing_up, name="node")
             problem = await self._connection.read()
             watch.cancel()
         return problem

@@ -155,8 +155,12 @@ class AliveCounter:
         self._back = max(0, min(_BUFFERED_FRAMES, modulus // 2 - 1, modulus - 1 - max_jump))
         most = _RECENT_FRAMES if cycle_s <= 0.0 else max(1, int(_RECENT_S / cycle_s))
         self._recent = min(most, _RECENT_FRAMES, modulus // _RECENT_SHARE, self._back + 1)
-        self._last: int | None = None
         self._newest = 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past: the next counter is the first one."""
+        self._last: int | None = None
         self._old, self._below = self._recent, -1
         self._leapt = self._resumed = False
 
@@ -203,12 +207,6 @@ class AliveCounter:
         if self._below < 0:
             self._old = self._recent
         self._newest = value
-
-    def reset(self) -> None:
-        """Forget the past: the next counter is the first one."""
-        self._last = None
-        self._old, self._below = self._recent, -1
-        self._leapt = self._resumed = False
 
     def resume(self) -> None:
         """Accept any next counter but the newest ones: a repeated frame stays one after a pause."""

@@ -147,7 +147,7 @@ class Commander:
             reported_s=self._reported_s,
         )
         if not self._poll.reports_bridge:
-            self._validity.may_be_on = self.bridge
+            self._validity.assume(powered=self.bridge)
 
     def begin_poll(self) -> bool:
         """Begin a poll; return whether the command goes with its first read.

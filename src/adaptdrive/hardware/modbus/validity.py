@@ -130,6 +130,10 @@ class CommandValidity:
         elif powered and acknowledged_on:
             self._relink.glimpse_on(REFUSED)
 
+    def assume(self, *, powered: bool) -> None:
+        """Note that a drive which never reports its bridge has it as it was commanded."""
+        self.may_be_on = powered
+
     def admits(self, command: Command) -> bool:
         """Return whether a command is still valid.
 
