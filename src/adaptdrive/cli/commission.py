@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from adaptdrive.cli.contact import Contact, DriveName
 from adaptdrive.cli.extra import Extra
 from adaptdrive.cli.folders import refuse_unwritable
-from adaptdrive.config.regular_file import add_result
+from adaptdrive.config.regular_file import replace_result
 from adaptdrive.errors import ConfigurationError, Flaw
 
 _HERE = Contact()
@@ -51,8 +51,7 @@ def commission(  # noqa: PLR0913 - the words of the command line
         move: Movement of the output in percent of the set-point range.
         patience: Shortest wait in seconds for the load to respond; by the kind of load when left
             out.
-        into: Folder for commission.png, or commission2.png and so on where there is one; it is made
-            where it is missing.
+        into: Folder for commission.png; it is made where it is missing.
         write: Write the settings to the configuration; the old file is kept beside it.
         yes: Begin without a question.
         contact: Broker.
@@ -71,7 +70,9 @@ def commission(  # noqa: PLR0913 - the words of the command line
         print(run.as_text(commissioned))
         if write:
             print(f"\n{path} is written, the old file is {run.write(path, commissioned)}")
-    print(f"\n{add_result(into / 'commission.png', run.draw(commissioned))}")
+    figure = into / "commission.png"
+    replace_result(figure, run.draw(commissioned))
+    print(f"\n{figure}")
     return 0
 
 

@@ -7,7 +7,6 @@ import errno
 import os
 import secrets
 import stat
-from itertools import chain, count
 from pathlib import Path
 
 _LARGEST_BYTES = 1 << 20
@@ -80,38 +79,6 @@ def replace_result(path: Path, content: bytes) -> None:
         OSError: The disk refuses; it names the file, which is as before.
     """
     _replace(path, content, path.with_name(f".unfinished-{secrets.token_hex(8)}"))
-
-
-def add_result(path: Path, content: bytes) -> Path:
-    """Write a file of its own beside those of other commands, which stay.
-
-    Args:
-        path: The file; where there is one, a number comes after its stem.
-        content: What it shall hold.
-
-    Returns:
-        The file.
-
-    Raises:
-        OSError: The disk refuses; it names the file, which is not there.
-    """
-    own = _reserved(path)
-    try:
-        replace_result(own, content)
-    except OSError:
-        own.unlink(missing_ok=True)
-        raise
-    return own
-
-
-def _reserved(path: Path) -> Path:
-    """Return a new empty file."""
-    for number in chain([""], count(2)):
-        free = path.with_stem(f"{path.stem}{number}")
-        with contextlib.suppress(FileExistsError):
-            free.touch(exist_ok=False)
-            break
-    return free
 
 
 def _replace(path: Path, content: bytes, unfinished: Path) -> None:
