@@ -10,6 +10,7 @@ from pathlib import Path
 import can
 import pytest
 
+from adaptdrive.app.ports import build_port as build_configured
 from adaptdrive.config.bus import CanBus, CommandSignals, SignalSource
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.errors import BusError
@@ -22,6 +23,7 @@ from adaptdrive.runtime.interlocks import Limits, find_cause
 from adaptdrive.runtime.stop_watch import Stop, StopWatch
 from tests.hardware.bench import (
     EXAMPLES,
+    MOTOR,
     PATIENCE_S,
     STATUS,
     TIMING,
@@ -40,6 +42,9 @@ from tests.hardware.bench import (
 )
 
 COMMAND = Command(current_scale_S=0.04321, boost_reference_V=287.65, bridge=True)
+Changes = tuple[float, int]
+"""`interlocks.stop_s`, and the cycle of the message with the bridge, in ms."""
+
 _names = itertools.count()
 
 
@@ -1275,6 +1280,40 @@ async def test_a_drive_without_values_confirms_its_stop_after_its_bus_was_lost(
     good, reading = ear.readings
     assert (reading.bridge, reading.bridge_s) == (bool(bridge_on), clock.now_s)
     assert (reading.output, reading.oldest_s) == (good.output, good.oldest_s)
+
+
+def seldom_reported(config: CanBus, folder: Path, clock: Clock, changes: Changes) -> CanPort:
+    """The port of a file in which a stop, or the report of the bridge, may take long."""
+    stop_s, cycle_ms = changes
+    text = (EXAMPLES / "adaptdrive.dbc").read_text(encoding="utf-8")
+    database = folder / "seldom.dbc"
+    database.write_text(text.replace("BO_ 256 8;", f"BO_ 256 {cycle_ms};"), encoding="utf-8")
+    parts = {
+        "bus": config.model_copy(update={"database": database}),
+        "interlocks": MOTOR.interlocks.model_copy(update={"stop_s": stop_s}),
+        "voltage_loop": MOTOR.voltage_loop.model_copy(update={"where": "drive"}),
+    }
+    port = build_configured(MOTOR.model_copy(update=parts), clock, "motor.toml")
+    assert isinstance(port, CanPort)
+    return port
+
+
+@pytest.mark.parametrize("changes", [(3.0, 8), (0.5, 2000)])
+async def test_a_drive_whose_stop_may_take_long_hears_the_safe_command_meanwhile(
+    config: CanBus, drive: Drive, clock: Clock, tmp_path: Path, changes: Changes
+) -> None:
+    """Its own time-out would end a stop as a fault; so it would where the report comes seldom."""
+    port, ear = seldom_reported(config, tmp_path, clock, changes), Ear()
+    async with running(port, ear):
+        drive.send_both()
+        await ear.hears(1)
+        port.send(COMMAND)
+        stopped_s = clock.now_s
+        sent = [port.send(SAFE_COMMAND)]
+        for seconds in (1.1, 1.9, 2.4, 3.1, 4.1):
+            clock.now_s = stopped_s + seconds
+            sent.append(port.send(SAFE_COMMAND))
+    assert sent == [True, True, True, True, False, True]
 
 
 async def test_a_drive_that_does_not_obey_the_safe_command_hears_nothing_every_other_second(

@@ -7,8 +7,8 @@ import contextlib
 import time
 from collections.abc import AsyncIterator, Callable
 
+from adaptdrive.app.ports import build_port
 from adaptdrive.control.signals import SAFE_COMMAND, Command
-from adaptdrive.hardware.canopen.mapping import map_drive
 from adaptdrive.hardware.canopen.port import CanOpenPort
 from adaptdrive.hardware.port import Reading
 from tests.hardware.bench import until
@@ -49,13 +49,16 @@ class Ear:
 class Bench:
     """A port, an ear and a node."""
 
-    def __init__(self, peer: Peer, **bus: object) -> None:
-        configuration = parse({"bus/interface": peer.interface, "bus/channel": peer.channel})
+    def __init__(self, peer: Peer, stop_s: float = 0.5, **bus: object) -> None:
+        place = {"bus/interface": peer.interface, "bus/channel": peer.channel}
+        configuration = parse({**place, "interlocks/stop_s": stop_s})
         config = bus_of(configuration).model_copy(update=bus)
         self.peer = peer
         self.ear = Ear()
-        mapping = map_drive(config, configuration.signals)
-        self.port = CanOpenPort(config, mapping, HALF_CYCLE_S, time.monotonic)
+        changed = configuration.model_copy(update={"bus": config})
+        port = build_port(changed, time.monotonic, "bench.toml")
+        assert isinstance(port, CanOpenPort)
+        self.port = port
         self.ear.port = self.port
 
     async def ready(self) -> None:
@@ -82,9 +85,9 @@ class Bench:
 
 
 @contextlib.asynccontextmanager
-async def running(peer: Peer, **bus: object) -> AsyncIterator[Bench]:
+async def running(peer: Peer, stop_s: float = 0.5, **bus: object) -> AsyncIterator[Bench]:
     """A bench whose port runs until the block ends."""
-    bench = Bench(peer, **{"heartbeat_timeout_s": 2.0, "sdo_timeout_s": 2.0, **bus})
+    bench = Bench(peer, stop_s, **{"heartbeat_timeout_s": 2.0, "sdo_timeout_s": 2.0, **bus})
     async with asyncio.TaskGroup() as tasks:
         task = tasks.create_task(bench.port.run(bench.ear, lambda: None))
         yield bench

@@ -133,6 +133,18 @@ async def test_a_drive_that_does_not_obey_the_safe_command_gets_no_heartbeat(pee
         await until(lambda: len(peer.beats) > known + 2)
 
 
+async def test_a_drive_whose_stop_may_take_long_is_fed_meanwhile(peer: Peer) -> None:
+    """Its own watch would end a stop as a fault."""
+    async with running(peer, stop_s=5.0) as bench:
+        await bench.run_drive()
+        peer.obeys = False
+        bench.ear.command = SAFE_COMMAND
+        await until(lambda: peer.words[-1] == 0x00)
+        await asyncio.sleep(1.2)
+        known = len(peer.beats)
+        await until(lambda: len(peer.beats) > known + 3)
+
+
 async def test_a_drive_that_was_on_and_says_nothing_since_its_set_up_gets_no_heartbeat(
     peer: Peer,
 ) -> None:

@@ -520,6 +520,18 @@ async def test_a_drive_that_refuses_the_safe_command_gets_no_heartbeat(
         await until(lambda: len(set(beats(one, int(register), known))) > 3)
 
 
+async def test_a_drive_whose_stop_may_take_long_is_fed_meanwhile(
+    tmp_path: Path, free_tcp_port: int
+) -> None:
+    """Its own watchdog would end a stop as a fault."""
+    changes = {**REPORTED, "interlocks__stop_s": "5.0"}
+    async with driven("tcp", tmp_path, free_tcp_port, 1, **changes) as one:
+        one.port.send(SAFE_COMMAND)
+        await asyncio.sleep(1.5)
+        known = len(one.peer.writes)
+        await until(lambda: len(set(beats(one, 2, known))) > 3)
+
+
 async def test_a_drive_that_was_on_gets_no_heartbeat_on_new_connections_without_readings(
     tmp_path: Path, free_tcp_port: int
 ) -> None:

@@ -32,7 +32,7 @@ def _build(
         return CanOpenWatch(bus, map_drive(bus, signals, source), clock)
     half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
     mapping = map_drive(bus, signals, source, demands_of(configuration))
-    return CanOpenPort(bus, mapping, half_cycle_s, clock)
+    return CanOpenPort(bus, mapping, half_cycle_s, clock, configuration.interlocks.stop_s)
 
 
 def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[Row]:

@@ -51,6 +51,7 @@ class CanOpenPort:
         mapping: CanOpenMapping,
         half_cycle_s: float,
         clock: Callable[[], float],
+        stop_s: float = 0.0,
     ) -> None:
         """Prepare for the drive; nothing is opened yet.
 
@@ -59,6 +60,7 @@ class CanOpenPort:
             mapping: Which object is which quantity.
             half_cycle_s: Half a line cycle.
             clock: Monotonic clock, in seconds.
+            stop_s: Longest time that the drive may take for a stop.
         """
         self._config = config
         self._mapping = mapping
@@ -73,6 +75,7 @@ class CanOpenPort:
         self._health = Health(self._control, self._master)
         self._sync = SyncProducer(half_cycle_s, clock, self._send_sync)
         self._half_cycle_s = half_cycle_s
+        self._obey_s = max(OBEY_S, stop_s)
         self._beat_s = -math.inf
         self._safe_s = math.inf
         self._been_up = False
@@ -277,7 +280,7 @@ class CanOpenPort:
     @property
     def _disobeyed(self) -> bool:
         """True if the drive is still energised long after it was commanded safe."""
-        return self._clock() - self._safe_s > OBEY_S and self._control.powered
+        return self._clock() - self._safe_s > self._obey_s and self._control.powered
 
     def _disable_lost(self) -> None:
         """Send the safe command, and no heartbeat, to a lost node that may still take it."""

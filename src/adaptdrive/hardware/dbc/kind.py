@@ -99,6 +99,7 @@ def _timing(configuration: Configuration) -> Timing:
         half_cycle_s=0.5 / configuration.drive.line_frequency_Hz,
         stale_s=configuration.interlocks.stale_s,
         voltage_parts=frozenset(needed_names(configuration.derived, voltage)),
+        stop_s=configuration.interlocks.stop_s,
     )
 
 

@@ -40,18 +40,20 @@ LONGEST_STALE_S = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Settings that determine the maximum age of a value.
+    """Settings that determine the maximum age of a value, and the longest stop.
 
     Attributes:
         half_cycle_s: Half a line cycle.
         stale_s: Oldest usable measurement, `interlocks.stale_s`.
         voltage_parts: Values of which the daemon's voltage loop makes its v_bst, itself among
             them; empty where the drive holds its own.
+        stop_s: Longest time that the drive may take for a stop, `interlocks.stop_s`.
     """
 
     half_cycle_s: float
     stale_s: float
     voltage_parts: frozenset[str]
+    stop_s: float = 0.0
 
     def feeds_voltage_loop(self, quantity: str) -> bool:
         """Return whether a quantity goes into the daemon's voltage loop as v_bst."""
@@ -104,6 +106,7 @@ class CanMapping:
         counter_modulus: Where the half-cycle counter wraps, None for a drive without one.
         bridge_on: Value of the signal while the bridge is on.
         fault_names: Value table of the fault word.
+        stop_s: Longest time that the drive may take for a stop.
     """
 
     statuses: tuple[StatusFrame, ...]
@@ -112,6 +115,7 @@ class CanMapping:
     counter_modulus: int | None
     bridge_on: float
     fault_names: Mapping[int, str]
+    stop_s: float
 
 
 _Sources = dict[str, list[CanSource]]
@@ -162,6 +166,7 @@ def map_drive(
         counter_modulus=_modulus(sources),
         bridge_on=bridge_on,
         fault_names=_names(sources, "fault"),
+        stop_s=timing.stop_s,
     )
 
 

@@ -121,6 +121,11 @@ class CanPort:
         """Time from one report of the bridge to the next, infinite where nothing states it."""
         return self._assembly.bridge_cycle_s
 
+    @property
+    def _report_s(self) -> float:
+        """Time from one report of the bridge to the next, 0 where nothing states it."""
+        return self.bridge_cycle_s if self.bridge_cycle_s < math.inf else 0.0
+
     def run(self, listener: Listener, opened: Callable[[], None]) -> Coroutine[Any, Any, None]:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
 
@@ -312,8 +317,9 @@ class CanPort:
     @property
     def _disobeyed(self) -> bool:
         """True in every other second of a drive that is energised long after the safe command."""
-        seconds = (self._clock() - self._safe_s) / OBEY_S
-        return self._assembly.powered and seconds >= 1.0 and int(seconds) % 2 == 1
+        obey_s = max(OBEY_S, self._mapping.stop_s + self._report_s)
+        seconds = (self._clock() - self._safe_s - obey_s) / OBEY_S
+        return self._assembly.powered and seconds >= 0.0 and int(seconds) % 2 == 0
 
     def _frame(self, order: CommandFrame, command: Command) -> can.Message:
         codec = order.codec

@@ -28,35 +28,36 @@ class Commander:
     def __init__(
         self,
         poll: Poll,
-        poll_s: float,
         sight: Sight,
         counts: Counter[str],
         clock: Callable[[], float],
+        stop_s: float,
     ) -> None:
         """Hold no command yet.
 
         Args:
             poll: Registers of the drive.
-            poll_s: Time between two polls, in s.
             sight: Freshness of what is known of the drive.
             counts: `sent`, `send_drops` and `withheld_commands` are counted here.
             clock: Monotonic clock, in s.
+            stop_s: Longest time that the drive may take for a stop, in s.
         """
         self._poll = poll
-        self._poll_s = poll_s
         self._counts = counts
         self._clock = clock
         self._command: Command | None = None
         self._written: Command | None = None
         self._withheld = False
         self._sight = sight
-        self._validity = CommandValidity(poll_s, sight, clock)
+        self._validity = CommandValidity(sight.poll_s, sight, clock)
         self._safe = False
         self._untaken = UntakenCommands()
         self._reported_s = -math.inf
         self._alive = 0
         self._stopped_s = math.inf
         self._begun_s = -math.inf
+        self._taken_s = OBEY_S + sight.poll_s
+        self._obeyed_s = max(self._taken_s, stop_s + sight.poll_s)
         self._tried_bridge = False
         self.bridge = False
         self.safe_s = math.inf
@@ -80,9 +81,10 @@ class Commander:
     @property
     def _disobeyed(self) -> bool:
         """True if the drive is still energised, or may be, long after it was commanded safe."""
-        due_s = self._clock() - (OBEY_S + self._poll_s)
-        on = self._validity.may_be_on and due_s > self._stopped_s
-        return on or (not self._safe and due_s > max(self._stopped_s, self._begun_s))
+        now_s = self._clock()
+        on = self._validity.may_be_on and now_s - self._stopped_s > self._obeyed_s
+        untaken_s = now_s - max(self._stopped_s, self._begun_s)
+        return on or (not self._safe and untaken_s > self._taken_s)
 
     @property
     def pending(self) -> bool:

@@ -34,7 +34,8 @@ def _build(
     bus, signals = _bus(configuration), configuration.signals
     half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
     poll = map_drive(bus, signals, half_cycle_s, source, demands_of(configuration))
-    return ModbusPort(bus, poll, bus.poll_ticks * half_cycle_s, clock)
+    stop_s = configuration.interlocks.stop_s
+    return ModbusPort(bus, poll, bus.poll_ticks * half_cycle_s, clock, stop_s)
 
 
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:

@@ -52,6 +52,7 @@ class ModbusPort:
         poll: Poll,
         poll_s: float,
         clock: Callable[[], float],
+        stop_s: float = 0.0,
     ) -> None:
         self._config = config
         self._serial = SerialPort(config) if isinstance(config, RtuLink) else None
@@ -62,7 +63,7 @@ class ModbusPort:
         limit_s = silence_limit_s(poll_s, on_for_certain_s(poll_s, config.command_timeout_s))
         look_s = look_limit_s(config.timeout_s, len(poll.writes))
         sight = Sight(poll.reports_bridge, poll_s, look_s, limit_s, clock)
-        self._commander = Commander(poll, poll_s, sight, self._counts, clock)
+        self._commander = Commander(poll, sight, self._counts, clock, stop_s)
         self._listener: Listener | None = None
         self._link: ModbusConnection | None = None
         self._wake = asyncio.Event()

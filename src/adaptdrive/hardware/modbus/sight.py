@@ -19,6 +19,7 @@ class Sight:
     A drive without such a report shows nothing, and is commanded all the same.
 
     Attributes:
+        poll_s: Time between two polls, in s.
         limit_s: Time after which a drive that takes no command may have stopped, in s.
     """
 
@@ -40,7 +41,7 @@ class Sight:
             clock: Monotonic clock, in s.
         """
         self._reported = reported
-        self.limit_s = limit_s
+        self.poll_s, self.limit_s = poll_s, limit_s
         self._look_s = look_s
         self._usual_s = _USUAL_POLLS * poll_s
         self._each_poll = limit_s >= poll_s  # joined now and then, commands would be far apart
