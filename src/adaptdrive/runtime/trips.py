@@ -198,8 +198,8 @@ TRIPS = (
         "`starting` had to wait for the rate of the half cycles for longer than "
         "`interlocks.precharge_timeout_s` (or the time in which a steady drive shows it), or than "
         "the `hold_s` of its `voltage`; nothing was energised",
-        "look for a gateway that repeats or loses frames; leave `signals.counter` out where it "
-        "does not count each half cycle",
+        "look for a gateway that repeats or loses frames, or sends four or more at once; leave "
+        "`signals.counter` out where it does not count each half cycle",
     ),
     Trip(
         r"^frame rate: ",
