@@ -133,3 +133,10 @@ def test_segments_in_each_others_place_are_a_problem(tmp_path: Path) -> None:
     first.write_bytes(second.read_bytes())
     second.write_bytes(kept)
     assert not verdict(tmp_path).whole
+
+
+def test_a_table_in_the_place_of_another_is_a_problem(tmp_path: Path) -> None:
+    record_in_two_parts(tmp_path)
+    shutil.copy(tmp_path / "ticks-0001.parquet", tmp_path / "slow-0001.parquet")
+    (found,) = verdict(tmp_path).problems[:1]
+    assert found.startswith("slow-0001.parquet: it is damaged, or of another table: controller is")

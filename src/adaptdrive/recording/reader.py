@@ -96,7 +96,7 @@ class Session:
         """
         schema = self._schema_of(table, columns)
         for segment in segments(self.path, table):
-            yield from _conformed(segment, schema)
+            yield from _rows(segment, schema)
 
     def ends(
         self, table: str, columns: Sequence[str]
@@ -127,21 +127,34 @@ class Session:
         return pa.Table.from_batches(list(self.batches(table)), self.schema(table))
 
 
-def _conformed(segment: Segment, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
-    for batch in segment.batches(schema.names):
-        if not set(batch.schema.names) & set(schema.names):
-            raise RecordingError(segment.path, "its columns are not those known here")
-        try:
-            conformed = conform(batch, schema)
-        except (pa.ArrowException, KeyError) as problem:  # of another type, or there twice
-            raise RecordingError(segment.path, f"a column is damaged: {problem}") from problem
-        if foreign := foreign_value(conformed):
-            raise RecordingError(segment.path, f"it is damaged, or of another table: {foreign}")
-        yield conformed
+def conformed(segment: Segment, batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
+    """Return rows of a segment as those of its table.
+
+    Args:
+        segment: The segment, for the text of an error.
+        batch: Rows of it.
+        schema: The columns wanted.
+
+    Raises:
+        RecordingError: They are damaged, or rows of another table.
+    """
+    if not set(batch.schema.names) & set(schema.names):
+        raise RecordingError(segment.path, "its columns are not those known here")
+    try:
+        rows = conform(batch, schema)
+    except (pa.ArrowException, KeyError) as problem:  # of another type, or there twice
+        raise RecordingError(segment.path, f"a column is damaged: {problem}") from problem
+    if foreign := foreign_value(rows):
+        raise RecordingError(segment.path, f"it is damaged, or of another table: {foreign}")
+    return rows
+
+
+def _rows(segment: Segment, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
+    return (conformed(segment, batch, schema) for batch in segment.batches(schema.names))
 
 
 def _filled(segment: Segment, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
-    return (batch for batch in _conformed(segment, schema) if batch.num_rows)
+    return (batch for batch in _rows(segment, schema) if batch.num_rows)
 
 
 def _last(batches: Iterator[pa.RecordBatch]) -> pa.RecordBatch | None:

@@ -14,10 +14,10 @@ import pyarrow as pa
 from adaptdrive.config.regular_file import require_regular
 from adaptdrive.errors import RecordingError, reason_of
 from adaptdrive.recording.event_log import count_rows
-from adaptdrive.recording.reader import Session
+from adaptdrive.recording.reader import Session, conformed
 from adaptdrive.recording.resume import KEYS, last_key
 from adaptdrive.recording.segments import Segment, segments
-from adaptdrive.recording.session import EVENTS_FILE, TICKS, Dropped
+from adaptdrive.recording.session import EVENTS_FILE, SLOW, TICKS, Dropped
 from adaptdrive.recording.streams import TORN
 from adaptdrive.recording.tick_times import EVERY_TICK
 
@@ -54,6 +54,8 @@ def verify(session: Session) -> Verification:
     for segment in segments(session.path):
         try:
             for batch in segment.batches(strict=True):
+                if segment.table in (TICKS, SLOW):  # the columns of sensors are the user's
+                    conformed(segment, batch, session.schema(segment.table))
                 count.take(segment, batch)
         except RecordingError as problem:
             problems.append(f"{segment.path.name}: {problem.problem}")
