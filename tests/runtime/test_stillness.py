@@ -78,6 +78,30 @@ def test_a_coarse_output_at_rest_is_believed_for_a_night_though_the_model_is_wro
     assert first_complaint(LIMITS, np.full(30_000, 2.0), voltages) == (math.inf, "")
 
 
+@pytest.mark.parametrize("levels", [[300.0, 200.0], [300.0, 400.0, 200.0]])
+def test_a_sensor_of_few_digits_is_believed_where_its_digit_is_known(levels: list[float]) -> None:
+    """With a digit of 4 % of the range, and a motor of three times the inertia of its model."""
+    voltages = np.repeat(levels, 2400)
+    outputs = np.round(response(voltages, 3.0) / 0.2) * 0.2
+    assert first_complaint(LIMITS, outputs, voltages)[0] < 60.0
+    assert first_complaint(replace(LIMITS, digit=0.2), outputs, voltages) == (math.inf, "")
+
+
+def test_a_frozen_sensor_is_noticed_after_twenty_digits_where_its_digit_is_known() -> None:
+    voltages = np.repeat([300.0, 380.0], [120, 3480])
+    moved = response(voltages) - response(voltages)[0]
+    due_s = float(np.argmax(moved > 20.0 * 0.02)) * TICK_s
+    when_s, _ = first_complaint(replace(LIMITS, digit=0.02), np.full(3600, 3.3), voltages)
+    assert when_s == pytest.approx(due_s, abs=0.02)
+
+
+def test_the_digit_is_the_resolution_of_the_configuration() -> None:
+    load = MOTOR.load.model_copy(update={"resolution": 0.02})
+    limits = stillness_limits(MOTOR.model_copy(update={"load": load}))
+    assert limits is not None
+    assert limits.digit == 0.02
+
+
 def test_a_change_of_one_digit_begins_anew() -> None:
     watch = Stillness(LIMITS, "output stands", "V")
     for number in range(12_000):

@@ -73,6 +73,7 @@ def stillness_limits(configuration: Configuration) -> StillnessLimits | None:
         longest_s=interlocks.stuck_s or math.inf,
         name=section.output_name,
         inputs=moved_inputs("output", configuration.derived),
+        digit=section.resolution,
     )
 
 

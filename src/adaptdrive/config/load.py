@@ -84,7 +84,8 @@ class LoadSection(Section):
         default=0.0,
         description="smallest step of the measured output, in its unit, such as 0.0049 of 10 bits "
         "over 5 V; what rounding to it errs counts as noise for `noise_V` and in the deviations of "
-        "the estimates; 0: found in the samples (`exact` and `lm-rls` only)",
+        "the estimates; 0: found in the samples (`exact` and `lm-rls` only). State it for a sensor "
+        "whose step is more than 1 % of the set-point range, also for `interlocks.stuck_distance`",
     )
     noise_V: NonNegativeFloat | None = Field(
         default=None,

@@ -74,7 +74,8 @@ class InterlocksSection(Section):
         le=1.0,
         description="trip when the output stands at exactly one value although the load model, fed "
         "with the change of the input since then, has it move by this share of the set-point "
-        "range; 0: never; not for a battery, which takes no current below its own voltage",
+        "range, and by twenty steps of `load.resolution`; 0: never; not for a battery, which takes "
+        "no current below its own voltage",
     )
     stuck_s: NonNegativeFloat = Field(
         default=0.0,

@@ -27,8 +27,8 @@ _DIGITS = 20.0
 on one digit while the input is already taking it elsewhere."""
 
 _COARSEST = 3.0
-"""Distances that a coarse value must have been moved by at the most: the smallest change that was
-seen may be larger than a digit."""
+"""Distances that a coarse value must have been moved by at the most, where its digit is not known:
+the smallest change that was seen may be larger than a digit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +45,7 @@ class StillnessLimits:
         longest_s: Longest time without any change, infinite for no limit.
         name: Name of the output, for the text of the trip.
         inputs: Names of the measured values that the output is derived from and the load moves.
+        digit: Last digit of the output where it is known, 0 where it is not.
     """
 
     unit: str
@@ -56,6 +57,7 @@ class StillnessLimits:
     longest_s: float
     name: str = "output"
     inputs: tuple[str, ...] = ()
+    digit: float = 0.0
 
 
 class StillnessWatch:
@@ -145,6 +147,8 @@ class Stillness:
     def _distance(self) -> float:
         """Predicted movement of which an honest value shows one digit at least."""
         distance = self._limits.distance
+        if self._limits.digit > 0.0:
+            return max(distance, _DIGITS * self._limits.digit)
         if self._digit == math.inf:  # it has never changed
             return distance
         return max(distance, min(_DIGITS * self._digit, _COARSEST * distance))
