@@ -293,6 +293,14 @@ def test_a_simulated_device_is_disturbed_by_the_digits_that_it_offers() -> None:
     assert reader.press("1") is None
 
 
+@pytest.mark.parametrize("key", ["+", "-"])
+def test_a_waveform_is_not_left_for_a_set_point_of_before_it(key: str) -> None:
+    wave = {"shape": "square", "low": 2.3, "high": 2.6, "period_s": 60.0}
+    record = live_record(Clock(), setpoint=3.9, waveform=wave)
+    assert KeyReader(record).press(key) is None
+    assert "a waveform runs" in record.answer
+
+
 def test_a_step_of_the_set_point_stays_in_its_range() -> None:
     record = live_record(Clock(), setpoint=3.99)
     assert KeyReader(record).press("+") == KeyCommand("setpoint", 4.0)

@@ -103,7 +103,14 @@ class KeyReader:
         return None
 
     def _step(self, sign: int) -> KeyCommand | None:
-        """Return a set-point that is one hundredth of the range away, within the range."""
+        """Return a set-point that is one hundredth of the range away, within the range.
+
+        During a waveform there is none: the set-point of the state is the one of before it, which
+        the load may have left by the whole range.
+        """
+        if self._record.state.get("waveform") is not None:
+            self._record.answer = "set-point: a waveform runs; + and - move a constant set-point"
+            return None
         limits = part(self._record.state, "limits").get("setpoint")
         if not isinstance(limits, list) or len(limits) != 2:
             return None
