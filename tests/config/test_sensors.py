@@ -160,9 +160,10 @@ def test_two_buses_need_two_names_and_two_lines() -> None:
     assert "a device_id for each register" in found["sensor_bus.1.device"]
 
 
-def test_a_line_of_the_drive_is_no_line_for_sensors() -> None:
+@pytest.mark.parametrize("line", ["thermo.tty", str(SOURCE.parent.absolute() / "thermo.tty")])
+def test_a_line_of_the_drive_is_no_line_for_sensors(line: str) -> None:
     rtu: dict[str, str | None] = {"bus__type": '"modbus-rtu"', "bus__host": None}
-    drive = modbus_documents.document(**rtu, bus__device='"thermo.tty"', signals__output=None)
+    drive = modbus_documents.document(**rtu, bus__device=f'"{line}"', signals__output=None)
     with pytest.raises(ConfigurationError) as caught:
         parse_configuration(drive + THERMOCOUPLES + DIFFERENCE, SOURCE)
     assert [flaw.place for flaw in caught.value.flaws] == ["sensor_bus.0.device"]

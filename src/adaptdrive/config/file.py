@@ -6,6 +6,7 @@ import os
 import select
 import stat
 import tomllib
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -18,6 +19,7 @@ from adaptdrive.config.load import LOAD_TYPES
 from adaptdrive.config.proposals import key_proposal
 from adaptdrive.config.root import Configuration, consistency_flaws
 from adaptdrive.config.section import INCONSISTENT, Section
+from adaptdrive.config.supply import line_flaws
 from adaptdrive.config.tables import shortened, valid_sections, value_flaws, without
 from adaptdrive.errors import ConfigurationError, Flaw
 
@@ -155,7 +157,7 @@ def _examine_values(tables: dict[str, Any], source: Path) -> Findings:
         configuration = _anchored(Configuration.model_validate(tables), source.parent)
     except ValidationError as problem:
         return _examine_sections(tables, problem, source)
-    return Findings(configuration, _ALL, _ALL, ())
+    return Findings(configuration, _ALL, _ALL, tuple(_placed_flaws(configuration, _ALL)))
 
 
 def _examine_sections(tables: dict[str, Any], problem: ValidationError, source: Path) -> Findings:
@@ -169,7 +171,14 @@ def _examine_sections(tables: dict[str, Any], problem: ValidationError, source: 
     whole = _anchored(Configuration.model_construct(None, **mended), source.parent)
     if not any(error["type"] == INCONSISTENT for error in errors):  # those are listed already
         flaws += consistency_flaws(whole, sound.keys())
+    flaws += _placed_flaws(whole, sound.keys())
     return Findings(whole, frozenset(sound), frozenset(mended), tuple(flaws))
+
+
+def _placed_flaws(whole: Configuration, sound: Collection[str]) -> Iterator[Flaw]:
+    """Yield what shows only where relative paths are taken from the folder of the file."""
+    if {"bus", "sensor_bus"}.issubset(sound):
+        yield from line_flaws(whole.bus, whole.sensor_bus)
 
 
 def _flaw(error: dict[str, Any]) -> Flaw:

@@ -102,7 +102,7 @@ def _pace_flaws(configuration: Configuration) -> Iterator[Flaw]:
 
 def _sensor_flaws(configuration: Configuration) -> Iterator[Flaw]:
     buses = configuration.sensor_bus
-    yield from supply_flaws(configuration.bus, configuration.signals, buses, configuration.derived)
+    yield from supply_flaws(configuration.signals, buses, configuration.derived)
     for number, bus in enumerate(buses):
         yield from sensor_flaws(bus, f"sensor_bus.{number}", configuration.load.period_s)
 

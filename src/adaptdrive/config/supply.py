@@ -21,7 +21,6 @@ _DRIVE = (*MEASURED, *WORDS, "heartbeat")
 
 
 def supply_flaws(
-    bus: Section,
     signals: Signals,
     buses: Sequence[AnySensorBus],
     derived: Mapping[str, Derived],
@@ -29,7 +28,6 @@ def supply_flaws(
     """Names that are given twice, needed and not given, or derived from nothing.
 
     Args:
-        bus: `[bus]`.
         signals: `[signals]`.
         buses: `[[sensor_bus]]`.
         derived: `[derived]`.
@@ -53,7 +51,6 @@ def supply_flaws(
                 yield Flaw(f"derived.{name}.of", f"no source gives {part!r}")
     yield from cycle_flaws(derived)
     yield from _name_flaws(buses)
-    yield from _line_flaws(bus, buses)
 
 
 def needed_names(derived: Mapping[str, Derived], names: Iterable[str] = MEASURED) -> set[str]:
@@ -139,17 +136,23 @@ def _name_flaws(buses: Sequence[AnySensorBus]) -> Iterator[Flaw]:
         seen.setdefault(bus.name, number)
 
 
-def _line_flaws(bus: Section, buses: Sequence[AnySensorBus]) -> Iterator[Flaw]:
-    """A serial line has one master."""
+def line_flaws(bus: Section, buses: Sequence[AnySensorBus]) -> Iterator[Flaw]:
+    """Yield the links on a serial line that another one has already: it has one master.
+
+    Args:
+        bus: `[bus]`, with its device from the folder of the file.
+        buses: `[[sensor_bus]]`, with theirs.
+    """
     links = [("bus", bus), *((f"sensor_bus.{number}", one) for number, one in enumerate(buses))]
     seen: dict[Path, str] = {}
     for place, link in links:
         if not isinstance(link, RtuLink):
             continue
-        if link.device in seen:
+        line = link.device.absolute()
+        if line in seen:
             yield Flaw(
                 f"{place}.device",
-                f"'{link.device}' is the line of {seen[link.device]} already; modules on one line "
-                "are one [[sensor_bus]], with a device_id for each register",
+                f"'{link.device}' is the line of {seen[line]} already; modules on one line are one "
+                "[[sensor_bus]], with a device_id for each register",
             )
-        seen.setdefault(link.device, place)
+        seen.setdefault(line, place)
