@@ -462,6 +462,21 @@ def test_a_letter_that_the_terminal_does_not_have_is_escaped(around: dict[str, s
     assert rb"2.2\u20264.4 V" in done.stdout
 
 
+@pytest.mark.parametrize("around", [{"PYTHONIOENCODING": "latin-1"}, C_LOCALE], ids=str)
+def test_a_path_is_printed_with_its_own_bytes(around: dict[str, str], tmp_path: Path) -> None:
+    """A script opens what a command has printed."""
+    place = tmp_path / os.fsdecode(b"caf\xe9")
+    place.mkdir()
+    folder = os.fsencode(place)
+    examples = Path(__file__).parents[2] / "deploy" / "examples"
+    for name in ("motor.toml", "adaptdrive.dbc"):
+        shutil.copy(examples / name, place)
+    words = [sys.executable, "-m", "adaptdrive.cli", "check", folder + b"/motor.toml"]
+    done = subprocess.run(words, capture_output=True, check=False, env=_environment() | around)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert folder + b"/motor.toml: drive motor is" in done.stdout
+
+
 @pytest.mark.parametrize(
     ("redirection", "problem"),
     [(">/dev/full", "No space left on device"), ("1</dev/null", "Bad file descriptor")],

@@ -18,6 +18,7 @@ _UNWRITTEN = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EPIPE, e
 _INPUT, _OUTPUT, _ERRORS = range(3)
 _FEWEST_COLUMNS = 20
 _HELP = {"--help", "-h"}
+_ESCAPES = "adaptdrive-escapes"
 
 
 def open_standard_files() -> None:
@@ -36,7 +37,8 @@ def open_standard_files() -> None:
         sys.stdout = _stream(_OUTPUT, "w", sys.stdout.encoding, sys.stdout.errors)
     if isinstance(sys.stdout, TextIOWrapper) and _refuses_letters(sys.stdout):
         # Latin-1 has no "…": what a terminal cannot show is escaped, as it is on standard error
-        sys.stdout.reconfigure(errors="backslashreplace")
+        codecs.register_error(_ESCAPES, _escaped)
+        sys.stdout.reconfigure(errors=_ESCAPES)
 
 
 def lay_out_help(arguments: Sequence[str]) -> None:
@@ -122,6 +124,14 @@ def _refuses_letters(stream: TextIO) -> bool:
     """Return whether a letter that its encoding lacks is an error, as in the C locale."""
     lacks_some = codecs.lookup(stream.encoding).name != "utf-8"
     return stream.errors == "strict" or (lacks_some and stream.errors == "surrogateescape")
+
+
+def _escaped(problem: UnicodeError) -> tuple[str | bytes, int]:
+    """Return the byte that a letter of a path stands for, an escape for any other letter."""
+    assert isinstance(problem, UnicodeEncodeError)  # noqa: S101 - what is printed is encoded
+    problem.end = problem.start + 1
+    kept = "\udc80" <= problem.object[problem.start] <= "\udcff"
+    return codecs.lookup_error("surrogateescape" if kept else "backslashreplace")(problem)
 
 
 def _is_open(number: int) -> bool:
