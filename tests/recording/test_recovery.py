@@ -24,7 +24,7 @@ import pytest
 from pyarrow import parquet as pq
 
 from adaptdrive.recording import streams
-from adaptdrive.recording.batches import Batch, Header, News, framed, read_frames
+from adaptdrive.recording.batches import Batch, Header, News, event_row, framed, read_frames
 from adaptdrive.recording.delivery import Delivery
 from adaptdrive.recording.reader import Session, read_session
 from adaptdrive.recording.repair import repair
@@ -41,7 +41,7 @@ from adaptdrive.recording.session import (
 from adaptdrive.recording.spool import Spool, left_spools, spool_path
 from adaptdrive.recording.verify import verify
 from adaptdrive.recording.writer import record
-from adaptdrive.runtime.reports import Severity
+from adaptdrive.runtime.reports import Event, Severity
 from tests.recording.material import INFO, make_batch, make_tick, record_messages, wait_until
 from tests.support import Process, children, slow_disk
 
@@ -206,6 +206,24 @@ def test_a_damaged_message_of_a_session_that_was_closed_is_no_loss(tmp_path: Pat
     assert not next_start(tmp_path)
     assert not left_spools(tmp_path)
     assert not list(tmp_path.glob("damaged*"))
+
+
+def test_an_event_behind_a_close_that_nobody_acknowledged_is_written(tmp_path: Path) -> None:
+    """The recorder process was killed once session.json said how the session ended."""
+    directory = create_session(NewSession(tmp_path, INFO, ""))
+    header = Header(INFO, "", str(tmp_path), str(directory))
+    ticks, closing = make_batch([make_tick(0), make_tick(1)]), make_batch([], last=True)
+    record_messages(directory, header, ticks, closing)
+    late = event_row(Event("bus", Severity.INFO, "late", 1), INFO.started, 50.0, 1)
+    after = msgspec.structs.replace(closing, events=[late])
+    spool_path(tmp_path, INFO).write_bytes(stream(header, closing, after))
+    assert not next_start(tmp_path)
+    session = read_session(directory)
+    assert [event.detail for event in session.events] == ["late"]
+    assert (session.info.ended, session.info.logged) == (Ending.ORDERLY, 1)
+    assert sequences(session) == [0, 1]
+    assert verify(session).whole
+    assert not left_spools(tmp_path)
 
 
 def test_a_spool_that_a_full_disk_kept_is_written_at_the_start_after(

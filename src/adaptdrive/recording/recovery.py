@@ -30,7 +30,7 @@ from adaptdrive.runtime.reports import Severity
 
 _LOOKS, _LOOK_S = 20, 0.05
 _UNFINISHED = {Ending.OPEN, Ending.LOST}
-"""Endings of a session that a spool may go on with: it was closed without one, if at all."""
+"""Endings of a session that lacks what is in its spool: it was closed without that, if at all."""
 
 
 def recover(own: Path, report: Report, housekeeper: Housekeeper) -> None:
@@ -110,20 +110,31 @@ def _write(
         The part that cannot be written, in words, empty for none; None where another recorder
         still writes the session.
     """
-    directory = _session_of(header)
+    directory, batches = _session_of(header), left.batches
     if directory is not None:
         ended = read_info(directory).ended
         if ended not in _UNFINISHED:
-            return ""
-        if left.batches and not _is_left(directory):
+            batches = _after_close(batches)
+            if not batches:
+                return ""
+        if batches and not _is_left(directory):
             return None
-        if left.batches and ended is Ending.LOST:
+        if batches and ended is Ending.LOST:
             _reopen(directory)
-    if left.batches:
+    if batches:
         name = "" if directory is None else str(directory)
         of_session = msgspec.structs.replace(header, directory=name)
-        _write_batches(open_session(of_session), left.batches)
+        _write_batches(open_session(of_session), batches)
     return left.damage
+
+
+def _after_close(batches: list[Batch]) -> list[Batch]:
+    """Return the batches after the one that closed a session: events of the last moment.
+
+    The recorder process may have been killed between the close and its acknowledgement.
+    """
+    closing = next((place for place, one in enumerate(batches, 1) if one.last), len(batches))
+    return batches[closing:]
 
 
 def _reopen(directory: Path) -> None:
