@@ -74,6 +74,9 @@ class CanPort:
         self._hears_all = hears_all
         self._clocking = next(one for one in mapping.statuses if one.codec.name == mapping.clock)
         self._stopping = bridge_first(mapping.orders)
+        report_s = self._assembly.bridge_cycle_s
+        known_s = report_s if report_s < math.inf else 0.0  # nothing may state it
+        self._obey_s = max(OBEY_S, mapping.stop_s + known_s)
         self._bridge_sent = False
         self._relink = Relink()
         self._leapt_s = -math.inf
@@ -120,11 +123,6 @@ class CanPort:
     def bridge_cycle_s(self) -> float:
         """Time from one report of the bridge to the next, infinite where nothing states it."""
         return self._assembly.bridge_cycle_s
-
-    @property
-    def _report_s(self) -> float:
-        """Time from one report of the bridge to the next, 0 where nothing states it."""
-        return self.bridge_cycle_s if self.bridge_cycle_s < math.inf else 0.0
 
     def run(self, listener: Listener, opened: Callable[[], None]) -> Coroutine[Any, Any, None]:
         """Open the bus, call `opened`, and serve it until cancelled; reconnect when it is lost.
@@ -317,8 +315,7 @@ class CanPort:
     @property
     def _disobeyed(self) -> bool:
         """True in every other second of a drive that is energised long after the safe command."""
-        obey_s = max(OBEY_S, self._mapping.stop_s + self._report_s)
-        seconds = (self._clock() - self._safe_s - obey_s) / OBEY_S
+        seconds = (self._clock() - self._safe_s - self._obey_s) / OBEY_S
         return self._assembly.powered and seconds >= 0.0 and int(seconds) % 2 == 0
 
     def _frame(self, order: CommandFrame, command: Command) -> can.Message:
