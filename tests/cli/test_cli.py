@@ -471,7 +471,8 @@ def test_a_path_is_printed_with_its_own_bytes(around: dict[str, str], tmp_path: 
     examples = Path(__file__).parents[2] / "deploy" / "examples"
     for name in ("motor.toml", "adaptdrive.dbc"):
         shutil.copy(examples / name, place)
-    words = [sys.executable, "-m", "adaptdrive.cli", "check", folder + b"/motor.toml"]
+    words: list[str | bytes] = [sys.executable, "-m", "adaptdrive.cli", "check"]
+    words += [folder + b"/motor.toml"]
     done = subprocess.run(words, capture_output=True, check=False, env=_environment() | around)
     assert (done.returncode, done.stderr) == (0, b"")
     assert folder + b"/motor.toml: drive motor is" in done.stdout
