@@ -206,6 +206,15 @@ async def test_a_retained_command_does_nothing(office: Office) -> None:
     assert office.host.done == []
 
 
+async def test_a_ping_that_nobody_waits_for_any_more_is_refused(office: Office) -> None:
+    expired = {"id": "p", "expires": (office.time.wall - timedelta(seconds=1.0)).isoformat()}
+    reply = await office.send("ping", expired)
+    assert not reply.accepted
+    assert reply.reason.startswith("expired at ")
+    for other in ("2099-01-01T00:00:00Z", "soon", 7, None):
+        assert (await office.send("ping", {"id": "p", "expires": other})).accepted
+
+
 async def test_a_ping_is_answered_and_neither_recorded_nor_remembered(office: Office) -> None:
     reply = await office.send("ping", {"id": "p"})
     assert reply == Reply("p", "ping", accepted=True, reason="", state=State.STANDBY)

@@ -28,9 +28,12 @@ _SURROGATE = re.compile("[\ud800-\udfff]")
 _ID = re.compile(r'"id"\s*:\s*("(?:[^"\\\x00-\x1f]|\\.)*")')
 
 
+_Expires = Annotated[datetime, msgspec.Meta(tz=True)] | None
+
+
 class _Envelope(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     id: Annotated[str, msgspec.Meta(min_length=1, max_length=LONGEST_ID)]
-    expires: Annotated[datetime, msgspec.Meta(tz=True)] | None = None
+    expires: _Expires = None
     user: Annotated[str, msgspec.Meta(max_length=LONGEST_USER)] | None = None
 
 
@@ -80,6 +83,14 @@ class Payload:
         """Name that the sender gives itself, unverified."""
         user = self._field("user")
         return user[:LONGEST_USER] if isinstance(user, str) and user.isprintable() else ""
+
+    @property
+    def expires(self) -> datetime | None:
+        """Time at which it ends, whatever else is wrong with it; None where none can be read."""
+        try:
+            return msgspec.convert(self._field("expires"), _Expires)
+        except (msgspec.ValidationError, UnicodeError):
+            return None
 
     def asked(self, verb: str) -> str | None:
         """Return the content of a command beside its verb, as JSON; None where it is malformed."""

@@ -154,6 +154,10 @@ class Desk:
         """Return the reply to a command that changes nothing and is not recorded."""
         if command.retained:
             return self._refused(command, payload, RETAINED)
+        try:
+            self._refuse_expired(payload.expires)
+        except RefusedError as problem:
+            return self._refused(command, payload, problem.reason)
         return replace(_refusal(command, payload), accepted=True, state=self._present_state())
 
     def _confirm(self, command: OperatorCommand, payload: Payload, state: State) -> Reply:

@@ -90,12 +90,19 @@ async def disturb(
 
 async def _expiry(client: Client, drive: str, topics: Topics, end_s: float) -> str:
     """Return the time at which a wait ends, by the clock of the drive where it is heard."""
-    now_s = asyncio.get_running_loop().time
-    ahead_s = await _clock_difference_s(client, topics, (end_s - now_s()) / 2.0)
+    patience_s = (end_s - asyncio.get_running_loop().time()) / 2.0
+    ahead_s = await _clock_difference_s(client, topics, patience_s)
     if ahead_s is None:
         ahead_s = 0.0
-        await _ask(client, drive, (topics.command(PING), topics.reply), {}, Reply)
-    return (datetime.now(UTC) + timedelta(seconds=end_s - now_s() + ahead_s)).isoformat()
+        ping = {"expires": _moment(end_s, ahead_s)}
+        await _ask(client, drive, (topics.command(PING), topics.reply), ping, Reply)
+    return _moment(end_s, ahead_s)
+
+
+def _moment(end_s: float, ahead_s: float) -> str:
+    """Return a time of the event loop by a clock that is ahead of that of this machine."""
+    left_s = end_s - asyncio.get_running_loop().time()
+    return (datetime.now(UTC) + timedelta(seconds=left_s + ahead_s)).isoformat()
 
 
 async def _clock_difference_s(client: Client, topics: Topics, patience_s: float) -> float | None:

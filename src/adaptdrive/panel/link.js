@@ -114,10 +114,9 @@ const Link = (() => {
    * @param {string} drive @param {string} verb @param {unknown} [value]
    * @returns {Promise<{accepted: boolean, text: string}>} what the daemon said, or that it did not */
   function ask(drive, verb, value) {
-    const now = clockMs(drive);
-    const lasting = verb === "disable" || verb === "ping"; // an old ping does nothing
-    if (!lasting && now === null) return Promise.resolve({ accepted: false, text: "not sent: the drive is not heard" });
-    const expires = lasting || now === null ? {} : { expires: new Date(now + 1000 * ANSWER_S).toISOString() };
+    const now = clockMs(drive) ?? (verb === "ping" ? Date.now() : null);
+    if (now === null && verb !== "disable") return Promise.resolve({ accepted: false, text: "not sent: the drive is not heard" });
+    const expires = verb === "disable" || now === null ? {} : { expires: new Date(now + 1000 * ANSWER_S).toISOString() };
     const content = { ...(value === undefined ? {} : { value }), ...expires };
     return request(Contract.command(drive, verb), content, verb === "disable");
   }
