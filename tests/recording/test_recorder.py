@@ -612,6 +612,24 @@ async def test_a_trip_is_kept_with_the_minute_before_it(sessions: Path) -> None:
     assert [event.kind for event in kept.events if event.kind == "trip"] == ["trip"]
 
 
+async def test_files_named_like_modules_in_the_working_folder_keep_nothing_from_being_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sessions, started = tmp_path / "sessions", tmp_path / "started"
+    code = f"open({str(started)!r}, 'a').write('x')\nraise OSError"
+    for name in ("inspect", "queue", "random", "select", "statistics", "struct", "matplotlib"):
+        (tmp_path / f"{name}.py").write_text(code)
+    monkeypatch.chdir(tmp_path)
+    async with recording(sessions) as bench:
+        await bench.publish_until(lambda: bench.rows() > 300 or started.exists())
+        bench.hub.publish(Event("trip", Severity.ALARM, "over-voltage: 431 V", bench.published))
+        await bench.publish_until(lambda: bool(trip_writers(sessions)) or started.exists())
+        await bench.stop()
+    assert not started.exists()
+    assert sequences(bench.session()) == list(range(bench.published))
+    assert trip_texts(bench.directory) == ["over-voltage: 431 V"]
+
+
 async def test_an_end_while_a_trip_is_written_loses_no_record(sessions: Path) -> None:
     async with recording(sessions) as bench:
         await bench.publish_until(lambda: bench.rows() > 300)

@@ -160,7 +160,7 @@ def draw(directory: Path) -> bool:
     """Draw the figure of a trip, where the libraries for that are installed."""
     if importlib.util.find_spec("matplotlib") is None:
         return False
-    command = [sys.executable, "-m", _FIGURE_MODULE, str(directory)]
+    command = [sys.executable, "-P", "-m", _FIGURE_MODULE, str(directory)]
     try:
         drawn = subprocess.run(  # noqa: S603 - this program itself
             command, capture_output=True, timeout=_FIGURE_PATIENCE_S, check=False

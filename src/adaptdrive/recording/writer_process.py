@@ -70,7 +70,8 @@ class WriterProcess:
         try:
             transport, _ = await asyncio.get_running_loop().subprocess_exec(
                 lambda: streams,
-                *(sys.executable, "-m", module, str(sessions), *words),
+                # -P: a file of the working folder, such as queue.py, is no module of this process.
+                *(sys.executable, "-P", "-m", module, str(sessions), *words),
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 stderr=asyncio.subprocess.PIPE,
