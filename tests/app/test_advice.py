@@ -199,6 +199,22 @@ def test_a_report_of_the_bridge_that_comes_too_seldom_is_named(
     assert [one.message[: len(words)] for one, words in zip(flaws, named, strict=True)] == named
 
 
+@pytest.mark.parametrize(
+    ("bridge", "named"),
+    [
+        ('"INV_STATE.STATE"', ["1 (Ready) alone means on, and 2 (Run), 3 (Fault) that the bridge"]),
+        ('{ signal = "INV_STATE.STATE", on = 1 }', []),
+    ],
+)
+def test_a_bridge_of_several_states_of_which_none_is_chosen_is_named(
+    bridge: str, named: list[str]
+) -> None:
+    chosen = 'bridge = { signal = "INV_STATE.STATE", on = "Run" }'
+    flaws = found("motor-inverter.toml", chosen, f"bridge = {bridge}")
+    assert [flaw.place for flaw in flaws] == ["signals.bridge.on"] * len(named)
+    assert all(words in flaw.message for flaw, words in zip(flaws, named, strict=True))
+
+
 def test_check_warns_and_accepts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = (EXAMPLES / "motor.toml").read_text(encoding="utf-8")
     (tmp_path / "adaptdrive.dbc").write_bytes((EXAMPLES / "adaptdrive.dbc").read_bytes())
