@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import re
@@ -129,6 +130,20 @@ def test_a_fifo_in_a_session_hangs_nothing_and_hides_no_other(tmp_path: Path, na
     listed = run(state, "sessions", "list")
     assert NAME in listed.stdout
     assert "Traceback" not in listed.stderr
+
+
+def test_what_a_killed_daemon_has_left_unwritten_is_named(tmp_path: Path) -> None:
+    state = recorded(tmp_path, Dropped())
+    left = state / "sessions" / ".unwritten-20261122T012209000000Z_motor"
+    left.write_bytes(b"rows")
+    answer = run(state, "sessions", "verify")
+    assert answer.returncode == 1
+    assert f"{left.name}: data and events that the next start" in answer.stderr
+    with left.open("rb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)  # as the daemon does that still writes it
+        assert run(state, "sessions", "verify").returncode == 0
+    left.write_bytes(b"")
+    assert run(state, "sessions", "verify").returncode == 0
 
 
 def test_ticks_lost_at_the_end_are_missing_in_whichever_session(state: Path) -> None:

@@ -133,11 +133,12 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
         as_json: Print JSON.
 
     Returns:
-        0 when nothing is damaged and nothing is missing, else 1.
+        0 when nothing is damaged, nothing is missing and nothing waits to be written, else 1.
     """
     from adaptdrive.errors import RecordingError, escaped  # noqa: PLC0415 - see above
     from adaptdrive.recording.reader import read_session  # noqa: PLC0415
     from adaptdrive.recording.session import recorded_directories  # noqa: PLC0415
+    from adaptdrive.recording.spool import waiting_spools  # noqa: PLC0415
     from adaptdrive.recording.verify import Verification  # noqa: PLC0415
     from adaptdrive.recording.verify import verify as verify_session  # noqa: PLC0415
 
@@ -145,6 +146,10 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
     verdicts: dict[str, object] = {}
     named = [(name, _find(name, directory)) for name in sessions]
     found = named or [(path.name, path) for path in recorded_directories(_folder(directory))]
+    for waiting in () if sessions else waiting_spools(_folder(directory)):
+        status = 1
+        text = f"{waiting.name}: data and events that the next start of the daemon writes"
+        print(f"adaptdrive: {text} into their session", file=sys.stderr)
     for name, path in found:
         try:
             verdict = verify_session(read_session(path))

@@ -39,6 +39,28 @@ def left_spools(sessions: Path) -> list[Path]:
     return sorted(sessions.glob(f"{_PREFIX}*"))
 
 
+def waiting_spools(sessions: Path) -> list[Path]:
+    """Return the spools with contents whose control process has ended: the next start writes them.
+
+    Args:
+        sessions: Folder of all sessions.
+    """
+    return [path for path in left_spools(sessions) if _waits(path)]
+
+
+def _waits(path: Path) -> bool:
+    try:
+        if not path.is_file() or not path.stat().st_size:
+            return False
+        with path.open("rb") as source:
+            fcntl.flock(source, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except (FileNotFoundError, BlockingIOError):
+        return False
+    except OSError:
+        return True
+    return True
+
+
 class Spool:
     """Appends messages to a file, and empties it when they are written elsewhere.
 
