@@ -14,6 +14,10 @@ TICK_S = 2.0**-7
 STOPPED = "drive stopped: its bridge is off although it was commanded on"
 
 
+def never_on(half_cycles: int) -> str:
+    return f"{STOPPED}; it has not come on within {half_cycles * 1e3 * TICK_S:.0f} ms"
+
+
 class Seen:
     """A drive whose bridge is looked at."""
 
@@ -80,7 +84,7 @@ def test_a_bridge_has_thirty_half_cycles_and_three_readings(
     assert not seen.look(0.0, bridge=False)
     assert not seen.look(last, bridge=False)
     assert seen.look(last + 1.5e-6 / TICK_S, bridge=False)
-    assert seen.cause == STOPPED
+    assert seen.cause == never_on(max(30, 3 * ticks_per_reading))
 
 
 def test_a_bridge_that_need_not_be_on_begins_anew() -> None:
@@ -229,7 +233,7 @@ def test_no_time_is_named_in_which_a_bridge_has_not_come_on() -> None:
     seen.look(0.0, bridge=False)
     seen.look(14.0, bridge=False, old=14.0)
     assert seen.look(45.0, bridge=False)
-    assert seen.cause == STOPPED
+    assert seen.cause == never_on(30)
 
 
 def test_a_time_unwatched_of_a_drive_that_was_off_is_none_of_the_next_command() -> None:

@@ -130,7 +130,8 @@ def test_a_bridge_has_to_be_on_where_it_was_commanded_in_a_run(
     for number in range(60):
         now_s = START_S + number * TICK_S
         causes.append(cause_of(of, now_s, running=running, bridge=bridge))
-    stopped = "drive stopped: its bridge is off although it was commanded on"
+    stopped = "drive stopped: its bridge is off although it was commanded on; it has not come on"
+    stopped += f" within {30e3 * TICK_S:.0f} ms"
     assert causes[-1] == (stopped if running and bridge else None)
 
 

@@ -102,7 +102,7 @@ class BridgeWatch:
             return None
         return (
             "drive stopped: its bridge is off although it was commanded on"
-            f"{self._unwatched if self._been_on else ''}"
+            f"{self._unwatched if self._been_on else self._never_on}"
         )
 
     @property
@@ -160,6 +160,11 @@ class BridgeWatch:
         if self._off_s is None:
             self._off_s = max(reported_s, self._due_s) - self._reading_s
         return reported_s - self._off_s > self._grace_s + _SLACK_S
+
+    @property
+    def _never_on(self) -> str:
+        """What a drive has not done that may just take longer, for the text of the trip."""
+        return f"; it has not come on within {self._grace_s * 1e3:.0f} ms"
 
     @property
     def _unwatched(self) -> str:

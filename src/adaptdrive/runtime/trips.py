@@ -297,8 +297,9 @@ TRIPS = (
         r"^drive stopped: ",
         "drive stopped: its bridge is off although it was commanded on",
         "the drive has reported its bridge off after it had reported it on, or had not reported it "
-        "on within 30 ticks (three readings where they are longer). Within that time a contact may "
-        "bounce: the first report of off only holds the next command back, the second in a row "
+        "on within 30 ticks (three readings where they are longer): the text then ends with *it "
+        "has not come on within 300 ms*. Within that time a contact may bounce: the first report "
+        "of off only holds the next command back, the second in a row "
         "trips. The text names what hid the stop: how long the daemon did not run or nothing was "
         "heard of the drive, in ms; a read without an answer, polls without a reading or refused "
         "values (Modbus); a lost bus; an alive counter that leapt (CAN). A Modbus drive without a "
@@ -309,7 +310,8 @@ TRIPS = (
         "readings, or cycles of its message, where they are longer; four fifths of "
         "`bus.command_timeout_s`, or that less one reading, where they are shorter) a drive that "
         "reports its bridge gets no command until its next report, which it must send within its "
-        "own time-out",
+        "own time-out; where it has not come on: does it obey (remote mode, checksum), and does it "
+        "switch on in that time?",
     ),
     Trip(
         r"^another sender commands this drive: ",
