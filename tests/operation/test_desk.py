@@ -207,8 +207,8 @@ async def test_a_retained_command_does_nothing(office: Office) -> None:
 
 
 async def test_a_ping_that_nobody_waits_for_any_more_is_refused(office: Office) -> None:
-    expired = {"id": "p", "expires": (office.time.wall - timedelta(seconds=1.0)).isoformat()}
-    reply = await office.send("ping", expired)
+    expired = office.time.wall - timedelta(seconds=1.0)
+    reply = await office.send("ping", {"id": "p", "expires": expired.isoformat()})
     assert not reply.accepted
     assert reply.reason.startswith("expired at ")
     for other in ("2099-01-01T00:00:00Z", "soon", 7, None):

@@ -88,9 +88,10 @@ class Payload:
     def expires(self) -> datetime | None:
         """Time at which it ends, whatever else is wrong with it; None where none can be read."""
         try:
-            return msgspec.convert(self._field("expires"), _Expires)
+            expires: datetime | None = msgspec.convert(self._field("expires"), _Expires)
         except (msgspec.ValidationError, UnicodeError):
             return None
+        return expires
 
     def asked(self, verb: str) -> str | None:
         """Return the content of a command beside its verb, as JSON; None where it is malformed."""

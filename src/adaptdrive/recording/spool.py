@@ -54,8 +54,8 @@ def _waits(path: Path) -> bool:
             return False
         with path.open("rb") as source:
             fcntl.flock(source, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except (FileNotFoundError, BlockingIOError):
-        return False
+    except (FileNotFoundError, BlockingIOError, PermissionError):
+        return False  # of one that may not be read nothing is known, such as that of a daemon
     except OSError:
         return True
     return True
