@@ -163,7 +163,7 @@ class BridgeWatch:
 
     @property
     def _never_on(self) -> str:
-        """What a drive has not done that may just take longer, for the text of the trip."""
+        """The time in which a drive has not come on, which may just take longer, for that text."""
         return f"; it has not come on within {self._grace_s * 1e3:.0f} ms"
 
     @property
