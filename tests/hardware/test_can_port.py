@@ -3,7 +3,7 @@ import itertools
 import math
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -1298,6 +1298,20 @@ def seldom_reported(config: CanBus, folder: Path, clock: Clock, changes: Changes
     return port
 
 
+async def safe_commands(
+    port: CanPort, drive: Drive, ear: Ear, clock: Clock, moments_s: Sequence[float]
+) -> list[bool]:
+    """Whether each safe command was sent to a drive that stays on, by the time since the first."""
+    drive.send_both()
+    await ear.hears(1)
+    port.send(COMMAND)
+    stopped_s, sent = clock.now_s, []
+    for moment_s in moments_s:
+        clock.now_s = stopped_s + moment_s
+        sent.append(port.send(SAFE_COMMAND))
+    return sent
+
+
 @pytest.mark.parametrize("changes", [(3.0, 8), (0.5, 2000)])
 async def test_a_drive_whose_stop_may_take_long_hears_the_safe_command_meanwhile(
     config: CanBus, drive: Drive, clock: Clock, tmp_path: Path, changes: Changes
@@ -1305,14 +1319,7 @@ async def test_a_drive_whose_stop_may_take_long_hears_the_safe_command_meanwhile
     """Its own time-out would end a stop as a fault; so it would where the report comes seldom."""
     port, ear = seldom_reported(config, tmp_path, clock, changes), Ear()
     async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
-        port.send(COMMAND)
-        stopped_s = clock.now_s
-        sent = [port.send(SAFE_COMMAND)]
-        for seconds in (1.1, 1.9, 2.4, 3.1, 4.1):
-            clock.now_s = stopped_s + seconds
-            sent.append(port.send(SAFE_COMMAND))
+        sent = await safe_commands(port, drive, ear, clock, (0.0, 1.1, 1.9, 2.4, 3.1, 4.1))
     assert sent == [True, True, True, True, False, True]
 
 
@@ -1321,14 +1328,7 @@ async def test_a_drive_that_does_not_obey_the_safe_command_hears_nothing_every_o
 ) -> None:
     """Silence lets its own time-out switch it off; what it may have missed is said again."""
     async with running(port, ear):
-        drive.send_both()
-        await ear.hears(1)
-        port.send(COMMAND)
-        stopped_s = clock.now_s
-        sent = [port.send(SAFE_COMMAND)]
-        for seconds in (0.9, 1.1, 1.9, 2.1, 2.9, 3.1):
-            clock.now_s = stopped_s + seconds
-            sent.append(port.send(SAFE_COMMAND))
+        sent = await safe_commands(port, drive, ear, clock, (0.0, 0.9, 1.1, 1.9, 2.1, 2.9, 3.1))
         assert sent == [True, True, False, False, True, True, False]
         assert port.send(COMMAND)
         assert port.send(SAFE_COMMAND)

@@ -49,7 +49,7 @@ async def commands(broker: Broker, drive: str) -> AsyncIterator[Heard]:
 async def mute_drive(broker: Broker, drive: str, ahead: timedelta) -> AsyncIterator[Heard]:
     """A drive that publishes telemetry and answers nothing."""
 
-    async def tell() -> None:
+    async def publish() -> None:
         async with SteadyClient(broker.host, broker.port) as client:
             while True:
                 time = (datetime.now(UTC) + ahead).isoformat()
@@ -58,12 +58,12 @@ async def mute_drive(broker: Broker, drive: str, ahead: timedelta) -> AsyncItera
                 await asyncio.sleep(0.02)
 
     async with commands(broker, drive) as heard:
-        telling = asyncio.create_task(tell())
+        publishing = asyncio.create_task(publish())
         try:
             yield heard
         finally:
-            telling.cancel()
-            await asyncio.wait([telling])
+            publishing.cancel()
+            await asyncio.wait([publishing])
 
 
 async def ask(

@@ -171,12 +171,12 @@ def test_a_spool_that_breaks_off_gives_its_whole_messages(tmp_path: Path, tail: 
     batches = [make_batch([make_tick(number)]) for number in range(3)]
     path = spool_path(tmp_path, INFO)
     path.write_bytes(stream(header, *batches) + tail)
-    told = next_start(tmp_path)
+    reports = next_start(tmp_path)
     session = recorded(tmp_path)
     assert sequences(session) == [0, 1, 2]
     assert session.info.ended is Ending.LOST
     assert session.config_text == "# as configured\n"
-    assert any(session.path.name in sentence for sentence in told)
+    assert any(session.path.name in sentence for sentence in reports)
     assert not left_spools(tmp_path)
 
 

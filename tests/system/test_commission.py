@@ -100,9 +100,9 @@ def test_a_disable_ends_it_and_a_second_one_does_not(site: Site) -> None:
     process = commission(site)
     site.await_state(patience_s=BEGIN_S, state="running", mode="manual")
     second = commission(site)
-    told, _ = second.communicate(timeout=LONGEST_S)
+    refusal, _ = second.communicate(timeout=LONGEST_S)
     assert second.returncode == 1
-    assert f"motor is already commissioned by process {process.pid}" in told
+    assert f"motor is already commissioned by process {process.pid}" in refusal
     assert site.state["state"] == "running"
     site.demand("disable")
     output, _ = process.communicate(timeout=LONGEST_S)

@@ -43,9 +43,9 @@ async def send_command(
 ) -> Reply:
     """Send one command and wait for the reply to it; it expires when the wait ends.
 
-    A `disable` never expires. The time is by the clock of the drive, which its telemetry tells. A
-    drive that publishes none is asked for an answer first, and without one the command is not
-    sent: it may wait on a network that stands still, and the sender's clock may be ahead.
+    A `disable` never expires. The time is by the clock of the drive, taken from its telemetry. A
+    drive without telemetry gets a `ping` first, and the command only after the reply to that: a
+    network that stands still could deliver the command late, and the sender's clock may be ahead.
 
     Args:
         broker: Where the broker is.
@@ -93,13 +93,12 @@ async def _expiry(client: Client, drive: str, topics: Topics, end_s: float) -> s
     patience_s = (end_s - asyncio.get_running_loop().time()) / 2.0
     ahead_s = await _clock_difference_s(client, topics, patience_s)
     if ahead_s is None:
-        ahead_s = 0.0
-        ping = {"expires": _moment(end_s, ahead_s)}
+        ping = {"expires": _moment(end_s)}
         await _ask(client, drive, (topics.command(PING), topics.reply), ping, Reply)
-    return _moment(end_s, ahead_s)
+    return _moment(end_s, ahead_s or 0.0)
 
 
-def _moment(end_s: float, ahead_s: float) -> str:
+def _moment(end_s: float, ahead_s: float = 0.0) -> str:
     """Return a time of the event loop by a clock that is ahead of that of this machine."""
     left_s = end_s - asyncio.get_running_loop().time()
     return (datetime.now(UTC) + timedelta(seconds=left_s + ahead_s)).isoformat()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ from adaptdrive.recording.session import (
     write_info,
 )
 from adaptdrive.recording.session_writer import Report, SessionWriter
-from adaptdrive.recording.spool import left_spools
+from adaptdrive.recording.spool import is_free, left_spools
 from adaptdrive.runtime.reports import Severity
 
 _LOOKS, _LOOK_S = 20, 0.05
@@ -53,7 +52,7 @@ def recover(own: Path, report: Report, housekeeper: Housekeeper) -> None:
 
 def _recover(path: Path, report: Report, housekeeper: Housekeeper) -> None:
     with path.open("rb") as source:
-        if not _is_free(source):
+        if not is_free(source):
             return
         left = _read(source)
         if left.header is None:
@@ -80,7 +79,7 @@ def left_batches(path: Path) -> list[Batch] | None:
     try:
         with path.open("rb") as source:
             for _ in range(_LOOKS):  # its files are closed one after another
-                if _is_free(source):
+                if is_free(source):
                     left = _read(source)
                     return None if left.damage else left.batches
                 time.sleep(_LOOK_S)
@@ -89,14 +88,6 @@ def left_batches(path: Path) -> list[Batch] | None:
     except OSError:
         return None
     return None
-
-
-def _is_free(source: BinaryIO) -> bool:
-    try:
-        fcntl.flock(source, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
 
 
 def _write(

@@ -16,6 +16,7 @@ import queue
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import BinaryIO
 
 from adaptdrive.recording.session import SessionInfo, time_in_name
 
@@ -53,11 +54,24 @@ def _waits(path: Path) -> bool:
         if not path.is_file() or not path.stat().st_size:
             return False
         with path.open("rb") as source:
-            fcntl.flock(source, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except (FileNotFoundError, BlockingIOError, PermissionError):
+            return is_free(source, fcntl.LOCK_SH)  # shared: two may look at once
+    except (FileNotFoundError, PermissionError):
         return False  # of one that may not be read nothing is known, such as that of a daemon
     except OSError:
         return True
+
+
+def is_free(source: BinaryIO, lock: int = fcntl.LOCK_EX) -> bool:
+    """Take the lock of a spool until it is closed; False where another process has it.
+
+    Args:
+        source: The spool.
+        lock: Kind of the lock, as for `flock`.
+    """
+    try:
+        fcntl.flock(source, lock | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
     return True
 
 

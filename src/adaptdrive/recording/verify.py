@@ -53,9 +53,11 @@ def verify(session: Session) -> Verification:
     count = _Count(session.first_sequence)
     for segment in segments(session.path):
         try:
+            # the columns of sensors are the user's
+            schema = session.schema(segment.table) if segment.table in (TICKS, SLOW) else None
             for batch in segment.batches(strict=True):
-                if segment.table in (TICKS, SLOW):  # the columns of sensors are the user's
-                    conformed(segment, batch, session.schema(segment.table))
+                if schema is not None:
+                    conformed(segment, batch, schema)
                 count.take(segment, batch)
         except RecordingError as problem:
             problems.append(f"{segment.path.name}: {problem.problem}")

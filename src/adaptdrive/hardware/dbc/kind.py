@@ -17,7 +17,7 @@ from adaptdrive.hardware.dbc.mapping import CanSource, Timing, map_drive
 from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.dbc.sensors import build_can_sensors
 from adaptdrive.hardware.demands import demands_of
-from adaptdrive.hardware.link.layout import compile_field
+from adaptdrive.hardware.link.layout import SignalField, compile_field
 from adaptdrive.hardware.port import Port
 from adaptdrive.hardware.relink import on_for_certain_s, silence_limit_s
 
@@ -79,7 +79,8 @@ def _state_cautions(bridge: SwitchSource | None, signal: Signal) -> Iterator[Fla
     if bridge is None or bridge.on is not None:
         return
     names = {int(raw): str(name) for raw, name in (signal.choices or {}).items()}
-    others = [f"{raw} ({names[raw]})" for raw in sorted(names) if _is_report(signal, raw)]
+    field = compile_field(signal, state=True)
+    others = [f"{raw} ({names[raw]})" for raw in sorted(names) if _is_other_state(field, raw)]
     if others:
         on = f"1 ({names[1]})" if 1 in names else "1"
         off = f"{', '.join(others)} that the bridge is off, which confirms a stop"
@@ -87,10 +88,10 @@ def _state_cautions(bridge: SwitchSource | None, signal: Signal) -> Iterator[Fla
         yield Flaw("signals.bridge.on", problem)
 
 
-def _is_report(signal: Signal, raw: int) -> bool:
-    """Return whether a state beside 0 and 1 is taken for a report of the bridge."""
+def _is_other_state(field: SignalField, raw: int) -> bool:
+    """Return whether a value other than 0 and 1 is accepted as a report of the bridge."""
     try:
-        return raw == compile_field(signal, state=True).raw(raw) and raw not in (0, 1)
+        return raw == field.raw(raw) and raw not in (0, 1)
     except ValueError:
         return False
 
