@@ -4,11 +4,17 @@
 PYTHON ?= python3
 MINUTES ?= 1
 EXTRAS := sim,canopen,analysis,export,cluster,dev
+DEMO_EXTRAS := sim,analysis
+, := ,
 
 venv := .venv
 bin := $(venv)/bin
-# The stamp's name follows the content of both files: an unchanged checkout never reinstalls.
-installed := $(venv)/.installed-$(firstword $(shell cat pyproject.toml constraints.txt | cksum))
+# The stamps' names follow the content of both files, and a Python that was asked for: an unchanged
+# checkout never reinstalls.
+asked := $(if $(filter file,$(origin PYTHON)),,$(shell $(PYTHON) -V 2>&1))
+inputs := $(firstword $(shell { cat pyproject.toml constraints.txt; echo '$(asked)'; } | cksum))
+installed := $(venv)/.installed-$(inputs)
+demonstrable := $(or $(wildcard $(installed)),$(venv)/.demo-$(inputs))
 
 # Without a cache of bytecode each of the processes that the tests start compiles the sources again.
 unexport PYTHONDONTWRITEBYTECODE
@@ -18,8 +24,9 @@ unexport PYTHONDONTWRITEBYTECODE
 help:
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 20
 
-demo: $(installed) ## watch the motor being held while disks drop onto its shaft
-	$(bin)/adaptdrive-sim demo motor
+demo: $(demonstrable) ## watch the motor being held while disks drop onto its shaft
+	@echo "2 of 3: starting a broker, a simulated drive and the daemon, some seconds"
+	@$(bin)/adaptdrive-sim demo motor
 
 test: $(installed) ## run the whole test suite
 	@tests/install-peers
@@ -85,9 +92,23 @@ clean: ## remove what was built and cached; the environment in .venv stays
 	rm -rf build dist .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
 	find src simulators tests -name __pycache__ -prune -exec rm -rf {} +
 
+# What is named here is what the Python of the user, however old, can read.
+new_enough := import sys; sys.version_info >= (3, 11) or sys.exit("$(PYTHON) is Python %d.%d, and 3.11 or newer is needed: make PYTHON=python3.11 ..." % sys.version_info[:2])
+usable := import pip, sys; sys.exit(sys.version_info < (3, 11) or "$(asked)" not in ("", "Python " + sys.version.split()[0]))
+
+define install # of extras, which are so many packages
+	@$(PYTHON) -c '$(new_enough)'
+	@echo "1 of 3: installing $(2), once"
+	@$(bin)/python -c '$(usable)' 2>/dev/null || { rm -rf $(venv); $(PYTHON) -m venv $(venv); }
+	@$(bin)/python -m pip install $$(test -t 1 || echo --quiet) --disable-pip-version-check \
+	  --constraint constraints.txt --editable '.[$(1)]'
+	@rm -rf $(venv)/lib/python*/site-packages/adaptdrive_sim # a copy, which would hide the source
+	@rm -f $(venv)/.installed-* $(venv)/.demo-*
+	@touch $@
+endef
+
 $(installed):
-	test -x $(bin)/python || $(PYTHON) -m venv $(venv)
-	$(bin)/python -m pip install --quiet --constraint constraints.txt --editable '.[$(EXTRAS)]'
-	rm -rf $(venv)/lib/python*/site-packages/adaptdrive_sim # a copy, which would hide the source
-	rm -f $(venv)/.installed-*
-	touch $@
+	$(call install,$(EXTRAS),$(words $(shell grep == constraints.txt)) packages$(,) several minutes)
+
+$(venv)/.demo-$(inputs):
+	$(call install,$(DEMO_EXTRAS),61 packages$(,) about two minutes)

@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
@@ -41,10 +42,14 @@ def state(tmp_path: Path) -> Path:
 
 
 def recorded(tmp_path: Path, dropped: Dropped) -> Path:
-    directory = create_session(NewSession(tmp_path / "sessions", INFO, ""))
     event = EventRow(INFO.started, 7, "trip", "alarm", "over-voltage: 431 V", 1.0, 1)
+    return recorded_events(tmp_path, dropped, [event])
+
+
+def recorded_events(tmp_path: Path, dropped: Dropped, events: list[EventRow]) -> Path:
+    directory = create_session(NewSession(tmp_path / "sessions", INFO, ""))
     ticks = make_batch([make_tick(number) for number in range(1000)])
-    last = Batch(0, {}, [], [event], dropped, last=True)
+    last = Batch(0, {}, [], events, dropped, last=True)
     record_messages(directory, Header(INFO, ""), ticks, last)
     return tmp_path
 
@@ -211,6 +216,19 @@ def test_events_of_the_last_session_are_shown(state: Path) -> None:
     answer = run(state, "events", "--kind", "trip")
     assert "alarm    trip         over-voltage: 431 V" in answer.stdout
     assert run(state, "events", "--kind", "mode").stdout == ""
+
+
+def test_counts_of_late_ticks_hide_no_trip(tmp_path: Path) -> None:
+    times = [INFO.started + timedelta(minutes=number) for number in range(4)]
+    kinds = ("latency", "trip", "latency", "latency")
+    rows = [
+        EventRow(time, 7, kind, "warning", f"number {k}", 1.0, k + 1)
+        for k, (time, kind) in enumerate(zip(times, kinds, strict=True))
+    ]
+    state = recorded_events(tmp_path, Dropped(), rows)
+    shown = run(state, "events").stdout.splitlines()
+    assert [line.rpartition(" ")[2] for line in shown] == ["1", "3"]
+    assert run(state, "events", "--kind", "latency").stdout.count("\n") == 3
 
 
 def test_an_unknown_kind_of_event_is_refused_with_the_known_ones(state: Path) -> None:

@@ -115,6 +115,16 @@ def test_a_drive_that_has_not_confirmed_its_stop_is_not_shown_as_off(stop: str, 
     assert words in "\n".join(shown(live_record(Clock(), state="standby", stop=stop)))
 
 
+def test_one_count_of_late_ticks_is_shown_and_pushes_no_trip_away() -> None:
+    record = live_record(Clock())
+    record.take("event", {"kind": "trip", "detail": "over-voltage", "severity": "alarm"})
+    for number in range(100):
+        record.take("event", {"kind": "latency", "detail": f"late {number}"})
+    kept = [event["kind"] for event in record.events]
+    assert kept[-2:] == ["trip", "latency"]
+    assert kept.count("latency") == 1
+
+
 def test_old_data_are_unmistakable() -> None:
     clock = Clock()
     record = live_record(clock)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 if TYPE_CHECKING:  # `--help` reads no recordings
+    from adaptdrive.recording.batches import EventRow
     from adaptdrive.recording.verify import Verification
 
 app = App(name="sessions")
@@ -230,11 +231,17 @@ def events(
     if as_json:
         _print_json(found)
         return 0
-    for one in found:
+    for one in found if kind else _shown(found):
         print(f"{one.time.isoformat()}  {one.severity:<8} {one.kind:<12} {one.detail}")
         if one.kind == "trip" and (steps := remedy(one.detail)):
             print(f"{'':<34}{'':<8} {'remedy':<12} {steps}")
     return 0
+
+
+def _shown(events: list[EventRow]) -> list[EventRow]:
+    """Return the events with the last count of late ticks alone: there is one in each minute."""
+    counts = [one for one in events if one.kind == "latency"]
+    return [one for one in events if one not in counts[:-1]]
 
 
 def _condition(verdict: Verification) -> str:

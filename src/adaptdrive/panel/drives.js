@@ -4,6 +4,7 @@
 const Drives = (() => {
   const SLOW_ROWS = 4000; // an hour of one message a second, and some more
   const EVENTS = 200;
+  const COUNT = "latency"; // of late ticks: only the last one is shown
   const MOST_DRIVES = 500;
   const STALE_S = 3; // telemetry/drive comes at least once a second
 
@@ -119,6 +120,7 @@ const Drives = (() => {
     /** @param {DriveEvent} message */
     _takeEvent(message) {
       this.eventVersion += 1;
+      if (message.kind === COUNT) this.events = this.events.filter((event) => event.kind !== COUNT);
       this.events.unshift(message);
       this.events.length = Math.min(this.events.length, EVENTS);
     }

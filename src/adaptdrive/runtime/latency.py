@@ -23,7 +23,7 @@ _NAMED = 3
 _SHARE_WORTH_NAMING = 0.2
 """Least share of the lateness of a cause that is named."""
 
-_QUIET_S = 10.0
+_QUIET_S = 60.0
 """Least time between two reports: a busy machine must not flood the log."""
 
 SLEEP = "sleep"
@@ -73,7 +73,7 @@ class WatchedLoop(asyncio.SelectorEventLoop):
 
 
 class LatencyDetector:
-    """Reports, at most once in 10 s, the callbacks that ran while a tick had to wait."""
+    """Counts late ticks, and reports them once a minute with the callbacks of the last one."""
 
     def __init__(
         self,
@@ -96,6 +96,7 @@ class LatencyDetector:
         self._ring: deque[Entry] = deque(maxlen=_RING) if ring is None else ring
         self._reported_s = float("-inf")
         self._withheld = 0
+        self._worst_us = 0.0
         self._interrupted: object = UNKNOWN
         self._watching = ring is not None
 
@@ -118,15 +119,19 @@ class LatencyDetector:
         if lateness_us < self._late_us:
             return
         now_s = self._clock()
+        self._worst_us = max(self._worst_us, lateness_us)
         if now_s - self._reported_s < _QUIET_S:
             self._withheld += 1
             return
         began_s = now_s - tick_us * 1e-6
         causes = self._causes(began_s - lateness_us * 1e-6, began_s)
         withheld = (
-            f"; {self._withheld} more since the last of these events" if self._withheld else ""
+            f"; {self._withheld} more since the last of these events, the worst "
+            f"{self._worst_us * 1e-3:.2f} ms late"
+            if self._withheld
+            else ""
         )
-        self._reported_s, self._withheld = now_s, 0
+        self._reported_s, self._withheld, self._worst_us = now_s, 0, 0.0
         self._report(f"tick {lateness_us * 1e-3:.2f} ms late: {causes}{withheld}")
 
     def _on_collection(self, phase: str, _: dict[str, int]) -> None:

@@ -20,6 +20,9 @@ POINTS = 6000
 EVENTS = 50
 MOST_FEATURES = 9
 
+LATENCY = "latency"
+"""Kind of the event that counts late ticks: only the last one is shown."""
+
 _OFF = "off"
 
 
@@ -93,11 +96,19 @@ class WatchRecord:
                 self.fast, self._heard_s = content, self.monotonic()
                 self._add(content, self._reference)
             case "event":
-                self.events.append(content)
+                self._note(content)
             case "simulator":
                 self.features = _features(content)
             case "history":
                 self._remember(content)
+
+    def _note(self, event: Payload) -> None:
+        """Keep an event; a count of late ticks takes the place of the last one."""
+        if event.get("kind") == LATENCY:
+            earlier = [one for one in self.events if one.get("kind") != LATENCY]
+            self.events.clear()
+            self.events.extend(earlier)
+        self.events.append(event)
 
     @property
     def _reference(self) -> object:
