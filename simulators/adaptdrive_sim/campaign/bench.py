@@ -26,7 +26,11 @@ WARM_UP_s = 90.0
 @cache
 def deployed() -> Deployed:
     """The example configuration, for a run that starts at rest."""
-    own = read_deployed("motor.toml")
+    return at_rest(read_deployed("motor.toml"))
+
+
+def at_rest(own: Deployed) -> Deployed:
+    """Return the same for a run that starts at rest."""
     settings = own.settings
     settings = dataclasses.replace(
         settings,

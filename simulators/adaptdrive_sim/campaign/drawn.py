@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -22,7 +21,7 @@ from adaptdrive_sim.compiled import bench
 from adaptdrive_sim.compiled.run import run_compiled
 from adaptdrive_sim.compiled.sources import compiled_modules
 from adaptdrive_sim.course import Course, Run, TripLevels, run_course, start_at_rest
-from adaptdrive_sim.experiments.examples import FOLDER
+from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.world import World
 
 Array = NDArray[np.float64]
@@ -55,8 +54,12 @@ class RunOutcome:
 
 def read_deployed(name: str) -> Deployed:
     """Return what the daemon makes of an example configuration."""
-    path = FOLDER / name
-    configuration = validate_configuration(tomllib.loads(path.read_text(encoding="utf-8")), path)
+    return deploy(name, example_tables(name))
+
+
+def deploy(name: str, tables: dict[str, Any]) -> Deployed:
+    """Return what the daemon makes of the tables of an example that may have been changed."""
+    configuration = validate_configuration(tables, FOLDER / name)
     limits = configuration.interlocks
     return Deployed(
         settings=controller_settings(configuration),

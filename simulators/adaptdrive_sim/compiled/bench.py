@@ -112,6 +112,58 @@ def run(
     return 0
 
 
+def hold(
+    settings: ControllerSettings,
+    load: Load,
+    state: fast.FastState,
+    bank: fast.FilterBank,
+    world: World,
+    wire: Wire,
+    measurement: Measurement,
+    disturbances: Array,
+    sizes: Array,
+    over_s: float,
+    burdens: Array,
+    k: int,
+    decided_V: float,
+    found: Array,
+) -> None:
+    """Run slow period k on a V_c that somebody else has decided, up to the snapshot after it.
+
+    Args:
+        settings: Settings of the controller, whose fast half runs.
+        load: Its nominal load.
+        state: Its fast half, overwritten.
+        bank: Its filters, overwritten.
+        world: The plant, overwritten.
+        wire: Resolution and delay.
+        measurement: The present one, overwritten.
+        disturbances: Measurement noise of every tick.
+        sizes: Size of the load in each slow period, the first of which it has.
+        over_s: How long a change of it takes.
+        burdens: What disturbs it in each slow period; empty for nothing.
+        k: Slow period; -1 for the tick before the first one.
+        decided_V: V_c, in force after the latency.
+        found: Output, its mean over the window and the mean applied V_c, overwritten.
+    """
+    forget_vectors()
+    ticks, latency = settings.rates.ticks_per_period, settings.rates.latency_ticks
+    if k >= 0:
+        change_plant(world.load, k, sizes, over_s, burdens)
+    for into in range(ticks - 1 if k < 0 else 0, ticks):
+        n = k * ticks + into
+        if into == latency:
+            state.boost_reference_V = decided_V
+        scale_S = world.current_scale_S
+        if k >= 0:
+            scale_S = fast.drive(state, settings.stage, measurement)[0]
+            scale_S = rounded(scale_S, wire.scale_quantum_S)
+        receive(measurement, wire, n + 1, world.step_disturbed(scale_S, True, disturbances[n + 1]))
+        fast.take_in(settings, load, state, bank, measurement)
+    found[0], found[1] = world.load.output, fast.take_means(bank)[0]
+    found[2] = fast.close_period(state, settings)[0]
+
+
 def change_plant(plant: Any, k: int, sizes: Array, over_s: float, burdens: Array) -> None:
     """Change the size of the load and what disturbs it, where slow period k has other ones."""
     if k > 0 and sizes[k] != sizes[k - 1]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -51,6 +52,40 @@ def run_compiled(controller: Controller, world: World, course: Course) -> tuple[
         trace,
     )
     return trace, int(cause)
+
+
+def run_held(
+    controller: Controller,
+    world: World,
+    course: Course,
+    decide: Callable[[int, float, float], float],
+) -> Array:
+    """Run the fast half of a controller that was started on a plant at rest; V_c is given.
+
+    Args:
+        controller: The controller, whose slow half does not run.
+        world: The plant.
+        course: What happens.
+        decide: V_c in V from k, the mean of the output in its window and the mean applied V_c.
+
+    Returns:
+        The first columns of `bench` for each slow period, up to the applied V_c.
+    """
+    settings, load, state, bank, _ = _parts(controller)
+    measurement = Measurement(0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    wire = course.wire or perfect_wire(float(course.references[0]))
+    changing = map(Memory, (state, bank, world, wire, measurement))
+    objects = [_constant(settings), _constant(load), *changing]
+    given = course.disturbances, course.sizes, course.over_s, course.burdens
+    hold: Any = compiled_modules()[bench.__name__].hold
+    found, trace = np.zeros(3), np.full((len(course.references), bench.ADAPTIVE), np.nan)
+    hold(*objects, *given, -1, 0.0, found)
+    for k in range(len(trace)):
+        output, measured, applied_V = found.tolist()
+        decided_V = decide(k, measured, applied_V)
+        trace[k] = output, measured, decided_V, applied_V
+        hold(*objects, *given, k, decided_V, found)
+    return trace
 
 
 @cache

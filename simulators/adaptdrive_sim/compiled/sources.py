@@ -13,6 +13,7 @@ from adaptdrive_sim.compiled.translate import translate
 _PLANT = (
     "adaptdrive_sim.line",
     "adaptdrive_sim.plants.bath",
+    "adaptdrive_sim.plants.battery",
     "adaptdrive_sim.plants.boost",
     "adaptdrive_sim.plants.coupling",
     "adaptdrive_sim.plants.motor",

@@ -40,6 +40,9 @@ class BathParameters:
         0.0, "K/h", "drift of the inflow's temperature at the start", -100.0, 100.0
     )
     turn_s: float = quantity(3600.0, "s", "time after which this drift turns", 1.0, 1e7)
+    sensor_s: float = quantity(
+        0.0, "s", "time constant of the sensor; 0 for one without a lag", 0.0, 1e4
+    )
     ageing_per_h: float = quantity(
         0.0, "1/h", "rise of the heater's resistance by ageing, as a share", 0.0, 10.0
     )
@@ -52,7 +55,8 @@ class Bath:
     """Heater and water behind the coupling.
 
     Attributes:
-        output: Temperature above that of the inflow at the start.
+        output: Temperature above that of the inflow at the start, as the sensor shows it.
+        water_K: Temperature above that, where the sensor lags.
         inflow_K: Temperature of the inflow at the start.
         inflow_shift_K: Temperature of the inflow above that.
         heater_W: Mean power of the heater over the last step.
@@ -63,6 +67,7 @@ class Bath:
         self.emf_V = 0.0
         self.resistance_Ohm = parameters.heater_Ohm
         self.output = 0.0
+        self.water_K = 0.0
         self.inflow_K = INFLOW_K
         self.inflow_shift_K = 0.0
         self.heater_W = 0.0
@@ -143,7 +148,7 @@ class Bath:
         """Put the bath at rest under a constant source."""
         current_A = source_V / (source_Ohm + self.resistance_Ohm)
         self.heater_W = current_A * current_A * self.resistance_Ohm
-        self.output = self.heater_W * self.resistance_K_per_W
+        self.output = self.water_K = self.heater_W * self.resistance_K_per_W
 
     def source_for(self, output: float, source_Ohm: float) -> float:
         """Find the source voltage that holds a temperature above the inflow's."""
@@ -176,7 +181,12 @@ class Bath:
         else:
             decay = self._decay = self._steady_decay(duration_s)
             self._decay_s = duration_s
-        self.output = rest + (self.output - rest) * decay
+        if self.parameters.sensor_s > 0.0:
+            self.water_K = rest + (self.water_K - rest) * decay
+            lag = math.exp(-duration_s / self.parameters.sensor_s)
+            self.output = self.water_K + (self.output - self.water_K) * lag
+        else:
+            self.output = rest + (self.output - rest) * decay
         if self._drift_K_per_s != 0.0 or self._ageing_Ohm_per_s != 0.0:
             self._grow_older(duration_s)
 

@@ -12,7 +12,6 @@ exact to the third power of the step over the relaxation times.
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from dataclasses import dataclass
 
 from adaptdrive_sim.parameters import check_quantities, check_range, quantity
@@ -53,14 +52,22 @@ class Battery:
         relaxed_V: Voltages of the relaxation elements.
     """
 
-    def __init__(self, parameters: BatteryParameters) -> None:
+    def __init__(self, parameters: BatteryParameters, cell_V: tuple[float, ...] = CELL_V) -> None:
+        """Fill a battery.
+
+        Args:
+            parameters: Cells, and what stands between them and the terminals.
+            cell_V: Open-circuit voltage of a cell at equal steps of its charge, from empty to full.
+        """
         self.parameters = parameters
+        self.cell_V = cell_V
+        self.cells = float(parameters.cells)
         self.resistance_Ohm = parameters.series_Ohm
         self.output = 0.0
         self.charge = parameters.charge
         self.relaxed_V = [0.0, 0.0]
         self._decays_s = math.nan
-        self._decays = (1.0, 1.0)
+        self._decays = [1.0, 1.0]
 
     @property
     def series_Ohm(self) -> float:
@@ -75,10 +82,10 @@ class Battery:
     @property
     def open_circuit_V(self) -> float:
         """Terminal voltage after a long rest."""
-        segment = min(max(bisect_right(_TENTHS, self.charge) - 1, 0), len(CELL_V) - 2)
-        low, high = CELL_V[segment], CELL_V[segment + 1]
-        share = 10.0 * self.charge - segment
-        return self.parameters.cells * (low + (high - low) * share)
+        steps = len(self.cell_V) - 1
+        segment = min(max(int(steps * self.charge), 0), steps - 1)
+        low, high = self.cell_V[segment], self.cell_V[segment + 1]
+        return self.cells * (low + (high - low) * (steps * self.charge - segment))
 
     @property
     def emf_V(self) -> float:
@@ -93,14 +100,22 @@ class Battery:
     def drive(self, source_V: float, source_Ohm: float, duration_s: float) -> float:
         """Advance while a constant voltage behind a resistance feeds the terminals."""
         per_Ohm = 1.0 / (source_Ohm + self.resistance_Ohm)
-        before = (self.charge, *self.relaxed_V)
+        charge, first_V, second_V = self.charge, self.relaxed_V[0], self.relaxed_V[1]
         first_A = (source_V - self.emf_V) * per_Ohm
         self._carry(first_A, duration_s)
         mean_A = 0.5 * (first_A + (source_V - self.emf_V) * per_Ohm)
-        self.charge, self.relaxed_V[0], self.relaxed_V[1] = before
+        self.charge, self.relaxed_V[0], self.relaxed_V[1] = charge, first_V, second_V
         self._carry(mean_A, duration_s)
         self.output = mean_A
         return mean_A
+
+    def resize(self, size: float, _over_s: float) -> None:
+        """Let the series resistance be a multiple of that at the start from now on."""
+        self.resistance_Ohm = size * self.parameters.series_Ohm
+
+    def disturb(self, shorted: float) -> None:
+        """Let a number of cells be shorted from now on."""
+        self.cells = self.parameters.cells - shorted
 
     def coast(self, duration_s: float) -> None:
         """Advance without current: the relaxation elements discharge themselves."""
@@ -150,16 +165,13 @@ class Battery:
         own = self.parameters
         if self._decays_s != duration_s:
             self._decays_s = duration_s
-            self._decays = (
+            self._decays = [
                 math.exp(-duration_s / own.relaxation_s),
                 math.exp(-duration_s / own.relaxation_2_s),
-            )
-        one, two = self._decays
+            ]
+        one, two = self._decays[0], self._decays[1]
         rest_V, rest_2_V = current_A * own.relaxation_Ohm, current_A * own.relaxation_2_Ohm
         relaxed = self.relaxed_V
         relaxed[0] = rest_V + (relaxed[0] - rest_V) * one
         relaxed[1] = rest_2_V + (relaxed[1] - rest_2_V) * two
         self.charge += current_A * duration_s / (3600.0 * own.capacity_Ah)
-
-
-_TENTHS = tuple(0.1 * i for i in range(len(CELL_V)))
