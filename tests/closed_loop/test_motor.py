@@ -73,28 +73,6 @@ def test_with_noise_of_two_percent_the_mean_of_many_samples_still_adapts() -> No
     assert max(last_overshoot(found, disks) for disks in (1, 2, 3)) < 0.02
 
 
-def test_with_a_known_filter_the_loop_is_as_good_and_the_estimates_are_there_sooner() -> None:
-    learning = replace(EXACT.learning, known_filter_s=10.0, bias=True)
-    reached: dict[bool, int] = {}
-    for known in (True, False):
-        chosen = replace(learning, known_filter_s=10.0 if known else 0.0)
-        errors: list[float] = []
-
-        def watch(bench: Bench, errors: list[float] = errors) -> None:
-            estimates = bench.decisions[-1].estimates
-            tau = 11.7 * bench.motor.disks
-            truth = {"gain": 0.011, "tau_sum_s": tau + 10.0, "tau_product_s2": 10.0 * tau}
-            errors.append(max(abs(estimates[n].value / x - 1.0) for n, x in truth.items()))
-
-        settings = replace(EXACT, learning=chosen)
-        found = experiment(
-            settings, Mode.ADAPTIVE, segment_s=SEGMENT_s, disks=(1, 2), noise=0.002, watch=watch
-        )
-        assert last_overshoot(found, 2) < 0.02
-        reached[known] = max(i for i, e in enumerate(errors) if e > 0.05) - SEGMENT_s
-    assert reached[True] < reached[False] < CYCLE_s
-
-
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_the_check_against_uncertainty_does_not_stand_in_the_way_of_a_change(noise: float) -> None:
     learning = replace(EXACT.learning, bias=True, alert=True)

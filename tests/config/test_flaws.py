@@ -203,20 +203,6 @@ def test_any_value_in_any_place_is_either_taken_or_refused(place: str, value: st
     assert all(where and message for where, message in found.items())
 
 
-def test_only_a_motor_learnt_by_the_lambda_method_can_have_a_known_filter() -> None:
-    assert parse(estimator__known_filter="true").estimator.known_filter
-    place = {"estimator.known_filter"}
-    assert flaws(estimator__known_filter="true", estimator__method='"rls"').keys() == place
-    assert flaws(estimator__known_filter="true", load__design='"paper"').keys() == place
-    bath = {
-        "load__type": '"bath"',
-        "load__model": "{ resistance_K_per_W = 0.02, tau_s = 200, turns_ratio = 0.25, "
-        "droop_Ohm = 1, heater_Ohm = 8 }",
-    }
-    assert flaws(**bath) == {}
-    assert flaws(**bath, estimator__known_filter="true").keys() == place
-
-
 def test_a_key_of_another_kind_of_load_is_not_proposed_in_its_own_place() -> None:
     found = flaws(load__type='"bath"')
     assert found["load.model.gain"] == "Unknown key"

@@ -68,9 +68,9 @@ def stable_systems(
     return System([*numerator, float(denominator[-1])], denominator.tolist())
 
 
-def motor_system(disks: int = 1, gain: float = 0.011) -> System:
+def motor_system(disks: int = 1, gain: float = 0.011, filter_s: float = 10.0) -> System:
     """The reference motor with 1, 2 or 3 disks."""
-    tau_s, filter_s = 11.7 * disks, 10.0
+    tau_s = 11.7 * disks
     product = tau_s * filter_s
     return System([0.0, 0.0, gain / product], [1.0, (tau_s + filter_s) / product, 1.0 / product])
 

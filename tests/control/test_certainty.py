@@ -19,7 +19,7 @@ UPPER = [1.0, 0.3, -0.2, 0.0, 1.0, 0.4, 0.0, 0.0, 1.0]
 DIAGONAL = [2e-4, 5e-5, 1e-5]
 NOISE = 0.05
 UNBIASED = replace(SCALED_LEARNING, tau_lambda_s=8.0)
-KINDS = [UNBIASED, replace(UNBIASED, bias=True), replace(UNBIASED, known_filter_s=10.0)]
+KINDS = [UNBIASED, replace(UNBIASED, bias=True), replace(UNBIASED, short_lag_s=10.0)]
 
 
 def estimate(learning: Learning) -> tuple[list[float], list[float], list[float]]:

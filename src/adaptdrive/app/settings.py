@@ -158,7 +158,7 @@ def _learning(configuration: Configuration) -> Learning:
         start_at_nominal=True,
         alert=estimator.alert,
         covariance_max=0.0 if directional else estimator.covariance_max,
-        known_filter_s=_known_filter_s(configuration),
+        short_lag_s=_short_lag_s(configuration),
         bias=estimator.bias or battery,
         initial_state=estimator.initial_state,
         resolution=configuration.load.resolution,
@@ -176,11 +176,13 @@ def _initial_covariance(configuration: Configuration) -> float:
     return _OPEN if METHODS[estimator.method].physical else PAPER_COVARIANCE
 
 
-def _known_filter_s(configuration: Configuration) -> float:
+def _short_lag_s(configuration: Configuration) -> float:
+    """Time constant of a lag that samples of a slow period cannot show; 0 where there is none."""
     load = configuration.load
-    if not configuration.estimator.known_filter or not isinstance(load, MotorSection):
+    if not (isinstance(load, MotorSection) and METHODS[configuration.estimator.method].physical):
         return 0.0
-    return load.model.tau_filter_s
+    short = load.model.tau_filter_s < load.period_s
+    return load.model.tau_filter_s if short else 0.0
 
 
 def _jacket(configuration: Configuration) -> Jacket:

@@ -71,11 +71,6 @@ class Estimator(Section):
         description="estimate the initial state too, such as the speed of a motor that still "
         "turns (`exact` and `lm-rls` only)",
     )
-    known_filter: bool = Field(
-        default=False,
-        description="take `load.model.tau_filter_s` as known and estimate the rest: faster "
-        "and surer where it is right, biased where it is not (`exact` and `lm-rls` only)",
-    )
     settle_s: Duration = Field(
         default=30.0, description="time after start before the first update (`exact` only)"
     )

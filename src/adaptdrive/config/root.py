@@ -141,16 +141,6 @@ def _lag_flaws(configuration: Configuration) -> Iterator[Flaw]:
         yield Flaw("voltage_loop.lag_s", problem)
 
 
-def _filter_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    load, estimator = configuration.load, configuration.estimator
-    if not estimator.known_filter:
-        return
-    if not isinstance(load, MotorSection):
-        yield Flaw("estimator.known_filter", f"a load of type {load.type!r} has no output filter")
-    elif estimator.method != "lm-rls" or load.design != "exact":
-        yield Flaw("estimator.known_filter", "needs method 'lm-rls' and load.design 'exact'")
-
-
 def _course_flaws(configuration: Configuration) -> Iterator[Flaw]:
     load = configuration.load
     if not isinstance(load, MotorSection) or load.boost_course == "held":
@@ -198,7 +188,6 @@ _CHECKS: tuple[tuple[Callable[[Configuration], Iterator[Flaw]], frozenset[str]],
     (_command_flaws, frozenset({"bus", "signals", "voltage_loop"})),
     (_lag_flaws, frozenset({"voltage_loop", "load"})),
     (_trip_flaws, frozenset({"drive", "load", "interlocks"})),
-    (_filter_flaws, frozenset({"load", "estimator"})),
     (_course_flaws, frozenset({"load", "voltage_loop"})),
 )
 """Checks between sections, and the sections that each one reads."""

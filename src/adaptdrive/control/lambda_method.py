@@ -73,8 +73,8 @@ class LambdaMethod:
         reg.fill_charge(lowered, learning, estimator.charge + output / learning.output_scale)
 
     def target(self, learning: Learning, sample: SlowSample) -> float:
-        """Return y[k], or w[k] with a known filter of the output."""
-        return reg.learning_target(learning, sample.output, sample.output_filtered)
+        """Return y[k]."""
+        return sample.output
 
     def take_in(
         self,

@@ -4,20 +4,15 @@ The regressor is [-λy ... -λ^m y, λ^i u ...] with the powers i that the load'
 holds α and the free β (29). Where a bias is wanted, the last regressor is a constant 1: a load
 torque, the EMF of a battery or the offset of a sensor would otherwise be mistaken for dynamics.
 
-Where the output passes a filter of known τ_f, that factor of the denominator need not be learnt.
-With D = D' (s + 1/τ_f) the unfiltered output z = (τ_f s + 1) y obeys D' z = τ_f N u, of order m-1.
-z itself would need a derivative, but λz needs none:
+A lag that is shorter than a slow period, such as that of an encoder's electronics, cannot be told
+from a dead time in samples of that period: learnt beside the other parameters it takes any value,
+and takes the gain along. It does not matter for the loop either, and counts as known. With
+D = D' (s + 1/τ_f) the output obeys D' y = τ_f N v, of order m-1, where v is u behind that lag. To
+first order in τ_f/τ_λ
 
-    w = λz = (τ_f/τ_λ) y + (1 - τ_f/τ_λ) λy
+    λv = (1 + τ_f/τ_λ) λu - (τ_f/τ_λ) u
 
-and λ^m-1 times the model, times λ once more, is
-
-    w = -α'_1 λw ... - α'_(m-1) λ^(m-1) w + Σ β'_j λ^(j+1) u        β'_j = (τ_f/τ_λ) β_(j+1)
-
-so that the target is w, the regressor has m-1 powers of λ of w, and the same powers of u as
-before. A wrong τ_f goes into the other parameters: 20 % too long, and gain and τ_m + τ_f of the
-motor with three disks come out 9 % low; 20 % too short, and they come out 16 % high. The bias
-takes the blame for the gain (28 V and 40 V), so that a large one without a reason is the sign.
+so that the regressor has m-1 powers of λ of y, and λ^(i-1) v in place of λ^i u.
 
 The state of the load at the start is unknown: a motor may still turn. D y = N u holds up to a
 polynomial in s of lower degree than D, and the λ filters make of that, whatever the load is,
@@ -59,14 +54,14 @@ def charge_index(learning: Learning, size: int) -> int:
     return size - 2 if learning.bias else size - 1
 
 
-def knows_filter(learning: Learning) -> bool:
-    """Return whether the output passes a filter whose time constant is known."""
-    return learning.known_filter_s > 0.0
+def has_short_lag(learning: Learning) -> bool:
+    """Return whether the output passes a lag that is too short to be learnt."""
+    return learning.short_lag_s > 0.0
 
 
 def fitted_order(learning: Learning, load: Load) -> int:
     """Return the number of estimated coefficients of the denominator."""
-    return load.order - 1 if knows_filter(learning) else load.order
+    return load.order - 1 if has_short_lag(learning) else load.order
 
 
 def theta_of(learning: Learning, load: Load, numerator: Vector, denominator: Vector) -> Vector:
@@ -76,13 +71,13 @@ def theta_of(learning: Learning, load: Load, numerator: Vector, denominator: Vec
         learning: Scales and what is known.
         load: Order and structure.
         numerator: Of the model, highest power first.
-        denominator: Of the model, highest power first; with a known filter in it, where one is.
+        denominator: Of the model, highest power first; with the short lag in it, where one is.
     """
     order, scale = fitted_order(learning, load), learning.input_scale / learning.output_scale
     rest = denominator
-    if knows_filter(learning):
-        scale *= learning.known_filter_s / learning.tau_lambda_s
-        rest = _without_factor(denominator, 1.0 / learning.known_filter_s)
+    if has_short_lag(learning):
+        scale *= learning.short_lag_s / learning.tau_lambda_s
+        rest = _without_factor(denominator, 1.0 / learning.short_lag_s)
     alpha = to_lambda(rest, learning.tau_lambda_s)
     beta = to_lambda(numerator, learning.tau_lambda_s)
     theta = [0.0] * (order + len(load.input_powers))
@@ -121,13 +116,10 @@ def fill_filtered_regressor(
     """
     order = fitted_order(learning, load)
     for i in range(order):
-        value = output_filtered[i]
-        if knows_filter(learning):
-            value = _unfiltered(learning, value, output_filtered[i + 1])
-        regressor[i] = -value / learning.output_scale
+        regressor[i] = -output_filtered[i] / learning.output_scale
     for i in range(len(load.input_powers)):
-        power = load.input_powers[i]
-        regressor[order + i] = input_filtered[power] / learning.input_scale
+        value = _input_behind_lag(learning, input_filtered, load.input_powers[i])
+        regressor[order + i] = value / learning.input_scale
     if learning.bias:
         regressor[len(regressor) - 1] = 1.0
 
@@ -189,28 +181,17 @@ def fill_lowered_regressor(
     fill_filtered_regressor(lowered, learning, load, outputs, inputs)
 
 
-def learning_target(learning: Learning, output: float, output_filtered: Vector) -> float:
-    """Return the value that r predicts: y[k], or w[k] with a known filter of the output.
-
-    Args:
-        learning: What is known.
-        output: y.
-        output_filtered: λy ... λ^m y.
-    """
-    if not knows_filter(learning):
-        return output
-    return _unfiltered(learning, output, output_filtered[0])
-
-
-def _unfiltered(learning: Learning, value: float, filtered: float) -> float:
-    """λ (τ_f s + 1) of a signal, from the signal and λ of it."""
-    share = learning.known_filter_s / learning.tau_lambda_s
-    return share * value + (1.0 - share) * filtered
+def _input_behind_lag(learning: Learning, input_filtered: Vector, power: int) -> float:
+    """Return λ^i u, or λ^(i-1) v where a short lag is known."""
+    if not has_short_lag(learning):
+        return input_filtered[power]
+    share = learning.short_lag_s / learning.tau_lambda_s
+    return (1.0 + share) * input_filtered[power - 1] - share * input_filtered[power - 2]
 
 
 def initial_state_count(learning: Learning, load: Load) -> int:
     """Length of γ: of the state at the start, and of that at each change."""
-    return load.order if learning.initial_state or learning.alert else 0
+    return fitted_order(learning, load) if learning.initial_state or learning.alert else 0
 
 
 def dc_gain(theta: Vector, learning: Learning, load: Load) -> float:
@@ -226,8 +207,8 @@ def dc_gain(theta: Vector, learning: Learning, load: Load) -> float:
 def filtered_model(theta: Vector, learning: Learning, load: Load) -> tuple[Vector, Vector]:
     """H(s) of an estimate of the λ-method: numerator and denominator."""
     order, scale = fitted_order(learning, load), learning.output_scale / learning.input_scale
-    if knows_filter(learning):
-        scale *= learning.tau_lambda_s / learning.known_filter_s
+    if has_short_lag(learning):
+        scale *= learning.tau_lambda_s / learning.short_lag_s
     alpha = [0.0] * (order + 1)
     beta = [0.0] * (load.order + 1)
     alpha[0] = 1.0
@@ -237,8 +218,8 @@ def filtered_model(theta: Vector, learning: Learning, load: Load) -> tuple[Vecto
         beta[load.input_powers[i]] = theta[order + i] * scale
     numerator = from_lambda(beta, learning.tau_lambda_s)
     denominator = from_lambda(alpha, learning.tau_lambda_s)
-    if knows_filter(learning):
-        denominator = multiply(denominator, [1.0, 1.0 / learning.known_filter_s])
+    if has_short_lag(learning):
+        denominator = multiply(denominator, [1.0, 1.0 / learning.short_lag_s])
     return numerator, denominator
 
 

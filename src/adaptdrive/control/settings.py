@@ -82,7 +82,7 @@ class Learning:
         start_at_nominal: Whether θ starts at the nominal model, else at 0.
         covariance_max: Bound of P for exponential resetting; 0 for plain forgetting.
         alert: Whether an abrupt change opens the estimator up.
-        known_filter_s: Time constant of a known filter of the output; 0 where none is known.
+        short_lag_s: Time constant of a lag that is too short to be learnt; 0 where there is none.
         bias: Whether a constant is estimated too: a load torque, an EMF, an offset of a sensor.
         initial_state: Whether what is left of the time before the start is estimated too.
         resolution: Smallest step of the measured output, 0 to find it in the samples.
@@ -104,7 +104,7 @@ class Learning:
     start_at_nominal: bool
     covariance_max: float = 0.0
     alert: bool = False
-    known_filter_s: float = 0.0
+    short_lag_s: float = 0.0
     bias: bool = False
     initial_state: bool = False
     resolution: float = 0.0
