@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from adaptdrive.operation.history import BUCKET_S, KEYS, PAGE_ROWS, History
+from adaptdrive.control.signals import Command
+from adaptdrive.operation.history import BUCKET_S, KEYS, PAGE_READINGS, PAGE_ROWS, History
 from adaptdrive.operation.messages import Payload, encode, load_message
 from adaptdrive.operation.profile import Output
 from tests.operation.peers import listening, load_report, publish, serving
@@ -91,7 +92,28 @@ def test_a_page_fits_the_brokers_limit() -> None:
 
 
 def test_an_empty_history_answers_with_one_empty_page() -> None:
-    assert list(History(Clock()).pages(NOW)) == [{"time": NOW, "page": 1, "pages": 1, "rows": []}]
+    assert list(History(Clock()).pages(NOW)) == [
+        {"time": NOW, "page": 1, "pages": 1, "rows": [], "readings": []}
+    ]
+
+
+def test_the_readings_of_five_minutes_come_back_in_their_order() -> None:
+    history = History(Clock())
+    history.add(step(1))
+    for tenth in range(3200):
+        time = NOW + timedelta(seconds=tenth / 10)
+        bridge = Command(0.0, 0.0, bridge=tenth < 3000)
+        measured = {"output": tenth / 7, "boost_voltage_V": math.nan, "command": bridge}
+        history.add_reading({"time": time} | measured)
+    pages = [json.loads(encode(page)) for page in history.pages(NOW)]
+    readings = [one for page in reversed(pages) for one in page["readings"]]
+    assert [one[0] for one in readings] == pytest.approx(
+        [NOW.timestamp() + tenth / 10 for tenth in range(200, 3200)]
+    )
+    asked = [step(1)["reference"], step(1)["boost_reference_V"]]
+    assert readings[0][1:] == [200 / 7, None, *asked]
+    assert readings[-1][1:] == [3199 / 7, None, None, None]
+    assert max(len(page["readings"]) for page in pages) <= PAGE_READINGS
 
 
 async def test_a_flood_of_requests_gets_one_answer_at_a_time(

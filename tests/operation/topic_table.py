@@ -181,6 +181,15 @@ def _history() -> type:
         ("page", Annotated[int, _meaning("number of the page, from 1; the newest rows first")]),
         ("pages", Annotated[int, _meaning("pages of the answer")]),
         ("rows", Annotated[list[row], _meaning("slow steps")]),  # type: ignore[valid-type]
+        (
+            "readings",
+            Annotated[
+                list[tuple[float, float, float, float, float]],
+                _meaning(
+                    "time in seconds since 1970, output, boost voltage in V, set-point, and V_c"
+                ),
+            ],
+        ),
     )
     return _message("HistoryMessage", "A page of the history.", members)
 

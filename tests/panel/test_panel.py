@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 import paho.mqtt.publish as paho
@@ -17,8 +19,10 @@ from paho.mqtt.client import Client, MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 from playwright.sync_api import Page, WebSocketRoute, expect
 
+from tests.panel.browser import PANEL as SCRIPTS
 from tests.panel.browser import PATIENCE_MS, Panel, PanelSite
 from tests.panel.conftest import MakePanel
+from tests.support import MosquittoLauncher, free_port, stop_process
 from tests.system.site import PATIENT_DRIVE, publish, until
 
 pytestmark = [pytest.mark.slow, pytest.mark.alone]
@@ -96,6 +100,80 @@ def test_an_operator_runs_the_drive_and_sees_the_estimate_move(
     page.locator("h1").click()
     page.keyboard.press("s")
     operator.expect_state("standby")
+
+
+def test_a_page_that_is_loaded_again_stays_logged_in_until_another_user_is_asked_for(
+    operator: Panel,
+) -> None:
+    operator.page.reload()
+    operator.expect_text(".age", "live")
+    operator.page.get_by_role("link", name="all drives").click()
+    operator.page.get_by_role("button", name="Other user").click()
+    expect(operator.page.get_by_role("button", name="Log in")).to_be_visible()
+
+
+def test_a_broker_without_users_asks_for_no_login(
+    make_panel: MakePanel, tmp_path: Path, mosquitto_launcher: MosquittoLauncher
+) -> None:
+    port = free_port(socket.SOCK_STREAM)
+    page = ("protocol websockets", f"http_dir {SCRIPTS}", "allow_anonymous true")
+    listener = "\n".join((f"listener {port} 127.0.0.1", *page))
+    launcher = MosquittoLauncher(mosquitto_launcher.program, tmp_path, listener)
+    broker = launcher.start(free_port(socket.SOCK_STREAM))
+    panel = make_panel()
+    panel.page.goto(f"http://127.0.0.1:{port}/index.html")
+    expect(panel.page.get_by_role("heading", name="Drives")).to_be_visible()
+    panel.page.goto("about:blank")
+    stop_process(broker)
+
+
+def test_the_list_opens_a_drive_from_its_whole_row_and_stops_it(
+    operator: Panel, panel_site: PanelSite
+) -> None:
+    panel_site.site.run_drive()
+    operator.page.get_by_role("link", name="all drives").click()
+    row = operator.page.get_by_role("row").filter(has_text="motor")
+    expect(row).to_contain_text("running")
+    row.get_by_role("button", name="STOP").click()
+    operator.expect_text(".answer", "disable: accepted")
+    expect(row).to_contain_text("standby")
+    row.get_by_role("cell").nth(4).click(force=True)  # the link lies above it
+    operator.expect_state("standby")
+
+
+def test_plots_are_zoomed_by_a_drag_and_a_command_is_marked(operator: Panel) -> None:
+    page = operator.page
+    for mode in ("adaptive", "fixed"):
+        page.get_by_role("button", name=mode, exact=True).click()
+        operator.expect_text(".answer", f"mode {mode}: accepted")
+    operator.expect_text(".key", "▸")
+    operator.expect_text(".key", "fixed")
+    plot = page.locator(".u-over").first
+    plot.scroll_into_view_if_needed()
+    place = plot.bounding_box()
+    assert place is not None
+    middle = place["y"] + place["height"] / 2
+    page.mouse.move(place["x"] + 0.5 * place["width"], middle)
+    page.mouse.down()
+    page.mouse.move(place["x"] + 0.9 * place["width"], middle, steps=5)
+    page.mouse.up()
+    page.get_by_role("button", name="Show all").click()
+    expect(page.get_by_role("button", name="Show all")).to_be_hidden()
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_nothing_is_wider_than_the_window_and_the_set_point_comes_before_the_numbers(
+    operator: Panel, width: int
+) -> None:
+    page = operator.page
+    page.set_viewport_size({"width": width, "height": 860})
+    wide = page.evaluate("document.documentElement.scrollWidth")
+    assert wide <= width
+    field = page.get_by_label("set-point, V").bounding_box()
+    numbers = page.locator(".details").bounding_box()
+    assert field is not None
+    assert numbers is not None
+    assert field["y"] < numbers["y"] or field["x"] > numbers["x"]
 
 
 def test_the_stop_key_stops_from_a_field_of_a_number_and_with_caps_lock(
@@ -398,7 +476,7 @@ def test_a_gain_has_the_unit_of_the_output_for_each_volt(
     hostile(port, "adaptdrive/fan/state", {"time": NOW, "state": "running", "output": output})
     hostile(port, "adaptdrive/fan/telemetry/load", load)
     operator.open_drive("fan")
-    operator.expect_text(".values", "(rad/s)/V")
+    operator.expect_text(".details .values", "(rad/s)/V")
     operator.expect_text("#panel", "estimate: gain, (rad/s)/V")
     publish(port, "adaptdrive/fan/availability", "offline")
 

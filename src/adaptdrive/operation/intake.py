@@ -137,7 +137,9 @@ class Intake:
                 self.load.put(message)
                 self._history.add(message)
             case DriveReport():
-                self.drive.put(drive_message(report, self._wall(), self._output))
+                message = drive_message(report, self._wall(), self._output)
+                self.drive.put(message)
+                self._history.add_reading(message)
                 self.histograms.put(histogram_message(report, self._wall()))
             case Event() | TickReport() | SensorSample() | CommandReport():
                 pass

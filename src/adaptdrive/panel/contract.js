@@ -21,10 +21,12 @@
  *   time: string, output: number|null, boost_voltage_V: number|null, load_power_W: number|null,
  *   line_voltage_V: number|null, ticks: number|null, missed: number|null, held: number|null,
  *   age_s: number|null, lateness_us: {p99: number|null, max: number|null}, bus: Record<string, number|null>,
- *   sensors: Record<string, {up: boolean, detail: string}>
+ *   sensors: Record<string, {up: boolean, detail: string}>, bridge: boolean
  * }} Fast
  * @typedef {{time: string, kind: string, severity: string, detail: string, remedy: string}} DriveEvent
- * @typedef {{rows: Load[]}} Past
+ * @typedef {{timeS: number, output: number|null, boost_voltage_V: number|null, reference: number|null, asked_V: number|null}} Point
+ * @typedef {{timeS: number, kind: string, text: string}} Mark
+ * @typedef {{rows: Load[], points: Point[]}} Past
  * @typedef {{id: string, accepted: boolean, reason: string}} Reply
  * @typedef {{text: string, request: Record<string, number>}} Feature
  * @typedef {{features: Feature[]}} Features
@@ -93,7 +95,7 @@ const Contract = (() => {
   function named(name, names, outputUnit) {
     if (name === "gain") return { text: name, unit: outputUnit.includes("/") ? `(${outputUnit})/V` : `${outputUnit || "1"}/V` };
     if (name === "input_offset") return { text: "input offset", unit: names.includes("resistance_K_per_W") ? "W" : "V" };
-    const match = /^(.+)_((?:s|V|A|W|K|S|J|F|Ohm|rad)\d?(?:_per_(?:s|V|A|W|K)\d?)?)$/.exec(name);
+    const match = /^(.+?)_((?:s|V|A|W|K|S|J|F|Ohm|rad)\d?(?:_per_(?:s|V|A|W|K)\d?)?)$/.exec(name);
     if (!match) return { text: name, unit: "" };
     return { text: match[1].replaceAll("_", " "), unit: match[2].replace("_per_", "/").replace("2", "²").replace("Ohm", "Ω") };
   }

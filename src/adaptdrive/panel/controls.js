@@ -4,27 +4,30 @@
 const Controls = (() => {
   const CONFIRM_S = 5;
 
-  /** Ask, and show "sent", then the answer.
-   * @param {DriveView} drive @param {HTMLElement} answer
+  /** Ask, and show "sent", then the answer, after the control that asked.
+   * @param {DriveView} drive @param {HTMLElement} answer @param {Element} place
    * @param {string} verb @param {unknown} [value] */
-  async function ask(drive, answer, verb, value) {
+  async function ask(drive, answer, place, verb, value) {
     const asked = value === undefined ? verb : `${verb} ${typeof value === "object" ? "…" : value}`;
-    await report(answer, asked, () => Link.ask(drive.name, verb, value));
+    await report(answer, place, asked, () => Link.ask(drive.name, verb, value));
   }
 
-  /** @param {HTMLElement} answer @param {string} asked @param {() => ReturnType<typeof Link.ask>} send */
-  async function report(answer, asked, send) {
+  /** @param {HTMLElement} answer @param {Element} place @param {string} asked @param {() => ReturnType<typeof Link.ask>} send */
+  async function report(answer, place, asked, send) {
+    if (place.nextElementSibling !== answer) place.after(answer);
     Dom.mark(answer, "data-kind", "sent");
     Dom.say(answer, `${asked}: sending…`);
     const { accepted, text } = await send();
     Dom.mark(answer, "data-kind", accepted ? "accepted" : "refused");
     Dom.say(answer, `${asked}: ${text}`);
+    return accepted;
   }
 
-  /** A stop: one action, in any state. @param {DriveView} drive @param {HTMLElement} answer */
-  function stop(drive, answer) {
+  /** A stop: one action, in any state.
+   * @param {DriveView} drive @param {HTMLElement} answer @param {() => Element} place before the answer */
+  function stop(drive, answer, place) {
     return Dom.make("button.stop", {
-      type: "button", title: "Stop the drive (key: s)", onclick: () => ask(drive, answer, "disable"),
+      type: "button", title: "Stop the drive (key: s)", onclick: () => ask(drive, answer, place(), "disable"),
     }, "STOP");
   }
 
@@ -35,13 +38,13 @@ const Controls = (() => {
   }
 
   /** A button that needs a second press by itself, for everything that energises.
-   * @param {string} text @param {() => void} act */
+   * @param {string} text @param {(button: Element) => void} act */
   function twice(text, act) {
     let timer = 0;
     const reset = () => { clearTimeout(timer); timer = 0; Dom.say(button, text); button.classList.remove("armed"); };
     const press = (/** @type {Event} */ event) => {
       if (/** @type {MouseEvent} */ (event).detail > 1) return; // the second click of a double click
-      if (timer) { reset(); act(); return; }
+      if (timer) { reset(); act(button); return; }
       Dom.say(button, `${text}: press again`);
       button.classList.add("armed");
       timer = window.setTimeout(reset, 1000 * CONFIRM_S);
@@ -56,16 +59,28 @@ const Controls = (() => {
     return { input, row: Dom.make("label", {}, label, input) };
   }
 
-  /** @param {string} text @param {() => void} act */
+  /** @param {string} text @param {(form: Element) => void} act */
   function form(text, act, /** @type {HTMLElement[]} */ ...rows) {
-    const own = Dom.make("form", { onsubmit: (event) => { event.preventDefault(); act(); } }, ...rows, Dom.make("button", { type: "submit" }, text));
+    const own = Dom.make("form", { onsubmit: (event) => { event.preventDefault(); act(own); } }, ...rows, Dom.make("button", { type: "submit" }, text));
     return own;
+  }
+
+  /** A plain button in a row, after which its answer is shown.
+   * @param {string} text @param {(row: Element) => void} act @param {Record<string, string>} [attributes] */
+  function button(text, act, attributes = {}) {
+    const own = Dom.make("button", { type: "button", onclick: () => act(rowOf(own)), ...attributes }, text);
+    return own;
+  }
+
+  /** The row of buttons that a button is in, or the button itself. @param {Element} own */
+  function rowOf(own) {
+    return own.closest(".row") ?? own;
   }
 
   /** All controls of a drive.
    * @param {DriveView} drive @param {HTMLElement} answer */
   function panel(drive, answer) {
-    const send = (/** @type {string} */ verb, /** @type {unknown} */ value) => ask(drive, answer, verb, value);
+    const send = (/** @type {Element} */ place, /** @type {string} */ verb, /** @type {unknown} */ value) => ask(drive, answer, place, verb, value);
     const unit = () => (drive.unit ? `, ${drive.unit}` : "");
     const setpoint = field(`set-point${unit()}`);
     const low = field(`low${unit()}`), high = field(`high${unit()}`), period = field("period, s");
@@ -74,17 +89,17 @@ const Controls = (() => {
     const voltage = field("V_c, V");
     const pole = field("pole, per slow period", { min: "0", max: "1" });
     const modes = drive.state?.modes ?? ["fixed", "adaptive"];
-    const choose = modes.map((name) => Dom.make("button", { type: "button", "data-mode": name, onclick: () => send("mode", name) }, name));
+    const choose = modes.map((name) => button(name, (place) => send(place, "mode", name), { "data-mode": name }));
     const body = Dom.make("div.controls", {},
-      Dom.make("div.row", {}, twice("Enable", () => send("enable", undefined)), Dom.make("button", { type: "button", onclick: () => send("reset", undefined) }, "Reset trip")),
+      Dom.make("div.row", {}, twice("Enable", (own) => send(rowOf(own), "enable", undefined)), button("Reset trip", (place) => send(place, "reset", undefined))),
       Dom.make("div.row", { role: "group", "aria-label": "controller" }, ...choose),
-      form("Set", () => send("setpoint", setpoint.input.valueAsNumber), setpoint.row),
+      form("Set", (place) => send(place, "setpoint", setpoint.input.valueAsNumber), setpoint.row),
       Dom.make("details", {}, Dom.make("summary", {}, "Waveform"),
-        form("Start", () => send("waveform", { shape: shape.value, low: low.input.valueAsNumber, high: high.input.valueAsNumber, period_s: period.input.valueAsNumber }),
+        form("Start", (place) => send(place, "waveform", { shape: shape.value, low: low.input.valueAsNumber, high: high.input.valueAsNumber, period_s: period.input.valueAsNumber }),
           Dom.make("label", {}, "shape", shape), low.row, high.row, period.row),
-        Dom.make("button", { type: "button", onclick: () => send("waveform", "off") }, "Hold the present value")),
-      Dom.make("details", {}, Dom.make("summary", {}, "Voltage by hand, in mode manual"), form("Set", () => send("voltage", voltage.input.valueAsNumber), voltage.row)),
-      Dom.make("details", {}, Dom.make("summary", {}, "Pole"), form("Set", () => send("pole", pole.input.valueAsNumber), pole.row)),
+        button("Hold the present value", (place) => send(place, "waveform", "off"))),
+      Dom.make("details", {}, Dom.make("summary", {}, "Voltage by hand, in mode manual"), form("Set", (place) => send(place, "voltage", voltage.input.valueAsNumber), voltage.row)),
+      Dom.make("details", {}, Dom.make("summary", {}, "Pole"), form("Set", (place) => send(place, "pole", pole.input.valueAsNumber), pole.row)),
     );
     const viewer = Dom.make("p.viewer", { hidden: true });
     const root = Dom.make("section.side", {}, Dom.make("h2", {}, "Operate"), viewer, body, simulated(drive, answer), answer);
@@ -123,9 +138,10 @@ const Controls = (() => {
   /** What only a simulated device can do, as it offers it.
    * @param {DriveView} drive @param {HTMLElement} answer */
   function simulated(drive, answer) {
-    const buttons = drive.features.map(({ text, request }) => Dom.make("button", {
-      type: "button", onclick: () => report(answer, text, () => Link.disturb(drive.name, request)),
-    }, text.replaceAll(/(\d) (?=\S)/g, "$1\u00a0"))); // a number stays with its unit
+    const act = async (/** @type {Element} */ place, /** @type {Feature} */ { text, request }) => {
+      if (await report(answer, place, text, () => Link.disturb(drive.name, request))) drive.mark("load", text);
+    };
+    const buttons = drive.features.map((one) => button(one.text.replaceAll(/(\d) (?=\S)/g, "$1\u00a0"), (place) => act(place, one))); // a number stays with its unit
     const heading = Dom.make("h2", {}, "Simulated plant");
     return Dom.make("div.simulated", { hidden: buttons.length === 0 }, heading, Dom.make("div.row", {}, ...buttons));
   }

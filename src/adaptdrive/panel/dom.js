@@ -58,5 +58,15 @@ const Dom = (() => {
     return `${(seconds / 3600).toFixed(1)} h`;
   }
 
-  return { make, say, mark, number, measured, span };
+  /** Write a time of day, in the time zone of the reader. @param {number} timeS seconds since 1970 */
+  function clock(timeS) {
+    return Number.isFinite(timeS) ? new Date(1000 * timeS).toLocaleTimeString([], { hourCycle: "h23" }) : "–";
+  }
+
+  /** Write a day and a time, in the time zone of the reader. @param {number} timeS seconds since 1970 */
+  function date(timeS) {
+    return Number.isFinite(timeS) ? `${new Date(1000 * timeS).toLocaleDateString("sv")} ${clock(timeS)}` : "–";
+  }
+
+  return { make, say, mark, number, measured, span, clock, date };
 })();

@@ -11,15 +11,16 @@ const DrivePage = (() => {
     const open = Dom.make("strong.unconfirmed");
     const age = Dom.make("span.age");
     const alarm = Dom.make("div.alarm", { role: "alert", hidden: true });
-    const stop = Controls.stop(drive, answer);
+    const stop = Controls.stop(drive, answer, () => bar);
     const now = present();
+    const bar = Dom.make("header.bar", {}, Dom.make("a", { href: "#", "aria-label": "all drives" }, "‹ drives"), title, state, open, age, stop);
     const plotted = Dom.make("section.plots", { "aria-label": "plots" });
     const events = Dom.make("ol.events");
     const controls = Controls.panel(drive, answer);
     parent.append(
-      Dom.make("header.bar", {}, Dom.make("a", { href: "#", "aria-label": "all drives" }, "‹ drives"), title, state, open, age, stop),
+      bar,
       alarm,
-      Dom.make("div.columns", {}, now.root, plotted, controls.root),
+      Dom.make("div.columns", {}, Dom.make("div.left", {}, now.root, now.details), plotted, controls.root),
       Dom.make("section", {}, Dom.make("h2", {}, "Events"), events),
     );
     const plots = Plots.open(plotted, drive);
@@ -43,7 +44,7 @@ const DrivePage = (() => {
     function press(key) {
       if (key.key.toLowerCase() !== "s" || key.ctrlKey || key.metaKey || key.altKey || takesLetters(key.target)) return;
       key.preventDefault(); // some browsers write the letter into a field of a number
-      Controls.ask(drive, answer, "disable");
+      Controls.ask(drive, answer, bar, "disable");
     }
     document.addEventListener("keydown", press);
     return { draw, outdated: () => drive.build !== built, end() { document.removeEventListener("keydown", press); plots.end(); } };
@@ -74,12 +75,13 @@ const DrivePage = (() => {
     const output = Dom.make("p.large");
     const name = Dom.make("h2");
     const bar = Dom.make("div.range", { "aria-hidden": "true" }, Dom.make("i.mark.value"), Dom.make("i.mark.wanted"));
-    const rows = Dom.make("dl.values");
-    const root = Dom.make("section.now", {}, name, output, bar, rows);
-    return { root, draw: (/** @type {DriveView} */ drive) => drawPresent(drive, { output, name, bar, rows }) };
+    const first = Dom.make("dl.values"), rest = Dom.make("dl.values");
+    const root = Dom.make("section.now", {}, name, output, bar, first);
+    const details = Dom.make("section.details", {}, Dom.make("h2", {}, "Measurements and estimates"), rest);
+    return { root, details, draw: (/** @type {DriveView} */ drive) => drawPresent(drive, { output, name, bar, first, rest }) };
   }
 
-  /** @param {DriveView} drive @param {{output: HTMLElement, name: HTMLElement, bar: HTMLElement, rows: HTMLElement}} parts */
+  /** @param {DriveView} drive @param {Record<"output"|"name"|"bar"|"first"|"rest", HTMLElement>} parts */
   function drawPresent(drive, parts) {
     const { state, fast, load } = drive;
     const value = fast?.output ?? load?.output;
@@ -87,9 +89,12 @@ const DrivePage = (() => {
     Dom.say(parts.output, Dom.measured(value, drive.unit));
     drawRange(parts.bar, state?.limits?.setpoint, value, load?.reference ?? state?.setpoint);
     const lateness = fast?.lateness_us;
-    const rows = [
+    drawRows(parts.first, [
       ["reference", Dom.number(load?.reference ?? state?.setpoint, drive.unit), wave(state)],
       ["reachable", limitText(state?.reach, drive.unit).replace("limits ", "") || "–", ""],
+      ["controller in force", state?.controller ?? "–", state?.reason || `asked for: ${state?.mode ?? "–"}`],
+    ]);
+    drawRows(parts.rest, [
       ["V_c asked for", Dom.number(load?.boost_reference_V, "V"), limitText(state?.limits?.boost_V, "V")],
       ["boost voltage", Dom.number(fast?.boost_voltage_V, "V"), limitText(state?.limits?.boost_trip_V, "V")],
       ["load power", Dom.number(fast?.load_power_W, "W"), limitText(state?.limits?.power_W, "W")],
@@ -97,7 +102,6 @@ const DrivePage = (() => {
       marginRow(drive.outputName, value, state?.limits?.output_trip, drive.unit),
       marginRow("boost voltage", fast?.boost_voltage_V, state?.limits?.boost_trip_V, "V"),
       marginRow("load power", fast?.load_power_W, state?.limits?.power_W, "W"),
-      ["controller in force", state?.controller ?? "–", state?.reason || `asked for: ${state?.mode ?? "–"}`],
       ["estimate", load ? (load.accepted ? "accepted" : "refused") : "–", load?.reason ?? ""],
       ...Object.entries(load?.estimates ?? {}).map(([name, one], _, all) => estimateRow(name, one, all.map(([each]) => each), drive.unit)),
       ["pole", Dom.number(state?.pole), `per slow period; ${limitText(state?.limits?.pole, "")}`],
@@ -105,9 +109,8 @@ const DrivePage = (() => {
       ["ticks", Dom.number(fast?.ticks, "", 9), fast ? `${Dom.number(fast.missed)} missed, ${Dom.number(fast.held)} held` : ""],
       ["refused frames", fast ? String(refused(fast.bus)) : "–", fast ? `of ${fast.bus.received ?? 0}` : ""],
       ...Object.entries(fast?.sensors ?? {}).map(([name, one]) => [`sensors ${name}`, one.up ? "up" : "down", one.detail]),
-      ["clock", state?.clock ?? "–", Number.isFinite(drive.clockS) ? new Date(1000 * drive.clockS).toISOString().slice(11, 19) + " UTC" : ""],
-    ];
-    drawRows(parts.rows, rows);
+      ["clock", state?.clock ?? "–", Number.isFinite(drive.clockS) ? Dom.clock(drive.clockS) : ""],
+    ]);
   }
 
   /** How far a quantity is from its trip; marked where less than a tenth of the limit is left.
@@ -179,7 +182,7 @@ const DrivePage = (() => {
 
   /** @param {DriveEvent} event */
   function eventRow(event) {
-    return Dom.make("li", { "data-severity": event.severity }, Dom.make("time", {}, event.time.slice(11, 19)), Dom.make("b", {}, event.kind), event.detail, event.remedy && !event.detail.includes(event.remedy) ? Dom.make("small", {}, event.remedy) : "");
+    return Dom.make("li", { "data-severity": event.severity }, Dom.make("time", {}, Dom.clock(Drives.timeS(event.time))), Dom.make("b", {}, event.kind), event.detail, event.remedy && !event.detail.includes(event.remedy) ? Dom.make("small", {}, event.remedy) : "");
   }
 
   return { open };

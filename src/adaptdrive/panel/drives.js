@@ -3,9 +3,13 @@
 
 const Drives = (() => {
   const SLOW_ROWS = 4000; // an hour of one message a second, and some more
+  const POINTS = 3600; // six minutes of ten readings a second
+  const MARKS = 100;
   const EVENTS = 200;
   const COUNT = "latency"; // of late ticks: only the last one is shown
   const MOST_DRIVES = 500;
+  const READINGS_PER_S = 10;
+  const MARKED = new Set(["starting", "tripped", "standby"]);
   const STALE_S = 3; // telemetry/drive comes at least once a second
 
   class Drive {
@@ -19,6 +23,8 @@ const Drives = (() => {
       /** @type {Feature[]} */ this.features = [];
       /** @type {DriveEvent[]} */ this.events = [];
       /** @type {Load[]} */ this.slowRows = [];
+      /** @type {Point[]} */ this.points = []; // readings of the last minutes
+      /** @type {Mark[]} */ this.marks = []; // commands, trips and changes of the load
       this.heardS = -Infinity;
       this.lost = false; // the broker is gone since
       this.version = 0; // of all that is shown
@@ -89,20 +95,53 @@ const Drives = (() => {
         this.heardS = nowS();
         this.lost = false;
       }
-      if (kind === "state") this.state = message;
+      if (kind === "state") this._takeState(message);
       if (kind === "load") this._takeLoad(message, retained);
-      if (kind === "fast") this.fast = message;
+      if (kind === "fast") this._takeFast(message);
       if (kind === "event") this._takeEvent(message);
-      if (kind === "history") this.remember(message.rows);
+      if (kind === "history") this.remember(message);
     }
 
-    /** Add rows that are not known yet. @param {Load[]} rows */
-    remember(rows) {
+    /** Mark a moment in the plots. @param {string} kind @param {string} text @param {number} [timeS] */
+    mark(kind, text, timeS = this.clockS) {
+      if (Number.isFinite(timeS)) push(this.marks, { timeS, kind, text }, MARKS);
+    }
+
+    /** @param {State} message */
+    _takeState(message) {
+      const last = this.state;
+      this.state = message;
+      if (!last) return;
+      const at = timeS(message.time);
+      const wave = message.waveform ? `${message.waveform.shape} wave` : null;
+      if (wave !== (last.waveform ? `${last.waveform.shape} wave` : null)) this.mark("command", wave ?? "waveform off", at);
+      if (message.setpoint !== last.setpoint) this.mark("command", `set-point ${Dom.number(message.setpoint, this.unit)}`, at);
+      if (message.mode !== last.mode) this.mark("command", message.mode, at);
+      if (message.pole !== last.pole) this.mark("command", `pole ${Dom.number(message.pole)}`, at);
+      if (message.state !== last.state && MARKED.has(message.state)) this.mark(message.state === "tripped" ? "trip" : "command", message.state, at);
+    }
+
+    /** @param {Fast} message */
+    _takeFast(message) {
+      this.fast = message;
+      const at = timeS(message.time);
+      if (at <= (this.points[this.points.length - 1]?.timeS ?? -Infinity)) this.points = this.points.filter((one) => one.timeS < at); // the clock was set back
+      const reference = message.bridge ? this.load?.reference ?? null : null;
+      const asked_V = message.bridge ? this.load?.boost_reference_V ?? null : null;
+      push(this.points, { timeS: at, output: message.output, boost_voltage_V: message.boost_voltage_V, reference, asked_V }, POINTS);
+    }
+
+    /** Add what the daemon kept and is not known yet. @param {Past} past */
+    remember({ rows, points }) {
       const known = new Set(this.slowRows.map((row) => row.time));
       const all = [...rows.filter((row) => !known.has(row.time)), ...this.slowRows];
       this.slowRows = all.sort((a, b) => timeS(a.time) - timeS(b.time)).slice(-SLOW_ROWS);
+      const heard = new Set(this.points.map((point) => Math.round(READINGS_PER_S * point.timeS)));
+      const missed = points.filter((point) => !heard.has(Math.round(READINGS_PER_S * point.timeS)));
+      this.points = [...missed, ...this.points].sort((a, b) => a.timeS - b.timeS).slice(-POINTS);
       this.slowVersion += 1;
     }
+
 
     /** @param {Load} message @param {boolean} retained */
     _takeLoad(message, retained) {

@@ -77,7 +77,7 @@ const Payloads = (() => {
       load_power_W: number(raw.load_power_W), line_voltage_V: number(raw.line_voltage_V),
       age_s: number(raw.age_s), ticks: number(raw.ticks), missed: number(raw.missed), held: number(raw.held),
       lateness_us: { p99: number(lateness.p99), max: number(lateness.max) },
-      bus: map(raw.bus, number),
+      bus: map(raw.bus, number), bridge: fields(raw.command).bridge === true,
       sensors: map(raw.sensors, (one) => ({ up: fields(one).up === true, detail: text(fields(one).detail) })),
     };
   }
@@ -91,7 +91,15 @@ const Payloads = (() => {
   /** @param {Record<string, unknown>} raw @returns {Past} */
   function history(raw) {
     const rows = Array.isArray(raw.rows) ? raw.rows.slice(0, MOST_ROWS).filter(isObject).map(load) : [];
-    return { rows: rows.filter(isTimed) };
+    const readings = Array.isArray(raw.readings) ? raw.readings.slice(0, MOST_ROWS).filter(Array.isArray) : [];
+    return { rows: rows.filter(isTimed), points: readings.map(point).filter((one) => Number.isFinite(one.timeS)) };
+  }
+
+  /** A reading of the history. @param {unknown[]} raw @returns {Point} */
+  function point(raw) {
+    const timeS = number(raw[0]) ?? NaN;
+    const known = 1000 * timeS >= FIRST_MS && 1000 * timeS <= LAST_MS;
+    return { timeS: known ? timeS : NaN, output: number(raw[1]), boost_voltage_V: number(raw[2]), reference: number(raw[3]), asked_V: number(raw[4]) };
   }
 
   /** @param {Record<string, unknown>} raw @returns {Reply} */

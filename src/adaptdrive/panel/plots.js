@@ -1,10 +1,14 @@
 "use strict";
-// Time plots of one drive on one axis: the drive's own clock.
+// Time plots of one drive on one axis: the drive's own clock, shown in the time zone of the reader.
 
 const Plots = (() => {
   const HEIGHT = 170;
   const HOUR_S = 3600;
   const SPANS_S = [300, 1200, HOUR_S];
+  const SHORTEST_ZOOM_S = 1;
+  const SYNC = "drive";
+
+  /** @typedef {{from: number, to: number}} Window */
 
   /** @param {string} name */
   function colour(name) {
@@ -20,12 +24,13 @@ const Plots = (() => {
       dash: line.dash,
       points: { show: false },
       paths: line.step ? uPlot.paths.stepped({ align: 1 }) : undefined,
+      value: (/** @type {any} */ _, /** @type {number|null} */ value) => Dom.number(value),
     };
   }
 
   /** @param {any} _ @param {number[]} times */
   function clock(_, times) {
-    return times.map((time) => new Date(1000 * time).toISOString().slice(11, 19));
+    return times.map(Dom.clock);
   }
 
   /** As many digits as tell two marks of an axis apart.
@@ -36,74 +41,139 @@ const Plots = (() => {
     return marks.map((mark) => mark.toFixed(places));
   }
 
+  const SHAPES = /** @type {Record<string, {colour: string, dash: number[], sign: string}>} */ ({
+    trip: { colour: "--alarm", dash: [], sign: "▼" },
+    load: { colour: "--series-2", dash: [2, 3], sign: "◆" },
+    command: { colour: "--text-soft", dash: [5, 4], sign: "▸" },
+  });
+
+  /** Draw a line and a sign for each mark. @param {any} chart @param {Mark[]} marks */
+  function drawMarks(chart, marks) {
+    const { ctx, bbox } = chart;
+    ctx.save();
+    ctx.font = `${11 * devicePixelRatio}px system-ui`;
+    for (const { timeS, kind } of marks) {
+      const x = chart.valToPos(timeS, "x", true);
+      if (x < bbox.left || x > bbox.left + bbox.width) continue;
+      const shape = SHAPES[kind] ?? SHAPES.command;
+      ctx.strokeStyle = ctx.fillStyle = colour(shape.colour);
+      ctx.setLineDash(shape.dash);
+      ctx.beginPath();
+      ctx.moveTo(x, bbox.top);
+      ctx.lineTo(x, bbox.top + bbox.height);
+      ctx.stroke();
+      ctx.fillText(shape.sign, x + 2, bbox.top + 11 * devicePixelRatio);
+    }
+    ctx.restore();
+  }
+
   /** Make one plot.
-   * @param {HTMLElement} parent @param {string} title @param {any[]} lines @param {any[]} [bands] */
-  function plot(parent, title, lines, bands = []) {
+   * @param {HTMLElement} parent @param {string} title @param {any[]} lines
+   * @param {{marks: Mark[], zoom: (window: Window|null) => void}} owner @param {any[]} [bands] */
+  function plot(parent, title, lines, owner, bands = []) {
     const frame = Dom.make("figure.plot", {}, Dom.make("figcaption", {}, title));
     parent.append(frame);
     const axis = () => ({ stroke: colour("--text-soft"), grid: { stroke: colour("--line"), width: 1 }, ticks: { show: false }, font: "11px system-ui", size: 58, values: digits });
     const chart = new uPlot({
       width: 300, height: HEIGHT,
-      cursor: { sync: { key: "drive" }, points: { size: 5 } },
-      legend: { show: bands.length === 0, live: false },
+      cursor: { sync: { key: SYNC }, points: { size: 5 }, drag: { x: true, y: false, setScale: false } },
+      legend: { live: true },
       axes: [{ ...axis(), size: 26, space: 70, values: clock }, axis()],
-      series: [{ label: "time" }, ...lines.map(series)],
+      series: [{ label: "time", value: (/** @type {any} */ _, /** @type {number|null} */ at) => (at == null ? "–" : Dom.clock(at)) }, ...lines.map(series)],
       bands,
+      hooks: {
+        draw: [(/** @type {any} */ own) => drawMarks(own, owner.marks)],
+        setSelect: [(/** @type {any} */ own) => {
+          const { left, width } = own.select;
+          if (width < 4) return;
+          const from = own.posToVal(left, "x"), to = own.posToVal(left + width, "x");
+          own.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+          if (to - from >= SHORTEST_ZOOM_S) owner.zoom({ from, to });
+        }],
+      },
     }, lines.map(() => []).concat([[]]), frame);
-    frame.querySelector(".u-legend")?.setAttribute("role", "presentation"); // a table without data
+    chart.over.addEventListener("dblclick", () => owner.zoom(null));
+    frame.querySelector(".u-legend")?.setAttribute("role", "presentation"); // values under the mouse, not a table of data
     const resize = new ResizeObserver(() => {
       chart.setSize({ width: Math.max(200, frame.clientWidth), height: HEIGHT });
     });
     resize.observe(frame);
-    return { chart, frame, end() { resize.disconnect(); chart.destroy(); } };
+    return {
+      frame,
+      /** @param {any[]} data @param {Window} window */
+      show(data, window) {
+        chart.batch(() => { chart.setData(data); chart.setScale("x", { min: window.from, max: window.to }); });
+      },
+      end() { resize.disconnect(); chart.destroy(); },
+    };
   }
 
   /** The plots of a drive page.
    * @param {HTMLElement} parent @param {DriveView} drive */
   function open(parent, drive) {
     let spanS = SPANS_S[0];
+    /** @type {Window|null} */ let zoomed = null;
+    const owner = { marks: drive.marks, zoom(/** @type {Window|null} */ window) { zoomed = window; redraw(); } };
     const bar = Dom.make("div.spans", { role: "group", "aria-label": "time shown" });
     for (const choice of SPANS_S) {
-      bar.append(Dom.make("button", { type: "button", onclick: () => { spanS = choice; drawn = -1; marks(); } }, `${choice / 60} min`));
+      bar.append(Dom.make("button", { type: "button", onclick: () => { spanS = choice; owner.zoom(null); } }, `${choice / 60} min`));
     }
-    const marks = () => [...bar.children].forEach((button, i) => Dom.mark(button, "aria-pressed", String(SPANS_S[i] === spanS)));
-    marks();
+    const back = Dom.make("button", { type: "button", hidden: true, onclick: () => owner.zoom(null) }, "Show all");
+    bar.append(back, Dom.make("small.hint", {}, "drag to zoom"));
     parent.append(bar);
     const unit = drive.unit ? `, ${drive.unit}` : "";
     const output = plot(parent, `${drive.outputName}${unit}`, [
       { label: "reference", colour: "--series-2", step: true, dash: [6, 4] },
       { label: drive.outputName, colour: "--series-1" },
-    ]);
+    ], owner);
     const voltage = plot(parent, "boost voltage, V", [
       { label: "V_c asked for", colour: "--series-2", step: true, dash: [6, 4] },
       { label: "applied", colour: "--series-1" },
-    ]);
+    ], owner);
     const strip = Dom.make("canvas.strip", { "aria-label": "controller in force and verdict over time" });
-    parent.append(Dom.make("figure.plot", {}, Dom.make("figcaption", {}, "controller in force: adaptive blue, fixed grey; amber below where the estimate is refused"), strip));
+    parent.append(Dom.make("figure.plot", {}, Dom.make("figcaption", {}, "controller in force: adaptive tall and blue, fixed low and grey; dots below where the estimate is refused"), strip));
+    const key = Dom.make("p.hint.key");
+    parent.append(key);
     /** @type {Map<string, ReturnType<typeof plot>>} */ const estimates = new Map();
-    let drawn = -1;
+    let drawn = "";
 
-    function draw() {
-      if (drawn === drive.slowVersion) return;
-      drawn = drive.slowVersion;
-      const rows = recent(drive.slowRows, spanS);
-      const time = rows.map((row) => Drives.timeS(row.time));
-      output.chart.setData([time, rows.map((r) => r.reference), rows.map((r) => r.output)]);
-      voltage.chart.setData([time, rows.map((r) => r.boost_reference_V), rows.map((r) => r.applied_V)]);
-      for (const name of Object.keys(drive.load?.estimates ?? {})) drawEstimate(name, rows, time);
-      drawStrip(/** @type {HTMLCanvasElement} */ (strip), rows, time);
+    function redraw() {
+      drawn = "";
+      [...bar.children].slice(0, SPANS_S.length).forEach((button, i) => Dom.mark(button, "aria-pressed", String(!zoomed && SPANS_S[i] === spanS)));
+      back.hidden = !zoomed;
+      draw();
     }
 
-    /** @param {string} name @param {Load[]} rows @param {number[]} time */
-    function drawEstimate(name, rows, time) {
+    function draw() {
+      const version = `${drive.version} ${drive.slowVersion}`;
+      if (drawn === version) return;
+      drawn = version;
+      const points = course(drive);
+      const newest = Math.max(points[points.length - 1]?.timeS ?? -Infinity, -Infinity);
+      if (!Number.isFinite(newest)) return;
+      const window = zoomed ?? { from: newest - spanS, to: newest };
+      const shown = within(points, window);
+      const time = shown.map((one) => one.timeS);
+      output.show([time, shown.map((one) => one.reference), shown.map((one) => one.output)], window);
+      voltage.show([time, shown.map((one) => one.asked_V), shown.map((one) => one.boost_voltage_V)], window);
+      const rows = within(drive.slowRows.map((row) => ({ ...row, timeS: Drives.timeS(row.time) })), window);
+      for (const name of Object.keys(drive.load?.estimates ?? {})) drawEstimate(name, rows, window);
+      const inner = /** @type {HTMLElement} */ (output.frame.querySelector(".u-over"));
+      drawStrip(/** @type {HTMLCanvasElement} */ (strip), rows, window, inner);
+      Dom.say(key, drive.marks.filter((one) => one.timeS >= window.from && one.timeS <= window.to).slice(-6)
+        .map((one) => `${(SHAPES[one.kind] ?? SHAPES.command).sign} ${Dom.clock(one.timeS)} ${one.text}`).join("   "));
+    }
+
+    /** @param {string} name @param {(Load & {timeS: number})[]} rows @param {Window} window */
+    function drawEstimate(name, rows, window) {
       let own = estimates.get(name);
       if (!own) {
         const { text, unit } = Contract.named(name, Object.keys(drive.load?.estimates ?? {}), drive.unit);
         own = plot(parent, `estimate: ${text}${unit ? `, ${unit}` : ""}, ± 2 σ`, [
           { label: "high", colour: "--series-1", band: true },
           { label: "low", colour: "--series-1", band: true },
-          { label: name, colour: "--series-1" },
-        ], [{ series: [1, 2], fill: colour("--band") }]);
+          { label: text, colour: "--series-1" },
+        ], owner, [{ series: [1, 2], fill: colour("--band") }]);
         estimates.set(name, own);
       }
       const at = (/** @type {Load} */ row, /** @type {number} */ sigmas) => {
@@ -111,9 +181,10 @@ const Plots = (() => {
         if (one?.value == null) return null;
         return sigmas && one.std == null ? null : one.value + sigmas * (one.std ?? 0);
       };
-      own.chart.setData([time, rows.map((r) => at(r, 2)), rows.map((r) => at(r, -2)), rows.map((r) => at(r, 0))]);
+      own.show([rows.map((r) => r.timeS), rows.map((r) => at(r, 2)), rows.map((r) => at(r, -2)), rows.map((r) => at(r, 0))], window);
     }
 
+    redraw();
     return {
       draw,
       end() {
@@ -122,31 +193,45 @@ const Plots = (() => {
     };
   }
 
-  /** @param {Load[]} rows @param {number} spanS */
-  function recent(rows, spanS) {
-    if (!rows.length) return rows;
-    const from = Drives.timeS(rows[rows.length - 1].time) - spanS;
-    return rows.filter((row) => Drives.timeS(row.time) >= from);
+  /** The slow steps of before the first reading, then the readings. @param {DriveView} drive @returns {Point[]} */
+  function course(drive) {
+    const first = drive.points[0]?.timeS ?? Infinity;
+    const slow = drive.slowRows.filter((row) => Drives.timeS(row.time) < first).map((row) => ({
+      timeS: Drives.timeS(row.time), output: row.output, reference: row.reference,
+      boost_voltage_V: row.applied_V, asked_V: row.boost_reference_V,
+    }));
+    return [...slow, ...drive.points];
   }
 
-  /** @param {HTMLCanvasElement} canvas @param {Load[]} rows @param {number[]} time */
-  function drawStrip(canvas, rows, time) {
-    const width = (canvas.width = canvas.clientWidth || 300);
-    const height = (canvas.height = 26);
+  /** What lies in a window, and one more on each side. @template {{timeS: number}} T @param {T[]} rows @param {Window} window */
+  function within(rows, { from, to }) {
+    let first = rows.findIndex((row) => row.timeS >= from);
+    if (first < 0) first = rows.length;
+    let last = rows.length;
+    while (last > first && rows[last - 1].timeS > to) last -= 1;
+    return rows.slice(Math.max(0, first - 1), last + 1);
+  }
+
+  /** Draw the controller in force and the verdicts at the same times as the plot above.
+   * @param {HTMLCanvasElement} canvas @param {(Load & {timeS: number})[]} rows @param {Window} window
+   * @param {HTMLElement} inner area of the plot above */
+  function drawStrip(canvas, rows, window, inner) {
+    const width = (canvas.width = inner.clientWidth || 300);
+    canvas.style.width = `${width}px`;
+    canvas.style.marginLeft = `${inner.offsetLeft}px`;
+    canvas.height = 26;
     const pen = canvas.getContext("2d");
-    if (!pen || time.length < 2) return;
-    const from = time[0];
-    const scale = width / (time[time.length - 1] - from);
-    const colours = { adaptive: colour("--series-1"), fixed: colour("--line"), refused: colour("--warn") };
+    if (!pen || rows.length < 2) return;
+    const scale = width / (window.to - window.from);
     for (let i = 1; i < rows.length; i += 1) {
-      const x = (time[i - 1] - from) * scale;
-      const w = Math.ceil((time[i] - time[i - 1]) * scale) + 1;
-      pen.fillStyle = rows[i].controller === "adaptive" ? colours.adaptive : colours.fixed;
-      pen.fillRect(x, 0, w, 16);
-      if (!rows[i].accepted) {
-        pen.fillStyle = colours.refused;
-        pen.fillRect(x, 19, w, 6);
-      }
+      const x = (rows[i - 1].timeS - window.from) * scale;
+      const w = Math.ceil((rows[i].timeS - rows[i - 1].timeS) * scale) + 1;
+      const adaptive = rows[i].controller === "adaptive";
+      pen.fillStyle = colour(adaptive ? "--series-1" : "--text-soft");
+      pen.fillRect(x, adaptive ? 0 : 10, w, adaptive ? 16 : 6);
+      if (rows[i].accepted) continue;
+      pen.fillStyle = colour("--warn");
+      for (let dot = x; dot < x + w; dot += 8) pen.fillRect(dot, 20, 4, 4);
     }
   }
 
