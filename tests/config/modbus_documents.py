@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from adaptdrive.config import Configuration, parse_configuration
+from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
 from adaptdrive.errors import ConfigurationError
+from adaptdrive.hardware.demands import demands_of
+from adaptdrive.hardware.modbus.mapping import map_drive
 from tests.config.documents import SOURCE
 
 MINIMAL = {
@@ -49,9 +52,14 @@ def parse(**changes: str | None) -> Configuration:
 
 
 def flaws(**changes: str | None) -> dict[str, str]:
-    """Message by place of every flaw."""
+    """Message by place of every flaw of the file, and of the registers that it binds."""
     try:
-        parse(**changes)
+        configuration = parse(**changes)
+        bus = configuration.bus
+        assert isinstance(bus, ModbusTcp | ModbusRtu)
+        half_cycle_s = 0.5 / configuration.drive.line_frequency_Hz
+        demands = demands_of(configuration)
+        map_drive(bus, configuration.signals, half_cycle_s, SOURCE, demands)
     except ConfigurationError as error:
         return {flaw.place: flaw.message for flaw in error.flaws}
     return {}

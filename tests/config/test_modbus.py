@@ -112,7 +112,7 @@ def test_each_kind_of_bus_has_its_own_form_of_a_name() -> None:
         (
             {"signals__fault": '"speed"'},
             "signals.fault",
-            "must be an integer with scale 1",
+            "must be an integer with factor 1",
         ),
         (
             {"signals__bridge": "{ signal = 'state', scale = 2.0 }"},
@@ -158,15 +158,15 @@ def test_what_does_not_fit_is_a_flaw(
 @pytest.mark.parametrize(
     ("register", "on", "words"),
     [
-        ("bit = 3", 8, "8 is never read from 'state', which gives 0…1"),
-        ("bit = 3", -1, "gives 0…1"),
-        ("type = 'uint16'", 65536, "gives 0…65535"),
-        ("type = 'uint16'", -1, "gives 0…65535"),
-        ("type = 'int16'", 32768, "gives -32768…32767"),
-        ("type = 'int32'", -2147483649, "gives -2147483648…2147483647"),
-        ("range = { low = 0.5, high = 7.5 }", 8, "gives 1…7"),
-        ("range = { low = -1e6, high = 1e6 }", 65536, "gives 0…65535"),
-        ("not_available = 8", 8, "8 is the count of 'state' for no value"),
+        ("bit = 3", 8, "the bridge would never be on: state = 8 is outside 0…1"),
+        ("bit = 3", -1, "outside 0…1"),
+        ("type = 'uint16'", 65536, "outside 0…65535"),
+        ("type = 'uint16'", -1, "outside 0…65535"),
+        ("type = 'int16'", 32768, "outside -32768…32767"),
+        ("type = 'int32'", -2147483649, "outside -2147483648…2147483647"),
+        ("range = { low = 0.5, high = 7.5 }", 8, "outside 1…7"),
+        ("range = { low = -1e6, high = 1e6 }", 65536, "outside 0…65535"),
+        ("not_available = 8", 8, "state = 8 says that nothing is known"),
     ],
 )
 def test_a_count_that_no_reading_of_the_bridge_can_be_is_a_flaw(

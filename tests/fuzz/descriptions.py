@@ -40,7 +40,7 @@ def dbc(data: bytes) -> object:
         if catalogue.message(message.name, "bus") is not None:
             MessageCodec(message).example()
         for signal in message.signals:
-            catalogue.signal(f"{message.name}.{signal.name}", "signals.output")
+            catalogue.find(f"{message.name}.{signal.name}", "signals.output")
     return list(candidates(database))
 
 

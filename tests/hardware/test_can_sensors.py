@@ -174,8 +174,8 @@ def test_what_the_database_does_not_have_is_listed_with_its_place(tmp_path: Path
     with pytest.raises(ConfigurationError) as caught:
         build_can_sensors(config, "sensor_bus.1", time.monotonic)
     assert {flaw.place for flaw in caught.value.flaws} == {
-        "sensor_bus.1.signals.a.signal",
-        "sensor_bus.1.signals.b.signal",
+        "sensor_bus.1.signals.a",
+        "sensor_bus.1.signals.b",
         "sensor_bus.1.integrity.DriveLoad.counter",
     }
     assert "did you mean 'Tachometer'" in str(caught.value)

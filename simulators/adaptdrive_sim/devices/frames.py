@@ -23,7 +23,7 @@ from adaptdrive.hardware.dbc.database import (
     load_database,
     message_codec,
 )
-from adaptdrive.hardware.dbc.orders import build_orders, find_orders, resolve
+from adaptdrive.hardware.dbc.orders import build_orders, find_orders
 from adaptdrive.hardware.dbc.pages import carried_signals, page_of, sent_pages
 from adaptdrive.hardware.link.codec import MessageCodec, counter_modulus
 from adaptdrive.hardware.link.layout import compile_field
@@ -151,9 +151,9 @@ def load_messages(bus: CanBus, configuration: Configuration, source: Path) -> Dr
         ConfigurationError: The database and the configuration do not fit together.
     """
     database = load_database(bus.database, source)
-    catalogue = SignalCatalogue(database, fd=bus.fd)
+    catalogue = SignalCatalogue(database, fd=bus.fd, integrity=bus.integrity)
     sinks = _find_sinks(catalogue, configuration)
-    orders = find_orders(catalogue, bus, configuration.signals)
+    orders = find_orders(catalogue, configuration.signals)
     for name, integrity in bus.integrity.items():
         catalogue.check_integrity(name, integrity)
     if catalogue.flaws:
@@ -169,7 +169,7 @@ def load_messages(bus: CanBus, configuration: Configuration, source: Path) -> Dr
             )
             for name in names
         ),
-        tuple(build_orders(catalogue, bus, orders)),
+        tuple(build_orders(catalogue, bus.integrity, orders)),
     )
 
 
@@ -182,7 +182,7 @@ def _find_sinks(
         given: SignalSource | None = getattr(configuration.signals, quantity)
         if given is None:
             continue
-        hit = catalogue.signal(given.signal, f"signals.{quantity}")
+        hit = catalogue.find(given.signal, f"signals.{quantity}")
         if hit is not None:
             sink = _sink(catalogue, quantity, hit[1], given)
             sinks.setdefault(hit[0].name, []).append((hit[1], sink))
@@ -214,7 +214,7 @@ def _sink(
 ) -> SignalSink:
     scale, offset = given.scale, given.offset
     if isinstance(given, SwitchSource) and given.on is not None:
-        on = resolve(catalogue, signal, given.on, f"signals.{quantity}.on") or 0.0
+        on = catalogue.resolve(compile_field(signal), given.on, f"signals.{quantity}.on") or 0.0
         off = 0.0 if on else 1.0
         scale, offset = 1.0 / (on - off), -off / (on - off)
     layout = compile_field(signal, measured=True)

@@ -16,6 +16,7 @@ from adaptdrive.config.file import Findings, find_flaws, read_text
 from adaptdrive.config.modbus import ModbusBus, ModbusLink
 from adaptdrive.config.sensors import AnySensorBus, sensor_flaws
 from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.hardware.demands import NO_DEMANDS, demands_of
 
 _OF_PORT = frozenset({"drive", "bus", "signals", "voltage_loop", "load", "interlocks"})
 
@@ -61,6 +62,8 @@ def _description_flaws(findings: Findings, path: Path) -> Iterator[Flaw]:
     if "sensor_bus" not in findings.sound:
         return
     flawed = [flaw.place for flaw in findings.flaws]
+    sound = findings.mended >= _OF_PORT
+    demands = demands_of(configuration) if sound else NO_DEMANDS
     for number, bus in enumerate(configuration.sensor_bus):
         place = f"sensor_bus.{number}"
         if isinstance(bus, ModbusLink):
@@ -68,7 +71,7 @@ def _description_flaws(findings: Findings, path: Path) -> Iterator[Flaw]:
             yield from unknown
             if unknown or any(one.startswith(f"{place}.") for one in flawed):
                 continue
-        build = functools.partial(build_sensor_port, bus, place, now_s, path)
+        build = functools.partial(build_sensor_port, bus, place, now_s, path, demands)
         yield from _flaws_of(build)
 
 

@@ -12,6 +12,7 @@ from adaptdrive.config.derived import Rule, in_order
 from adaptdrive.config.sensors import AnySensorBus
 from adaptdrive.config.supply import needed_names
 from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.hardware.demands import NO_DEMANDS, Demands, demands_of
 from adaptdrive.hardware.port import Port, SensorPort
 from adaptdrive.hardware.sensored_port import SensoredPort
 from adaptdrive.hardware.sensors import (
@@ -62,10 +63,10 @@ def build_whole_port(
         ports.append(build_port(configuration, clock, source, passive=passive))
     except ConfigurationError as error:
         flaws += error.flaws
-    needed = needed_names(configuration.derived)
+    needed, demands = needed_names(configuration.derived), demands_of(configuration)
     for number, bus in enumerate(configuration.sensor_bus):
         try:
-            port = build_sensor_port(bus, f"sensor_bus.{number}", clock, source)
+            port = build_sensor_port(bus, f"sensor_bus.{number}", clock, source, demands)
         except ConfigurationError as error:
             flaws += error.flaws
         else:
@@ -79,7 +80,11 @@ def build_whole_port(
 
 
 def build_sensor_port(
-    bus: AnySensorBus, place: str, clock: Callable[[], float], source: Path | str
+    bus: AnySensorBus,
+    place: str,
+    clock: Callable[[], float],
+    source: Path | str,
+    demands: Demands = NO_DEMANDS,
 ) -> SensorPort:
     """Build the port of one sensor bus; nothing is opened yet.
 
@@ -88,13 +93,14 @@ def build_sensor_port(
         place: Where it stands in the configuration.
         clock: Monotonic clock in seconds.
         source: The configuration's file, for error messages.
+        demands: What the signals must be able to carry.
 
     Raises:
         ConfigurationError: Bus and signals do not fit; every flaw is listed.
     """
     build = bus_kind(bus.type, source).build_sensors
     assert build is not None  # noqa: S101 - `AnySensorBus` has only kinds that can have sensors
-    return build(bus, place, clock, source)
+    return build(bus, place, clock, source, demands)
 
 
 def derivations(configuration: Configuration) -> list[Derivation]:

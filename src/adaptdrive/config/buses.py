@@ -10,7 +10,7 @@ from adaptdrive.config.bus import BusSection, CanBus, Signals
 from adaptdrive.config.cadence import Sections, clock_flaws, poll_flaws, sync_flaws
 from adaptdrive.config.canopen import CanOpenBus, canopen_flaws
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp
-from adaptdrive.config.references import can_flaws, modbus_flaws, stated_unit_flaws, unit_flaws
+from adaptdrive.config.references import can_flaws, modbus_flaws
 from adaptdrive.errors import Flaw
 
 AnyBus = CanBus | CanOpenBus | ModbusTcp | ModbusRtu
@@ -18,12 +18,6 @@ AnyBus = CanBus | CanOpenBus | ModbusTcp | ModbusRtu
 BUS_TYPES: tuple[str, ...] = tuple(
     name for kind in get_args(AnyBus) for name in get_args(kind.model_fields["type"].annotation)
 )
-
-
-def _object_unit_flaws(_: CanOpenBus, signals: Signals, output_unit: str) -> Iterator[Flaw]:
-    """Objects whose `unit` does not lead to their quantity; an EDS names no units."""
-    for place, part in (("signals", signals), ("signals.command", signals.command)):
-        yield from stated_unit_flaws(place, dict(part), output_unit)
 
 
 def _nothing(*_: object) -> Iterator[Flaw]:
@@ -36,19 +30,17 @@ class BusChecks:
 
     Attributes:
         signals: Of bus and signals.
-        units: Of the signals' units, where the section states them.
         pace: Of the time between two readings, against the other sections.
     """
 
     signals: Callable[[Any, Signals], Iterator[Flaw]]
-    units: Callable[[Any, Signals, str], Iterator[Flaw]] = _nothing
     pace: Callable[[Any, Sections], Iterator[Flaw]] = _nothing
 
 
-_MODBUS = BusChecks(modbus_flaws, unit_flaws, poll_flaws)
+_MODBUS = BusChecks(modbus_flaws, poll_flaws)
 _CHECKS: dict[type[BusSection], BusChecks] = {
-    CanBus: BusChecks(can_flaws, pace=clock_flaws),
-    CanOpenBus: BusChecks(canopen_flaws, _object_unit_flaws, sync_flaws),
+    CanBus: BusChecks(can_flaws, clock_flaws),
+    CanOpenBus: BusChecks(canopen_flaws, sync_flaws),
     ModbusTcp: _MODBUS,
     ModbusRtu: _MODBUS,
 }

@@ -89,8 +89,6 @@ def canopen_flaws(bus: CanOpenBus, signals: Signals) -> Iterator[Flaw]:
         yield Flaw("signals.bridge", "the statusword 0x6041 contains it: leave it out")
     if signals.command.bridge is not None:
         yield Flaw("signals.command.bridge", "the controlword 0x6040 carries it: leave it out")
-    if signals.command.constants:
-        yield Flaw("signals.command.constants", "are for a DBC; use [bus.setup]")
     if signals.counter is not None and bus.sync == "daemon":
         yield Flaw(
             "signals.counter", "bus.sync = 'daemon' makes the daemon the clock: leave it out"

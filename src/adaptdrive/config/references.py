@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import math
 import re
 from collections.abc import Iterator, Mapping
 
 from adaptdrive.config.bus import CanBus, Signals
 from adaptdrive.config.modbus import ModbusBus, Register
 from adaptdrive.config.proposals import nearest
-from adaptdrive.config.units import WANTED, Converted, stated_problem, unit_problem
+from adaptdrive.config.units import WANTED, Converted, stated_problem
 from adaptdrive.errors import Flaw
 
 MEASURED = ("boost_voltage_V", "line_voltage_V", "load_power_W", "output")
@@ -22,8 +21,7 @@ CAN_SIGNAL = re.compile(r"[^.]+\.[^.]+")
 
 def can_flaws(_: CanBus, signals: Signals) -> Iterator[Flaw]:
     """References that are no `Message.Signal`."""
-    constants = [(f"signals.command.constants.{name}", name) for name in signals.command.constants]
-    for place, name in (*measured_names(signals), *commanded_names(signals), *constants):
+    for place, name in (*measured_names(signals), *commanded_names(signals)):
         if not CAN_SIGNAL.fullmatch(name):
             yield Flaw(place, f"{name!r} must be `Message.Signal` on a CAN bus")
 
@@ -40,9 +38,8 @@ def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
         target = bus.registers.get(name)
         if target is not None and (target.table == "input" or target.bit is not None):
             yield Flaw(place, f"{name!r} cannot be written: it must be a whole holding register")
-    yield from _word_flaws(bus, signals)
+    yield from _beat_flaws(bus)
     yield from _switch_flaws(signals)
-    yield from _on_flaws(bus, signals)
     yield from _overlap_flaws(bus, signals)
 
 
@@ -56,7 +53,11 @@ def measured_names(signals: Signals) -> list[tuple[str, str]]:
 def commanded_names(signals: Signals) -> list[tuple[str, str]]:
     """Place and name of each signal that carries a part of the command."""
     given = [(name, getattr(signals.command, name)) for name in COMMANDED]
-    return [(f"signals.command.{name}", one.signal) for name, one in given if one is not None]
+    named = [(f"signals.command.{name}", one.signal) for name, one in given if one is not None]
+    return [
+        *named,
+        *((f"signals.command.constants.{one}", one) for one in signals.command.constants),
+    ]
 
 
 def _heartbeat(bus: ModbusBus, side: str) -> list[tuple[str, str]]:
@@ -87,25 +88,6 @@ def register_flaws(place: str, register: Register) -> Iterator[Flaw]:
         register.type == "float32" or register.bit >= 16 * register.words
     ):
         yield Flaw(f"{place}.bit", f"{register.type} has no bit {register.bit}")
-
-
-def unit_flaws(bus: ModbusBus, signals: Signals, output_unit: str) -> Iterator[Flaw]:
-    """Registers that are not in the unit of what is taken from them.
-
-    Args:
-        bus: `[bus]`.
-        signals: `[signals]`.
-        output_unit: Unit of the regulated quantity.
-    """
-    units = {**WANTED, "output": output_unit}
-    for name, unit in units.items():
-        given = getattr(signals, name, None) or getattr(signals.command, name, None)
-        register = None if given is None else bus.registers.get(given.signal)
-        if given is not None and register is not None:
-            problem = unit_problem(given, register.unit, unit)
-            if problem:
-                place = f"signals.{name}" if hasattr(signals, name) else f"signals.command.{name}"
-                yield Flaw(place, f"{given.signal}: {problem}")
 
 
 def stated_unit_flaws(
@@ -185,59 +167,19 @@ def _label_flaws(place: str, register: Register) -> Iterator[Flaw]:
         yield Flaw(place, f"{label}; zero-based that is {meant}; {advice}")
 
 
-def _word_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
-    """Words and heartbeats are counts as they stand."""
-    names = [*_heartbeat(bus, "drive"), *_heartbeat(bus, "daemon")]
-    for word in WORDS:
-        source = getattr(signals, word)
-        if source is not None:
-            names.append((f"signals.{word}", source.signal))
-            if (source.scale, source.offset) != (1.0, 0.0):
-                yield Flaw(f"signals.{word}", "is an integer: it takes no scale and no offset")
-    if signals.command.bridge is not None:
-        names.append(("signals.command.bridge", signals.command.bridge.signal))
-    for place, name in names:
+def _beat_flaws(bus: ModbusBus) -> Iterator[Flaw]:
+    """Heartbeats are counts as they stand."""
+    for place, name in (*_heartbeat(bus, "drive"), *_heartbeat(bus, "daemon")):
         register = bus.registers.get(name)
         if register is not None and (register.type == "float32" or register.scale != 1.0):
             yield Flaw(place, f"register {name!r} must be an integer with scale 1")
 
 
 def _switch_flaws(signals: Signals) -> Iterator[Flaw]:
-    """On Modbus there are no value tables, and the section of a register names what switches it."""
-    if signals.bridge is not None and isinstance(signals.bridge.on, str):
-        yield Flaw("signals.bridge.on", "names are for CAN; on Modbus it is a count")
+    """On Modbus the section of a register names what switches it."""
     switch = signals.command.bridge
     if switch is not None and (switch.on, switch.off) != (None, None):
         yield Flaw("signals.command.bridge", "on Modbus `on` and `off` stand with the register")
-    if signals.command.constants:
-        yield Flaw("signals.command.constants", "are for CAN")
-
-
-def _on_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
-    """A count that the register never gives: every reading would say that the bridge is off."""
-    given = signals.bridge
-    register = None if given is None else bus.registers.get(given.signal)
-    if given is None or register is None or not isinstance(given.on, int):
-        return
-    low, high = _counts(register)
-    if not low <= given.on <= high:
-        problem = f"{given.on} is never read from {given.signal!r}, which gives {low}…{high}"
-        yield Flaw("signals.bridge.on", problem)
-    elif register.bit is None and given.on == register.not_available:
-        problem = f"{given.on} is the count of {given.signal!r} for no value"
-        yield Flaw("signals.bridge.on", problem)
-
-
-def _counts(register: Register) -> tuple[int, int]:
-    """Return the lowest and the highest count that an integer register gives."""
-    if register.bit is not None:
-        return 0, 1
-    span = 1 << 16 * register.words
-    low = -span // 2 if register.type.startswith("int") else 0
-    high, bounds = low + span - 1, register.range
-    if bounds is None:
-        return low, high
-    return math.ceil(max(low, bounds.low)), math.floor(min(high, bounds.high))
 
 
 def _overlap_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:

@@ -83,16 +83,8 @@ def _bus_flaws(configuration: Configuration) -> Iterator[Flaw]:
     yield from bus_checks(configuration.bus).signals(configuration.bus, configuration.signals)
 
 
-def _unit_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    bus, unit = configuration.bus, configuration.load.output_unit
-    yield from bus_checks(bus).units(bus, configuration.signals, unit)
-
-
 def _converted_flaws(configuration: Configuration) -> Iterator[Flaw]:
-    unit = configuration.load.output_unit
-    for number, bus in enumerate(configuration.sensor_bus):
-        yield from stated_unit_flaws(f"sensor_bus.{number}.signals", bus.signals, unit)
-    yield from stated_unit_flaws("derived", configuration.derived, unit)
+    yield from stated_unit_flaws("derived", configuration.derived, configuration.load.output_unit)
 
 
 def _pace_flaws(configuration: Configuration) -> Iterator[Flaw]:
@@ -174,8 +166,7 @@ def _trip_flaws(configuration: Configuration) -> Iterator[Flaw]:
 _CHECKS: tuple[tuple[Callable[[Configuration], Iterator[Flaw]], frozenset[str]], ...] = (
     (_rate_flaws, frozenset({"drive", "load"})),
     (_bus_flaws, frozenset({"bus", "signals"})),
-    (_unit_flaws, frozenset({"bus", "signals", "load"})),
-    (_converted_flaws, frozenset({"sensor_bus", "derived", "load"})),
+    (_converted_flaws, frozenset({"derived", "load"})),
     (
         _pace_flaws,
         frozenset({"drive", "bus", "signals", "load", "interlocks", "voltage_loop"}),

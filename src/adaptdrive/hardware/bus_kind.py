@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from adaptdrive.config import Configuration
 from adaptdrive.config.references import MEASURED
 from adaptdrive.errors import Flaw
+from adaptdrive.hardware.demands import Demands
 from adaptdrive.hardware.port import Port, SensorPort
 
 Row = tuple[str, float, str]
@@ -40,8 +41,8 @@ class BuildPort(Protocol):
         """
 
 
-BuildSensors = Callable[[Any, str, Callable[[], float], Path | str], SensorPort]
-"""Builds the port of an entry of `[[sensor_bus]]` from it, its place, clock and source."""
+BuildSensors = Callable[[Any, str, Callable[[], float], Path | str, Demands], SensorPort]
+"""Builds the port of an entry of `[[sensor_bus]]` from it, its place, clock, source and demands."""
 
 
 def stale_limits(configuration: Configuration, _: Path | str) -> Iterator[Row]:

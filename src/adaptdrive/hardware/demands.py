@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from adaptdrive.config import Configuration
+from adaptdrive.config.units import WANTED
 from adaptdrive.control.signals import Command
-
-_ROUNDING = 1e-6
-"""Share of one count by which an integer may be missed in binary."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +24,10 @@ class Demands:
     output_unit: str = ""
     commands: tuple[Command, ...] = ()
     trips: Mapping[str, tuple[str, float]] = field(default_factory=dict)
+
+    def unit_of(self, quantity: str) -> str:
+        """The unit of a quantity, empty for one of any unit."""
+        return self.output_unit if quantity == "output" else WANTED.get(quantity, "")
 
     def values(self, name: str) -> list[float]:
         """The ends of one field of the command."""
@@ -56,12 +57,3 @@ def demands_of(configuration: Configuration) -> Demands:
             "output": ("output_max", configuration.interlocks.output_max),
         },
     )
-
-
-def is_whole(count: float) -> bool:
-    """Return whether a number of counts is an integer, but for what it misses in binary.
-
-    Args:
-        count: The number.
-    """
-    return math.isclose(count, round(count), rel_tol=0.0, abs_tol=_ROUNDING)

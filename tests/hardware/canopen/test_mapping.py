@@ -32,7 +32,7 @@ def test_the_example_fits_into_two_pdos_of_the_drive_and_one_of_the_daemon() -> 
 def test_an_object_is_named_by_number_or_by_name(reference: str) -> None:
     mapping = plan({"signals/output": {"signal": reference, "scale": 1e-6}})
     (output,) = [source for source in mapping.sources if source.quantity == "output"]
-    assert output.entry.address == (0x2001, 2)
+    assert output.item.address == (0x2001, 2)
     assert (output.scale, output.offset) == (1e-6, 0.0)
 
 
@@ -74,7 +74,7 @@ def test_a_counter_wraps_where_its_type_does() -> None:
         ({"signals/output": "0x1008"}, "signals.output", "no number"),
         ({"signals/output": "0x1017"}, "signals.output", "does not send"),
         ({"signals/fault": "0x2001.3"}, "signals.fault", "no object"),
-        ({"signals/fault": "0x2000.3"}, "signals.fault", "no unsigned integer"),
+        ({"signals/fault": "0x2000.3"}, "signals.fault", "must be an integer"),
         (
             {"signals/command/boost_reference_V": "0x6079"},
             "signals.command.boost_reference_V",
@@ -156,7 +156,7 @@ def test_a_safe_command_between_two_counts_is_refused(
     signal = {"signal": "Boost stage.Voltage reference", "offset": offset_V}
     found = flaws({"bus/eds": str(eds), "signals/command/boost_reference_V": signal})
     place = "signals.command.boost_reference_V"
-    problem = "'Boost stage.Voltage reference' cannot be 0: it could not be safe"
+    problem = "0 would be sent as 0.4: it could not be safe"
     assert found == ({} if safe else {place: problem})
 
 

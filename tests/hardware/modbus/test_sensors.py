@@ -16,6 +16,7 @@ import pytest
 
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.errors import ConfigurationError
+from adaptdrive.hardware.demands import Demands
 from adaptdrive.hardware.modbus.sensors import ModbusSensorPort, build_modbus_sensors
 from adaptdrive.hardware.modbus.turns import SELDOM_CYCLES
 from tests.hardware.modbus.bench import Peer, Pieces, RtuPeer, TcpPeer, until
@@ -378,6 +379,23 @@ def test_each_device_on_the_line_is_asked_for_its_own_registers() -> None:
     )
     asked = [(one.exchange.device_id, one.exchange.read.count) for one in port._blocks]  # type: ignore[union-attr]
     assert asked == [(3, 1), (7, 3)]
+
+
+def test_a_sensor_is_held_against_unit_and_trip_as_a_drive_is() -> None:
+    registers = {"a": {"address": 0, "table": "input", "unit": "rpm"}}
+    given = {
+        "registers": registers,
+        "signals": {"output": {"signal": "a"}, "load_power_W": {"signal": "a", "scale": 0.001}},
+        "type": "modbus-tcp",
+        "host": "127.0.0.1",
+    }
+    config = ModbusTcpSensors.model_validate(COMMON | given)
+    demands = Demands("K", trips={"load_power_W": ("load_power_max_W", 66.0)})
+    with pytest.raises(ConfigurationError) as caught:
+        build_modbus_sensors(config, "sensor_bus.2", time.monotonic, demands=demands)
+    found = {flaw.place: flaw.message for flaw in caught.value.flaws}
+    assert "is in rpm, the quantity in K" in found["sensor_bus.2.signals.output"]
+    assert "can never trip" in found["sensor_bus.2.signals.load_power_W"]
 
 
 def test_a_cycle_that_the_line_cannot_carry_is_refused_with_its_figures() -> None:

@@ -78,7 +78,7 @@ class Assembly:
             fault: Faults seen since the last reading that was handed out.
         """
         found = {
-            source.quantity: self._heard[name][source.entry.label] * source.scale + source.offset
+            source.quantity: self._heard[name][source.item.label] * source.scale + source.offset
             for name, status in self._statuses.items()
             for source in status.sources
         }

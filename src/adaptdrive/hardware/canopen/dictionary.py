@@ -22,7 +22,9 @@ from canopen.objectdictionary import (
 
 from adaptdrive.config.proposals import nearest
 from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.hardware.binding import Catalogue, Use
 from adaptdrive.hardware.description import description_text, problem_text
+from adaptdrive.hardware.field import Field, natural_limits
 
 Address = tuple[int, int]
 Thing = ODVariable | ODRecord | ODArray
@@ -100,13 +102,7 @@ class Entry:
     @property
     def limits(self) -> tuple[float, float]:
         """Smallest and largest raw value: the EDS's limits within those of the type."""
-        if self.real:
-            top = 3.4028234663852886e38 if self.bits == 32 else 1.7976931348623157e308
-            low, high = -top, top
-        elif self.signed:
-            low, high = -(1 << (self.bits - 1)), (1 << (self.bits - 1)) - 1
-        else:
-            low, high = 0, (1 << self.bits) - 1
+        low, high = natural_limits(self.bits, signed=self.signed, real=self.real)
         return (
             low if self.low is None else max(low, self.low),
             high if self.high is None else min(high, self.high),
@@ -148,16 +144,40 @@ def _named_text(path: Path) -> StringIO:
     return text
 
 
-class ObjectCatalogue:
+class ObjectCatalogue(Catalogue[Entry]):
     """Finds entries by name or number, and collects an error for each missing entry."""
 
     def __init__(self, dictionary: ObjectDictionary) -> None:
+        super().__init__()
         self._dictionary = dictionary
-        self.flaws: list[Flaw] = []
 
-    def note(self, place: str, message: str) -> None:
-        """Gather a flaw."""
-        self.flaws.append(Flaw(place, message))
+    def field(self, item: Entry, use: Use) -> Field:  # noqa: ARG002 - limits hold for all uses
+        """Return how an entry is coded."""
+        low, high = item.limits
+        return Field(
+            name=item.name,
+            scale=1.0,
+            offset=0.0,
+            low=low,
+            high=high,
+            integer=not item.real,
+            unavailable=high,
+            idle=0,
+            blanks=frozenset(),
+            unknown=frozenset(),
+            unit="",
+            names={},
+        )
+
+    def refusal(self, item: Entry, use: Use) -> str | None:
+        """Return why an entry cannot travel in a PDO of this direction, None where it can."""
+        if use in {"command", "constant"}:
+            fits, verb = item.writable, "take"
+        else:
+            fits, verb = item.readable, "send"
+        if fits and item.mappable:
+            return None
+        return f"the drive does not {verb} {item.name!r} in a PDO"
 
     @property
     def identity(self) -> tuple[tuple[Address, int], ...]:

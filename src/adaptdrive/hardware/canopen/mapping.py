@@ -11,8 +11,8 @@ from pathlib import Path
 
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.canopen import CanOpenBus
-from adaptdrive.config.references import COMMANDED, MEASURED, WORDS
 from adaptdrive.errors import ConfigurationError
+from adaptdrive.hardware.binding import Sink, Source, entries
 from adaptdrive.hardware.canopen.dictionary import (
     Address,
     Entry,
@@ -37,7 +37,7 @@ from adaptdrive.hardware.canopen.profile import (
     STATUSWORD,
     SWITCH_ON,
 )
-from adaptdrive.hardware.demands import NO_DEMANDS, Demands, is_whole
+from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.link.bus import channel_flaws
 from adaptdrive.hardware.link.codec import MessageCodec
 
@@ -65,28 +65,11 @@ _FIRST_PDO, _BEHIND_PDOS = 0x1400, 0x1C00
 
 
 @dataclass(frozen=True, slots=True)
-class MappedObject:
-    """Source of a measured quantity, or destination of a commanded one.
-
-    Attributes:
-        quantity: Field of `Reading`, a name in its `other`, or a field of `Command`.
-        entry: Entry of the object dictionary.
-        scale: SI units per count.
-        offset: SI value of the count zero.
-    """
-
-    quantity: str
-    entry: Entry
-    scale: float
-    offset: float
-
-
-@dataclass(frozen=True, slots=True)
 class StatusPdo:
     """A PDO that carries measurements, and what is taken from it."""
 
     codec: MessageCodec
-    sources: tuple[MappedObject, ...]
+    sources: tuple[Source[Entry], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +77,7 @@ class CommandPdo:
     """A PDO that carries the command, its controlword or both."""
 
     codec: MessageCodec
-    sinks: tuple[MappedObject, ...]
+    sinks: tuple[Sink[Entry], ...]
     controlword: bool
 
 
@@ -125,7 +108,7 @@ class CanOpenMapping:
     identity: tuple[tuple[Address, int], ...]
 
     @property
-    def sources(self) -> tuple[MappedObject, ...]:
+    def sources(self) -> tuple[Source[Entry], ...]:
         """Every quantity that is measured."""
         return tuple(source for status in self.statuses for source in status.sources)
 
@@ -150,9 +133,8 @@ def map_drive(
     dictionary = load_dictionary(bus.eds, bus.node_id, source)
     catalogue = ObjectCatalogue(dictionary)
     catalogue.flaws.extend(channel_flaws(bus))
-    plan = _Plan(catalogue, bus)
-    plan.find_sources(signals)
-    plan.find_sinks(signals, demands)
+    sources = catalogue.sources(entries(signals), demands)
+    plan = _Plan(catalogue, bus, sources, catalogue.sinks(signals.command, demands))
     mapping = plan.mapping()
     if mapping is None or catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
@@ -162,61 +144,27 @@ def map_drive(
 class _Plan:
     """Collects the requested objects, and the errors in them."""
 
-    def __init__(self, catalogue: ObjectCatalogue, bus: CanOpenBus) -> None:
+    def __init__(
+        self,
+        catalogue: ObjectCatalogue,
+        bus: CanOpenBus,
+        sources: list[Source[Entry]],
+        sinks: list[Sink[Entry]],
+    ) -> None:
         self._catalogue = catalogue
         self._bus = bus
-        self._sources: list[MappedObject] = []
-        self._sinks: list[MappedObject] = []
+        self._sources = sources
+        self._sinks = sinks
         for address, consequence in _NEEDED.items():
             if catalogue.at(address) is None:
                 missing = f"the EDS has no object {label(address)}: {consequence}"
                 catalogue.note("bus.eds", missing)
         self._check_controlword(catalogue.at(CONTROLWORD))
 
-    def find_sources(self, signals: Signals) -> None:
-        """Entries of the measured quantities."""
-        named = [(name, getattr(signals, name), f"signals.{name}") for name in (*MEASURED, *WORDS)]
-        others = [(name, one, f"signals.other.{name}") for name, one in signals.other.items()]
-        for quantity, given, place in (*named, *others):
-            if given is None:
-                continue
-            entry = self._catalogue.find(given.signal, place)
-            if entry is None:
-                continue
-            if not (entry.readable and entry.mappable):
-                self._catalogue.note(place, f"the drive does not send {entry.name!r} in a PDO")
-            source = MappedObject(quantity, entry, given.scale, given.offset)
-            self._sources.append(source)
-            if quantity in WORDS:
-                self._check_word(source, place)
-
-    def find_sinks(self, signals: Signals, demands: Demands) -> None:
-        """Entries of the commanded quantities, which must carry what is demanded."""
-        for name in COMMANDED:
-            given = getattr(signals.command, name)
-            if given is None:
-                continue
-            place = f"signals.command.{name}"
-            entry = self._catalogue.find(given.signal, place)
-            if entry is None:
-                continue
-            if not (entry.writable and entry.mappable):
-                self._catalogue.note(place, f"the drive does not take {entry.name!r} in a PDO")
-            rest = -given.offset / given.scale
-            whole = entry.real or is_whole(rest)
-            if not (whole and entry.limits[0] <= rest <= entry.limits[1]):
-                self._catalogue.note(place, f"{entry.name!r} cannot be 0: it could not be safe")
-            for wanted in demands.values(name):
-                if not entry.limits[0] <= (wanted - given.offset) / given.scale <= entry.limits[1]:
-                    problem = f"{entry.name!r} cannot carry {wanted:g}, a limit of [drive.limits]"
-                    ends = "{:g}…{:g}".format(*entry.limits)
-                    self._catalogue.note(place, f"{problem}: its counts are {ends}")
-            self._sinks.append(MappedObject(name, entry, given.scale, given.offset))
-
     def mapping(self) -> CanOpenMapping | None:
         """Return the mapping; None when errors were found."""
-        transmitted = [self._catalogue.at(STATUSWORD), *(source.entry for source in self._sources)]
-        received = [self._catalogue.at(CONTROLWORD), *(sink.entry for sink in self._sinks)]
+        transmitted = [self._catalogue.at(STATUSWORD), *(source.item for source in self._sources)]
+        received = [self._catalogue.at(CONTROLWORD), *(sink.item for sink in self._sinks)]
         transmits = self._pack("TPDO", transmitted, self._channels(transmit_channel))
         receives = self._pack("RPDO", received, self._channels(receive_channel))
         setup = self._setup()
@@ -245,13 +193,6 @@ class _Plan:
             needs = f"{_WORD_BITS} bits with 0x00, 0x06, 0x07, 0x0F and 0x80"
             self._catalogue.note("bus.eds", f"{label(CONTROLWORD)} has {has}, it needs {needs}")
 
-    def _check_word(self, source: MappedObject, place: str) -> None:
-        entry = source.entry
-        if (source.scale, source.offset) != (1.0, 0.0):
-            self._catalogue.note(place, "is an integer: it takes no scale and no offset")
-        if entry.real or (source.quantity == "counter" and entry.signed):
-            self._catalogue.note(place, f"{entry.name!r} is no unsigned integer")
-
     def _channels(self, make: Callable[[int, int], Channel]) -> list[Channel]:
         channels = [make(number, self._bus.node_id) for number in range(1, _CHANNELS + 1)]
         has = self._catalogue.has
@@ -279,19 +220,17 @@ class _Plan:
         return tuple(channel for channel in channels if channel not in taken)
 
     def _status(self, pdo: Pdo) -> StatusPdo:
-        sources = tuple(source for source in self._sources if source.entry in pdo.entries)
+        sources = tuple(source for source in self._sources if source.item in pdo.entries)
         return StatusPdo(codec(pdo), sources)
 
     def _order(self, pdo: Pdo) -> CommandPdo:
-        sinks = tuple(sink for sink in self._sinks if sink.entry in pdo.entries)
+        sinks = tuple(sink for sink in self._sinks if sink.item in pdo.entries)
         controlword = any(entry.address == CONTROLWORD for entry in pdo.entries)
         return CommandPdo(codec(pdo), sinks, controlword)
 
     def _modulus(self) -> int | None:
-        for source in self._sources:
-            if source.quantity == "counter":
-                return int(source.entry.limits[1]) + 1
-        return None
+        counters = (one for one in self._sources if one.quantity == "counter")
+        return next((int(one.field.high) + 1 for one in counters), None)
 
     def _setup(self) -> tuple[tuple[Entry, bytes], ...]:
         found = []
@@ -312,6 +251,6 @@ class _Plan:
         return tuple(found)
 
     def _is_ours(self, entry: Entry) -> bool:
-        commanded = {CONTROLWORD, *(sink.entry.address for sink in self._sinks)}
+        commanded = {CONTROLWORD, *(sink.item.address for sink in self._sinks)}
         in_pdos = _FIRST_PDO <= entry.index < _BEHIND_PDOS
         return entry.index in _OURS or in_pdos or entry.address in commanded

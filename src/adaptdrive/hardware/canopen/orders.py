@@ -80,10 +80,7 @@ class ForeignCommands:
 
 def _values(order: CommandPdo, command: Command, word: int) -> dict[str, float | None]:
     """Return the values of a PDO: its part of the command, and the controlword if mapped."""
-    values: dict[str, float | None] = {
-        sink.entry.label: (getattr(command, sink.quantity) - sink.offset) / sink.scale
-        for sink in order.sinks
-    }
+    values: dict[str, float | None] = {sink.item.label: sink.value(command) for sink in order.sinks}
     if order.controlword:
         values[_CONTROLWORD] = word
     return values

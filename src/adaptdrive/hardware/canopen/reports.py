@@ -118,7 +118,7 @@ class Reports:
             self._stated_s = self.assembly.sampled_s
         for source in status.sources:
             if source.quantity == "fault":
-                self.faults.see(values.get(source.entry.label))
+                self.faults.see(values.get(source.item.label))
 
     def _compose(self, arrival_s: float, *, at_rest: bool) -> Reading | None:
         """Return the reading of the PDOs after a SYNC, None for refused ones of a driven drive."""

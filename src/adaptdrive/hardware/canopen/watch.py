@@ -148,7 +148,7 @@ class CanOpenWatch:
         """Every quantity, and the drive's state."""
         values = {}
         for source in self._sources:
-            raw = server.value(source.entry)
+            raw = server.value(source.item)
             values[source.quantity] = raw * source.scale + source.offset
         return values, state_of(server.number(STATUSWORD))
 

@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from adaptdrive.hardware.dbc.mapping import OTHER, CanMapping, CanSource, StatusFrame
+from adaptdrive.config.references import MEASURED, WORDS
+from adaptdrive.hardware.dbc.mapping import CanMapping, CanSource, StatusFrame
 from adaptdrive.hardware.fault_latch import FaultLatch
 from adaptdrive.hardware.port import Reading
 
@@ -36,8 +37,8 @@ class StatusAssembly:
         self._bridge_on = mapping.bridge_on
         self._sources = [source for status in mapping.statuses for source in status.sources]
         self._parts = {status.codec.name: _parts(status) for status in mapping.statuses}
-        names = [source.quantity for source in self._sources]
-        self._others = {name: name.removeprefix(OTHER) for name in names if name.startswith(OTHER)}
+        named = (*MEASURED, *WORDS)
+        self._others = [one.quantity for one in self._sources if one.quantity not in named]
         self._values: dict[str, float] = {}
         self._dues: dict[str, tuple[float, float]] = {}
         self._last: Reading | None = None
@@ -192,7 +193,7 @@ class StatusAssembly:
             fault_name=faults.name if faults.word else "",
             bridge=bridge_sent if bridge is None else bridge == self._bridge_on,
             bridge_s=self._heard_s("bridge"),
-            other={name: values[key] for key, name in self._others.items()},
+            other={name: values[name] for name in self._others},
         )
 
     def _stop(self, arrival_s: float) -> Reading | None:

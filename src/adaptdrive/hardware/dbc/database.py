@@ -6,6 +6,8 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
 
 import cantools
 from cantools.database.can.database import Database
@@ -16,7 +18,9 @@ from adaptdrive.config.bus import CanBus, FrameIntegrity
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.tables import shortened
 from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.hardware.binding import Catalogue, Use
 from adaptdrive.hardware.description import description_text, problem_text
+from adaptdrive.hardware.field import Field
 from adaptdrive.hardware.link.codec import (
     CLASSIC_LENGTH,
     MessageCodec,
@@ -125,17 +129,59 @@ def message_codec(
     return MessageCodec(message, integrity)
 
 
-class SignalCatalogue:
+class Located(NamedTuple):
+    """A signal and the message that carries it."""
+
+    message: Message
+    signal: Signal
+
+
+class SignalCatalogue(Catalogue[Located]):
     """Finds messages and signals by name, and gathers a flaw for each that is not there."""
 
-    def __init__(self, database: Database, *, fd: bool) -> None:
+    def __init__(
+        self,
+        database: Database,
+        *,
+        fd: bool,
+        integrity: Mapping[str, FrameIntegrity] = MappingProxyType({}),
+    ) -> None:
+        super().__init__()
         self._database = database
         self._fd = fd
-        self.flaws: list[Flaw] = []
+        self._integrity = integrity
 
-    def note(self, place: str, message: str) -> None:
-        """Gather a flaw."""
-        self.flaws.append(Flaw(place, message))
+    def field(self, item: Located, use: Use) -> Field:
+        """Return how a signal is coded."""
+        return compile_field(item.signal, measured=use == "measured", state=use == "state")
+
+    def refusal(self, item: Located, use: Use) -> str | None:
+        """Return why a signal cannot be commanded, None where it can or is measured."""
+        proof, name = self._integrity.get(item.message.name), item.signal.name
+        if use not in {"command", "constant"}:
+            return None
+        if proof and name in {proof.counter, proof.checksum, proof.nibble}:
+            return f"signal {name!r} is the message's counter or checksum"
+        if item.signal.is_multiplexer and use == "command":
+            return f"signal {name!r} selects what else its frame holds: it cannot be commanded"
+        return None
+
+    def count_problem(self, item: Located) -> str | None:
+        """Return why a signal cannot count, None where it can."""
+        signal = item.signal
+        counts = (
+            is_word(signal)
+            and not signal.is_signed
+            and not is_multiplexed(signal)
+            and signal.length > 1
+            and compile_field(signal).low == 0
+        )
+        if counts:
+            return None
+        return (
+            f"signal {signal.name!r} cannot count: a counter is an unsigned integer of two bits"
+            " or more that starts at 0, has factor 1 and offset 0, and is not multiplexed"
+        )
 
     def check_cycle(self, name: str) -> None:
         """Gather a flaw for a message whose cycle time is a text."""
@@ -163,7 +209,7 @@ class SignalCatalogue:
             return None
         return message
 
-    def signal(self, reference: str, place: str) -> tuple[Message, Signal] | None:
+    def find(self, reference: str, place: str) -> Located | None:
         """The message and signal that `Message.Signal` names, or None and a flaw at `place`."""
         name, dot, signal = reference.partition(".")
         if not (name and dot and signal):
@@ -173,7 +219,7 @@ class SignalCatalogue:
         if message is None:
             return None
         found = self.signal_of(message, signal, place)
-        return (message, found) if found else None
+        return Located(message, found) if found else None
 
     def signal_of(self, message: Message, name: str, place: str) -> Signal | None:
         """The signal called `name` of `message`, or None and a flaw at `place`."""
@@ -246,29 +292,15 @@ class SignalCatalogue:
 
     def _check_counter(self, message: Message, integrity: FrameIntegrity, place: str) -> None:
         signal = self.signal_of(message, integrity.counter or "", place)
-        if signal is None or not self.check_counter(signal, place):
+        problem = None if signal is None else self.count_problem(Located(message, signal))
+        if problem:
+            self.note(place, problem)
+        if signal is None or problem:
             return
         modulus = counter_modulus(compile_field(signal))
         if integrity.max_jump >= modulus:
             problem = f"{integrity.max_jump} must be below the counter's {modulus} values"
             self.note(place.replace(".counter", ".max_jump"), problem)
-
-    def check_counter(self, signal: Signal, place: str) -> bool:
-        """Return whether a signal can count; a flaw at `place` when it cannot."""
-        counts = (
-            is_word(signal)
-            and not signal.is_signed
-            and not is_multiplexed(signal)
-            and signal.length > 1
-            and compile_field(signal).low == 0
-        )
-        if not counts:
-            self.note(
-                place,
-                f"signal {signal.name!r} cannot count: a counter is an unsigned integer of two bits"
-                " or more that starts at 0, has factor 1 and offset 0, and is not multiplexed",
-            )
-        return counts
 
     def _check_checksum(self, message: Message, integrity: FrameIntegrity, place: str) -> None:
         name, bits = integrity.checksum or "", integrity.crc.width if integrity.crc else 8

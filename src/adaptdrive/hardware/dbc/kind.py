@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from cantools.database.can.signal import Signal
-
 from adaptdrive.config import Configuration
-from adaptdrive.config.bus import CanBus, SwitchSource
+from adaptdrive.config.bus import CanBus
 from adaptdrive.config.supply import needed_names
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.bus_kind import BusKind, Row
@@ -17,7 +15,6 @@ from adaptdrive.hardware.dbc.mapping import CanSource, Timing, map_drive
 from adaptdrive.hardware.dbc.port import CanPort
 from adaptdrive.hardware.dbc.sensors import build_can_sensors
 from adaptdrive.hardware.demands import demands_of
-from adaptdrive.hardware.link.layout import SignalField, compile_field
 from adaptdrive.hardware.port import Port
 from adaptdrive.hardware.relink import on_for_certain_s, silence_limit_s
 
@@ -46,7 +43,8 @@ def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[R
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
     """Yield what the drive's own time-out does not fit, and what may hide the bridge."""
     bus, timing = _bus(configuration), _timing(configuration)
-    statuses = map_drive(bus, configuration.signals, timing).statuses
+    mapping = map_drive(bus, configuration.signals, timing)
+    statuses = mapping.statuses
     slack_s = min(one.slack_s for status in statuses for one in status.sources)
     key = "bus.stale_cycles" if slack_s else "interlocks.stale_s"
     yield from timeout_cautions(
@@ -58,7 +56,7 @@ def _cautions(configuration: Configuration) -> Iterator[Flaw]:
         for one in status.sources:
             if one.quantity == "bridge":
                 yield from _bridge_cautions(bus, timing, status.codec.name, one)
-                yield from _state_cautions(configuration.signals.bridge, one.signal)
+    yield from mapping.cautions
 
 
 def _bridge_cautions(
@@ -72,28 +70,6 @@ def _bridge_cautions(
         yield Flaw("signals.bridge", _unstated(message, limit_s))
     if bridge.cycle_s > limit_s and (timeout_s or 0.0) <= limit_s + bridge.cycle_s:
         yield Flaw("signals.bridge", _seldom(message, bridge.cycle_s, limit_s))
-
-
-def _state_cautions(bridge: SwitchSource | None, signal: Signal) -> Iterator[Flaw]:
-    """Yield that nobody has said which of several states means on."""
-    if bridge is None or bridge.on is not None:
-        return
-    names = {int(raw): str(name) for raw, name in (signal.choices or {}).items()}
-    field = compile_field(signal, state=True)
-    others = [f"{raw} ({names[raw]})" for raw in sorted(names) if _is_other_state(field, raw)]
-    if others:
-        on = f"1 ({names[1]})" if 1 in names else "1"
-        off = f"{', '.join(others)} that the bridge is off, which confirms a stop"
-        problem = f"is left out: {on} alone means on, and {off}; name the state of on"
-        yield Flaw("signals.bridge.on", problem)
-
-
-def _is_other_state(field: SignalField, raw: int) -> bool:
-    """Return whether a value other than 0 and 1 is accepted as a report of the bridge."""
-    try:
-        return raw == field.raw(raw) and raw not in (0, 1)
-    except ValueError:
-        return False
 
 
 def _unstated(message: str, limit_s: float) -> str:

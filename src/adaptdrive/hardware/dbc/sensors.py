@@ -17,7 +17,9 @@ import can
 from adaptdrive.config.sensors import CanSensorSection as Config
 from adaptdrive.errors import BusError, ConfigurationError
 from adaptdrive.hardware.backoff import BusBackoff
+from adaptdrive.hardware.binding import sensor_entries
 from adaptdrive.hardware.dbc.database import SignalCatalogue, load_database
+from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.link.arrival import ArrivalClock
 from adaptdrive.hardware.link.bus import channel_flaws, describe_bus, open_bus
 from adaptdrive.hardware.link.codec import MessageCodec, frame_key
@@ -40,6 +42,7 @@ def build_can_sensors(
     place: str,
     clock: Callable[[], float],
     source: Path | str = "configuration",
+    demands: Demands = NO_DEMANDS,
 ) -> CanSensorPort:
     """Build the port of one sensor bus; nothing is opened yet.
 
@@ -48,20 +51,24 @@ def build_can_sensors(
         place: Where it stands in the configuration.
         clock: Monotonic clock, in seconds.
         source: The configuration, for error messages.
+        demands: What the signals must be able to carry.
 
     Raises:
         ConfigurationError: Configuration and DBC do not fit; every flaw is listed.
     """
-    return CanSensorPort(bus, map_sensors(bus, place, source), clock)
+    return CanSensorPort(bus, map_sensors(bus, place, source, demands), clock)
 
 
-def map_sensors(bus: Config, place: str, source: Path | str) -> tuple[SensorMessage, ...]:
+def map_sensors(
+    bus: Config, place: str, source: Path | str, demands: Demands = NO_DEMANDS
+) -> tuple[SensorMessage, ...]:
     """Find every configured signal in the DBC.
 
     Args:
         bus: One entry of `[[sensor_bus]]`.
         place: Where it stands in the configuration.
         source: The configuration, for error messages.
+        demands: What the signals must be able to carry.
 
     Raises:
         ConfigurationError: Something does not fit; every flaw is listed.
@@ -69,11 +76,9 @@ def map_sensors(bus: Config, place: str, source: Path | str) -> tuple[SensorMess
     catalogue = SignalCatalogue(load_database(bus.database, source, place), fd=bus.fd)
     catalogue.flaws.extend(channel_flaws(bus, place))
     found: dict[str, list[tuple[str, str, float, float]]] = {}
-    for name, given in bus.signals.items():
-        hit = catalogue.signal(given.signal, f"{place}.signals.{name}.signal")
-        if hit is not None:
-            taken = (name, hit[1].name, given.scale, given.offset)
-            found.setdefault(hit[0].name, []).append(taken)
+    for one in catalogue.sources(sensor_entries(bus, place), demands):
+        taken = (one.quantity, one.item.signal.name, one.scale, one.offset)
+        found.setdefault(one.item.message.name, []).append(taken)
     for name, integrity in bus.integrity.items():
         catalogue.check_integrity(name, integrity, place)
     catalogue.check_ids(found, (), f"{place}.signals")

@@ -11,6 +11,7 @@ from cantools.database import DecodeError, EncodeError
 from cantools.database.can.message import Message
 
 from adaptdrive.config.bus import FrameIntegrity
+from adaptdrive.hardware.field import Field, Raw
 from adaptdrive.hardware.link.integrity import (
     AliveCounter,
     FrameVerdict,
@@ -19,8 +20,6 @@ from adaptdrive.hardware.link.integrity import (
     covered_bytes,
 )
 from adaptdrive.hardware.link.layout import (
-    Raw,
-    SignalField,
     compile_field,
     compile_pack,
     compile_unpack,
@@ -263,7 +262,7 @@ def needs_fd(message: Message) -> bool:
     return message.is_fd or message.length > CLASSIC_LENGTH
 
 
-def counter_modulus(counter: SignalField) -> int:
+def counter_modulus(counter: Field) -> int:
     """Return the modulus of a counter, from the largest value that the DBC declares for it."""
     return int(counter.high) + 1
 

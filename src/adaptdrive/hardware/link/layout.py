@@ -10,14 +10,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass
 from os.path import commonprefix
 from typing import Literal, NamedTuple, cast
 
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
-Raw = int | float
+from adaptdrive.hardware.field import Field, Raw, declared_limits, natural_limits
+
 Unpack = Callable[[bytes], Mapping[str, Raw]]
 Pack = Callable[[Mapping[str, Raw]], bytes]
 
@@ -27,63 +27,8 @@ _UNKNOWN = re.compile(
 )
 """Names of a raw value that says nothing."""
 
-_ROUNDING = 1e-6
-"""Share of one count by which a declared limit may miss its count in binary."""
 
-
-@dataclass(frozen=True, slots=True)
-class SignalField:
-    """One signal: its unit, and the raw values that mean something.
-
-    Attributes:
-        name: Name of the signal.
-        scale: Physical units per count.
-        offset: Physical value of the raw value zero.
-        low: Smallest raw value in range.
-        high: Largest raw value in range.
-        integer: Whether raw values are integers.
-        unavailable: Raw value that means "not available".
-        idle: Raw value of a signal that the sender does not set.
-        blanks: Raw values that are no word beside refused values: "not available" and all bits
-            set; none for a signal of one bit.
-        unknown: Raw values within the range that say nothing.
-    """
-
-    name: str
-    scale: float
-    offset: float
-    low: Raw
-    high: Raw
-    integer: bool
-    unavailable: Raw
-    idle: Raw
-    blanks: frozenset[Raw]
-    unknown: frozenset[Raw]
-
-    def physical(self, raw: Raw) -> float:
-        """The physical value of a raw one, in the unit of the signal."""
-        return raw * self.scale + self.offset
-
-    def raw(self, value: float | None) -> Raw:
-        """The raw value of a physical one; None stands for "not available".
-
-        Raises:
-            ValueError: The value is not finite, outside the range of the signal, or says nothing.
-        """
-        if value is None:
-            return self.unavailable
-        raw: Raw = (value - self.offset) / self.scale
-        if self.integer and math.isfinite(raw):
-            raw = round(raw)
-        if not self.low <= raw <= self.high:
-            ends = f"{self.physical(self.low):g}…{self.physical(self.high):g}"
-            raise ValueError(f"{self.name} = {value:.10g} is outside {ends}")
-        if raw in self.unknown:
-            raise ValueError(f"{self.name} = {value:.10g} says nothing by its name")
-        return raw
-
-
-def compile_field(signal: Signal, *, measured: bool = False, state: bool = False) -> SignalField:
+def compile_field(signal: Signal, *, measured: bool = False, state: bool = False) -> Field:
     """Compile one signal.
 
     Args:
@@ -100,7 +45,7 @@ def compile_field(signal: Signal, *, measured: bool = False, state: bool = False
         high = high if high < top - 1 else _below_names(names, top - 1)
         if signal.is_signed and low == bottom:
             low = -_below_names([-raw for raw in names], -low)
-    return SignalField(
+    return Field(
         name=signal.name,
         scale=signal.scale,
         offset=signal.offset,
@@ -111,6 +56,8 @@ def compile_field(signal: Signal, *, measured: bool = False, state: bool = False
         idle=initial_value(signal) or 0,
         blanks=_blanks(signal, top),
         unknown=_unknown_states(signal) if state else frozenset(),
+        unit=signal.unit or "",
+        names={int(raw): str(name) for raw, name in (signal.choices or {}).items()},
     )
 
 
@@ -139,26 +86,14 @@ def _blanks(signal: Signal, top: Raw) -> frozenset[Raw]:
 
 
 def _natural_limits(signal: Signal) -> tuple[Raw, Raw]:
-    if signal.is_float:
-        largest = {16: 65504.0, 32: 3.4028234663852886e38}.get(signal.length, math.inf)
-        largest = min(largest, 1.7976931348623157e308)
-        return -largest, largest
-    if signal.is_signed:
-        half = 1 << (signal.length - 1)
-        return -half, half - 1
-    return 0, (1 << signal.length) - 1
+    return natural_limits(signal.length, signed=signal.is_signed, real=signal.is_float)
 
 
 def _declared_limits(signal: Signal) -> tuple[Raw, Raw]:
-    low, high = _natural_limits(signal)
+    natural = _natural_limits(signal)
     if signal.minimum is None or signal.maximum is None or not signal.scale:
-        return low, high
-    ends = sorted((end - signal.offset) / signal.scale for end in (signal.minimum, signal.maximum))
-    if not all(map(math.isfinite, ends)):
-        return low, high
-    if signal.is_float:
-        return max(low, ends[0]), min(high, ends[1])
-    return max(low, math.ceil(ends[0] - _ROUNDING)), min(high, math.floor(ends[1] + _ROUNDING))
+        return natural
+    return declared_limits(natural, (signal.minimum, signal.maximum), signal.scale, signal.offset)
 
 
 def _unknown_states(signal: Signal) -> frozenset[Raw]:

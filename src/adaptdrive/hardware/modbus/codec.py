@@ -7,6 +7,7 @@ import struct
 from collections.abc import Sequence
 
 from adaptdrive.config.modbus import Register
+from adaptdrive.hardware.field import Field, Raw, declared_limits, natural_limits
 
 _FORMATS = {"uint16": ">H", "int16": ">h", "uint32": ">I", "int32": ">i", "float32": ">f"}
 _NOT_AVAILABLE = {
@@ -17,43 +18,76 @@ _NOT_AVAILABLE = {
 }
 
 
+def register_field(name: str, register: Register, *, measured: bool) -> Field:
+    """Return how a register is coded.
+
+    Args:
+        name: Its name.
+        register: The register.
+        measured: Whether the count that means `no value` is refused although the map names none;
+            in a fault word all ones are as good as any other count.
+    """
+    low, high = _limits(register)
+    unsaid = _missing(register, measured=True)
+    missing = _missing(register, measured=measured)
+    words, bits = frozenset() if missing is None else frozenset({missing}), register.bit is not None
+    return Field(
+        name=name,
+        scale=register.scale,
+        offset=0.0,
+        low=low,
+        high=high,
+        integer=register.type != "float32",
+        unavailable=math.nan if unsaid is None else unsaid,
+        idle=0,
+        blanks=words if bits else frozenset(),
+        unknown=frozenset() if bits else words,
+        unit=register.unit,
+        names={},
+    )
+
+
 def decode_value(register: Register, words: Sequence[int], *, measured: bool) -> float | None:
     """The scaled value, None when it must not be used.
 
     Args:
         register: How the value is coded.
         words: Its registers, as many as `register.words`.
-        measured: Whether the count that means `no value` is refused although the map names none;
-            in a fault word all ones are as good as any other count.
+        measured: As for `register_field`.
     """
-    count = _count(register, words)
-    if count == _missing(register, measured=measured) or not math.isfinite(count):
-        return None
-    if register.bit is not None:
-        return float(int(count) >> register.bit & 1)
-    value = count * register.scale
-    bounds = register.range
-    if bounds is not None and not bounds.low <= value <= bounds.high:
-        return None
-    return value
+    return decode(register, register_field("", register, measured=measured), words)
 
 
-def refusal(register: Register, words: Sequence[int], *, measured: bool) -> str:
-    """Return what registers hold that `decode_value` refuses, and why.
+def decode(register: Register, field: Field, words: Sequence[int]) -> float | None:
+    """The scaled value, None when it must not be used.
+
+    Args:
+        register: Which bits of the words.
+        field: How they are coded.
+        words: Its registers, as many as `register.words`.
+    """
+    raw = count(register, words)
+    if register.bit is not None:  # of which all others say that there is no value
+        return None if raw in field.blanks else float(int(raw) >> register.bit & 1)
+    return field.value(raw)
+
+
+def refusal(register: Register, field: Field, words: Sequence[int]) -> str:
+    """Return what registers hold that `decode` refuses, and why.
 
     Args:
         register: How the value is coded.
+        field: The same.
         words: Its registers.
-        measured: As for `decode_value`.
     """
-    count, bounds = _count(register, words), register.range
+    found, bounds = count(register, words), register.range
     raw = " ".join(f"{word:04x}" for word in words)
-    found = f"holds {raw}, {count * register.scale:.10g} {register.unit}".strip()
-    if count == _missing(register, measured=measured):
+    held = f"holds {raw}, {found * register.scale:.10g} {register.unit}".strip()
+    if found in field.unknown or found in field.blanks:
         return f"holds {raw}, its word for no value"
-    if bounds is None or not math.isfinite(count):
-        return f"{found}: no finite number"
-    return f"{found}: outside {bounds.low:g}…{bounds.high:g}"
+    if bounds is None or not math.isfinite(found):
+        return f"{held}: no finite number"
+    return f"{held}: outside {bounds.low:g}…{bounds.high:g}"
 
 
 def encode_value(register: Register, value: float) -> list[int]:
@@ -62,10 +96,8 @@ def encode_value(register: Register, value: float) -> list[int]:
     Raises:
         ValueError: The value is not finite, out of range, or the registers cannot hold it.
     """
-    bounds = register.range
-    if not math.isfinite(value) or (bounds is not None and not bounds.low <= value <= bounds.high):
-        raise ValueError(f"{value!r} {register.unit} is outside the register's range".strip())
-    return encode_count(register, value / register.scale)
+    field = register_field("the value", register, measured=False)
+    return encode_count(register, field.raw(value))
 
 
 def encode_count(register: Register, count: float) -> list[int]:
@@ -77,15 +109,27 @@ def encode_count(register: Register, count: float) -> list[int]:
     try:
         exact = count if register.type == "float32" else round(count)
         packed = struct.pack(_FORMATS[register.type], exact)
-    except (struct.error, OverflowError) as problem:
+    except (struct.error, OverflowError, ValueError) as problem:
         raise ValueError(f"{register.type} cannot hold {count!r}") from problem
     return _ordered(register, struct.unpack(f">{register.words}H", packed))
 
 
-def _count(register: Register, words: Sequence[int]) -> float:
+def count(register: Register, words: Sequence[int]) -> Raw:
+    """Return the count that registers hold."""
     packed = struct.pack(f">{register.words}H", *_ordered(register, words))
-    count: float = struct.unpack(_FORMATS[register.type], packed)[0]
-    return count
+    found: Raw = struct.unpack(_FORMATS[register.type], packed)[0]
+    return found
+
+
+def _limits(register: Register) -> tuple[Raw, Raw]:
+    """Return the lowest and the highest count: those of the type within those of the range."""
+    if register.bit is not None:
+        return 0, 1
+    bits, signed = 16 * register.words, register.type.startswith("int")
+    natural = natural_limits(bits, signed=signed, real=register.type == "float32")
+    if register.range is None:
+        return natural
+    return declared_limits(natural, (register.range.low, register.range.high), register.scale)
 
 
 def _missing(register: Register, *, measured: bool) -> int | None:

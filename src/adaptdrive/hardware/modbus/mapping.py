@@ -5,28 +5,79 @@ Everything that can be wrong is found here, before a link is opened, and all of 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
-from adaptdrive.config.bus import Signals, SignalSource, SwitchSource
+from adaptdrive.config.bus import Signals
 from adaptdrive.config.modbus import ModbusBus, Register
-from adaptdrive.config.references import COMMANDED, MEASURED, WORDS
-from adaptdrive.config.units import WANTED
-from adaptdrive.control.signals import SAFE_COMMAND, Command
+from adaptdrive.config.proposals import nearest
+from adaptdrive.control.signals import Command
 from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.hardware.demands import NO_DEMANDS, Demands, is_whole
+from adaptdrive.hardware.binding import (
+    BRIDGE,
+    Catalogue,
+    Sink,
+    Source,
+    Use,
+    entries,
+)
+from adaptdrive.hardware.demands import NO_DEMANDS, Demands
+from adaptdrive.hardware.field import Field
 from adaptdrive.hardware.modbus.blocks import Block, plan_blocks
 from adaptdrive.hardware.modbus.capacity import Exchange, capacity_flaws
-from adaptdrive.hardware.modbus.codec import decode_value, encode_count, encode_value, refusal
+from adaptdrive.hardware.modbus.codec import (
+    decode,
+    decode_value,
+    encode_count,
+    refusal,
+    register_field,
+)
 
 HEARTBEAT = "heartbeat"
-_BRIDGE = "bridge"
 _MAX_WRITE = 121
 """Registers that function 23 can write (Modbus application protocol, 6.17)."""
 
 _ALL_ONES = 0xFFFF
-_COUNTS = (*WORDS, HEARTBEAT)
+
+
+class Named(NamedTuple):
+    """A register and its name in the map."""
+
+    name: str
+    register: Register
+
+
+class RegisterCatalogue(Catalogue[Named]):
+    """Finds registers by name, and collects an error for each that is not there."""
+
+    on = None
+
+    def __init__(self, registers: Mapping[str, Register]) -> None:
+        super().__init__()
+        self._registers = registers
+
+    def find(self, reference: str, place: str) -> Named | None:
+        """The register that a reference names, or None and a flaw at `place`."""
+        register = self._registers.get(reference)
+        if register is None:
+            hint = nearest(reference, self._registers)
+            self.note(place, f"the map has no register {reference!r}{hint}")
+            return None
+        return Named(reference, register)
+
+    def field(self, item: Named, use: Use) -> Field:
+        """Return how a register is coded."""
+        return register_field(item.name, item.register, measured=use == "measured")
+
+    def count_problem(self, item: Named) -> str | None:  # noqa: ARG002 - polls are counted by none
+        """Return None: no tick is counted by a register."""
+        return None
+
+    def switch(self, item: Named) -> tuple[float, float]:
+        """Return the counts that switch on and off."""
+        return float(item.register.on), float(item.register.off)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +87,7 @@ class RegisterSource:
     Attributes:
         quantity: Field of `Reading`, or the drive's heartbeat.
         register: Register of the map.
+        field: How it is coded.
         scale: SI units per unit of the register.
         offset: SI value of a zero register.
         on: Count of a switch that means on, None where any but 0 does.
@@ -43,6 +95,7 @@ class RegisterSource:
 
     quantity: str
     register: Register
+    field: Field
     scale: float = 1.0
     offset: float = 0.0
     on: float | None = None
@@ -50,7 +103,7 @@ class RegisterSource:
     def value(self, block: Block, words: list[int]) -> float | None:
         """The quantity from the registers of its block, None when it must not be used."""
         taken = self._words(block, words)
-        value = decode_value(self.register, taken, measured=self.quantity not in _COUNTS)
+        value = decode(self.register, self.field, taken)
         if value is None:
             return None
         if self.on is not None:
@@ -70,30 +123,26 @@ class RegisterSource:
     def explain(self, block: Block, words: list[int]) -> str:
         """Return why the quantity must not be used: its name, its place and what is there."""
         register, taken = self.register, self._words(block, words)
-        if self.quantity == _BRIDGE and self._is_unset(taken):
-            found = f"holds {' '.join(f'{word:04x}' for word in taken)}, its word for no value"
-        else:
-            measured = self.quantity not in _COUNTS or self._is_blank(taken)
-            found = refusal(register, taken, measured=measured)
-        return f"{self.quantity}: {Block(register.table, register.address, register.words)} {found}"
+        place = f"{self.quantity}: {Block(register.table, register.address, register.words)}"
+        if self._is_blank(taken):
+            return (
+                f"{place} holds {' '.join(f'{word:04x}' for word in taken)}, its word for no value"
+            )
+        return f"{place} {refusal(register, self.field, taken)}"
 
     def _is_blank(self, taken: list[int]) -> bool:
         """Return whether a bridge holds its count for no value, which may read as off.
 
-        Of a bit all bits of its word count, as 0x8000 is a word of which one is set.
+        All bits are set, as by a gateway for a module that it does not reach, where the map gives
+        no other count. Of a bit all bits of its word count, as 0x8000 is a word of which one is
+        set.
         """
-        if self.quantity != _BRIDGE:
+        if self.quantity != BRIDGE:
             return False
-        known = decode_value(self.register, taken, measured=True) is not None
-        part = self.register.bit is not None and any(word != _ALL_ONES for word in taken)
-        return self._is_unset(taken) or not (known or part)
-
-    def _is_unset(self, taken: list[int]) -> bool:
-        """Return whether all bits are set, as by a gateway for a module that it does not reach.
-
-        In a signed register, too, where its map gives no other count for no value.
-        """
-        return self.register.not_available is None and all(word == _ALL_ONES for word in taken)
+        if self.register.not_available is None and all(word == _ALL_ONES for word in taken):
+            return True
+        whole = self.register.bit is None
+        return whole and decode_value(self.register, taken, measured=True) is None
 
     def _words(self, block: Block, words: list[int]) -> list[int]:
         start = self.register.address - block.address
@@ -102,12 +151,17 @@ class RegisterSource:
 
 @dataclass(frozen=True, slots=True)
 class RegisterSink:
-    """Destination of a part of the command: a field of `Command` or the daemon's heartbeat."""
+    """Destination of a part of the command, or of the daemon's heartbeat.
+
+    Attributes:
+        name: Field of `Command`, name of a constant, or `HEARTBEAT`.
+        register: Register of the map.
+        sink: What of the command goes there, None for the heartbeat.
+    """
 
     name: str
     register: Register
-    scale: float = 1.0
-    offset: float = 0.0
+    sink: Sink[Named] | None = None
 
     def words(self, command: Command, heartbeat: int) -> list[int]:
         """The registers of its part of the command.
@@ -115,20 +169,9 @@ class RegisterSink:
         Raises:
             ValueError: They cannot hold it.
         """
-        if self.name == HEARTBEAT:
+        if self.sink is None:
             return encode_count(self.register, heartbeat % heartbeat_modulus(self.register))
-        if self.name == _BRIDGE:
-            return encode_count(
-                self.register, self.register.on if command.bridge else self.register.off
-            )
-        return encode_value(self.register, (getattr(command, self.name) - self.offset) / self.scale)
-
-    @property
-    def sent_for_zero(self) -> float:
-        """Value that the drive takes for a commanded 0: that of the nearest count."""
-        count = -self.offset / self.scale / self.register.scale
-        exact = self.register.type == "float32" or is_whole(count)
-        return 0.0 if exact else round(count) * self.register.scale * self.scale + self.offset
+        return encode_count(self.register, self.sink.field.raw(self.sink.value(command)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +215,7 @@ class Poll:
 
 
 def _has_bridge(block: tuple[Block, tuple[RegisterSource, ...]]) -> bool:
-    return any(source.quantity == _BRIDGE for source in block[1])
+    return any(source.quantity == BRIDGE for source in block[1])
 
 
 def map_drive(
@@ -194,7 +237,17 @@ def map_drive(
     Raises:
         ConfigurationError: Something does not fit; every flaw is listed.
     """
-    sources, sinks = list(_sources(bus, signals)), list(_sinks(bus, signals))
+    catalogue = RegisterCatalogue(bus.registers)
+    sources = [*map(source_of, catalogue.sources(entries(signals), demands))]
+    sinks = [
+        RegisterSink(one.name, one.item.register, one)
+        for one in catalogue.sinks(signals.command, demands)
+    ]
+    if bus.heartbeat.drive is not None:
+        beat = Named(bus.heartbeat.drive, bus.registers[bus.heartbeat.drive])
+        sources.append(RegisterSource(HEARTBEAT, beat.register, catalogue.field(beat, "word")))
+    if bus.heartbeat.daemon is not None:
+        sinks.append(RegisterSink(HEARTBEAT, bus.registers[bus.heartbeat.daemon]))
     reads = plan_blocks((one.register for one in sources), bus.max_gap, bus.max_block)
     # function 23 takes holding registers only, and takes its write before its read
     reads = tuple(sorted(reads, key=lambda block: block.table != "holding"))
@@ -205,11 +258,7 @@ def map_drive(
         combined=bus.read_write,
         other=tuple(signals.other),
     )
-    flaws = [
-        *_command_flaws(sinks),
-        *_demand_flaws(sinks, demands),
-        *_combined_flaws(bus, reads, writes),
-    ]
+    flaws = [*catalogue.flaws, *_combined_flaws(bus, reads, writes)]
     flaws += [] if flaws else capacity_flaws(bus, poll.exchanges(), half_cycle_s)
     if flaws:
         raise ConfigurationError(source, flaws)
@@ -221,27 +270,12 @@ def heartbeat_modulus(register: Register) -> int:
     return 1 << (16 * register.words - register.type.startswith("int"))
 
 
-def _sources(bus: ModbusBus, signals: Signals) -> Iterator[RegisterSource]:
-    named = [(quantity, getattr(signals, quantity)) for quantity in (*MEASURED, *WORDS)]
-    for quantity, given in (*named, *signals.other.items()):
-        if given is not None:
-            register = bus.registers[given.signal]
-            on = given.on if isinstance(given, SwitchSource) else None
-            count = None if on is None else float(on)
-            yield RegisterSource(quantity, register, given.scale, given.offset, count)
-    if bus.heartbeat.drive is not None:
-        yield RegisterSource(HEARTBEAT, bus.registers[bus.heartbeat.drive])
-
-
-def _sinks(bus: ModbusBus, signals: Signals) -> Iterator[RegisterSink]:
-    for name in COMMANDED:
-        given = getattr(signals.command, name)
-        if given is not None:
-            scaled = isinstance(given, SignalSource)
-            conversion = (given.scale, given.offset) if scaled else ()
-            yield RegisterSink(name, bus.registers[given.signal], *conversion)
-    if bus.heartbeat.daemon is not None:
-        yield RegisterSink(HEARTBEAT, bus.registers[bus.heartbeat.daemon])
+def source_of(source: Source[Named]) -> RegisterSource:
+    """Return how a quantity is taken from its register."""
+    register = source.item.register
+    return RegisterSource(
+        source.quantity, register, source.field, source.scale, source.offset, source.on
+    )
 
 
 def _inside(block: Block, sources: Iterable[RegisterSource]) -> Iterator[RegisterSource]:
@@ -252,38 +286,6 @@ def _within(block: Block, sinks: Iterable[RegisterSink]) -> Iterator[RegisterSin
     """In the order of the addresses: a write has no gaps."""
     inside = (one for one in sinks if block.holds(one.register))
     return iter(sorted(inside, key=lambda one: one.register.address))
-
-
-def _command_flaws(sinks: Iterable[RegisterSink]) -> Iterator[Flaw]:
-    """The safe command, and the bridge both ways, must fit into their registers."""
-    for sink in sinks:
-        place = f"signals.command.{sink.name}"
-        try:
-            off, on = (sink.words(_rest(bridge=bridge), 0) for bridge in (False, True))
-        except ValueError as problem:
-            yield Flaw(place, f"the drive could not be switched: {problem}")
-            continue
-        if sink.name == _BRIDGE and on == off:
-            yield Flaw(place, f"on and off are both {sink.register.on}")
-        if sink.name in WANTED and sink.sent_for_zero:
-            yield Flaw(place, f"0 would be sent as {sink.sent_for_zero:.4g}: it could not be safe")
-
-
-def _rest(*, bridge: bool) -> Command:
-    return Command(SAFE_COMMAND.current_scale_S, SAFE_COMMAND.boost_reference_V, bridge)
-
-
-def _demand_flaws(sinks: Iterable[RegisterSink], demands: Demands) -> Iterator[Flaw]:
-    """Every command within the limits must fit into its registers."""
-    for sink in sinks:
-        if sink.name not in WANTED:
-            continue
-        for command in demands.commands:
-            try:
-                sink.words(command, 0)
-            except ValueError as problem:
-                limit = f"cannot carry {getattr(command, sink.name):g}, a limit of [drive.limits]"
-                yield Flaw(f"signals.command.{sink.name}", f"{limit}: {problem}")
 
 
 def _combined_flaws(

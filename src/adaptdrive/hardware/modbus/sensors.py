@@ -19,11 +19,13 @@ from adaptdrive.config.modbus import RtuLink
 from adaptdrive.config.sensors import ModbusRtuSensors, ModbusTcpSensors
 from adaptdrive.errors import BusError, ConfigurationError
 from adaptdrive.hardware.backoff import BusBackoff
+from adaptdrive.hardware.binding import Source, sensor_entries
+from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.modbus.blocks import plan_blocks
 from adaptdrive.hardware.modbus.bus import describe_bus
 from adaptdrive.hardware.modbus.capacity import Exchange, cycle_flaws
 from adaptdrive.hardware.modbus.link import ExchangeError, ModbusConnection
-from adaptdrive.hardware.modbus.mapping import RegisterSource
+from adaptdrive.hardware.modbus.mapping import Named, RegisterCatalogue, source_of
 from adaptdrive.hardware.modbus.replies import are_alike
 from adaptdrive.hardware.modbus.serial_port import SerialPort
 from adaptdrive.hardware.modbus.turns import SensorBlock, Turn, Turns
@@ -42,6 +44,7 @@ def build_modbus_sensors(
     place: str,
     clock: Callable[[], float],
     source: Path | str = "configuration",
+    demands: Demands = NO_DEMANDS,
 ) -> ModbusSensorPort:
     """Build the port of one sensor bus; nothing is opened yet.
 
@@ -50,12 +53,16 @@ def build_modbus_sensors(
         place: Where it stands in the configuration.
         clock: Monotonic clock in seconds.
         source: The configuration, for the error message.
+        demands: What the registers must be able to carry.
 
     Raises:
         ConfigurationError: The wanted cycle does not fit on the link.
     """
-    blocks = tuple(_blocks(bus))
-    flaws = list(cycle_flaws(bus, (one.exchange for one in blocks), bus.cycle_s, place))
+    catalogue = RegisterCatalogue(bus.registers)
+    sources = catalogue.sources(sensor_entries(bus, place), demands)
+    blocks = tuple(_blocks(bus, sources))
+    exchanges = (one.exchange for one in blocks)
+    flaws = [*catalogue.flaws, *cycle_flaws(bus, exchanges, bus.cycle_s, place)]
     if flaws:
         raise ConfigurationError(source, flaws)
     return ModbusSensorPort(bus, blocks, clock)
@@ -207,17 +214,16 @@ class ModbusSensorPort:
                 await self._closing.wait()
 
 
-def _blocks(bus: ModbusTcpSensors | ModbusRtuSensors) -> Iterator[SensorBlock]:
+def _blocks(
+    bus: ModbusTcpSensors | ModbusRtuSensors, sources: list[Source[Named]]
+) -> Iterator[SensorBlock]:
     """Blocks of every device on the link, one device after the other."""
 
-    def device(name: str) -> int:
-        return bus.registers[bus.signals[name].signal].device_id or bus.device_id
+    def device(source: Source[Named]) -> int:
+        return bus.registers[source.item.name].device_id or bus.device_id
 
-    for device_id, names in groupby(sorted(bus.signals, key=device), key=device):
-        sources = [
-            RegisterSource(name, bus.registers[given.signal], given.scale, given.offset)
-            for name, given in ((name, bus.signals[name]) for name in names)
-        ]
-        for block in plan_blocks((one.register for one in sources), bus.max_gap, bus.max_block):
-            inside = tuple(one for one in sources if block.holds(one.register))
+    for device_id, found in groupby(sorted(sources, key=device), key=device):
+        taken = [*map(source_of, found)]
+        for block in plan_blocks((one.register for one in taken), bus.max_gap, bus.max_block):
+            inside = tuple(one for one in taken if block.holds(one.register))
             yield SensorBlock(Exchange(read=block, device_id=device_id), inside)

@@ -1,0 +1,318 @@
+"""Binds the quantities of a configuration to the values of a device, on every kind of bus.
+
+A bus supplies a `Catalogue`: it finds what a configuration names in the description of its device,
+and gives the `Field` of it. Units, enumerations, words, ranges against trips, demands on the
+commands and constants are checked here, for drives and sensors.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Generic, Literal, TypeVar
+
+from adaptdrive.config.bus import CommandSignals, CommandSwitch, Signals, SignalSource, SwitchSource
+from adaptdrive.config.proposals import nearest
+from adaptdrive.config.references import MEASURED, WORDS
+from adaptdrive.config.sensors import SensorBusSection
+from adaptdrive.config.units import WANTED, unit_problem
+from adaptdrive.control.signals import Command
+from adaptdrive.errors import Flaw
+from adaptdrive.hardware.demands import NO_DEMANDS, Demands
+from adaptdrive.hardware.field import Field
+
+Use = Literal["measured", "word", "state", "command", "constant"]
+"""What a value is taken or sent as; a state is the report of the bridge."""
+
+BRIDGE = "bridge"
+_COMMAND = "signals.command"
+
+_ROUNDING = 1e-6
+"""Share of one count by which a value may miss its count in binary."""
+
+_PRECISION = 1e-12
+"""Share of itself by which a value of more than 40 bits may do so."""
+
+Item = TypeVar("Item")
+
+Given = tuple[str, SignalSource, str]
+"""A quantity, its entry in the configuration, and the place of that."""
+
+
+def entries(signals: Signals) -> Iterator[Given]:
+    """Yield every quantity that a drive sends."""
+    named = [(name, getattr(signals, name), f"signals.{name}") for name in (*MEASURED, *WORDS)]
+    yield from (one for one in named if one[1] is not None)
+    yield from ((name, one, f"signals.other.{name}") for name, one in signals.other.items())
+
+
+def sensor_entries(bus: SensorBusSection, place: str) -> Iterator[Given]:
+    """Yield every quantity that sensors send."""
+    return ((name, given, f"{place}.signals.{name}") for name, given in bus.signals.items())
+
+
+@dataclass(frozen=True, slots=True)
+class Source(Generic[Item]):
+    """Where a quantity comes from.
+
+    Attributes:
+        quantity: Field of `Reading`, or one of its other values.
+        item: What the description of the device has for it.
+        field: How that is coded.
+        scale: SI units per unit of the field.
+        offset: SI value where the field is zero.
+        on: Value of a switch that means on, None where any but 0 does.
+        place: Its place in the configuration.
+    """
+
+    quantity: str
+    item: Item
+    field: Field
+    scale: float
+    offset: float
+    on: float | None
+    place: str
+
+
+@dataclass(frozen=True, slots=True)
+class Sink(Generic[Item]):
+    """Where a part of the command goes: base + factor × that field of `Command`.
+
+    Attributes:
+        name: Field of `Command`; the reference of a constant, whose factor is 0.
+        item: What the description of the device has for it.
+        field: How that is coded.
+        base: Value of the field of the device where that of the command is 0 or False.
+        factor: Units of the field per unit of that of the command.
+    """
+
+    name: str
+    item: Item
+    field: Field
+    base: float
+    factor: float
+
+    def value(self, command: Command) -> float:
+        """The value in the unit of the field."""
+        if not self.factor:
+            return self.base
+        return self.base + self.factor * float(getattr(command, self.name))
+
+
+class Catalogue(ABC, Generic[Item]):
+    """Finds values by name in the description of a device, and collects what is wrong.
+
+    Attributes:
+        flaws: What keeps the configuration from being used.
+        cautions: What can be used, and is probably not meant.
+        on: Value that means on where the configuration states none, None for any but 0.
+    """
+
+    on: float | None = 1.0
+
+    def __init__(self) -> None:
+        self.flaws: list[Flaw] = []
+        self.cautions: list[Flaw] = []
+
+    @abstractmethod
+    def find(self, reference: str, place: str) -> Item | None:
+        """Return what a reference names, or None and a flaw at `place`."""
+
+    @abstractmethod
+    def field(self, item: Item, use: Use) -> Field:
+        """Return how a value is coded."""
+
+    def refusal(self, item: Item, use: Use) -> str | None:  # noqa: ARG002 - most take all
+        """Return why the device does not give or take a value in this way, None where it does."""
+        return None
+
+    def count_problem(self, item: Item) -> str | None:
+        """Return why a value cannot be a counter, None where it can."""
+        field = self.field(item, "word")
+        return None if field.low == 0 else f"{field.name!r} is no unsigned integer"
+
+    def switch(self, item: Item) -> tuple[float, float]:  # noqa: ARG002 - most have none
+        """Return the values that switch on and off where the configuration states none."""
+        return 1.0, 0.0
+
+    def note(self, place: str, problem: str | None) -> None:
+        """Collect a flaw, where there is one."""
+        if problem:
+            self.flaws.append(Flaw(place, problem))
+
+    def sources(self, given: Iterable[Given], demands: Demands = NO_DEMANDS) -> list[Source[Item]]:
+        """Find the source of each quantity; what does not fit is collected.
+
+        Args:
+            given: Quantities and their entries.
+            demands: What the signals must be able to carry.
+        """
+        found = []
+        for quantity, entry, place in given:
+            item = self.find(entry.signal, place)
+            if item is not None:
+                found.append(self._source((quantity, entry, place), item, demands))
+        return found
+
+    def sinks(self, command: CommandSignals, demands: Demands = NO_DEMANDS) -> list[Sink[Item]]:
+        """Find the destination of each part of the command; what does not fit is collected.
+
+        Args:
+            command: `[signals.command]`.
+            demands: What the signals must be able to carry.
+        """
+        values = (
+            ("current_scale_S", command.current_scale_S),
+            (
+                "boost_reference_V",
+                command.boost_reference_V,
+            ),
+        )
+        found = [*self._constants(command)]
+        for name, entry in values:
+            item = None if entry is None else self.find(entry.signal, f"{_COMMAND}.{name}")
+            if entry is not None and item is not None:
+                found.append(self._value(name, entry, item, demands))
+        return [*found, *self._switches(command.bridge)]
+
+    def resolve(self, field: Field, given: float | str, place: str) -> float | None:
+        """Return a value, or the one that a name of the field's value table stands for.
+
+        It is None, and a flaw at `place`, where there is no such name.
+        """
+        if not isinstance(given, str):
+            return float(given)
+        found = sorted(raw for raw, name in field.names.items() if name == given)
+        if len(found) == 1:
+            return field.physical(found[0])
+        problem, values = f"has no {given!r}", ", ".join(map(str, found))
+        if found:
+            problem = f"gives several values the name {given!r}: {values}"
+        hint = "" if found else nearest(given, list(field.names.values()))
+        self.note(place, f"the value table of {field.name!r} {problem}{hint}")
+        return None
+
+    def _source(self, given: Given, item: Item, demands: Demands) -> Source[Item]:
+        quantity, entry, place = given
+        uses: dict[str, Use] = {"counter": "word", "fault": "word", BRIDGE: "state"}
+        use = uses.get(quantity, "measured")
+        field, on = self.field(item, use), None
+        self.note(place, self.refusal(item, use))
+        if quantity in WORDS:
+            self._check_word(given, item, field)
+        else:
+            self._check_unit(entry, field, demands.unit_of(quantity), place)
+            self._check_trip(given, field, demands)
+        if isinstance(entry, SwitchSource):
+            on = self._on(entry, field, f"{place}.on")
+        return Source(quantity, item, field, entry.scale, entry.offset, on, place)
+
+    def _check_unit(self, entry: SignalSource, field: Field, wanted: str, place: str) -> None:
+        problem = unit_problem(entry, field.unit, wanted)
+        self.note(place, problem and f"{entry.signal}: {problem}")
+
+    def _check_trip(self, given: Given, field: Field, demands: Demands) -> None:
+        """Refuse a value without room above what trips: it could never be seen there."""
+        quantity, entry, place = given
+        key, limit = demands.trips.get(quantity, ("", -math.inf))
+        highest = max(end * entry.scale + entry.offset for end in field.ends)
+        if highest <= limit:
+            problem = f"{field.name} has values up to {highest:g} only"
+            self.note(place, f"{problem}: interlocks.{key} = {limit:g} can never trip")
+
+    def _check_word(self, given: Given, item: Item, field: Field) -> None:
+        """Refuse a word that is no count as it stands."""
+        quantity, entry, place = given
+        if (entry.scale, entry.offset) != (1.0, 0.0):
+            self.note(place, "is an integer: it takes no scale and no offset")
+        problem = self.count_problem(item) if quantity == "counter" else None
+        if not field.is_word:
+            problem = problem or f"{field.name!r} must be an integer with factor 1 and offset 0"
+        self.note(place, problem)
+
+    def _on(self, entry: SwitchSource, field: Field, place: str) -> float | None:
+        """Return the value that means on; one that no good report has is a flaw."""
+        given = self.on if entry.on is None else entry.on
+        on = None if given is None else self.resolve(field, given, place)
+        if field.is_word and on is not None:
+            problem = field.problem(on)
+            self.note(place, problem and f"the bridge would never be on: {problem}")
+        others = [
+            f"{raw} ({name})"
+            for raw, name in sorted(field.names.items())
+            if raw not in {0, 1} and field.value(raw) is not None
+        ]
+        if entry.on is None and others:
+            word = f"1 ({field.names[1]})" if 1 in field.names else "1"
+            off = f"{', '.join(others)} that the bridge is off, which confirms a stop"
+            problem = f"is left out: {word} alone means on, and {off}; name the state of on"
+            self.cautions.append(Flaw(place, problem))
+        return on
+
+    def _constants(self, command: CommandSignals) -> Iterator[Sink[Item]]:
+        for reference, given in command.constants.items():
+            place = f"{_COMMAND}.constants.{reference}"
+            item = self.find(reference, place)
+            if item is None:
+                continue
+            self.note(place, self.refusal(item, "constant"))
+            field = self.field(item, "constant")
+            value = self.resolve(field, given, place)
+            if value is not None and self._is_sent(field, (value,), place):
+                yield Sink(reference, item, field, value, 0.0)
+
+    def _switches(self, switch: CommandSwitch | None) -> Iterator[Sink[Item]]:
+        place = f"{_COMMAND}.{BRIDGE}"
+        item = None if switch is None else self.find(switch.signal, place)
+        if switch is None or item is None:
+            return
+        self.note(place, self.refusal(item, "command"))
+        field, known = self.field(item, "command"), self.switch(item)
+        on = self.resolve(field, known[0] if switch.on is None else switch.on, place)
+        off = self.resolve(field, known[1] if switch.off is None else switch.off, place)
+        if on is None or off is None:
+            return
+        self.note(place, f"on and off are both {on:g}" if on == off else None)
+        if self._is_sent(field, (off, on), place):
+            yield Sink(BRIDGE, item, field, off, on - off)
+
+    def _value(self, name: str, entry: SignalSource, item: Item, demands: Demands) -> Sink[Item]:
+        """Return where a value goes; one that cannot be 0, or what the limits allow, is a flaw."""
+        place, field = f"{_COMMAND}.{name}", self.field(item, "command")
+        sink = Sink(name, item, field, -entry.offset / entry.scale, 1.0 / entry.scale)
+        self.note(place, self.refusal(item, "command"))
+        self._check_unit(entry, field, WANTED[name], place)
+        if not self._is_held(field, sink.base, place):
+            return sink
+        sent = field.physical(field.raw(sink.base))
+        if not _is_same(field, sent, sink.base):
+            zero = (sent - sink.base) / sink.factor
+            self.note(place, f"0 would be sent as {zero:.4g}: it could not be safe")
+        for wanted in demands.values(name):
+            problem = field.problem(sink.base + sink.factor * wanted)
+            limit = f"cannot carry {wanted:g}, a limit of [drive.limits]"
+            self.note(place, problem and f"{limit}: {problem}")
+        return sink
+
+    def _is_sent(self, field: Field, values: Iterable[float], place: str) -> bool:
+        """Return whether values can be sent; those that are not sent as they stand are flaws."""
+        for value in values:
+            if not self._is_held(field, value, place):
+                return False
+            sent = field.physical(field.raw(value))
+            if not _is_same(field, sent, value):
+                problem = f"{field.name} = {value:.10g} would be sent as {sent:.10g}"
+                self.note(place, f"{problem}: its counts are {abs(field.scale):g} apart")
+        return True
+
+    def _is_held(self, field: Field, value: float, place: str) -> bool:
+        """Return whether a field can be a value, else there is a flaw."""
+        problem = field.problem(value)
+        self.note(place, problem and f"the drive could not be switched: {problem}")
+        return problem is None
+
+
+def _is_same(field: Field, sent: float, value: float) -> bool:
+    return math.isclose(sent, value, rel_tol=_PRECISION, abs_tol=_ROUNDING * abs(field.scale))

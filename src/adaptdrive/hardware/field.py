@@ -1,0 +1,134 @@
+"""One value that the description of a device has: how it is coded, and which codes mean something.
+
+A DBC, an EDS and a register map describe it in three ways; here it is the same for all of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+Raw = int | float
+
+_ROUNDING = 1e-6
+"""Share of one count by which a declared limit may miss its count in binary."""
+
+_LARGEST_FLOATS = {16: 65504.0, 32: 3.4028234663852886e38, 64: 1.7976931348623157e308}
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One value of a device.
+
+    Attributes:
+        name: Name of the signal, the object or the register.
+        scale: Physical units per count.
+        offset: Physical value of the raw value zero.
+        low: Smallest raw value in range.
+        high: Largest raw value in range.
+        integer: Whether raw values are integers.
+        unavailable: Raw value that means "not available".
+        idle: Raw value of a signal that the sender does not set.
+        blanks: Raw values that are no word beside refused values: "not available" and all bits
+            set; none for a signal of one bit.
+        unknown: Raw values within the range that say nothing.
+        unit: Unit of the physical value as the description writes it, empty for none.
+        names: Names of raw values, as a value table has them.
+    """
+
+    name: str
+    scale: float
+    offset: float
+    low: Raw
+    high: Raw
+    integer: bool
+    unavailable: Raw
+    idle: Raw
+    blanks: frozenset[Raw]
+    unknown: frozenset[Raw]
+    unit: str
+    names: Mapping[int, str]
+
+    def physical(self, raw: Raw) -> float:
+        """The physical value of a raw one, in the unit of the signal."""
+        return raw * self.scale + self.offset
+
+    def raw(self, value: float | None) -> Raw:
+        """The raw value of a physical one; None stands for "not available".
+
+        Raises:
+            ValueError: The value is not finite, outside the range of the signal, or says nothing.
+        """
+        if value is None:
+            return self.unavailable
+        raw: Raw = (value - self.offset) / self.scale
+        if self.integer and math.isfinite(raw):
+            raw = round(raw)
+        if not self.low <= raw <= self.high:
+            low, high = self.ends
+            raise ValueError(f"{self.name} = {value:.10g} is outside {low:.10g}…{high:.10g}")
+        if raw in self.unknown:
+            raise ValueError(f"{self.name} = {value:.10g} says that nothing is known")
+        return raw
+
+    def problem(self, value: float) -> str | None:
+        """Return why a physical value has no raw one, None where it has."""
+        try:
+            self.raw(value)
+        except ValueError as problem:
+            return str(problem)
+        return None
+
+    def value(self, raw: Raw) -> float | None:
+        """The physical value of a raw one, None where it must not be used."""
+        if not self.low <= raw <= self.high or raw in self.unknown:
+            return None
+        return raw * self.scale + self.offset
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The smallest and the largest physical value."""
+        first, last = self.physical(self.low), self.physical(self.high)
+        return min(first, last), max(first, last)
+
+    @property
+    def is_word(self) -> bool:
+        """True if the physical value is the raw integer."""
+        return self.integer and self.scale == 1 and self.offset == 0
+
+
+def natural_limits(bits: int, *, signed: bool, real: bool) -> tuple[Raw, Raw]:
+    """Return the smallest and the largest raw value that a type has.
+
+    Args:
+        bits: Length.
+        signed: Whether an integer has a sign.
+        real: Whether it is a floating-point number.
+    """
+    if real:
+        largest = _LARGEST_FLOATS.get(bits, _LARGEST_FLOATS[64])
+        return -largest, largest
+    if signed:
+        return -(1 << (bits - 1)), (1 << (bits - 1)) - 1
+    return 0, (1 << bits) - 1
+
+
+def declared_limits(
+    natural: tuple[Raw, Raw], ends: tuple[float, float], scale: float, offset: float = 0.0
+) -> tuple[Raw, Raw]:
+    """Return the raw limits of a type within a declared range of physical values.
+
+    Args:
+        natural: Smallest and largest raw value of the type, integers of an integer.
+        ends: The declared range; one that is not finite declares nothing.
+        scale: Physical units per count.
+        offset: Physical value of the raw value zero.
+    """
+    low, high = natural
+    first, last = sorted((end - offset) / scale for end in ends)
+    if not (math.isfinite(first) and math.isfinite(last)):
+        return natural
+    if isinstance(low, float):
+        return max(low, first), min(high, last)
+    return max(low, math.ceil(first - _ROUNDING)), min(high, math.floor(last + _ROUNDING))
