@@ -256,8 +256,9 @@ class CommandSignals(Section):
     bridge: CommandedSwitch | None = Field(default=None, description="bridge on (1) or off (0)")
     constants: dict[str, float | str] = Field(
         default={},
-        description="on CAN: values sent with every command by `Message.Signal`, as numbers or "
-        "names of the value table; signals named nowhere are sent as the DBC's start value",
+        description="values sent with every command, by the name of their signal, register or "
+        "object, as numbers or names of the value table; signals of a DBC that are named nowhere "
+        "are sent as its start value",
     )
 
 

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.config.modbus import ModbusRtu, ModbusTcp, Register
+from adaptdrive.control.signals import Command
 from adaptdrive.errors import ConfigurationError
 from adaptdrive.hardware.modbus.blocks import Block, plan_blocks
 from adaptdrive.hardware.modbus.capacity import Exchange, exchange_bytes, exchange_s
@@ -108,6 +109,16 @@ def test_a_drive_that_could_not_be_switched_off_is_a_flaw() -> None:
     floor = "{ address = 0, table = 'holding', range = { low = 200.0, high = 400.0 } }"
     found = flaws(bus__registers__wanted=floor)
     assert "could not be switched" in found["signals.command.boost_reference_V"]
+
+
+def test_a_constant_is_written_with_each_command() -> None:
+    writes = plan(signals__command__constants__alive="7").writes
+    assert [
+        [word for sink in sinks for word in sink.words(Command(0.0, 2.5, bridge=True), 0)]
+        for _, sinks in writes
+    ] == [[250, 1, 7]]
+    found = flaws(signals__command__constants__alive="7.5")
+    assert "alive = 7.5 would be sent as 8" in found["signals.command.constants.alive"]
 
 
 def resting_at(offset_V: float) -> dict[str, str | None]:
