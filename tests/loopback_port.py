@@ -108,8 +108,8 @@ class LoopbackPort:
             self._listener.on_bus(up=False, detail=detail)
 
     def restore(self) -> None:
-        """Bring the bus back."""
+        """Bring the bus up, also where nobody is served yet."""
+        self._up = True
         if self._listener:
-            self._up = True
             self._reconnects += 1
             self._listener.on_bus(up=True, detail=self.description)

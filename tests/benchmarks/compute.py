@@ -40,6 +40,8 @@ TICK_US = 0.5e6 / MOTOR.drive.line_frequency_Hz
 CALLS, ROUNDS = 2000, 21
 WARM_UP = 80
 """Readings before the measurement: a drive is enabled when its frame rate has been judged."""
+ENABLED = WARM_UP - 8
+"""Reading after which the drive is enabled; its bridge is on two readings later."""
 COLD = 300
 """Ticks that are run with cold caches."""
 
@@ -205,12 +207,13 @@ def running_loop(send: Callable[[Command], None]) -> tuple[FastLoop, Quiet]:
     machine = Machine(settings.machine, settings.pole)
     controller = Controller(controller_settings(MOTOR), build_load(MOTOR))
     port = LoopbackPort(send, counter_modulus=65536)
+    port.restore()
     loop = FastLoop(port, controller, machine, settings.fast, quiet)
     for number in range(WARM_UP):
-        feed(loop, quiet, number, bridge=number > WARM_UP - 4)
-        if number == WARM_UP - 4:
+        feed(loop, quiet, number, bridge=number > ENABLED + 1)
+        if number == ENABLED:
             machine.carry_out(Enable(), loop.tick, 3.1, loop.cause)
-    assert machine.state is State.RUNNING, machine.state
+    assert machine.state is State.RUNNING, machine.trip
     return loop, quiet
 
 
@@ -292,7 +295,7 @@ def _frames() -> Iterator[Row]:
     port = CanPort(MOTOR_BUS, mapping, lambda: listener.quiet.time_s)
     port._connection.listener, port._connection.bus = listener, bus
     enabled = 3000 + WARM_UP
-    pairs = status_frames(8000, enabled)
+    pairs = status_frames(8000, enabled + 2)
     decode = _times_of_pairs(port.take, listener, pairs[:3000])
     command = Command(0.0512, 301.25, True)
     encode = []

@@ -20,7 +20,7 @@ START_S, SLEEPING_PERCENT, AWAKE_PERCENT = 0.6, 4.0, 2.5
 def rows(extent: Extent) -> Iterator[Row]:
     """All rows of this file."""
     yield _start()
-    seconds = 10.0 if extent.quick else 30.0
+    seconds = extent.pick(30.0, 10.0, 2.0)
     yield from _asleep(seconds)
     changes = {"realtime.cpu_latency_us": "0"}
     share = measure(1, seconds, recording=True, changes=changes).cpu_share

@@ -22,20 +22,20 @@ def rows(extent: Extent) -> Iterator[Row]:
     with TemporaryDirectory() as name:
         folder = Path(name)
         path = f"{unpacked(folder)}:{ROOT}"
-        yield _runs(1 if extent.quick else 20, path)
+        yield _runs(extent.pick(20, 1, 1), extent.pick(BATCH, BATCH, 2), path)
         for recorder, player in ((COMPILED, PURE), (PURE, COMPILED)):
             yield _sessions(folder / recorder, recorder, player, path)
 
 
-def _runs(batches: int, path: str) -> Row:
+def _runs(batches: int, batch: int, path: str) -> Row:
     equal = 0
-    for first in range(1, batches * BATCH, BATCH):
-        words = (first, BATCH, DURATION_S)
+    for first in range(1, batches * batch, batch):
+        words = (first, batch, DURATION_S)
         compiled, pure = (
             run_with(one, "tests.builds.trajectories", *words, PYTHONPATH=path) for one in BUILDS
         )
         equal += sum(one == other for one, other in zip(compiled, pure, strict=True))
-    runs = batches * BATCH
+    runs = batches * batch
     note = f"of {runs}, each {DURATION_S:g} s: every tick, snapshot and decision"
     return Row("bit-equal campaign runs", equal, "", target="all", met=equal == runs, note=note)
 

@@ -37,8 +37,8 @@ def rows(extent: Extent) -> Iterator[Row]:
     if shutil.which("cyclictest") is None:
         raise RuntimeError("cyclictest is missing; Debian has it in rt-tests")
     priority = PRIORITY if _fifo_is_granted() else 0
-    seconds = 4.0 if extent.quick else _ROUND_S
-    rounds = 2 if extent.quick else _ROUNDS
+    seconds = extent.pick(_ROUND_S, 4.0, 0.5)
+    rounds = extent.pick(_ROUNDS, 2, 1)
     peer: list[float] = []
     ours: dict[str, list[float]] = {how: [] for how in _WAYS}
     for _ in range(rounds):
@@ -50,7 +50,7 @@ def rows(extent: Extent) -> Iterator[Row]:
     yield from _compared(AWAKE, ours[AWAKE], peer, f"at most {limit:.0f} us (2 x + 100)", limit)
     yield from _compared(SPUN, ours[SPUN], peer, "at most cyclictest's", quantile(peer, 0.99))
     yield from _compared(PLAIN, ours[PLAIN], peer)
-    yield _rare(60.0 * (0.2 if extent.quick else extent.minutes), priority)
+    yield _rare(60.0 * extent.pick(extent.minutes, 0.2, 0.01), priority)
 
 
 def _rare(seconds: float, priority: int) -> Row:

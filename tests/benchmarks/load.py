@@ -31,9 +31,10 @@ TELEMETRY = {"mqtt.telemetry_Hz": "10.0", "recording.flush_s": "0.5"}
 
 def rows(extent: Extent) -> Iterator[Row]:
     """All rows of this file: each load against a quiet daemon, in turn."""
-    seconds = 6 if extent.quick else 24
+    seconds = extent.pick(24, 6, 1)
     quiet: list[float] = []
-    for name in ("nothing else", "disk stalled", "broker stalled", "commands", "hog", "all"):
+    names = tuple(_NAMES)
+    for name in extent.pick(names, names, names[:2]):
         times, peer = _under(name, seconds)
         answered = [one for one in times if one >= 0.0] or [float("nan")]
         missing = len(times) - len(answered)

@@ -48,7 +48,7 @@ class Cost:
 
 def rows(extent: Extent) -> Iterator[Row]:
     """All rows of this file."""
-    seconds = 10.0 if extent.quick else 60.0
+    seconds = extent.pick(60.0, 10.0, 2.0)
     alone, watched = measure(seconds)
     target = f"less than {LIMIT:.0f} %"
     name = f"CPU share of a broker of {DRIVES} drives and {len(PLACES)} panels"

@@ -7,6 +7,9 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TypeVar
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -16,10 +19,16 @@ class Extent:
     Attributes:
         quick: Seconds instead of minutes, for a first look.
         minutes: Of ticks on the timer, for rare late ones.
+        shortest: Only to see that each part can be measured.
     """
 
     quick: bool
     minutes: float
+    shortest: bool = False
+
+    def pick(self, whole: T, quick: T, shortest: T) -> T:
+        """Return what this extent takes of a part."""
+        return shortest if self.shortest else quick if self.quick else whole
 
 
 @dataclass(frozen=True)

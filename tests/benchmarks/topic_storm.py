@@ -62,7 +62,7 @@ class Outcome:
 
 def rows(extent: Extent) -> Iterator[Row]:
     """All rows of this file."""
-    each = 200 if extent.quick else int(EACH * extent.minutes)
+    each = extent.pick(int(EACH * extent.minutes), 200, 5)
     with _site() as site:
         site.run_drive()
         running = {key: site.state[key] for key in LASTING}
