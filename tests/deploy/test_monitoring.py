@@ -90,10 +90,10 @@ async def test_debians_exporter_shows_a_drive_to_prometheus(
 def test_telegraf_reads_topics_and_keys_that_are_published() -> None:
     document = tomllib.loads((FOLDER / "telegraf.conf").read_text(encoding="utf-8"))
     known = {topic.address.replace("{drive}", "+") for topic in topics() if topic.sent}
-    event = keys("event")
+    kept = {"adaptdrive_event": keys("event"), "adaptdrive_state": keys("state")}
     for source in document["inputs"]["mqtt_consumer"]:
         assert set(source["topics"]) <= known
-        published = event if source["name_override"] == "adaptdrive_event" else PUBLISHED
+        published = kept.get(source["name_override"], PUBLISHED)
         assert {*source["json_string_fields"], *source["tag_keys"]} <= published
         assert source["json_time_key"] in published
 
@@ -108,9 +108,11 @@ def test_telegraf_has_the_client_name_of_no_drive() -> None:
 
 def test_the_dashboard_shows_fields_that_telegraf_stores() -> None:
     dashboard = json.loads((FOLDER / "grafana-dashboard.json").read_text(encoding="utf-8"))
-    queries = [target["query"] for panel in dashboard["panels"] for target in panel["targets"]]
+    targets = [target for panel in dashboard["panels"] for target in panel["targets"]]
+    targets += [one["target"] for one in dashboard["annotations"]["list"]]
+    queries = [target["query"] for target in targets]
     fields = {field for query in queries for field in re.findall(r'r\._field == "(\w+)"', query)}
-    flat = {key.replace(".", "_") for key in PUBLISHED | keys("event")}
+    flat = {key.replace(".", "_") for key in PUBLISHED | keys("event") | keys("state")}
     assert fields
     assert {field for field in fields if not field.startswith("estimates_")} <= flat
     assert all('r._measurement == "adaptdrive_' in query for query in queries)

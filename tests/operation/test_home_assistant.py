@@ -16,9 +16,18 @@ from adaptdrive.control.signals import Mode
 from adaptdrive.operation.commands import Payload
 from adaptdrive.operation.home_assistant import discovery
 from adaptdrive.operation.messages import encode
+from adaptdrive.operation.profile import Output
 from adaptdrive.runtime.requests import Disable, Enable, Request, Reset, SetMode, SetSetpoint
 from tests.operation.contract import validators
-from tests.operation.peers import ask, listening, load_report, profile, publish, serving
+from tests.operation.peers import (
+    ask,
+    drive_report,
+    listening,
+    load_report,
+    profile,
+    publish,
+    serving,
+)
 from tests.support import Broker
 
 TOPIC = "homeassistant/device/adaptdrive-{}/config"
@@ -110,18 +119,19 @@ async def test_what_home_assistant_shows_is_in_the_messages(
     ):
         bench.hub.publish(load_report(7))
         load = await ear.on(bench.topic("telemetry/load"))
+        bench.hub.publish(drive_report(9))
+        drive = await ear.on(bench.topic("telemetry/drive"))
         bench.host.trip("over-voltage: v_bst = 431 V, limit 430 V")
         tripped = await ear.until(lambda message: '"tripped"' in message.payload)
     shown = {}
     for name, component in payload["components"].items():
         if "state_topic" in component:
-            message = load if component["state_topic"] == load.topic else tripped
-            assert component["state_topic"] == message.topic
+            message = {one.topic: one for one in (load, drive, tripped)}[component["state_topic"]]
             shown[name] = rendered(component["value_template"], value_json=message.content)
     assert shown == {
-        "output": "2.9",
+        "output": "3.1",
         "boost_reference": "302.0",
-        "applied": "301.0",
+        "applied": "300.5",
         "state": "tripped",
         "controller": "fixed",
         "tripped": "ON",
@@ -132,6 +142,13 @@ async def test_what_home_assistant_shows_is_in_the_messages(
     attributes = payload["components"]["last_trip"]["json_attributes_template"]
     assert "remedy" in json.loads(rendered(attributes, value_json=tripped.content))
     assert rendered(attributes, value_json={"last_trip": None}) == "{}"
+
+
+def test_a_rise_of_temperature_is_no_temperature() -> None:
+    for unit, wanted in (("K", "temperature_delta"), ("°C", "temperature")):
+        warm = replace(profile("x"), output=Output("temperature", unit))
+        shown = discovery(warm, "homeassistant").payload["components"]["output"]
+        assert (shown["device_class"], shown["unit_of_measurement"]) == (wanted, unit)
 
 
 def test_limits_and_units_are_those_of_the_drive() -> None:

@@ -18,7 +18,12 @@ _STEPS = 1000
 _SMALLEST_STEP = 1e-3
 """Home Assistant leaves a control with a smaller one out."""
 
-_DEVICE_CLASSES = {"V": "voltage", "A": "current", "K": "temperature", "°C": "temperature"}
+_DEVICE_CLASSES = {
+    "V": "voltage",
+    "A": "current",
+    "°C": "temperature",
+    "K": "temperature_delta",  # a rise above the inflow; `temperature` would be converted to °C
+}
 _LAST_TRIP = (  # a state in Home Assistant has at most 255 characters
     "{{ value_json.last_trip.text[:255] if value_json.last_trip else 'none' }}"
 )
@@ -68,11 +73,11 @@ def discovery(profile: Profile, prefix: str) -> Announcement:
 
 
 def _sensors(profile: Profile, topics: Topics) -> dict[str, Payload]:
-    output, load = profile.output, topics.load_telemetry
+    output, drive = profile.output, topics.drive_telemetry  # published in standby, too
     return {
-        "output": _measured(output.name, load, "output", output.unit),
-        "boost_reference": _measured("V_c", load, "boost_reference_V", "V"),
-        "applied": _measured("boost voltage", load, "applied_V", "V"),
+        "output": _measured(output.name, drive, "output", output.unit),
+        "boost_reference": _measured("V_c", topics.load_telemetry, "boost_reference_V", "V"),
+        "applied": _measured("boost voltage", drive, "boost_voltage_V", "V"),
         "state": {
             "platform": "sensor",
             "name": "state",
