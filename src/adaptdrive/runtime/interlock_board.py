@@ -14,6 +14,8 @@ from adaptdrive.runtime.restart_watch import RestartWatch
 _GAP_READINGS = 2
 """Readings without a tick that a drive which is read seldom may cost: one may be lost."""
 
+_PRIORITY = "give the daemon priority by realtime.priority: docs/realtime.md"
+
 
 class InterlockBoard:
     """The interlocks of a drive, and the time since they were last evaluated."""
@@ -110,7 +112,7 @@ class InterlockBoard:
         return (
             f"overslept: the daemon did not run for {(now_s - self._watched_s) * 1e3:.0f} ms while "
             "it sent a command: the drive may have stopped by itself and been switched on again; "
-            "see [realtime]"
+            f"{_PRIORITY}"
         )
 
     def _gap_cause(self, unwatched_s: float) -> str | None:
@@ -118,8 +120,9 @@ class InterlockBoard:
             return None
         return (
             f"overslept: the daemon did not run for {unwatched_s * 1e3:.0f} ms, limit "
-            f"{self._gap_limit_s * 1e3:g} ms: the machine is overloaded or was suspended; see "
-            "[realtime]"
+            f"{self._gap_limit_s * 1e3:g} ms: the machine is overloaded or was suspended; set "
+            f"interlocks.stale_s (now {self._limits.stale_s:g}) to {2.0 * unwatched_s:.2g} where "
+            f"the drive's own time-out allows it, or {_PRIORITY}"
         )
 
     def _implausible(self, reading: Reading, *, running: bool) -> str | None:

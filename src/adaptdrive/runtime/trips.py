@@ -51,10 +51,19 @@ TRIPS = (
         "compare the setting that the text names; `adaptdrive probe` shows the frames",
     ),
     Trip(
+        r"^stale: .*; the polls give no reading: no reply",
+        f"{_STALE}; the polls give no reading: no reply within 0.05 s",
+        "the Modbus device does not answer, or answers later than `bus.timeout_s`; with events "
+        "`latency`, the machine is overloaded",
+        "check the device's supply, the cable and the address of the device; on a busy machine set "
+        "longer `bus.timeout_s` and `interlocks.stale_s`, or give the daemon priority by "
+        "`realtime.priority`",
+    ),
+    Trip(
         r"^stale: .*; the polls give no reading",
         f"{_STALE}; the polls give no reading: exception reply 2 to function 4 (illegal address), "
         "input 16…19 (address from 0)",
-        "the Modbus device refuses the poll, or does not answer",
+        "the Modbus device refuses the poll",
         "check the register map; `adaptdrive probe` shows the registers",
     ),
     Trip(
@@ -100,7 +109,8 @@ TRIPS = (
         "the process was frozen, suspended or starved for longer than `interlocks.stale_s`, or, "
         "on the way of a command to the bus, for longer than 80 ms (less where "
         "`bus.command_timeout_s` is short): the state of the drive during that time is unknown",
-        "reduce the load of the machine; see `[realtime]`",
+        "reduce the load of the machine, give the daemon priority by `realtime.priority`, or set "
+        "the limit that the text names",
     ),
     Trip(
         r"^drive fault: ",
