@@ -13,7 +13,7 @@ from typing import cast
 import pytest
 
 from adaptdrive.app.examine import examine_text
-from adaptdrive.commission.file import refuse_unwritable, write_values
+from adaptdrive.commission.file import refuse_unwritable, with_values, write_values
 from adaptdrive.commission.run import Commissioned, CommissionRequest, announcement, write
 from adaptdrive.errors import ConfigurationError
 
@@ -73,6 +73,15 @@ def test_tables_that_are_too_scattered_are_refused_before_the_experiment(tmp_pat
     examine_text(file.read_text("utf-8"), file)  # the daemon takes it
     with pytest.raises(ConfigurationError, match=r"motor\.toml: file: cannot be changed: .*line"):
         refuse_unwritable(file)
+
+
+def test_a_comment_on_a_value_that_changes_goes_and_every_other_one_stays() -> None:
+    path = EXAMPLES / "motor.toml"
+    old = path.read_text(encoding="utf-8")
+    new = with_values(path, old, {"load.period_s": 0.2, "load.pole": 0.70})
+    assert "period_s = 1.0                      # slow period: 120 ticks" in old
+    (changed,) = set(new.splitlines()) - set(old.splitlines())
+    assert changed == "period_s = 0.2 # by adaptdrive commission"
 
 
 def test_the_configuration_of_another_drive_is_refused() -> None:

@@ -1,4 +1,4 @@
-"""The configuration file with new values: comments stay, and the old file is kept."""
+"""The configuration file with new values: other comments stay, and the old file is kept."""
 
 from __future__ import annotations
 
@@ -16,9 +16,13 @@ from tomlkit.exceptions import TOMLKitError
 from adaptdrive.config.file import read_text
 from adaptdrive.errors import ConfigurationError, Flaw
 
+ORIGIN = "by adaptdrive commission"
+
 
 def with_values(path: Path, text: str, values: Mapping[str, float | int]) -> str:
-    """Return a TOML document with new values, its comments and order as before.
+    """Return a TOML document with new values, in its order.
+
+    A comment after a value that changes goes: it describes the old value.
 
     Args:
         path: The file that it is from.
@@ -38,7 +42,8 @@ def with_values(path: Path, text: str, values: Mapping[str, float | int]) -> str
         table: Any = document
         for part in tables:
             table = table.setdefault(part, tomlkit.table())
-        table[name] = value
+        if table.get(name) != value:
+            table[name] = tomlkit.item(value).comment(ORIGIN)
     return tomlkit.dumps(document)
 
 
