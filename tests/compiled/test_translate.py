@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -18,7 +19,7 @@ from adaptdrive.control.supervisor import Verdict
 from adaptdrive_sim.compiled.layout import layout_of
 from adaptdrive_sim.compiled.objects import Memory
 from adaptdrive_sim.compiled.sources import compiled_modules
-from adaptdrive_sim.compiled.translate import _translated
+from adaptdrive_sim.compiled.translate import _translated, translate
 from adaptdrive_sim.compiled.vectors import compiled
 
 
@@ -127,3 +128,56 @@ def test_properties_functions_and_tuples_of_a_load_are_there() -> None:
 
 def test_a_long_name_leads_to_the_copy_of_a_module() -> None:
     assert copy_of(in_force, "residual_noise").__module__ != in_force.__name__
+
+
+@dataclass(slots=True)
+class Bank:
+    before: float = -1.0
+    entries: list[Inner] = field(default_factory=lambda: [Inner(), Inner(2.0), Inner(4.0)])
+    after: int = 7
+
+
+def settle(bank: Bank) -> tuple[float, int, bool, bool, bool]:
+    best = bank.entries[0]
+    for i, entry in enumerate(bank.entries):
+        entry.level *= 2.0 + i
+        if entry.level > best.level:
+            best = entry
+    best.level = -3.0
+    bank.entries[-2].level += 0.5
+    worst = min(entry.level for entry in bank.entries)
+    low = any(entry.level < 0.0 for entry in bank.entries)
+    sound = all(entry.level < 9.0 for entry in bank.entries)
+    return worst, len(bank.entries), low, sound, bank.after in {6, 7}
+
+
+def test_a_list_of_objects_of_one_class_is_what_it_is_in_the_interpreter(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = "from __future__ import annotations\n\n" + inspect.getsource(settle)
+    (tmp_path / "of_branches").mkdir()
+    (tmp_path / "of_branches" / "bank.py").write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    name = "of_branches.bank"
+    bank, memory = Bank(), Memory(Bank())
+    assert translate([name])[name].settle(memory) == settle(bank)
+    expected = [bank.before, *(entry.level for entry in bank.entries)]
+    assert memory.words.view(np.float64)[:-1].tolist() == expected
+    assert memory.words[-1] == bank.after
+
+
+def test_a_place_beyond_the_end_of_a_list_of_objects_is_an_error() -> None:
+    @compiled
+    def level_of(bank: Any, place: int) -> Any:
+        return bank.entries[place].level
+
+    memory = Memory(Bank())
+    assert level_of(memory, -3) == 1.5
+    for place in (3, -4):
+        with pytest.raises(IndexError, match="out of range"):
+            level_of(memory, place)
+
+
+def test_objects_of_two_layouts_make_no_list_of_compiled_code() -> None:
+    bank = Bank(entries=[Inner(), Outer()])  # type: ignore[list-item]
+    assert [one.name for one in layout_of(bank).fields] == ["before", "after"]

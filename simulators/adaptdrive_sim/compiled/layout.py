@@ -1,7 +1,8 @@
 """Memory layout of an object in compiled code.
 
 A `Layout` is made from a live object: every number is one word of eight bytes, a list or tuple of
-numbers as many words, an object inside an object lies inside it. Lengths are thus known when code
+numbers as many words, an object inside an object lies inside it, and so do the objects of a list
+that have one layout, one behind the other. Lengths are thus known when code
 is compiled for a layout, and no memory has to be managed. Functions and absent (None) parts are
 part of the layout itself. Anything else (texts, generators, dictionaries) is left out: compiled
 code cannot ask for it.
@@ -21,7 +22,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-Kind = Literal["float", "int", "bool", "floats", "ints", "object", "function"]
+Kind = Literal["float", "int", "bool", "floats", "ints", "object", "objects", "function"]
 
 _SCALARS: dict[type, Kind] = {float: "float", int: "int", bool: "bool"}
 
@@ -35,7 +36,7 @@ class Attribute:
         kind: What it is.
         offset: Its first word.
         length: How many entries it has.
-        part: Layout of an object.
+        part: Layout of an object, or of each object of a list.
         function: Module and name of a function.
     """
 
@@ -100,6 +101,9 @@ def write(layout: Layout, instance: Any, words: NDArray[np.int64]) -> None:
                 words[place] = value
             case "object" if field.part is not None and not field.part.absent:
                 write(field.part, value, words[place])
+            case "objects" if field.part is not None:
+                for entry, own in zip(value, words[place].reshape(len(value), -1), strict=True):
+                    write(field.part, entry, own)
             case _:
                 pass
 
@@ -130,6 +134,9 @@ def _is_ours(value: Any) -> bool:
 def _sequence(
     name: str, value: list[Any] | tuple[Any, ...], hint: Any, offset: int
 ) -> Attribute | None:
+    if value and all(_is_ours(entry) for entry in value):
+        part, *others = {layout_of(entry) for entry in value}
+        return None if others else Attribute(name, "objects", offset, len(value), part)
     if not all(isinstance(entry, int | float) for entry in value):
         return None
     whole = value and all(isinstance(entry, int) for entry in value)
@@ -156,7 +163,7 @@ def _optional_class(hint: Any) -> type | None:
 
 def _size(field: Attribute) -> int:
     if field.part is not None:
-        return field.part.words
+        return field.part.words * field.length
     return 0 if field.kind == "function" else field.length
 
 

@@ -1,8 +1,9 @@
 """Lets numba see the objects of controller and plant.
 
 Compiled code holds an object as a pointer to its words. Reading and writing an attribute is a load
-or a store at a known place; a list is seen as an array over its words; an object inside another
-one is a pointer to its place. Methods and properties lead to their compiled copies.
+or a store at a known place; a list of numbers is seen as an array over its words; an object inside
+another one, or in a list, is a pointer to its place. Methods and properties lead to their compiled
+copies.
 """
 
 from __future__ import annotations
@@ -14,9 +15,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
 from numba.core import cgutils, types
-from numba.core.datamodel.models import PrimitiveModel
 from numba.core.imputils import impl_ret_borrowed, lower_builtin
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import (
@@ -32,8 +31,8 @@ from numba.extending import (
 from numba.np.arrayobj import make_array, populate_array
 
 from adaptdrive_sim.compiled.layout import Attribute, Layout, layout_of, write
+from adaptdrive_sim.compiled.lists import WORD, ObjectsType, Pointer
 
-_WORD = 8
 _SCALAR_TYPES = {"float": types.float64, "int": types.int64, "bool": types.boolean}
 _VECTOR_TYPES = {
     "floats": types.Array(types.float64, 1, "C"),
@@ -131,17 +130,7 @@ def _method(copies: Copies, name: str) -> Any:
 copies = Copies()
 
 
-register_model(ObjectType)(
-    type(
-        "ObjectModel",
-        (PrimitiveModel,),
-        {
-            "__init__": lambda self, dmm, fe_type: PrimitiveModel.__init__(
-                self, dmm, fe_type, ir.IntType(8).as_pointer()
-            )
-        },
-    )
-)
+register_model(ObjectType)(Pointer)
 
 
 @cache
@@ -178,14 +167,15 @@ class _Attributes(AttributeTemplate):
 
 def _type_of(field: Attribute) -> Any:
     if field.part is not None:
-        return ObjectType(field.part)
+        entry = ObjectType(field.part)
+        return ObjectsType(entry, field.length) if field.kind == "objects" else entry
     if field.kind == "function":
         return types.Dispatcher(copies.function(*field.function))
     return _SCALAR_TYPES.get(field.kind) or _VECTOR_TYPES[field.kind]
 
 
 def _pointer(builder: Any, value: Any, field: Attribute, element: Any) -> Any:
-    place = cgutils.gep(builder, value, field.offset * _WORD)
+    place = cgutils.gep(builder, value, field.offset * WORD)
     return builder.bitcast(place, element.as_pointer())
 
 
@@ -196,7 +186,7 @@ def _get(context: Any, builder: Any, this: ObjectType, value: Any, name: str) ->
         return _call_property(context, builder, this, value, name)
     kind = _type_of(field)
     if field.part is not None:
-        return cgutils.gep(builder, value, field.offset * _WORD)
+        return cgutils.gep(builder, value, field.offset * WORD)
     if field.kind == "function":
         return context.get_dummy_value()
     if field.kind in _VECTOR_TYPES:
@@ -223,8 +213,8 @@ def _view(context: Any, builder: Any, value: Any, field: Attribute, kind: Any) -
         array,
         data=_pointer(builder, value, field, context.get_value_type(kind.dtype)),
         shape=[context.get_constant(types.intp, field.length)],
-        strides=[context.get_constant(types.intp, _WORD)],
-        itemsize=context.get_constant(types.intp, _WORD),
+        strides=[context.get_constant(types.intp, WORD)],
+        itemsize=context.get_constant(types.intp, WORD),
         meminfo=None,
         parent=None,
     )
@@ -251,8 +241,8 @@ def _store_vector(
 ) -> None:
     """Copy a whole list: an object's lists keep their places, and their lengths."""
     source = make_array(given)(context, builder, value)
-    size = context.get_constant(types.intp, field.length * _WORD)
-    place = cgutils.gep(builder, target, field.offset * _WORD)
+    size = context.get_constant(types.intp, field.length * WORD)
+    place = cgutils.gep(builder, target, field.offset * WORD)
     cgutils.raw_memmove(builder, place, source.data, size, 1)
 
 

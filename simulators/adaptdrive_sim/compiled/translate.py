@@ -1,10 +1,11 @@
 """Copies of the project's own modules in a form that numba compiles.
 
 Every function and method of a module becomes a compiled function of the same name (methods with
-their class in front); classes stay the originals. Three things change on the way:
+their class in front); classes stay the originals. Four things change on the way:
 
-* lists of floats become arrays: a literal, a repeated value, a comprehension, a sum of lists, a
-  slice (a copy, as with lists);
+* lists of floats become arrays: a literal, a repeated value, a comprehension or generator
+  expression, a sum of lists, a slice (a copy, as with lists);
+* `x in {a, b}` becomes comparisons;
 * members of integer enumerations become their numbers;
 * imports between translated modules lead to the copies.
 
@@ -31,6 +32,7 @@ _HEADER = f"""from __future__ import annotations
 import numpy as _np
 from {_HELPERS} import compiled as _compiled
 from {_HELPERS} import copied as _copied, filled as _filled, joined as _joined
+from {_HELPERS} import all_of as all, any_of as any
 """
 
 
@@ -179,6 +181,17 @@ class _Body(ast.NodeTransformer):
         function = ast.Attribute(ast.Name("_np", ast.Load()), "array", ast.Load())
         self.generic_visit(node)
         return ast.Call(function, [node], [])
+
+    def visit_GeneratorExp(self, node: ast.GeneratorExp) -> ast.AST:
+        return self.visit_ListComp(ast.ListComp(node.elt, node.generators))
+
+    def visit_Compare(self, node: ast.Compare) -> ast.AST:
+        self.generic_visit(node)
+        match node.ops, node.comparators:
+            case [ast.In()], [ast.Set(members) | ast.Tuple(members)]:
+                same = [ast.Compare(node.left, [ast.Eq()], [member]) for member in members]
+                return ast.BoolOp(ast.Or(), [*same])
+        return node
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
         left, right = node.left, node.right

@@ -42,3 +42,21 @@ def joined(first: Any, second: Any) -> Any:
     for i in range(len(second)):
         result[len(first) + i] = second[i]
     return result
+
+
+@compiled
+def any_of(values: Any) -> bool:
+    """`any(values)`."""
+    for value in values:
+        if value:
+            return True
+    return False
+
+
+@compiled
+def all_of(values: Any) -> bool:
+    """`all(values)`."""
+    for value in values:
+        if not value:
+            return False
+    return True

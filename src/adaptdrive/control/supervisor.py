@@ -209,13 +209,14 @@ def take_verdict(
 
 def is_impossible(verdict: int) -> bool:
     """Return whether no load within the bounds can have such an estimate."""
-    if verdict == Verdict.OUT_OF_BOUNDS or verdict == Verdict.UNDERDAMPED:  # noqa: PLR1714 - compiled
-        return True
-    return verdict == Verdict.NOT_FINITE or verdict == Verdict.UNSTABLE_LOAD  # noqa: PLR1714
+    return verdict in {
+        Verdict.NOT_FINITE,
+        Verdict.UNSTABLE_LOAD,
+        Verdict.OUT_OF_BOUNDS,
+        Verdict.UNDERDAMPED,
+    }
 
 
 def is_doubt(verdict: int) -> bool:
     """Check whether the estimate is not wrong, but not known well enough."""
-    if verdict == Verdict.UNCERTAIN or verdict == Verdict.FRAGILE:  # noqa: PLR1714 - compiled
-        return True
-    return verdict == Verdict.UNDERDAMPED
+    return verdict in {Verdict.UNCERTAIN, Verdict.FRAGILE, Verdict.UNDERDAMPED}
