@@ -10,7 +10,7 @@ from adaptdrive.config.file import parse_configuration
 from adaptdrive.errors import ConfigurationError, RefusedError
 from adaptdrive.hardware.canopen.dictionary import ObjectCatalogue, load_dictionary
 from adaptdrive.hardware.canopen.pdo import codec, pack, transmit_channel
-from adaptdrive.hardware.dbc.database import SignalCatalogue, load_database
+from adaptdrive.hardware.dbc.database import SignalCatalogue, read_dbc
 from adaptdrive.hardware.dbc.proposal import candidates, proofs
 from adaptdrive.hardware.link.codec import MessageCodec
 from adaptdrive.operation.commands import VERBS, Payload
@@ -33,8 +33,8 @@ def mqtt(data: bytes) -> object:
 
 def dbc(data: bytes) -> object:
     """Read a DBC, and look at each of its signals."""
-    database = load_database(damaged_file("fuzzed.dbc", data))
-    catalogue = SignalCatalogue(database, fd=True)
+    description = read_dbc(damaged_file("fuzzed.dbc", data))
+    database, catalogue = description.database, SignalCatalogue(description, fd=True)
     for message in database.messages:
         proofs(message)
         if catalogue.message(message.name, "bus") is not None:

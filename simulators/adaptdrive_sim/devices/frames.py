@@ -20,7 +20,7 @@ from adaptdrive.hardware.dbc.command_frame import CommandFrame
 from adaptdrive.hardware.dbc.database import (
     SignalCatalogue,
     cycle_time_s,
-    load_database,
+    describe,
     message_codec,
 )
 from adaptdrive.hardware.dbc.orders import build_orders, find_orders
@@ -150,8 +150,9 @@ def load_messages(bus: CanBus, configuration: Configuration, source: Path) -> Dr
     Raises:
         ConfigurationError: The database and the configuration do not fit together.
     """
-    database = load_database(bus.database, source)
-    catalogue = SignalCatalogue(database, fd=bus.fd, integrity=bus.integrity)
+    description = describe(bus, source)
+    database = description.database
+    catalogue = SignalCatalogue(description, fd=bus.fd, integrity=bus.integrity)
     sinks = _find_sinks(catalogue, configuration)
     orders = find_orders(catalogue, configuration.signals)
     for name, integrity in bus.integrity.items():

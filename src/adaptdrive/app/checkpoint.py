@@ -44,7 +44,7 @@ _SECTIONS = {
 _LIMITS = {"load": {"charge"}}
 """Within them: what only ends a charge."""
 
-_DESCRIPTIONS = ("database", "eds")
+_DESCRIPTIONS = ("database", "databases", "eds")
 """Keys of a bus that name a file in which scales and offsets of its signals are."""
 
 Values = tuple[float, ...]
@@ -115,18 +115,22 @@ def configuration_key(configuration: Configuration) -> str:
     """Hash of everything in a configuration that gives estimates their meaning."""
     sections = configuration.model_dump(mode="json", include=_SECTIONS, exclude=_LIMITS)
     for bus in (sections["bus"], *sections["sensor_bus"]):
-        bus |= {name: _contents(Path(bus[name])) for name in _DESCRIPTIONS if name in bus}
+        bus |= {name: _contents(bus[name]) for name in _DESCRIPTIONS if name in bus}
     text = json.dumps(sections, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _contents(path: Path) -> str:
+def _contents(path: str | list[str]) -> str:
     """Return a hash of a description, which means the same in another folder; empty without one."""
     try:
-        text = description_text(path)
+        text = "".join(map(_contents, path)) if isinstance(path, list) else _text(path)
     except (OSError, ValueError):
         return ""
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _text(path: str) -> str:
+    return description_text(Path(path))
 
 
 def is_kept(settings: ControllerSettings) -> bool:

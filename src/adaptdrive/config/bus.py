@@ -125,15 +125,52 @@ class CanLink(Section):
     udp_port: int = Field(default=43113, ge=1, le=65535, description="port of `udp_multicast`")
 
 
-class CanBus(CommandWatch, CanLink, BusSection):
+class FrameAddress(Section):
+    """`[bus.frames.MESSAGE]`: parts of the id of a J1939 message that the DBC states otherwise."""
+
+    source: int | None = Field(
+        default=None, ge=0, le=0xFD, description="source address: the lowest byte of the id"
+    )
+    destination: int | None = Field(
+        default=None, ge=0, le=0xFF, description="destination address, of a PGN that has one"
+    )
+    priority: int | None = Field(
+        default=None, ge=0, le=7, description="priority: the highest three bits of the id"
+    )
+
+    def of(self, frame_id: int) -> int:
+        """Return the id that a message of the DBC has with these parts."""
+        parts = ((self.source, 0, 0xFF), (self.destination, 8, 0xFF), (self.priority, 26, 0x7))
+        for value, shift, mask in parts:
+            if value is not None:
+                frame_id = frame_id & ~(mask << shift) | value << shift
+        return frame_id
+
+
+class CanDescription(CanLink):
+    """Keys of a CAN bus that describe the frames on it."""
+
+    fd: bool = Field(default=False, description="the bus carries CAN FD frames too")
+    database: FilePath = Field(description="DBC file, relative to the configuration file")
+    databases: list[FilePath] = Field(
+        default=[], description="more DBC files of the same bus, such as one for each device"
+    )
+    frames: dict[str, FrameAddress] = Field(
+        default={},
+        description="by message: source address, destination and priority of a J1939 message",
+    )
+    integrity: dict[str, FrameIntegrity] = Field(
+        default_factory=dict, description="alive counters and checksums by message"
+    )
+
+
+class CanBus(CommandWatch, CanDescription, BusSection):
     """`[bus]` with `type = "can"`."""
 
     type: Literal["can"] = Field(description="kind of bus")
-    fd: bool = Field(default=False, description="the bus carries CAN FD frames too")
     bitrate_switch: bool = Field(
         default=True, description="send CAN FD frames with the faster data phase"
     )
-    database: FilePath = Field(description="DBC file, relative to the configuration file")
     clock: str = Field(description="message whose arrival is the fast tick")
     clock_ticks: int = Field(
         default=1,
@@ -150,9 +187,6 @@ class CanBus(CommandWatch, CanLink, BusSection):
         "for `clock`, and where a message has none; that of `clock` where it is longer), at which "
         "a value is stale; "
         "`interlocks.stale_s` where that is longer",
-    )
-    integrity: dict[str, FrameIntegrity] = Field(
-        default_factory=dict, description="alive counters and checksums by message"
     )
 
     @property

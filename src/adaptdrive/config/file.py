@@ -24,7 +24,7 @@ from adaptdrive.config.tables import shortened, valid_sections, value_flaws, wit
 from adaptdrive.errors import ConfigurationError, Flaw
 
 _TYPES = {"load": LOAD_TYPES, "bus": BUS_TYPES, "sensor_bus": BUS_TYPES}
-_BUS_PATHS = {"can": ("database",), "canopen": ("eds",), "modbus-rtu": ("device",)}
+_BUS_PATHS = {"can": ("database", "databases"), "canopen": ("eds",), "modbus-rtu": ("device",)}
 _MESSAGES = {"extra_forbidden": "Unknown key", "union_tag_not_found": "Field required"}
 _UNKNOWN = "extra_forbidden"
 _ALL = frozenset(Configuration.model_fields)
@@ -229,5 +229,9 @@ def _placed_bus(bus: Section, folder: Path) -> Section:
 
 def _placed(section: Section, folder: Path, *keys: str) -> Section:
     paths = {key: getattr(section, key) for key in keys}
-    placed = {key: folder / path for key, path in paths.items() if path is not None}
+    placed: dict[str, Path | list[Path]] = {
+        key: [folder / one for one in path] if isinstance(path, list) else folder / path
+        for key, path in paths.items()
+        if path is not None
+    }
     return section.model_copy(update=placed)

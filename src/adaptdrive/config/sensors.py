@@ -7,11 +7,11 @@ from typing import Literal
 
 from pydantic import Field
 
-from adaptdrive.config.bus import CanLink, FrameIntegrity, Quantity
+from adaptdrive.config.bus import CanDescription, Quantity
 from adaptdrive.config.modbus import ModbusLink, Register, RtuLink, TcpLink
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.references import CAN_SIGNAL, WORDS, map_flaws, register_flaws
-from adaptdrive.config.section import FilePath, PositiveFloat, Section
+from adaptdrive.config.section import PositiveFloat, Section
 from adaptdrive.errors import Flaw
 
 STALE_CYCLES = 1.5
@@ -84,15 +84,10 @@ class ModbusRtuSensors(ModbusSensorSection, RtuLink):
     type: Literal["modbus-rtu"] = Field(description="kind of bus")
 
 
-class CanSensorSection(SensorBusSection, CanLink):
+class CanSensorSection(SensorBusSection, CanDescription):
     """`[[sensor_bus]]` with `type = "can"`: sensors that send by themselves."""
 
     type: Literal["can"] = Field(description="kind of bus")
-    fd: bool = Field(default=False, description="the bus carries CAN FD frames too")
-    database: FilePath = Field(description="DBC file, relative to the configuration file")
-    integrity: dict[str, FrameIntegrity] = Field(
-        default_factory=dict, description="alive counters and checksums by message"
-    )
 
 
 AnySensorBus = CanSensorSection | ModbusTcpSensors | ModbusRtuSensors

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Generic, Literal, TypeVar
 
@@ -28,6 +28,8 @@ Use = Literal["measured", "word", "state", "command", "constant"]
 
 BRIDGE = "bridge"
 _COMMAND = "signals.command"
+
+_MOST_REMARKS = 5
 
 _ROUNDING = 1e-6
 """Share of one count by which a value may miss its count in binary."""
@@ -141,6 +143,13 @@ class Catalogue(ABC, Generic[Item]):
         """Collect a flaw, where there is one."""
         if problem:
             self.flaws.append(Flaw(place, problem))
+
+    def warn_of_file(self, place: str, remarks: Sequence[str]) -> None:
+        """Collect what is wrong in the file of a device, as far as nothing uses it."""
+        self.cautions += [Flaw(place, remark) for remark in remarks[:_MOST_REMARKS]]
+        if len(remarks) > _MOST_REMARKS:
+            more = len(remarks) - _MOST_REMARKS
+            self.cautions.append(Flaw(place, f"{more} more lines have such flaws"))
 
     def sources(self, given: Iterable[Given], demands: Demands = NO_DEMANDS) -> list[Source[Item]]:
         """Find the source of each quantity; what does not fit is collected.

@@ -161,9 +161,14 @@ def test_a_safe_command_between_two_counts_is_refused(
 
 
 @pytest.mark.parametrize("spoilt", ["DataType=zzz", "DataTypo=0x0007", "= = ="])
-def test_a_spoilt_eds_is_one_clear_flaw(tmp_path: Path, spoilt: str) -> None:
-    eds = other_eds(tmp_path, ("DataType=0x0007\nAccessType=ro\nDefaultValue=0x00010192", spoilt))
-    assert str(eds) in flaws({"bus/eds": str(eds)})["bus.eds"]
+def test_a_spoilt_object_is_a_flaw_for_who_uses_it(tmp_path: Path, spoilt: str) -> None:
+    sound = "[6079]\nParameterName=DC link circuit voltage\nObjectType=0x7\nDataType=0x0007\n"
+    eds = other_eds(tmp_path, (sound, sound.replace("DataType=0x0007", spoilt)))
+    found = flaws({"bus/eds": str(eds)})
+    assert set(found) == {"signals.boost_voltage_V"}
+    assert "[6079] is left out: it has" in found["signals.boost_voltage_V"]
+    other = {"signals/boost_voltage_V": {"signal": "0x2001.1", "scale": 0.001}}
+    assert flaws({"bus/eds": str(eds), **other}) == {}
 
 
 def test_the_words_of_the_profile_are_always_there() -> None:

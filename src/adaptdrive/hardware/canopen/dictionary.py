@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -23,6 +25,7 @@ from canopen.objectdictionary import (
 from adaptdrive.config.proposals import nearest
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.binding import Catalogue, Use
+from adaptdrive.hardware.canopen.mending import mended
 from adaptdrive.hardware.description import description_text, problem_text
 from adaptdrive.hardware.field import Field, natural_limits
 
@@ -31,6 +34,8 @@ Thing = ODVariable | ODRecord | ODArray
 
 VENDOR = (0x1018, 1)
 PRODUCT = (0x1018, 2)
+
+logging.getLogger("canopen.objectdictionary").setLevel(logging.CRITICAL)  # `check` states it
 
 _BY_NUMBER = re.compile(r"0[xX]([0-9A-Fa-f]{4})(?:\.(\d{1,3}))?")
 
@@ -115,10 +120,10 @@ def label(address: Address) -> str:
     return f"0x{index:04X}.{subindex}" if subindex else f"0x{index:04X}"
 
 
-def load_dictionary(
+def read_eds(
     path: Path, node_id: int, source: Path | str = "configuration"
-) -> ObjectDictionary:
-    """Read an EDS file.
+) -> tuple[ObjectDictionary, list[str]]:
+    """Read an EDS file: its objects, and what is wrong in it with the lines.
 
     Args:
         path: The file.
@@ -131,25 +136,36 @@ def load_dictionary(
     if path.suffix.lower() not in {".eds", ".dcf"}:
         raise ConfigurationError(source, [Flaw("bus.eds", f"{path} is no .eds and no .dcf file")])
     try:
-        return import_od(_named_text(path), node_id)
+        text, remarks = mended(description_text(path))
+        named = StringIO(text)
+        named.name = str(path)  # from which the parser takes the format
+        return _sound(import_od(named, node_id)), remarks
     except Exception as problem:  # the parser's own errors are of many kinds
         flaw = Flaw("bus.eds", f"{path} cannot be used: {problem_text(problem)}")
         raise ConfigurationError(source, [flaw]) from problem
 
 
-def _named_text(path: Path) -> StringIO:
-    """Return the text of a file with its name, from which the parser takes the format."""
-    text = StringIO(description_text(path))
-    text.name = str(path)
-    return text
+def _sound(dictionary: ObjectDictionary) -> ObjectDictionary:
+    if not len(dictionary):
+        raise ValueError("it describes no object")
+    return dictionary
+
+
+def load_dictionary(
+    path: Path, node_id: int, source: Path | str = "configuration"
+) -> ObjectDictionary:
+    """Read an EDS file, as `read_eds` does, for its objects alone."""
+    return read_eds(path, node_id, source)[0]
 
 
 class ObjectCatalogue(Catalogue[Entry]):
     """Finds entries by name or number, and collects an error for each missing entry."""
 
-    def __init__(self, dictionary: ObjectDictionary) -> None:
+    def __init__(self, dictionary: ObjectDictionary, remarks: Sequence[str] = ()) -> None:
         super().__init__()
         self._dictionary = dictionary
+        self._remarks = remarks
+        self.warn_of_file("bus.eds", remarks)
 
     def field(self, item: Entry, use: Use) -> Field:  # noqa: ARG002 - limits hold for all uses
         """Return how an entry is coded."""
@@ -204,7 +220,8 @@ class ObjectCatalogue(Catalogue[Entry]):
         """
         thing = self._look_up(reference)
         if thing is None:
-            self.note(place, f"the EDS has no object {reference!r}{self._hint(reference)}")
+            hint = f"{self._hint(reference)}{self.remark(reference)}"
+            self.note(place, f"the EDS has no object {reference!r}{hint}")
             return None
         if not isinstance(thing, ODVariable):
             self.note(place, f"object {reference!r} has members: name one of them")
@@ -213,6 +230,14 @@ class ObjectCatalogue(Catalogue[Entry]):
         if entry is None:
             self.note(place, f"object {reference!r} is no number of at most 64 bits")
         return entry
+
+    def remark(self, reference: str) -> str:
+        """Return what is wrong in the file with an object of that number, empty for nothing."""
+        number = _BY_NUMBER.fullmatch(reference)
+        sub = f"sub{int(number[2]):x}" if number and number[2] else ""
+        named = f"[{number[1]}{sub}]".lower() if number else "[]"
+        found = next((one for one in self._remarks if named in one.lower()), "")
+        return found and f"; {found}"
 
     def _look_up(self, reference: str) -> Thing | None:
         number = _BY_NUMBER.fullmatch(reference)

@@ -41,8 +41,9 @@ def _time_limits(configuration: Configuration, source: Path | str) -> Iterator[R
 
 
 def _cautions(configuration: Configuration) -> Iterator[Flaw]:
-    """Yield that a few lost frames may stop the drive."""
+    """Yield that a few lost frames may stop the drive, and what is wrong in its EDS."""
     bus = _bus(configuration)
+    yield from map_drive(bus, configuration.signals).cautions
     survived = math.ceil(bus.heartbeat_timeout_s / bus.heartbeat_s - 1e-9) - 2
     if survived < _LOST_HEARTBEATS:
         yield Flaw(

@@ -11,14 +11,14 @@ from pathlib import Path
 
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.canopen import CanOpenBus
-from adaptdrive.errors import ConfigurationError
+from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.binding import Sink, Source, entries
 from adaptdrive.hardware.canopen.dictionary import (
     Address,
     Entry,
     ObjectCatalogue,
     label,
-    load_dictionary,
+    read_eds,
 )
 from adaptdrive.hardware.canopen.pdo import (
     Channel,
@@ -95,6 +95,7 @@ class CanOpenMapping:
         setup: Entries that the configuration writes, and their bytes.
         present: Optional entries that the drive has.
         identity: Identity object that the drive must have to be the one of the EDS.
+        cautions: What can be used, and is probably not meant.
     """
 
     transmits: tuple[Pdo, ...]
@@ -106,6 +107,7 @@ class CanOpenMapping:
     setup: tuple[tuple[Entry, bytes], ...]
     present: frozenset[Address]
     identity: tuple[tuple[Address, int], ...]
+    cautions: tuple[Flaw, ...]
 
     @property
     def sources(self) -> tuple[Source[Entry], ...]:
@@ -130,8 +132,7 @@ def map_drive(
     Raises:
         ConfigurationError: Something does not fit; every flaw is listed.
     """
-    dictionary = load_dictionary(bus.eds, bus.node_id, source)
-    catalogue = ObjectCatalogue(dictionary)
+    catalogue = ObjectCatalogue(*read_eds(bus.eds, bus.node_id, source))
     catalogue.flaws.extend(channel_flaws(bus))
     sources = catalogue.sources(entries(signals), demands)
     plan = _Plan(catalogue, bus, sources, catalogue.sinks(signals.command, demands))
@@ -158,6 +159,7 @@ class _Plan:
         for address, consequence in _NEEDED.items():
             if catalogue.at(address) is None:
                 missing = f"the EDS has no object {label(address)}: {consequence}"
+                missing += catalogue.remark(label(address))
                 catalogue.note("bus.eds", missing)
         self._check_controlword(catalogue.at(CONTROLWORD))
 
@@ -180,6 +182,7 @@ class _Plan:
             setup=setup,
             present=frozenset(one for one in _OPTIONAL if self._catalogue.at(one)),
             identity=self._catalogue.identity,
+            cautions=tuple(self._catalogue.cautions),
         )
 
     def _check_controlword(self, entry: Entry | None) -> None:

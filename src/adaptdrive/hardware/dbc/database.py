@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -14,11 +16,12 @@ from cantools.database.can.database import Database
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
-from adaptdrive.config.bus import CanBus, FrameIntegrity
+from adaptdrive.config.bus import CanBus, CanDescription, FrameAddress, FrameIntegrity
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.tables import shortened
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.binding import Catalogue, Use
+from adaptdrive.hardware.dbc.mending import MendedText, mended
 from adaptdrive.hardware.description import description_text, problem_text
 from adaptdrive.hardware.field import Field
 from adaptdrive.hardware.link.codec import (
@@ -38,6 +41,12 @@ _FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
 
 _NIBBLE_BITS = 4
 
+_UNREADABLE = re.compile(r"Invalid syntax at line (\d+)")
+_MOST_LEFT_OUT = 20
+"""Lines that cannot be read, of a file that is a DBC nevertheless."""
+
+logging.getLogger("cantools").setLevel(logging.CRITICAL)  # `check` states what matters of a file
+
 _LARGE = re.compile(r"(?<![\w.])[0-9]+(?:(?:\.[0-9]*)?[eE]\+?[0-9]{3,}(?!\w)|(?<=[0-9]{309}))")
 """A number that may be 10^309 or more; the largest that a signal of 64 bits can have is below."""
 
@@ -51,7 +60,22 @@ _MOST_BITS = 1 << 16
 """More bits than any message has: those of J1939 in several frames have up to 1785 bytes."""
 
 
-def load_database(path: Path, source: Path | str = "configuration", bus: str = "bus") -> Database:
+@dataclass(frozen=True, slots=True)
+class Description:
+    """What a DBC file describes.
+
+    Attributes:
+        database: Its messages and signals.
+        remarks: What is wrong in the file, each with its line.
+        unfit: What is wrong with a signal that must not be used, by message and signal.
+    """
+
+    database: Database
+    remarks: Sequence[str]
+    unfit: Mapping[tuple[str, str], str]
+
+
+def read_dbc(path: Path, source: Path | str = "configuration", bus: str = "bus") -> Description:
     """Read a DBC file.
 
     Args:
@@ -67,12 +91,75 @@ def load_database(path: Path, source: Path | str = "configuration", bus: str = "
         _refuse_impossible_places(text)
         _refuse_endless_numbers(text)
         _refuse_endless_pages(text)
-        database = cantools.database.load_string(text, database_format="dbc")
-        assert isinstance(database, Database)  # noqa: S101 - what the format "dbc" gives
+        whole = mended(text)
+        return Description(_parsed(whole), whole.remarks, whole.unfit)
     except Exception as problem:  # the parser's own errors are of many kinds
         flaw = Flaw(f"{bus}.database", f"{path} cannot be used: {problem_text(problem)}")
         raise ConfigurationError(source, [flaw]) from problem
-    return database
+
+
+def describe(
+    bus: CanDescription, source: Path | str = "configuration", place: str = "bus"
+) -> Description:
+    """Read the DBC files of a bus, and give its messages the ids that it states.
+
+    Args:
+        bus: The bus.
+        source: The configuration, for the error message.
+        place: Where the bus stands in it.
+
+    Raises:
+        ConfigurationError: A file cannot be read, or a message has no such id.
+    """
+    files = [read_dbc(path, source, place) for path in (bus.database, *bus.databases)]
+    messages = [message for one in files for message in one.database.messages]
+    flaws = [*_readdressed(messages, bus.frames, f"{place}.frames")]
+    if flaws:
+        raise ConfigurationError(source, flaws)
+    return Description(
+        Database(messages, strict=False),
+        [remark for one in files for remark in one.remarks],
+        {named: remark for one in files for named, remark in one.unfit.items()},
+    )
+
+
+def _readdressed(
+    messages: Sequence[Message], frames: Mapping[str, FrameAddress], place: str
+) -> Iterator[Flaw]:
+    """Change the ids of messages; yield what has no such id."""
+    for name, address in frames.items():
+        found = [one for one in messages if one.name == name]
+        if not found:
+            hint = nearest(name, [one.name for one in messages])
+            yield Flaw(f"{place}.{name}", f"the database has no message {name!r}{hint}")
+        for message in found:
+            if message.is_extended_frame:
+                message.frame_id = address.of(message.frame_id)
+            else:
+                yield Flaw(f"{place}.{name}", "an id of 11 bits has no source address")
+
+
+def load_database(path: Path, source: Path | str = "configuration", bus: str = "bus") -> Database:
+    """Read a DBC file, as `read_dbc` does, for its messages alone."""
+    return read_dbc(path, source, bus).database
+
+
+def _parsed(whole: MendedText) -> Database:
+    """Return what the parser finds; a line that it cannot read is left out."""
+    for _ in range(_MOST_LEFT_OUT):
+        try:
+            database = cantools.database.load_string(
+                whole.text, database_format="dbc", strict=False
+            )
+        except (cantools.Error, ValueError) as problem:
+            line = _UNREADABLE.search(str(problem))
+            if line is None or not whole.lines[int(line[1]) - 1].strip():
+                raise
+            whole.leave_out(int(line[1]) - 1, "it cannot be read")
+        else:
+            assert isinstance(database, Database)  # noqa: S101 - what the format "dbc" gives
+            return database
+    raise ValueError(f"more than {_MOST_LEFT_OUT} lines cannot be read; {whole.remarks[-1]}")
 
 
 def _refuse_endless_numbers(text: str) -> None:
@@ -119,7 +206,7 @@ def message_codec(
     Raises:
         ConfigurationError: The DBC has no such message, or its integrity does not fit it.
     """
-    catalogue = SignalCatalogue(database, fd=bus.fd)
+    catalogue = SignalCatalogue(Description(database, (), {}), fd=bus.fd)
     message = catalogue.message(name, "bus")
     integrity = bus.integrity.get(name)
     if integrity:
@@ -141,13 +228,14 @@ class SignalCatalogue(Catalogue[Located]):
 
     def __init__(
         self,
-        database: Database,
+        description: Description,
         *,
         fd: bool,
         integrity: Mapping[str, FrameIntegrity] = MappingProxyType({}),
     ) -> None:
         super().__init__()
-        self._database = database
+        self._database = description.database
+        self._description = description
         self._fd = fd
         self._integrity = integrity
 
@@ -197,10 +285,14 @@ class SignalCatalogue(Catalogue[Located]):
     def message(self, name: str, place: str) -> Message | None:
         """The message called `name`, or None and a flaw at `place`."""
         known = {message.name: message for message in self._database.messages}
-        if name not in known:
-            self.note(place, f"the database has no message {name!r}{nearest(name, known)}")
+        message = known.get(name) or known.get(f"_{name}")
+        if message is None:
+            problem = f"the database has no message {name!r}{nearest(name, known)}"
+            self.note(place, f"{problem}{self._remark(name)}")
             return None
-        message = known[name]
+        ids = [f"{one.frame_id:#x}" for one in self._database.messages if one.name == name]
+        if len(ids) > 1:
+            self.note(place, f"message {name!r} is the name of {' and '.join(ids)}: rename one")
         if needs_fd(message) and not self._fd:
             self.note(place, f"message {name!r} is one of CAN FD: it needs bus.fd = true")
             return None
@@ -224,10 +316,11 @@ class SignalCatalogue(Catalogue[Located]):
     def signal_of(self, message: Message, name: str, place: str) -> Signal | None:
         """The signal called `name` of `message`, or None and a flaw at `place`."""
         known = {signal.name: signal for signal in message.signals}
-        if name not in known:
-            hint = nearest(name, known)
+        found = known.get(name) or known.get(f"_{name}")
+        if found is None:
+            hint = f"{nearest(name, known)}{self._remark(name)}"
             self.note(place, f"message {message.name!r} has no signal {name!r}{hint}")
-        found = known.get(name)
+        self.note(place, self._description.unfit.get((message.name, name)))
         if found is not None and not is_usable(found):
             self.note(
                 place, f"signal {name!r} has factor {found.scale:g} and offset {found.offset:g}"
@@ -238,6 +331,12 @@ class SignalCatalogue(Catalogue[Located]):
             self.note(place, f"the range {ends} of signal {name!r} ends below its start")
             return None
         return found
+
+    def _remark(self, name: str) -> str:
+        """Return what is wrong in the file where it has a name, empty for nothing."""
+        named = re.compile(rf"\b{re.escape(name)}\b")
+        found = next(filter(named.search, self._description.remarks), "")
+        return found and f"; {found}"
 
     def check_ids(self, measuring: Iterable[str], commanding: Iterable[str], place: str) -> None:
         """Gather a flaw for each used message whose id is that of one with measurements."""

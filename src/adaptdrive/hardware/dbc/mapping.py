@@ -22,7 +22,7 @@ from adaptdrive.hardware.dbc.database import (
     Located,
     SignalCatalogue,
     cycle_time_s,
-    load_database,
+    describe,
 )
 from adaptdrive.hardware.dbc.orders import build_orders, find_orders
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
@@ -139,8 +139,9 @@ def map_drive(
     Raises:
         ConfigurationError: Something does not fit; every flaw is listed.
     """
-    database = load_database(bus.database, source)
-    catalogue = SignalCatalogue(database, fd=bus.fd, integrity=bus.integrity)
+    description = describe(bus, source)
+    catalogue = SignalCatalogue(description, fd=bus.fd, integrity=bus.integrity)
+    catalogue.warn_of_file("bus.database", description.remarks)
     catalogue.flaws.extend(channel_flaws(bus))
     clock = catalogue.message(bus.clock, "bus.clock")
     bound = {one.quantity: one for one in catalogue.sources(entries(signals), demands)}

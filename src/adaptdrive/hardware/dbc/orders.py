@@ -21,7 +21,7 @@ from adaptdrive.hardware.dbc.pages import (
 )
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.link.codec import MessageCodec
-from adaptdrive.hardware.link.layout import initial_value
+from adaptdrive.hardware.link.layout import bit_mask, initial_value
 
 
 @dataclass(slots=True)
@@ -52,6 +52,7 @@ def find_orders(
         draft.parts.append(Part(sink.name, signal.name, sink.base, sink.factor))
     _check_initial(catalogue, drafts)
     _check_pages(catalogue, drafts)
+    _check_overlap(catalogue, drafts)
     return drafts
 
 
@@ -89,6 +90,25 @@ def _check_initial(catalogue: SignalCatalogue, drafts: _Drafts) -> None:
                 problem = f"initial value (GenSigStartValue) {signal.raw_initial:.12g}"
                 bits = f"signal {signal.name!r} of {signal.length} bits cannot hold"
                 catalogue.note("signals.command", f"message {name!r}: {bits} its {problem}")
+
+
+def _check_overlap(catalogue: SignalCatalogue, drafts: _Drafts) -> None:
+    """No two values that are sent share a bit of their frame."""
+    for name, pages in drafts.items():
+        for draft in pages.values():
+            taken: dict[str, int] = {}
+            for signal in map(
+                catalogue.known(name).get_signal_by_name,
+                (*draft.fixed, *(part.signal for part in draft.parts)),
+            ):
+                bits = bit_mask(
+                    signal.start, signal.length, little=signal.byte_order == "little_endian"
+                )
+                for other, others in taken.items():
+                    if bits & others and other != signal.name:
+                        problem = f"{signal.name!r} and {other!r} share bits: both are sent"
+                        catalogue.note("signals.command", f"message {name!r}: {problem}")
+                taken[signal.name] = bits
 
 
 def _check_pages(catalogue: SignalCatalogue, drafts: _Drafts) -> None:

@@ -18,7 +18,7 @@ from adaptdrive.config.sensors import CanSensorSection as Config
 from adaptdrive.errors import BusError, ConfigurationError
 from adaptdrive.hardware.backoff import BusBackoff
 from adaptdrive.hardware.binding import sensor_entries
-from adaptdrive.hardware.dbc.database import SignalCatalogue, load_database
+from adaptdrive.hardware.dbc.database import SignalCatalogue, describe
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
 from adaptdrive.hardware.link.arrival import ArrivalClock
 from adaptdrive.hardware.link.bus import channel_flaws, describe_bus, open_bus
@@ -73,7 +73,7 @@ def map_sensors(
     Raises:
         ConfigurationError: Something does not fit; every flaw is listed.
     """
-    catalogue = SignalCatalogue(load_database(bus.database, source, place), fd=bus.fd)
+    catalogue = SignalCatalogue(describe(bus, source, place), fd=bus.fd)
     catalogue.flaws.extend(channel_flaws(bus, place))
     found: dict[str, list[tuple[str, str, float, float]]] = {}
     for one in catalogue.sources(sensor_entries(bus, place), demands):

@@ -91,7 +91,8 @@ def _natural_limits(signal: Signal) -> tuple[Raw, Raw]:
 
 def _declared_limits(signal: Signal) -> tuple[Raw, Raw]:
     natural = _natural_limits(signal)
-    if signal.minimum is None or signal.maximum is None or not signal.scale:
+    unlimited = not (signal.minimum or signal.maximum)  # 0|0 in any spelling
+    if signal.minimum is None or signal.maximum is None or unlimited or not signal.scale:
         return natural
     return declared_limits(natural, (signal.minimum, signal.maximum), signal.scale, signal.offset)
 
@@ -154,6 +155,23 @@ def compile_pack(message: Message, idle: Mapping[str, Raw]) -> Pack:
         return word.to_bytes(length, "little")
 
     return pack
+
+
+def bit_mask(start: int, length: int, *, little: bool) -> int:
+    """Return the bits of a signal in its frame, bit 8 n + m for bit m of byte n.
+
+    Args:
+        start: First bit as a DBC names it: the highest one of a signal of big-endian order.
+        length: Number of bits.
+        little: Whether it is of little-endian order.
+    """
+    if little:
+        return ((1 << length) - 1) << start
+    bits = 0
+    for _ in range(length):
+        bits |= 1 << start
+        start = start - 1 if start % 8 else start + 15
+    return bits
 
 
 def is_multiplexed(signal: Signal) -> bool:
