@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator, Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
 from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.config.services import Mqtt
@@ -22,7 +22,7 @@ from adaptdrive.recording.session import SessionInfo
 
 if TYPE_CHECKING:  # they need libraries that `Drive` does without
     from adaptdrive.analysis.closed_loop import Plant
-    from adaptdrive.analysis.session_load import SessionLoad
+    from adaptdrive.analysis.record_load import RecordLoad
     from adaptdrive.analysis.simulation import Simulation
 
 
@@ -38,6 +38,7 @@ class Tables:
         events: Events.
         commands: Operator commands.
         units: Unit of each column that has one, by name.
+        path: Its folder.
     """
 
     info: SessionInfo
@@ -47,6 +48,7 @@ class Tables:
     events: Any
     commands: Any
     units: dict[str, str]
+    path: Path
 
 
 def load_session(path: str | Path, frames: Literal["polars", "pandas"] = "polars") -> Tables:
@@ -63,26 +65,55 @@ def load_session(path: str | Path, frames: Literal["polars", "pandas"] = "polars
     """
     from adaptdrive.analysis.frames import session_frames  # noqa: PLC0415 - `Drive` needs none
 
-    return Tables(**session_frames(Path(path), frames))
+    return Tables(**session_frames(Path(path), frames), path=Path(path))
+
+
+class RecordOptions(TypedDict, total=False):
+    """How `identify` reads a file or a table; what is left out is guessed.
+
+    Attributes:
+        input: Column of the input.
+        output: Column of the output.
+        time: Column of times, in seconds or as dates.
+        sample_time_s: Time between two rows, in s, where there is no such column.
+        before: Input before the first row, under which the load had come to rest.
+        lags: Lags of the load, 1 or 2; two if the record shows a second one.
+        config: Configuration, or its file, of the drive whose boost voltage and output they are.
+    """
+
+    input: str
+    output: str
+    time: str
+    sample_time_s: float
+    before: float
+    lags: int
+    config: str | Path | Configuration
 
 
 def identify(
-    path: str | Path, begin_s: float | None = None, end_s: float | None = None
-) -> SessionLoad:
-    """Identify the load from a recorded session, in open or closed loop.
+    source: Any,  # noqa: ANN401 - tables of several libraries
+    begin_s: float | None = None,
+    end_s: float | None = None,
+    **options: Unpack[RecordOptions],
+) -> RecordLoad:
+    """Identify the load from a record, in open or closed loop.
 
     Args:
-        path: Its folder.
-        begin_s: First second used, from the first tick on; None for the first.
+        source: A session (its folder, or its tables from `load_session`), a `Simulation`, a CSV
+            file, or a table with named columns: of polars, pandas or pyarrow, or arrays by name.
+        begin_s: First second used, from the start of the record on; None for the first.
         end_s: Last second used, None for the last.
+        options: How a file or a table is read, see `RecordOptions`.
 
     Raises:
-        AdaptdriveError: The session cannot be read, or does not show its load.
+        AdaptdriveError: The record cannot be read, or does not show its load.
         ModuleNotFoundError: A library is not installed.
     """
-    from adaptdrive.analysis.session_load import identify_session  # noqa: PLC0415 - see above
+    from adaptdrive.analysis.record import RecordView  # noqa: PLC0415 - `Drive` needs none
+    from adaptdrive.analysis.sources import identify_source  # noqa: PLC0415
 
-    return identify_session(Path(path), begin_s, end_s)
+    view = RecordView(begin_s=begin_s, end_s=end_s, **options)
+    return identify_source(source.path if isinstance(source, Tables) else source, view)
 
 
 def simulate(

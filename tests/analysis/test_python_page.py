@@ -37,11 +37,12 @@ def test_the_examples_on_sessions_run(
     (tmp_path / "session").symlink_to(session_path)
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
-    for code in examples()[:3]:
+    for code in examples()[:4]:
         exec(code, names)
     said = capsys.readouterr().out
     assert "motor orderly" in said
     assert re.search(r"gain 0\.01\d+ ± .*adaptive", said)
+    assert re.search(r"tau_s': '80\.8 .*dead time 0", said, re.DOTALL)
     assert re.search(r"gain = 0\.01\d+ ± .*on-line 0\.01", said)
 
 
@@ -73,7 +74,7 @@ def test_the_example_with_a_plant_runs(
         shutil.copy(EXAMPLE.with_name(name), tmp_path)
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
-    exec(examples()[3], names)
+    exec(examples()[4], names)
     assert "adaptive" in capsys.readouterr().out
     held = names["run"].ticks.filter(pl.col("time_s").is_between(410.0, 419.0))
     assert held["output"].to_list() == pytest.approx([2.4] * held.height, abs=0.01)
@@ -81,7 +82,7 @@ def test_the_example_with_a_plant_runs(
 
 async def test_the_example_on_a_running_drive_runs(mosquitto: Broker, tmp_path: Path) -> None:
     names: dict[str, Any] = {}
-    exec(examples()[4], names)
+    exec(examples()[5], names)
     broker = Mqtt(host=mosquitto.host, port=mosquitto.port)
     async with serving(mosquitto, "motor", tmp_path) as bench, asyncio.TaskGroup() as group:
         stepping = group.create_task(names["step"](broker))

@@ -148,6 +148,6 @@ def test_the_slow_period_of_a_polled_drive_is_whole_polls(line_Hz: int, period_s
     file = EXAMPLES / "motor-modbus-tcp.toml"
     text = file.read_text(encoding="utf-8").replace("period_s = 1.0 ", "period_s = 1.2 ")
     text = text.replace("line_frequency_Hz = 60", f"line_frequency_Hz = {line_Hz}")
-    found = propose(identify([record], truth, delays=(0,)), text.replace("0.35 ", "0.5 "), file)
+    found = propose(identify([record], truth, longest_delay=0), text.replace("0.35 ", "0.5 "), file)
     assert found.configuration.load.period_s == pytest.approx(period_s, rel=1e-9)
     assert len(str(found.values["load.period_s"])) <= 6

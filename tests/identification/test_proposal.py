@@ -19,7 +19,7 @@ from tests.identification.test_identify import recorded
 
 def with_parameters(kind: str, values: list[float], covariance: np.ndarray) -> IdentifiedLoad:
     plant = KINDS[kind](np.random.default_rng(1))
-    found = identify([recorded(plant, 1, 0.05)], plant.structure, delays=(0,))
+    found = identify([recorded(plant, 1, 0.05)], plant.structure, longest_delay=0)
     deviations = np.sqrt(np.diag(covariance)).tolist()
     parameters = {
         name: Estimate(value, std)

@@ -94,7 +94,6 @@ LEARNING = _control({
     ),
     "lambda_method": "test_lambda_method test_methods test_charge test_explanation",
     "direct_method": "test_direct_method test_estimator",
-    "batch": "test_batch",
     "drift": "test_drift test_in_force test_charge test_estimator",
     "integrated": "test_integrated_samples test_in_force test_integrated",
     "in_force": (

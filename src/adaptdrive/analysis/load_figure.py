@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from adaptdrive.analysis import style
 from adaptdrive.analysis.figure import as_png
-from adaptdrive.analysis.session_load import SessionLoad
+from adaptdrive.analysis.record_load import RecordLoad
 from adaptdrive.identification.result import IdentifiedLoad
 
 Array = NDArray[np.float64]
@@ -20,8 +20,8 @@ _LAGS = 40
 _WHITE_BAND = 1.96
 
 
-def draw_load(found: SessionLoad) -> bytes:
-    """Draw the identified load of a session.
+def draw_load(found: RecordLoad) -> bytes:
+    """Draw the identified load of a record.
 
     Args:
         found: The load.
@@ -33,7 +33,7 @@ def draw_load(found: SessionLoad) -> bytes:
         figure = Figure(figsize=(style.WIDTH_in, 5.6), layout="constrained")
         output, residual, correlation = figure.subplots(3, 1, height_ratios=(1.6, 1.0, 1.0))
         residual.sharex(output)
-        unit = found.session.info.output_unit
+        unit = found.unit
         _draw_output(output, found, f"output ({unit})" if unit else "output")
         _draw_residuals(residual, found, f"residual ({unit})" if unit else "residual")
         _draw_correlation(correlation, found.load)
@@ -41,35 +41,33 @@ def draw_load(found: SessionLoad) -> bytes:
         return as_png(figure)
 
 
-def _times_s(found: SessionLoad) -> list[Array]:
-    """Return the middle of each block, from the first tick of the session on."""
-    times_s, block_s = [], found.load.block_s
-    for stretch, part in zip(found.stretches, found.load.residuals, strict=True):
-        count = round(len(stretch.columns["output"]) * stretch.period_s // block_s)
-        left_out = count - len(part)
-        middles = np.arange(len(part), dtype=np.float64) + left_out + 0.5
-        times_s.append(stretch.begin_s + block_s * middles)
-    return times_s
+def _times_s(found: RecordLoad) -> list[Array]:
+    """Return the middle of each block."""
+    block_s = found.load.block_s
+    return [
+        end_s - block_s * (np.arange(len(part), dtype=np.float64)[::-1] + 0.5)
+        for end_s, part in zip(found.ends_s, found.load.residuals, strict=True)
+    ]
 
 
-def _draw_output(axes: Axes, found: SessionLoad, label: str) -> None:
+def _draw_output(axes: Axes, found: RecordLoad, label: str) -> None:
     parts = zip(_times_s(found), found.load.simulated, found.load.residuals, strict=True)
     for number, (time_s, simulated, residual) in enumerate(parts):
         names = ("measured", "simulated") if number == 0 else ("", "")
         axes.plot(time_s, simulated + residual, label=names[0], **style.REFERENCE)
         axes.plot(time_s, simulated, label=names[1], **style.ADAPTIVE)
     fit = f", fit {100.0 * found.load.fit:.1f} %" if math.isfinite(found.load.fit) else ""
-    axes.set_title(f"{found.session.info.drive}: measured and simulated output{fit}")
+    axes.set_title(f"{found.name}: measured and simulated output{fit}")
     axes.set_ylabel(label)
     style.legend_above(axes, columns=2)
 
 
-def _draw_residuals(axes: Axes, found: SessionLoad, label: str) -> None:
+def _draw_residuals(axes: Axes, found: RecordLoad, label: str) -> None:
     for time_s, residual in zip(_times_s(found), found.load.residuals, strict=True):
         axes.plot(time_s, residual, **(style.FIXED | {"linewidth": 0.5}))
     axes.axhline(0.0, **style.TRUTH)
     axes.set_title("Measured less simulated")
-    axes.set_xlabel("time since the first tick (s)")
+    axes.set_xlabel("time since the start of the record (s)")
     axes.set_ylabel(label)
 
 

@@ -23,11 +23,13 @@ class Simulation:
         ticks: Time, set-point, output, boost voltage and load power at each reading.
         slow: Each slow step: output, V_c, controller, reason, estimates and their deviations.
         fault: Cause that ended it early, empty for none.
+        configuration: The one that the controller ran with.
     """
 
     ticks: pl.DataFrame
     slow: pl.DataFrame
     fault: str
+    configuration: Configuration
 
 
 def simulated(
@@ -56,7 +58,8 @@ def simulated(
         return Order(Stage.RUN, _finite(setpoint, number * reading_s), mode, pole)
 
     record = run_loop(configuration, plant, order, round(duration_s / reading_s))
-    return Simulation(_ticks(record), _slow(record, tick_s(configuration)), record.fault)
+    slow = _slow(record, tick_s(configuration))
+    return Simulation(_ticks(record), slow, record.fault, configuration)
 
 
 def _finite(setpoint: Callable[[float], float], time_s: float) -> float:

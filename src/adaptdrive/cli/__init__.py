@@ -33,7 +33,7 @@ _COMMANDS = {
     "replay": ("daemon", "Run the controller again on a recorded session."),
     "events": ("sessions", "Show the events of a recorded session."),
     "plot": ("analysis", "Draw a recorded session: a figure, and a report as one HTML file."),
-    "identify": ("analysis", "Identify the load from a recorded session, with error bars."),
+    "identify": ("analysis", "Identify the load from a session or a CSV file, with error bars."),
     "whatif": ("analysis", "Run a session again in closed loop with other settings."),
     "export": ("analysis", "Write a session as CSV, Parquet, MATLAB, MDF 4 or MCAP."),
     "commission": ("commission", "Measure an unknown load on its drive, and propose the settings."),

@@ -6,7 +6,7 @@ import math
 import os
 import sys
 import webbrowser
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from json import dumps
 from pathlib import Path
 from typing import Annotated, Literal
@@ -78,25 +78,57 @@ def plot(session: str, /, *, view: SessionView = _WHOLE) -> int:
     return view.present(f"{figure}\n{report}", files, report)
 
 
-def identify(session: str, /, *, view: SessionView = _WHOLE) -> int:
-    """Identify the load from a recorded session, in open or closed loop.
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class FileView:
+    """How a CSV file is read; not for a session.
 
-    Prints each parameter with its standard deviation beside the last on-line estimate and the
-    configured model, the checks of the fit, and a proposed [load.model]; draws load.png.
+    Attributes:
+        input: Name of the column of the input; guessed when left out, as are the next two.
+        output: Name of the column of the output.
+        time: Name of the column of times, in seconds or as dates.
+        sample_time_s: Seconds between two rows, where there is no such column.
+        before: Input before the first row, under which the load had come to rest.
+        lags: Lags of the load, 1 or 2; when left out two if the record shows a second one.
+        config: Configuration of the drive whose boost voltage and output the file has.
+    """
+
+    input: str | None = None
+    output: str | None = None
+    time: str | None = None
+    sample_time_s: Annotated[float | None, Parameter(name="--sample-time")] = None
+    before: float | None = None
+    lags: int | None = None
+    config: Path | None = None
+
+
+_GUESSED = FileView()
+
+
+def identify(source: str, /, *, columns: FileView = _GUESSED, view: SessionView = _WHOLE) -> int:
+    """Identify the load from a recorded session or a CSV file, in open or closed loop.
+
+    Prints each parameter with its standard deviation, by prediction errors and by simulation, next
+    to the last on-line estimate and the configured model, the checks of the fit, and proposed
+    values; draws load.png.
 
     Args:
-        session: Folder of the session, or its name below the sessions of this machine.
-        view: Part of the session, and the form of the result.
+        source: Folder of the session, its name below the sessions of this machine, or a CSV file.
+        columns: How a CSV file is read.
+        view: Part of the record, and the form of the result.
     """
     with Extra("analysis"):
-        from adaptdrive.analysis import session_load  # noqa: PLC0415 - it is large
+        from adaptdrive.analysis import load_report  # noqa: PLC0415 - it is large
         from adaptdrive.analysis.load_figure import draw_load  # noqa: PLC0415
-    path = _find(session)
-    figure = view.folder(path) / "load.png"
-    found = session_load.identify_session(path, view.begin, view.end)
+        from adaptdrive.analysis.record import RecordView  # noqa: PLC0415
+        from adaptdrive.analysis.sources import identify_source  # noqa: PLC0415
+    path = Path(source) if Path(source).is_file() else _find(source)
+    figure = view.folder(path.parent if path.is_file() else path) / "load.png"
+    wanted = RecordView(**asdict(columns), begin_s=view.begin, end_s=view.end)
+    found = identify_source(path, wanted)
     replace_result(figure, draw_load(found))
-    text = f"{session_load.as_text(found)}\n\n{figure}"
-    return view.present(text, session_load.as_json(found), figure)
+    text = f"{load_report.as_text(found)}\n\n{figure}"
+    return view.present(text, load_report.as_json(found), figure)
 
 
 def whatif(

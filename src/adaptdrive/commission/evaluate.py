@@ -25,8 +25,8 @@ _LARGEST_DEVIATION = 0.5
 _NEGLIGIBLE_LAG = 0.01
 """Deviation of the second lag, over the sum of both, that no slow period shows."""
 
-_DELAYS = (0, 1)
-"""Dead times in samples: a tenth of a second is longer than any bus takes."""
+_LONGEST_DELAY = 1
+"""Longest dead time in samples: a tenth of a second is longer than any bus takes."""
 
 
 def evaluate(experiment: LoadExperiment, load: Load) -> IdentifiedLoad:
@@ -44,7 +44,7 @@ def evaluate(experiment: LoadExperiment, load: Load) -> IdentifiedLoad:
     if outcome is None:
         raise CommissionError("the experiment is not complete")
     excerpt = resampled(experiment.record, outcome.began_s)
-    found = identify([excerpt], load, block=_block(outcome, excerpt), delays=_DELAYS)
+    found = identify([excerpt], load, block=_block(outcome, excerpt), longest_delay=_LONGEST_DELAY)
     for name, one in found.parameters.items():
         if not (one.value > 0.0 and one.std <= _largest_deviation(name, found)):
             raise CommissionError(

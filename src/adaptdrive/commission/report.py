@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from adaptdrive.analysis import style
 from adaptdrive.analysis.figure import as_png
-from adaptdrive.analysis.session_load import NOT_WHITE
+from adaptdrive.analysis.load_report import checks, warnings
 from adaptdrive.commission.phases import Outcome
 from adaptdrive.commission.prediction import Prediction
 from adaptdrive.commission.proposal import Proposal
@@ -48,16 +48,14 @@ def as_text(found: Commissioned) -> str:
 def _checks(found: Commissioned) -> Iterator[str]:
     sensor, outcome, load = found.sensor, found.outcome, found.load
     unit = found.before.load.output_unit
-    white = "white" if load.whiteness >= NOT_WHITE else "not white: the deviations are too small"
     noise, resolution = f"noise {sensor.noise:.3g} {unit}", f"{sensor.resolution:.3g} {unit}"
     yield f"sensor          {noise}, resolution {resolution}"
     yield (
         f"test            V_c {outcome.low_V:.4g}…{outcome.high_V:.4g} V from "
         f"{outcome.rest:.4g} {unit}, time to rest {outcome.settling_s:.3g} s"
     )
-    yield f"fit             {100 * load.fit:.1f} %, of data left out {100 * load.cross_fit:.1f} %"
-    yield f"residuals       {load.noise_std:.3g} {unit}, {white} (p = {load.whiteness:.2g})"
-    yield f"dead time       {1e3 * load.delay_s:.3g} ms"
+    yield from checks(load, unit)
+    yield from warnings(load)
 
 
 def _settings(found: Commissioned) -> Iterator[str]:

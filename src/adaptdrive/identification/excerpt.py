@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +23,19 @@ class Excerpt:
         boost_voltage_V: v_bst at each sample, as it was measured.
         output: y at the same samples.
         period_s: Time between two samples.
+        before_V: v_bst before the first sample, None where it is not known: then the samples at
+            the start only show what a delayed input was.
+        at_rest: Whether the load had come to rest under it.
+        held: Whether each voltage acts from its sample to the next, and each output is that of the
+            moment; otherwise a sample stands for half a period before and after it.
     """
 
     boost_voltage_V: Array
     output: Array
     period_s: float
+    before_V: float | None = None
+    at_rest: bool = False
+    held: bool = False
 
     def __post_init__(self) -> None:
         if len(self.boost_voltage_V) != len(self.output):
@@ -44,47 +53,102 @@ class Excerpt:
 class Blocks:
     """Means of an excerpt over blocks of samples.
 
-    A mean over a block of samples is the mean of the signal over the time of the block: a sample
-    stands for half a period before and after it.
+    A mean over a block of samples is the mean of the signal over the time of the block.
 
     Attributes:
-        inputs: u, delayed by the dead time, mean of each block.
+        fed: Sum of u - `rest` before each sample, from `lead`, `late` and 1 before the first block.
+        lead: The longest dead time, in samples.
+        late: Samples from the middle of a sample's input to its output, without a dead time.
         outputs: y, mean of each block.
         charge: ∫y dt in the middle of each block.
+        samples: Samples in a block.
         period_s: Length of a block.
+        rest: u under which the load would rest without a free response.
+        at_rest: Whether there is no free response.
     """
 
-    inputs: Array
+    fed: Array
+    lead: int
+    late: float
     outputs: Array
     charge: Array
+    samples: int
     period_s: float
+    rest: float
+    at_rest: bool
+
+    @property
+    def moments(self) -> bool:
+        """Whether the outputs are those at the end of each block instead of means."""
+        return self.late == 1.0
+
+    def inputs(self, delay: float) -> Array:
+        """Return the mean of each block of u - `rest` that acts later.
+
+        Args:
+            delay: Dead time in samples, at most `lead` + 1; a sample is held for its period.
+        """
+        first = self.lead + math.ceil(self.late) + 1 - self.late - delay
+        edges = first + self.samples * np.arange(len(self.outputs) + 1)
+        sums = np.interp(edges, np.arange(len(self.fed)), self.fed)
+        means: Array = np.diff(sums) / self.samples
+        return means
+
+    def cut(self, rows: slice) -> Blocks:
+        """Return some blocks; those after the first do not begin at rest."""
+        first = rows.start or 0
+        return replace(
+            self,
+            fed=self.fed[first * self.samples :],
+            outputs=self.outputs[rows],
+            charge=self.charge[rows],
+            at_rest=self.at_rest and first == 0,
+        )
 
 
-def blocks_of(
-    excerpts: Sequence[Excerpt], load: Load, samples: int, delay: int, longest_delay: int
-) -> list[Blocks]:
+def blocks_of(excerpts: Sequence[Excerpt], load: Load, samples: int, lead: int) -> list[Blocks]:
     """Average excerpts over blocks.
 
     Args:
         excerpts: Parts of a record.
         load: Its input map.
         samples: Samples in a block.
-        delay: Samples by which the output lags behind the input, besides the load's own lag.
-        longest_delay: The longest `delay`; whole blocks are left out at the start, so that the
-            result has the same outputs for each delay.
+        lead: The longest dead time, in samples. Whole blocks are left out at the start where the
+            input before it is not known.
     """
     made = []
     carried = 0.0
-    lost = -(-longest_delay // samples) * samples
     for one in excerpts:
-        volts = one.boost_voltage_V[lost - delay : len(one.boost_voltage_V) - delay]
-        outputs = one.output[lost:]
+        late = _late(one, samples)
+        before = lead + math.ceil(late) + 1
+        lost = 0 if one.before_V is not None else -(-before // samples) * samples
+        volts = one.boost_voltage_V[max(0, lost - before) :]
+        if one.before_V is not None:
+            volts = np.concatenate((np.full(before, one.before_V), volts))
+        fed = load.input_gain * volts**load.input_exponent
         charge = carried + np.cumsum(one.output)[lost:] * one.period_s
         carried = float(charge[-1]) if len(charge) else carried
-        inputs = load.input_gain * volts**load.input_exponent
-        means = [_means(values, samples) for values in (inputs, outputs, charge)]
-        made.append(Blocks(means[0], means[1], means[2], samples * one.period_s))
+        made.append(
+            Blocks(
+                fed=np.concatenate(([0.0], np.cumsum(fed - fed[0]))),
+                lead=lead,
+                late=late,
+                outputs=_means(one.output[lost:], samples),
+                charge=_means(charge, samples),
+                samples=samples,
+                period_s=samples * one.period_s,
+                rest=float(fed[0]),
+                at_rest=one.at_rest,
+            )
+        )
     return made
+
+
+def _late(excerpt: Excerpt, samples: int) -> float:
+    """Return how far the output of a held input lies behind it: a mean by half a sample."""
+    if not excerpt.held:
+        return 0.0
+    return 1.0 if samples == 1 else 0.5
 
 
 def _means(values: Array, samples: int) -> Array:

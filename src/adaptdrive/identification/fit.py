@@ -2,19 +2,19 @@
 
 The model of the measured output is
 
-    y = N(s)/D(s) u + free response + constant + v,        A(q) v = e
+    y = N(s)/D(s) e^(-θs) u + free response + constant + v,        A(q) v = e
 
 with white e. Numerator, free responses and constant enter linearly, and are solved for each
-denominator by least squares (Golub and Pereyra, doi:10.1137/0710036). The noise model makes the
-estimate consistent also where a controller feeds the noise back to the input (Ljung, System
-Identification, section 13.4).
+denominator and dead time θ by least squares (Golub and Pereyra, doi:10.1137/0710036). The noise
+model makes the estimate consistent also where a controller feeds the noise back to the input
+(Ljung, System Identification, section 13.4).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from scipy.signal import lfilter
 
 from adaptdrive.errors import IdentificationError
 from adaptdrive.identification.excerpt import Blocks
-from adaptdrive.identification.response import responses
+from adaptdrive.identification.response import moment_responses, responses
 
 Array = NDArray[np.float64]
 
@@ -32,6 +32,9 @@ CHARGE_DEGREE = 4
 
 _STEP = 1e-5
 """Step of the logarithms in a difference quotient."""
+
+_DELAY_STEP = 0.25
+"""Step of the dead time in a difference quotient, in samples."""
 
 _WORST_CONDITION = 1e9
 """Condition of the columns, brought to one length, above which they are not distinguished."""
@@ -48,7 +51,8 @@ class Problem:
         drift: The numerator with which the charge ∫y dt of a battery and its powers act on its
             current; their factors are fitted, its shape is not, as s ∫y dt would explain any y.
             Empty for none.
-        noise: 1, A_1 ... A_n of the noise model.
+        noise: 1, A_1 ... A_n of the noise model; 1 alone fits the simulation to the output.
+        delay: Dead time from input to output, in samples.
     """
 
     parts: Sequence[Blocks]
@@ -56,6 +60,7 @@ class Problem:
     powers: tuple[int, ...]
     drift: tuple[float, ...]
     noise: Array
+    delay: float = 0.0
 
     @property
     def shared(self) -> int:
@@ -100,21 +105,29 @@ def columns(problem: Problem, logarithms: Array) -> Array:
         logarithms: Of a_1 ... a_m.
     """
     denominator = np.concatenate(([1.0], np.exp(logarithms)))
-    filters = responses(denominator, problem.parts[0].period_s)
+    fraction = problem.delay % 1.0 if problem.parts[0].moments else 0.0
+    delay = problem.delay - fraction
+    filters = (
+        moment_responses(denominator, problem.parts[0].period_s, fraction)
+        if problem.parts[0].moments
+        else responses(denominator, problem.parts[0].period_s)
+    )
     shared, order = problem.shared, problem.order
     count = sum(len(part.outputs) for part in problem.parts)
-    made = np.zeros((count, shared + order * len(problem.parts)))
-    row = 0
-    for number, part in enumerate(problem.parts):
+    made = np.zeros((count, shared + order * sum(not part.at_rest for part in problem.parts)))
+    row, first = 0, shared
+    for part in problem.parts:
         rows = slice(row, row + len(part.outputs))
-        made[rows, : len(problem.powers)] = filters.of(part.inputs, problem.powers)
+        inputs, late = part.inputs(delay), part.inputs(delay + 1.0)
+        made[rows, : len(problem.powers)] = filters.of(inputs, problem.powers, part.rest, late)
         if problem.drift:
             for degree in range(1, CHARGE_DEGREE + 1):
                 acting = filters.of(part.charge**degree, problem.powers) @ problem.drift
                 made[rows, len(problem.powers) + degree - 1] = acting
         made[rows, shared - 1] = 1.0
-        first = shared + order * number
-        made[rows, first : first + order] = filters.free(len(part.outputs))
+        if not part.at_rest:
+            made[rows, first : first + order] = filters.free(len(part.outputs))
+            first += order
         row = rows.stop
     return made
 
@@ -155,6 +168,8 @@ def weighed(rows: Array, targets: Array) -> tuple[Array, float]:
         rows: A column for each factor; they are brought to one length.
         targets: What the columns explain together.
     """
+    if not rows.shape[1]:
+        return np.zeros(0), 1.0
     lengths = np.linalg.norm(rows, axis=0)
     lengths[lengths == 0.0] = 1.0
     scaled, _, _, values = np.linalg.lstsq(rows / lengths, targets, rcond=1e-14)
@@ -205,18 +220,34 @@ def jacobian(problem: Problem, solution: Solution) -> Array:
     """Return the derivatives of the predicted output.
 
     Returns:
-        A column for each of log a_1 ... log a_m, the linear parameters, and A_1 ... A_n.
+        A column for each of log a_1 ... log a_m, the linear parameters, the dead time in samples
+        where there may be one, and A_1 ... A_n.
     """
     matrix = columns(problem, solution.logarithms)
     slopes = []
-    for i in range(problem.order):
-        step = np.zeros(problem.order)
-        step[i] = _STEP
-        ahead = columns(problem, solution.logarithms + step) @ solution.weights
-        behind = columns(problem, solution.logarithms - step) @ solution.weights
+    for step in _STEP * np.eye(problem.order):
+        ahead, behind = (
+            columns(problem, solution.logarithms + way * step) @ solution.weights
+            for way in (1.0, -1.0)
+        )
         slopes.append((ahead - behind) / (2.0 * _STEP))
-    inner = whitened(problem, np.column_stack((*slopes, matrix)))
+    delayed = _delay_slope(problem, solution)
+    inner = whitened(problem, np.column_stack((*slopes, matrix, delayed)))
     return np.hstack((inner, -lagged(problem, problem.targets - solution.simulated)))
+
+
+def _delay_slope(problem: Problem, solution: Solution) -> Array:
+    """Return the derivative to the dead time over the way that it may still take."""
+    lead = problem.parts[0].lead
+    if lead == 0:
+        return np.empty((len(solution.simulated), 0))
+    low, high = (min(max(problem.delay + way, 0.0), lead) for way in (-_DELAY_STEP, _DELAY_STEP))
+    early, late = (
+        columns(replace(problem, delay=delay), solution.logarithms) @ solution.weights
+        for delay in (low, high)
+    )
+    slope: Array = (late - early)[:, None] / (high - low)
+    return slope
 
 
 def lagged(problem: Problem, values: Array) -> Array:
@@ -235,7 +266,7 @@ def require_excitation(problem: Problem, solution: Solution) -> None:
     Raises:
         IdentificationError: They do not.
     """
-    inputs = np.concatenate([part.inputs for part in problem.parts])
+    inputs = np.concatenate([part.inputs(problem.delay) + part.rest for part in problem.parts])
     if solution.condition > _WORST_CONDITION or np.ptp(inputs) <= 1e-9 * np.abs(inputs).max():
         span = f"{inputs.min():.6g}…{inputs.max():.6g}"
         raise IdentificationError(f"the input moves too little to show the load: u = {span}")

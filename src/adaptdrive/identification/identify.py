@@ -11,16 +11,19 @@ from numpy.typing import NDArray
 
 from adaptdrive.control.load import Load
 from adaptdrive.errors import IdentificationError
+from adaptdrive.identification.dead_time import Fitted, scan, settle
 from adaptdrive.identification.excerpt import Blocks, Excerpt, blocks_of
-from adaptdrive.identification.fit import Problem, Solution, refine, require_excitation, split
+from adaptdrive.identification.fit import Problem, require_excitation, split
 from adaptdrive.identification.noise_model import autoregression
-from adaptdrive.identification.result import Choice, IdentifiedLoad, result_of
-from adaptdrive.identification.starts import start
+from adaptdrive.identification.result import IdentifiedLoad, result_of
 
 Array = NDArray[np.float64]
 
-DELAYS = (0, 1, 2, 3)
-"""Dead times that are tried, in samples."""
+_LONGEST_DELAY = 10
+"""Longest dead time that is tried, in blocks."""
+
+FEWEST_IN_PART = 15
+"""Blocks of an uninterrupted part below which it is left out."""
 
 _FEWEST_BLOCKS = 30
 _ROUNDS = 3
@@ -32,53 +35,51 @@ def identify(
     load: Load,
     *,
     block: int = 1,
-    delays: Sequence[int] = DELAYS,
+    longest_delay: int | None = None,
 ) -> IdentifiedLoad:
-    """Identify a load by prediction errors.
+    """Identify a load by prediction errors, and by a simulation next to them.
 
     Args:
         excerpts: Parts of a record, all at one rate; in closed loop each begins with a slow period.
         load: Its structure and input map; its nominal parameters are not used.
         block: Samples that are averaged before the fit; in closed loop a divisor of the slow
             period in samples, so that no block contains both a sample and the reaction to it.
-        delays: Dead times to choose from, in samples.
+        longest_delay: Longest dead time, in samples; ten blocks when None.
 
     Raises:
         IdentificationError: The data do not determine the load; the reason is the message.
     """
-    longest = max(delays)
-    usable = [one for one in excerpts if len(one.output) >= longest + 5 * block]
-    _require_data(usable, longest, block)
-    problems = {
-        delay: _problem(blocks_of(usable, load, block, delay, longest), load) for delay in delays
-    }
-    first = problems[min(delays)]
-    solution = refine(first, start(first))
-    require_excitation(first, solution)
-    choice = _fit_each(problems, solution)
-    for _ in range(_ROUNDS):
-        noise, drift = _noise(choice), _drift(choice)
-        if len(noise) == len(choice.problem.noise) == 1 and not drift:
+    lead = _LONGEST_DELAY * block if longest_delay is None else longest_delay
+    usable = [one for one in excerpts if len(one.output) >= FEWEST_IN_PART * block]
+    _require_data(usable, lead, block)
+    problem = _problem(blocks_of(usable, load, block, lead), load)
+    fitted = simulation = scan(problem)
+    require_excitation(fitted.problem, fitted.solution)
+    for number in range(_ROUNDS):
+        noise, drift = _noise(fitted), _drift(fitted)
+        if len(noise) == len(fitted.problem.noise) == 1 and not drift:
             break
-        problems = {
-            delay: replace(one, noise=noise, drift=drift) for delay, one in problems.items()
-        }
-        choice = _fit_each(problems, choice.solution)
-    return result_of(load, choice, usable[0].period_s)
+        search = settle if number else scan
+        changed = replace(fitted.problem, noise=noise, drift=drift)
+        fitted = search(changed, fitted.solution.logarithms)
+    fitted = settle(fitted.problem, fitted.solution.logarithms)
+    white = replace(simulation.problem, drift=fitted.problem.drift)
+    simulation = settle(white, simulation.solution.logarithms)
+    return result_of(load, fitted, simulation, usable[0].period_s)
 
 
-def _noise(choice: Choice) -> Array:
+def _noise(fitted: Fitted) -> Array:
     """Return the noise model of what the fit leaves."""
-    problem = choice.problem
-    return autoregression(split(problem, problem.targets - choice.solution.simulated))
+    problem = fitted.problem
+    return autoregression(split(problem, problem.targets - fitted.solution.simulated))
 
 
-def _drift(choice: Choice) -> tuple[float, ...]:
+def _drift(fitted: Fitted) -> tuple[float, ...]:
     """Return the fitted numerator for the charge, where it acts."""
-    problem = choice.problem
+    problem = fitted.problem
     if not problem.drift:
         return ()
-    numerator = choice.solution.weights[: len(problem.powers)]
+    numerator = fitted.solution.weights[: len(problem.powers)]
     return tuple((numerator / np.abs(numerator).max()).tolist())
 
 
@@ -90,7 +91,9 @@ def _problem(parts: list[Blocks], load: Load) -> Problem:
 
 
 def _require_data(excerpts: Sequence[Excerpt], lost: int, block: int) -> None:
-    count = sum(len(one.output) // block - math.ceil(lost / block) for one in excerpts)
+    heads = [math.ceil(lost / block) if one.before_V is None else 0 for one in excerpts]
+    counts = [len(one.output) // block for one in excerpts]
+    count = sum(counts) - sum(heads)
     if count < _FEWEST_BLOCKS:
         raise IdentificationError(
             f"{count} uninterrupted blocks of {block} samples; {_FEWEST_BLOCKS} are needed"
@@ -99,9 +102,3 @@ def _require_data(excerpts: Sequence[Excerpt], lost: int, block: int) -> None:
     if max(periods_s) > 1.001 * min(periods_s):
         rates = ", ".join(f"{period_s:.6g}" for period_s in sorted(set(periods_s)))
         raise IdentificationError(f"the excerpts have different sampling periods: {rates} s")
-
-
-def _fit_each(problems: dict[int, Problem], near: Solution) -> Choice:
-    """Return the fit with each dead time."""
-    fits = {delay: refine(problem, near.logarithms) for delay, problem in problems.items()}
-    return Choice(problems, fits)

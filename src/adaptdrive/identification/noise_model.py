@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,25 +11,24 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_LONGEST = 8
-"""Order up to which a model is tried."""
+_SAMPLES_PER_TERM = 10
+"""Samples of the longest part for each term that is tried."""
 
 
-def autoregression(parts: Sequence[Array]) -> Array:
+def autoregression(parts: Sequence[Array], most: int = 8) -> Array:
     """Return 1, A_1 ... A_n with the n of least Bayesian information criterion.
 
     Args:
         parts: v of each uninterrupted part.
+        most: Order up to which a model is tried.
     """
-    usable = [part for part in parts if len(part) > 2 * _LONGEST]
-    count = sum(len(part) - _LONGEST for part in usable)
-    if count < 10 * _LONGEST:
-        return np.ones(1)
-    lags = [np.lib.stride_tricks.sliding_window_view(part, _LONGEST + 1) for part in usable]
+    longest = min(most, max(map(len, parts)) // _SAMPLES_PER_TERM)
+    usable = [part for part in parts if len(part) > 2 * longest]
+    count = sum(len(part) - longest for part in usable)
+    lags = [np.lib.stride_tricks.sliding_window_view(part, longest + 1) for part in usable]
     rows = np.concatenate(lags)[:, ::-1]
-    scores = [_score(rows, order, count) for order in range(_LONGEST + 1)]
-    best = min(range(_LONGEST + 1), key=lambda order: scores[order][0])
-    return scores[best][1]
+    scores = [_score(rows, order, count) for order in range(longest + 1)]
+    return min(scores, key=operator.itemgetter(0))[1]
 
 
 def _score(rows: Array, order: int, count: int) -> tuple[float, Array]:

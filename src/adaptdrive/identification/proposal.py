@@ -35,6 +35,14 @@ def proposed_model(identified: IdentifiedLoad, section: AnyLoad) -> dict[str, Es
             return dict(identified.parameters)
 
 
+def time_constants(identified: IdentifiedLoad) -> dict[str, Estimate]:
+    """Return gain and time constants of a load of one or two lags, the longer one first."""
+    if "tau_product_s2" not in identified.parameters:
+        return dict(identified.parameters)
+    names = ("gain", "tau_1_s", "tau_2_s")
+    return dict(zip(names, _motor(identified, 1.0, 0.0).values(), strict=True))
+
+
 def _motor(
     identified: IdentifiedLoad, tau_motor_s: float, tau_filter_s: float
 ) -> dict[str, Estimate]:

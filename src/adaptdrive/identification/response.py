@@ -28,16 +28,35 @@ class Responses:
 
     Attributes:
         terms: Numerator of each filter, one for each power of s from m to 0.
+        late_terms: The same for the input of the block before, which acts until the fraction of the
+            dead time is over; None where the input of a block is a mean.
         denominator: The denominator of all.
     """
 
     terms: Array
+    late_terms: Array | None
     denominator: Array
 
-    def of(self, inputs: Array, powers: Sequence[int]) -> Array:
-        """Return s^(m-i)/D(s) of an input from rest, a column for each i in `powers`."""
-        columns = [lfilter(self.terms[i], self.denominator, inputs) for i in powers]
-        return np.column_stack(columns)
+    def of(
+        self, inputs: Array, powers: Sequence[int], rest: float = 0.0, late: Array | None = None
+    ) -> Array:
+        """Return s^(m-i)/D(s) of an input, a column for each i in `powers`.
+
+        Args:
+            inputs: The input above that under which the load rests at the start.
+            powers: The i.
+            rest: That input.
+            late: The input of the block before each, for `late_terms`.
+        """
+        pairs = [(self.terms, inputs)]
+        if self.late_terms is not None and late is not None:
+            pairs.append((self.late_terms, late))
+        made = np.zeros((len(inputs), len(powers)))
+        for terms, fed in pairs:
+            for column, i in enumerate(powers):
+                steady = rest * terms[i].sum() / self.denominator.sum()
+                made[:, column] += steady + lfilter(terms[i], self.denominator, fed)
+        return made
 
     def free(self, count: int) -> Array:
         """Return m functions of time that span all responses without an input."""
@@ -67,15 +86,48 @@ def responses(denominator: Array, period_s: float) -> Responses:
     transition, entry = carried[:order, :order], carried[:order, order]
     mean, direct = carried[order + 1 :, :order] / period_s, carried[order + 1 :, order] / period_s
     below: Array = np.poly(transition).astype(np.float64)
-    markov = np.empty((order, order + 1))
-    state = entry
-    markov[:, 0] = direct
-    for k in range(1, order + 1):
-        markov[:, k] = mean @ state
-        state = transition @ state
-    states = np.array([np.convolve(row, below)[: order + 1] for row in markov])
-    highest = below - denominator[1:] @ states[::-1]
-    return Responses(np.vstack((highest, states[::-1])), below)
+    course = [direct]
+    for _ in range(order):
+        course.append(mean @ entry)
+        entry = transition @ entry
+    return Responses(_terms(denominator, below, course, 1.0), None, below)
+
+
+def moment_responses(denominator: Array, period_s: float, fraction: float) -> Responses:
+    """Return the exact filters for the ends of blocks, when the input of each acts later.
+
+    Args:
+        denominator: 1, a_1 ... a_m.
+        period_s: Length of a block.
+        fraction: Share of a block by which it acts later, from 0 to below 1.
+    """
+    transition, _ = held_step(denominator, period_s)
+    below: Array = np.poly(transition).astype(np.float64)
+    rest, entry = held_step(denominator, (1.0 - fraction) * period_s)
+    _, early = held_step(denominator, fraction * period_s)
+    made = []
+    for unit, state in ((1.0, entry), (0.0, rest @ early)):
+        course = [state]
+        for _ in range(len(denominator) - 1):
+            course.append(transition @ course[-1])
+        made.append(_terms(denominator, below, course, unit))
+    return Responses(made[0], made[1], below)
+
+
+def _terms(denominator: Array, below: Array, course: Sequence[Array], unit: float) -> Array:
+    """Return the numerators for a course of the state after an input of 1 in one block.
+
+    Args:
+        denominator: 1, a_1 ... a_m.
+        below: Denominator in q^-1.
+        course: The state in this block and the next ones.
+        unit: The input that acts at the moment of the output, over that of the block.
+    """
+    order = len(denominator) - 1
+    rows = np.array(course).T
+    states = np.array([np.convolve(row, below)[: order + 1] for row in rows])
+    highest = unit * below - denominator[1:] @ states[::-1]
+    return np.vstack((highest, states[::-1]))
 
 
 def held_step(denominator: Array, period_s: float) -> tuple[Array, Array]:

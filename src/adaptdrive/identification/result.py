@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from adaptdrive.control.load import Load
 from adaptdrive.control.signals import Estimate
-from adaptdrive.identification.excerpt import Blocks
+from adaptdrive.identification.dead_time import Fitted
 from adaptdrive.identification.fit import (
     Problem,
     Solution,
@@ -21,12 +22,16 @@ from adaptdrive.identification.fit import (
     split,
     weighed,
 )
-from adaptdrive.identification.whiteness import ljung_box
+from adaptdrive.identification.noise_model import autoregression
+from adaptdrive.identification.whiteness import LAGS, ljung_box
 
 Array = NDArray[np.float64]
 
 _TRAINING_SHARE = 0.7
 """Share of the data that the cross-check fits."""
+
+_DISPUTED = 2.0
+"""Distance of both fits, in its standard deviation, above which a parameter is disputed."""
 
 _STEP = 1e-6
 _LEAST_LOSS = 1e-300
@@ -44,10 +49,12 @@ class IdentifiedLoad:
         denominator: 1, a_1 ... a_m.
         input_offset: Constant at the input, in its unit, that acts beside the measured input.
         delay_s: Dead time from input to output.
+        delay_std_s: Its standard deviation.
+        simulated_parameters: The parameters whose simulation fits the output best.
         noise: 1, A_1 ... A_n of the autoregressive noise of the output; 1 for white noise.
         noise_std: Standard deviation of the white noise behind it, for a mean over a block.
         whiteness: Probability of such residuals by chance (Ljung and Box); below 0.01 they are not
-            white, and the deviations are too small.
+            white, and the deviations of the parameters are wider for it.
         fit: 1 - |y - ŷ| / |y - mean y| of the simulation of all data.
         cross_fit: The same of the last 30 % of the data after a fit to the first 70 %; NaN where
             the output does not move there.
@@ -63,6 +70,8 @@ class IdentifiedLoad:
     denominator: tuple[float, ...]
     input_offset: Estimate
     delay_s: float
+    delay_std_s: float
+    simulated_parameters: dict[str, Estimate]
     noise: tuple[float, ...]
     noise_std: float
     whiteness: float
@@ -73,70 +82,51 @@ class IdentifiedLoad:
     errors: tuple[Array, ...]
     block_s: float
 
-
-@dataclass(frozen=True, slots=True)
-class Choice:
-    """The fits with all dead times.
-
-    Attributes:
-        problems: Data for each dead time in samples.
-        solutions: Fit for each of them.
-    """
-
-    problems: dict[int, Problem]
-    solutions: dict[int, Solution]
-
     @property
-    def delay(self) -> int:
-        """The dead time with the least loss, in samples."""
-        return min(self.solutions, key=lambda delay: self.solutions[delay].loss)
+    def disputed(self) -> tuple[str, ...]:
+        """Parameters of which prediction errors and simulation differ by more than chance.
 
-    @property
-    def problem(self) -> Problem:
-        """Data with that dead time."""
-        return self.problems[self.delay]
+        The record then contains what the model has not: a slower movement beside that of the load,
+        which the noise model takes for noise, or a controller that feeds the noise back.
+        """
+        pairs = {n: (one, self.simulated_parameters[n]) for n, one in self.parameters.items()}
+        return tuple(
+            name
+            for name, (one, other) in pairs.items()
+            if abs(one.value - other.value) > _DISPUTED * math.hypot(one.std, other.std)
+        )
 
-    @property
-    def solution(self) -> Solution:
-        """Fit with that dead time."""
-        return self.solutions[self.delay]
 
-
-def result_of(load: Load, choice: Choice, sample_s: float) -> IdentifiedLoad:
+def result_of(load: Load, fitted: Fitted, simulation: Fitted, sample_s: float) -> IdentifiedLoad:
     """Return the load of a fit.
 
     Args:
         load: Its structure.
-        choice: The fit.
+        fitted: The fit by prediction errors.
+        simulation: The fit of the simulation to the output.
         sample_s: Time between two samples, the unit of the dead time.
     """
-    problem, solution = choice.problem, choice.solution
-    covariance, variance = _covariance(problem, solution)
-    odds = _odds(choice, variance)
-    values, spread = _mapped(
-        lambda fitted: _physical(problem, load, fitted), solution, covariance, odds
-    )
+    problem, solution = fitted.problem, fitted.solution
+    effects = _effects(fitted)
+    parameters, spread = _parameters(load, fitted, effects)
     offset, offset_spread = _mapped(
-        lambda fitted: _input_offset(problem, fitted), solution, covariance, odds
+        lambda values: _input_offset(problem, values), solution, effects
     )
-    numerator, denominator = _model(problem, _fitted(solution))
+    numerator, denominator = _model(problem, _values(solution))
     errors = split(problem, solution.errors, lost=len(problem.noise) - 1)
     simulated = _simulated(problem, solution.logarithms, solution.weights[: problem.shared])
     residuals = problem.targets - simulated
     return IdentifiedLoad(
-        parameters={
-            name: Estimate(value, std)
-            for name, value, std in zip(
-                load.names, values.tolist(), np.sqrt(np.diag(spread)).tolist(), strict=True
-            )
-        },
+        parameters=parameters,
         covariance=spread,
         numerator=tuple(numerator.tolist()),
         denominator=tuple(denominator.tolist()),
         input_offset=Estimate(float(offset[0]), math.sqrt(offset_spread[0, 0])),
-        delay_s=choice.delay * sample_s,
+        delay_s=problem.delay * sample_s,
+        delay_std_s=_delay_deviation(effects, fitted) * sample_s,
+        simulated_parameters=_parameters(load, simulation, _effects(simulation))[0],
         noise=tuple(problem.noise.tolist()),
-        noise_std=math.sqrt(variance),
+        noise_std=math.sqrt(_variance(solution, problem)),
         whiteness=ljung_box(errors, len(problem.noise) - 1),
         fit=_fit(problem.targets, residuals),
         cross_fit=_cross_fit(problem, solution),
@@ -147,55 +137,85 @@ def result_of(load: Load, choice: Choice, sample_s: float) -> IdentifiedLoad:
     )
 
 
-def _covariance(problem: Problem, solution: Solution) -> tuple[Array, float]:
-    """Return the covariance of log a_1 ... log a_m and the linear parameters, and that of e."""
-    slopes = jacobian(problem, solution)
-    kept = problem.order + len(solution.weights)
-    freedom = max(1, len(solution.errors) - slopes.shape[1])
-    variance = max(solution.loss, _LEAST_LOSS) / freedom
+def _parameters(load: Load, fitted: Fitted, effects: Array) -> tuple[dict[str, Estimate], Array]:
+    """Return the physical parameters of a fit, and their covariance."""
+    values, spread = _mapped(
+        lambda found: _physical(fitted.problem, load, found), fitted.solution, effects
+    )
+    pairs = zip(load.names, values.tolist(), np.sqrt(np.diag(spread)).tolist(), strict=True)
+    return {name: Estimate(value, std) for name, value, std in pairs}, spread
+
+
+def _variance(solution: Solution, problem: Problem) -> float:
+    """Return the variance of e."""
+    known = problem.order + len(solution.weights) + len(problem.noise) - 1
+    return max(solution.loss, _LEAST_LOSS) / max(1, len(solution.errors) - known)
+
+
+def _effects(fitted: Fitted) -> Array:
+    """Return how errors of variance 1 act on log a_1 ..., the linear parameters, and any dead time.
+
+    The product with its transpose is their covariance: that of least squares whose errors have the
+    colour that is found in e, and at least that of white errors. Without the record the dead time
+    lies anywhere within its limits.
+    """
+    problem, solution = fitted.problem, fitted.solution
+    slopes, variance = jacobian(problem, solution), _variance(solution, problem)
+    lead, delay = problem.parts[0].lead, problem.order + len(solution.weights)
+    if lead:
+        prior = math.sqrt(12.0 * variance) / lead
+        slopes = np.vstack((slopes, prior * np.eye(1, slopes.shape[1], delay)))
     lengths = np.linalg.norm(slopes, axis=0)
     lengths[lengths == 0.0] = 1.0
-    inverse = np.linalg.pinv(slopes / lengths, rcond=1e-14)
-    covariance = variance * (inverse @ inverse.T / np.outer(lengths, lengths))[:kept, :kept]
-    return covariance, variance
+    factors = np.linalg.pinv(slopes / lengths, rcond=1e-14) / lengths[:, None]
+    factors = factors[: delay + (1 if lead else 0)]
+    coloured = _coloured(fitted, factors)
+    white, spread = (np.linalg.norm(one, axis=1) for one in (factors, coloured))
+    wider = np.maximum(1.0, white / np.maximum(spread, 1e-300))
+    return np.asarray(math.sqrt(variance) * wider[:, None] * coloured)
 
 
-def _odds(choice: Choice, variance: float) -> list[tuple[float, Solution]]:
-    """Return the probability of each other dead time by its likelihood, and its fit."""
-    others = [one for one in choice.solutions.values() if one is not choice.solution]
-    odds = [math.exp(-0.5 * (one.loss - choice.solution.loss) / variance) for one in others]
-    return [(each / (1.0 + sum(odds)), one) for each, one in zip(odds, others, strict=True)]
+def _delay_deviation(effects: Array, fitted: Fitted) -> float:
+    """Return the standard deviation of the dead time, in samples."""
+    return float(np.linalg.norm(effects[-1])) if fitted.problem.parts[0].lead else 0.0
 
 
-def _fitted(solution: Solution) -> Array:
+def _coloured(fitted: Fitted, factors: Array) -> Array:
+    """Return the factors with which white errors have the effect of errors of the colour of e.
+
+    Args:
+        fitted: The fit.
+        factors: A column for each e, and what else is weighed, which is taken to be white.
+    """
+    lost, count = len(fitted.problem.noise) - 1, len(fitted.solution.errors)
+    parts = split(fitted.problem, fitted.solution.errors, lost=lost)
+    colour = autoregression(parts, LAGS)
+    white = np.concatenate([lfilter(colour, [1.0], part)[len(colour) - 1 :] for part in parts])
+    scale = math.sqrt(np.mean(white**2) / max(np.mean(fitted.solution.errors**2), _LEAST_LOSS))
+    rows = split(fitted.problem, factors[:, :count].T, lost=lost)
+    filtered = [scale * lfilter([1.0], colour, one[::-1], axis=0)[::-1] for one in rows]
+    return np.hstack((np.concatenate(filtered).T, factors[:, count:]))
+
+
+def _values(solution: Solution) -> Array:
     return np.concatenate((solution.logarithms, solution.weights))
 
 
 def _mapped(
-    function: Callable[[Array], Array],
-    solution: Solution,
-    covariance: Array,
-    odds: Sequence[tuple[float, Solution]],
+    function: Callable[[Array], Array], solution: Solution, effects: Array
 ) -> tuple[Array, Array]:
-    """Return a function of the fitted parameters, and its covariance.
-
-    That of the fit is to first order. The other dead times count with the values that they give:
-    where a lag is shorter than a block, their denominators lie too far apart for a first order.
-    """
-    fitted = _fitted(solution)
+    """Return a function of the fitted parameters, and its covariance to first order."""
+    values = _values(solution)
     logarithms, weights = np.ones(len(solution.logarithms)), np.abs(solution.weights)
     steps = _STEP * np.concatenate((logarithms, np.where(weights == 0.0, 1.0, weights)))
     slopes = np.column_stack(
         [
-            (function(fitted + step) - function(fitted - step)) / (2.0 * step.sum())
+            (function(values + step) - function(values - step)) / (2.0 * step.sum())
             for step in np.diag(steps)
         ]
     )
-    here, spread = function(fitted), slopes @ covariance @ slopes.T
-    for probability, other in odds:
-        way = function(_fitted(other)) - here
-        spread = spread + probability * np.outer(way, way)
-    return here, spread
+    acting = slopes @ effects[: len(values)]
+    return function(values), acting @ acting.T
 
 
 def _model(problem: Problem, fitted: Array) -> tuple[Array, Array]:
@@ -261,10 +281,6 @@ def _halves(problem: Problem) -> tuple[Problem, Problem]:
     for part in problem.parts:
         count = min(left, len(part.outputs))
         left -= count
-        trained += [_cut(part, slice(count))] if count else []
-        tested += [_cut(part, slice(count, None))] if count < len(part.outputs) else []
+        trained += [part.cut(slice(count))] if count else []
+        tested += [part.cut(slice(count, None))] if count < len(part.outputs) else []
     return replace(problem, parts=trained), replace(problem, parts=tested)
-
-
-def _cut(part: Blocks, rows: slice) -> Blocks:
-    return Blocks(part.inputs[rows], part.outputs[rows], part.charge[rows], part.period_s)

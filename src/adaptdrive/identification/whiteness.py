@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 Array = NDArray[np.float64]
 
-_LAGS = 20
+LAGS = 20
 """Lags tested (Ljung and Box, doi:10.1093/biomet/65.2.297)."""
 
 
@@ -22,7 +22,7 @@ def ljung_box(parts: Sequence[Array], fitted: int) -> float:
         fitted: Parameters of the noise model that was fitted to them.
     """
     count = sum(map(len, parts))
-    lags = max(fitted + 1, min(_LAGS, count // 5))
+    lags = max(fitted + 1, min(LAGS, count // 5))
     power = sum(float(part @ part) for part in parts)
     if power == 0.0:
         return 1.0

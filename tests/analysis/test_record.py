@@ -1,0 +1,274 @@
+"""Identification of records that scipy made: files, tables, a bare step, dead times, bad input."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import lsim
+
+from adaptdrive.cli import main
+from adaptdrive.errors import IdentificationError
+from adaptdrive.lab import RecordOptions, identify, load_session, simulate
+from tests.analysis.test_simulation import ReferenceMotor, square
+from tests.control.systems import System
+from tests.hardware.bench import EXAMPLES
+
+Array = NDArray[np.float64]
+
+PERIOD_s = 2.0
+FINE = 50
+"""Steps of scipy in a sample: a dead time of a fiftieth is exact."""
+
+
+def response(
+    system: System, inputs: Array, delay: float = 0.0, before: float = 0.0, period_s: float = 2.0
+) -> Array:
+    """The output at each sample, right before its input acts; at rest under `before` until then.
+
+    Args:
+        system: The load.
+        inputs: Held from each sample to the next.
+        delay: Dead time in samples.
+        before: Input before the first sample.
+        period_s: Time between two samples.
+    """
+    late = round(delay * FINE)
+    held = np.concatenate((np.full(late, before), np.repeat(inputs, FINE)))[: len(inputs) * FINE]
+    gain = system.numerator[-1] / system.denominator[-1]
+    time_s = np.arange(len(held)) * period_s / FINE
+    _, output, _ = lsim(system.state_space(), held - before, time_s, interp=False)
+    return np.asarray(output[::FINE] + gain * before)
+
+
+def lag(gain: float, *taus_s: float) -> System:
+    denominator = np.poly([-1.0 / tau_s for tau_s in taus_s])
+    return System([0.0] * len(taus_s) + [gain * denominator[-1]], denominator.tolist())
+
+
+def steps(seed: int, count: int = 500, held: int = 25) -> Array:
+    levels = np.random.default_rng(seed).choice([0.0, 40.0, 100.0], size=count // held)
+    return np.repeat(levels, held)
+
+
+def written(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def as_csv(columns: Mapping[str, Sequence[object]]) -> str:
+    rows = zip(*columns.values(), strict=True)
+    return "\n".join([",".join(columns), *(",".join(map(str, row)) for row in rows)])
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.4, 1.0, 3.7, 10.0])
+@pytest.mark.parametrize("taus_s", [(30.0,), (40.0, 12.0)])
+def test_lags_and_dead_time_of_a_table_are_found(delay: float, taus_s: tuple[float, ...]) -> None:
+    inputs = steps(1)
+    output = 20.0 + response(lag(0.6, *taus_s), inputs, delay)
+    output += 0.05 * np.random.default_rng(2).normal(size=len(output))
+    found = identify({"u": inputs, "y": output}, sample_time_s=PERIOD_s)
+    names = ["gain", "tau_s"] if len(taus_s) == 1 else ["gain", "tau_1_s", "tau_2_s"]
+    assert list(found.model) == names
+    for one, true in zip(found.model.values(), (0.6, *taus_s), strict=True):
+        assert one.value == pytest.approx(true, abs=max(3.5 * one.std, 0.002 * true))
+    late = found.load.delay_s
+    assert late == pytest.approx(delay * PERIOD_s, abs=max(3.5 * found.load.delay_std_s, 0.05))
+    assert found.load.disputed == ()
+
+
+@pytest.mark.parametrize("first", [0, 1, 3])
+def test_one_bare_step_is_enough(first: int) -> None:
+    inputs = np.full(60, 100.0)
+    inputs[:first] = 20.0
+    output = 5.0 + response(lag(0.3, 17.0), inputs, before=20.0)
+    found = identify({"u": inputs, "y": output}, sample_time_s=PERIOD_s, before=20.0)
+    assert found.model["tau_s"].value == pytest.approx(17.0, rel=0.01)
+    assert found.model["gain"].value == pytest.approx(0.3, rel=0.01)
+    assert found.load.delay_s == pytest.approx(0.0, abs=0.05)
+    if first:  # then the rows show what was before
+        bare = identify({"u": inputs, "y": output}, sample_time_s=PERIOD_s)
+        assert bare.model["tau_s"].value == pytest.approx(17.0, rel=0.01)
+
+
+def slow_record(seed: int) -> tuple[Array, Array]:
+    """A heater whose body warms up behind it: a lag of half a minute, and one of ten."""
+    random = np.random.default_rng([seed, 33])
+    inputs = np.repeat(random.choice([0.0, 50.0, 100.0], size=10), 60)
+    fast, slow = lag(0.4, random.uniform(20.0, 40.0)), lag(0.3, random.uniform(300.0, 900.0))
+    output = response(fast, inputs, period_s=5.0) + response(slow, inputs, period_s=5.0)
+    return inputs, output + 0.2 * random.normal(size=600)
+
+
+@pytest.mark.slow
+def test_slow_dynamics_that_the_noise_model_takes_are_reported() -> None:
+    reported, silent = 0, 0
+    for seed in range(20):
+        inputs, output = slow_record(seed + 100)
+        found = identify({"u": inputs, "y": output}, sample_time_s=5.0, lags=1)
+        reported += "tau_s" in found.load.disputed
+        tau_s, simulated_s = (
+            one["tau_s"].value for one in (found.load.parameters, found.load.simulated_parameters)
+        )
+        assert simulated_s > tau_s
+        random = np.random.default_rng([seed, 34])
+        plain = response(lag(0.6, 60.0), inputs, period_s=5.0) + 0.2 * random.normal(size=600)
+        silent += not identify({"u": inputs, "y": plain}, sample_time_s=5.0, lags=1).load.disputed
+    assert reported >= 19
+    assert silent >= 18
+
+
+def test_a_file_is_read_as_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    inputs, output = slow_record(1)
+    began = datetime(2026, 3, 1, tzinfo=UTC)
+    times = [(began + timedelta(seconds=5 * n)).isoformat() for n in range(600)]
+    columns: dict[str, Sequence[object]] = {
+        "when": times,
+        "heater (%)": inputs.tolist(),
+        "room": [20] * 600,
+    }
+    columns["temperature"] = output.tolist()
+    file = written(tmp_path / "heating.csv", as_csv(columns))
+    options = ["--time", "when", "--lags", "1", "--json", "--into", str(tmp_path / "made")]
+    assert main(["identify", str(file), *options]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    same = identify({"u": inputs, "y": output}, sample_time_s=5.0, lags=1)
+    tau_s = same.load.parameters["tau_s"].value
+    assert shown["parameters"]["tau_s"]["value"] == pytest.approx(tau_s, rel=1e-6)
+    assert shown["disputed"] == list(same.load.disputed)
+    assert (tmp_path / "made" / "load.png").read_bytes().startswith(b"\x89PNG")
+    assert main(["identify", str(file), *options[:4], *options[5:]]) == 0
+    text = capsys.readouterr().out
+    simulated_s = same.load.simulated_parameters["tau_s"].value
+    assert f"{tau_s:.5g} ± " in text
+    assert f"and {simulated_s:.5g} ± " in text
+
+
+def test_semicolons_and_decimal_commas_and_no_names(tmp_path: Path) -> None:
+    inputs, output = steps(3, 200), response(lag(0.5, 20.0), steps(3, 200))
+    rows = [f"{2.0 * n};{inputs[n]};{output[n]:.6f}".replace(".", ",") for n in range(len(inputs))]
+    found = identify(written(tmp_path / "bare.csv", "\n".join(rows)), time="1")
+    assert found.model["tau_s"].value == pytest.approx(20.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["polars", "pandas", "arrow", "structured"])
+def test_tables_of_every_library_are_read(kind: str) -> None:
+    inputs = steps(4, 200)
+    frame = pl.DataFrame(
+        {"time": PERIOD_s * np.arange(200), "u": inputs, "y": response(lag(0.5, 20.0), inputs)}
+    )
+    table = {
+        "polars": lambda: frame,
+        "pandas": frame.to_pandas,
+        "arrow": frame.to_arrow,
+        "structured": lambda: frame.to_numpy(structured=True),
+    }[kind]
+    found = identify(table())  # type: ignore[no-untyped-call]
+    assert found.model["tau_s"].value == pytest.approx(20.0, rel=1e-3)
+    part = identify(table(), 100.0, 300.0)  # type: ignore[no-untyped-call]
+    assert part.model["tau_s"].value == pytest.approx(20.0, rel=1e-2)
+    assert sum(map(len, part.load.residuals)) == 101
+
+
+def test_times_that_jump_divide_the_record_and_uneven_ones_do_not() -> None:
+    inputs = steps(5, 600)
+    time_s = PERIOD_s * np.arange(600)
+    output = response(lag(0.5, 20.0), inputs)
+    kept = np.r_[0:250, 300:600]
+    frame = pd.DataFrame({"time": time_s[kept], "u": inputs[kept], "y": output[kept]})
+    found = identify(frame)
+    assert len(found.load.residuals) == 2
+    assert found.model["tau_s"].value == pytest.approx(20.0, rel=1e-3)
+    few = np.delete(np.arange(600), [77, 203, 204])
+    thinned = identify({"time": time_s[few], "u": inputs[few], "y": output[few]})
+    assert len(thinned.load.residuals) == 1
+    assert thinned.model["tau_s"].value == pytest.approx(20.0, rel=1e-2)
+
+
+def test_a_simulation_and_the_tables_of_a_session_are_identified(session_path: Path) -> None:
+    motor = ReferenceMotor(2)
+    true = motor.motor.model(0.25, 1.0)
+    run = simulate(EXAMPLES / "motor.toml", motor, square, 240.0)
+    found = identify(run)
+    assert found.model["gain"].value == pytest.approx(true["gain"], rel=0.01)
+    assert found.model["tau_motor_s"].value == pytest.approx(true["tau_motor_s"], rel=0.05)
+    tables, folder = identify(load_session(session_path)), identify(session_path)
+    assert tables.load.parameters == folder.load.parameters
+    boost = identify(
+        run.ticks, time="time_s", config=EXAMPLES / "motor.toml", input="boost_voltage_V"
+    )
+    assert boost.model["gain"].value == pytest.approx(true["gain"], rel=0.02)
+    for other in (run, session_path):
+        with pytest.raises(IdentificationError, match="leave out all but the times"):
+            identify(other, input="u")
+
+
+GOOD = {"time": [2 * n for n in range(60)], "u": [0, 5] * 30, "y": list(range(60))}
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "problem"),
+    [
+        ({"y": [*range(17), "n/a", *range(42)]}, {}, "line 19, column 'y': 'n/a' is not a number"),
+        ({"u": [*range(3), "", *range(56)]}, {}, "line 5, column 'u': '' is not a number"),
+        ({"u": [*range(3), "nan", *range(56)]}, {}, "line 5, column 'u': 'nan'"),
+        ({"time": [*range(30), *range(30)]}, {}, "line 32, column 'time': 0 is not after 29"),
+        ({}, {"input": "boost"}, "no column 'boost'; there are: time, u, y"),
+        ({}, {"time": "clock"}, "no column 'clock'"),
+        ({}, {"sample_time_s": -1.0}, "-1.0 s, must be above 0"),
+        ({}, {"lags": 3}, "3 lags: a load has one or two"),
+        ({"u": [100] * 60}, {}, "'u' is 100 in every row: .*--before"),
+        ({"p": [1] * 60, "q": [2] * 60, "u": None}, {}, "which column is the input"),
+        ({"time": None}, {}, "no column of times among u, y: name it"),
+        ({}, {"output": "u", "input": "u"}, "input and output are both 'u'"),
+        ({}, {"lags": 1, "config": EXAMPLES / "motor.toml"}, "lags and a configuration"),
+    ],
+)
+def test_bad_files_get_one_clear_error(
+    tmp_path: Path,
+    change: dict[str, list[object] | None],
+    options: RecordOptions,
+    problem: str,
+) -> None:
+    columns = {name: values for name, values in (GOOD | change).items() if values is not None}
+    file = written(tmp_path / "bad.csv", as_csv(columns))
+    with pytest.raises(IdentificationError, match=problem) as refused:
+        identify(file, **options)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"", "has no rows"),
+        (b"time,u,y\n0,1,2\n1,2\n", "line 3: 2 values, where line 1 has 3"),
+        (b"time,u,u\n0,1,2\n1,2,3\n", "two columns have the name 'u'"),
+        (b"\xff\xfe\x00", "is no text in UTF-8"),
+        (b"time,u,y\n0,1,2\n", "1 rows are no record"),
+        (b"time,u,y\n0,1,2\n1,2,2\n", "30 are needed"),
+        (b"time,u,y\n", "0 rows are no record"),
+    ],
+)
+def test_what_is_no_table_is_refused(tmp_path: Path, content: bytes, problem: str) -> None:
+    file = tmp_path / "bad.csv"
+    file.write_bytes(content)
+    with pytest.raises(IdentificationError, match=problem):
+        identify(file)
+
+
+@pytest.mark.parametrize("table", [np.zeros((60, 2)), [1.0, 2.0], 7])
+def test_a_table_without_names_is_refused(table: object) -> None:
+    with pytest.raises(IdentificationError, match="no named columns"):
+        identify(table, sample_time_s=1.0)
+
+
+def test_columns_of_two_lengths_are_refused() -> None:
+    with pytest.raises(IdentificationError, match=r"different lengths: \{'u': 3, 'y': 2\}"):
+        identify({"u": [1, 2, 3], "y": [1, 2]}, sample_time_s=1.0)
