@@ -11,6 +11,7 @@ import msgspec
 from cyclopts import Parameter
 
 from adaptdrive.config import Configuration
+from adaptdrive.config.bus import CanLink
 from adaptdrive.errors import ConfigurationError
 
 Json = Annotated[bool, Parameter(name="--json", negative=())]
@@ -39,10 +40,13 @@ def check(config: Path, /, *, as_json: Json = False) -> int:
     from adaptdrive.app.response_table import response_table  # noqa: PLC0415
     from adaptdrive.app.settings import tick_s  # noqa: PLC0415
     from adaptdrive.app.time_limits import limits_table, time_limits  # noqa: PLC0415
+    from adaptdrive.hardware.link.bus import missing_here  # noqa: PLC0415
 
     configuration = load_examined(config)
     for one in advice(configuration):
         print(f"adaptdrive: {config}: warning: {one}", file=sys.stderr)
+    if isinstance(configuration.bus, CanLink) and (problem := missing_here(configuration.bus)):
+        print(f"adaptdrive: {config}: not on this machine: {problem}", file=sys.stderr)
     if configuration.signals.bridge is None and not configuration.bus.has_bridge_words:
         print(f"{config}: signals.bridge is missing: the drive cannot confirm that it has stopped")
     print(limits_table(time_limits(configuration, config), tick_s(configuration)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import errno
 import os
+import re
 import shutil
 import sys
 from collections.abc import Sequence
@@ -108,14 +109,14 @@ def unwritten(problem: OSError, program: str) -> int:
 
 
 def complain(program: str, text: str, status: int) -> int:
-    """Print a text to standard error, and return a status.
+    """Print a text to standard error without the numbers of the system's errors; return a status.
 
     Args:
         program: Name of the program, which begins each line.
         text: One or more lines.
         status: The status.
     """
-    for line in text.splitlines():
+    for line in re.sub(r"\[Errno -?\d+\] ", "", text).splitlines():
         print(f"{program}: {line}", file=sys.stderr)
     return status
 

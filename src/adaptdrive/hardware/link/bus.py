@@ -70,6 +70,17 @@ def open_bus(config: CanLink, listen: Iterable[int] = ()) -> can.BusABC:
         raise BusError(describe_bus(config), str(problem)) from problem
 
 
+def missing_here(config: CanLink) -> str:
+    """Return why a kernel's interface cannot be opened on this machine, empty where it can."""
+    try:
+        if config.interface == "socketcan":
+            _check_kernel(config)
+            _check_interface_up(config)
+    except BusError as problem:
+        return str(problem)
+    return ""
+
+
 def as_received(config: CanLink, frame: can.Message) -> Callable[[], can.Message]:
     """Gives a frame again and again at the cost of receiving it, without a bus.
 
@@ -121,7 +132,10 @@ def _check_kernel(config: CanLink) -> None:
     except OSError as problem:
         if problem.errno not in {errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT}:
             raise
-        advice = "this kernel has no AF_CAN; use udp_multicast"
+        advice = (
+            "this kernel has no AF_CAN; an adapter needs a kernel with CAN (modprobe can); for a "
+            "simulated drive use udp_multicast"
+        )
         raise BusError(describe_bus(config), advice) from problem
 
 
@@ -132,7 +146,8 @@ def _check_interface_up(config: CanLink) -> None:
         try:
             answer = fcntl.ioctl(probe, _SIOCGIFFLAGS, request)
         except OSError as problem:
-            raise BusError(describe_bus(config), "there is no such interface") from problem
+            text = "there is no such interface; connect the adapter, or load its driver"
+            raise BusError(describe_bus(config), text) from problem
     if not struct.unpack_from("h", answer, _IFNAMSIZ)[0] & _IFF_UP:
         advice = f"the interface is down; try: ip link set {config.channel} up"
         raise BusError(describe_bus(config), advice)
