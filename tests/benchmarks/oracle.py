@@ -55,7 +55,6 @@ class KnownLoad(LambdaMethod):
         true = self.loads[min(max(k, 0), len(self.loads) - 1)]
         numerator, denominator = list(true.numerator), list(true.denominator)
         copy_into(state.values, load.physical(numerator, denominator))
-        copy_into(state.deviations, [0.0] * len(state.deviations))
         a, b = discrete_model(settings, load, numerator, denominator, period_s)
         return a, b, Verdict.TRUSTED
 

@@ -66,7 +66,6 @@ _UNITS = {
     "_PROOF": "log odds",
     "NOISE_FLOOR": "scale²",
     "UNKNOWN": "1",
-    "SURE": "1",
     "MARGIN_RADIUS": "pole per period",
     "STABLE_RADIUS": "pole per period",
     "_SMALLEST_SHARE": "1",

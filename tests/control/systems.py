@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -101,3 +102,10 @@ def polynomials(system: tuple[Array, Array, Array, Array, float]) -> tuple[Array
 def held_polynomials(system: System, period_s: float) -> tuple[Array, Array]:
     """Denominator and numerator in z of a system whose input is held, by scipy."""
     return polynomials(cont2discrete(system.state_space(), period_s, "zoh"))
+
+
+def row_norms(root: Sequence[float]) -> list[float]:
+    """Standard deviations from L, flat, of a covariance L Lᵀ."""
+    size = math.isqrt(len(root))
+    found: list[float] = np.linalg.norm(np.reshape(root, (size, size)), axis=1).tolist()
+    return found

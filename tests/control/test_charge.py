@@ -17,7 +17,7 @@ from adaptdrive.control import ud_factors as ud
 from adaptdrive.control.loads.battery import battery_load
 from adaptdrive.control.settings import Learning
 from tests.closed_loop.bench import SCALED_LEARNING, TICK_s
-from tests.control.systems import Array
+from tests.control.systems import Array, row_norms
 
 TURNS, SERIES_OHM, RELAXATION_OHM, RELAXATION_S = 0.25, 1.2, 0.4, 30.0
 RISE_V_PER_AS = 8.0 / 36000.0
@@ -100,11 +100,13 @@ def test_without_a_bias_there_is_no_offset() -> None:
 
 def test_a_wandering_emf_leaves_everything_else_as_sure_as_it_was() -> None:
     state = learnt(LEARNING)
-    before = in_force.parameter_deviations(state, LEARNING, BATTERY, TRUTH)
+    before = row_norms(in_force.parameter_root(state, LEARNING, BATTERY, TRUTH))
     offset = state.theta[-1] + state.theta[-2] * state.charge
     excitation = ud.excitation(state.upper, state.diagonal, state.regressor)
     est.let_emf_wander(state, LEARNING)
-    assert in_force.parameter_deviations(state, LEARNING, BATTERY, TRUTH) == pytest.approx(before)
+    assert row_norms(in_force.parameter_root(state, LEARNING, BATTERY, TRUTH)) == pytest.approx(
+        before
+    )
     assert state.theta[-1] + state.theta[-2] * state.charge == offset
     added = ud.excitation(state.upper, state.diagonal, state.regressor) - excitation
     assert added == pytest.approx(0.04, rel=1e-6)

@@ -274,11 +274,11 @@ def test_adaptive_control_waits_for_the_warm_up_and_says_so() -> None:
 
 
 def test_before_its_error_bars_are_known_an_estimate_is_not_given_any() -> None:
-    jacket = replace(EXACT.jacket, warm_up_periods=0, deviation_max=0.1)
+    jacket = replace(EXACT.jacket, warm_up_periods=0, spread_max=0.05, confidence=2.0)
     bench = Bench(replace(EXACT, jacket=jacket))
     bench.run(3.0, order(mode=Mode.ADAPTIVE))
     reason = bench.decisions[-1].reason
-    assert reason == "how sure estimate gain is, is not known yet"
+    assert reason == "the estimate does not show yet what its loop would do"
 
 
 def test_an_estimate_out_of_bounds_is_named_with_its_bounds() -> None:

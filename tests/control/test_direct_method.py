@@ -82,9 +82,9 @@ def test_its_parameters_are_no_model_in_s_and_have_no_deviations() -> None:
     assert not method.physical
     assert not any(est.nominal_theta(DIRECT, MOTOR, 2))
     values = [0.011, 33.4, 234.0]
-    for deviations in (method.deviations, method.shown_deviations):
-        found = deviations(state.estimator, DIRECT, MOTOR, values)
-        assert len(found) == 3
+    for known, count in ((method.root, 9), (method.shown_deviations, 3)):
+        found = known(state.estimator, DIRECT, MOTOR, values)
+        assert len(found) == count
         assert all(math.isnan(one) for one in found)
 
 

@@ -19,7 +19,7 @@ from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.ud_factors import covariance
 from tests.closed_loop.bench import MOTOR, PLAIN_LEARNING, SCALED_LEARNING, TICKS, TICK_s
-from tests.control.systems import Array, held_polynomials, motor_system
+from tests.control.systems import Array, held_polynomials, motor_system, row_norms
 
 FINE = 4
 """Steps of the simulation in a fast tick."""
@@ -223,7 +223,7 @@ def test_the_error_bars_are_what_many_experiments_show() -> None:
             est.learn(state, learning, MOTOR, float(y), usable=True)
         values = physical(state, learning)
         found.append(values)
-        claimed.append(in_force.parameter_deviations(state, learning, MOTOR, values))
+        claimed.append(row_norms(in_force.parameter_root(state, learning, MOTOR, values)))
     assert np.mean(claimed, axis=0) == pytest.approx(np.std(found, axis=0), rel=0.3)
 
 

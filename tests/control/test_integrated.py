@@ -16,7 +16,7 @@ from adaptdrive.control import regression as reg
 from adaptdrive.control.integrated import applies
 from adaptdrive.control.loads.bath import bath_load
 from tests.closed_loop.bench import SCALED_LEARNING
-from tests.control.systems import Array
+from tests.control.systems import Array, row_norms
 
 R, TAU_s = 0.021, 500.0
 BATH = bath_load(R, TAU_s, 0.25, 1.0, 7.87)
@@ -94,7 +94,7 @@ def test_what_is_in_force_is_what_is_shown() -> None:
     branch = state.integrated.branch
     assert state.innovation == branch.innovation * LEARNING.output_scale
     assert in_force.covariance_in_force(state) == (branch.upper, branch.diagonal)
-    deviations = in_force.parameter_deviations(state, LEARNING, BATH, values(branch.theta))
+    deviations = row_norms(in_force.parameter_root(state, LEARNING, BATH, values(branch.theta)))
     assert np.all(np.array(deviations) > 0.0)
 
 

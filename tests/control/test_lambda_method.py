@@ -153,8 +153,8 @@ def test_the_deviations_are_those_of_p_by_the_noise_of_the_innovations() -> None
     state, learning = settled(), test_explanation.LEARNING
     values = MOTOR.physical(*reg.filtered_model(state.theta, learning, MOTOR))
     expected = propagated(state, 1e-3 * np.eye(6), math.sqrt(30e-6 / (36.0 - 6.0)))
-    found = learning.method.deviations(state, learning, MOTOR, values)
-    assert found == pytest.approx(expected, rel=1e-3)
+    root = np.reshape(learning.method.root(state, learning, MOTOR, values), (3, 3))
+    assert np.linalg.norm(root, axis=1) == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize(("weight", "noise"), [(3.0, math.nan), (3.5, 2.0)])

@@ -13,7 +13,12 @@ from tests.closed_loop.bench import EXACT, MOTOR, STEP, Bench, order, square_wav
 
 THREE_DISKS = (0.011, 45.1, 351.0)
 JACKET = replace(
-    EXACT.jacket, confirm_periods=20, deviation_max=0.1, residual_margin=1.5, dwell_periods=3
+    EXACT.jacket,
+    confirm_periods=20,
+    spread_max=0.05,
+    confidence=2.0,
+    residual_margin=1.5,
+    dwell_periods=3,
 )
 CAREFUL = replace(EXACT, jacket=JACKET, learning=replace(EXACT.learning, bias=True))
 

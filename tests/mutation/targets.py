@@ -67,7 +67,7 @@ SUPERVISION = _control({
     "probing": "test_probing",
     "charging": "test_charging test_slow_laws test_slow_battery",
     "supervisor": "test_supervisor",
-    "robustness": "test_robustness",
+    "assurance": "test_assurance",
     "noise_limit": "test_noise_limit",
     "reference_filter": "test_reference_filter",
     "rest": "test_rest",
@@ -112,15 +112,15 @@ DESIGN = _control({
     "voltage_loop": "test_voltage_loop",
     "waveform": "test_waveform",
     "load": "test_load",
-    "loads.motor": "loads/test_motor loads/test_kinds test_robustness",
-    "loads.bath": "loads/test_bath loads/test_kinds test_robustness",
-    "loads.battery": "loads/test_battery loads/test_kinds test_robustness",
+    "loads.motor": "loads/test_motor loads/test_kinds test_assurance",
+    "loads.bath": "loads/test_bath loads/test_kinds test_assurance",
+    "loads.battery": "loads/test_battery loads/test_kinds test_assurance",
 })  # fmt: skip
 
 HALVES = _control({
     "fast_half": "test_fast_half test_kick test_rounding",
     "slow_half": (
-        "test_slow_half test_slow_laws test_slow_battery test_slow_watches test_robustness "
+        "test_slow_half test_slow_laws test_slow_battery test_slow_watches test_assurance "
         "test_probing test_runs"
     ),
     "slow_state": "test_slow_half test_slow_laws test_probing",

@@ -12,7 +12,7 @@ QUICK = {
     **QUICK_MOTOR,
     "supervisor.warm_up_s": str(WARM_UP * 0.25),
     "supervisor.confirm_s": "0.5",
-    "supervisor.deviation_max": "0.0",
+    "supervisor.spread_max": "0.0",
     "supervisor.residual_margin": "0.0",
     "supervisor.confidence": "0.0",
     "estimator.settle_s": "0.0",

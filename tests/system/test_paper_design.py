@@ -21,7 +21,7 @@ PAPER = {
     # None of these has a say in the paper's design: no estimate would pass.
     "supervisor.ratio_min": "0.99",
     "supervisor.ratio_max": "1.01",
-    "supervisor.deviation_max": "1e-9",
+    "supervisor.spread_max": "1e-9",
     "supervisor.dwell_periods": "1000",
     "estimator.settle_s": "1000.0",
     "estimator.gate": "1e6",

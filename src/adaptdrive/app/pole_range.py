@@ -11,9 +11,9 @@ import itertools
 import math
 
 from adaptdrive.config.load import LoadSection
+from adaptdrive.control.assurance import STABLE_RADIUS, closes_stably
 from adaptdrive.control.design import compensator_gains, discrete_model
 from adaptdrive.control.load import Load
-from adaptdrive.control.robustness import STABLE_RADIUS, closes_stably
 from adaptdrive.control.settings import ControllerSettings
 
 MODEL_ERROR = 0.1

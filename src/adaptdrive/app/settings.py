@@ -194,7 +194,7 @@ def _jacket(configuration: Configuration) -> Jacket:
         ratio_max=supervisor.ratio_max,
         patience_periods=supervisor.patience_periods,
         damping_min=supervisor.damping_min,
-        deviation_max=supervisor.deviation_max,
+        spread_max=supervisor.spread_max,
         residual_margin=supervisor.residual_margin,
         confirm_periods=_periods(configuration, supervisor.confirm_s),
         confidence=supervisor.confidence,

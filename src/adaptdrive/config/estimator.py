@@ -98,8 +98,10 @@ class Supervisor(Section):
         description="smallest damping of an estimated load, and of one that explains an alarm; "
         "real time constants have 1; 0: any",
     )
-    deviation_max: NonNegativeFloat = Field(
-        default=0.10, description="largest relative standard deviation of an estimate; 0: any"
+    spread_max: NonNegativeFloat = Field(
+        default=0.05,
+        description="how far the response to a step may be off within `confidence` standard "
+        "deviations of the estimate, as a share of the step; 0: any distance",
     )
     residual_margin: NonNegativeFloat = Field(
         default=1.5, description="largest prediction error over the nominal model's; 0: any"

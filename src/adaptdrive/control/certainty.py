@@ -60,20 +60,68 @@ def deviations_of(
         load: Names and meaning of the parameters.
         values: The parameters at θ.
     """
+    count, rows = len(theta), _jacobian(theta, learning, load, values)
+    deviations = [math.nan] * len(values)
+    if not math.isfinite(rows[0]):
+        return deviations
+    for i in range(len(values)):
+        row = rows[i * count : (i + 1) * count]
+        deviations[i] = ud.standard_deviation(row, upper, diagonal, noise)
+    return deviations
+
+
+def root_of(
+    theta: Vector,
+    upper: Vector,
+    diagonal: Vector,
+    noise: float,
+    learning: Learning,
+    load: Load,
+    values: Vector,
+) -> Vector:
+    """L, lower triangular, flat, of the covariance L Lᵀ of the physical parameters.
+
+    Args:
+        theta: θ.
+        upper: U.
+        diagonal: D.
+        noise: σ of the innovations, scaled.
+        learning: Scales.
+        load: Names and meaning of the parameters.
+        values: The parameters at θ.
+    """
+    size, count = len(values), len(theta)
+    rows, known = _jacobian(theta, learning, load, values), ud.covariance(upper, diagonal)
+    root = [0.0] * (size * size)
+    for i in range(size):
+        for j in range(i + 1):
+            rest = 0.0
+            for m in range(count):
+                for n in range(count):
+                    rest += rows[i * count + m] * known[m * count + n] * rows[j * count + n]
+            rest *= noise * noise
+            whole = rest
+            for m in range(j):
+                rest -= root[i * size + m] * root[j * size + m]
+            if i == j:
+                root[i * size + i] = math.sqrt(rest) if not rest < _TINY * whole else 0.0
+            elif root[j * size + j] > 0.0:
+                root[i * size + j] = rest / root[j * size + j]
+    return root
+
+
+def _jacobian(theta: Vector, learning: Learning, load: Load, values: Vector) -> Vector:
+    """Derivatives of the physical parameters by θ, a row for each; NaN without a dc gain."""
     count = len(theta)
-    jacobian = [0.0] * (len(values) * count)
+    rows = [0.0] * (len(values) * count)
     for j in range(count):
         step = 1e-6 * max(1.0, abs(theta[j]))
         moved = list(theta)
         moved[j] += step
         numerator, denominator = filtered_model(moved, learning, load)
         if not abs(denominator[load.order]) > _TINY:
-            return [math.nan] * len(values)
+            return [math.nan] * len(rows)
         shifted = load.physical(numerator, denominator)
         for i in range(len(values)):
-            jacobian[i * count + j] = (shifted[i] - values[i]) / step
-    deviations = [0.0] * len(values)
-    for i in range(len(values)):
-        row = jacobian[i * count : (i + 1) * count]
-        deviations[i] = ud.standard_deviation(row, upper, diagonal, noise)
-    return deviations
+            rows[i * count + j] = (shifted[i] - values[i]) / step
+    return rows

@@ -75,11 +75,9 @@ class DirectMethod:
         _show(load, state, a, b, period_s)
         return a, b, sup.judge_load(a)
 
-    def deviations(
-        self, state: EstimatorState, learning: Learning, load: Load, values: Vector
-    ) -> Vector:
-        """Return NaN for each physical parameter."""
-        return [math.nan] * len(values)
+    def root(self, state: EstimatorState, learning: Learning, load: Load, values: Vector) -> Vector:
+        """Return NaN: nothing is known of the physical parameters."""
+        return [math.nan] * (len(values) * len(values))
 
     def shown_deviations(
         self, state: EstimatorState, learning: Learning, load: Load, values: Vector

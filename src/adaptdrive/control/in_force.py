@@ -6,7 +6,7 @@ import math
 
 from adaptdrive.control import integrated as integ
 from adaptdrive.control import rls
-from adaptdrive.control.certainty import deviations_of
+from adaptdrive.control.certainty import root_of
 from adaptdrive.control.estimator import EstimatorState
 from adaptdrive.control.load import Load
 from adaptdrive.control.regression import fill_initial_state
@@ -106,10 +106,8 @@ def correlation_factor(state: EstimatorState) -> float:
     return math.sqrt(min((power + lag) / (power - lag), state.residual_weight))
 
 
-def parameter_deviations(
-    state: EstimatorState, learning: Learning, load: Load, values: Vector
-) -> Vector:
-    """Standard deviations of the physical parameters, to first order.
+def parameter_root(state: EstimatorState, learning: Learning, load: Load, values: Vector) -> Vector:
+    """L of the covariance L Lᵀ of the physical parameters, to first order.
 
     Args:
         state: θ and P.
@@ -119,4 +117,4 @@ def parameter_deviations(
     """
     noise, theta = residual_noise(state), theta_in_force(state)
     upper, diagonal = covariance_in_force(state)
-    return deviations_of(theta, upper, diagonal, noise, learning, load, values)
+    return root_of(theta, upper, diagonal, noise, learning, load, values)

@@ -17,7 +17,7 @@ from adaptdrive.control.estimator import (
 from adaptdrive.control.explanation import learn_and_explain
 from adaptdrive.control.in_force import (
     let_both_predict,
-    parameter_deviations,
+    parameter_root,
     show,
     theta_in_force,
 )
@@ -101,16 +101,14 @@ class LambdaMethod:
         numerator, denominator = reg.filtered_model(theta, learning, load)
         return judge_physical(settings, load, state, numerator, denominator, period_s)
 
-    def deviations(
-        self, state: EstimatorState, learning: Learning, load: Load, values: Vector
-    ) -> Vector:
-        """Return the standard deviations of the physical parameters, to first order."""
-        return parameter_deviations(state, learning, load, values)
+    def root(self, state: EstimatorState, learning: Learning, load: Load, values: Vector) -> Vector:
+        """Return L of the covariance of the physical parameters, to first order."""
+        return parameter_root(state, learning, load, values)
 
     def shown_deviations(
         self, state: EstimatorState, learning: Learning, load: Load, values: Vector
     ) -> Vector:
-        """Return the same, with what the load may have become since the samples showed it."""
+        """Return their deviations, with what the load may be since the samples showed it."""
         return doubted_deviations(state, learning, load, values)
 
     def input_offset(self, state: EstimatorState, learning: Learning, load: Load) -> float:

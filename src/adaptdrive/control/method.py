@@ -61,15 +61,13 @@ class Method(Protocol):
     ) -> tuple[Vector, Vector, int]:
         """Return A and B of the estimate, and the verdict on its parameters."""
 
-    def deviations(
-        self, state: EstimatorState, learning: Learning, load: Load, values: Vector
-    ) -> Vector:
-        """Return the standard deviations of the physical parameters; NaN where unknown."""
+    def root(self, state: EstimatorState, learning: Learning, load: Load, values: Vector) -> Vector:
+        """Return L, flat, of the covariance L Lᵀ of the physical parameters; NaN where unknown."""
 
     def shown_deviations(
         self, state: EstimatorState, learning: Learning, load: Load, values: Vector
     ) -> Vector:
-        """Return the same, as an operator may rely on it: the load may have changed since."""
+        """Return their standard deviations for operators: the load may have changed since."""
 
     def input_offset(self, state: EstimatorState, learning: Learning, load: Load) -> float:
         """Return the constant input with the effect of what is no dynamics; NaN without a bias."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from adaptdrive.control.cycling import FAR_BETTER
-from adaptdrive.control.evidence import MEMORY
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import Jacket, Probing
 from adaptdrive.control.signals import Mode
@@ -19,8 +18,6 @@ _REASONS = {
     Verdict.UNSTABLE_LOOP: "designed loop would be unstable",
     Verdict.WORSE_THAN_FIXED: "estimate predicts worse than the nominal model",
     Verdict.UNDERDAMPED: "estimate swings as no such load does",
-    Verdict.FRAGILE: "designed loop might be unstable within the uncertainty of the estimate",
-    Verdict.AT_ODDS: "designed loop would be unstable with the last trusted estimate",
     Verdict.SETTLING: "estimate is good, but not yet for long enough",
 }
 
@@ -63,7 +60,7 @@ def _why(state: SlowState, jacket: Jacket, load: Load, mode: Mode) -> str:
     if verdict is Verdict.OUT_OF_BOUNDS:
         return _out_of_bounds(state, jacket, load)
     if verdict is Verdict.UNCERTAIN:
-        return _uncertain(state, jacket, load)
+        return _uncertain(state, jacket)
     return _REASONS[verdict]
 
 
@@ -77,15 +74,11 @@ def _age(state: SlowState, probing: Probing) -> str:
     )
 
 
-def _uncertain(state: SlowState, jacket: Jacket, load: Load) -> str:
-    index, limit = state.supervisor.culprit, jacket.deviation_max
-    name = load.names[index]
-    share = state.deviations[index] / abs(state.values[index])
-    if state.estimator.idle_periods > MEMORY:
-        return f"not identifiable now: nothing excites {name}"
-    if not math.isfinite(share):
-        return f"how sure estimate {name} is, is not known yet"
-    return f"estimate {name} is uncertain: ±{100 * share:.3g} %, limit {100 * limit:g} %"
+def _uncertain(state: SlowState, jacket: Jacket) -> str:
+    if not math.isfinite(state.spread):
+        return "the estimate does not show yet what its loop would do"
+    spread, limit = 100.0 * state.spread, 100.0 * jacket.spread_max
+    return f"response is uncertain: ±{spread:.3g} % of a step, limit {limit:g} %"
 
 
 def _out_of_bounds(state: SlowState, jacket: Jacket, load: Load) -> str:

@@ -9,13 +9,13 @@ import math
 
 from adaptdrive.control import estimator as est
 from adaptdrive.control import supervisor as sup
+from adaptdrive.control.assurance import response_spread
 from adaptdrive.control.design import asked_loop, discrete_model, loop_gains
 from adaptdrive.control.evidence import MEMORY
 from adaptdrive.control.integrated import restart
 from adaptdrive.control.load import Load
 from adaptdrive.control.noise_limit import noise_gain, quiet_loop
 from adaptdrive.control.pole_placement import closed_loop_polynomial
-from adaptdrive.control.robustness import STABLE_RADIUS, closes_stably, stands_uncertainty
 from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.control.slow_state import SlowSample, SlowState
 from adaptdrive.control.vectors import Vector, copy_into, total
@@ -35,7 +35,6 @@ def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: Sl
         _take_loop(load, state, settings.jacket.gain_slew, sample.pole)
         state.trusted_a, state.trusted_b = state.model_a, state.model_b
         state.input_noise = _input_noise(settings, state)
-        state.trusted_alarms = state.estimator.surprise.alarms
 
 
 def _look_for_a_way_back(
@@ -122,24 +121,22 @@ def _redesign(
     if verdict != sup.Verdict.TRUSTED:
         return verdict
     state.model_a, state.model_b = a, b
-    return _judge_robustness(settings, load, state, gains, sample.period_s)
+    return _judge_response(settings, load, state, gains, sample)
 
 
-def _judge_robustness(
-    settings: ControllerSettings, load: Load, state: SlowState, gains: Vector, period_s: float
+def _judge_response(
+    settings: ControllerSettings, load: Load, state: SlowState, gains: Vector, sample: SlowSample
 ) -> int:
-    """Check the gains within the uncertainty of the estimate, and with the last trusted load."""
-    if not settings.jacket.confidence > 0.0:
+    """Check how far the response may be off within the covariance of the estimate."""
+    learning, limit = settings.learning, settings.jacket.spread_max
+    if not (limit > 0.0 and learning.method.physical):
         return sup.Verdict.TRUSTED
-    values, deviations = state.values, state.deviations
-    if not stands_uncertainty(settings, load, gains, values, deviations, period_s):
-        return sup.Verdict.FRAGILE
-    changed = state.estimator.surprise.alarms != state.trusted_alarms
-    if changed or not state.supervisor.trusted:
-        return sup.Verdict.TRUSTED
-    a, b = state.trusted_a, state.trusted_b
-    stable = closes_stably(gains, a, b, load.order, STABLE_RADIUS)
-    return sup.Verdict.TRUSTED if stable else sup.Verdict.AT_ODDS
+    loop, b, values, period_s = state.new_loop, state.model_b, state.values, sample.period_s
+    root = learning.method.root(state.estimator, learning, load, values)
+    state.spread = response_spread(
+        settings, load, gains, loop, b, values, root, sample.pole, period_s
+    )
+    return sup.Verdict.TRUSTED if state.spread <= limit else sup.Verdict.UNCERTAIN
 
 
 def judge_physical(
@@ -155,7 +152,7 @@ def judge_physical(
     Args:
         settings: Designs, rates and rules.
         load: The nominal model and the meaning of the parameters.
-        state: The estimate; its physical parameters and their deviations are overwritten.
+        state: The estimate; its physical parameters are overwritten.
         numerator: Of the estimated model, highest power first.
         denominator: Of the estimated model, highest power first.
         period_s: T_k in s.
@@ -171,20 +168,8 @@ def judge_physical(
     if verdict == sup.Verdict.TRUSTED:
         verdict = sup.judge_damping(denominator, settings.jacket)
     if verdict == sup.Verdict.TRUSTED:
-        verdict = _judge_quality(settings, load, state)
+        verdict = sup.judge_residual(state.supervisor, settings.jacket)
     if verdict != sup.Verdict.TRUSTED:
         return denominator, numerator, verdict
     a, b = discrete_model(settings, load, numerator, denominator, period_s)
     return a, b, verdict
-
-
-def _judge_quality(settings: ControllerSettings, load: Load, state: SlowState) -> int:
-    """Check the standard deviations of an estimate, and its residuals against the nominal model."""
-    learning, jacket, supervisor = settings.learning, settings.jacket, state.supervisor
-    if jacket.deviation_max > 0.0:
-        deviations = learning.method.deviations(state.estimator, learning, load, state.values)
-        copy_into(state.deviations, deviations)
-    verdict = sup.judge_certainty(state.values, state.deviations, jacket, supervisor)
-    if verdict != sup.Verdict.TRUSTED:
-        return verdict
-    return sup.judge_residual(supervisor, jacket)

@@ -123,7 +123,8 @@ class Jacket:
         ratio_max: Largest accepted parameter, over its nominal value.
         patience_periods: Refused estimates in a row that the trusted gains survive.
         damping_min: Smallest damping of a load of second order.
-        deviation_max: Largest relative standard deviation of a parameter.
+        spread_max: How far the response to a step may be off within the covariance of the
+            estimate, as a share of the step.
         residual_margin: Largest innovation, over that of the nominal model.
         dwell_periods: Good estimates in a row before the first of them goes live.
         blend_periods: Slow periods over which one law hands over to the other.
@@ -146,7 +147,7 @@ class Jacket:
     ratio_max: float
     patience_periods: int
     damping_min: float = 0.0
-    deviation_max: float = 0.0
+    spread_max: float = 0.0
     residual_margin: float = 0.0
     dwell_periods: int = 1
     blend_periods: int = 1

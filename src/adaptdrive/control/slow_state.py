@@ -57,7 +57,7 @@ class SlowState:
         charge: The charger of a battery.
         reference: r[k-1].
         nominal_theta: θ of the nominal model.
-        deviations: Standard deviations of the physical parameters.
+        spread: How far the response may be off within the covariance, as a share of a step.
         model_a: A of this period's estimate.
         model_b: B of it.
         trusted_a: A of the last trusted estimate.
@@ -65,7 +65,6 @@ class SlowState:
         reference_filter: Reference filter of the adaptive law.
         new_loop: A_c of the design of this period.
         expected: Response to the reference that was asked for, a lag for each pole.
-        trusted_alarms: Abrupt changes noticed when it was accepted.
         saturated: Whether the last input was at a limit or could not be followed.
         blend: Share of the adaptive law in what is sent, 0 to 1.
         sent: The input in force, within its limits.
@@ -93,7 +92,7 @@ class SlowState:
     charge: ChargeState
     reference: float
     nominal_theta: Vector
-    deviations: Vector
+    spread: float
     watch: WatchState
     cycles: CyclingState
     probe: ProbeState
@@ -104,7 +103,6 @@ class SlowState:
     reference_filter: ReferenceFilter
     new_loop: Vector
     expected: Vector
-    trusted_alarms: int = 0
     saturated: bool = False
     blend: float = 0.0
     sent: float = 0.0
@@ -185,7 +183,7 @@ def new_slow_state(
         charge=ChargeState(max(0.0, output)),
         reference=output,
         nominal_theta=est.nominal_theta(settings.learning, load, taps),
-        deviations=[math.nan] * len(nominal),
+        spread=math.nan,
         watch=WatchState(fast=resting, slow=resting),
         cycles=CyclingState(),
         probe=ProbeState(),

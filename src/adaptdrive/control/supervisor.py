@@ -16,8 +16,8 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
+from adaptdrive.control.assurance import MARGIN_RADIUS, STABLE_RADIUS
 from adaptdrive.control.evidence import WINDOW
-from adaptdrive.control.robustness import MARGIN_RADIUS, STABLE_RADIUS
 from adaptdrive.control.settings import Jacket
 from adaptdrive.control.vectors import Vector, all_finite, is_stable
 
@@ -43,9 +43,7 @@ class Verdict(IntEnum):
     UNCERTAIN = 6
     WORSE_THAN_FIXED = 7
     SETTLING = 8
-    FRAGILE = 9
-    AT_ODDS = 10
-    UNDERDAMPED = 11
+    UNDERDAMPED = 9
 
 
 @dataclass(slots=True)
@@ -54,7 +52,7 @@ class SupervisorState:
 
     Attributes:
         verdict: The last verdict.
-        culprit: Index of the parameter that was out of bounds or too uncertain.
+        culprit: Index of the parameter that was out of bounds.
         trusted: True while the adaptive gains may be in force.
         refused_periods: Refused estimates in a row.
         good_periods: Accepted estimates in a row.
@@ -98,19 +96,6 @@ def judge_damping(denominator: Vector, jacket: Jacket) -> int:
     least = 4.0 * jacket.damping_min * jacket.damping_min * denominator[2]
     damped = denominator[1] > 0.0 and denominator[1] * denominator[1] >= least
     return Verdict.TRUSTED if damped else Verdict.UNDERDAMPED
-
-
-def judge_certainty(
-    values: Vector, deviations: Vector, jacket: Jacket, state: SupervisorState
-) -> int:
-    """Check whether every parameter is known well enough; an unknown deviation is not."""
-    if not jacket.deviation_max > 0.0:
-        return Verdict.TRUSTED
-    for i in range(len(values)):
-        if not deviations[i] <= jacket.deviation_max * abs(values[i]):
-            state.culprit = i
-            return Verdict.UNCERTAIN
-    return Verdict.TRUSTED
 
 
 def compare_residuals(state: SupervisorState, own: float, fixed: float) -> None:
@@ -219,4 +204,4 @@ def is_impossible(verdict: int) -> bool:
 
 def is_doubt(verdict: int) -> bool:
     """Check whether the estimate is not wrong, but not known well enough."""
-    return verdict in {Verdict.UNCERTAIN, Verdict.FRAGILE, Verdict.UNDERDAMPED}
+    return verdict in {Verdict.UNCERTAIN, Verdict.UNDERDAMPED}
