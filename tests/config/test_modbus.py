@@ -110,6 +110,16 @@ def test_each_kind_of_bus_has_its_own_form_of_a_name() -> None:
             "uint16 has no bit 16",
         ),
         (
+            {"bus__registers__line": "{ address = 1, table = 'input', not_available = 65536 }"},
+            "bus.registers.line.not_available",
+            "uint16 has no count 65536",
+        ),
+        (
+            {"bus__registers__line": "{ address = 1, table = 'input', not_available = -1 }"},
+            "bus.registers.line.not_available",
+            "uint16 has no count -1",
+        ),
+        (
             {"signals__fault": '"speed"'},
             "signals.fault",
             "must be an integer with factor 1",

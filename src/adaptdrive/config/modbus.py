@@ -37,7 +37,8 @@ class Register(Section):
     )
     not_available: int | None = Field(
         default=None,
-        description="count that means `no value`; all ones (0x8000… when signed) when left out",
+        description="count that means `no value`, or its word, such as 0x8000 of an int16 or "
+        "0x7F7FFFFF of a float32; all ones (0x8000… when signed) when left out",
     )
     bit: int | None = Field(
         default=None, ge=0, le=31, description="take this bit alone, 0 is the lowest"

@@ -84,6 +84,10 @@ def register_flaws(place: str, register: Register) -> Iterator[Flaw]:
     if register.range is not None and register.range.low >= register.range.high:
         low, high = register.range.low, register.range.high
         yield Flaw(f"{place}.range", f"low = {low} must be below high = {high}")
+    given, bits = register.not_available, 16 * register.words
+    lowest = 0 if register.type.startswith("uint") else -1 << (bits - 1)
+    if given is not None and not lowest <= given < 1 << bits:
+        yield Flaw(f"{place}.not_available", f"{register.type} has no count {given}")
     if register.bit is not None and (
         register.type == "float32" or register.bit >= 16 * register.words
     ):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+import unicodedata
 from typing import Literal, Protocol
 
 Unit = Literal[
@@ -33,21 +35,60 @@ WANTED = {
 """Units of the quantities that have the same one for every load."""
 
 _SPELLINGS = {
-    "V": ("V", "Volt", "Volts", "volt", "volts", "VDC", "Vdc", "VAC", "Vac", "Vrms"),
-    "A": ("A", "Amp", "Amps", "Ampere", "amp", "amps", "Arms"),
-    "W": ("W", "Watt", "Watts", "watt", "watts"),
-    "K": ("K", "Kelvin", "kelvin"),
-    "degC": ("degC", "°C", "deg C", "Celsius", "C"),
-    "degF": ("degF", "°F", "deg F", "Fahrenheit"),
-    "rpm": ("rpm", "RPM", "1/min", "min-1", "r/min", "U/min", "rev/min"),
-    "rad/s": ("rad/s", "1/s"),
-    "S": ("S", "A/V", "1/Ohm"),
-    "%": ("%", "percent", "Percent"),
-    "Nm": ("Nm", "N m", "N*m"),
-    "Ohm": ("Ohm", "ohm", "Ω"),
-    **{unit: (unit,) for unit in ("mV", "kV", "mA", "kA", "kW", "mW", "Hz", "s", "ms", "h", "bar")},
+    "V": ("V", "Volt", "Volts", "VDC", "VAC", "Vrms", "V rms", "Veff"),
+    "A": ("A", "Amp", "Amps", "Ampere", "Amperes", "Arms", "A rms", "ADC", "AAC"),
+    "W": ("W", "Watt", "Watts"),
+    "K": ("K", "Kelvin"),
+    "degC": ("degC", "°C", "º C", "Celsius", "degree C", "degrees C", "deg Celsius", "C", "¡æ"),
+    "degF": ("degF", "°F", "º F", "Fahrenheit", "degree F", "degrees F", "F"),
+    "rpm": ("rpm", "1/min", "min-1", "min^-1", "r/min", "U/min", "rev/min", "rot/min", "/min"),
+    "rad/s": ("rad/s", "1/s", "rad/sec"),
+    "S": ("S", "A/V", "1/Ohm", "Siemens"),
+    "%": ("%", "percent", "pct"),
+    "Nm": ("Nm", "N*m", "N.m", "N·m", "Newton metre", "Newton meter"),
+    "Ohm": ("Ohm", "Ohms", "Ω"),
+    "s": ("s", "sec", "second", "seconds"),
+    "Hz": ("Hz", "Hertz"),
+    **{unit: (unit,) for unit in ("mV", "kV", "mA", "kA", "kW", "mW", "MW", "ms", "h", "bar")},
 }
-_UNITS = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
+"""Ways in which descriptions write units; case, spaces and underscores do not matter.
+
+The last of degC is the sign of GB2312, read as Windows code page 1252.
+"""
+
+_MULTIPLE = re.compile(r"(\d*\.?\d+)\s*(?:\*\s*)?(?=[^\d\s/.*])")
+"""What stands before a unit that counts in parts of it, such as 0.1 V."""
+
+
+def _folded(written: str) -> str:
+    return re.sub(r"[\s_]", "", unicodedata.normalize("NFKC", written)).casefold()
+
+
+_EXACT = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
+_FOLDED = {_folded(spelling): unit for spelling, unit in reversed(_EXACT.items())}
+_AMBIGUOUS = frozenset({"s", "mw"})
+"""Units of which case decides: second and siemens, milliwatt and megawatt."""
+
+
+def known_unit(written: str) -> str | None:
+    """Return the unit that a description names, None for an unknown one.
+
+    Args:
+        written: The unit in any common spelling.
+    """
+    exact = _EXACT.get(written.strip())
+    folded = _folded(written)
+    return exact or (None if folded in _AMBIGUOUS else _FOLDED.get(folded))
+
+
+def multiple_of(written: str) -> tuple[float, str]:
+    """Return the factor that stands before a unit, 1 for none, and the unit."""
+    found = _MULTIPLE.match(written.strip())
+    if found is None or not float(found[1]):
+        return 1.0, written.strip()
+    return float(found[1]), written.strip()[found.end() :]
+
+
 _DIMENSIONS = {
     **dict.fromkeys(("V", "mV", "kV"), "V"),
     **dict.fromkeys(("A", "mA", "kA"), "A"),
@@ -83,19 +124,34 @@ def unit_problem(source: Converted, found: str, wanted: str) -> str | None:
         found: Unit that the DBC or the register map names.
         wanted: Unit of the quantity.
     """
-    is_in, to_be = _UNITS.get(found.strip()), _UNITS.get(wanted.strip())
+    factor, alone = multiple_of(found)
+    is_in, to_be = known_unit(alone), known_unit(wanted)
     if source.unit is not None:
         return stated_problem(source, wanted) or _alone_problem(source, is_in)
-    if is_in is None or to_be is None or is_in == to_be:
+    scaled = not source.model_fields_set.isdisjoint({"scale", "offset"})
+    if scaled or is_in is None or to_be is None or (is_in == to_be and factor == 1.0):
         return None
-    if not source.model_fields_set.isdisjoint({"scale", "offset"}):
-        return None
+    if is_in == to_be:
+        return f"the signal is in {found.strip()}: scale = {factor:g} leads to {wanted}"
     problem = f"the signal is in {found.strip()}, the quantity in {wanted}"
     if _DIMENSIONS.get(is_in) != _DIMENSIONS.get(to_be, ""):
         return f"{problem}: name another signal, or the scale that leads from one to the other"
     if is_in in _IN_SI and _DIMENSIONS[is_in] == to_be:
         return f"{problem}: unit = {is_in!r} converts it, scale = 1.0 takes it as it stands"
     return f"{problem}: give its scale"
+
+
+def unit_caution(source: Converted, found: str) -> str | None:
+    """Return that nobody knows the unit of a signal, None where it is known or converted.
+
+    Args:
+        source: Its conversion.
+        found: Unit that the description names, empty for none.
+    """
+    stated = source.unit or not source.model_fields_set.isdisjoint({"scale", "offset"})
+    if stated or not found.strip() or known_unit(multiple_of(found)[1]):
+        return None
+    return f"the unit {found.strip()!r} is not known: the value is taken as it stands"
 
 
 def stated_problem(source: Converted, wanted: str) -> str | None:
@@ -105,7 +161,7 @@ def stated_problem(source: Converted, wanted: str) -> str | None:
         source: Its conversion, which leads to SI where it has a unit.
         wanted: Unit of the quantity; nothing is checked where it is unknown.
     """
-    to_be = _UNITS.get(wanted.strip())
+    to_be = known_unit(wanted)
     if source.unit is None or to_be is None or to_be == _DIMENSIONS[source.unit]:
         return None
     leads_to = _DIMENSIONS[source.unit]

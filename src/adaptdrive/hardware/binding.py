@@ -17,7 +17,7 @@ from adaptdrive.config.bus import CommandSignals, CommandSwitch, Signals, Signal
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.references import MEASURED, WORDS
 from adaptdrive.config.sensors import SensorBusSection
-from adaptdrive.config.units import WANTED, unit_problem
+from adaptdrive.config.units import WANTED, unit_caution, unit_problem
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
@@ -221,6 +221,9 @@ class Catalogue(ABC, Generic[Item]):
     def _check_unit(self, entry: SignalSource, field: Field, wanted: str, place: str) -> None:
         problem = unit_problem(entry, field.unit, wanted)
         self.note(place, problem and f"{entry.signal}: {problem}")
+        caution = unit_caution(entry, field.unit) if wanted else None
+        if caution and not problem:
+            self.cautions.append(Flaw(place, f"{entry.signal}: {caution}"))
 
     def _check_trip(self, given: Given, field: Field, demands: Demands) -> None:
         """Refuse a value without room above what trips: it could never be seen there."""

@@ -15,6 +15,7 @@ _ROUNDING = 1e-6
 """Share of one count by which a declared limit may miss its count in binary."""
 
 _LARGEST_FLOATS = {16: 65504.0, 32: 3.4028234663852886e38, 64: 1.7976931348623157e308}
+_SENSELESS = 1e30
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +113,11 @@ def natural_limits(bits: int, *, signed: bool, real: bool) -> tuple[Raw, Raw]:
     if signed:
         return -(1 << (bits - 1)), (1 << (bits - 1)) - 1
     return 0, (1 << bits) - 1
+
+
+def sensible_limits(low: Raw, high: Raw) -> tuple[Raw, Raw]:
+    """Return the limits of a measured float: beyond 1e30 it is the largest one, or another mark."""
+    return max(low, -_SENSELESS), min(high, _SENSELESS)
 
 
 def declared_limits(

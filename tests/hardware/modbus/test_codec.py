@@ -20,7 +20,7 @@ TYPES = {
     "int32": (ModbusClientMixin.DATATYPE.INT32, st.integers(-0x7FFF_FFFF, 0x7FFF_FFFF)),
     "float32": (
         ModbusClientMixin.DATATYPE.FLOAT32,
-        st.floats(width=32, allow_nan=False, allow_infinity=False),
+        st.floats(-(2.0**99), 2.0**99, width=32),
     ),
 }
 
@@ -55,6 +55,8 @@ def test_a_value_has_the_registers_that_pymodbus_gives_it(
         ("float32", [0x7FC0, 0]),
         ("float32", [0x7F80, 0]),
         ("float32", [0xFF80, 0]),
+        ("float32", [0x7F7F, 0xFFFF]),
+        ("float32", [0xFF7F, 0xFFFF]),
     ],
 )
 def test_what_is_not_available_is_refused(name: str, words: list[int]) -> None:
@@ -69,6 +71,28 @@ def test_the_map_says_what_is_not_available() -> None:
     described = register(type="int16", not_available=0x7FFF)
     assert decode_value(described, [0x7FFF], measured=True) is None
     assert decode_value(described, [0x8000], measured=True) == -0x8000
+
+
+@pytest.mark.parametrize(
+    ("kind", "word", "words"),
+    [
+        ("int16", 0x8000, [0x8000]),
+        ("int16", 0xFC18, [0xFC18]),
+        ("int16", -1000, [0xFC18]),
+        ("int32", 0x8000_0000, [0x8000, 0]),
+        ("uint32", 0x8000_0000, [0x8000, 0]),
+        ("float32", 0x7F7F_FFFF, [0x7F7F, 0xFFFF]),
+        ("float32", 0x4479_C000, [0x4479, 0xC000]),
+        ("float32", -9999, [0xC61C, 0x3C00]),
+    ],
+)
+def test_the_word_for_no_value_is_compared_as_a_word(
+    kind: str, word: int, words: list[int]
+) -> None:
+    described = register(type=kind, not_available=word)
+    assert decode_value(described, words, measured=True) is None
+    assert decode_value(described, words, measured=False) is None
+    assert decode_value(described, [1] * len(words), measured=True) is not None
 
 
 def test_a_value_outside_its_range_is_refused() -> None:

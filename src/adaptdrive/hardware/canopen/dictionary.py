@@ -27,7 +27,7 @@ from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.hardware.binding import Catalogue, Use
 from adaptdrive.hardware.canopen.mending import mended
 from adaptdrive.hardware.description import description_text, problem_text
-from adaptdrive.hardware.field import Field, natural_limits
+from adaptdrive.hardware.field import Field, natural_limits, sensible_limits
 
 Address = tuple[int, int]
 Thing = ODVariable | ODRecord | ODArray
@@ -108,6 +108,8 @@ class Entry:
     def limits(self) -> tuple[float, float]:
         """Smallest and largest raw value: the EDS's limits within those of the type."""
         low, high = natural_limits(self.bits, signed=self.signed, real=self.real)
+        if self.real:
+            low, high = sensible_limits(low, high)
         return (
             low if self.low is None else max(low, self.low),
             high if self.high is None else min(high, self.high),

@@ -10,15 +10,9 @@ from cantools.database.can.database import Database
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
+from adaptdrive.config.units import known_unit
 from adaptdrive.hardware.dbc.database import load_database
 from adaptdrive.hardware.proposal import Candidate
-
-_UNITS = {
-    "°c": "degC", "c": "degC", "degc": "degC", "deg c": "degC", "°f": "degF", "1/min": "rpm",
-    "u/min": "rpm", "min-1": "rpm", "rpm": "rpm", "volt": "V", "ampere": "A", "amp": "A",
-    "watt": "W", "kelvin": "K",
-}  # fmt: skip
-"""Ways in which DBC files write units, in lower case; other units are written as they are."""
 
 _COMMANDING = re.compile(r"cmd|command|ctrl|control|set|req|host|order", re.IGNORECASE)
 _ALIVE = re.compile(r"alive|rolling|heartbeat|count|cnt|seq", re.IGNORECASE)
@@ -57,7 +51,7 @@ def _candidate(message: Message, signal: Signal, *, commanded: bool) -> Candidat
     return Candidate(
         reference=f"{message.name}.{signal.name}",
         words=f"{message.name} {signal.name}",
-        unit=_UNITS.get(written.lower(), written),
+        unit=known_unit(written) or written,
         range=limits,
         commanded=commanded,
         names=tuple(str(name) for name in (signal.choices or {}).values()),

@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple, cast
 from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
-from adaptdrive.hardware.field import Field, Raw, declared_limits, natural_limits
+from adaptdrive.hardware.field import Field, Raw, declared_limits, natural_limits, sensible_limits
 
 Unpack = Callable[[bytes], Mapping[str, Raw]]
 Pack = Callable[[Mapping[str, Raw]], bytes]
@@ -40,7 +40,9 @@ def compile_field(signal: Signal, *, measured: bool = False, state: bool = False
     """
     bottom, top = _natural_limits(signal)
     low, high = _declared_limits(signal)
-    if measured and not signal.is_float and signal.length > 1:
+    if measured and signal.is_float:
+        low, high = sensible_limits(low, high)
+    elif measured and signal.length > 1:
         names = list(signal.choices or ())
         high = high if high < top - 1 else _below_names(names, top - 1)
         if signal.is_signed and low == bottom:

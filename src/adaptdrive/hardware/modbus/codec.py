@@ -7,9 +7,12 @@ import struct
 from collections.abc import Sequence
 
 from adaptdrive.config.modbus import Register
-from adaptdrive.hardware.field import Field, Raw, declared_limits, natural_limits
+from adaptdrive.hardware.field import Field, Raw, declared_limits, natural_limits, sensible_limits
 
 _FORMATS = {"uint16": ">H", "int16": ">h", "uint32": ">I", "int32": ">i", "float32": ">f"}
+_LARGEST_COUNT = 1 << 24
+"""Largest number that a float holds as `not_available` names it; what is larger is its word."""
+
 _NOT_AVAILABLE = {
     "uint16": 0xFFFF,
     "int16": -0x8000,
@@ -28,6 +31,8 @@ def register_field(name: str, register: Register, *, measured: bool) -> Field:
             in a fault word all ones are as good as any other count.
     """
     low, high = _limits(register)
+    if measured and register.type == "float32":
+        low, high = sensible_limits(low, high)
     unsaid = _missing(register, measured=True)
     missing = _missing(register, measured=measured)
     words, bits = frozenset() if missing is None else frozenset({missing}), register.bit is not None
@@ -132,10 +137,22 @@ def _limits(register: Register) -> tuple[Raw, Raw]:
     return declared_limits(natural, (register.range.low, register.range.high), register.scale)
 
 
-def _missing(register: Register, *, measured: bool) -> int | None:
-    if register.not_available is not None or not measured:
-        return register.not_available
-    return _NOT_AVAILABLE.get(register.type)
+def _missing(register: Register, *, measured: bool) -> Raw | None:
+    """Return the count for no value; one that is given may be its word, without a sign."""
+    given = register.not_available
+    if given is None:
+        return _NOT_AVAILABLE.get(register.type) if measured else None
+    bits = 16 * register.words
+    if register.type == "float32":
+        return count_of_word(given) if given > _LARGEST_COUNT else given
+    signed = register.type.startswith("int") and given >= 1 << (bits - 1)
+    return given - (1 << bits) if signed else given
+
+
+def count_of_word(word: int) -> float:
+    """Return the number that a word of 32 bits is in a float."""
+    found: float = struct.unpack(">f", struct.pack(">I", word))[0]
+    return found
 
 
 def _ordered(register: Register, words: Sequence[int]) -> list[int]:
