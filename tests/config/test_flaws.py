@@ -117,10 +117,14 @@ def test_a_switch_is_on_or_off(place: str, value: str) -> None:
         ),
         (
             {"drive.limits.boost_reference_min_V": "169.7"},
-            "drive",
-            "limits.boost_reference_min_V = 169.7 must be above the line's peak of 169.7 V",
+            "drive.limits.boost_reference_min_V",
+            "169.7 must be above the line's peak of 169.7 V",
         ),
-        ({"drive.line_voltage_V": "230.0"}, "drive", "line's peak of 325.3 V"),
+        (
+            {"drive.line_voltage_V": "230.0"},
+            "drive.limits.boost_reference_min_V",
+            "line's peak of 325.3 V",
+        ),
         ({"load.reference_min": "6.0"}, "load", "reference_min = 6.0 must be below"),
         ({"load.pole": "0.49"}, "load", "pole = 0.49 must lie in"),
         ({"load.pole": "0.99"}, "load", "pole = 0.99 must lie in"),

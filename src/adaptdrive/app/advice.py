@@ -12,6 +12,7 @@ from adaptdrive.app.ports import bus_kind
 from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import Configuration
 from adaptdrive.config.load import BathSection, BatterySection
+from adaptdrive.config.supply import absent_names
 from adaptdrive.control.load import Load, to_input, to_voltage
 from adaptdrive.control.rest import nominal_gain
 from adaptdrive.errors import Flaw
@@ -38,6 +39,7 @@ def advice(configuration: Configuration) -> Iterator[Flaw]:
     load = build_load(configuration)
     yield from _reach(configuration, load)
     yield from _power(configuration, load)
+    yield from _absent(configuration)
     yield from _pace(configuration, load)
     yield from _delay(configuration)
     yield from _charge(configuration)
@@ -75,6 +77,14 @@ def _reach(configuration: Configuration, load: Load) -> Iterator[Flaw]:
             f"{limits.boost_reference_max_V:g} V gives {highest:.4g} {section.output_unit}"
         )
         yield Flaw("load.reference_max", text)
+
+
+def _absent(configuration: Configuration) -> Iterator[Flaw]:
+    """What nobody measures watches nothing."""
+    absent = absent_names(configuration.signals, configuration.sensor_bus, configuration.derived)
+    if "load_power_W" in absent:
+        text = "is absent: drive.limits.load_power_max_W holds nothing back"
+        yield Flaw("signals.load_power_W", f"{text}; the drive must limit its own power")
 
 
 def _power(configuration: Configuration, load: Load) -> Iterator[Flaw]:

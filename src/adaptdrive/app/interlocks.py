@@ -11,6 +11,7 @@ from adaptdrive.app.loads import build_load, total_lag_s
 from adaptdrive.config import Configuration
 from adaptdrive.config.derived import moved_inputs
 from adaptdrive.config.load import BatterySection
+from adaptdrive.config.supply import absent_names
 from adaptdrive.control.load import Load, to_input
 from adaptdrive.control.rest import nominal_gain
 from adaptdrive.runtime.interlocks import Limits, Watch
@@ -31,6 +32,7 @@ def trip_limits(configuration: Configuration) -> Limits:
         output_unit=configuration.load.output_unit,
         output_name=configuration.load.output_name,
         output_min=_output_min(configuration),
+        absent=absent_names(configuration.signals, configuration.sensor_bus, configuration.derived),
     )
 
 

@@ -6,6 +6,7 @@ Nothing is commanded, unless asked for: then the safe command alone.
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 import sys
 from collections.abc import Callable
@@ -193,8 +194,13 @@ def _line(configuration: Configuration, port: Port, reading: Reading | None) -> 
     age_ms = (now_s() - reading.oldest_s) * 1e3
     load = configuration.load
     return (
-        f"v_bst {reading.boost_voltage_V:7.2f} V  line {reading.line_voltage_V:6.1f} V  "
-        f"load {reading.load_power_W:7.1f} W  {load.output_name} {reading.output:9.5f} "
+        f"v_bst {reading.boost_voltage_V:7.2f} V  line {_shown(reading.line_voltage_V, '6.1f')} V  "
+        f"load {_shown(reading.load_power_W, '7.1f')} W  {load.output_name} {reading.output:9.5f} "
         f"{load.output_unit}  bridge {'on' if reading.bridge else 'off'}  "
         f"fault {reading.fault:#x}  age {age_ms:5.1f} ms  ({counts})"
     )
+
+
+def _shown(value: float, form: str) -> str:
+    """Return a value as text, a dash for one that nobody measures."""
+    return "-" if math.isnan(value) else format(value, form)

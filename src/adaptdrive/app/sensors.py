@@ -74,9 +74,10 @@ def build_whole_port(
             buses.append(SensorBus(bus.name, port, bus.oldest_s, names))
     if flaws:
         raise ConfigurationError(source, flaws)
-    if not buses and not configuration.derived:
+    stated = configuration.signals.stated
+    if not (buses or configuration.derived or stated):
         return ports[0]
-    return SensoredPort(ports[0], buses, derivations(configuration), clock)
+    return SensoredPort(ports[0], buses, derivations(configuration), clock, stated)
 
 
 def build_sensor_port(

@@ -141,7 +141,8 @@ def _learning(configuration: Configuration) -> Learning:
     estimator, load = configuration.estimator, build_load(configuration)
     battery = isinstance(configuration.load, BatterySection)
     limits = configuration.drive.limits
-    middle_V = 0.5 * (limits.boost_reference_min_V + limits.boost_reference_max_V)
+    low_V, high_V = limits.boost_reference_min_V, limits.boost_reference_max_V
+    middle_V = 0.5 * (low_V + high_V if low_V >= 0.0 else max(-low_V, abs(high_V)))
     middle = to_input(middle_V, load.input_gain, load.input_exponent)
     method = METHODS[estimator.method]
     directional = estimator.alert and method.physical

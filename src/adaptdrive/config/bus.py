@@ -302,13 +302,24 @@ class Signals(Section):
     boost_voltage_V: Quantity | None = Field(
         default=None, description="boost capacitor voltage v_bst"
     )
-    line_voltage_V: Quantity | None = Field(default=None, description="line voltage, rms")
-    load_power_W: Quantity | None = Field(default=None, description="power into the load")
+    line_voltage_V: Quantity | None = Field(
+        default=None,
+        description="line voltage, rms; not needed where the drive holds its own voltage",
+    )
+    load_power_W: Quantity | None = Field(
+        default=None,
+        description="power into the load; not needed where the drive holds its own voltage, but "
+        "by a battery",
+    )
     output: Quantity | None = Field(default=None, description="the regulated quantity")
     counter: Quantity | None = Field(default=None, description="half-cycle counter of the drive")
     fault: Quantity | None = Field(default=None, description="fault word, 0 = healthy")
     bridge: SwitchQuantity | None = Field(default=None, description="bridge is on")
     other: dict[str, Quantity] = Field(
         default={}, description="more values of the drive, for `[derived]`"
+    )
+    stated: dict[str, FiniteFloat] = Field(
+        default={},
+        description="values that nobody measures, in SI units, such as line_voltage_V = 230.0",
     )
     command: CommandSignals = Field(default_factory=CommandSignals)

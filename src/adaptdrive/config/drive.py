@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from adaptdrive.config.section import NonNegativeFloat, PositiveFloat, Section
+from adaptdrive.config.section import FiniteFloat, NonNegativeFloat, PositiveFloat, Section
 
 BROKER_USERS = frozenset({"operator", "viewer"})
 """Users of `deploy/mosquitto/adaptdrive.acl` that are operators, not drives."""
@@ -15,8 +15,10 @@ BROKER_USERS = frozenset({"operator", "viewer"})
 class DriveLimits(Section):
     """`[drive.limits]`: what the drive may be asked for."""
 
-    boost_reference_min_V: PositiveFloat = Field(
-        default=200.0, description="lowest V_c; must stay above the line's peak"
+    boost_reference_min_V: FiniteFloat = Field(
+        default=200.0,
+        description="lowest V_c; above the line's peak where the daemon holds the voltage, 0 or "
+        "more where the drive does, and below 0 for a motor that turns both ways",
     )
     boost_reference_max_V: PositiveFloat = Field(default=400.0, description="highest V_c")
     current_scale_max_S: PositiveFloat = Field(
@@ -62,7 +64,10 @@ class DriveSection(Section):
     line_frequency_Hz: Literal[50, 60] = Field(
         default=60, description="line frequency; two fast ticks fit in one period"
     )
-    line_voltage_V: PositiveFloat = Field(default=120.0, description="nominal line voltage, rms")
+    line_voltage_V: PositiveFloat = Field(
+        default=120.0,
+        description="nominal line voltage, rms, of a drive whose voltage the daemon holds",
+    )
     boost_capacitance_F: PositiveFloat = Field(default=1.0e-3, description="boost capacitor")
     enable_bit: Literal["bridge", "bridge-and-boost"] = Field(
         default="bridge",
@@ -93,16 +98,6 @@ class DriveSection(Section):
     def _regenerates(self) -> Self:
         if self.kind == "unidirectional" and self.limits.regeneration_scale_max_S is not None:
             raise ValueError("limits.regeneration_scale_max_S needs kind = 'bidirectional'")
-        return self
-
-    @model_validator(mode="after")
-    def _above_line_peak(self) -> Self:
-        peak = self.line_voltage_V * 2**0.5
-        if self.limits.boost_reference_min_V <= peak:
-            raise ValueError(
-                f"limits.boost_reference_min_V = {self.limits.boost_reference_min_V} must be "
-                f"above the line's peak of {peak:.1f} V"
-            )
         return self
 
 

@@ -94,7 +94,11 @@ def _pace_flaws(configuration: Configuration) -> Iterator[Flaw]:
 
 def _sensor_flaws(configuration: Configuration) -> Iterator[Flaw]:
     buses = configuration.sensor_bus
-    yield from supply_flaws(configuration.signals, buses, configuration.derived)
+    optional: tuple[str, ...] = ()
+    if configuration.voltage_loop.where == "drive":
+        battery = configuration.load.type == "battery"
+        optional = ("line_voltage_V",) if battery else ("line_voltage_V", "load_power_W")
+    yield from supply_flaws(configuration.signals, buses, configuration.derived, optional)
     for number, bus in enumerate(buses):
         yield from sensor_flaws(bus, f"sensor_bus.{number}", configuration.load.period_s)
 
@@ -119,6 +123,18 @@ def _command_flaws(configuration: Configuration) -> Iterator[Flaw]:
             yield Flaw(
                 f"signals.command.{name}", f"is missing: voltage_loop.where = {where!r} needs it"
             )
+
+
+def _lowest_flaws(configuration: Configuration) -> Iterator[Flaw]:
+    """The lowest V_c is one that the stage can make, and the load bears."""
+    drive, lowest_V = configuration.drive, configuration.drive.limits.boost_reference_min_V
+    place = "drive.limits.boost_reference_min_V"
+    peak = drive.line_voltage_V * 2**0.5
+    if configuration.voltage_loop.where == "daemon" and lowest_V <= peak:
+        yield Flaw(place, f"{lowest_V} must be above the line's peak of {peak:.1f} V")
+    elif lowest_V < 0.0 and configuration.load.type != "motor":
+        kind = configuration.load.type
+        yield Flaw(place, f"{lowest_V} must not be below 0: a {kind} has no direction")
 
 
 def _lag_flaws(configuration: Configuration) -> Iterator[Flaw]:
@@ -171,7 +187,11 @@ _CHECKS: tuple[tuple[Callable[[Configuration], Iterator[Flaw]], frozenset[str]],
         _pace_flaws,
         frozenset({"drive", "bus", "signals", "load", "interlocks", "voltage_loop"}),
     ),
-    (_sensor_flaws, frozenset({"bus", "signals", "sensor_bus", "derived", "load"})),
+    (
+        _sensor_flaws,
+        frozenset({"bus", "signals", "sensor_bus", "derived", "load", "voltage_loop"}),
+    ),
+    (_lowest_flaws, frozenset({"drive", "voltage_loop", "load"})),
     (
         _voltage_flaws,
         frozenset({"drive", "voltage_loop", "interlocks", "sensor_bus", "derived"}),

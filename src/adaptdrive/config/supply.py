@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from adaptdrive.config.bus import Signals
@@ -24,6 +24,7 @@ def supply_flaws(
     signals: Signals,
     buses: Sequence[AnySensorBus],
     derived: Mapping[str, Derived],
+    optional: Collection[str] = (),
 ) -> Iterator[Flaw]:
     """Names that are given twice, needed and not given, or derived from nothing.
 
@@ -31,6 +32,7 @@ def supply_flaws(
         signals: `[signals]`.
         buses: `[[sensor_bus]]`.
         derived: `[derived]`.
+        optional: Quantities that nobody needs to give.
     """
     givers: dict[str, str] = {}
     for name, place in _givers(signals, buses, derived):
@@ -38,7 +40,7 @@ def supply_flaws(
             yield Flaw(place, f"{name!r} is given by {givers[name]} already")
         givers.setdefault(name, place)
     for name in MEASURED:
-        if name not in givers:
+        if name not in givers and name not in optional:
             yield Flaw(
                 f"signals.{name}",
                 "Field required: neither [signals], nor a [[sensor_bus]], nor [derived] gives it",
@@ -51,6 +53,19 @@ def supply_flaws(
                 yield Flaw(f"derived.{name}.of", f"no source gives {part!r}")
     yield from cycle_flaws(derived)
     yield from _name_flaws(buses)
+
+
+def absent_names(
+    signals: Signals, buses: Sequence[AnySensorBus], derived: Mapping[str, Derived]
+) -> frozenset[str]:
+    """Return the quantities that nobody gives.
+
+    Args:
+        signals: `[signals]`.
+        buses: `[[sensor_bus]]`.
+        derived: `[derived]`.
+    """
+    return frozenset(MEASURED) - {name for name, _ in _givers(signals, buses, derived)}
 
 
 def needed_names(derived: Mapping[str, Derived], names: Iterable[str] = MEASURED) -> set[str]:
@@ -105,8 +120,9 @@ def _givers(
     for name in MEASURED:
         if getattr(signals, name) is not None:
             yield name, f"signals.{name}"
-    for name in signals.other:
-        yield name, f"signals.other.{name}"
+    for kind in ("other", "stated"):
+        for name in getattr(signals, kind):
+            yield name, f"signals.{kind}.{name}"
     for number, bus in enumerate(buses):
         for name in bus.signals:
             yield name, f"sensor_bus.{number}.signals.{name}"
@@ -119,9 +135,10 @@ def _reserved(signals: Signals, derived: Mapping[str, Derived]) -> Iterator[Flaw
     for name in signals.other:
         if name in _DRIVE:
             yield Flaw(f"signals.other.{name}", "is a name of the drive itself")
-    for name in derived:
-        if name in WORDS:
-            yield Flaw(f"derived.{name}", "comes from the drive alone")
+    for place, names in (("derived", derived), ("signals.stated", signals.stated)):
+        for name in names:
+            if name in WORDS:
+                yield Flaw(f"{place}.{name}", "comes from the drive alone")
 
 
 def _name_flaws(buses: Sequence[AnySensorBus]) -> Iterator[Flaw]:

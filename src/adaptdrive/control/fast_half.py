@@ -20,6 +20,7 @@ from adaptdrive.control.signals import Measurement
 from adaptdrive.control.vectors import Vector
 
 _CEILING_RISE = 1.002
+_LOWEST_CEILING = 0.01
 """Rise of the ceiling of V_c for each reading: slow, so that the power limit does not oscillate."""
 
 _LIMITED_SHARE = 0.25
@@ -293,7 +294,8 @@ def limit_power(
     """
     excess = load_power_W / stage.load_power_max_W
     if excess > 1.0:
-        state.ceiling_V = max(stage.boost_reference_min_V, boost_voltage_V / math.sqrt(excess))
+        lowest_V = max(stage.boost_reference_min_V, _LOWEST_CEILING * stage.boost_reference_max_V)
+        state.ceiling_V = max(lowest_V, abs(boost_voltage_V) / math.sqrt(excess))
     elif state.ceiling_V < stage.boost_reference_max_V:
         state.ceiling_V *= _CEILING_RISE
     return min(state.boost_reference_V, state.ceiling_V)

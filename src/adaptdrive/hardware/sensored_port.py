@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 from adaptdrive.control.signals import SAFE_COMMAND, Command
 from adaptdrive.hardware.port import (
@@ -35,6 +36,7 @@ class SensoredPort:
         buses: Sequence[SensorBus],
         derivations: Sequence[Derivation],
         clock: Callable[[], float],
+        stated: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         """Join a drive and its sensors.
 
@@ -43,7 +45,9 @@ class SensoredPort:
             buses: Its sensor buses.
             derivations: Values made of others, each after those that it is made of.
             clock: Monotonic clock in seconds.
+            stated: Values that nobody measures.
         """
+        self._stated = stated
         self._drive = drive
         self.buses = tuple(buses)
         self._derivations = tuple(derivations)
@@ -176,6 +180,7 @@ class SensoredPort:
         """
         values = {name: getattr(reading, name) for name in QUANTITIES}
         values.update(reading.other)
+        values.update(self._stated)
         for bus in self.buses:
             values.update(bus.values)
         for one in self._derivations:

@@ -28,6 +28,7 @@ class Limits:
         output_unit: Unit of the output, for the text of the trip.
         output_name: Name of the output, likewise.
         output_min: Lowest output.
+        absent: Quantities that nobody measures.
     """
 
     stale_s: float
@@ -36,6 +37,7 @@ class Limits:
     output_unit: str
     output_name: str = "output"
     output_min: float = -math.inf
+    absent: frozenset[str] = frozenset()
 
 
 class Watch(Protocol):
@@ -75,15 +77,15 @@ def find_cause(
             f"stale: measurement is {age_s * 1e3:.0f} ms old, limit {limit_s * 1e3:g} ms"
             f"{_reason(explain_age())}"
         )
-    return _unhealthy(reading) or _exceeded(reading, limits)
+    return _unhealthy(reading, limits.absent) or _exceeded(reading, limits)
 
 
 def _reason(text: str) -> str:
     return f"; {text}" if text else ""
 
 
-def _unhealthy(reading: Reading) -> str | None:
-    name = _not_finite(reading)
+def _unhealthy(reading: Reading, absent: frozenset[str]) -> str | None:
+    name = _not_finite(reading, absent)
     if name is not None:
         return (
             f"invalid: {name} = {getattr(reading, name)} is not a finite number: look at its "
@@ -114,7 +116,7 @@ def _compared(output: float, limit: float, limits: Limits) -> str:
     return f"{limits.output_name} = {output:.4g}{unit}, limit {limit:g}{unit}"
 
 
-def _not_finite(reading: Reading) -> str | None:
+def _not_finite(reading: Reading, absent: frozenset[str]) -> str | None:
     """The name of the first measured quantity that is not a finite number."""
     if (
         math.isfinite(reading.boost_voltage_V)
@@ -123,4 +125,5 @@ def _not_finite(reading: Reading) -> str | None:
         and math.isfinite(reading.output)
     ):
         return None
-    return next(name for name in MEASURED if not math.isfinite(getattr(reading, name)))
+    odd = (name for name in MEASURED if not math.isfinite(getattr(reading, name)))
+    return next((name for name in odd if name not in absent), None)

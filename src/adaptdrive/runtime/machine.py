@@ -18,7 +18,7 @@ from adaptdrive.control.reach import Reach
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive.control.waveform import Waveform
 from adaptdrive.errors import RefusedError
-from adaptdrive.runtime.machine_limits import FLOOR_REACHED, MachineLimits
+from adaptdrive.runtime.machine_limits import MachineLimits
 from adaptdrive.runtime.reports import State
 from adaptdrive.runtime.requests import Moment, Request
 
@@ -335,7 +335,7 @@ class Machine:
             self._precharging, self._since_tick = rate_known, tick
             if not rate_known:
                 self._await_rate(now_s)
-        elif boost_voltage_V >= FLOOR_REACHED * self._limits.floor_V:
+        elif self._limits.is_reached(boost_voltage_V):
             self.state = State.RUNNING
             self.manual = replace(self.manual, since_tick=tick)  # nobody could renew it meanwhile
         elif tick - self._since_tick > self._limits.starting_ticks:

@@ -104,6 +104,11 @@ class MachineLimits:
                 f"hold_s = {hold_s:g} s is not above 0 s and at most {_LONGEST_HOLD_S:g} s"
             )
 
+    def is_reached(self, boost_voltage_V: float) -> bool:
+        """Return whether the lowest V_c is there; one of 0 or below needs no precharge."""
+        reached = boost_voltage_V >= FLOOR_REACHED * self.floor_V
+        return reached or (self.floor_V <= 0.0 and math.isfinite(boost_voltage_V))
+
     def nearest_reference(self, output: float) -> float:
         """Return the allowed set-point that is nearest to an output."""
         return min(max(output, self.reference_min), self.reference_max)
