@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # they need libraries that `Drive` does without
     from adaptdrive.analysis.closed_loop import Plant
     from adaptdrive.analysis.record_load import RecordLoad
     from adaptdrive.analysis.simulation import Simulation
+    from adaptdrive.commission.report import Commissioned
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +129,8 @@ def simulate(
     Args:
         config: The configuration, or its file.
         plant: An object with `step(boost_voltage_V, duration_s)`, which returns the output and the
-            power drawn from the boost capacitor in W.
+            power drawn from the boost capacitor in W; with `step_s` where its own step differs from
+            the time between two readings of the drive.
         setpoint: A constant, or the set-point at each time in s.
         duration_s: Simulated time, in s.
         mode: Controller asked for.
@@ -143,6 +145,29 @@ def simulate(
     whole = config if isinstance(config, Configuration) else load_configuration(Path(config))
     wanted = setpoint if callable(setpoint) else lambda _: setpoint
     return simulated(whole, plant, wanted, duration_s, Mode(mode))
+
+
+def commission(
+    config: str | Path, plant: Plant, move: float = 0.05, patience_s: float | None = None
+) -> Commissioned:
+    """Find the model and the settings for a plant of your own, as `adaptdrive commission` does.
+
+    `found.proposal.configuration` is for `simulate`; `found.proposal.model` has the parameters.
+
+    Args:
+        config: File with the configuration, whose `[load.model]` may be wrong.
+        plant: As for `simulate`.
+        move: Movement of the output, as a share of the set-point range.
+        patience_s: Shortest wait for a response; that of the kind of load when None.
+
+    Raises:
+        AdaptdriveError: The configuration is not valid, or the load cannot be found; the reason is
+            the message.
+        ModuleNotFoundError: A library is not installed.
+    """
+    from adaptdrive.commission.virtual import commission_plant  # noqa: PLC0415 - see above
+
+    return commission_plant(Path(config), plant, move, patience_s)
 
 
 class Drive:

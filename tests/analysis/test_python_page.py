@@ -76,13 +76,17 @@ def test_the_example_with_a_plant_runs(
     names: dict[str, Any] = {}
     exec(examples()[4], names)
     assert "adaptive" in capsys.readouterr().out
-    held = names["run"].ticks.filter(pl.col("time_s").is_between(410.0, 419.0))
+    first = names["run"]
+    exec(examples()[5], names)
+    settled = names["run"].ticks.filter(pl.col("time_s") > 60.0)["output"].to_list()
+    assert settled == pytest.approx([2.5] * len(settled), abs=0.01)
+    held = first.ticks.filter(pl.col("time_s").is_between(410.0, 419.0))
     assert held["output"].to_list() == pytest.approx([2.4] * held.height, abs=0.01)
 
 
 async def test_the_example_on_a_running_drive_runs(mosquitto: Broker, tmp_path: Path) -> None:
     names: dict[str, Any] = {}
-    exec(examples()[5], names)
+    exec(examples()[6], names)
     broker = Mqtt(host=mosquitto.host, port=mosquitto.port)
     async with serving(mosquitto, "motor", tmp_path) as bench, asyncio.TaskGroup() as group:
         stepping = group.create_task(names["step"](broker))

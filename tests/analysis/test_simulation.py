@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptdrive.errors import IdentificationError
-from adaptdrive.lab import simulate
+from adaptdrive.errors import CommissionError, IdentificationError
+from adaptdrive.lab import commission, simulate
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from tests.hardware.bench import EXAMPLES
 
@@ -82,3 +82,68 @@ def test_a_set_point_that_is_no_number_is_named() -> None:
 
     with pytest.raises(IdentificationError, match=r"the set-point at 0\.108333 s is nan"):
         simulate(EXAMPLES / "motor.toml", ReferenceMotor(1), broken, 1.0)
+
+
+class AtOwnStep(ReferenceMotor):
+    """The motor as a program that takes steps of one length only."""
+
+    def __init__(self, disks: int, step_s: float) -> None:
+        super().__init__(disks)
+        self.step_s = step_s
+        self.time_s = 0.0
+
+    def step(self, boost_voltage_V: float, duration_s: float) -> tuple[float, float]:
+        assert duration_s == self.step_s
+        self.time_s += duration_s
+        return super().step(boost_voltage_V, duration_s)
+
+
+@pytest.mark.parametrize(("step_s", "close"), [(1e-3, 0.02), (0.25, 0.02), (1.0, 0.06)])
+def test_a_plant_answers_at_its_own_step(step_s: float, close: float) -> None:
+    """What is held for a whole slow period costs accuracy."""
+    plant = AtOwnStep(2, step_s)
+    true = plant.motor.model(0.25, 1.0)
+    run = simulate(EXAMPLES / "motor.toml", plant, square, 300.0)
+    assert plant.time_s == pytest.approx(300.0, abs=1.01 * step_s + 0.01)
+    last = run.slow.tail(1).to_dicts()[0]
+    assert last["estimate_gain"] == pytest.approx(true["gain"], rel=close)
+    assert run.fault == ""
+
+
+@pytest.mark.parametrize("step_s", [0.0, -1.0, math.inf, math.nan])
+def test_a_step_that_is_no_time_is_named(step_s: float) -> None:
+    with pytest.raises(IdentificationError, match=r"step_s of the plant is .*above 0 s"):
+        simulate(EXAMPLES / "motor.toml", AtOwnStep(1, step_s), 3.0, 1.0)
+
+
+@pytest.mark.parametrize("step_s", [None, 1e-3, 0.5])
+def test_a_plant_is_commissioned_and_then_simulated(step_s: float | None) -> None:
+    """A motor of more friction than the example's, a tenth of its inertia, and a fast sensor."""
+    small = MotorParameters(friction_Nms=0.02, disk_kgm2=0.041, filter_s=2.0)
+
+    def plant() -> ReferenceMotor:
+        made = ReferenceMotor(1) if step_s is None else AtOwnStep(1, step_s)
+        made.motor = Motor(small)
+        return made
+
+    true = Motor(small).model(0.25, 1.0)
+    before = EXAMPLES / "motor.toml"
+    found = commission(before, plant(), patience_s=20.0)
+    model = found.proposal.model
+    assert model["gain"].value == pytest.approx(true["gain"], rel=0.02)
+    total_s = model["tau_motor_s"].value + model["tau_filter_s"].value
+    assert total_s == pytest.approx(true["tau_motor_s"] + true["tau_filter_s"], rel=0.1)
+    run = simulate(found.proposal.configuration, plant(), 2.8, 60.0)
+    assert run.slow.filter(run.slow["time_s"] > 30.0)["output"].to_numpy() == pytest.approx(
+        2.8, abs=0.02
+    )
+    assert "commission" not in " ".join(run.slow["reason"].to_list())
+
+
+def test_a_plant_that_does_not_respond_is_refused() -> None:
+    class Dead:
+        def step(self, boost_voltage_V: float, duration_s: float) -> tuple[float, float]:
+            return 1.0, 0.0 * boost_voltage_V * duration_s
+
+    with pytest.raises(CommissionError, match="no response"):
+        commission(EXAMPLES / "motor.toml", Dead(), patience_s=1.0)

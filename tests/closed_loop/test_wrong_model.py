@@ -35,7 +35,7 @@ def reasons(slowness: float) -> list[str]:
 def test_a_load_six_times_faster_than_its_model_is_called_that() -> None:
     last = reasons(1.0 / 6.0)[-1]
     assert "times better than [load.model]: the load is 5" in last
-    assert last.endswith("times faster than [load.model]; run adaptdrive commission")
+    assert last.endswith("times faster than [load.model]; commission this load")
 
 
 @pytest.mark.parametrize("mode", ["fixed", "adaptive"])

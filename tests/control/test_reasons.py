@@ -127,7 +127,7 @@ def test_a_load_that_is_another_than_configured_is_described(
 ) -> None:
     text = out_of_bounds(culprit, ratio)
     assert f"but predicts 100 times better than [load.model]: the load is {contrast}" in text
-    assert text.endswith("than [load.model]; run adaptdrive commission")
+    assert text.endswith("than [load.model]; commission this load")
 
 
 @pytest.mark.parametrize(("better", "described"), [(2.99, False), (3.0, False), (3.01, True)])

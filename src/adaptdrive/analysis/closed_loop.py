@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from adaptdrive.analysis.own_step import at_own_step
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, tick_s
 from adaptdrive.config import Configuration
@@ -145,7 +146,8 @@ def run_loop(
     boost = BoostStage(configuration, begin.boost_voltage_V)
     half_cycle_s, stride = tick_s(configuration), configuration.bus.ticks_per_reading
     line_V, period_s = configuration.drive.line_voltage_V, half_cycle_s * stride
-    output, power_W = _advanced(plant, boost.voltage_V, period_s, 0)
+    plant = at_own_step(plant)
+    output, power_W = advanced(plant, boost.voltage_V, period_s, 0)
     latched: Command | None = None
     for number in range(readings):
         wanted, volts = order(number), boost.voltage_V
@@ -160,7 +162,7 @@ def run_loop(
             return record
         mean_V = boost.step(latched or command, power_W, period_s)
         latched = command
-        output, power_W = _advanced(plant, mean_V, period_s, number + 1)
+        output, power_W = advanced(plant, mean_V, period_s, number + 1)
     return record
 
 
@@ -172,9 +174,18 @@ def _note(record: LoopRecord, time_s: float, wanted: Order, measured: Measuremen
     record.load_power_W.append(measured.load_power_W)
 
 
-def _advanced(
-    plant: Plant, voltage_V: float, duration_s: float, number: int
-) -> tuple[float, float]:
+def advanced(plant: Plant, voltage_V: float, duration_s: float, number: int) -> tuple[float, float]:
+    """Advance a plant and return its output and power as numbers.
+
+    Args:
+        plant: The plant.
+        voltage_V: Mean boost voltage over the step.
+        duration_s: Length of the step.
+        number: Number of the step, for the message.
+
+    Raises:
+        IdentificationError: One of them is not finite.
+    """
     # a plant may count in numpy, whose numbers keep their own precision in all that follows
     output, power_W = map(float, plant.step(voltage_V, duration_s))
     if not (math.isfinite(output) and math.isfinite(power_W)):

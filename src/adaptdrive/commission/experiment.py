@@ -59,6 +59,11 @@ class LoadExperiment:
         return self._course.record
 
     @property
+    def target(self) -> Target:
+        """Its limits."""
+        return self._course.target
+
+    @property
     def phase(self) -> Phase:
         """Phase of the experiment."""
         return self._course.phase

@@ -9,19 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from adaptdrive.app.examine import examine_text
-from adaptdrive.app.loads import build_load
 from adaptdrive.app.lock import LockedError, locked
-from adaptdrive.commission.evaluate import evaluate
 from adaptdrive.commission.experiment import LoadExperiment
 from adaptdrive.commission.file import refuse_unwritable, with_values, write_values
 from adaptdrive.commission.guide import HOLD_S, Guide
 from adaptdrive.commission.live import carry_out
 from adaptdrive.commission.picture import Picture
-from adaptdrive.commission.prediction import predict, rest_voltage
-from adaptdrive.commission.proposal import propose
 from adaptdrive.commission.report import Commissioned, as_text, draw
 from adaptdrive.commission.sensor import judge_sensor
 from adaptdrive.commission.target import build_target
+from adaptdrive.commission.verdict import judged
 from adaptdrive.config.file import parse_configuration, read_text
 from adaptdrive.config.root import Configuration
 from adaptdrive.config.services import Mqtt
@@ -115,15 +112,7 @@ async def commission(
     sensor = judge_sensor(standby, configuration, target.move)
     experiment = LoadExperiment(target)
     await carry_out(guide, experiment, Picture(drive, target))
-    outcome = experiment.outcome
-    if outcome is None:
-        raise CommissionError("the experiment is not complete")
-    load = build_load(configuration)
-    identified = evaluate(experiment, load)
-    proposal = propose(identified, text, wanted.path, experiment.record.coarseness())
-    rest_V = rest_voltage(outcome.low_V, outcome.high_V, load)
-    prediction = predict(identified, proposal.configuration, rest_V, target.move)
-    return Commissioned(sensor, outcome, identified, proposal, prediction, configuration)
+    return judged(sensor, experiment, configuration, text, wanted.path)
 
 
 def _configuration_of(drive: str, text: str, path: Path) -> Configuration:

@@ -94,7 +94,7 @@ def _out_of_bounds(state: SlowState, jacket: Jacket, load: Load) -> str:
     contrast = _contrast(name, ratio)
     return (
         f"{text}, but predicts {_times(better, 1)} better than [load.model]: the load is "
-        f"{contrast} than [load.model]; run adaptdrive commission"
+        f"{contrast} than [load.model]; commission this load"
     )
 
 
