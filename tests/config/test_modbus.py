@@ -43,7 +43,7 @@ def test_every_flaw_is_listed_with_its_place() -> None:
     found = flaws(
         bus__port="0",
         bus__hots='"typo"',
-        bus__registers__voltage="{ address = -1, table = 'coil' }",
+        bus__registers__voltage="{ address = -1, table = 'coils' }",
         bus__heartbeat__drvie='"alive"',
     )
     assert set(found) == {
@@ -118,6 +118,16 @@ def test_each_kind_of_bus_has_its_own_form_of_a_name() -> None:
             {"bus__registers__line": "{ address = 1, table = 'input', not_available = -1 }"},
             "bus.registers.line.not_available",
             "uint16 has no count -1",
+        ),
+        (
+            {"bus__registers__state": "{ address = 5, table = 'input', mask = 0x10000 }"},
+            "bus.registers.state.mask",
+            "uint16 has no bits 0x10000",
+        ),
+        (
+            {"bus__registers__state": "{ address = 5, table = 'discrete', bit = 1 }"},
+            "bus.registers.state.type",
+            "a discrete is one bit",
         ),
         (
             {"signals__fault": '"speed"'},
@@ -196,6 +206,7 @@ def test_a_count_that_no_reading_of_the_bridge_can_be_is_a_flaw(
         ("bit = 3", 0),
         ("bit = 3", 1),
         ("bit = 3, not_available = 1", 1),
+        ("mask = 0x0070", 7),
         ("type = 'uint16'", 65535),
         ("type = 'int16'", -32768),
         ("type = 'uint32'", 4294967295),

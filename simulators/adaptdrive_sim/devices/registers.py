@@ -13,7 +13,13 @@ from adaptdrive.config.bus import Signals, SignalSource
 from adaptdrive.config.modbus import ModbusBus, Register
 from adaptdrive.config.references import COMMANDED, MEASURED, WORDS
 from adaptdrive.control.signals import Command
-from adaptdrive.hardware.modbus.codec import decode_value, encode_count, encode_value
+from adaptdrive.hardware.field import Field, Raw
+from adaptdrive.hardware.modbus.codec import (
+    decode_value,
+    encode_count,
+    encode_value,
+    register_field,
+)
 
 Table = dict[int, int]
 
@@ -91,7 +97,10 @@ def not_available(register: Register) -> float:
     """The count that means `no value`."""
     if register.not_available is not None:
         return register.not_available
-    return _NO_VALUE[register.type]
+    if register.real:
+        return math.nan
+    span = 1 << 16 * register.words
+    return -span // 2 if register.type.startswith("int") else span - 1
 
 
 def _place(words: dict[tuple[str, int], int], register: Register, content: Sequence[int]) -> None:
@@ -109,28 +118,18 @@ def _place(words: dict[tuple[str, int], int], register: Register, content: Seque
 
 def bounded(register: Register, value: float) -> float:
     """Like a converter's, a value ends at the range of its register."""
-    low, high = _LIMITS.get(register.type, (-3.0e38, 3.0e38))
-    low, high = sorted((low * register.scale, high * register.scale))
+    field = register_field("", register, measured=True)
+    low, high = sorted(field.physical(end) for end in _without(field))
     if register.range is not None:
         low, high = max(low, register.range.low), min(high, register.range.high)
     return min(max(value, low), high)
 
 
+def _without(field: Field) -> tuple[Raw, Raw]:
+    """Return the lowest and the highest count, without the one for no value."""
+    low, high = field.low, field.high
+    return low + (low in field.unknown), high - (high in field.unknown)
+
+
 def _wrapped(register: Register, count: int) -> int:
     return count % (1 << (16 * register.words - register.type.startswith("int")))
-
-
-_LIMITS = {  # without the count that means `no value`
-    "uint16": (0.0, 0xFFFE),
-    "int16": (-0x7FFF, 0x7FFF),
-    "uint32": (0.0, 0xFFFF_FFFE),
-    "int32": (-0x7FFF_FFFF, 0x7FFF_FFFF),
-}
-
-_NO_VALUE = {
-    "uint16": 0xFFFF,
-    "int16": -0x8000,
-    "uint32": 0xFFFF_FFFF,
-    "int32": -0x8000_0000,
-    "float32": math.nan,
-}

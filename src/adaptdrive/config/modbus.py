@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, field_validator
 
 from adaptdrive.config.bus import BusSection, CommandWatch
 from adaptdrive.config.section import FilePath, FiniteFloat, PositiveFloat, Range, Section
@@ -21,14 +21,21 @@ class Register(Section):
     address: int = Field(
         ge=0, le=0xFFFF, description="zero-based address: 0 is 30001 or 40001 in a manual"
     )
-    table: Literal["input", "holding"] = Field(
-        description="input registers (3xxxx) or holding registers (4xxxx)"
+    table: Literal["input", "holding", "coil", "discrete"] = Field(
+        description="input registers (3xxxx), holding registers (4xxxx), coils (0xxxx) or discrete "
+        "inputs (1xxxx)"
     )
-    type: Literal["uint16", "int16", "uint32", "int32", "float32"] = Field(
-        default="uint16", description="how the value is coded; 32 bits take two registers"
+    type: Literal["uint16", "int16", "uint32", "int32", "float32", "uint64", "int64", "float64"] = (
+        Field(
+            default="uint16",
+            description="how the value is coded; 32 bits take two registers, 64 bits four",
+        )
     )
     word_order: Literal["big", "little"] = Field(
-        default="big", description="register that comes first of two: the high or the low one"
+        default="big", description="register that comes first of several: the high or the low one"
+    )
+    byte_order: Literal["big", "little"] = Field(
+        default="big", description="byte that comes first in each register"
     )
     scale: FiniteFloat = Field(default=1.0, description="units per count")
     unit: str = Field(default="", description="unit of the scaled value, for people")
@@ -41,7 +48,12 @@ class Register(Section):
         "0x7F7FFFFF of a float32; all ones (0x8000… when signed) when left out",
     )
     bit: int | None = Field(
-        default=None, ge=0, le=31, description="take this bit alone, 0 is the lowest"
+        default=None, ge=0, le=63, description="take this bit alone, 0 is the lowest"
+    )
+    mask: int | None = Field(
+        default=None,
+        ge=1,
+        description="take these bits alone, such as 0x0F00: a number from 0 on",
     )
     on: int = Field(default=1, description="count that is written to switch on")
     off: int = Field(default=0, description="count that is written to switch off")
@@ -49,7 +61,22 @@ class Register(Section):
     @property
     def words(self) -> int:
         """Registers that the value takes."""
-        return 2 if self.type.endswith("32") else 1
+        return {"16": 1, "32": 2, "64": 4}[self.type[-2:]]
+
+    @property
+    def real(self) -> bool:
+        """True for a floating-point number."""
+        return self.type.startswith("float")
+
+    @property
+    def bits(self) -> int | None:
+        """Mask of the bits that are taken, None for the whole value."""
+        return self.mask if self.bit is None else 1 << self.bit
+
+    @property
+    def switches(self) -> bool:
+        """True for a coil or a discrete input, which is one bit."""
+        return self.table in {"coil", "discrete"}
 
     @property
     def end(self) -> int:
@@ -77,7 +104,12 @@ class Heartbeat(Section):
 class ModbusLink(Section):
     """Keys of every link to devices on Modbus."""
 
-    device_id: int = Field(default=1, ge=1, le=255, description="device (slave, unit) id")
+    device_id: int = Field(
+        default=1,
+        ge=0,
+        le=255,
+        description="device (slave, unit) id; 0 on TCP alone, on a serial line it is all devices",
+    )
     timeout_s: PositiveFloat = Field(
         default=0.05, le=2.0, ge=1e-3, description="longest time from a request to its reply"
     )
@@ -99,6 +131,11 @@ class ModbusLink(Section):
         default=125, ge=2, le=125, description="registers that the device gives in one reply"
     )
 
+    @property
+    def numbered(self) -> bool:
+        """True where each reply has the number of its request."""
+        return getattr(self, "framing", "rtu") == "tcp"
+
 
 class TcpLink(ModbusLink):
     """A link over TCP."""
@@ -107,6 +144,10 @@ class TcpLink(ModbusLink):
         description="name or address of the device or its gateway"
     )
     port: int = Field(default=502, ge=1, le=65535, description="port of the device")
+    framing: Literal["tcp", "rtu"] = Field(
+        default="tcp",
+        description="form of the packets; `rtu`: those of a serial line, as plain gateways pass on",
+    )
 
 
 class RtuLink(ModbusLink):
@@ -117,6 +158,13 @@ class RtuLink(ModbusLink):
     parity: Literal["even", "odd", "none"] = Field(default="even", description="parity bit")
     stop_bits: Literal[1, 2] = Field(default=1, description="stop bits")
 
+    @field_validator("device_id")
+    @classmethod
+    def _is_one_device(cls, device_id: int) -> int:
+        if device_id == 0:
+            raise ValueError("0 is all devices of a serial line, and none of them replies")
+        return device_id
+
 
 class ModbusBus(CommandWatch, ModbusLink, BusSection):
     """Keys of `[bus]` for every kind of Modbus."""
@@ -126,6 +174,10 @@ class ModbusBus(CommandWatch, ModbusLink, BusSection):
         ge=1,
         le=120,
         description="half line cycles from one poll of the drive to the next",
+    )
+    write: Literal["multiple", "single"] = Field(
+        default="multiple",
+        description="write registers together (function 16) or each alone (function 6)",
     )
     read_write: bool = Field(
         default=False, description="write and read in one exchange (function 23)"

@@ -36,8 +36,11 @@ def modbus_flaws(bus: ModbusBus, signals: Signals) -> Iterator[Flaw]:
     for place, name in _written(bus, signals):
         yield from _known(bus, place, name)
         target = bus.registers.get(name)
-        if target is not None and (target.table == "input" or target.bit is not None):
-            yield Flaw(place, f"{name!r} cannot be written: it must be a whole holding register")
+        if target is not None and (
+            target.table in {"input", "discrete"} or target.bits is not None
+        ):
+            problem = "it must be a whole holding register or a coil"
+            yield Flaw(place, f"{name!r} cannot be written: {problem}")
     yield from _beat_flaws(bus)
     yield from _switch_flaws(signals)
     yield from _overlap_flaws(bus, signals)
@@ -78,7 +81,7 @@ def _known(bus: ModbusBus, place: str, name: str) -> Iterator[Flaw]:
 def register_flaws(place: str, register: Register) -> Iterator[Flaw]:
     """Yield the errors in a single register."""
     if register.end > 0x10000:
-        yield Flaw(f"{place}.address", f"{register.address} leaves no room for two registers")
+        yield Flaw(f"{place}.address", f"{register.address} leaves no room for its registers")
     if register.scale == 0.0:
         yield Flaw(f"{place}.scale", "must not be 0")
     if register.range is not None and register.range.low >= register.range.high:
@@ -88,10 +91,16 @@ def register_flaws(place: str, register: Register) -> Iterator[Flaw]:
     lowest = 0 if register.type.startswith("uint") else -1 << (bits - 1)
     if given is not None and not lowest <= given < 1 << bits:
         yield Flaw(f"{place}.not_available", f"{register.type} has no count {given}")
-    if register.bit is not None and (
-        register.type == "float32" or register.bit >= 16 * register.words
-    ):
-        yield Flaw(f"{place}.bit", f"{register.type} has no bit {register.bit}")
+    if register.bits is not None and (register.real or register.bits >> bits):
+        wrong = f"bit {register.bit}" if register.mask is None else f"bits {register.mask:#x}"
+        yield Flaw(
+            f"{place}.{'bit' if register.mask is None else 'mask'}",
+            f"{register.type} has no {wrong}",
+        )
+    if register.bit is not None and register.mask is not None:
+        yield Flaw(f"{place}.mask", "is for several bits, and `bit` for one")
+    if register.switches and (register.type != "uint16" or register.bits is not None):
+        yield Flaw(f"{place}.type", f"a {register.table} is one bit: leave type, bit and mask out")
 
 
 def stated_unit_flaws(
@@ -148,9 +157,12 @@ def _collide(first: Register, second: Register) -> bool:
     """Return whether two values share a register and are neither equal nor bits of one word."""
     if first.table != second.table or first.end <= second.address:
         return False
-    if first.bit is not None or second.bit is not None:
+    if first.bits is not None or second.bits is not None:
         return False
-    coded = [(one.address, one.type, one.word_order, one.scale) for one in (first, second)]
+    coded = [
+        (one.address, one.type, one.word_order, one.byte_order, one.scale)
+        for one in (first, second)
+    ]
     return coded[0] != coded[1]
 
 
@@ -175,7 +187,7 @@ def _beat_flaws(bus: ModbusBus) -> Iterator[Flaw]:
     """Heartbeats are counts as they stand."""
     for place, name in (*_heartbeat(bus, "drive"), *_heartbeat(bus, "daemon")):
         register = bus.registers.get(name)
-        if register is not None and (register.type == "float32" or register.scale != 1.0):
+        if register is not None and (register.real or register.scale != 1.0):
             yield Flaw(place, f"register {name!r} must be an integer with scale 1")
 
 

@@ -18,6 +18,9 @@ TYPES = {
     "int16": (ModbusClientMixin.DATATYPE.INT16, st.integers(-0x7FFF, 0x7FFF)),
     "uint32": (ModbusClientMixin.DATATYPE.UINT32, st.integers(0, 0xFFFF_FFFE)),
     "int32": (ModbusClientMixin.DATATYPE.INT32, st.integers(-0x7FFF_FFFF, 0x7FFF_FFFF)),
+    "uint64": (ModbusClientMixin.DATATYPE.UINT64, st.integers(0, 1 << 53)),
+    "int64": (ModbusClientMixin.DATATYPE.INT64, st.integers(-(1 << 53), 1 << 53)),
+    "float64": (ModbusClientMixin.DATATYPE.FLOAT64, st.floats(-1e30, 1e30)),
     "float32": (
         ModbusClientMixin.DATATYPE.FLOAT32,
         st.floats(-(2.0**99), 2.0**99, width=32),
@@ -41,8 +44,11 @@ def test_a_value_has_the_registers_that_pymodbus_gives_it(
     words = ModbusClientMixin.convert_to_registers(
         value, kind, word_order="big" if order == "big" else "little"
     )
-    assert decode_value(described, words, measured=True) == value
+    assert decode_value(described, words, measured=True) == value  # 64 bits are a float, too
     assert encode_value(described, value) == words
+    mirrored = register(type=name, word_order=order, byte_order="little")
+    swapped = [int.from_bytes(word.to_bytes(2, "big"), "little") for word in words]
+    assert decode_value(mirrored, swapped, measured=True) == value
 
 
 @pytest.mark.parametrize(
@@ -107,6 +113,13 @@ def test_a_bit_is_taken_alone() -> None:
     described = register(bit=3)
     assert decode_value(described, [0b1000], measured=False) == 1.0
     assert decode_value(described, [0b0111], measured=False) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("mask", "word", "value"), [(0x0F00, 0xA5FF, 5), (0xFFFF, 0x1234, 0x1234), (0x8000, 0x8000, 1)]
+)
+def test_bits_are_taken_as_a_number(mask: int, word: int, value: int) -> None:
+    assert decode_value(register(mask=mask), [word], measured=False) == value
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1.0, 65536.0])

@@ -8,7 +8,7 @@ from typing import Literal
 
 from adaptdrive.config.modbus import Register
 
-Table = Literal["input", "holding"]
+Table = Literal["input", "holding", "coil", "discrete"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,11 +19,13 @@ class Block:
         table: Kind of registers.
         address: First address, zero-based.
         count: Number of registers.
+        single: Whether it is written alone: function 5 for a coil, 6 for a register.
     """
 
     table: Table
     address: int
     count: int
+    single: bool = False
 
     @property
     def end(self) -> int:
@@ -40,22 +42,27 @@ class Block:
         return register.table == self.table and inside
 
 
-def plan_blocks(registers: Iterable[Register], max_gap: int, max_count: int) -> tuple[Block, ...]:
+def plan_blocks(
+    registers: Iterable[Register], max_gap: int, max_count: int, *, write: bool = False
+) -> tuple[Block, ...]:
     """Cover registers with blocks.
 
     Args:
         registers: What is wanted; registers may share addresses.
         max_gap: Unwanted registers that a block may run across.
         max_count: Longest block; no value is ever cut in two.
+        write: Whether they are written: each coil alone.
     """
     blocks: list[Block] = []
     for register in sorted(registers, key=lambda one: (one.table, one.address, one.end)):
         last = blocks[-1] if blocks else None
-        if last is not None and _reaches(last, register, max_gap, max_count):
+        single = write and (register.table == "coil" or max_count == 1)
+        longest = 1 if single else max_count
+        if last is not None and _reaches(last, register, max_gap, longest):
             end = max(last.end, register.end)
             blocks[-1] = Block(last.table, last.address, end - last.address)
         else:
-            blocks.append(Block(register.table, register.address, register.words))
+            blocks.append(Block(register.table, register.address, register.words, single))
     return tuple(blocks)
 
 

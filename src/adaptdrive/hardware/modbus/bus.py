@@ -13,6 +13,7 @@ import termios
 from collections.abc import Callable
 from functools import partial
 
+from pymodbus import FramerType
 from pymodbus.client import AsyncModbusSerialClient, AsyncModbusTcpClient
 from pymodbus.pdu import ModbusPDU
 
@@ -27,6 +28,9 @@ Decode = Callable[[bytes, int, int], tuple[int, ModbusPDU | None]]
 
 _CONNECT_S = 1.0
 """Longest time to connect: a gateway may be slower to accept than a drive is to answer."""
+
+_SINGLE = (b"\x05", b"\x06")
+"""Functions whose reply repeats the request."""
 
 _LINGER = struct.Struct("ii")
 """Linux's `struct linger`: whether it applies, and for how many seconds."""
@@ -155,7 +159,8 @@ def unconnected_client(
     echo = _Echo(trace)
     client = _client(config, echo.trace, serial)
     framer = client.ctx.framer
-    vars(framer)["handleFrame"] = _without_errors(echo.skipped(framer.handleFrame))
+    decode = framer.handleFrame if config.numbered else echo.skipped(framer.handleFrame)
+    vars(framer)["handleFrame"] = _without_errors(decode)
     # pymodbus closes after five missing replies, were it one of many devices: the link judges that
     client.ctx.max_until_disconnect = client.ctx.count_until_disconnect = sys.maxsize
     return client
@@ -165,11 +170,14 @@ class _Echo:
     """The request as a line repeats it: an adapter of two wires hears what it sends.
 
     The request for one register from 0x300 to 0x3FF is, byte for byte, also a reply of three bytes.
+    The reply to a single write (functions 5 and 6) repeats its request: what came for another
+    request shows whether the line repeats it, too.
     """
 
     def __init__(self, trace: Trace) -> None:
         self._trace = trace
         self._sent = b""
+        self._echoes = False
 
     def trace(self, sending: bool, packet: bytes) -> bytes:
         """Keep what is sent, and let the owner see every packet."""
@@ -181,10 +189,13 @@ class _Echo:
         """Return a decoder that passes over the request before a reply."""
 
         def decoded(data: bytes, device_id: int, transaction: int) -> tuple[int, ModbusPDU | None]:
-            start = len(self._sent) if data.startswith(self._sent) else 0
+            echoed, single = data.startswith(self._sent), self._sent[1:2] in _SINGLE
+            start = len(self._sent) if echoed and (self._echoes or not single) else 0
             used, reply = decode(data[start:], device_id, transaction)
             if reply is None and not start and self._sent.startswith(data):
                 return 0, None  # the begin of a request that comes in pieces is no noise
+            if reply is not None and not single:
+                self._echoes = start > 0
             return start + used, reply
 
         return decoded
@@ -214,6 +225,7 @@ def _client(config: TcpLink | RtuLink, trace: Trace, serial: SerialPort | None) 
             retries=0,
             reconnect_delay=0,
             trace_packet=trace,
+            framer=FramerType.SOCKET if config.numbered else FramerType.RTU,
         )
     client = AsyncModbusSerialClient(
         str(config.device),

@@ -44,14 +44,17 @@ class Exchange:
     @property
     def request_bytes(self) -> int:
         """Bytes of the request, without what frames it."""
-        if self.write is None:
+        if self.write is None or self.write.single:
             return 5
         return 2 * self.write.count + (10 if self.read else 6)
 
     @property
     def reply_bytes(self) -> int:
         """Bytes of the reply, without what frames it."""
-        return 2 + 2 * self.read.count if self.read else 5
+        if self.read is None:
+            return 5
+        bits = self.read.table in {"coil", "discrete"}
+        return 2 + ((self.read.count + 7) // 8 if bits else 2 * self.read.count)
 
 
 def silence_s(bus: ModbusLink) -> float:

@@ -9,16 +9,18 @@ from collections.abc import Sequence
 from adaptdrive.config.modbus import Register
 from adaptdrive.hardware.field import Field, Raw, declared_limits, natural_limits, sensible_limits
 
-_FORMATS = {"uint16": ">H", "int16": ">h", "uint32": ">I", "int32": ">i", "float32": ">f"}
+_FORMATS = {
+    "uint16": ">H",
+    "int16": ">h",
+    "uint32": ">I",
+    "int32": ">i",
+    "float32": ">f",
+    "uint64": ">Q",
+    "int64": ">q",
+    "float64": ">d",
+}
 _LARGEST_COUNT = 1 << 24
 """Largest number that a float holds as `not_available` names it; what is larger is its word."""
-
-_NOT_AVAILABLE = {
-    "uint16": 0xFFFF,
-    "int16": -0x8000,
-    "uint32": 0xFFFF_FFFF,
-    "int32": -0x8000_0000,
-}
 
 
 def register_field(name: str, register: Register, *, measured: bool) -> Field:
@@ -31,18 +33,19 @@ def register_field(name: str, register: Register, *, measured: bool) -> Field:
             in a fault word all ones are as good as any other count.
     """
     low, high = _limits(register)
-    if measured and register.type == "float32":
+    if measured and register.real:
         low, high = sensible_limits(low, high)
     unsaid = _missing(register, measured=True)
     missing = _missing(register, measured=measured)
-    words, bits = frozenset() if missing is None else frozenset({missing}), register.bit is not None
+    words: frozenset[Raw] = frozenset() if missing is None else frozenset({missing})
+    bits = register.bits is not None
     return Field(
         name=name,
         scale=register.scale,
         offset=0.0,
         low=low,
         high=high,
-        integer=register.type != "float32",
+        integer=not register.real,
         unavailable=math.nan if unsaid is None else unsaid,
         idle=0,
         blanks=words if bits else frozenset(),
@@ -72,9 +75,14 @@ def decode(register: Register, field: Field, words: Sequence[int]) -> float | No
         words: Its registers, as many as `register.words`.
     """
     raw = count(register, words)
-    if register.bit is not None:  # of which all others say that there is no value
-        return None if raw in field.blanks else float(int(raw) >> register.bit & 1)
-    return field.value(raw)
+    if raw in field.blanks:  # all bits of the word say that there is no value
+        return None
+    return field.value(raw if register.bits is None else _masked(int(raw), register.bits))
+
+
+def _masked(raw: int, mask: int) -> int:
+    """Return the number that some bits of a word are."""
+    return (raw & mask) // (mask & -mask)
 
 
 def refusal(register: Register, field: Field, words: Sequence[int]) -> str:
@@ -112,7 +120,7 @@ def encode_count(register: Register, count: float) -> list[int]:
         ValueError: The registers cannot hold it.
     """
     try:
-        exact = count if register.type == "float32" else round(count)
+        exact = count if register.real else round(count)
         packed = struct.pack(_FORMATS[register.type], exact)
     except (struct.error, OverflowError, ValueError) as problem:
         raise ValueError(f"{register.type} cannot hold {count!r}") from problem
@@ -128,25 +136,30 @@ def count(register: Register, words: Sequence[int]) -> Raw:
 
 def _limits(register: Register) -> tuple[Raw, Raw]:
     """Return the lowest and the highest count: those of the type within those of the range."""
-    if register.bit is not None:
+    if register.switches:
         return 0, 1
-    bits, signed = 16 * register.words, register.type.startswith("int")
-    natural = natural_limits(bits, signed=signed, real=register.type == "float32")
+    natural = natural_limits(16 * register.words, signed=_signed(register), real=register.real)
+    if register.bits is not None:
+        natural = 0, _masked(register.bits, register.bits)
     if register.range is None:
         return natural
     return declared_limits(natural, (register.range.low, register.range.high), register.scale)
 
 
+def _signed(register: Register) -> bool:
+    return register.type.startswith("int")
+
+
 def _missing(register: Register, *, measured: bool) -> Raw | None:
     """Return the count for no value; one that is given may be its word, without a sign."""
-    given = register.not_available
+    given, span = register.not_available, 1 << (16 * register.words)
     if given is None:
-        return _NOT_AVAILABLE.get(register.type) if measured else None
-    bits = 16 * register.words
+        if register.real or register.switches or not measured:
+            return None
+        return -span // 2 if _signed(register) else span - 1
     if register.type == "float32":
         return count_of_word(given) if given > _LARGEST_COUNT else given
-    signed = register.type.startswith("int") and given >= 1 << (bits - 1)
-    return given - (1 << bits) if signed else given
+    return given - span if _signed(register) and given >= span // 2 else given
 
 
 def count_of_word(word: int) -> float:
@@ -157,4 +170,7 @@ def count_of_word(word: int) -> float:
 
 def _ordered(register: Register, words: Sequence[int]) -> list[int]:
     """Words in the order of the wire, or back: the high one first where that is `big`."""
-    return list(words) if register.word_order == "big" else list(reversed(words))
+    ordered = list(words) if register.word_order == "big" else list(reversed(words))
+    if register.byte_order == "big":
+        return ordered
+    return [word >> 8 | (word & 0xFF) << 8 for word in ordered]

@@ -18,6 +18,7 @@ from pymodbus.pdu import ModbusPDU
 
 from adaptdrive.config.modbus import RtuLink, TcpLink
 from adaptdrive.errors import AdaptdriveError
+from adaptdrive.hardware.modbus.blocks import Block
 from adaptdrive.hardware.modbus.bus import (
     Client,
     drop_unsent,
@@ -100,13 +101,14 @@ class ModbusConnection:
         self._counts = counts
         self._clock = clock
         self._serial = isinstance(config, RtuLink)
+        self._numbered = config.numbered
         self._client: Client | None = None
         self._waiting = False
         self._heard = b""
         self._heard_s = 0.0
         self._transaction = b""
         self._strange = b""
-        self._suspect_s: float | None = clock() if self._serial else None
+        self._suspect_s: float | None = None if self._numbered else clock()
         self._missed = 0
         self._replied_s = clock()
         self._commands = False
@@ -116,7 +118,7 @@ class ModbusConnection:
     @property
     def miss_s(self) -> float:
         """Time for which a missing reply keeps the link busy."""
-        silent_timeouts = _SILENT_TIMEOUTS if self._serial else 0.0
+        silent_timeouts = 0.0 if self._numbered else _SILENT_TIMEOUTS
         return (1.0 + silent_timeouts) * self._config.timeout_s
 
     async def open(self) -> None:
@@ -197,8 +199,7 @@ class ModbusConnection:
         read, write = exchange.read, exchange.write
         device = self._device_of(exchange)
         if read is None:
-            address = 0 if write is None else write.address
-            return client.write_registers(address, words, device_id=device)
+            return _write(client, write, words, device)
         if write is not None:
             return client.readwrite_registers(
                 read_address=read.address,
@@ -207,9 +208,13 @@ class ModbusConnection:
                 values=words,
                 device_id=device,
             )
-        if read.table == "input":
-            return client.read_input_registers(read.address, count=read.count, device_id=device)
-        return client.read_holding_registers(read.address, count=read.count, device_id=device)
+        ask = {
+            "coil": client.read_coils,
+            "discrete": client.read_discrete_inputs,
+            "holding": client.read_holding_registers,
+            "input": client.read_input_registers,
+        }[read.table]
+        return ask(read.address, count=read.count, device_id=device)
 
     def _device_of(self, exchange: Exchange) -> int:
         return self._config.device_id if exchange.device_id is None else exchange.device_id
@@ -221,7 +226,7 @@ class ModbusConnection:
         self._counts["timeouts"] += 1
         if self._client is None or not is_connected(self._client):
             self.lost = "the device closed the connection"
-        elif self._serial and self._heard:
+        elif not self._numbered and self._heard:
             short = len(self._heard) < exchange.reply_bytes + RTU_FRAME
             self._counts["wrong_length" if short else "wrong_checksum"] += 1
         elif not self._shared:
@@ -237,14 +242,14 @@ class ModbusConnection:
 
     def _came_instead(self, exchange: Exchange) -> str:
         """Return what came on TCP in place of a reply, empty where nothing came."""
-        if self._serial or not self._heard:
+        if not (self._numbered and self._heard):
             return ""
         transaction = int.from_bytes(self._transaction)
         return f"; {explain_other(self._heard, transaction, self._device_of(exchange))}"
 
     def _checked(self, reply: ModbusPDU, exchange: Exchange) -> list[int]:
         self._missed, self._replied_s = 0, self._clock()
-        if not self._serial and reply.transaction_id != int.from_bytes(self._transaction):
+        if self._numbered and reply.transaction_id != int.from_bytes(self._transaction):
             self._counts["foreign"] += 1
             raise ExchangeError("a reply with another transaction id")
         if reply.isError():
@@ -256,7 +261,11 @@ class ModbusConnection:
             self._counts["foreign"] += 1
             raise ExchangeError("a reply that belongs to another request")
         self._counts["received"] += 1
-        return list(reply.registers) if exchange.read else []
+        if exchange.read is None:
+            return []
+        if exchange.read.table in {"coil", "discrete"}:
+            return [int(bit) for bit in reply.bits[: exchange.read.count]]
+        return list(reply.registers)
 
     async def _await_silence(self, void: Callable[[], bool]) -> None:
         """Let what may still come from an earlier request pass by unread, while it is wanted.
@@ -282,7 +291,7 @@ class ModbusConnection:
 
     def suspect(self) -> None:
         """Take what comes next on a serial line for what is left of something else."""
-        if self._serial:
+        if not self._numbered:
             self._suspect_s = self._clock()
 
     def _trace(self, sending: bool, packet: bytes) -> bytes:
@@ -296,7 +305,7 @@ class ModbusConnection:
 
     def _note_foreign(self, packet: bytes) -> None:
         """Count what no request waits for: noise, a late reply, another transaction."""
-        if self._serial:
+        if not self._numbered:
             if not self._waiting:
                 self.suspect()
                 self._counts["foreign"] += 1
@@ -305,3 +314,15 @@ class ModbusConnection:
         ):
             self._strange = packet[:2]
             self._counts["foreign"] += 1
+
+
+def _write(
+    client: Client, block: Block | None, words: list[int], device: int
+) -> Awaitable[ModbusPDU]:
+    """Write a block, by the function that it is written by."""
+    address = 0 if block is None else block.address
+    if block is None or not block.single:
+        return client.write_registers(address, words, device_id=device)
+    if block.table == "coil":
+        return client.write_coil(address, bool(words[0]), device_id=device)
+    return client.write_register(address, words[0], device_id=device)

@@ -141,7 +141,7 @@ class RegisterSource:
             return False
         if self.register.not_available is None and all(word == _ALL_ONES for word in taken):
             return True
-        whole = self.register.bit is None
+        whole = self.register.bits is None
         return whole and decode_value(self.register, taken, measured=True) is None
 
     def _words(self, block: Block, words: list[int]) -> list[int]:
@@ -251,7 +251,8 @@ def map_drive(
     reads = plan_blocks((one.register for one in sources), bus.max_gap, bus.max_block)
     # function 23 takes holding registers only, and takes its write before its read
     reads = tuple(sorted(reads, key=lambda block: block.table != "holding"))
-    writes = plan_blocks((one.register for one in sinks), 0, _MAX_WRITE)
+    longest = 1 if bus.write == "single" else _MAX_WRITE
+    writes = plan_blocks((one.register for one in sinks), 0, longest, write=True)
     poll = Poll(
         reads=tuple((block, tuple(_inside(block, sources))) for block in reads),
         writes=tuple((block, tuple(_within(block, sinks))) for block in writes),
@@ -291,8 +292,13 @@ def _within(block: Block, sinks: Iterable[RegisterSink]) -> Iterator[RegisterSin
 def _combined_flaws(
     bus: ModbusBus, reads: tuple[Block, ...], writes: tuple[Block, ...]
 ) -> Iterator[Flaw]:
+    alone = [block for block in writes if bus.write == "single" and block.count > 1]
+    for block in alone:
+        yield Flaw("bus.write", f"'single' writes one register, and one value takes {block}")
     if not bus.read_write:
         return
+    if bus.write == "single":
+        yield Flaw("bus.read_write", "writes several registers, and bus.write = 'single' one")
     if len(writes) != 1:
         yield Flaw("bus.read_write", f"the command must be one block, it is {len(writes)}")
     if not reads or reads[0].table != "holding":

@@ -13,9 +13,8 @@ from adaptdrive.hardware.modbus.capacity import Exchange
 _HEADER = struct.Struct(">HHHB")
 """Head of a packet on TCP: transaction, protocol, length of all that follows it, device."""
 
-_READ_INPUT = 4
-_READ_HOLDING = 3
-_WRITE = 16
+_READ = {"coil": 1, "discrete": 2, "holding": 3, "input": 4}
+_WRITE_COIL, _WRITE_REGISTER, _WRITE = 5, 6, 16
 _READ_WRITE = 23
 
 EXCEPTIONS = {
@@ -36,11 +35,11 @@ def function_of(exchange: Exchange) -> int:
     Args:
         exchange: What is asked for.
     """
-    if exchange.read is None:
+    if exchange.read is not None:
+        return _READ[exchange.read.table] if exchange.write is None else _READ_WRITE
+    if exchange.write is None or not exchange.write.single:
         return _WRITE
-    if exchange.write is not None:
-        return _READ_WRITE
-    return _READ_INPUT if exchange.read.table == "input" else _READ_HOLDING
+    return _WRITE_COIL if exchange.write.table == "coil" else _WRITE_REGISTER
 
 
 def answers(reply: ModbusPDU, exchange: Exchange) -> bool:
@@ -52,9 +51,13 @@ def answers(reply: ModbusPDU, exchange: Exchange) -> bool:
     """
     if reply.function_code != function_of(exchange):
         return False
-    if exchange.read is not None:
-        return len(reply.registers) == exchange.read.count
-    written = exchange.write
+    read, written = exchange.read, exchange.write
+    if read is not None and read.table in {"coil", "discrete"}:
+        return len(reply.bits) == 8 * ((read.count + 7) // 8)
+    if read is not None:
+        return len(reply.registers) == read.count
+    if written is not None and written.single:
+        return reply.address == written.address
     return written is None or (reply.address, reply.count) == (written.address, written.count)
 
 
@@ -98,7 +101,7 @@ def are_alike(config: TcpLink | RtuLink, exchanges: Sequence[Exchange]) -> bool:
         exchanges: What is asked for in turn; the first one follows the last.
     """
     pairs = zip(exchanges, [*exchanges[1:], *exchanges[:1]], strict=True)
-    return isinstance(config, RtuLink) and any(_are_alike(*pair) for pair in pairs)
+    return not config.numbered and any(_are_alike(*pair) for pair in pairs)
 
 
 def _are_alike(one: Exchange, other: Exchange) -> bool:
