@@ -15,40 +15,45 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from adaptdrive.analysis import style
-from adaptdrive_sim.experiments.case import Case, Disturbance, Variant
+from adaptdrive_sim.course import Run
+from adaptdrive_sim.experiments.case import (
+    Case,
+    Disturbance,
+    Variant,
+    case_settings,
+    run_case,
+)
 from adaptdrive_sim.experiments.figure import save
-from adaptdrive_sim.experiments.motor import MOTOR
-from adaptdrive_sim.experiments.runner import RunRecord, run_case
-from adaptdrive_sim.experiments.settings import case_settings
+from adaptdrive_sim.experiments.published import MOTOR
 
 FIRST_min, LAST_min = 8.0, 20.0
 
 
-def run(variant: Variant) -> RunRecord:
+def run(variant: Variant) -> Run:
     """The standard experiment under one controller."""
     settings = case_settings(MOTOR, variant, "exact")
     return run_case(Case(MOTOR, variant, settings, Disturbance(MOTOR.noise), seed=0))
 
 
-def draw_speed(axes: Axes, record: RunRecord, look: style.Look, title: str) -> None:
+def draw_speed(axes: Axes, record: Run, look: style.Look, title: str) -> None:
     """Speed and reference."""
-    minutes = [time_s / 60.0 for time_s in record.time_s]
-    axes.step(minutes, record.reference, where="post", **style.REFERENCE)
-    axes.plot(minutes, record.output, **(look | {"linewidth": 1.3}))
+    minutes = record["time_s"] / 60.0
+    axes.step(minutes, record["reference"], where="post", **style.REFERENCE)
+    axes.plot(minutes, record["output"], **(look | {"linewidth": 1.3}))
     axes.set_title(title, color=look["color"])
     axes.set_ylabel("speed (V)")
     axes.set_ylim(2.93, 3.28)
     axes.set_yticks((3.0, 3.1, 3.2))
 
 
-def draw_inertia(axes: Axes, record: RunRecord) -> None:
+def draw_inertia(axes: Axes, record: Run) -> None:
     """What the adaptive controller has learnt: the mechanical time constant, in disks."""
     nominal_s = MOTOR.nominal().physical(
         list(MOTOR.nominal().numerator), list(MOTOR.nominal().denominator)
     )[2]
-    minutes = [time_s / 60.0 for time_s in record.time_s]
-    learnt = [value / nominal_s for value in record.estimates["tau_product_s2"]]
-    axes.step(minutes, record.size, where="post", **style.TRUTH)
+    minutes = record["time_s"] / 60.0
+    learnt = record["tau_product_s2"] / nominal_s
+    axes.step(minutes, record["size"], where="post", **style.TRUTH)
     axes.plot(minutes, learnt, **(style.ADAPTIVE | {"linewidth": 1.3}))
     axes.set_title("Inertia as the adaptive controller has learnt it, and the truth (dashed)")
     axes.set_ylabel("disks")
@@ -56,7 +61,7 @@ def draw_inertia(axes: Axes, record: RunRecord) -> None:
     axes.set_yticks((1, 2, 3))
 
 
-def draw(fixed: RunRecord, adaptive: RunRecord, path: Path) -> None:
+def draw(fixed: Run, adaptive: Run, path: Path) -> None:
     """The whole picture."""
     with style.journal():
         figure = Figure(figsize=(style.WIDTH_in, 4.3), layout="constrained")

@@ -162,7 +162,7 @@ def reproduce(  # noqa: PLR0913 - one parameter for each option
             stays. Without it they land at rest and share its momentum, as in the paper.
     """
     from adaptdrive_sim.experiments.case import disturbance_of  # noqa: PLC0415  # keeps --help fast
-    from adaptdrive_sim.experiments.report import print_claims  # noqa: PLC0415
+    from adaptdrive_sim.experiments.claims import print_claims  # noqa: PLC0415
     from adaptdrive_sim.experiments.reproduce import (  # noqa: PLC0415
         ReproduceRequest,
         find_experiment,

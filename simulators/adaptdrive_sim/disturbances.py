@@ -20,17 +20,22 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import msgspec
 
 from adaptdrive.errors import NOT_JSON, RefusedError
+from adaptdrive.operation.simulator import Feature
 from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.sensor_values import SensorFault
 from adaptdrive_sim.parameters import ParameterError, check_range
 from adaptdrive_sim.plants.bath import Bath
 from adaptdrive_sim.plants.battery import Battery
+from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor
+
+Plant = TypeVar("Plant")
 
 
 class DisturbanceRequest(
@@ -89,88 +94,70 @@ def apply_request(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
     """
     name = next(name for name in _ACTIONS if getattr(request, name) is not None)
     try:
-        _ACTIONS[name](request, drive)
+        _ACTIONS[name](drive, getattr(request, name), request.duration_s or 0.0)
     except ParameterError as problem:
         raise RefusedError(str(problem)) from problem
 
 
-def _motor(drive: SimulatedDrive) -> Motor:
-    if not isinstance(drive.world.load, Motor):
-        raise RefusedError("this load has no shaft")
+def _plant(drive: SimulatedDrive, kind: type[Plant]) -> Plant:
+    if not isinstance(drive.world.load, kind):
+        raise RefusedError(_LACKING[kind])
     return drive.world.load
 
 
-def _change_disks(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
-    _motor(drive).disks += request.disks or 0
+def _change_disks(drive: SimulatedDrive, disks: int, _: float) -> None:
+    _plant(drive, Motor).disks += disks
 
 
-def _load_shaft(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
-    _motor(drive).torque_Nm = request.torque_Nm or 0.0
+def _load_shaft(drive: SimulatedDrive, torque_Nm: float, _: float) -> None:
+    _plant(drive, Motor).torque_Nm = torque_Nm
 
 
-def _sag_line(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
-    drive.world.line.sag(request.sag or 0.0, request.duration_s or 0.0)
+def _set_noise(drive: SimulatedDrive, noise_V: float, _: float) -> None:
+    drive.world.noise = dataclasses.replace(drive.world.noise, sigma=noise_V)
 
 
-def _set_noise(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
-    world = drive.world
-    world.noise = dataclasses.replace(world.noise, sigma=request.noise_V or 0.0)
-
-
-def _inject_fault(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
-    drive.inject(request.fault or 0)
-
-
-def _spoil_sensors(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
+def _spoil_sensors(drive: SimulatedDrive, sensor_fault: int, _: float) -> None:
     if not drive.has_sensors:
         raise RefusedError("no sensor module is beside this drive")
-    check_range("sensor_fault", request.sensor_fault or 0, 0, max(SensorFault), "")
-    drive.world.sensor_fault = request.sensor_fault or 0
+    check_range("sensor_fault", sensor_fault, 0, max(SensorFault), "")
+    drive.world.sensor_fault = sensor_fault
 
 
-def _bath(drive: SimulatedDrive) -> Bath:
-    if not isinstance(drive.world.load, Bath):
-        raise RefusedError("this load holds no water")
-    return drive.world.load
+def _set_inflow(drive: SimulatedDrive, inflow_L_per_min: float, _: float) -> None:
+    _plant(drive, Bath).inflow_L_per_min = inflow_L_per_min
 
 
-def _fill_bath(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
-    _bath(drive).fill(request.volume_gal or 0.0, request.duration_s or 0.0)
+def _set_series(drive: SimulatedDrive, series_Ohm: float, _: float) -> None:
+    _plant(drive, Battery).series_Ohm = series_Ohm
 
 
-def _set_inflow(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
-    _bath(drive).inflow_L_per_min = request.inflow_L_per_min or 0.0
+def _set_charge(drive: SimulatedDrive, charge: float, _: float) -> None:
+    check_range("charge", charge, 0.0, 1.0, "")
+    _plant(drive, Battery).charge = charge
 
 
-def _battery(drive: SimulatedDrive) -> Battery:
-    if not isinstance(drive.world.load, Battery):
-        raise RefusedError("this load is no battery")
-    return drive.world.load
-
-
-def _set_series(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
-    _battery(drive).series_Ohm = request.series_Ohm or 0.0
-
-
-def _set_charge(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
-    check_range("charge", request.charge or 0.0, 0.0, 1.0, "")
-    _battery(drive).charge = request.charge or 0.0
-
+_LACKING: dict[type, str] = {
+    Motor: "this load has no shaft",
+    Bath: "this load holds no water",
+    Battery: "this load is no battery",
+}
 
 _LASTING = ("sag", "volume_gal")
 
-_ACTIONS = {
+_ACTIONS: dict[str, Callable[[SimulatedDrive, Any, float], None]] = {
     "disks": _change_disks,
     "torque_Nm": _load_shaft,
-    "sag": _sag_line,
+    "sag": lambda drive, sag, duration_s: drive.world.line.sag(sag, duration_s),
     "noise_V": _set_noise,
-    "fault": _inject_fault,
+    "fault": lambda drive, fault, _: drive.inject(fault),
     "sensor_fault": _spoil_sensors,
-    "volume_gal": _fill_bath,
+    "volume_gal": lambda drive, gal, duration_s: _plant(drive, Bath).fill(gal, duration_s),
     "inflow_L_per_min": _set_inflow,
     "series_Ohm": _set_series,
     "charge": _set_charge,
 }
+"""What each does, with its value and with its duration."""
 
 
 def from_words(action: str, values: Sequence[float]) -> dict[str, float]:
@@ -207,4 +194,35 @@ _WORDS: dict[str, tuple[tuple[str, ...], dict[str, float]]] = {
     "inflow": (("inflow_L_per_min",), {}),
     "series-resistance": (("series_Ohm",), {}),
     "charge": (("charge",), {}),
+}
+
+
+def features_of(load: SimulatedLoad) -> tuple[Feature, ...]:
+    """Return the disturbances that a plant offers; each still may be refused.
+
+    Args:
+        load: The plant.
+    """
+    found = list(_OFFERS.get(type(load), ()))
+    if isinstance(load, Bath):
+        first_gal = load.parameters.volume_gal
+        for verb, gal in (("pour water in to", 2.0 * first_gal), ("drain to", first_gal)):
+            text = f"{verb} {gal:g} US gal within {FILLING_S:g} s"
+            found.append(Feature(text, {"volume_gal": gal, "duration_s": FILLING_S}))
+    return (*found, Feature("sag the line by 20 % for 1 s", {"sag": 0.2, "duration_s": 1.0}))
+
+
+FILLING_S = 60.0
+
+_OFFERS: dict[type, tuple[Feature, ...]] = {
+    Motor: (
+        Feature("add a disk", {"disks": 1}),
+        Feature("remove a disk", {"disks": -1}),
+        Feature("load the shaft with 0.5 Nm", {"torque_Nm": 0.5}),
+        Feature("unload the shaft", {"torque_Nm": 0.0}),
+    ),
+    Battery: (
+        Feature("raise the series resistance to 0.4 Ω", {"series_Ohm": 0.4}),
+        Feature("set the charge to 80 %", {"charge": 0.8}),
+    ),
 }

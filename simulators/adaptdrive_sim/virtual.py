@@ -1,97 +1,28 @@
-"""One drive in virtual time: the daemon's controller against a simulated plant.
-
-The order of calls is that of `adaptdrive.control.schedule`. There is no bus and no broker, and
-nothing waits: time passes as fast as the machine counts it.
-"""
+"""One drive in virtual time: the daemon's controller and state machine against a plant."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
 
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.config.root import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.reach import Reach
-from adaptdrive.control.schedule import Schedule
-from adaptdrive.control.signals import (
-    SAFE_COMMAND,
-    Command,
-    Decision,
-    Measurement,
-    Order,
-    Snapshot,
-    Stage,
-)
+from adaptdrive.control.signals import SAFE_COMMAND, Decision, Mode, Order, Stage
+from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.machine import Machine
-from adaptdrive.runtime.requests import Disable, Request
-from adaptdrive_sim.compiled.wire import Wire, delayed, rounded
-from adaptdrive_sim.world import Sample, World
+from adaptdrive.runtime.reports import State
+from adaptdrive.runtime.requests import Disable, Enable, Request, SetMode, SetSetpoint
+from adaptdrive_sim.course import PERIODS, Run
+from adaptdrive_sim.site import Site
+from adaptdrive_sim.world import World
 
 
-class VirtualDrive:
-    """A controller in front of a plant, with or without a wire between them.
-
-    Attributes:
-        world: The plant.
-        sample: What the drive measured at the end of the last half cycle.
-        snapshot: The last snapshot, None before the first.
-        decision: What the slow half made of it.
-    """
-
-    def __init__(
-        self,
-        controller: Controller,
-        latency_ticks: int,
-        world: World,
-        sample: Sample,
-        wire: Wire | None = None,
-    ) -> None:
-        """Put a controller in front of a plant.
-
-        Args:
-            controller: The controller.
-            latency_ticks: L, ticks from a snapshot to the effect of its decision.
-            world: The plant.
-            sample: The plant's first measurement.
-            wire: Resolution and delay between them; none when left out.
-        """
-        self.world = world
-        self.sample = sample
-        self.snapshot: Snapshot | None = None
-        self.decision: Decision | None = None
-        self._schedule = Schedule(controller, latency_ticks)
-        self._wire = wire
-
-    def measure(self, tick: int) -> Measurement:
-        """Return what the controller receives at a tick, which it may ask for once."""
-        _, tick_period_s, boost_V, line_V, load_W, output, _ = self.sample
-        if (wire := self._wire) is not None:
-            boost_V = rounded(boost_V, wire.voltage_quantum_V)
-            line_V = rounded(line_V, wire.voltage_quantum_V)
-            load_W = rounded(load_W, wire.power_quantum_W)
-            output = delayed(wire, output)
-        return Measurement(tick, tick_period_s, boost_V, line_V, load_W, output)
-
-    def control(self, measurement: Measurement, order: Order) -> tuple[Command, bool]:
-        """Run the controller for one tick; return whether it has decided."""
-        command = self._schedule.tick(measurement, order)
-        snapshot = self._schedule.take_snapshot()
-        if snapshot is not None:
-            self.snapshot, self.decision = snapshot, self._schedule.decide(snapshot)
-        return command, snapshot is not None
-
-    def advance(self, command: Command, disturbance: float | None = None) -> None:
-        """Run the plant for one half cycle; the noise is its own unless it is given."""
-        scale_S = command.current_scale_S
-        if self._wire is not None:
-            scale_S = rounded(scale_S, self._wire.scale_quantum_S)
-        if disturbance is None:
-            self.sample = self.world.step(scale_S, command.bridge)
-        else:
-            self.sample = self.world.step_disturbed(scale_S, command.bridge, disturbance)
-
-
-class OperatedDrive(VirtualDrive):
-    """A drive that takes an operator's requests, with the daemon's state machine.
+class OperatedDrive(Site):
+    """A site that takes an operator's requests, with the daemon's state machine.
 
     Attributes:
         machine: State machine, as in the daemon.
@@ -109,14 +40,65 @@ class OperatedDrive(VirtualDrive):
         """
         controller = Controller(controller_settings(configuration), build_load(configuration))
         world.shut()
-        sample = world.step(0.0, bridge=False)
-        super().__init__(controller, configuration.load.latency_ticks, world, sample)
+        super().__init__(controller, world)
+        self.sample = world.step(0.0, bridge=False)
         settings = daemon_settings(configuration)
         self.machine = Machine(settings.machine, settings.pole)
         self.ticks = 0
         self.time_s = 0.0
         self.completed = False
         self._command = SAFE_COMMAND
+
+    def begin(self, mode: Mode) -> None:
+        """Enable the drive, wait until it runs or trips, and ask for a controller."""
+        self.tick()
+        self.carry_out(Enable())
+        while self.machine.state is State.STARTING:
+            self.tick()
+        self.carry_out(SetMode(mode))
+
+    def follow(
+        self,
+        duration_s: float,
+        setpoint_at: Callable[[float], float],
+        change: Callable[[float], None],
+    ) -> Run:
+        """Run until the load has what it needs, a trip or the end.
+
+        Args:
+            duration_s: The end.
+            setpoint_at: Set-point at a time, asked for when it changes; one that is refused leaves
+                the drive at the one before.
+            change: Changes the plant at the end of a slow period.
+        """
+        run = Run(np.empty((0, 0)), (*PERIODS, *self.world.load.state()))
+        rows: list[tuple[float, ...]] = []
+        began_s, setpoint = self.time_s, 0.0
+        while (time_s := self.time_s - began_s) < duration_s and not self.completed:
+            if self.machine.trip is not None:
+                run.trip = self.machine.trip
+                break
+            if setpoint_at(time_s) != setpoint:
+                setpoint = setpoint_at(time_s)
+                self._ask(SetSetpoint(setpoint), run)
+            if self.tick() and self.decision is not None:
+                change(time_s)
+                run.decisions.append(self.decision)
+                rows.append((time_s, *self._row(self.decision)))
+        run.trace = np.array(rows).reshape(len(rows), len(run.names))
+        return run
+
+    def _ask(self, request: Request, run: Run) -> None:
+        try:
+            self.carry_out(request)
+        except RefusedError as problem:
+            run.refused.append(str(problem))
+
+    def _row(self, decision: Decision) -> tuple[float, ...]:
+        """A ripple that is asked for is part of the reference."""
+        asked = self.reference + float(np.nan_to_num(decision.probe))
+        load, adaptive = self.world.load, decision.controller is Mode.ADAPTIVE
+        return asked, load.output, adaptive, *load.state().values()
 
     def carry_out(self, request: Request) -> None:
         """Carry out an operator's request before the next tick.

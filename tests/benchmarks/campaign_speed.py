@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 
 from adaptdrive_sim.campaign.kinds import run_seed
-from adaptdrive_sim.campaign.pool import run_batch, workers
+from adaptdrive_sim.campaign.main import run_batch, workers
 from adaptdrive_sim.campaign.settings import Campaign
 
 _BATCH = 4

@@ -17,17 +17,17 @@ from pathlib import Path
 from adaptdrive.control.signals import Mode
 from adaptdrive.errors import AdaptdriveError
 from adaptdrive_sim.campaign import bench
-from adaptdrive_sim.campaign.criteria import WORSE
-from adaptdrive_sim.campaign.drawn import Row, RunOutcome
-from adaptdrive_sim.campaign.judge import judge
+from adaptdrive_sim.campaign.drawn import Row
+from adaptdrive_sim.campaign.judge import WORSE, judge
 from adaptdrive_sim.campaign.scenario import draw
 from adaptdrive_sim.campaign.settings import read_campaign
 from adaptdrive_sim.compiled import run
+from adaptdrive_sim.course import Run
 from tests.benchmarks.dials import DIALS, Dial, Number, install, turn
 from tests.control.constants_effects import CHANGES, COLUMNS, SEEDS
 
 Stands = dict[str, list[bench.Stand]]
-Fixed = dict[int, RunOutcome]
+Fixed = dict[int, Run]
 
 TO_ONE = {"_NEAR_LIMIT", "_CEILING_RISE", "OBSERVER_POLE", "CLOSER", "GROWTH"} | {
     name for name in (dial.name for dial in DIALS) if name.endswith("_RADIUS")

@@ -35,12 +35,12 @@ from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.supervisor import Verdict
 from adaptdrive_sim.compiled import bench
-from adaptdrive_sim.compiled.run import run_compiled
 from adaptdrive_sim.compiled.wire import DELAY_MAX, Wire
-from adaptdrive_sim.course import Course, start_at_rest
+from adaptdrive_sim.course import Course
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.plants.coupling import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from adaptdrive_sim.site import Site
 from adaptdrive_sim.world import World, WorldParameters
 
 Array = NDArray[np.float64]
@@ -110,13 +110,12 @@ def run(drawn: Drawn, mode: Mode) -> Array:
     noise = drawn.noise * random.standard_normal(END_S * 120 + 1)
     sizes = np.where(times >= drawn.change_s, 2.0, 1.0)
     wire = Wire(RESOLUTION, 0.1, 1.0, 0.0, 0, [LOW] * (DELAY_MAX + 1))
-    course = Course(references, sizes, 0.0, noise, mode, POLE, wire)
+    course = Course(references, sizes, 0.0, noise, mode, POLE)
     world = World(Motor(drawn.motor), WorldParameters())
     controller = Controller(drawn.settings, drawn.load)
-    start_at_rest(controller, world, course, LOW)
-    trace, cause = run_compiled(controller, world, course)
-    assert cause == 0, (drawn.seed, cause)
-    return trace
+    found = Site(controller, world, wire).run(course, compiled=True)
+    assert found.interlock == 0, (drawn.seed, found.interlock)
+    return found.trace
 
 
 def overshoot(trace: Array, from_s: int) -> float:

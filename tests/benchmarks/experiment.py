@@ -9,10 +9,8 @@ import numpy as np
 import padasip
 from scipy.signal import cont2discrete
 
-from adaptdrive_sim.experiments.case import Case, Disturbance
-from adaptdrive_sim.experiments.motor import MOTOR
-from adaptdrive_sim.experiments.runner import run_case
-from adaptdrive_sim.experiments.settings import case_settings
+from adaptdrive_sim.experiments.case import Case, Disturbance, case_settings, run_case
+from adaptdrive_sim.experiments.published import MOTOR
 from tests.benchmarks.rows import Extent, Row
 
 GAIN, TAU_MOTOR_S, TAU_FILTER_S, TAU_LAMBDA_S = 0.011, 11.7, 10.0, 10.0

@@ -70,7 +70,7 @@ def compare(campaign: Path, seed: int) -> Row:
     settings = stand.own.settings
     learning = replace(settings.learning, method=KnownLoad(stand.true_loads(), stand.own.period_s))
     stand.own = replace(stand.own, settings=replace(settings, learning=learning))
-    known = judge(stand, fixed, stand.run_deployed(Mode.ADAPTIVE)[0])
+    known = judge(stand, fixed, stand.run_deployed(Mode.ADAPTIVE))
     estimated = judge(stand, fixed, adaptive)
     changed = float(bool(stand.change_times_s))
     return estimated["ratio"], known["ratio"], known["saturated_share"], changed

@@ -16,11 +16,10 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from adaptdrive_sim.experiments.case import Design, Disturbance, Variant
+from adaptdrive_sim.experiments.case import Design, Disturbance, Variant, run_case
 from adaptdrive_sim.experiments.metrics import Cycle, convergence_cycles, cycles
-from adaptdrive_sim.experiments.motor import DROPPED
+from adaptdrive_sim.experiments.published import DROPPED
 from tests.experiments.cases import make_case
-from tests.experiments.compiled_case import run_case_compiled
 
 ROOT = Path(__file__).parents[2]
 SEEDS = 20
@@ -62,7 +61,7 @@ class Found:
 def run(controller: str, noise: str, seed: int) -> Found:
     """Run one controller once."""
     design, variant = CONTROLLERS[controller]
-    record = run_case_compiled(make_case(DROPPED, variant, design, NOISES[noise], seed))
+    record = run_case(make_case(DROPPED, variant, design, NOISES[noise], seed), compiled=True)
     converged = [convergence_cycles(DROPPED, record, one) for one in DROPPED.changes]
     return Found(cycles(DROPPED, design, record), converged)
 

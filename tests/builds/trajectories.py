@@ -13,10 +13,9 @@ from pathlib import Path
 
 from adaptdrive.control.signals import Mode
 from adaptdrive.pure import build_name
-from adaptdrive_sim.campaign.bench import Stand, deployed
+from adaptdrive_sim.campaign.bench import Stand
 from adaptdrive_sim.campaign.scenario import draw
 from adaptdrive_sim.campaign.settings import read_campaign
-from adaptdrive_sim.course import run_course
 
 
 def digests(seeds: range, duration_s: float) -> Iterator[str]:
@@ -30,11 +29,11 @@ def digests(seeds: range, duration_s: float) -> Iterator[str]:
     for seed in seeds:
         stand = Stand(draw(campaign, seed))
         course = stand.course(Mode.ADAPTIVE)
-        rates = deployed().settings.rates
-        run = run_course(*stand._start(course), course, rates, keep_ticks=True)
+        run = stand.site().run(course, keep_ticks=True)
         digest = hashlib.sha256(run.fast_output.tobytes())
         digest.update(run.fast_voltage_V.tobytes())
-        digest.update(repr((run.snapshots, run.decisions)).encode())
+        digest.update(run.trace.tobytes())
+        digest.update(repr(run.decisions).encode())
         yield digest.hexdigest()
 
 

@@ -16,7 +16,6 @@ from adaptdrive_sim.campaign.bath_settings import BathCampaign
 from adaptdrive_sim.campaign.kinds import read_any_campaign, run_seed
 from adaptdrive_sim.campaign.main import run_campaign
 from adaptdrive_sim.campaign.settings import FOLDER, Campaign
-from adaptdrive_sim.compiled import bench
 from adaptdrive_sim.plants.bath import Bath
 from tests.campaign.flaws import message_about
 
@@ -73,14 +72,14 @@ def test_the_true_volume_is_the_one_that_the_model_is_told(drawn: list[BathScena
             bath.resize(size, course.over_s)
         found.append(bath.volume_gal)
         bath.coast(stand.own.period_s)
-    slip = np.abs(np.diff(stand.volumes_gal)).max()
-    np.testing.assert_allclose(found, stand.volumes_gal, atol=slip + 1e-9)
+    slip = np.abs(np.diff(stand.sizes)).max()
+    np.testing.assert_allclose(found, stand.sizes, atol=slip + 1e-9)
 
 
 def test_the_truth_of_the_reference_bath_is_its_configured_model() -> None:
     scenario = draw_bath(campaign(), 1)
     stand = BathStand(scenario)
-    stand.volumes_gal, stand.inflows = np.array([0.6]), np.array([1.0])
+    stand.sizes, stand.inflows = np.array([0.6]), np.array([1.0])
     object.__setattr__(scenario, "resistance", 1.0)
     assert stand.truth_at(0) == pytest.approx([0.02104, 200.0], rel=2e-3)
 
@@ -102,11 +101,10 @@ def test_a_campaign_of_baths_leaves_a_row_for_each_seed_and_pictures(tmp_path: P
 @pytest.mark.slow
 def test_compiled_and_deployed_controllers_hold_a_bath_alike() -> None:
     stand = BathStand(draw_bath(campaign(duration_s=2400.0), 510_007))
-    compiled, (deployed, _) = stand.run(Mode.ADAPTIVE), stand.run_deployed(Mode.ADAPTIVE)
+    compiled, deployed = stand.run(Mode.ADAPTIVE), stand.run_deployed(Mode.ADAPTIVE)
     assert compiled.interlock == deployed.interlock == 0
-    for column in (bench.OUTPUT, bench.REFERENCE_V):
-        expected = deployed.trace[:, column]
-        np.testing.assert_allclose(compiled.trace[:, column], expected, rtol=1e-7)
+    for name in ("output", "boost_reference_V"):
+        np.testing.assert_allclose(compiled[name], deployed[name], rtol=1e-7)
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,11 @@ import pytest
 
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.battery_bench import ideal_current, judge_batteries, run_battery
-from adaptdrive_sim.campaign.battery_scenario import BatteryScenario, draw_battery
-from adaptdrive_sim.campaign.battery_settings import BatteryCampaign
+from adaptdrive_sim.campaign.battery_scenario import (
+    BatteryCampaign,
+    BatteryScenario,
+    draw_battery,
+)
 from adaptdrive_sim.campaign.main import repeat_run, run_campaign
 from adaptdrive_sim.campaign.settings import FOLDER, read_campaign_of
 from tests.campaign.flaws import message_about
@@ -64,7 +67,7 @@ def test_the_resistance_grows_in_the_plant() -> None:
     assert scenario.series_at(scenario.duration_s) == pytest.approx(scenario.growth)
     run = run_battery(scenario, Mode.FIXED)
     assert not run.trip
-    times_s, volts = np.array(run.time_s), np.array(run.terminal_V)
+    times_s, volts = run["time_s"], run["terminal_voltage_V"]
     before, after = (
         float(np.mean(volts[np.abs(times_s - share * scenario.duration_s) < 5.0]))
         for share in (0.39, 0.61)

@@ -12,15 +12,12 @@ import pytest
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim import cli
 from adaptdrive_sim.campaign.bench import Stand, deployed
-from adaptdrive_sim.campaign.criteria import FLOOR, cost
-from adaptdrive_sim.campaign.judge import judge
+from adaptdrive_sim.campaign.judge import FLOOR, cost, judge
 from adaptdrive_sim.campaign.kinds import run_seed
-from adaptdrive_sim.campaign.main import repeat_run, run_campaign
-from adaptdrive_sim.campaign.pool import ClusterError, workers
+from adaptdrive_sim.campaign.main import ClusterError, repeat_run, run_campaign, workers
+from adaptdrive_sim.campaign.report import claims, failures, shared_failures
 from adaptdrive_sim.campaign.scenario import draw
-from adaptdrive_sim.campaign.settings import read_campaign
-from adaptdrive_sim.campaign.verdict import claims, failures, shared_failures
-from adaptdrive_sim.compiled import bench
+from adaptdrive_sim.campaign.settings import FOLDER, read_campaign
 from adaptdrive_sim.parameters import ParameterError
 
 STANDARD = Path("standard.toml")
@@ -57,12 +54,12 @@ def test_a_run_is_repeated_on_the_deployed_controller_with_the_same_result(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "short.toml"
-    text = (Path(bench.__file__).parent.parent / "campaign" / STANDARD).read_text(encoding="utf-8")
+    text = (FOLDER / STANDARD).read_text(encoding="utf-8")
     path.write_text(text.replace("duration_s = 1320.0", "duration_s = 180.0"), encoding="utf-8")
     repeat_run(path, 5, tmp_path)
     recorded = pq.read_table(tmp_path / "run-5.parquet")
     stand = Stand(draw(read_campaign(path), 5))
-    compiled = stand.run(Mode.ADAPTIVE).trace[:, bench.OUTPUT]
+    compiled = stand.run(Mode.ADAPTIVE)["output"]
     np.testing.assert_allclose(recorded["output_adaptive"].to_numpy(), compiled, rtol=1e-9)
     assert (tmp_path / "run-5.png").exists()
 
@@ -70,7 +67,7 @@ def test_a_run_is_repeated_on_the_deployed_controller_with_the_same_result(
 def test_the_ideal_loop_reaches_every_set_point_with_the_designed_poles() -> None:
     stand = Stand(draw(read_campaign(STANDARD), 12))
     stand.references = np.concatenate([np.full(5, 3.0), np.full(75, 3.2)])
-    stand.inertias = np.full(80, stand.scenario.inertias[0])
+    stand.sizes = np.full(80, stand.scenario.inertias[0])
     ideal = stand.ideal()
     assert ideal[:6] == pytest.approx(3.0)
     assert ideal[-1] == pytest.approx(3.2, abs=1e-6)
@@ -93,8 +90,8 @@ def test_a_run_that_fixed_control_does_not_hold_either_is_listed_apart_with_its_
     stand = Stand(draw(read_campaign(STANDARD), 2))
     fixed, adaptive = stand.run(Mode.FIXED), stand.run(Mode.ADAPTIVE)
     for outcome in (fixed, adaptive):
-        outcome.trace[100:, bench.OUTPUT] += 10.0 * stand.step
-    adaptive.trace[: stand.times_s.size // 2, bench.REFERENCE_V] = 400.0
+        outcome["output"][100:] += 10.0 * stand.step
+    adaptive["boost_reference_V"][: stand.times_s.size // 2] = 400.0
     row = judge(stand, fixed, adaptive)
     assert row["unstable_fixed"]
     assert row["unstable_adaptive"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +10,11 @@ import pytest
 
 from adaptdrive.control.signals import Mode, Stage
 from adaptdrive_sim.campaign.bench import Stand, deployed
-from adaptdrive_sim.campaign.drawn import RunOutcome
 from adaptdrive_sim.campaign.judge import judge
 from adaptdrive_sim.campaign.life import Life, draw_life, moving, volt_Nm
-from adaptdrive_sim.campaign.life_settings import LifeRanges
 from adaptdrive_sim.campaign.scenario import Scenario, draw
-from adaptdrive_sim.campaign.settings import FOLDER, read_campaign
-from adaptdrive_sim.compiled import bench
+from adaptdrive_sim.campaign.settings import FOLDER, LifeRanges, read_campaign
+from adaptdrive_sim.course import Run
 from adaptdrive_sim.plants.motor import Motor
 from tests.campaign.flaws import message_about
 
@@ -34,7 +33,7 @@ def test_a_life_leaves_every_other_draw_as_it_was() -> None:
     eventful = wide.model_copy(update={"life": LifeRanges(torque_changes=(3, 3), torque_V=(1, 2))})
     before, after = draw(wide, 7), draw(eventful, 7)
     assert before.life == Life(inertia_ramps_s=(0.0,) * len(before.change_times_s))
-    names = [name for name in Scenario.__slots__ if name != "life"]
+    names = [one.name for one in fields(Scenario) if one.name != "life"]
     assert [getattr(before, name) for name in names] == [getattr(after, name) for name in names]
     assert len(after.life.torques_V) == 3
 
@@ -108,8 +107,8 @@ def eventful(seed: int = 3, **life: object) -> Stand:
     return Stand(draw(standard.model_copy(update=changes), seed))
 
 
-def held_V(outcome: RunOutcome) -> float:
-    return float(np.mean(outcome.trace[-20:, bench.APPLIED_V]))
+def held_V(outcome: Run) -> float:
+    return float(np.mean(outcome["applied_V"][-20:]))
 
 
 @pytest.mark.slow
@@ -131,7 +130,7 @@ def test_torque_and_friction_take_the_volts_that_were_drawn() -> None:
 def test_what_the_sensor_shows_is_held_whatever_its_offset() -> None:
     stand = eventful(offset=(0.04, 0.04))
     outcome = stand.run(Mode.FIXED)
-    shown = outcome.trace[:, bench.OUTPUT] + 0.04
+    shown = outcome["output"] + 0.04
     assert np.max(np.abs(shown - stand.references)) < 0.002
     assert judge(stand, outcome, outcome)["rms_fixed"] < 0.03
 
@@ -145,10 +144,10 @@ def test_a_motor_coasts_while_the_drive_is_off_and_is_caught_again() -> None:
         *(Stage.RUN, Stage.OFF),
         *(Stage.PRECHARGE, Stage.RUN),
     ]
-    outcome, decisions = stand.run_deployed(Mode.ADAPTIVE)
+    outcome = stand.run_deployed(Mode.ADAPTIVE)
     assert outcome.interlock == 0
-    assert len(decisions) == np.count_nonzero(stand.running())
-    outputs = outcome.trace[:, bench.OUTPUT]
+    assert len(outcome.decisions) == np.count_nonzero(stand.running())
+    outputs = outcome["output"]
     assert np.all(np.isnan(outputs[stop[0] : stop[-1] + 1]))
     assert outputs[stop[-1] + 2] < 0.9 * stand.references[0]
     assert outputs[-1] == pytest.approx(stand.references[0], abs=0.01)
@@ -160,10 +159,10 @@ def test_a_motor_coasts_while_the_drive_is_off_and_is_caught_again() -> None:
 def test_compiled_code_lives_the_same_life(mode: Mode) -> None:
     campaign = read_campaign(Path("life.toml")).model_copy(update={"duration_s": 600.0})
     stand = Stand(next(one for s in SEEDS if _is_full(one := draw(campaign, s))))
-    found, (expected, _) = stand.run(mode), stand.run_deployed(mode)
+    found, expected = stand.run(mode), stand.run_deployed(mode)
     assert found.interlock == expected.interlock == 0
-    for column in (bench.ADAPTIVE, bench.ACCEPTED, bench.VERDICT):
-        assert np.array_equal(found.trace[:, column], expected.trace[:, column])
+    for name in ("adaptive", "accepted", "verdict"):
+        assert np.array_equal(found[name], expected[name])
     np.testing.assert_allclose(found.trace, expected.trace, rtol=1e-6, atol=1e-9)
 
 

@@ -21,7 +21,7 @@ def test_a_rival_meets_the_plant_that_the_daemon_meets() -> None:
     expected = stand.run(Mode.ADAPTIVE).trace
     course = stand.course(Mode.ADAPTIVE)
     voltages = expected[:, bench.REFERENCE_V].tolist()
-    found = run_held(*stand._start(course), course, lambda k, _output, _applied: voltages[k])
+    found = run_held(stand.site(), course, lambda k, _output, _applied: voltages[k])
     np.testing.assert_allclose(found, expected[:, : bench.ADAPTIVE], rtol=1e-9, equal_nan=False)
 
 

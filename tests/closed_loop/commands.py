@@ -24,13 +24,12 @@ from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.errors import RefusedError
 from adaptdrive.runtime.machine import Machine
 from adaptdrive.runtime.requests import Moment, Request, SetSetpoint, SetWaveform
-from adaptdrive_sim.compiled import bench
-from adaptdrive_sim.compiled.run import run_compiled
-from adaptdrive_sim.course import Course, start_at_rest
+from adaptdrive_sim.course import Course, Run
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
+from adaptdrive_sim.site import Site
 from adaptdrive_sim.world import World
 
 COMPILED = ("motor", "bath")
@@ -129,14 +128,14 @@ def run(name: str, sequence: Sequence) -> str:
         disturbances=noise(sequence, settings.rates.ticks_per_period),
         mode=sequence.mode,
         pole=sequence.pole,
+        start=sequence.start,
     )
     load = plant(name)
     world = World(load)
     load.resize(sequence.size, 0.0)  # type: ignore[attr-defined]
     controller = Controller(settings, build_load(configuration(name)))
-    start_at_rest(controller, world, course, sequence.start)
-    trace, cause = run_compiled(controller, world, course)
-    return trip(cause) or latch(trace) or motion(sequence, trace)
+    found = Site(controller, world).run(course, compiled=True)
+    return trip(found.interlock) or latch(found) or motion(sequence, found)
 
 
 def noise(sequence: Sequence, ticks: int) -> NDArray[np.float64]:
@@ -148,14 +147,14 @@ def trip(cause: int) -> str:
     return f"tripped, cause {cause}" if cause else ""
 
 
-def latch(trace: NDArray[np.float64]) -> str:
-    latched = trace[:, bench.FALLBACK].max()
+def latch(found: Run) -> str:
+    latched = found["fallback"].max()
     return f"fell back, cause {latched:g}" if latched else ""
 
 
-def motion(sequence: Sequence, trace: NDArray[np.float64]) -> str:
+def motion(sequence: Sequence, found: Run) -> str:
     """Say where the output left what was asked for by more than an overshoot."""
-    outputs, references = trace[:, bench.OUTPUT], sequence.references
+    outputs, references = found["output"], sequence.references
     low = min(sequence.start, references.min())
     high = max(sequence.start, references.max())
     margin = OVERSHOOT * (high - low) + 5.0 * sequence.sigma + 0.01 * high

@@ -15,8 +15,7 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.discretise import held_model
 from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint, SetWaveform
+from adaptdrive.runtime.requests import SetSetpoint, SetWaveform
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.plants.load import SimulatedLoad
@@ -119,11 +118,7 @@ def started(
             table = table.setdefault(name_of_table, {})
         table.update(values)
     drive = OperatedDrive(validate_configuration(tables, FOLDER / f"{name}.toml"), world)
-    drive.tick()
-    drive.carry_out(Enable())
-    while drive.machine.state is not State.RUNNING:
-        drive.tick()
-    drive.carry_out(SetMode(mode))
+    drive.begin(mode)
     return drive
 
 

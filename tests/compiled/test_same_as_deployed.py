@@ -14,13 +14,12 @@ from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.bench import Stand, deployed
 from adaptdrive_sim.campaign.scenario import draw
 from adaptdrive_sim.campaign.settings import Campaign, read_campaign
-from adaptdrive_sim.compiled import bench
-from adaptdrive_sim.compiled.run import run_compiled
-from adaptdrive_sim.course import Course, run_course, start_at_rest
+from adaptdrive_sim.course import Course
 from adaptdrive_sim.plants.motor import Motor
+from adaptdrive_sim.site import Site
 from adaptdrive_sim.world import World
 
-DECISIONS = [bench.ADAPTIVE, bench.ACCEPTED, bench.VERDICT]
+DECISIONS = ("adaptive", "accepted", "verdict")
 
 
 def compare(seed: int, mode: Mode, duration_s: float | None = None) -> None:
@@ -28,13 +27,13 @@ def compare(seed: int, mode: Mode, duration_s: float | None = None) -> None:
     if duration_s is not None:
         campaign = campaign.model_copy(update={"duration_s": duration_s})
     stand = Stand(draw(campaign, seed))
-    expected, decisions = stand.run_deployed(mode)
+    expected = stand.run_deployed(mode)
     found = stand.run(mode)
     assert found.interlock == expected.interlock
-    assert len(decisions) == len(stand.times_s)
-    for column in DECISIONS:
-        assert np.array_equal(found.trace[:, column], expected.trace[:, column])
-    voltages = found.trace[:, bench.REFERENCE_V] - expected.trace[:, bench.REFERENCE_V]
+    assert len(expected.decisions) == len(stand.times_s)
+    for name in DECISIONS:
+        assert np.array_equal(found[name], expected[name])
+    voltages = found["boost_reference_V"] - expected["boost_reference_V"]
     assert np.max(np.abs(voltages)) < 1e-6
     np.testing.assert_allclose(found.trace, expected.trace, rtol=1e-6, atol=1e-9)
 
@@ -47,7 +46,7 @@ def test_a_short_run_is_the_same_with_the_adaptive_controller() -> None:
     compare(4, Mode.ADAPTIVE, duration_s=240.0)
 
 
-def probed(stand: Stand) -> tuple[Controller, World, Course]:
+def probed(stand: Stand) -> tuple[Site, Course]:
     """A controller that probes a load at rest, of which nothing is known."""
     random, own = np.random.default_rng(5), deployed()
     periods = 240
@@ -63,20 +62,19 @@ def probed(stand: Stand) -> tuple[Controller, World, Course]:
     world = World(Motor(stand.scenario.motor()))
     probing = Probing(amplitude=0.09, stale_periods=100, lowest=0.0, highest=4.5)
     controller = Controller(replace(own.settings, probing=probing), own.load)
-    start_at_rest(controller, world, course, 3.0)
-    return controller, world, course
+    return Site(controller, world), course
 
 
 def test_a_probe_is_the_same() -> None:
     stand = Stand(draw(read_campaign(Path("standard.toml")), 1))
-    found, cause = run_compiled(*probed(stand))
-    controller, world, course = probed(stand)
-    expected = run_course(controller, world, course, deployed().settings.rates)
-    assert cause == 0
+    site, course = probed(stand)
+    expected = site.run(course)
+    site, course = probed(stand)
+    found = site.run(course, compiled=True)
+    assert found.interlock == 0
     shifts = [one.probe for one in expected.decisions]
     assert np.nanmax(shifts) == pytest.approx(0.09)
-    voltages = [one.boost_reference_V for one in expected.decisions]
-    np.testing.assert_allclose(found[:, bench.REFERENCE_V], voltages, atol=1e-6)
+    np.testing.assert_allclose(found["boost_reference_V"], expected["boost_reference_V"], atol=1e-6)
 
 
 @pytest.mark.slow

@@ -6,12 +6,17 @@ import multiprocessing
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 
-from adaptdrive_sim.experiments.case import Case, Design, Disturbance, Variant
+from adaptdrive_sim.course import Run
+from adaptdrive_sim.experiments.case import (
+    Case,
+    Design,
+    Disturbance,
+    Variant,
+    case_settings,
+    run_case,
+)
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.experiments.outcome import ExperimentOutcome, judge
-from adaptdrive_sim.experiments.runner import RunRecord, run_case
-from adaptdrive_sim.experiments.settings import case_settings
-from tests.experiments.compiled_case import run_case_compiled
 
 SEEDS = range(20)
 
@@ -28,15 +33,15 @@ def make_case(
     return Case(experiment, variant, case_settings(experiment, variant, design), noise, seed)
 
 
-def run_all(cases: Iterable[Case]) -> list[RunRecord]:
+def run_all(cases: Iterable[Case]) -> list[Run]:
     """Run many cases on all processors, in order."""
     with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
         return list(pool.map(run_case, cases))
 
 
-def run_all_compiled(cases: Iterable[Case]) -> list[RunRecord]:
+def run_all_compiled(cases: Iterable[Case]) -> list[Run]:
     """The same on compiled code, for many cases of one kind."""
-    return [run_case_compiled(case) for case in cases]
+    return [run_case(case, compiled=True) for case in cases]
 
 
 def outcomes(
@@ -44,7 +49,7 @@ def outcomes(
     variants: tuple[Variant, ...],
     disturbance: Disturbance | None = None,
     seeds: Iterable[int] = SEEDS,
-    run: Callable[[Iterable[Case]], list[RunRecord]] = run_all,
+    run: Callable[[Iterable[Case]], list[Run]] = run_all,
 ) -> list[ExperimentOutcome]:
     """The experiment in the paper's design, once for each seed."""
     noise = disturbance or Disturbance(experiment.noise)

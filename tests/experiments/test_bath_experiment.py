@@ -2,10 +2,9 @@
 
 import pytest
 
-from adaptdrive_sim.experiments.bath import BATH
-from adaptdrive_sim.experiments.case import Disturbance
+from adaptdrive_sim.experiments.case import Disturbance, run_case
 from adaptdrive_sim.experiments.metrics import convergence_cycles, cycles
-from adaptdrive_sim.experiments.runner import run_case
+from adaptdrive_sim.experiments.published import BATH
 from tests.experiments.cases import make_case, outcomes, run_all, run_all_compiled
 
 AFTER = slice(2, None)
@@ -20,7 +19,7 @@ def test_the_fixed_controller_overshoots_after_the_change_and_the_adaptive_one_d
     assert min(one.overshoot for one in fixed[AFTER]) > 0.07
     assert max(one.overshoot for one in adaptive) < 0.035
     assert [one.load for one in fixed] == [1.0, 1.0, 2.5, 2.5, 2.5]
-    assert found.records["adaptive"].adaptive.index(True) == 30
+    assert found.records["adaptive"]["adaptive"].tolist().index(True) == 30
 
 
 @pytest.mark.slow
@@ -34,7 +33,7 @@ def test_that_holds_for_every_seed() -> None:
 def test_without_noise_direct_least_squares_finds_the_bath() -> None:
     record = run_case(make_case(BATH, "adaptive", disturbance=Disturbance(0.0)))
     before = round(5400.0 / BATH.period_s) - 1
-    found = [values[before] for values in record.estimates.values()]
+    found = [record[name][before] for name in BATH.nominal().names]
     assert found == pytest.approx(BATH.truth_at(5399.0), rel=5e-3)
     judged = cycles(BATH, "paper", record)
     assert judged[2].overshoot < 0.02

@@ -6,10 +6,10 @@ import statistics
 
 import pytest
 
-from adaptdrive_sim.experiments.case import Disturbance
+from adaptdrive_sim.course import Run
+from adaptdrive_sim.experiments.case import Disturbance, run_case
 from adaptdrive_sim.experiments.metrics import convergence_cycles, cycles
-from adaptdrive_sim.experiments.motor import MOTOR
-from adaptdrive_sim.experiments.runner import RunRecord, run_case
+from adaptdrive_sim.experiments.published import MOTOR
 from tests.experiments.cases import make_case, run_all_compiled
 
 ORACLE = 0.030
@@ -18,12 +18,12 @@ ORACLE = 0.030
 LAST = {"one disk": 4, "two disks": 7, "three disks": 10}
 
 
-def error(record: RunRecord, segment: str) -> float:
+def error(record: Run, segment: str) -> float:
     """Model error in the last cycle of a segment, as a fraction of the step."""
     return cycles(MOTOR, "exact", record)[LAST[segment]].model_error_rms
 
 
-def runs(disturbance: Disturbance) -> list[RunRecord]:
+def runs(disturbance: Disturbance) -> list[Run]:
     return run_all_compiled(
         make_case(MOTOR, "adaptive", "exact", disturbance=disturbance, seed=seed)
         for seed in range(20)
@@ -31,17 +31,17 @@ def runs(disturbance: Disturbance) -> list[RunRecord]:
 
 
 @pytest.fixture(scope="module")
-def silent() -> RunRecord:
+def silent() -> Run:
     return run_case(make_case(MOTOR, "adaptive", "exact", disturbance=Disturbance(0.0)))
 
 
-def test_without_noise_only_saturation_is_left_of_the_model_error(silent: RunRecord) -> None:
+def test_without_noise_only_saturation_is_left_of_the_model_error(silent: Run) -> None:
     assert error(silent, "one disk") < 0.003
     assert error(silent, "two disks") < 0.008
     assert error(silent, "three disks") < 1.10 * ORACLE
 
 
-def test_a_change_of_the_load_does_not_show(silent: RunRecord) -> None:
+def test_a_change_of_the_load_does_not_show(silent: Run) -> None:
     assert max(cycle.overshoot for cycle in cycles(MOTOR, "exact", silent)) < 0.02
 
 

@@ -11,12 +11,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from adaptdrive.analysis import style
-from adaptdrive_sim.experiments.case import Disturbance, Variant
+from adaptdrive_sim.experiments.case import Disturbance, Variant, run_case
 from adaptdrive_sim.experiments.experiment import LoadChange
 from adaptdrive_sim.experiments.figure import experiment_figure
-from adaptdrive_sim.experiments.motor import DROPPED
 from adaptdrive_sim.experiments.outcome import ExperimentOutcome, judge
-from adaptdrive_sim.experiments.runner import run_case
+from adaptdrive_sim.experiments.published import DROPPED
 from tests.experiments.cases import make_case
 
 SHORT = dataclasses.replace(
@@ -57,11 +56,11 @@ def test_each_controller_has_its_speed_and_its_voltage(
     for i, variant in enumerate(VARIANTS):
         speed, voltage = figure.axes[2 * i], figure.axes[2 * i + 1]
         record = outcome.records[variant]
-        assert line(speed, "without noise") == record.output
-        assert line(speed, "measured") == record.measured
-        assert line(speed, "reference") == record.reference
-        assert line(voltage, r"$V_c$ commanded") == record.boost_reference_V
-        assert line(voltage, r"$v_{bst}$ applied")[:-1] == record.applied_V[1:]
+        assert line(speed, "without noise") == record["output"].tolist()
+        assert line(speed, "measured") == record["measured"].tolist()
+        assert line(speed, "reference") == record["reference"].tolist()
+        assert line(voltage, r"$V_c$ commanded") == record["boost_reference_V"].tolist()
+        assert line(voltage, r"$v_{bst}$ applied")[:-1] == record["applied_V"][1:].tolist()
 
 
 @pytest.mark.parametrize("panel", [0, 1, 2, 3, 4, 5, 7])

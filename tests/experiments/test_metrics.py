@@ -6,20 +6,25 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from adaptdrive_sim.experiments.bath import BATH
+from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
-from adaptdrive_sim.experiments.ideal import ideal_output
-from adaptdrive_sim.experiments.metrics import convergence_cycles, cycles, model_errors, rms_between
-from adaptdrive_sim.experiments.motor import MOTOR
-from adaptdrive_sim.experiments.runner import RunRecord
+from adaptdrive_sim.experiments.metrics import (
+    convergence_cycles,
+    cycles,
+    ideal_output,
+    model_errors,
+    rms_between,
+)
+from adaptdrive_sim.experiments.published import BATH, MOTOR
 
 TIMES = [float(k) for k in range(1320)]
 
 
-def square_record() -> RunRecord:
+def square_record() -> Run:
     """An output that follows the reference at once."""
     references = [MOTOR.reference.value(time_s) for time_s in TIMES]
-    return RunRecord(time_s=TIMES, reference=references, output=list(references))
+    table = np.column_stack((TIMES, references, references))
+    return Run(table, ("time_s", "reference", "output"))
 
 
 def test_an_output_on_the_reference_neither_overshoots_nor_takes_time() -> None:
@@ -30,8 +35,8 @@ def test_an_output_on_the_reference_neither_overshoots_nor_takes_time() -> None:
 @pytest.mark.parametrize(("tick", "excess"), [(130, 0.03), (190, -0.03)])
 def test_overshoot_is_the_larger_one_of_both_halves(tick: int, excess: float) -> None:
     record = square_record()
-    record.output[tick] += excess
-    record.output[135] += 0.01
+    record["output"][tick] += excess
+    record["output"][135] += 0.01
     judged = cycles(MOTOR, "paper", record)
     assert judged[1].overshoot == pytest.approx(0.15)
     assert judged[0].overshoot == judged[2].overshoot == 0.0
@@ -42,8 +47,8 @@ def test_settling_ends_after_the_last_sample_outside_five_percent(
     tick: int, settling_s: float | None
 ) -> None:
     record = square_record()
-    record.output[125] += 0.0099
-    record.output[tick] += 0.0101
+    record["output"][125] += 0.0099
+    record["output"][tick] += 0.0101
     assert cycles(MOTOR, "paper", record)[1].settling_s == settling_s
 
 
@@ -75,34 +80,32 @@ def test_the_ideal_loop_of_the_exact_design_has_the_zero_of_the_held_motor() -> 
 
 def test_the_model_error_of_the_ideal_output_is_nothing() -> None:
     record = square_record()
-    record.output[:] = ideal_output(MOTOR, "paper").tolist()
+    record["output"][:] = ideal_output(MOTOR, "paper").tolist()
     assert not model_errors(MOTOR, "paper", record).any()
-    record.output[300] += 0.02
+    record["output"][300] += 0.02
     errors = model_errors(MOTOR, "paper", record)
     assert rms_between(record, errors, 240.0, 360.0) == pytest.approx(0.1 / 120**0.5)
     assert rms_between(record, errors, 120.0, 240.0) == 0.0
 
 
-def estimates_of(experiment: Experiment) -> RunRecord:
+def estimates_of(experiment: Experiment) -> Run:
     truth = np.array([experiment.truth_at(time_s) for time_s in TIMES]).T
     names = experiment.nominal().names
-    return RunRecord(
-        time_s=TIMES, estimates={n: v.tolist() for n, v in zip(names, truth, strict=True)}
-    )
+    return Run(np.column_stack((TIMES, *truth)), ("time_s", *names))
 
 
 def test_estimates_have_converged_when_all_are_right_and_stay_so() -> None:
     record, (first, second) = estimates_of(MOTOR), MOTOR.changes
-    record.estimates["gain"][659] *= 1.051
-    record.estimates["tau_sum_s"][700] *= 1.049
-    record.estimates["tau_product_s2"][965] *= 0.949
+    record["gain"][659] *= 1.051
+    record["tau_sum_s"][700] *= 1.049
+    record["tau_product_s2"][965] *= 0.949
     assert convergence_cycles(MOTOR, record, first) == pytest.approx(60.0 / 120.0)
     assert convergence_cycles(MOTOR, record, second) == pytest.approx(6.0 / 120.0)
 
 
 def test_estimates_that_are_wrong_at_the_end_have_never_converged() -> None:
     record, (first, second) = estimates_of(MOTOR), MOTOR.changes
-    record.estimates["gain"][959] = float("nan")
+    record["gain"][959] = float("nan")
     assert convergence_cycles(MOTOR, record, first) is None
     assert convergence_cycles(MOTOR, record, second) == 0.0
 

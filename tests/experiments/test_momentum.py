@@ -6,22 +6,23 @@ from functools import cache
 
 import pytest
 
+from adaptdrive_sim.course import Run
+from adaptdrive_sim.experiments.case import run_case
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.experiments.metrics import convergence_cycles, estimate_moves
-from adaptdrive_sim.experiments.motor import DROPPED, MOTOR
+from adaptdrive_sim.experiments.published import DROPPED, MOTOR
 from adaptdrive_sim.experiments.reproduce import find_experiment
-from adaptdrive_sim.experiments.runner import RunRecord, run_case
 from tests.experiments.cases import make_case
 
 FILTER_S = 10.0
 
 
 @cache
-def adaptive(experiment: Experiment, seed: int = 81_100) -> RunRecord:
+def adaptive(experiment: Experiment, seed: int = 81_100) -> Run:
     return run_case(make_case(experiment, "adaptive", seed=seed), keep_ticks=True)
 
 
-def shaft_speed(record: RunRecord, tick: int) -> float:
+def shaft_speed(record: Run, tick: int) -> float:
     """Speed in tachometer volts, from the filtered one: tau dy/dt + y."""
     y = record.fast_output
     return FILTER_S * (y[tick + 1] - y[tick]) * 120.0 + y[tick]

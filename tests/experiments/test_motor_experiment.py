@@ -4,7 +4,8 @@ import statistics
 
 import pytest
 
-from adaptdrive_sim.experiments.case import Disturbance
+from adaptdrive_sim.course import Run
+from adaptdrive_sim.experiments.case import Disturbance, run_case
 from adaptdrive_sim.experiments.claims import NOISY
 from adaptdrive_sim.experiments.metrics import (
     convergence_cycles,
@@ -12,9 +13,8 @@ from adaptdrive_sim.experiments.metrics import (
     model_errors,
     rms_between,
 )
-from adaptdrive_sim.experiments.motor import MOTOR
 from adaptdrive_sim.experiments.outcome import ExperimentOutcome
-from adaptdrive_sim.experiments.runner import RunRecord, run_case
+from adaptdrive_sim.experiments.published import MOTOR
 from tests.experiments.cases import make_case, outcomes, run_all, run_all_compiled
 
 LAST_CYCLES = (4, 7, 10)
@@ -56,34 +56,34 @@ def test_the_fixed_controller_is_in_force_until_the_warm_up_is_over(
     published: ExperimentOutcome,
 ) -> None:
     record = published.records["adaptive"]
-    assert record.adaptive.index(True) == 90
-    assert all(record.adaptive[90:])
-    assert not any(published.records["fixed"].adaptive)
+    assert record["adaptive"].tolist().index(True) == 90
+    assert all(record["adaptive"][90:])
+    assert not any(published.records["fixed"]["adaptive"])
 
 
 def test_until_then_both_controllers_do_the_same(published: ExperimentOutcome) -> None:
     fixed, adaptive = published.records["fixed"], published.records["adaptive"]
-    assert fixed.boost_reference_V[:90] == adaptive.boost_reference_V[:90]
-    assert fixed.output[:90] == adaptive.output[:90]
+    for name in ("boost_reference_V", "output"):
+        assert fixed[name][:90].tolist() == adaptive[name][:90].tolist()
 
 
 def test_the_reference_starts_with_its_high_half_and_the_plant_at_rest(
     published: ExperimentOutcome,
 ) -> None:
     record = published.records["fixed"]
-    assert record.reference[:61] == [3.2] * 60 + [3.0]
-    assert record.output[0] == pytest.approx(3.0, rel=1e-12)
-    assert record.applied_V[0] == pytest.approx(273.0, abs=0.5)
+    assert record["reference"][:61].tolist() == [3.2] * 60 + [3.0]
+    assert record["output"][0] == pytest.approx(3.0, rel=1e-12)
+    assert record["applied_V"][0] == pytest.approx(273.0, abs=0.5)
 
 
 @pytest.fixture(scope="module")
-def daemon() -> dict[str, RunRecord]:
+def daemon() -> dict[str, Run]:
     cases = [make_case(MOTOR, name, "exact") for name in ("fixed", "adaptive")]
     return dict(zip(("fixed", "adaptive"), run_all(cases), strict=True))
 
 
 def test_the_exact_design_comes_closer_to_its_ideal_than_the_papers(
-    daemon: dict[str, RunRecord], published: ExperimentOutcome
+    daemon: dict[str, Run], published: ExperimentOutcome
 ) -> None:
     exact = cycles(MOTOR, "exact", daemon["adaptive"])
     for i in LAST_CYCLES:
@@ -93,7 +93,7 @@ def test_the_exact_design_comes_closer_to_its_ideal_than_the_papers(
 
 
 def test_the_exact_design_overshoots_no_more_than_the_papers_limits(
-    daemon: dict[str, RunRecord],
+    daemon: dict[str, Run],
 ) -> None:
     exact = cycles(MOTOR, "exact", daemon["adaptive"])
     assert max(exact[i].overshoot for i in LAST_CYCLES) < 0.02
@@ -117,7 +117,7 @@ def test_without_noise_the_estimates_end_on_the_truth() -> None:
     for i, change_s in enumerate((600.0, 960.0, 1320.0)):
         last = round(change_s) - 1
         truth = MOTOR.truth_at(float(last))
-        found = [record.estimates[name][last] for name in MOTOR.nominal().names]
+        found = [record[name][last] for name in MOTOR.nominal().names]
         assert found == pytest.approx(truth, rel=2e-3), i
 
 

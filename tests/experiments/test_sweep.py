@@ -5,11 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from adaptdrive_sim.experiments.bath import BATH
-from adaptdrive_sim.experiments.case import Disturbance
+from adaptdrive_sim.course import Run
+from adaptdrive_sim.experiments.case import Disturbance, run_case
 from adaptdrive_sim.experiments.experiment import SweepSettings
-from adaptdrive_sim.experiments.motor import MOTOR
-from adaptdrive_sim.experiments.runner import run_case
+from adaptdrive_sim.experiments.published import BATH, MOTOR
 from adaptdrive_sim.experiments.sweep import (
     Heard,
     Setting,
@@ -26,16 +25,16 @@ SILENT = Disturbance(0.0)
 MINUTE = dataclasses.replace(MOTOR, duration_s=240.0, changes=())
 
 
-def heard_by(variant: str) -> tuple[Heard, dict[str, list[float]]]:
+def heard_by(variant: str) -> tuple[Heard, Run]:
     case = make_case(MINUTE, variant, disturbance=SILENT)  # type: ignore[arg-type]
     record = run_case(case, keep_ticks=True)
-    return listen(case, record), record.estimates
+    return listen(case, record), record
 
 
 def test_estimates_from_the_recorded_ticks_are_those_of_the_controller() -> None:
     heard, estimates = heard_by("fixed")
     (found,) = _estimate_filtered(heard, heard.case.settings.learning, [])
-    expected = np.array(list(estimates.values())).T
+    expected = np.column_stack([estimates[name] for name in MOTOR.nominal().names])
     assert np.allclose(found[5:], expected[5:], rtol=1e-5)
 
 
@@ -44,7 +43,7 @@ def test_that_is_so_for_direct_least_squares_too() -> None:
     case = make_case(bath, "fixed", disturbance=SILENT)
     record = run_case(case, keep_ticks=True)
     (found,) = _estimate_directly(listen(case, record), case.settings.learning, [])
-    expected = np.array(list(record.estimates.values())).T
+    expected = np.column_stack([record[name] for name in BATH.nominal().names])
     assert np.allclose(found[5:], expected[5:], rtol=1e-6)
 
 

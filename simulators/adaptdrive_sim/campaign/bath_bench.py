@@ -6,21 +6,18 @@ import dataclasses
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.bath import realise
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.bath_reach import bath_parameters
 from adaptdrive_sim.campaign.bath_scenario import BathScenario
-from adaptdrive_sim.campaign.drawn import Deployed, DrawnRun, read_deployed
+from adaptdrive_sim.campaign.bath_settings import bath_parameters
+from adaptdrive_sim.campaign.drawn import Deployed, DrawnRun, Row, read_deployed
 from adaptdrive_sim.campaign.life import moving
 from adaptdrive_sim.course import Course
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.coupling import CouplingParameters
 from adaptdrive_sim.world import World, WorldParameters
-
-Array = NDArray[np.float64]
 
 
 @cache
@@ -30,38 +27,25 @@ def deployed_bath() -> Deployed:
 
 
 class BathStand(DrawnRun):
-    """The course of one scenario of a bath."""
+    """The course of one scenario of a bath; its size is the volume in US gallons."""
 
-    scenario: BathScenario
+    size_name = "volume_gal"
 
     def __init__(self, scenario: BathScenario) -> None:
-        super().__init__(deployed_bath(), scenario)
-        ramps_s = (scenario.fill_s,) * len(scenario.fill_times_s)
-        times_s, volumes = scenario.fill_times_s, scenario.volumes_gal
-        self.volumes_gal = moving(self.times_s, times_s, volumes, ramps_s)
+        super().__init__(deployed_bath(), scenario, scenario.offset_K, scenario.reference.low)
+        self.scenario = scenario
+        self.change_times_s = scenario.fill_times_s
+        ramps_s = (scenario.fill_s,) * len(self.change_times_s)
+        self.sizes = moving(self.times_s, self.change_times_s, scenario.volumes_gal, ramps_s)
         self.inflows = scenario.inflows_at(self.times_s)
         self.references = scenario.references_at(self.times_s)
+        flows = scenario.inflows
+        moved_K = (max(flows) / min(flows) - 1.0) * scenario.reference.high
+        self.largest_movement = max(self.step, moved_K)
 
-    @property
-    def offset(self) -> float:
-        """Offset of the sensor."""
-        return self.scenario.offset_K
-
-    @property
-    def largest_movement(self) -> float:
-        """Movement of the output by the reference's step or by the largest change of the inflow."""
-        flows = self.scenario.inflows
-        return max(self.step, (max(flows) / min(flows) - 1.0) * self.scenario.reference.high)
-
-    @property
-    def size(self) -> tuple[str, Array]:
-        """The volume in US gallons."""
-        return "volume_gal", self.volumes_gal
-
-    @property
-    def change_times_s(self) -> tuple[float, ...]:
-        """Times at which the volume begins to change."""
-        return self.scenario.fill_times_s
+    def columns(self) -> Row:
+        """Return the drawn values as columns of the results."""
+        return self.scenario.columns()
 
     def course(self, mode: Mode) -> Course:
         """Return what happens in the run."""
@@ -72,13 +56,12 @@ class BathStand(DrawnRun):
             self.references,
             scenario.targets_gal_at(self.times_s) / scenario.volumes_gal[0],
             scenario.fill_s,
-            scenario.disturbances(ticks + 1),
+            scenario.disturbances(ticks + 1, self.offset),
             mode,
             own.pole,
-            scenario.wire(),
             own.interlocks,
             self.inflows / scenario.inflows[0] if moves else np.empty(0),
-            scenario.offset_K,
+            self.offset,
         )
 
     def world(self) -> World:
@@ -102,13 +85,9 @@ class BathStand(DrawnRun):
             nominal, numerator=tuple(numerator), denominator=tuple(denominator)
         )
 
-    def true_loads(self) -> list[Load]:
-        """Return the same for all slow periods."""
-        return [self.true_load(k) for k in range(self.times_s.size)]
-
     def _parameters(self, k: int) -> BathParameters:
         """Return the bath as it is in a slow period, without what moves it."""
         scenario = self.scenario
         aged = 1.0 + scenario.ageing_per_h * float(self.times_s[k]) / 3600.0
-        volume = float(self.volumes_gal[k]) / BathParameters().volume_gal
+        volume = float(self.sizes[k]) / BathParameters().volume_gal
         return bath_parameters(volume, float(self.inflows[k]), scenario.resistance * aged)

@@ -6,19 +6,25 @@ The whole machine of the daemon runs, as a charge begins below the EMF and may e
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
+from rich.console import Console
 
 from adaptdrive.control.signals import Mode
-from adaptdrive.errors import RefusedError
-from adaptdrive.runtime.reports import State
-from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint
-from adaptdrive_sim.campaign.battery_scenario import CELL_FULL_V, BatteryScenario, draw_battery
-from adaptdrive_sim.campaign.battery_settings import BatteryCampaign
-from adaptdrive_sim.campaign.criteria import UNSTABLE, error_columns, rms
+from adaptdrive_sim.campaign.battery_scenario import (
+    CELL_FULL_V,
+    BatteryCampaign,
+    BatteryScenario,
+    draw_battery,
+)
 from adaptdrive_sim.campaign.drawn import Row
+from adaptdrive_sim.campaign.judge import UNSTABLE, error_columns, rms
+from adaptdrive_sim.course import Run
 from adaptdrive_sim.plants.battery import Battery
 from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World
@@ -30,69 +36,17 @@ _NEAR_LIMIT = 0.99
 _LAST_PERIODS = 100
 
 
-@dataclass(slots=True)
-class BatteryRun:
-    """Course of a run, an entry for each slow period, and the trip that ended it."""
-
-    time_s: list[float] = field(default_factory=list)
-    reference: list[float] = field(default_factory=list)
-    output: list[float] = field(default_factory=list)
-    terminal_V: list[float] = field(default_factory=list)
-    adaptive: list[bool] = field(default_factory=list)
-    reason: list[str] = field(default_factory=list)
-    refused: list[str] = field(default_factory=list)
-    trip: str = ""
-
-
-def run_battery(scenario: BatteryScenario, mode: Mode) -> BatteryRun:
+def run_battery(scenario: BatteryScenario, mode: Mode) -> Run:
     """Charge one battery."""
     plant = Battery(scenario.battery())
-    drive = _started(scenario, World(plant, scenario.world()), mode)
-    run, setpoint_A, series_Ohm = BatteryRun(), 0.0, plant.series_Ohm
-    began_s = drive.time_s
-    while (time_s := drive.time_s - began_s) < scenario.duration_s and not drive.completed:
-        if drive.machine.trip is not None:
-            run.trip = drive.machine.trip
-            return run
-        if scenario.setpoint_at(time_s) != setpoint_A:
-            setpoint_A = scenario.setpoint_at(time_s)
-            _ask(run, drive, setpoint_A)
-        if drive.tick():
-            plant.series_Ohm = series_Ohm * scenario.series_at(time_s)
-            _note(run, drive, plant, time_s)
-    return run
+    drive = OperatedDrive(scenario.configuration(), World(plant, scenario.world()))
+    drive.begin(mode)
+    series_Ohm = plant.series_Ohm
 
+    def age(time_s: float) -> None:
+        plant.series_Ohm = series_Ohm * scenario.series_at(time_s)
 
-def _started(scenario: BatteryScenario, world: World, mode: Mode) -> OperatedDrive:
-    """A drive that has just reached `running`."""
-    drive = OperatedDrive(scenario.configuration(), world)
-    drive.tick()
-    drive.carry_out(Enable())
-    while drive.machine.state is State.STARTING:
-        drive.tick()
-    drive.carry_out(SetMode(mode))
-    return drive
-
-
-def _ask(run: BatteryRun, drive: OperatedDrive, setpoint_A: float) -> None:
-    """Ask for a current; one that is refused leaves the drive at the one before."""
-    try:
-        drive.carry_out(SetSetpoint(setpoint_A))
-    except RefusedError as problem:
-        run.refused.append(str(problem))
-
-
-def _note(run: BatteryRun, drive: OperatedDrive, plant: Battery, time_s: float) -> None:
-    """Keep what happened in a slow period; a ripple that is asked for is part of the reference."""
-    decision = drive.decision
-    if decision is None:
-        return
-    run.time_s.append(time_s)
-    run.reference.append(drive.reference + float(np.nan_to_num(decision.probe)))
-    run.output.append(plant.output)
-    run.terminal_V.append(plant.terminal_voltage_V)
-    run.adaptive.append(decision.controller is Mode.ADAPTIVE)
-    run.reason.append(decision.reason)
+    return drive.follow(scenario.duration_s, scenario.setpoint_at, age)
 
 
 def ideal_current(references: Array, pole: float) -> Array:
@@ -121,13 +75,12 @@ def judge_batteries(campaign: BatteryCampaign, seed: int) -> Row:
     return row | _ripple(scenario, runs[Mode.ADAPTIVE])
 
 
-def _judged(scenario: BatteryScenario, run: BatteryRun, name: str) -> Row:
+def _judged(scenario: BatteryScenario, run: Run, name: str) -> Row:
     """Cost of one controller at constant current, over the step of the set-point."""
     errors = np.array([np.inf])
     if not run.trip:
-        references, outputs = np.array(run.reference), np.array(run.output)
         pole = scenario.configuration().load.pole
-        errors = (outputs - ideal_current(references, pole)) / scenario.step_A
+        errors = (run["output"] - ideal_current(run["reference"], pole)) / scenario.step_A
         errors = errors[_constant(scenario, run)]
     if errors.size == 0:
         errors = np.zeros(1)  # at the voltage limit from the start: nothing is judged
@@ -139,27 +92,62 @@ def _judged(scenario: BatteryScenario, run: BatteryRun, name: str) -> Row:
     }
 
 
-def _constant(scenario: BatteryScenario, run: BatteryRun) -> NDArray[np.bool_]:
+def _constant(scenario: BatteryScenario, run: Run) -> NDArray[np.bool_]:
     """Return the slow periods at constant current: from its start to the voltage limit."""
     near_V = _NEAR_LIMIT * CELL_FULL_V * scenario.cells
-    reached = np.flatnonzero(np.array(run.terminal_V) >= near_V)
-    end = reached[0] if reached.size else len(run.time_s)
-    within: NDArray[np.bool_] = np.array(run.time_s) >= _BEGINS_s
-    return within & (np.arange(len(run.time_s)) < end)
+    reached = np.flatnonzero(run["terminal_voltage_V"] >= near_V)
+    end = reached[0] if reached.size else len(run.trace)
+    within: NDArray[np.bool_] = run["time_s"] >= _BEGINS_s
+    return within & (np.arange(len(run.trace)) < end)
 
 
-def _ripple(scenario: BatteryScenario, run: BatteryRun) -> Row:
+def _ripple(scenario: BatteryScenario, run: Run) -> Row:
     """Return the share of constant current with adaptive in force, and the ripple."""
     constant = _constant(scenario, run)
     if run.trip or not np.any(constant):
         return {"adaptive_share": 0.0, "ripple_found": float("nan"), "constant_s": 0.0}
-    times_s = np.array(run.time_s)
-    steady = constant & (times_s < 0.7 * scenario.duration_s)
-    outputs = np.array(run.output)[steady]
+    outputs = run["output"][constant & (run["time_s"] < 0.7 * scenario.duration_s)]
+    ripple = float(np.ptp(outputs) / scenario.current_A) if outputs.size else float("nan")
     return {
-        "adaptive_share": float(np.mean(np.array(run.adaptive)[constant])),
-        "ripple_found": float(np.ptp(outputs) / scenario.current_A)
-        if outputs.size
-        else float("nan"),
+        "adaptive_share": float(np.mean(run["adaptive"][constant])),
+        "ripple_found": ripple,
         "constant_s": float(np.count_nonzero(constant)),
     }
+
+
+def summarise_batteries(rows: list[Row]) -> str:
+    """Return the time that adaptive was in force, and the largest ripple."""
+    shares = np.array([row["adaptive_share"] for row in rows])
+    ripples = np.array([row["ripple_found"] for row in rows])
+    largest = 100.0 * np.max(ripples, initial=0.0, where=np.isfinite(ripples))
+    half = np.count_nonzero(shares >= 0.5)
+    return (
+        f"adaptive in force for half of the constant current or more in {half} of "
+        f"{len(rows)} runs, "
+        f"median {100.0 * np.median(shares):.0f} %; largest ripple {largest:.2f} % peak to peak"
+    )
+
+
+def repeat_battery(campaign: BatteryCampaign, seed: int, output: Path, console: Console) -> None:
+    """Run one seed with both controllers; write run-SEED.parquet and print its row."""
+    tables = [_recorded(campaign, seed, mode) for mode in (Mode.FIXED, Mode.ADAPTIVE)]
+    path = output / f"run-{seed}.parquet"
+    pq.write_table(pa.concat_tables(tables), path)
+    for name, value in judge_batteries(campaign, seed).items():
+        console.print(f"{name:26} {value}")
+    console.print(f"recorded: {path}")
+
+
+def _recorded(campaign: BatteryCampaign, seed: int, mode: Mode) -> pa.Table:
+    """Return the course of a run, a row for each slow period."""
+    run = run_battery(draw_battery(campaign, seed), mode)
+    columns: dict[str, Any] = {
+        "time_s": run["time_s"],
+        "reference_A": run["reference"],
+        "current_A": run["output"],
+        "terminal_V": run["terminal_voltage_V"],
+        "adaptive": run["adaptive"] > 0.0,
+        "reason": [one.reason for one in run.decisions],
+        "mode": [mode.value] * len(run.trace),
+    }
+    return pa.table(columns)

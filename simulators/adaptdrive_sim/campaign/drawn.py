@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Protocol
+from functools import partial
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,16 +16,19 @@ from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings
-from adaptdrive.control.signals import Decision, Mode
+from adaptdrive.control.signals import Mode
 from adaptdrive.control.waveform import Waveform
 from adaptdrive_sim.compiled import bench
-from adaptdrive_sim.compiled.run import run_compiled
 from adaptdrive_sim.compiled.sources import compiled_modules
-from adaptdrive_sim.course import Course, Run, TripLevels, run_course, start_at_rest
+from adaptdrive_sim.compiled.wire import DELAY_MAX, Wire
+from adaptdrive_sim.course import Course, Run, TripLevels
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
+from adaptdrive_sim.line import LineParameters
+from adaptdrive_sim.site import Site
 from adaptdrive_sim.world import World
 
 Array = NDArray[np.float64]
+Numbers = tuple[float, ...]
 Row = dict[str, Any]
 
 
@@ -37,19 +41,6 @@ class Deployed:
     interlocks: TripLevels
     pole: float
     period_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class RunOutcome:
-    """One run with one controller.
-
-    Attributes:
-        trace: A row of `compiled.bench` columns for each slow period.
-        interlock: Cause that ended the run, 0 for nothing.
-    """
-
-    trace: Array
-    interlock: int
 
 
 def read_deployed(name: str) -> Deployed:
@@ -70,27 +61,123 @@ def deploy(name: str, tables: dict[str, Any]) -> Deployed:
     )
 
 
-class DrawnScenario(Protocol):
-    """Drawn values that the runs of all loads have."""
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """Drawn values that the runs of motors and baths have.
 
-    @property
-    def seed(self) -> int:
-        """The seed that it was drawn from."""
+    Attributes:
+        seed: It was drawn from this.
+        duration_s: Length.
+        reference: The set-point.
+        sigma: Noise of every sample, in the unit of the output.
+        spike_share: Share of spikes.
+        spike_sigma: Noise of the spikes, in the unit of the output.
+        line_voltage: Relative line voltage.
+        frequency_Hz: Of the line.
+        output_delay_ticks: Age of the output's samples.
+        output_quantum: Resolution of the output.
+        voltage_V: Resolution of voltages.
+        power_W: Resolution of the load power.
+        scale_S: Resolution of the current scale.
+    """
 
-    @property
-    def duration_s(self) -> float:
-        """Length."""
-
-    @property
-    def reference(self) -> Waveform:
-        """The set-point."""
+    seed: int
+    duration_s: float
+    reference: Waveform
+    sigma: float
+    spike_share: float
+    spike_sigma: float
+    line_voltage: float
+    frequency_Hz: float
+    output_delay_ticks: int
+    output_quantum: float
+    voltage_V: float
+    power_W: float
+    scale_S: float
 
     @property
     def step(self) -> float:
         """Height of the reference's step."""
+        return self.reference.high - self.reference.low
 
-    def columns(self) -> Row:
-        """Return the drawn values as columns of the results."""
+    def disturbances(self, count: int, offset: float = 0.0) -> Array:
+        """Measurement noise of every tick, and the offset of the sensor."""
+        generator = np.random.default_rng([self.seed, 1])
+        noise = offset + self.sigma * generator.standard_normal(count)
+        if self.spike_share > 0.0:
+            struck = np.flatnonzero(generator.random(count) < self.spike_share)
+            noise[struck] += self.spike_sigma * generator.standard_normal(struck.size)
+        return noise
+
+    def line(self) -> LineParameters:
+        """The true line."""
+        return LineParameters.steady(self.line_voltage, self.frequency_Hz)
+
+    def wire(self, output: float) -> Wire:
+        """Return the connection between drive and controller, at rest at an output."""
+        return Wire(
+            output_quantum=self.output_quantum,
+            voltage_quantum_V=self.voltage_V,
+            power_quantum_W=self.power_W,
+            scale_quantum_S=self.scale_S,
+            output_delay=self.output_delay_ticks,
+            outputs=[output] * (DELAY_MAX + 1),
+        )
+
+    def values(self, *names: str) -> Row:
+        """Return some of the drawn values as columns of the results."""
+        return {name: getattr(self, name) for name in names}
+
+
+def uniform(generator: np.random.Generator, ends: tuple[float, float]) -> float:
+    """Draw a number."""
+    return float(generator.uniform(*ends))
+
+
+def whole(generator: np.random.Generator, ends: tuple[int, int]) -> int:
+    """Draw a whole number; both ends are possible."""
+    return int(generator.integers(ends[0], ends[1] + 1))
+
+
+def times(generator: np.random.Generator, count: int, begin_s: float, end_s: float) -> Numbers:
+    """Draw whole seconds in their order."""
+    return tuple(np.sort(np.round(generator.uniform(begin_s, end_s, count))).tolist())
+
+
+def several_sizes(
+    generator: np.random.Generator,
+    ends: tuple[float, float],
+    unchanged: float,
+    changes: tuple[int, int],
+    least: float,
+) -> Numbers:
+    """Draw the size of a load, and those that it changes to in the same run.
+
+    Args:
+        generator: Of random numbers.
+        ends: Smallest and largest size.
+        unchanged: Share of runs in which it never changes.
+        changes: How often it changes in the others.
+        least: By this factor at least, up or down.
+    """
+    sizes = [uniform(generator, ends)]
+    count = 0 if generator.random() < unchanged else whole(generator, changes)
+    for _ in range(count):
+        sizes.append(_another(generator, ends, least, sizes[-1]))
+    return tuple(sizes)
+
+
+def _another(
+    generator: np.random.Generator, ends: tuple[float, float], least: float, present: float
+) -> float:
+    """Draw a size that differs by the least factor, in either direction."""
+    low, high = ends
+    below, above = present / least, present * least
+    room_below, room_above = max(0.0, below - low), max(0.0, high - above)
+    if room_below + room_above == 0.0:
+        return low if present > 0.5 * (low + high) else high
+    place = uniform(generator, (0.0, room_below + room_above))
+    return low + place if place < room_below else above + place - room_below
 
 
 class DrawnRun(ABC):
@@ -98,44 +185,46 @@ class DrawnRun(ABC):
 
     Attributes:
         own: The controller.
-        scenario: What was drawn.
-        times_s: The slow instants.
-        references: r[k].
         seed: The seed that it was drawn from.
         step: Height of the reference's step.
         cycle_periods: Slow periods in one period of the reference.
+        times_s: The slow instants.
+        references: r[k].
+        sizes: What changes of the load.
+        size_name: Its name.
+        change_times_s: Times at which it begins to change.
+        offset: Offset of the sensor of the output.
+        largest_movement: Movement of the output by the reference's step or by the largest
+            disturbance.
+        stops: Slow periods in which the drive is off.
     """
 
-    scenario: DrawnScenario
     references: Array
+    sizes: Array
+    size_name: str
+    change_times_s: Numbers
+    largest_movement: float
 
-    def __init__(self, own: Deployed, scenario: DrawnScenario) -> None:
-        self.own, self.scenario = own, scenario
+    def __init__(self, own: Deployed, scenario: Drawn, offset: float, shown: float) -> None:
+        """Begin the course of a scenario.
+
+        Args:
+            own: The controller.
+            scenario: What was drawn.
+            offset: Offset of the sensor of the output.
+            shown: Output that a late sensor shows at first.
+        """
+        self.own, self.offset = own, offset
         self.seed, self.step = scenario.seed, scenario.step
         self.cycle_periods = round(scenario.reference.period_s / own.period_s)
-        self.times_s: Array = own.period_s * np.arange(
-            round(scenario.duration_s / own.period_s), dtype=np.float64
-        )
+        periods = round(scenario.duration_s / own.period_s)
+        self.times_s: Array = own.period_s * np.arange(periods, dtype=np.float64)
+        self.stops: tuple[range, ...] = ()
+        self._wire = partial(scenario.wire, shown)
 
-    @property
     @abstractmethod
-    def offset(self) -> float:
-        """Offset of the sensor of the output."""
-
-    @property
-    @abstractmethod
-    def largest_movement(self) -> float:
-        """Movement of the output by the reference's step or by the largest disturbance."""
-
-    @property
-    @abstractmethod
-    def size(self) -> tuple[str, Array]:
-        """Name of what changes of the load, and its course."""
-
-    @property
-    @abstractmethod
-    def change_times_s(self) -> tuple[float, ...]:
-        """Times at which it begins to change."""
+    def columns(self) -> Row:
+        """Return the drawn values as columns of the results."""
 
     @abstractmethod
     def course(self, mode: Mode) -> Course:
@@ -149,27 +238,21 @@ class DrawnRun(ABC):
     def true_load(self, k: int) -> Load:
         """Return the model of the true load in a slow period."""
 
-    @abstractmethod
     def true_loads(self) -> list[Load]:
         """Return the same for all slow periods."""
+        return [self.true_load(k) for k in range(self.times_s.size)]
 
-    def run(self, mode: Mode) -> RunOutcome:
+    def site(self) -> Site:
+        """Return the controller and the plant."""
+        return Site(Controller(self.own.settings, self.own.load), self.world(), self._wire())
+
+    def run(self, mode: Mode) -> Run:
         """Run compiled code, which knows no stops: a run with stops is interpreted."""
-        course = self.course(mode)
-        if course.stops:
-            return self.run_deployed(mode)[0]
-        return RunOutcome(*run_compiled(*self._start(course), course))
+        return self.site().run(self.course(mode), compiled=not self.stops)
 
-    def run_deployed(self, mode: Mode) -> tuple[RunOutcome, list[Decision]]:
+    def run_deployed(self, mode: Mode) -> Run:
         """Run the deployed controller itself, interpreted."""
-        course = self.course(mode)
-        run = run_course(*self._start(course), course, self.own.settings.rates)
-        trace = _trace(run, len(course.references), self.own.load.names)
-        return RunOutcome(trace, run.interlock), run.decisions
-
-    def stops(self) -> tuple[range, ...]:
-        """Return the slow periods in which the drive is off."""
-        return ()
+        return self.site().run(self.course(mode))
 
     def running(self) -> NDArray[np.bool_]:
         """Return in which slow periods the drive runs and is regulated.
@@ -177,49 +260,20 @@ class DrawnRun(ABC):
         In the first one after a stop the controller collects what its first decision needs.
         """
         found = np.full(self.times_s.size, fill_value=True)
-        for stop in self.stops():
+        for stop in self.stops:
             found[stop.start : stop.stop + 1] = False
         return found
 
     def ideal(self) -> Array:
         """Output of the loop as designed, at each slow instant."""
-        loads = self.true_loads()
+        loads, own = self.true_loads(), self.own
         numerators = np.array([one.numerator for one in loads])
         denominators = np.array([one.denominator for one in loads])
         follow: Any = compiled_modules()[bench.__name__].follow_ideal
-        own = self.own
-        found: Array = follow(self.references, numerators, denominators, own.pole, own.period_s)
-        return found
+        found = follow(self.references, numerators, denominators, own.pole, own.period_s)
+        return cast(Array, found)
 
     def truth_at(self, k: int) -> Array:
         """Return the true physical parameters in a slow period."""
         load = self.true_load(k)
         return np.array(load.physical(list(load.numerator), list(load.denominator)))
-
-    def _start(self, course: Course) -> tuple[Controller, World]:
-        """Everything at rest on the first reference."""
-        world = self.world()
-        controller = Controller(self.own.settings, self.own.load)
-        start_at_rest(controller, world, course, float(course.references[0]))
-        return controller, world
-
-
-def _trace(run: Run, periods: int, names: tuple[str, ...]) -> Array:
-    """Return a run in the columns of `compiled.bench`."""
-    trace = np.full((periods, bench.VALUES + 2 * len(names)), np.nan)
-    rows = np.full((len(run.decisions), trace.shape[1]), np.nan)
-    rows[:, bench.OUTPUT] = run.outputs
-    rows[:, bench.MEASURED] = [one.output for one in run.snapshots]
-    rows[:, bench.REFERENCE_V] = [one.boost_reference_V for one in run.decisions]
-    rows[:, bench.APPLIED_V] = [one.applied_V for one in run.snapshots]
-    rows[:, bench.ADAPTIVE] = [one.controller is Mode.ADAPTIVE for one in run.decisions]
-    rows[:, bench.ACCEPTED] = [one.accepted for one in run.decisions]
-    rows[:, bench.VERDICT] = run.verdicts
-    rows[:, bench.FALLBACK] = run.fallbacks
-    rows[:, bench.INNOVATION] = [one.innovation for one in run.decisions]
-    rows[:, bench.HANDOVER_V] = [one.handover_step_V for one in run.decisions]
-    for i, name in enumerate(names, bench.VALUES):
-        rows[:, i] = [one.estimates[name].value for one in run.decisions]
-        rows[:, i + len(names)] = [one.estimates[name].std for one in run.decisions]
-    trace[run.periods] = rows
-    return trace

@@ -12,9 +12,12 @@ from rich.console import Console
 from adaptdrive_sim.campaign.bath_bench import BathStand
 from adaptdrive_sim.campaign.bath_scenario import draw_bath
 from adaptdrive_sim.campaign.bath_settings import BathCampaign
-from adaptdrive_sim.campaign.battery_bench import judge_batteries
-from adaptdrive_sim.campaign.battery_report import repeat_battery, summarise_batteries
-from adaptdrive_sim.campaign.battery_settings import BatteryCampaign
+from adaptdrive_sim.campaign.battery_bench import (
+    judge_batteries,
+    repeat_battery,
+    summarise_batteries,
+)
+from adaptdrive_sim.campaign.battery_scenario import BatteryCampaign
 from adaptdrive_sim.campaign.bench import Stand
 from adaptdrive_sim.campaign.drawn import DrawnRun, Row
 from adaptdrive_sim.campaign.judge import run_and_judge

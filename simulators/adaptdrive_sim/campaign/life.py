@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptdrive_sim.campaign.life_settings import LifeRanges
+from adaptdrive_sim.campaign.drawn import Numbers, times, uniform, whole
+from adaptdrive_sim.campaign.settings import LifeRanges
 from adaptdrive_sim.plants.coupling import CouplingParameters
 from adaptdrive_sim.plants.motor import MotorParameters
 
 Array = NDArray[np.float64]
-Numbers = tuple[float, ...]
 
 _STREAM = 3
 
@@ -114,26 +114,22 @@ def draw_life(ranges: LifeRanges, seed: int, duration_s: float, changes: int) ->
         changes: How often its inertia changes.
     """
     generator = np.random.default_rng([seed, _STREAM])
-    torques, phases = _whole(generator, ranges.torque_changes), _whole(generator, ranges.idle)
+    torques, phases = whole(generator, ranges.torque_changes), whole(generator, ranges.idle)
     restarts = int(generator.random() < ranges.restarted)
     constant = generator.random() < ranges.constant
     return Life(
-        torque_times_s=_times_s(generator, torques, duration_s),
+        torque_times_s=times(generator, torques, 0.0, duration_s),
         torques_V=_several(generator, torques, ranges.torque_V),
         torque_ramps_s=_ramps_s(generator, torques, ranges.torque_ramp_s, ranges.sudden),
         inertia_ramps_s=_ramps_s(generator, changes, ranges.inertia_ramp_s, ranges.sudden),
-        idle_times_s=(0.0,) if constant else _times_s(generator, phases, duration_s),
+        idle_times_s=(0.0,) if constant else times(generator, phases, 0.0, duration_s),
         idle_s=(np.inf,) if constant else _several(generator, phases, ranges.idle_s),
         stop_times_s=_several(generator, restarts, (0.2 * duration_s, 0.8 * duration_s)),
         off_s=_several(generator, restarts, ranges.off_s),
-        coulomb_V=_one(generator, ranges.coulomb_V),
-        drag_V=_one(generator, ranges.drag_V),
-        offset=_one(generator, ranges.offset),
+        coulomb_V=uniform(generator, ranges.coulomb_V),
+        drag_V=uniform(generator, ranges.drag_V),
+        offset=uniform(generator, ranges.offset),
     )
-
-
-def _times_s(generator: np.random.Generator, count: int, duration_s: float) -> Numbers:
-    return tuple(np.sort(np.round(generator.uniform(0.0, duration_s, count))).tolist())
 
 
 def _ramps_s(
@@ -145,11 +141,3 @@ def _ramps_s(
 
 def _several(generator: np.random.Generator, count: int, ends: tuple[float, float]) -> Numbers:
     return tuple(generator.uniform(*ends, count).tolist())
-
-
-def _one(generator: np.random.Generator, ends: tuple[float, float]) -> float:
-    return float(generator.uniform(*ends))
-
-
-def _whole(generator: np.random.Generator, ends: tuple[int, int]) -> int:
-    return int(generator.integers(ends[0], ends[1] + 1))

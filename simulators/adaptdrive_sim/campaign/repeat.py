@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console
 
-from adaptdrive.control.signals import Decision, Mode
-from adaptdrive_sim.campaign.drawn import DrawnRun, RunOutcome
+from adaptdrive.control.signals import Mode
+from adaptdrive_sim.campaign.drawn import DrawnRun
 from adaptdrive_sim.campaign.judge import judge
-from adaptdrive_sim.compiled import bench
+from adaptdrive_sim.course import Run
 
 Array = NDArray[np.float64]
 
@@ -22,43 +22,39 @@ Array = NDArray[np.float64]
 def repeat(stand: DrawnRun, output: Path, console: Console) -> None:
     """Run one seed with both controllers, interpreted; write run-SEED.parquet and run-SEED.png."""
     seed = stand.seed
-    fixed, _ = stand.run_deployed(Mode.FIXED)
-    adaptive, decisions = stand.run_deployed(Mode.ADAPTIVE)
-    pq.write_table(_table(stand, fixed, adaptive, decisions), output / f"run-{seed}.parquet")
+    fixed, adaptive = (stand.run_deployed(mode) for mode in (Mode.FIXED, Mode.ADAPTIVE))
+    pq.write_table(_table(stand, fixed, adaptive), output / f"run-{seed}.parquet")
     picture(stand, fixed, adaptive).savefig(output / f"run-{seed}.png", dpi=120)
     for name, value in judge(stand, fixed, adaptive).items():
         console.print(f"{name:26} {value}")
-    name, sizes = stand.size
-    console.print(f"{name} changes at {stand.change_times_s} s, at last to {sizes[-1]:.4g}")
+    changes = f"changes at {stand.change_times_s} s, at last to {stand.sizes[-1]:.4g}"
+    console.print(f"{stand.size_name} {changes}")
     console.print(f"recorded: {output / f'run-{seed}.parquet'}, {output / f'run-{seed}.png'}")
 
 
-def _table(
-    stand: DrawnRun, fixed: RunOutcome, adaptive: RunOutcome, decisions: list[Decision]
-) -> pa.Table:
+def _table(stand: DrawnRun, fixed: Run, adaptive: Run) -> pa.Table:
     columns: dict[str, Array | list[str]] = {
         "time_s": stand.times_s,
         "reference": stand.references,
-        stand.size[0]: stand.size[1],
+        stand.size_name: stand.sizes,
         "ideal": stand.ideal(),
-        "output_fixed": fixed.trace[:, bench.OUTPUT],
-        "boost_reference_fixed_V": fixed.trace[:, bench.REFERENCE_V],
-        "output_adaptive": adaptive.trace[:, bench.OUTPUT],
-        "boost_reference_adaptive_V": adaptive.trace[:, bench.REFERENCE_V],
-        "innovation": adaptive.trace[:, bench.INNOVATION],
-        "handover_step_V": adaptive.trace[:, bench.HANDOVER_V],
+        "output_fixed": fixed["output"],
+        "boost_reference_fixed_V": fixed["boost_reference_V"],
+        "output_adaptive": adaptive["output"],
+        "boost_reference_adaptive_V": adaptive["boost_reference_V"],
+        "innovation": adaptive["innovation"],
+        "handover_step_V": adaptive["handover_step_V"],
     }
-    count = len(stand.times_s)
-    columns["reason"] = [decision.reason for decision in decisions] + [""] * (
-        count - len(decisions)
-    )
+    decisions = adaptive.decisions
+    rest = len(stand.times_s) - len(decisions)
+    columns["reason"] = [one.reason for one in decisions] + [""] * rest
     for name in decisions[0].estimates:
-        values = [decision.estimates[name].value for decision in decisions]
-        columns[name] = np.pad(values, (0, count - len(values)), constant_values=np.nan)
+        values = [one.estimates[name].value for one in decisions]
+        columns[name] = np.pad(values, (0, rest), constant_values=np.nan)
     return pa.table(columns)
 
 
-def picture(stand: DrawnRun, fixed: RunOutcome, adaptive: RunOutcome) -> Figure:
+def picture(stand: DrawnRun, fixed: Run, adaptive: Run) -> Figure:
     """Output, boost voltage and estimates of one run."""
     figure = Figure(figsize=(11, 8), layout="constrained")
     top, middle, bottom = figure.subplots(3, 1, sharex=True)
@@ -68,18 +64,18 @@ def picture(stand: DrawnRun, fixed: RunOutcome, adaptive: RunOutcome) -> Figure:
         ("fixed", fixed, "tab:orange"),
         ("adaptive", adaptive, "tab:blue"),
     ):
-        top.plot(times_s, outcome.trace[:, bench.OUTPUT], color=colour, lw=1.0, label=name)
-        voltage_V = outcome.trace[:, bench.REFERENCE_V]
+        top.plot(times_s, outcome["output"], color=colour, lw=1.0, label=name)
+        voltage_V = outcome["boost_reference_V"]
         middle.plot(times_s, voltage_V, color=colour, lw=1.0, label=name)
     truth = np.array([stand.truth_at(k) for k in range(times_s.size)])
     for i, name in enumerate(stand.own.load.names):
-        estimates = adaptive.trace[:, bench.VALUES + i] / truth[:, i]
+        estimates = adaptive[name] / truth[:, i]
         bottom.plot(times_s, estimates, lw=1.0, label=name)
     bottom.fill_between(
         times_s,
         0.0,
         0.05,
-        where=(adaptive.trace[:, bench.ADAPTIVE] > 0.0).tolist(),
+        where=(adaptive["adaptive"] > 0.0).tolist(),
         transform=bottom.get_xaxis_transform(),
         color="tab:green",
         label="adaptive in force",

@@ -8,13 +8,101 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from adaptdrive.errors import AdaptdriveError, reason_of
-from adaptdrive_sim.campaign.life_settings import LifeRanges
-from adaptdrive_sim.campaign.ranges import CampaignTable, Range, WholeRange, within
-from adaptdrive_sim.campaign.reach import reach
+
+Range = tuple[float, float]
+WholeRange = tuple[int, int]
+
+
+class CampaignTable(BaseModel):
+    """A table of a campaign's file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+def within(low: float, high: float) -> AfterValidator:
+    """Make sure that a range is one, and lies within limits."""
+
+    def check(pair: tuple[float, float]) -> tuple[float, float]:
+        if not (low <= pair[0] and pair[1] <= high):
+            raise ValueError(f"must lie within {low:g}…{high:g}")
+        return _ordered(pair)
+
+    return AfterValidator(check)
+
+
+def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] > pair[1]:
+        raise ValueError(f"the lower end {pair[0]:g} is above the upper end {pair[1]:g}")
+    return pair
+
+
+class LifeRanges(CampaignTable):
+    """Nothing of it happens where it is left out.
+
+    Attributes:
+        torque_changes: How often the load torque moves.
+        torque_V: Where it moves to, in volts of V_c.
+        torque_ramp_s: How long each movement takes that is no jump.
+        inertia_ramp_s: How long each change of the inertia takes that is no jump.
+        sudden: Share of the movements of torque and inertia that are jumps.
+        idle: How often the reference stops where it is.
+        idle_s: For how long.
+        constant: Share of runs whose reference never moves.
+        restarted: Share of runs in which the drive is disabled once, and enabled again while the
+            motor coasts.
+        off_s: For how long.
+        coulomb_V: Dry friction, in volts of V_c.
+        drag_V: Quadratic friction in the middle of the range of set-points, in volts of V_c.
+        offset: What the sensor shows beside the output, in the unit of the output.
+    """
+
+    torque_changes: Annotated[WholeRange, within(0, 1000)] = (0, 0)
+    torque_V: Annotated[Range, within(0.0, 60.0)] = (0.0, 0.0)
+    torque_ramp_s: Annotated[Range, within(0.0, 1e5)] = (0.0, 0.0)
+    inertia_ramp_s: Annotated[Range, within(0.0, 1e5)] = (0.0, 0.0)
+    sudden: float = Field(default=0.0, ge=0.0, le=1.0)
+    idle: Annotated[WholeRange, within(0, 100)] = (0, 0)
+    idle_s: Annotated[Range, within(0.0, 1e6)] = (0.0, 0.0)
+    constant: float = Field(default=0.0, ge=0.0, le=1.0)
+    restarted: float = Field(default=0.0, ge=0.0, le=1.0)
+    off_s: Annotated[Range, within(2.0, 60.0)] = (10.0, 10.0)
+    coulomb_V: Annotated[Range, within(0.0, 40.0)] = (0.0, 0.0)
+    drag_V: Annotated[Range, within(0.0, 40.0)] = (0.0, 0.0)
+    offset: Annotated[Range, within(-0.2, 0.2)] = (0.0, 0.0)
+
+
+NOMINAL_REACH = (2.2, 4.4)
+"""Outputs that V_c = 200…400 V holds with the gain of the controller's model, in volts."""
+
+NOMINAL_GAIN = 0.011
+"""Gain of the controller's model, in tachometer volts per volt of V_c."""
+
+MIDDLE = 3.3
+"""Output in the middle of that range: the drag is drawn for it."""
+
+_EDGE = 0.05
+"""Least distance from there to a set-point, as a share: torque and noise need some room."""
+
+
+def reach(gain: float, brake_V: float, drag_V: float) -> tuple[float, float]:
+    """Return the least and the largest set-point, by the drawn load and by the model.
+
+    The daemon refuses what the model does not reach, and its output limit lies above that.
+
+    Args:
+        gain: Of the tachometer, relative to the model's.
+        brake_V: Largest torque and dry friction, in volts of V_c.
+        drag_V: Drag in the middle of the range, likewise.
+    """
+    least = (1.0 + _EDGE) * max(1.0, gain) * NOMINAL_REACH[0]
+    most = (1.0 - _EDGE) * min(1.0, gain) * NOMINAL_REACH[1]
+    speed = most / gain / MIDDLE
+    return least, most - NOMINAL_GAIN * gain * (brake_V + drag_V * speed * speed)
+
 
 MOST_RUNS = 10_000_000
 FOLDER = Path(__file__).resolve().parent

@@ -17,29 +17,31 @@ from adaptdrive.control.slow_state import SlowSample
 from adaptdrive_sim.compiled import bench
 from adaptdrive_sim.compiled.objects import Memory
 from adaptdrive_sim.compiled.sources import compiled_modules
-from adaptdrive_sim.compiled.wire import perfect_wire
+from adaptdrive_sim.compiled.wire import Wire, perfect_wire
 from adaptdrive_sim.course import Course
-from adaptdrive_sim.world import World
+from adaptdrive_sim.site import Site
 
 Array = NDArray[np.float64]
 
 
-def run_compiled(controller: Controller, world: World, course: Course) -> tuple[Array, int]:
+def run_compiled(site: Site, course: Course, trace: Array) -> int:
     """Run a controller that was started on a plant at rest.
 
+    Args:
+        site: The controller and the plant.
+        course: What happens.
+        trace: What happened, a row of `bench` columns for each slow period, overwritten.
+
     Returns:
-        What happened, a row of `bench` columns for each slow period (the last ones are parameters
-        and their shown deviations), and the interlock that ended
-        it or 0.
+        The interlock that ended it, or 0.
     """
-    settings, load, *states = _parts(controller)
-    sample = _sample(settings, load, course)
+    settings, load, *states = _parts(site.controller)
     measurement = Measurement(0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    wire = course.wire or perfect_wire(float(course.references[0]))
-    changing = (*states, world, wire, measurement, sample)
+    sample = _sample(settings, load, course)
+    changing = (*states, site.world, _wire(site, course), measurement, sample)
     objects = [_constant(settings), _constant(load), *map(Memory, changing)]
-    trace = np.full((len(course.references), bench.VALUES + 2 * len(load.names)), np.nan)
     function: Any = compiled_modules()[bench.__name__].run
+    trips = course.interlocks
     cause = function(
         *objects,
         course.references,
@@ -47,34 +49,28 @@ def run_compiled(controller: Controller, world: World, course: Course) -> tuple[
         course.sizes,
         course.over_s,
         course.burdens,
-        course.interlocks.boost_voltage_max_V,
-        course.interlocks.output_max,
+        trips.boost_voltage_max_V,
+        trips.output_max,
         trace,
     )
-    return trace, int(cause)
+    return int(cause)
 
 
-def run_held(
-    controller: Controller,
-    world: World,
-    course: Course,
-    decide: Callable[[int, float, float], float],
-) -> Array:
-    """Run the fast half of a controller that was started on a plant at rest; V_c is given.
+def run_held(site: Site, course: Course, decide: Callable[[int, float, float], float]) -> Array:
+    """Run the fast half of a controller, from rest; V_c is given.
 
     Args:
-        controller: The controller, whose slow half does not run.
-        world: The plant.
+        site: The controller, whose slow half does not run, and the plant.
         course: What happens.
         decide: V_c in V from k, the mean of the output in its window and the mean applied V_c.
 
     Returns:
         The first columns of `bench` for each slow period, up to the applied V_c.
     """
-    settings, load, state, bank, _ = _parts(controller)
+    site.rest(course)
+    settings, load, state, bank, _ = _parts(site.controller)
     measurement = Measurement(0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    wire = course.wire or perfect_wire(float(course.references[0]))
-    changing = map(Memory, (state, bank, world, wire, measurement))
+    changing = map(Memory, (state, bank, site.world, _wire(site, course), measurement))
     objects = [_constant(settings), _constant(load), *changing]
     given = course.disturbances, course.sizes, course.over_s, course.burdens
     hold: Any = compiled_modules()[bench.__name__].hold
@@ -86,6 +82,10 @@ def run_held(
         trace[k] = output, measured, decided_V, applied_V
         hold(*objects, *given, k, decided_V, found)
     return trace
+
+
+def _wire(site: Site, course: Course) -> Wire:
+    return site.wire or perfect_wire(float(course.references[0]))
 
 
 @cache

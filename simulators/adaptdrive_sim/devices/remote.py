@@ -20,8 +20,7 @@ from adaptdrive.operation.simulator import DeviceReply, simulator_topic
 from adaptdrive.operation.steady import SteadyClient
 from adaptdrive_sim.broker import BrokerAddress
 from adaptdrive_sim.devices.drive import Report, SimulatedDrive
-from adaptdrive_sim.disturbances import apply_request, parse_request, read_id
-from adaptdrive_sim.features import features_of
+from adaptdrive_sim.disturbances import apply_request, features_of, parse_request, read_id
 
 TRUTH_PERIOD_s = 1.0
 RETRY_FIRST_s = 0.5

@@ -1,16 +1,33 @@
-"""One run of an experiment: which controller, which design, which noise."""
+"""One run of an experiment: which controller, which design, which noise; and the run itself.
+
+Both designs are the daemon's: the paper's is its `load.design = "paper"`. A run happens in virtual
+time, as fast as it goes. It depends on its case alone, so it is the same each time.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
+from adaptdrive.app.settings import controller_settings
+from adaptdrive.config.file import validate_configuration
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Mode
 from adaptdrive.errors import RefusedError
+from adaptdrive_sim.course import Course, Run
+from adaptdrive_sim.experiments.examples import FOLDER
 from adaptdrive_sim.experiments.experiment import Experiment
-from adaptdrive_sim.noise import NoiseParameters
+from adaptdrive_sim.noise import NoiseParameters, samples
 from adaptdrive_sim.parameters import check_range
+from adaptdrive_sim.site import Site
+from adaptdrive_sim.world import World
 
 Design = Literal["paper", "exact"]
 Variant = Literal["fixed", "adaptive", "direct_rls", "lm_rls"]
@@ -81,3 +98,98 @@ class Case:
     def mode(self) -> Mode:
         """Controller that the operator selects."""
         return Mode.FIXED if self.variant == "fixed" else Mode.ADAPTIVE
+
+
+_METHODS = {"direct_rls": METHODS["rls"], "lm_rls": METHODS["lm-rls"]}
+
+
+def case_settings(experiment: Experiment, variant: Variant, design: Design) -> ControllerSettings:
+    """Settings of one controller of an experiment."""
+    exact = design == "exact"
+    settings = daemon_settings(experiment) if exact else paper_settings(experiment)
+    method = _METHODS.get(variant, settings.learning.method)
+    learning = dataclasses.replace(settings.learning, method=method)
+    return dataclasses.replace(settings, learning=learning)
+
+
+def daemon_settings(experiment: Experiment) -> ControllerSettings:
+    """The daemon's default controller, for an experiment that starts at rest."""
+    settings = _from_tables(experiment, experiment.tables())
+    learning = dataclasses.replace(settings.learning, settle_periods=0)
+    jacket = dataclasses.replace(settings.jacket, warm_up_periods=_warm_up_periods(experiment))
+    return dataclasses.replace(settings, learning=learning, jacket=jacket)
+
+
+def paper_settings(experiment: Experiment) -> ControllerSettings:
+    """The daemon's controller with the paper's design, and with the paper's numbers."""
+    tables, paper = experiment.tables(), experiment.paper
+    tables["load"]["design"] = "paper"
+    tables["estimator"] = {
+        "method": next(name for name, one in METHODS.items() if one is paper.method),
+        "forgetting": paper.forgetting,
+        "tau_lambda_s": paper.tau_lambda_s,
+        "initial_covariance": paper.covariance,
+    }
+    tables["supervisor"] = {"warm_up_s": paper.warm_up_s}
+    return _from_tables(experiment, tables)
+
+
+def _from_tables(experiment: Experiment, tables: dict[str, Any]) -> ControllerSettings:
+    source = FOLDER / f"{experiment.name}.toml"
+    return controller_settings(validate_configuration(tables, source))
+
+
+def _warm_up_periods(experiment: Experiment) -> int:
+    return round(experiment.paper.warm_up_s / experiment.period_s)
+
+
+Array = NDArray[np.float64]
+
+
+def run_case(case: Case, *, keep_ticks: bool = False, compiled: bool = False) -> Run:
+    """Run one case from start to end.
+
+    Args:
+        case: What to run.
+        keep_ticks: Whether the record is to hold output and boost voltage of every tick.
+        compiled: Run compiled code, some thirty times as fast. Compiling takes a minute or two for
+            each kind of load and design.
+
+    Returns:
+        The run, with the columns `time_s`, `reference` and `size`.
+    """
+    experiment, course = case.experiment, _course(case)
+    site = Site(Controller(case.settings, experiment.nominal()), World(experiment.plant()))
+    run = site.run(course, compiled=compiled, keep_ticks=keep_ticks)
+    times_s = experiment.times_s()
+    sizes = np.array([experiment.size_at(time_s) for time_s in times_s])
+    return run.beside(time_s=np.array(times_s), reference=course.references, size=sizes)
+
+
+def _course(case: Case) -> Course:
+    experiment = case.experiment
+    times_s = experiment.times_s()
+    ticks = len(times_s) * case.settings.rates.ticks_per_period
+    noise = case.disturbance.scaled(experiment.step)
+    return Course(
+        references=np.array([experiment.reference.value(time_s) for time_s in times_s]),
+        sizes=np.array([_size_wanted(experiment, time_s) for time_s in times_s]),
+        over_s=max((change.over_s for change in experiment.changes), default=0.0),
+        disturbances=_disturbances(noise, case.seed, ticks + 1),
+        mode=case.mode,
+        pole=experiment.pole,
+        start=experiment.reference.low,
+    )
+
+
+def _size_wanted(experiment: Experiment, time_s: float) -> float:
+    """Return the present or next size of the load."""
+    sizes = [change.size for change in experiment.changes if change.time_s <= time_s]
+    return sizes[-1] if sizes else 1.0
+
+
+def _disturbances(noise: NoiseParameters, seed: int, count: int) -> Array:
+    if noise.silent:
+        return np.zeros(count)
+    drawn = samples(noise, np.random.default_rng(seed))
+    return np.fromiter(itertools.islice(drawn, count), np.float64, count)

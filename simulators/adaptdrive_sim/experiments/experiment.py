@@ -102,6 +102,10 @@ class Experiment:
         """Height of the reference step."""
         return self.reference.high - self.reference.low
 
+    def times_s(self) -> list[float]:
+        """Return the slow instants."""
+        return [k * self.period_s for k in range(round(self.duration_s / self.period_s))]
+
     def size_at(self, time_s: float) -> float:
         """Size of the load at a time."""
         size = 1.0

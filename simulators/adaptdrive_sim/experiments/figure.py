@@ -2,17 +2,170 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from adaptdrive.analysis import style
 from adaptdrive.control.load import to_input
-from adaptdrive_sim.experiments import figure_parts as parts
+from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import Variant
+from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.experiments.outcome import ExperimentOutcome
-from adaptdrive_sim.experiments.runner import RunRecord
+
+Array = NDArray[np.float64]
+
+SYMBOLS = {
+    "gain": r"$\hat{g}_m$",
+    "tau_sum_s": r"$\hat{\tau}_m+\hat{\tau}_f$",
+    "tau_product_s2": r"$\hat{\tau}_m\hat{\tau}_f$",
+    "resistance_K_per_W": r"$\hat{R}_{cw}$",
+    "tau_s": r"$\hat{R}_{cw}\hat{C}_{bck}$",
+}
+CONTROLLERS: dict[str, tuple[str, style.Look]] = {
+    "fixed": ("fixed", style.FIXED),
+    "adaptive": ("adaptive", style.ADAPTIVE),
+    "direct_rls": ("adaptive, direct RLS", style.DIRECT),
+}
+MEASURED: style.Look = {"color": "0.80", "linewidth": 0.6, "zorder": 1}
+APPLIED: style.Look = {"color": "0.55", "linewidth": 0.6, "zorder": 1}
+WARM_UP: style.Look = {"color": "#f2e8d5", "linewidth": 0.0, "zorder": 0}
+_MARGIN = 0.06
+
+
+def describe(outcome: ExperimentOutcome) -> str:
+    """Design, noise, seed and the kind of load change, for the head of a figure."""
+    noise, experiment = outcome.disturbance, outcome.experiment
+    parts = [f"{outcome.design} design", f"noise {100.0 * noise.noise:.3g} % of the step"]
+    if noise.spike_share:
+        share, size = 100.0 * noise.spike_share, 100.0 * noise.spike_noise
+        parts.append(f"spikes of {size:.3g} % in {share:.3g} % of the samples")
+    parts.append(f"seed {outcome.seed}")
+    if experiment.dropped:
+        parts.append("disks at rest when they land")
+    return ", ".join(parts)
+
+
+def draw_output(axes: Axes, record: Run, label: str, look: style.Look) -> None:
+    """Draw reference, measured and true output."""
+    minutes = minutes_of(record)
+    axes.step(minutes, record["reference"], where="post", label="reference", **style.REFERENCE)
+    axes.plot(minutes, record["measured"], label="measured", **MEASURED)
+    axes.plot(minutes, record["output"], label=label, **look)
+
+
+def draw_voltage(axes: Axes, record: Run, look: style.Look) -> None:
+    """Draw V_c as commanded, and the mean v_bst that was applied in each slow period."""
+    minutes = minutes_of(record)
+    applied = [*record["applied_V"][1:], record["applied_V"][-1]]
+    axes.step(minutes, applied, where="post", label=r"$v_{bst}$ applied", **APPLIED)
+    commanded = record["boost_reference_V"]
+    axes.step(minutes, commanded, where="post", label=r"$V_c$ commanded", **look)
+
+
+def draw_estimates(axes: Axes, outcome: ExperimentOutcome, limits: tuple[float, float]) -> None:
+    """Draw estimates and truth, over the nominal values; transients beyond the limits are cut."""
+    experiment, record = outcome.experiment, outcome.records["adaptive"]
+    load = experiment.nominal()
+    nominal = np.array(load.physical(list(load.numerator), list(load.denominator)))
+    truth = np.array([experiment.truth_at(time_s) for time_s in record["time_s"]]) / nominal
+    minutes = minutes_of(record)
+    drawstyle = "default" if experiment.changes[0].over_s else "steps-post"
+    for i, name in enumerate(load.names):
+        label = "truth" if i == len(load.names) - 1 else None
+        estimated = record[name] / nominal[i]
+        axes.plot(minutes, estimated, color=style.PARAMETERS[i], linewidth=0.9, label=SYMBOLS[name])
+        axes.plot(minutes, truth[:, i], drawstyle=drawstyle, label=label, **style.TRUTH)
+    axes.set_ylim(*limits)
+    axes.set_ylabel("Over nominal")
+    style.legend_above(axes, len(load.names) + 1)
+
+
+def draw_model_errors(axes: Axes, outcome: ExperimentOutcome) -> None:
+    """Draw one step for each reference cycle and controller, on an axis that holds all of them."""
+    found = []
+    for variant, cycles in outcome.cycles.items():
+        label, look = CONTROLLERS[variant]
+        edges = [one.start_s / 60.0 for one in cycles] + [outcome.experiment.duration_s / 60.0]
+        percents = [100.0 * one.model_error_rms for one in cycles]
+        axes.step(edges, [*percents, percents[-1]], where="post", label=label, **look)
+        found += percents
+    axes.set_yscale("log")
+    axes.set_ylim(0.7 * min(found), 1.5 * max(found))
+    axes.set_ylabel("rms (% of step)")
+    style.legend_above(axes, len(outcome.cycles))
+
+
+def show_whole(axes: Sequence[Axes], values: Iterable[Iterable[float]]) -> None:
+    """Give axes one range that holds all values, so that they can be compared."""
+    everything = np.concatenate([np.asarray(list(one), dtype=float) for one in values])
+    low, high = float(everything.min()), float(everything.max())
+    margin = _MARGIN * (high - low)
+    for one in axes:
+        one.set_ylim(low - margin, high + margin)
+
+
+def mark_warm_up(axes: Axes, outcome: ExperimentOutcome, record: Run) -> None:
+    """Shade the warm-up, and draw a bar while the adaptive gains were in force."""
+    warm_up_min = outcome.experiment.paper.warm_up_s / 60.0
+    axes.axvspan(0.0, warm_up_min, label="warm-up", **WARM_UP)
+    minutes, in_force = minutes_of(record), record["adaptive"] > 0.0
+    axes.fill_between(
+        minutes,
+        0.0,
+        0.03,
+        where=in_force.tolist(),
+        step="post",
+        transform=axes.get_xaxis_transform(),
+        color=style.ADAPTIVE["color"],
+        linewidth=0.0,
+        label="adaptive in force",
+    )
+
+
+def mark_changes(axes: Iterable[Axes], experiment: Experiment) -> None:
+    """Show in every panel when the load changes."""
+    for one in axes:
+        for change in experiment.changes:
+            start, end = change.time_s / 60.0, (change.time_s + change.over_s) / 60.0
+            if change.over_s:
+                one.axvspan(start, end, color="0.90", linewidth=0.0, zorder=0)
+            else:
+                one.axvline(start, color="0.35", linewidth=0.6, linestyle=":", zorder=0)
+
+
+def name_segments(axes: Axes, experiment: Experiment, names: tuple[str, ...]) -> None:
+    """Name the load in each segment of the experiment, at the bottom of a panel."""
+    ends = [change.time_s for change in experiment.changes] + [experiment.duration_s]
+    starts = [0.0, *ends[:-1]]
+    for start, end, name in zip(starts, ends, names, strict=True):
+        axes.annotate(
+            name,
+            (0.5 * (start + end) / 60.0, 0.03),
+            xycoords=("data", "axes fraction"),
+            ha="center",
+            va="bottom",
+            fontsize=8.0,
+        )
+
+
+def time_axis(axes: Axes, experiment: Experiment, step_min: float) -> None:
+    """Label the common axis of time."""
+    last = experiment.duration_s / 60.0
+    axes.set_xlim(0.0, last)
+    axes.set_xticks(np.arange(0.0, last + 0.5 * step_min, step_min))
+    axes.set_xlabel("Time (min)")
+
+
+def minutes_of(record: Run) -> Array:
+    """Return the times of a record in minutes."""
+    return record["time_s"] / 60.0
+
 
 _TITLES: dict[Variant, str] = {
     "fixed": "fixed controller",
@@ -47,26 +200,26 @@ def _draw_motor(outcome: ExperimentOutcome) -> Figure:
     axes = list(rows)
     speeds, voltages = axes[0:6:2], axes[1:6:2]
     for i, (variant, title) in enumerate(_TITLES.items()):
-        record, look = outcome.records[variant], parts.CONTROLLERS[variant][1]
-        parts.draw_output(speeds[i], record, "without noise", look)
-        parts.draw_voltage(voltages[i], record, look)
+        record, look = outcome.records[variant], CONTROLLERS[variant][1]
+        draw_output(speeds[i], record, "without noise", look)
+        draw_voltage(voltages[i], record, look)
         style.letter(speeds[i], "ace"[i], f"Speed, {title}")
         style.letter(voltages[i], "bdf"[i], f"Drive voltage, {title}")
         if variant != "fixed":
-            parts.mark_warm_up(voltages[i], outcome, record)
+            mark_warm_up(voltages[i], outcome, record)
         style.legend_above(speeds[i], 3)
         style.legend_above(voltages[i], 4)
         speeds[i].set_ylabel("Tachometer (V)")
         voltages[i].set_ylabel("Voltage (V)")
-    parts.show_whole(speeds, _outputs(outcome))
-    parts.show_whole(voltages, [one.applied_V for one in outcome.records.values()] + [[200, 400]])
-    parts.draw_estimates(axes[6], outcome, (-0.5, 4.5))
+    show_whole(speeds, _outputs(outcome))
+    show_whole(voltages, [one["applied_V"] for one in outcome.records.values()] + [[200, 400]])
+    draw_estimates(axes[6], outcome, (-0.5, 4.5))
     style.letter(axes[6], "g", "Estimates (transients beyond the axis are cut)")
-    parts.draw_model_errors(axes[7], outcome)
+    draw_model_errors(axes[7], outcome)
     style.letter(axes[7], "h", "Deviation from the ideal closed loop")
-    parts.mark_changes(axes, outcome.experiment)
-    parts.name_segments(speeds[0], outcome.experiment, ("1 disk", "2 disks", "3 disks"))
-    parts.time_axis(axes[-1], outcome.experiment, 2.0)
+    mark_changes(axes, outcome.experiment)
+    name_segments(speeds[0], outcome.experiment, ("1 disk", "2 disks", "3 disks"))
+    time_axis(axes[-1], outcome.experiment, 2.0)
     return _finished(figure, outcome)
 
 
@@ -76,43 +229,44 @@ def _draw_bath(outcome: ExperimentOutcome) -> Figure:
     axes = list(figure.subplots(4, 1, sharex=True, height_ratios=(1.7, 1.2, 1.0, 0.9)))
     response, power, estimates, errors = axes
     for variant, record in outcome.records.items():
-        label, look = parts.CONTROLLERS[variant]
-        minutes = parts.minutes_of(record)
+        label, look = CONTROLLERS[variant]
+        minutes = minutes_of(record)
         if variant == "fixed":
-            parts.draw_output(response, record, label, look)
+            draw_output(response, record, label, look)
         else:
-            response.plot(minutes, record.output, label=label, **look)
+            response.plot(minutes, record["output"], label=label, **look)
         power.step(minutes, _heater_W(outcome, record), where="post", label=label, **look)
-    parts.mark_warm_up(power, outcome, outcome.records["adaptive"])
+    mark_warm_up(power, outcome, outcome.records["adaptive"])
     response.set_ylabel(r"$T_b$ above the inflow (K)")
     power.set_ylabel("Heater power (W)")
     style.letter(response, "a", "Bath temperature")
     style.letter(power, "b", "Commanded power")
     style.legend_above(response, 4)
     style.legend_above(power, 4)
-    parts.show_whole([response], _outputs(outcome))
-    parts.draw_estimates(estimates, outcome, (0.0, 3.4))
+    show_whole([response], _outputs(outcome))
+    draw_estimates(estimates, outcome, (0.0, 3.4))
     style.letter(estimates, "c", "Estimates of the adaptive controller")
-    parts.draw_model_errors(errors, outcome)
+    draw_model_errors(errors, outcome)
     style.letter(errors, "d", "Deviation from the ideal closed loop")
-    parts.mark_changes(axes, outcome.experiment)
-    parts.name_segments(response, outcome.experiment, ("0.6 gal", "1.5 gal"))
-    parts.time_axis(errors, outcome.experiment, 20.0)
+    mark_changes(axes, outcome.experiment)
+    name_segments(response, outcome.experiment, ("0.6 gal", "1.5 gal"))
+    time_axis(errors, outcome.experiment, 20.0)
     return _finished(figure, outcome)
 
 
-def _outputs(outcome: ExperimentOutcome) -> list[list[float]]:
-    records = outcome.records.values()
-    return [one.output for one in records] + [one.measured for one in records]
+def _outputs(outcome: ExperimentOutcome) -> list[Array]:
+    return [one[name] for one in outcome.records.values() for name in ("output", "measured")]
 
 
-def _heater_W(outcome: ExperimentOutcome, record: RunRecord) -> list[float]:
+def _heater_W(outcome: ExperimentOutcome, record: Run) -> list[float]:
     load = outcome.experiment.nominal()
-    return [to_input(one, load.input_gain, load.input_exponent) for one in record.boost_reference_V]
+    return [
+        to_input(one, load.input_gain, load.input_exponent) for one in record["boost_reference_V"]
+    ]
 
 
 def _finished(figure: Figure, outcome: ExperimentOutcome) -> Figure:
-    figure.suptitle(parts.describe(outcome), fontsize=9.0)
+    figure.suptitle(describe(outcome), fontsize=9.0)
     figure.align_ylabels(list(figure.axes))
     return figure
 

@@ -1,17 +1,31 @@
-"""Metrics of an experiment, always from the output without noise at the slow instants."""
+"""Metrics of an experiment, always from the output without noise at the slow instants.
+
+They compare with the closed loop as it was designed: the true load, no limits, no delays, no noise.
+
+With the model A y = B u of the true load the design makes
+
+    A_m y = A_m(1)/B(1) · B r
+
+(27) and (15) in the paper's design; in the exact one B has the zero of the held load. All poles of
+A_m are where the design wants them, so that a larger load changes B's zero at most.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from adaptdrive.control.discretise import held_model
+from adaptdrive.control.load import Load
+from adaptdrive.control.pole_placement import desired_polynomial
+from adaptdrive.control.vectors import Vector
+from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import Design
 from adaptdrive_sim.experiments.experiment import Experiment, LoadChange
-from adaptdrive_sim.experiments.ideal import ideal_output
-from adaptdrive_sim.experiments.runner import RunRecord
 
 Array = NDArray[np.float64]
 
@@ -39,23 +53,57 @@ class Cycle:
     model_error_rms: float
 
 
-def cycles(experiment: Experiment, design: Design, record: RunRecord) -> list[Cycle]:
+def cycles(experiment: Experiment, design: Design, record: Run) -> list[Cycle]:
     """Judge every reference cycle of a run."""
     errors = model_errors(experiment, design, record)
     return [_cycle(experiment, record, errors, start_s) for start_s in experiment.cycle_starts()]
 
 
-def model_errors(experiment: Experiment, design: Design, record: RunRecord) -> Array:
+def model_errors(experiment: Experiment, design: Design, record: Run) -> Array:
     """Deviation from the ideal closed loop at each slow instant, as a fraction of the step."""
-    return (np.array(record.output) - ideal_output(experiment, design)) / experiment.step
+    return (record["output"] - ideal_output(experiment, design)) / experiment.step
 
 
-def rms_between(record: RunRecord, errors: Array, first_s: float, last_s: float) -> float:
+def ideal_output(experiment: Experiment, design: Design) -> NDArray[np.float64]:
+    """Output of the ideal loop at every slow instant, from rest on the lower reference."""
+    periods = round(experiment.duration_s / experiment.period_s)
+    desired = desired_polynomial(experiment.pole, 2 * experiment.nominal().order)
+    low = experiment.reference.low
+    outputs = [0.0] * (len(desired) - 1)
+    references = [0.0] * len(desired)
+    found = np.empty(periods)
+    for k in range(periods):
+        time_s = k * experiment.period_s
+        references = [experiment.reference.value(time_s) - low, *references[:-1]]
+        weights = _weights(experiment.true_load(experiment.size_at(time_s)), design, experiment)
+        output = sum(weights[i] * references[i] for i in range(len(weights)))
+        output -= sum(desired[i + 1] * outputs[i] for i in range(len(outputs)))
+        outputs = [output, *outputs[:-1]]
+        found[k] = low + output
+    return found
+
+
+def _weights(load: Load, design: Design, experiment: Experiment) -> Vector:
+    """A_m(1)/B(1) · B."""
+    desired = desired_polynomial(experiment.pole, 2 * load.order)
+    b = _numerator(load, design, experiment.period_s)
+    return [sum(desired) / sum(b) * value for value in b]
+
+
+@cache
+def _numerator(load: Load, design: Design, period_s: float) -> Vector:
+    numerator, denominator = list(load.numerator), list(load.denominator)
+    if design == "paper":
+        return load.paper_model(numerator, denominator, period_s)[1]
+    return held_model(numerator, denominator, period_s, 0.0, 0.0)[1]
+
+
+def rms_between(record: Run, errors: Array, first_s: float, last_s: float) -> float:
     """Root of the mean square over first <= t < last."""
     return _rms(errors[_between(record, first_s, last_s)])
 
 
-def _cycle(experiment: Experiment, record: RunRecord, errors: Array, start_s: float) -> Cycle:
+def _cycle(experiment: Experiment, record: Run, errors: Array, start_s: float) -> Cycle:
     half_s = 0.5 * experiment.reference.period_s
     end_s = min(start_s + 2.0 * half_s, experiment.duration_s)
     halves = [_half(experiment, record, start_s, start_s + half_s)]
@@ -73,22 +121,20 @@ def _cycle(experiment: Experiment, record: RunRecord, errors: Array, start_s: fl
 
 
 def _half(
-    experiment: Experiment, record: RunRecord, first_s: float, last_s: float
+    experiment: Experiment, record: Run, first_s: float, last_s: float
 ) -> tuple[float, float]:
     """Overshoot, and settling time or infinity, of one half cycle."""
     chosen = _between(record, first_s, last_s)
     target = experiment.reference.value(first_s)
     sign = 1.0 if target == experiment.reference.high else -1.0
-    excess = sign * (np.array(record.output)[chosen] - target) / experiment.step
+    excess = sign * (record["output"][chosen] - target) / experiment.step
     outside = np.flatnonzero(np.abs(excess) > SETTLED)
     settled = int(outside[-1]) + 1 if outside.size else 0
     settling_s = settled * experiment.period_s if settled < excess.size else math.inf
     return max(0.0, float(excess.max())), settling_s
 
 
-def convergence_cycles(
-    experiment: Experiment, record: RunRecord, change: LoadChange
-) -> float | None:
+def convergence_cycles(experiment: Experiment, record: Run, change: LoadChange) -> float | None:
     """Reference cycles until every estimate is within 5 % of the truth and stays so.
 
     Args:
@@ -101,8 +147,8 @@ def convergence_cycles(
     """
     chosen = _between(record, change.time_s, experiment.until_next_change(change))
     names = experiment.nominal().names
-    estimates = np.array([record.estimates[name] for name in names])[:, chosen]
-    times = np.array(record.time_s)[chosen]
+    estimates = np.array([record[name] for name in names])[:, chosen]
+    times = record["time_s"][chosen]
     truth = np.array([experiment.truth_at(time_s) for time_s in times]).T
     with np.errstate(invalid="ignore"):
         good = np.all(np.abs(estimates / truth - 1.0) <= CONVERGED, axis=0)
@@ -113,8 +159,8 @@ def convergence_cycles(
     return float(times[first] - change.time_s) / experiment.reference.period_s
 
 
-def _between(record: RunRecord, first_s: float, last_s: float) -> NDArray[np.bool_]:
-    times = np.array(record.time_s)
+def _between(record: Run, first_s: float, last_s: float) -> NDArray[np.bool_]:
+    times = record["time_s"]
     return (times >= first_s) & (times < last_s)
 
 
@@ -122,7 +168,7 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values * values)))
 
 
-def estimate_moves(experiment: Experiment, record: RunRecord) -> dict[str, float]:
+def estimate_moves(experiment: Experiment, record: Run) -> dict[str, float]:
     """Return the smallest move of each estimate among the load changes, relative to its value.
 
     A move is the largest distance from the last value before the change, within one cycle after
@@ -131,7 +177,7 @@ def estimate_moves(experiment: Experiment, record: RunRecord) -> dict[str, float
     periods = round(experiment.reference.period_s / experiment.period_s)
     firsts = [round(change.time_s / experiment.period_s) for change in experiment.changes]
     return {
-        name: min(_move(np.array(record.estimates[name]), first, periods) for first in firsts)
+        name: min(_move(record[name], first, periods) for first in firsts)
         for name in experiment.nominal().names
     }
 

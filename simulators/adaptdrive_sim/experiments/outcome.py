@@ -7,14 +7,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import Design, Disturbance, Variant
 from adaptdrive_sim.experiments.experiment import Experiment
-from adaptdrive_sim.experiments.metrics import (
-    Cycle,
-    convergence_cycles,
-    cycles,
-)
-from adaptdrive_sim.experiments.runner import RunRecord
+from adaptdrive_sim.experiments.metrics import Cycle, convergence_cycles, cycles
 from adaptdrive_sim.experiments.sweep import SweepPoint
 
 
@@ -38,7 +34,7 @@ class ExperimentOutcome:
     design: Design
     disturbance: Disturbance
     seed: int
-    records: dict[Variant, RunRecord]
+    records: dict[Variant, Run]
     cycles: dict[Variant, list[Cycle]]
     converged: list[float | None]
     over_forgetting: list[SweepPoint] = dataclasses.field(default_factory=list)
@@ -60,7 +56,7 @@ def judge(
     design: Design,
     disturbance: Disturbance,
     seed: int,
-    records: dict[Variant, RunRecord],
+    records: dict[Variant, Run],
 ) -> ExperimentOutcome:
     """Work out the metrics of all runs."""
     judged = {variant: cycles(experiment, design, record) for variant, record in records.items()}

@@ -17,19 +17,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from adaptdrive.errors import AdaptdriveError, RefusedError
-from adaptdrive_sim.experiments.bath import BATH
-from adaptdrive_sim.experiments.case import Case, Design, Disturbance, Variant
+from adaptdrive_sim.course import Run
+from adaptdrive_sim.experiments.case import (
+    Case,
+    Design,
+    Disturbance,
+    Variant,
+    case_settings,
+    run_case,
+)
 from adaptdrive_sim.experiments.claims import ExperimentClaim, claims
 from adaptdrive_sim.experiments.experiment import Experiment
-from adaptdrive_sim.experiments.motor import DROPPED, MOTOR
 from adaptdrive_sim.experiments.outcome import ExperimentOutcome, judge, summary
-from adaptdrive_sim.experiments.recording import write_record
-from adaptdrive_sim.experiments.runner import RunRecord, run_case
-from adaptdrive_sim.experiments.settings import case_settings
+from adaptdrive_sim.experiments.published import BATH, DROPPED, MOTOR
 from adaptdrive_sim.experiments.sweep import (
     listen,
     settings_over_forgetting,
@@ -43,8 +49,8 @@ VARIANTS: dict[str, tuple[Variant, ...]] = {
     "bath": ("fixed", "adaptive"),
 }
 
-
 _OTHER_STEPS = 4
+_FIRST = ("time_s", "reference", "size", "output", "measured", "boost_reference_V", "applied_V")
 
 
 class OutputError(AdaptdriveError):
@@ -129,7 +135,7 @@ def run_request(request: ReproduceRequest, folder: Path) -> list[ExperimentClaim
         outcome = _carry_out(request, folder)
         verdicts = claims(outcome)
         for variant in outcome.records:
-            write_record(folder / f"{variant}.parquet", outcome, variant)
+            _write_record(folder / f"{variant}.parquet", outcome, variant)
         found = [dataclasses.asdict(one) for one in verdicts]
         _write_summary(folder, summary(outcome, found, time.perf_counter() - started_s))
     except OSError as problem:
@@ -154,7 +160,7 @@ def _carry_out(request: ReproduceRequest, folder: Path) -> ExperimentOutcome:
         heard = listen(request.listener(), runs["fixed"].result())
         over_forgetting = pool.submit(try_settings, heard, settings_over_forgetting(experiment))
         over_tau_lambda = pool.submit(try_settings, heard, settings_over_tau_lambda(experiment))
-        records: dict[Variant, RunRecord] = {}
+        records: dict[Variant, Run] = {}
         for variant, run in runs.items():
             records[variant] = run.result()
             done(f"ran the {variant} controller")
@@ -201,3 +207,29 @@ def _progress(steps: int) -> Iterator[Callable[[str], None]]:
 def _write_summary(folder: Path, found: dict[str, Any]) -> None:
     text = json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False)
     (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+
+
+def _write_record(path: Path, outcome: ExperimentOutcome, variant: Variant) -> None:
+    """Write a row for each slow period; what a run was made with is in the file's metadata."""
+    disturbance = outcome.disturbance
+    metadata = {
+        "experiment": outcome.experiment.name,
+        "controller": variant,
+        "design": outcome.design,
+        "seed": str(outcome.seed),
+        "noise": repr(disturbance.noise),
+        "dropped_at_rest": str(outcome.experiment.dropped).lower(),
+        "spikes": f"{disturbance.spike_share!r},{disturbance.spike_noise!r}",
+    }
+    run, decisions = outcome.records[variant], outcome.records[variant].decisions
+    columns: dict[str, Any] = {name: run[name] for name in _FIRST}
+    columns |= {name: run[name] > 0.0 for name in ("adaptive", "accepted")}
+    columns["reason"] = [one.reason for one in decisions]
+    columns["gains"] = [list(one.gains) for one in decisions]
+    columns["innovation"] = run["innovation"]
+    columns["excitation"] = [one.excitation for one in decisions]
+    names = decisions[0].estimates
+    columns |= {name: [one.estimates[name].value for one in decisions] for name in names}
+    columns |= {f"{name}_std": [one.estimates[name].std for one in decisions] for name in names}
+    table = pa.table(columns).replace_schema_metadata(metadata)
+    pq.write_table(table, path, compression="zstd")

@@ -27,10 +27,10 @@ from adaptdrive.control.load import Load, to_input
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import Learning
 from adaptdrive.control.vectors import Vector, shift_in
+from adaptdrive_sim.course import Run
 from adaptdrive_sim.experiments.case import Case
 from adaptdrive_sim.experiments.experiment import Experiment
 from adaptdrive_sim.experiments.metrics import CONVERGED
-from adaptdrive_sim.experiments.runner import RunRecord
 from adaptdrive_sim.noise import samples
 
 Array = NDArray[np.float64]
@@ -90,12 +90,12 @@ class SweepPoint:
     transient: float
 
 
-def listen(case: Case, record: RunRecord) -> Heard:
+def listen(case: Case, record: Run) -> Heard:
     """Take what the estimators need from a run that kept its ticks."""
     load = case.experiment.nominal()
     gain, exponent = load.input_gain, load.input_exponent
     voltage_V = np.array(record.fast_voltage_V)
-    held = [to_input(value, gain, exponent) for value in record.boost_reference_V]
+    held = [to_input(value, gain, exponent) for value in record["boost_reference_V"].tolist()]
     return Heard(case, np.array(record.fast_output), gain * voltage_V**exponent, held)
 
 

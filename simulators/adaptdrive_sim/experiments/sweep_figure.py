@@ -12,8 +12,7 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 
 from adaptdrive.analysis import style
 from adaptdrive_sim.experiments.experiment import Experiment
-from adaptdrive_sim.experiments.figure import save
-from adaptdrive_sim.experiments.figure_parts import describe
+from adaptdrive_sim.experiments.figure import describe, save
 from adaptdrive_sim.experiments.outcome import ExperimentOutcome
 from adaptdrive_sim.experiments.sweep import SweepPoint, settling_time_s
 

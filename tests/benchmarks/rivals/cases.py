@@ -79,7 +79,7 @@ def motor(
         sigma=sigma * (high - low),
         spike_sigma=0.0,
         output_delay_ticks=0,
-        output_V=output_V,
+        output_quantum=output_V,
         life=Life(torque_ramps_s=ramps_s, inertia_ramps_s=(0.0,) * (len(inertias) - 1), **life),
         **QUIET,
     )

@@ -13,9 +13,8 @@ from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.drawn import DrawnRun
 from adaptdrive_sim.compiled import bench
 from adaptdrive_sim.compiled.run import run_held
-from adaptdrive_sim.experiments.bath import BATH
-from adaptdrive_sim.experiments.motor import MOTOR
-from adaptdrive_sim.experiments.settings import paper_settings
+from adaptdrive_sim.experiments.case import paper_settings
+from adaptdrive_sim.experiments.published import BATH, MOTOR
 from tests.benchmarks.rivals.cases import Case
 from tests.benchmarks.rivals.controllers import RIVALS, Rival, Task
 from tests.benchmarks.rivals.trust import share_wrong
@@ -56,7 +55,7 @@ def task_of(stand: DrawnRun) -> Task:
     rates, stage, load = own.settings.rates, own.settings.stage, own.load
     tick_s = own.period_s / rates.ticks_per_period
     limits_V = stage.boost_reference_min_V, stage.boost_reference_max_V
-    wire = course.wire
+    wire = stand.site().wire
     rounding = 0.0 if wire is None else wire.output_quantum / math.sqrt(12.0)
     spread = float(np.std(course.disturbances[1:4000])) / math.sqrt(rates.samples)
     low, high, rest = (
@@ -95,7 +94,7 @@ def trace_of(stand: DrawnRun, controller: str) -> Array:
         return to_voltage(rival.decide(k, output), load.input_gain, load.input_exponent)
 
     course = stand.course(Mode.FIXED)
-    return run_held(*stand._start(course), course, decide)  # at rest
+    return run_held(stand.site(), course, decide)
 
 
 def figures(case: Case, seed: int, controller: str) -> Figures:

@@ -20,8 +20,7 @@ import numpy as np
 
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.bench import Stand
-from adaptdrive_sim.campaign.criteria import WORSE
-from adaptdrive_sim.campaign.judge import judge
+from adaptdrive_sim.campaign.judge import WORSE, judge
 from adaptdrive_sim.campaign.scenario import draw
 from adaptdrive_sim.campaign.settings import read_campaign
 from adaptdrive_sim.compiled import bench

@@ -1,0 +1,157 @@
+"""A controller in front of a plant, and the runs of both over a course.
+
+The order of calls is that of `adaptdrive.control.schedule`. There is no bus and no broker, and
+nothing waits: time passes as fast as the machine counts it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from adaptdrive.control.controller import Controller
+from adaptdrive.control.schedule import Schedule
+from adaptdrive.control.signals import Command, Decision, Measurement, Mode, Order, Snapshot, Stage
+from adaptdrive_sim.compiled.wire import CONTROL_FAULT, Wire, delayed, find_cause, rounded
+from adaptdrive_sim.course import Course, Run
+from adaptdrive_sim.world import Sample, World
+
+
+class Site:
+    """A controller in front of a plant, with or without a wire between them.
+
+    Attributes:
+        controller: The controller.
+        world: The plant.
+        wire: Resolution and delay between them.
+        sample: What the drive measured at the end of the last half cycle.
+        snapshot: The last snapshot, None before the first.
+        decision: What the slow half made of it.
+    """
+
+    def __init__(self, controller: Controller, world: World, wire: Wire | None = None) -> None:
+        """Put a controller in front of a plant.
+
+        Args:
+            controller: The controller.
+            world: The plant.
+            wire: Resolution and delay between them; none when left out.
+        """
+        self.controller, self.world, self.wire = controller, world, wire
+        self.sample: Sample = world.at_rest()
+        self.snapshot: Snapshot | None = None
+        self.decision: Decision | None = None
+        self._rates = controller._settings.rates  # noqa: SLF001
+        self._schedule = Schedule(controller, self._rates.latency_ticks)
+
+    def measure(self, tick: int) -> Measurement:
+        """Return what the controller receives at a tick, which it may ask for once."""
+        _, tick_period_s, boost_V, line_V, load_W, output, _ = self.sample
+        if (wire := self.wire) is not None:
+            boost_V = rounded(boost_V, wire.voltage_quantum_V)
+            line_V = rounded(line_V, wire.voltage_quantum_V)
+            load_W = rounded(load_W, wire.power_quantum_W)
+            output = delayed(wire, output)
+        return Measurement(tick, tick_period_s, boost_V, line_V, load_W, output)
+
+    def control(self, measurement: Measurement, order: Order) -> tuple[Command, bool]:
+        """Run the controller for one tick; return whether it has decided."""
+        command = self._schedule.tick(measurement, order)
+        snapshot = self._schedule.take_snapshot()
+        if snapshot is not None:
+            self.snapshot, self.decision = snapshot, self._schedule.decide(snapshot)
+        return command, snapshot is not None
+
+    def advance(self, command: Command, disturbance: float | None = None) -> None:
+        """Run the plant for one half cycle; the noise is its own unless it is given."""
+        scale_S = command.current_scale_S
+        if self.wire is not None:
+            scale_S = rounded(scale_S, self.wire.scale_quantum_S)
+        if disturbance is None:
+            self.sample = self.world.step(scale_S, command.bridge)
+        else:
+            self.sample = self.world.step_disturbed(scale_S, command.bridge, disturbance)
+
+    def rest(self, course: Course) -> None:
+        """Put the plant at rest where a course starts, and start the controller on it.
+
+        A line with a higher peak than that output needs lets the plant rest above it.
+        """
+        world, line = self.world, self.world.line
+        output = float(course.references[0]) if course.start is None else course.start
+        needed_V = world.boost_voltage_for(output - course.offset)
+        peak_V = line.voltage_V * 2.0**0.5
+        world.settle(max(needed_V, peak_V))
+        if needed_V < peak_V:
+            output = world.true_output + course.offset
+        boost_V, load_W = world.boost.voltage_V, world.boost.mean_load_W
+        at_rest = Measurement(-1, line.half_cycle_s, boost_V, line.voltage_V, load_W, output)
+        self.controller.tick(at_rest, Order(Stage.RUN, output, course.mode, course.pole))
+
+    def run(self, course: Course, *, compiled: bool = False, keep_ticks: bool = False) -> Run:
+        """Run a course, from rest.
+
+        Args:
+            course: What happens.
+            compiled: Run translated and compiled code instead of the interpreter. The run has no
+                decisions then, and neither the controller nor the plant shows what happened.
+            keep_ticks: Keep output and boost voltage of every tick, interpreted.
+        """
+        self.rest(course)
+        run = Run.empty(len(course.references), self.controller._load.names)  # noqa: SLF001
+        if compiled:
+            from adaptdrive_sim.compiled.run import run_compiled  # noqa: PLC0415  # loads numba
+
+            run.interlock = run_compiled(self, course, run.trace)
+        else:
+            run.interlock = self._run(course, run, keep_ticks=keep_ticks)
+        return run
+
+    def _run(self, course: Course, run: Run, *, keep_ticks: bool) -> int:
+        """Run a course in the interpreter; return the interlock that has ended it."""
+        world, load, trips = self.world, self.world.load, course.interlocks
+        ticks, noise = self._rates.ticks_per_period, course.disturbances.tolist()
+        self.sample = world.step_disturbed(world.current_scale_S, world.bridge, noise[0])
+        for k, reference in enumerate(course.references.tolist()):
+            change_plant(load, course, k)
+            order = Order(
+                course.stage(k), reference, course.mode, course.pole, steady=course.steady
+            )
+            for n in range(k * ticks, (k + 1) * ticks):
+                measurement = self.measure(n)
+                cause = find_cause(measurement, trips.boost_voltage_max_V, trips.output_max)
+                if cause:
+                    return cause
+                if keep_ticks:
+                    run.fast_output.append(load.output)
+                    run.fast_voltage_V.append(measurement.boost_voltage_V)
+                command, decided = self.control(measurement, order)
+                if decided and self.note(run, k).fault:
+                    return CONTROL_FAULT
+                self.advance(command, noise[n + 1])
+        return 0
+
+    def note(self, run: Run, k: int) -> Decision:
+        """Fill the row of a slow period in which a decision was made."""
+        snapshot, decision, slow = self.snapshot, self.decision, self.controller._slow  # noqa: SLF001
+        assert snapshot is not None and decision is not None  # noqa: S101, PT018 - it has decided
+        load = self.controller._load  # noqa: SLF001
+        estimates = [decision.estimates[name] for name in load.names]
+        run.decisions.append(decision)
+        run.trace[k] = (
+            *(self.world.true_output, snapshot.output),
+            *(decision.boost_reference_V, snapshot.applied_V),
+            *(decision.controller is Mode.ADAPTIVE, decision.accepted, slow.supervisor.verdict),
+            *(decision.innovation, decision.handover_step_V, slow.watch.fallback),
+            *(one.value for one in estimates),
+            *(one.std for one in estimates),
+        )
+        return decision
+
+
+def change_plant(load: Any, course: Course, k: int) -> None:  # noqa: ANN401  loads that change
+    """Change the size of a load and what disturbs it, where slow period k has other ones."""
+    sizes, burdens = course.sizes, course.burdens
+    if k > 0 and sizes[k] != sizes[k - 1]:
+        load.resize(float(sizes[k]), course.over_s)
+    if len(burdens) and (k == 0 or burdens[k] != burdens[k - 1]):
+        load.disturb(float(burdens[k]))
