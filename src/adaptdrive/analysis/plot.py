@@ -7,8 +7,8 @@ from pathlib import Path
 from adaptdrive.analysis.curves import find_window, read_curves
 from adaptdrive.analysis.figure import draw_session
 from adaptdrive.analysis.report import report_page
-from adaptdrive.config.regular_file import replace_result
 from adaptdrive.errors import escaped
+from adaptdrive.files import replace_result
 from adaptdrive.recording.reader import read_session
 from adaptdrive.recording.what_if import reconfigured
 

@@ -19,11 +19,11 @@ from typing import Protocol
 import msgspec
 
 from adaptdrive.config import Configuration
-from adaptdrive.config.regular_file import read_regular, replace_regular
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
 from adaptdrive.errors import NOT_JSON, AdaptdriveError, reason_of
+from adaptdrive.files import read_regular, replace_regular
 from adaptdrive.hardware.description import description_text
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Event, LoadReport, Severity

@@ -15,7 +15,7 @@ from cyclopts import Parameter
 
 from adaptdrive.cli.extra import Extra
 from adaptdrive.cli.folders import refuse_unwritable
-from adaptdrive.config.regular_file import replace_result
+from adaptdrive.files import replace_result
 
 
 def _check_second(_type: object, second: float | None) -> None:

@@ -12,8 +12,8 @@ from cyclopts import Parameter
 from adaptdrive.cli.contact import Contact, DriveName
 from adaptdrive.cli.extra import Extra
 from adaptdrive.cli.folders import refuse_unwritable
-from adaptdrive.config.regular_file import replace_result
 from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.files import replace_result
 
 _HERE = Contact()
 _PLACES = (Path(), Path("/etc/adaptdrive"))

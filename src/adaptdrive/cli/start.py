@@ -16,8 +16,8 @@ from adaptdrive.app.described import Choices, can_part, canopen_part, clock_tick
 from adaptdrive.app.starter import BusName, Starter, compose
 from adaptdrive.config.drive import DriveSection
 from adaptdrive.config.load import LoadName
-from adaptdrive.config.regular_file import replace_regular
 from adaptdrive.errors import ConfigurationError, Flaw
+from adaptdrive.files import replace_regular
 from adaptdrive.hardware.proposal import NO_PROPOSAL, OUTPUTS, QUANTITIES, Candidate, propose
 
 _SHOWN = 3

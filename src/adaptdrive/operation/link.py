@@ -16,8 +16,8 @@ from aiomqtt import Client, MqttError, ProtocolVersion, Will
 from aiomqtt.exceptions import MqttConnectError
 from paho.mqtt.reasoncodes import ReasonCode
 
-from adaptdrive.config.regular_file import read_regular
 from adaptdrive.config.services import Mqtt
+from adaptdrive.files import read_regular
 from adaptdrive.hosts import find
 from adaptdrive.operation.clock import Monotonic
 from adaptdrive.operation.name import ClientName

@@ -14,8 +14,8 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from adaptdrive.config.regular_file import require_regular
 from adaptdrive.errors import RecordingError, reason_of
+from adaptdrive.files import require_regular
 from adaptdrive.recording.batches import CommandRow, EventRow
 
 T = TypeVar("T", EventRow, CommandRow)

@@ -11,7 +11,7 @@ import errno
 import re
 from pathlib import Path
 
-from adaptdrive.config.regular_file import read_regular, replace_regular, unfinished_path
+from adaptdrive.files import read_regular, replace_regular, unfinished_path
 from adaptdrive.recording.session import SessionInfo, time_in_name
 
 _PREFIX = ".left-trip-"

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from adaptdrive.config.regular_file import read_regular
 from adaptdrive.errors import RecordingError, reason_of
+from adaptdrive.files import read_regular
 from adaptdrive.recording.batches import CommandRow, EventRow
 from adaptdrive.recording.event_log import read_log
 from adaptdrive.recording.segments import Segment, segments

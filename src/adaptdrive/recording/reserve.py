@@ -8,7 +8,7 @@ import shutil
 import sqlite3
 from pathlib import Path
 
-from adaptdrive.config.regular_file import require_regular
+from adaptdrive.files import require_regular
 
 _FILE = ".reserve"
 _BYTES = 2 << 20

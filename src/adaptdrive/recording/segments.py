@@ -15,8 +15,8 @@ from pathlib import Path
 import pyarrow as pa
 from pyarrow import parquet as pq
 
-from adaptdrive.config.regular_file import require_regular
 from adaptdrive.errors import RecordingError
+from adaptdrive.files import require_regular
 from adaptdrive.recording.session import TABLES
 from adaptdrive.recording.streams import StreamReader, convert, open_file
 

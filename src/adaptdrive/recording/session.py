@@ -22,8 +22,8 @@ from typing import Annotated, Self
 
 import msgspec
 
-from adaptdrive.config.regular_file import read_regular
 from adaptdrive.errors import NOT_JSON, RecordingError, reason_of
+from adaptdrive.files import read_regular
 
 FORMAT = 2
 FORMATS = (1, 2)

@@ -13,8 +13,8 @@ import pyarrow as pa
 from pyarrow import ipc
 from pyarrow import parquet as pq
 
-from adaptdrive.config.regular_file import require_regular
 from adaptdrive.errors import RecordingError
+from adaptdrive.files import require_regular
 
 _ROW_GROUP = 25_000
 """Rows of a Parquet row group: four minutes of ticks, of which a recorder holds one in memory."""

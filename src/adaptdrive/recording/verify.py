@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from adaptdrive.config.regular_file import require_regular
 from adaptdrive.errors import RecordingError, reason_of
+from adaptdrive.files import require_regular
 from adaptdrive.recording.event_log import count_rows
 from adaptdrive.recording.reader import Session, conformed
 from adaptdrive.recording.resume import KEYS, last_key
