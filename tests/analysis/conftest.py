@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from adaptdrive.recording.batches import CommandRow, EventRow, Header
+from adaptdrive.recording.records import CommandRow, EventRow, Header
 from adaptdrive.recording.session import NewSession, create_session
 from adaptdrive.runtime.reports import LoadReport, TickReport
 from tests.app.test_replay import EXAMPLE, lived

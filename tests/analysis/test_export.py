@@ -18,13 +18,12 @@ from mcap.reader import make_reader
 from scipy.io import loadmat
 
 from adaptdrive.analysis.export import export
-from adaptdrive.recording.batches import Header, SensorColumn
 from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.records import Header, SensorColumn
 from adaptdrive.recording.session import TICKS, NewSession, create_session
 from tests.operation.peers import load_report
 from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
-FORMAT1 = Path(__file__).parents[1] / "recording" / "format1"
 UTC_OFFSET_S = INFO.started.timestamp() - 50.0
 NAME = "20261121T012209Z_motor"
 
@@ -80,31 +79,6 @@ def test_mcap_opens_in_its_reader(session_path: Path, output: list[float], tmp_p
         ]
     assert [value for _, value in found] == output
     assert datetime.fromtimestamp(found[0][0] * 1e-9, UTC) == INFO.started
-
-
-@pytest.mark.parametrize("name", ["open", "closed"])
-@pytest.mark.parametrize("to", ["mat", "mdf4"])
-def test_a_session_of_an_older_version_is_exported_without_what_it_lacks(
-    name: str, to: str, tmp_path: Path
-) -> None:
-    """It has no times and, among others, neither `steady` nor the mode of a slow step."""
-    session = read_session(FORMAT1 / name)
-    (path,) = export(session.path, to, tmp_path)
-    if to == "mat":
-        read = loadmat(path, simplify_cells=True)
-        ticks, slow = read["ticks"], read["slow"]
-    else:
-        with MDF(path) as file:
-            ticks, slow = {}, {}
-            for one in file.iter_channels():
-                (ticks, slow)[one.group_index][one.name] = one.samples
-            times_s = file.get("applied_k").timestamps
-        expected = (np.asarray(session.ticks["tick"]) - 1) / 120.0
-        assert times_s == pytest.approx(expected)
-    assert ticks["output"].tolist() == session.ticks["output"].to_pylist()
-    assert ticks["fresh"].tolist() == session.ticks["fresh"].to_pylist()
-    assert np.isnan(ticks["steady"]).all()
-    assert not any(len(mode) for mode in slow["mode"])
 
 
 SENSORS = ("2nd.inflow", "_x.inflow", "2nd-inflow", "a" * 64 + ".water", "a" * 64 + ".air")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from adaptdrive.cli import main
-from adaptdrive.recording.batches import Header
+from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import NewSession, create_session
 from tests.app.test_replay import EXAMPLE, PRIOR, lived
 from tests.recording.material import INFO, make_batch, record_messages

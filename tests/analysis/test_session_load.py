@@ -13,8 +13,8 @@ from adaptdrive.analysis.load_report import as_json, as_text
 from adaptdrive.analysis.session_load import SessionLoad, identify_session
 from adaptdrive.cli import main
 from adaptdrive.errors import IdentificationError
-from adaptdrive.recording.batches import Header
 from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import NewSession, create_session
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from tests.recording.material import INFO, make_batch, make_tick, record_messages

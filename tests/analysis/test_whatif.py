@@ -16,7 +16,7 @@ from adaptdrive.analysis.whatif_report import as_text
 from adaptdrive.cli import main
 from adaptdrive.control.signals import Mode
 from adaptdrive.errors import ConfigurationError, IdentificationError
-from adaptdrive.recording.batches import Header
+from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import NewSession, create_session
 from adaptdrive.runtime.reports import LoadReport, TickReport
 from tests.app.test_replay import EXAMPLE, PRIOR, lived

@@ -9,6 +9,7 @@ import pytest
 
 from adaptdrive.app.recording import build_recorder
 from adaptdrive.errors import RecordingError
+from adaptdrive.recording.memory import Recalled
 from adaptdrive.runtime.hub import Hub
 from tests.config.documents import parse
 
@@ -21,4 +22,4 @@ def test_a_folder_of_sessions_whose_name_is_not_utf8_is_refused_at_the_start(
     monkeypatch.chdir(folder)
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     with pytest.raises(RecordingError, match=r"Pr\\udcfcfung/sessions: .* not UTF-8"):
-        build_recorder(parse(), "", Hub(), None, lambda: None)
+        build_recorder(parse(), "", Hub(), Recalled(), None, lambda: None)

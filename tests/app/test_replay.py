@@ -13,7 +13,7 @@ from adaptdrive.app.settings import controller_settings
 from adaptdrive.config import load_configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.signals import Mode, Stage
-from adaptdrive.recording.batches import Header
+from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import NewSession, create_session, read_info, write_info
 from adaptdrive.runtime.reports import LoadReport, TickReport
 from adaptdrive_sim.noise import NoiseParameters

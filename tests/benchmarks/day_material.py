@@ -18,14 +18,14 @@ import numpy as np
 from adaptdrive.config import load_configuration
 from adaptdrive.control.signals import Command, Measurement, Mode, Order
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive.recording.batches import Batch, EventRow, TickTable, slow_row
-from adaptdrive.recording.session import Dropped
+from adaptdrive.recording.records import EventRow, Ticks
 from adaptdrive.runtime.reports import MONOTONIC, LoadReport, State, TickReport
 from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint, SetWaveform
 from adaptdrive_sim.noise import NoiseParameters
 from adaptdrive_sim.plants.kinds import load_of
 from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World, WorldParameters
+from tests.recording.material import Batch, make_batch
 
 CONFIG = Path(__file__).parents[2] / "deploy" / "examples" / "motor.toml"
 TICKS_per_s = 120
@@ -75,7 +75,7 @@ def stretch(seconds: int) -> list[Batch]:
         drive.fast, drive.steps = [], []
         while len(drive.fast) < TICKS_per_s:
             drive.tick()
-        batches.append(_batch(drive))
+        batches.append(make_batch(drive.fast, drive.steps))
     return batches
 
 
@@ -93,13 +93,6 @@ def _started() -> _Drive:
         drive.carry_out(request)
     drive.number = 0
     return drive
-
-
-def _batch(drive: _Drive) -> Batch:
-    table = TickTable()
-    table.extend(drive.fast)
-    slow = [slow_row(report) for report in drive.steps]
-    return Batch(table.rows, table.packed(), slow, [], Dropped(), last=False)
 
 
 def repeated(batches: list[Batch], seconds: int, offset_s: float) -> Iterator[Batch]:
@@ -126,14 +119,13 @@ def repeated(batches: list[Batch], seconds: int, offset_s: float) -> Iterator[Ba
         yield msgspec.structs.replace(
             moved,
             events=events,
-            number=second + 1,
             utc_offset_s=offset_s,
             last=second + 1 == seconds,
         )
 
 
 def _moved(batch: Batch, by_s: int) -> Batch:
-    ticks = dict(batch.ticks)
+    ticks = dict(batch.ticks.columns)
     for name in ("sequence", "tick"):
         ticks[name] = _plus(ticks[name], np.int64, by_s * TICKS_per_s)
     ticks[MONOTONIC] = _plus(ticks[MONOTONIC], np.float64, by_s)
@@ -141,7 +133,7 @@ def _moved(batch: Batch, by_s: int) -> Batch:
         row | {MONOTONIC: row[MONOTONIC] + by_s, "tick": row["tick"] + by_s * TICKS_per_s}
         for row in batch.slow
     ]
-    return msgspec.structs.replace(batch, ticks=ticks, slow=slow)
+    return msgspec.structs.replace(batch, ticks=Ticks(batch.ticks.rows, ticks), slow=slow)
 
 
 def _plus(packed: bytes | list[str], kind: type[np.generic], by: float) -> bytes:

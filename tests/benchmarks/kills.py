@@ -1,7 +1,7 @@
 """A daemon at 120 Hz whose processes are killed at random moments; what its sessions then lack.
 
-Each life of the daemon ends with `kill -9` of the daemon, or of daemon and recorder in either
-order; before that its recorder alone may be killed. Commands change the mode ten times a second.
+Each life of the daemon ends with `kill -9` of the daemon, or of daemon and archiver in either
+order; before that its archiver alone may be killed. Commands change the mode ten times a second.
 Witnesses of a loss are the clock of the killer, a client of the broker and the log of the daemon:
 an event or an answered command that one of them has is recorded, or lost.
 """
@@ -52,10 +52,10 @@ class Death:
     """One `kill -9`.
 
     Attributes:
-        victim: daemon, recorder, or both.
+        victim: daemon, archiver, or both.
         time_s: When, monotonic.
         session: The newest session then, None before the first.
-        lost_s: Time from its last tick to the kill; 0 for a recorder alone.
+        lost_s: Time from its last tick to the kill; 0 for an archiver alone.
         reported: Whether the next start names the session.
     """
 
@@ -81,7 +81,7 @@ class Drive:
     lives: int = 0
 
     def live(self) -> None:
-        """Start the daemon, command it, and kill it and perhaps its recorder before."""
+        """Start the daemon, command it, and kill it and perhaps its archiver before."""
         daemon, log = self._started()
         with _ended(daemon):
             if self.deaths:
@@ -89,7 +89,7 @@ class Drive:
             with self._operator():
                 if self.chance.random() < 0.5:
                     self._pause()
-                    self._kill("recorder", daemon)
+                    self._kill("archiver", daemon)
                 self._pause()
                 self._kill(self.chance.choice(("daemon", "both")), daemon)
 
@@ -148,20 +148,20 @@ class Drive:
         time.sleep(self.chance.uniform(0.0, LONGEST_PAUSE_s))
 
     def _kill(self, victim: str, daemon: Process) -> None:
-        recorders = [one for one in children(daemon.pid) if _records(one)]
-        victims = {"daemon": [daemon.pid], "recorder": recorders}
-        pids = victims.get(victim, [daemon.pid, *recorders])
+        archivers = [one for one in children(daemon.pid) if _archives(one)]
+        victims = {"daemon": [daemon.pid], "archiver": archivers}
+        pids = victims.get(victim, [daemon.pid, *archivers])
         self.chance.shuffle(pids)
         now_s = time.monotonic()
         for pid in pids:
             os.kill(pid, signal.SIGKILL)
-        if victim != "recorder":
+        if victim != "archiver":
             daemon.wait()
         self.deaths.append(Death(victim, now_s, self._sessions()[-1]))
 
     def _judged(self, death: Death, log: Path) -> Death:
-        """Add what was lost, once the next daemon has repaired the session."""
-        if death.victim == "recorder" or death.session is None:
+        """Add what was lost, once the next daemon has closed the session."""
+        if death.victim == "archiver" or death.session is None:
             return death
         session = death.session
         until(lambda: read_session(session).info.ended is not Ending.OPEN, "a close", PATIENCE_s)
@@ -185,13 +185,13 @@ class Drive:
 
 @contextmanager
 def _ended(daemon: Process) -> Iterator[None]:
-    """Leave neither daemon nor recorder behind that writes into a folder which is removed."""
+    """Leave neither daemon nor archiver behind that writes into a folder which is removed."""
     try:
         yield
     finally:
-        recorders = [one for one in children(daemon.pid) if _records(one)]
+        archivers = [one for one in children(daemon.pid) if _archives(one)]
         stop_process(daemon)
-        until(lambda: not any(map(_records, recorders)), "the recorder ends", PATIENCE_s)
+        until(lambda: not any(map(_archives, archivers)), "the archiver ends", PATIENCE_s)
 
 
 class Operator:
@@ -264,7 +264,7 @@ def run(folder: Path, kills: int, seed: int) -> Drive:
 
 def _judged(drive: Drive) -> Iterator[Row]:
     deaths = drive.deaths
-    lost_s = [death.lost_s for death in deaths if death.victim != "recorder"]
+    lost_s = [death.lost_s for death in deaths if death.victim != "archiver"]
     counts = ", ".join(f"{n} {victim}" for victim, n in Counter(d.victim for d in deaths).items())
     yield Row(
         f"longest loss of ticks in {len(deaths)} kills",
@@ -298,9 +298,9 @@ def _lost_s(session: Path, death_s: float) -> float:
     return max((death_s - one.monotonic_s for one in read.events if one.tick > 0), default=0.0)
 
 
-def _records(pid: int) -> bool:
+def _archives(pid: int) -> bool:
     try:
-        return b"recording.writer" in Path(f"/proc/{pid}/cmdline").read_bytes()
+        return b"recording.archiver" in Path(f"/proc/{pid}/cmdline").read_bytes()
     except OSError:
         return False
 

@@ -23,7 +23,7 @@ from adaptdrive.hardware.link.multicast import LoopbackMulticast, parse
 from adaptdrive.hardware.port import PortStatistics
 from adaptdrive.operation.messages import drive_message, encode
 from adaptdrive.operation.profile import Output
-from adaptdrive.recording.batches import TickTable
+from adaptdrive.recording.records import TickTable
 from adaptdrive.runtime.accounts import drive_report
 from adaptdrive.runtime.collector import IdleCollector
 from adaptdrive.runtime.hub import Hub

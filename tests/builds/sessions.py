@@ -16,7 +16,7 @@ from adaptdrive.config import Configuration, load_configuration
 from adaptdrive.control.signals import Command, Measurement, Mode, Order
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.pure import build_name
-from adaptdrive.recording.batches import Header
+from adaptdrive.recording.records import Header
 from adaptdrive.recording.session import NewSession, create_session
 from adaptdrive.runtime.reports import LoadReport, State, TickReport
 from adaptdrive.runtime.requests import Enable, SetMode, SetSetpoint, SetVoltage, SetWaveform

@@ -12,14 +12,15 @@ import sys
 from datetime import timedelta
 from pathlib import Path
 
+import msgspec
 import pytest
 
 import adaptdrive
-from adaptdrive.recording.batches import Batch, EventRow, Header
 from adaptdrive.recording.recorder import EVENT_KIND
+from adaptdrive.recording.records import EventRow, Header
 from adaptdrive.recording.session import Dropped, NewSession, create_session
 from adaptdrive.runtime.reports import EVENT_KINDS
-from tests.recording.material import INFO, make_batch, make_tick, record_messages
+from tests.recording.material import INFO, make_batch, make_tick, record_messages, write_log
 
 NAME = "20261121T012209Z_motor"
 TICKS_FILE = "ticks-0001.parquet"
@@ -49,7 +50,7 @@ def recorded(tmp_path: Path, dropped: Dropped) -> Path:
 def recorded_events(tmp_path: Path, dropped: Dropped, events: list[EventRow]) -> Path:
     directory = create_session(NewSession(tmp_path / "sessions", INFO, ""))
     ticks = make_batch([make_tick(number) for number in range(1000)])
-    last = Batch(0, {}, [], events, dropped, last=True)
+    last = msgspec.structs.replace(make_batch([], last=True), events=events, dropped=dropped)
     record_messages(directory, Header(INFO, ""), ticks, last)
     return tmp_path
 
@@ -138,17 +139,17 @@ def test_a_fifo_in_a_session_hangs_nothing_and_hides_no_other(tmp_path: Path, na
 
 
 def test_what_a_killed_daemon_has_left_unwritten_is_named(tmp_path: Path) -> None:
-    state = recorded(tmp_path, Dropped())
-    left = state / "sessions" / ".unwritten-20261122T012209000000Z_motor"
-    left.write_bytes(b"rows")
-    answer = run(state, "sessions", "verify")
+    info = msgspec.structs.replace(INFO, log="../motor.log")
+    directory = create_session(NewSession(tmp_path / "sessions", info, ""))
+    batch = make_batch([make_tick(number) for number in range(10)])
+    left = write_log(tmp_path / "motor.log", Header(info, ""), batch)
+    answer = run(tmp_path, "sessions", "verify")
     assert answer.returncode == 1
-    assert f"{left.name}: data and events that the next start" in answer.stderr
-    with left.open("rb") as held:
+    assert f"{directory.name}: data and events that the next start" in answer.stderr
+    assert f"{directory.name}: 10 ticks; whole\n" in answer.stdout
+    with left.path.open("rb") as held:
         fcntl.flock(held, fcntl.LOCK_EX)  # as the daemon does that still writes it
-        assert run(state, "sessions", "verify").returncode == 0
-    left.write_bytes(b"")
-    assert run(state, "sessions", "verify").returncode == 0
+        assert run(tmp_path, "sessions", "verify").returncode == 0
 
 
 def test_ticks_lost_at_the_end_are_missing_in_whichever_session(state: Path) -> None:

@@ -16,8 +16,8 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.control.settings import Probing
 from adaptdrive.control.signals import Command, Measurement, Mode, Order
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive.recording.batches import Header
 from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.records import Header
 from adaptdrive.recording.replay import replay
 from adaptdrive.recording.session import NewSession, create_session
 from adaptdrive.runtime.accounts import state_report

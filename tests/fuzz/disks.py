@@ -1,22 +1,22 @@
-"""Decoders of what is on the disk: checkpoint, session, its tables and events, and the journal."""
+"""Decoders of what is on the disk: checkpoint, session, its tables and events, and the log."""
 
 from __future__ import annotations
 
-import asyncio
 import functools
 import shutil
 import sqlite3
+import zlib
 from pathlib import Path
 
+import msgspec
 import pyarrow as pa
-import structlog
 
 from adaptdrive.app.checkpoint import (
     CheckpointError,
     Learnt,
+    checkpoint_record,
     configuration_key,
     read_checkpoint,
-    write_checkpoint,
 )
 from adaptdrive.app.loads import build_load
 from adaptdrive.app.settings import controller_settings
@@ -24,16 +24,18 @@ from adaptdrive.config import load_configuration
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import Jacket
 from adaptdrive.errors import RecordingError
-from adaptdrive.operation.journal import Journal
-from adaptdrive.operation.memory import ReplyMemory
-from adaptdrive.operation.outbox import Outbox
-from adaptdrive.operation.trip_memory import TripMemory
 from adaptdrive.recording import event_log
+from adaptdrive.recording.frames import Kind, Record, framed
+from adaptdrive.recording.log_files import LogFile, new_file, recall
+from adaptdrive.recording.log_tables import logged_batches, table_schema
+from adaptdrive.recording.memory import Begin
+from adaptdrive.recording.notes import logged_notes
+from adaptdrive.recording.parquet import write_parquet
 from adaptdrive.recording.reader import read_session
-from adaptdrive.recording.session import CONFIG_FILE, EVENTS_FILE, INFO_FILE
-from adaptdrive.recording.streams import StreamWriter
-from tests.fuzz.target import EXAMPLES, Target, damaged_file, scratch
-from tests.recording.material import INFO
+from adaptdrive.recording.records import Header
+from adaptdrive.recording.session import CONFIG_FILE, EVENTS_FILE, INFO_FILE, TABLES
+from tests.fuzz.target import EXAMPLES, Target, scratch
+from tests.recording.material import INFO, make_batch, make_tick, write_log
 
 
 @functools.cache
@@ -45,7 +47,7 @@ def _motor() -> tuple[str, Load, Jacket]:
 def checkpoint(data: bytes) -> object:
     """Read a checkpoint."""
     key, load, jacket = _motor()
-    return read_checkpoint(damaged_file("motor.estimates.json", data), key, load, jacket, span=6.0)
+    return read_checkpoint(data, key, load, jacket, span=6.0)
 
 
 def session(data: bytes) -> object:
@@ -61,10 +63,10 @@ def events(data: bytes) -> object:
 
 
 def table(data: bytes) -> object:
-    """Read a session whose ticks are damaged, as the recorder of a killed daemon left them."""
+    """Read a session whose ticks are damaged."""
     (_session_folder() / INFO_FILE).write_bytes(_SESSION)
     (_session_folder() / EVENTS_FILE).unlink(missing_ok=True)
-    (_session_folder() / "ticks-0001.arrows").write_bytes(data)
+    (_session_folder() / "ticks-0001.parquet").write_bytes(data)
     return read_session(_session_folder()).ticks
 
 
@@ -81,33 +83,31 @@ def _session_folder() -> Path:
     return folder
 
 
-class _Prompt(Journal):
-    """A journal without a thread and a log: a query is answered where it is asked."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self._log = structlog.wrap_logger(structlog.ReturnLogger())
-
-    async def rows(self, query: str) -> list[tuple[object, ...]]:
-        return self._rows(query)
-
-
-def journal(data: bytes) -> object:
-    """Open a journal and recall replies, events and the last trip from it."""
-    for old in scratch().glob("journal.sqlite*"):
-        old.unlink()
-    kept = _Prompt(damaged_file("journal.sqlite", data))
-    kept._open()
-    found = asyncio.run(_recalled(kept))
-    kept._close()
-    return found
+def log(data: bytes) -> object:
+    """Recall what a damaged file of the log holds, and read its rows and events."""
+    file = _log_file()
+    file.path.write_bytes(data)
+    losses: list[str] = []
+    for name in TABLES:
+        schema = table_schema(Header(INFO, ""), name)
+        list(logged_batches([file], name, schema, losses))
+    return recall(file.path.parent, INFO.started), logged_notes([file], losses)
 
 
-async def _recalled(kept: Journal) -> tuple[object, ...]:
-    memory = ReplyMemory(kept, lambda: INFO.started, lambda: 1000.0)
-    outbox, trips = Outbox(kept, lambda: INFO.started), TripMemory(kept)
-    counts = await memory.load(), await outbox.load(), await trips.load()
-    return counts, memory.recall("a"), trips.last
+def payload(data: bytes) -> object:
+    """Do the same with records whose checksum is right and whose contents are damaged."""
+    begin = msgspec.msgpack.encode(Begin(Header(INFO, ""), 1))
+    contents = [(Kind.BEGIN, begin), *((kind, data) for kind in Kind)]
+    contents += [(kind, zlib.compress(data)) for kind in (Kind.TICKS, Kind.SLOW, Kind.SENSORS)]
+    records = (Record(n, 1.0, 2.0, *one) for n, one in enumerate(contents, 1))
+    return log(b"".join(map(framed, records)))
+
+
+@functools.cache
+def _log_file() -> LogFile:
+    folder = scratch() / "motor.log"
+    folder.mkdir()
+    return new_file(folder, 1, INFO.started, 1)
 
 
 def _database(name: str, *statements: str) -> bytes:
@@ -131,36 +131,29 @@ def _events() -> bytes:
     )
 
 
-def _journal() -> bytes:
-    reply = '{"id":"a","verb":"enable","accepted":true,"reason":"","state":"running"}'
-    trip = '{"time":"2026-01-01T00:00:00Z","text":"stale: measurement is 54 ms old"}'
-    return _database(
-        "journal.good",
-        "CREATE TABLE reply (id TEXT PRIMARY KEY, time_s REAL, body BLOB)",
-        "CREATE TABLE event (sequence INTEGER PRIMARY KEY, body BLOB)",
-        "CREATE TABLE trip (id INTEGER PRIMARY KEY, body BLOB)",
-        f"INSERT INTO reply VALUES ('a', 1.0, CAST('{reply}' AS BLOB))",
-        "INSERT INTO event VALUES (5, x'7b7d')",
-        f"INSERT INTO trip VALUES (1, CAST('{trip}' AS BLOB))",
-    )
+def _log() -> bytes:
+    batch = make_batch([make_tick(number) for number in range(3)], last=True)
+    return write_log(scratch() / "good.log", Header(INFO, ""), batch).path.read_bytes()
+
+
+def _payloads() -> tuple[bytes, ...]:
+    ticks = make_batch([make_tick(0)]).ticks
+    begin = Begin(Header(INFO, ""), 1, replies=[("a", 1.0, b"{}")], learnt=b"{}")
+    rows = [{"monotonic_s": 1.0, "k": 1}]
+    return tuple(msgspec.msgpack.encode(one) for one in (ticks, begin, rows, ("a", b"{}")))
 
 
 def _ticks() -> bytes:
     path = scratch() / "ticks.good"
     batch = pa.RecordBatch.from_pydict({"sequence": [0, 1], "output": [1.0, 2.0]})
-    writer = StreamWriter(path, batch.schema)
-    writer.write(batch)
-    writer.write(batch)
-    writer.close()
+    write_parquet(path, [batch, batch])
     return path.read_bytes()
 
 
 def _checkpoint() -> bytes:
     key, load, _ = _motor()
     values = load.physical(list(load.numerator), list(load.denominator))
-    path = scratch() / "checkpoint.good"
-    write_checkpoint(path, key, load.names, Learnt(tuple(values), 0.0049))
-    return path.read_bytes()
+    return checkpoint_record(key, load.names, Learnt(tuple(values), 0.0049))
 
 
 _SESSION = (
@@ -173,5 +166,6 @@ DISKS: dict[str, Target] = {
     "session": Target(session, (RecordingError,), (_SESSION,), 200, 0.5),
     "events": Target(events, (RecordingError,), (_events(),), 100, 0.2),
     "table": Target(table, (RecordingError,), (_ticks(),), 100, 0.2),
-    "journal": Target(journal, (), (_journal(),), 60, 0.2),
+    "log": Target(log, (), (_log(),), 100, 0.2),
+    "payload": Target(payload, (), _payloads(), 100, 0.2),
 }

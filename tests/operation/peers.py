@@ -37,6 +37,7 @@ from adaptdrive.runtime.reports import (
     StateReport,
 )
 from adaptdrive.runtime.requests import Disable, Enable, Request, Reset, SetMode, SetSetpoint
+from tests.operation.logs import keeping
 from tests.support import Broker
 
 PATIENCE_S = 120.0
@@ -125,21 +126,24 @@ async def serving(
 ) -> AsyncIterator[Bench]:
     """Run a service for one drive; stop it orderly at the end."""
     host = host or RememberingHost()
-    surroundings = ServiceSurroundings(folder, **({"uniform": lambda low, _: low * 0.1} | around))
-    settings = Mqtt(host=broker.host, port=broker.port, home_assistant=home_assistant)
-    service = MqttService(profile(drive), settings, host, host.hub, surroundings)
-    host.show(host.report)
-    task = asyncio.create_task(service.run())
-    bench = Bench(drive, broker, host, service)
-    try:
-        if await_online:
-            await expect_retained(bench, "availability", "online")
-        yield bench
-    finally:
-        task.cancel()
-        await asyncio.wait([task])
-        if not task.cancelled():
-            task.result()
+    async with keeping(folder / f"{drive}.log", host.hub) as ledger:
+        surroundings = ServiceSurroundings(
+            ledger, **({"uniform": lambda low, _: low * 0.1} | around)
+        )
+        settings = Mqtt(host=broker.host, port=broker.port, home_assistant=home_assistant)
+        service = MqttService(profile(drive), settings, host, host.hub, surroundings)
+        host.show(host.report)
+        task = asyncio.create_task(service.run())
+        bench = Bench(drive, broker, host, service)
+        try:
+            if await_online:
+                await expect_retained(bench, "availability", "online")
+            yield bench
+        finally:
+            task.cancel()
+            await asyncio.wait([task])
+            if not task.cancelled():
+                task.result()
 
 
 def profile(drive: str) -> Profile:

@@ -14,6 +14,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from adaptdrive.config.services import Mqtt
+from adaptdrive.operation.ledger import Ledger
 from adaptdrive.operation.profile import Profile
 from adaptdrive.operation.service import MqttService, ServiceSurroundings
 from adaptdrive.runtime.hub import Subscription
@@ -57,10 +58,10 @@ def strict(tmp_path: Path, free_tcp_port: int, spawn: Spawn) -> Strict:
 
 
 @asynccontextmanager
-async def serving(strict: Strict, folder: Path) -> AsyncIterator[RememberingHost]:
+async def serving(strict: Strict) -> AsyncIterator[RememberingHost]:
     """Serve the drive `refused`."""
     host = RememberingHost()
-    surroundings = ServiceSurroundings(folder, uniform=lambda low, _: 0.1 * low)
+    surroundings = ServiceSurroundings(Ledger(), uniform=lambda low, _: 0.1 * low)
     service = MqttService(Profile("refused"), strict.settings, host, host.hub, surroundings)
     running = asyncio.create_task(service.run())
     try:
@@ -75,7 +76,7 @@ async def test_messages_that_the_broker_refuses_are_logged_once(
 ) -> None:
     strict.start("readwrite #", "deny adaptdrive/refused/event")
     with capture_logs() as lines:
-        async with serving(strict, tmp_path) as host:
+        async with serving(strict) as host:
 
             def refused() -> list[str]:
                 found = [str(line) for line in lines if "refuses to deliver" in line["event"]]
@@ -103,7 +104,7 @@ async def test_a_daemon_whose_commands_are_not_delivered_raises_an_alarm(
     monkeypatch.setattr("adaptdrive.operation.probe.PROBE_EVERY_S", 0.1)
     monkeypatch.setattr("adaptdrive.operation.probe.PATIENCE_S", 2.0)
     strict.start("readwrite #")
-    async with serving(strict, tmp_path) as host:
+    async with serving(strict) as host:
         reports, seen = host.hub.subscribe(Event, size=100), list[tuple[Severity, str]]()
 
         def grown(count: int) -> bool:
@@ -131,7 +132,7 @@ async def test_a_broker_that_refuses_the_probe_raises_no_alarm(
     monkeypatch.setattr("adaptdrive.operation.probe.PATIENCE_S", 0.5)
     strict.start("readwrite #", "deny adaptdrive/refused/command/probe")
     with capture_logs() as lines:
-        async with serving(strict, tmp_path) as host:
+        async with serving(strict) as host:
             reports = host.hub.subscribe(Event, size=100)
             await until(lambda: any(line["event"] == "broker connected" for line in lines))
             await asyncio.sleep(2.0)

@@ -19,7 +19,6 @@ import pytest
 from adaptdrive.control.signals import Mode
 from adaptdrive.operation.commands import PING, VERBS
 from adaptdrive.operation.desk import Desk
-from adaptdrive.operation.journal import Journal
 from adaptdrive.operation.memory import ReplyMemory
 from adaptdrive.operation.messages import encode
 from adaptdrive.operation.pace import LogRation
@@ -134,10 +133,9 @@ def fits(verb: str, raw: bytes) -> bool:
     return verb in VERBS and VALIDATORS[f"command/{verb}"].is_valid(content)
 
 
-def desk_of(host: VirtualHost, folder: Path) -> Desk:
+def desk_of(host: VirtualHost) -> Desk:
     clock: Callable[[], float] = lambda: 0.0  # noqa: E731
-    memory = ReplyMemory(Journal(folder / "none"), lambda: NOW, clock)
-    memory.begin()
+    memory = ReplyMemory((), lambda _identity, _body: None, clock)
     hub, ration = Hub(), LogRation(clock, lines=0)
     return Desk(host, memory, lambda: host.machine.state, lambda: NOW, ration,
                 report=hub.publish, kept=hub.kept, shutting_down=lambda: False)  # fmt: skip
@@ -149,7 +147,7 @@ async def test_random_payloads_change_nothing_unless_they_are_valid(
     tmp_path: Path, verb: str, state: State
 ) -> None:
     chance, host = random.Random(f"{SEED} {verb} {state}"), VirtualHost()
-    desk = desk_of(host, tmp_path)
+    desk = desk_of(host)
     host.begin(state)
     before, changed = host.present, 0
     for number in range(PAYLOADS // 2):

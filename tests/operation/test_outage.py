@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import os
+import re
 import shutil
 import signal
 import socket
@@ -294,8 +295,8 @@ async def test_discarded_events_are_counted_in_an_event(
     assert "15 events" in lost.content["detail"]
 
 
-@pytest.mark.parametrize("obstacle", ["fifo", "folder", "file for the folder"])
-async def test_without_a_journal_commands_are_carried_out(
+@pytest.mark.parametrize("obstacle", ["fifo", "file for the folder"])
+async def test_without_a_log_commands_are_carried_out(
     mosquitto: Broker, tmp_path: Path, obstacle: str
 ) -> None:
     folder = tmp_path / "state"
@@ -303,16 +304,15 @@ async def test_without_a_journal_commands_are_carried_out(
         folder.write_text("in the way")
     else:
         folder.mkdir()
-        make = os.mkfifo if obstacle == "fifo" else os.mkdir
-        make(folder / "unkept.operation.sqlite3")
+        os.mkfifo(folder / "unkept.log")
     async with (
         listening(mosquitto, "adaptdrive/unkept/event") as ear,
         serving(mosquitto, "unkept", folder) as bench,
     ):
         assert (await ask(bench, "setpoint", '{"id": "a", "value": 1}'))["accepted"]
         assert (await ask(bench, "disable", '{"id": "b"}'))["accepted"]
-        event = await ear.until(lambda message: message.content["kind"] == "journal")
-        assert "unkept.operation.sqlite3" in event.content["detail"]
+        event = await ear.until(lambda message: message.content["kind"] == "recording")
+        assert "unkept.log" in event.content["detail"]
     assert bench.host.asked == [SetSetpoint(1.0), Disable()]
 
 
@@ -329,7 +329,6 @@ async def test_the_farewell_of_another_daemon_does_not_stand(
 async def test_a_state_folder_deleted_during_the_run_is_reported(
     mosquitto: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("adaptdrive.operation.archive.JOURNAL_RETRY_S", 0.1)
     folder = tmp_path / "state"
     async with (
         listening(mosquitto, "adaptdrive/deleted/event") as ear,
@@ -337,19 +336,15 @@ async def test_a_state_folder_deleted_during_the_run_is_reported(
     ):
         assert (await ask(bench, "setpoint", '{"id": "a", "value": 1}'))["accepted"]
         shutil.rmtree(folder)
-        event = await ear.until(lambda message: message.content["kind"] == "journal")
-        assert "deleted.operation.sqlite3: the file was deleted" in event.content["detail"]
         assert (await ask(bench, "disable", '{"id": "b"}'))["accepted"]
+        event = await ear.until(lambda message: message.content["kind"] == "recording")
+        assert re.search(r"deleted\.log/.*\.log was removed", event.content["detail"])
 
 
-async def test_a_journal_that_never_opens_delays_no_stop(
+async def test_a_log_that_is_never_written_delays_no_stop(
     mosquitto: Broker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def never(*_: object) -> bool:
-        await asyncio.Event().wait()
-        return False
-
-    monkeypatch.setattr("adaptdrive.operation.journal.Journal.open", never)
+    monkeypatch.setattr("adaptdrive.recording.log_writer.LogWriter.start", lambda _: None)
     async with serving(mosquitto, "disk-hangs", tmp_path) as bench:
         assert (await ask(bench, "disable", '{"id": "b"}'))["accepted"]
         assert (await ask(bench, "enable", '{"id": "a"}'))["accepted"]

@@ -131,13 +131,11 @@ async def test_a_stop_acts_while_the_disk_hangs(
 ) -> None:
     host = RememberingHost()
     async with serving(mosquitto, "hung", tmp_path, host) as bench:
-        never = asyncio.Event()
 
-        async def hang(*_: object) -> bool:
-            return await never.wait()
+        async def hang(_log: object, patience_s: float) -> None:
+            await asyncio.sleep(patience_s)
 
-        monkeypatch.setattr("adaptdrive.operation.journal.Journal.written", hang)
+        monkeypatch.setattr("adaptdrive.recording.log.Log.kept", hang)
         await publish(mosquitto, bench.topic("command/enable"), '{"id": "a"}')
         assert (await ask(bench, "disable", '{"id": "b"}'))["accepted"]
         assert host.asked == [Disable()]
-        never.set()

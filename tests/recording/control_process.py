@@ -6,13 +6,14 @@ Run as `python control_process.py SESSIONS`; its log is on stderr.
 import asyncio
 import sys
 import time
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 
 from adaptdrive.app.log import log_events, set_up_logging
-from adaptdrive.recording.batches import Header
-from adaptdrive.recording.recorder import Clocks, Feed, Recorder, WritePace
+from adaptdrive.recording.recorder import Clocks, Feed, Place, Recorder, WritePace
+from adaptdrive.recording.records import Header
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Event, Severity
 from tests.recording.material import INFO, make_tick
@@ -20,7 +21,7 @@ from tests.recording.material import INFO, make_tick
 
 async def publish(hub: Hub) -> None:
     for sequence in count():
-        hub.publish(make_tick(sequence))
+        hub.publish(replace(make_tick(sequence), time_s=time.monotonic()))
         if sequence % 20 == 0:
             hub.publish(Event("mode", Severity.INFO, f"number {sequence}", sequence))
         await asyncio.sleep(0.001)
@@ -30,7 +31,8 @@ async def main(sessions: Path) -> None:
     hub = Hub()
     clocks = Clocks(lambda: datetime.now(UTC), time.monotonic)
     feed, pace = Feed.of(hub, flush_s=0.1), WritePace(flush_s=0.1, keep_s=60.0)
-    recorder = Recorder(Header(INFO, "", str(sessions)), feed, hub.publish, clocks, pace)
+    place = Place(sessions.with_name("motor.log"), sessions)
+    recorder = Recorder(place, Header(INFO, ""), feed, hub.publish, clocks, pace)
     hub.keep_with(recorder.keep)
     events = hub.subscribe(Event, size=1000)
     async with asyncio.TaskGroup() as group:

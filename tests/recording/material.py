@@ -3,20 +3,40 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import os
 import time
-from collections.abc import Callable, Sequence
+import zlib
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import msgspec
 
 from adaptdrive.control.signals import Command, Measurement, Mode, Order, Stage
-from adaptdrive.recording.batches import Batch, Header, News, TickTable, framed, slow_row
-from adaptdrive.recording.session import Dropped, SessionInfo
-from adaptdrive.recording.writer import record
+from adaptdrive.recording.archive import archive, close_segment
+from adaptdrive.recording.frames import Kind, Record, framed
+from adaptdrive.recording.log_files import LogFile, log_files, new_file
+from adaptdrive.recording.memory import Begin
+from adaptdrive.recording.records import (
+    CommandRow,
+    EventRow,
+    Header,
+    Ticks,
+    TickTable,
+    slow_row,
+)
+from adaptdrive.recording.session import (
+    INFO_FILE,
+    Dropped,
+    Ending,
+    SessionInfo,
+    read_info,
+    write_facts,
+    write_info,
+)
 from adaptdrive.runtime.reports import LoadReport, TickReport
 
 PATIENCE_S = 120.0
@@ -49,20 +69,78 @@ def make_tick(sequence: int) -> TickReport:
     )
 
 
+class Batch(msgspec.Struct, frozen=True):
+    """Rows and notes that are logged together."""
+
+    ticks: Ticks
+    slow: list[dict[str, Any]] = []
+    events: list[EventRow] = []
+    dropped: Dropped = Dropped()
+    last: bool = False
+    utc_offset_s: float = 0.0
+    sensors: list[dict[str, float]] = []
+    commands: list[CommandRow] = []
+
+
 def make_batch(
     ticks: Sequence[TickReport], slow: Sequence[LoadReport] = (), *, last: bool = False
 ) -> Batch:
     """Reports packed as the recorder packs them."""
     table = TickTable()
     table.extend(ticks)
-    return Batch(table.rows, table.packed(), list(map(slow_row, slow)), [], Dropped(), last)
+    return Batch(table.packed(), list(map(slow_row, slow)), last=last)
 
 
-def record_messages(directory: Path, header: Header, *batches: Batch) -> list[News]:
-    """Do to messages what the recorder process does; what it reports."""
-    told: list[News] = []
-    header = msgspec.structs.replace(header, directory=str(directory))
-    record(io.BytesIO(framed(header) + b"".join(map(framed, batches))), told.append)
+def write_log(folder: Path, header: Header, *batches: Batch, part: int = 1) -> LogFile:
+    """Write a file of a log, as the daemon leaves it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    known = log_files(folder)
+    file = new_file(folder, known[-1].number + 1 if known else 1, header.info.started, part)
+    begin = msgspec.msgpack.encode(Begin(header, part))
+    contents = [(Kind.BEGIN, begin, 0.0), *(one for batch in batches for one in _records(batch))]
+    first = 1_000_000 * file.number
+    file.path.write_bytes(
+        b"".join(
+            framed(Record(number, 0.0, offset_s, kind, payload))
+            for number, (kind, payload, offset_s) in enumerate(contents, first)
+        )
+    )
+    return file
+
+
+def _records(batch: Batch) -> Iterator[tuple[Kind, bytes, float]]:
+    tables = {Kind.SLOW: batch.slow, Kind.SENSORS: batch.sensors}
+    tables[Kind.TICKS] = batch.ticks if batch.ticks.rows else None  # type: ignore[assignment]
+    for kind, content in tables.items():
+        if content:
+            yield kind, zlib.compress(msgspec.msgpack.encode(content), 1), batch.utc_offset_s
+    for event in batch.events:
+        yield Kind.EVENT, msgspec.msgpack.encode(event), 0.0
+    for command in batch.commands:
+        yield Kind.COMMAND, msgspec.msgpack.encode(command), 0.0
+    yield Kind.DROPPED, msgspec.msgpack.encode(batch.dropped), 0.0
+    if batch.last:
+        yield Kind.END, b"", 0.0
+
+
+def record_messages(directory: Path, header: Header, *batches: Batch) -> SessionInfo:
+    """Record batches as the next segment of a session, as archiver and log do."""
+    if not (directory / INFO_FILE).exists():
+        write_facts(directory, header.info, header.config_text)
+    info = read_info(directory)
+    with TemporaryDirectory() as folder:
+        file = write_log(Path(folder), header, *batches, part=info.segments + 1)
+        info = close_segment(directory, header, info, file.part, [file])
+    ended = Ending.ORDERLY if batches and batches[-1].last else Ending.CUT
+    info = msgspec.structs.replace(info, ended=ended)
+    write_info(directory, info)
+    return info
+
+
+def archive_all(folder: Path) -> list[str]:
+    """Do to a log what the archiver process does; what it reports."""
+    told: list[str] = []
+    archive(folder, time.monotonic(), 10.0, lambda _severity, detail: told.append(detail))
     return told
 
 

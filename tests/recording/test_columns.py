@@ -15,7 +15,7 @@ from pyarrow import parquet as pq
 
 from adaptdrive.app.recording import sensor_columns
 from adaptdrive.config import load_configuration
-from adaptdrive.recording.batches import CommandRow, Header, sensor_row
+from adaptdrive.recording.records import CommandRow, Header, sensor_row
 from adaptdrive.recording.session import NewSession, create_session
 from adaptdrive.recording.tables import INPUT_UNIT
 from adaptdrive.runtime.reports import SensorReport, SensorSample

@@ -9,13 +9,12 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from adaptdrive.recording.batches import Batch, Header, SensorColumn
 from adaptdrive.recording.reader import read_session
-from adaptdrive.recording.repair import close_lost, close_segments
-from adaptdrive.recording.session import Dropped, Ending, read_info, write_info
+from adaptdrive.recording.records import Header, SensorColumn
+from adaptdrive.recording.session import Dropped, read_info, write_info
 from adaptdrive.recording.verify import Verification, verify
 from tests.operation.peers import load_report
-from tests.recording.material import INFO, make_batch, make_tick, record_messages
+from tests.recording.material import INFO, Batch, make_batch, make_tick, record_messages
 
 SENSORS = (SensorColumn("bath.inflow", "K", "inflow temperature", "sensor bus bath"),)
 
@@ -52,22 +51,6 @@ def test_rows_of_a_file_that_was_removed_are_missing(
     assert verdict(tmp_path).problems == (f"{missing} of 3 rows of the table {table} are missing",)
 
 
-@pytest.mark.parametrize("table", ["slow", "sensors"])
-def test_rows_of_a_session_that_was_lost_are_counted_at_its_close(
-    tmp_path: Path, table: str
-) -> None:
-    record_in_two_parts(tmp_path)
-    uncounted = msgspec.structs.replace(
-        read_info(tmp_path), ended=Ending.OPEN, rows={}, histograms={}, segments=0
-    )
-    write_info(tmp_path, uncounted)
-    close_lost(tmp_path)
-    close_segments(tmp_path)
-    assert verdict(tmp_path).whole
-    (tmp_path / f"{table}-0001.parquet").unlink()
-    assert verdict(tmp_path).problems == (f"2 of 3 rows of the table {table} are missing",)
-
-
 @pytest.mark.parametrize(
     ("dropped", "problems"),
     [
@@ -90,28 +73,11 @@ def test_what_the_recorder_counted_as_lost_is_named_by_its_kind(
     assert (found.missing_ticks, found.problems) == (dropped.ticks, problems)
 
 
-def test_a_session_of_a_version_that_counted_no_rows_lacks_none(tmp_path: Path) -> None:
+def test_what_of_the_log_could_not_be_read_leaves_no_session_whole(tmp_path: Path) -> None:
     record_in_two_parts(tmp_path)
-    write_info(tmp_path, msgspec.structs.replace(read_info(tmp_path), rows={}))
-    assert verdict(tmp_path).whole
-
-
-@pytest.mark.parametrize(("segment", "whole"), [(1, True), (3, False)])
-def test_a_stream_that_broke_off_at_the_end_leaves_no_session_whole(
-    tmp_path: Path, segment: int, *, whole: bool
-) -> None:
-    """What an earlier one lacks, as where the disk was full, is in the next."""
-    record_in_two_parts(tmp_path)
-    torn = tmp_path / f"ticks-{segment:04}.torn"
-    torn.write_bytes(b"what a power cut left")
-    named = (f"{torn.name}: it breaks off within a batch, which is left out",)
-    assert verdict(tmp_path).problems == (() if whole else named)
-
-
-def test_a_foreign_file_beside_the_segments_is_no_segment(tmp_path: Path) -> None:
-    record_in_two_parts(tmp_path)
-    (tmp_path / "ticks-copy.torn").touch()
-    assert verdict(tmp_path).whole
+    loss = "00000001.log: bytes 7 to 19 cannot be read"
+    write_info(tmp_path, msgspec.structs.replace(read_info(tmp_path), losses=(loss,)))
+    assert verdict(tmp_path).problems == (loss,)
 
 
 @pytest.mark.parametrize("table", ["ticks", "slow", "sensors"])
@@ -139,4 +105,4 @@ def test_a_table_in_the_place_of_another_is_a_problem(tmp_path: Path) -> None:
     record_in_two_parts(tmp_path)
     shutil.copy(tmp_path / "ticks-0001.parquet", tmp_path / "slow-0001.parquet")
     (found,) = verdict(tmp_path).problems[:1]
-    assert found.startswith("slow-0001.parquet: it is damaged, or of another table: controller is")
+    assert found.startswith("slow-0001.parquet: a column is damaged")

@@ -18,8 +18,8 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.errors import RecordingError
-from adaptdrive.recording.batches import Header
 from adaptdrive.recording.reader import Session, read_session
+from adaptdrive.recording.records import Header
 from adaptdrive.recording.replay import replay
 from adaptdrive.recording.session import NewSession, create_session
 from adaptdrive.runtime.reports import LoadReport, TickReport

@@ -1,33 +1,28 @@
 """What is removed, what is closed later, and what is reported of it."""
 
 import errno
+import fcntl
 import shutil
 import threading
 from datetime import timedelta
 from pathlib import Path
 
 import msgspec
-import pyarrow as pa
 import pytest
-from pyarrow import parquet as pq
 
 from adaptdrive.errors import RecordingError
-from adaptdrive.recording.batches import Header, Keep
-from adaptdrive.recording.reader import read_session
-from adaptdrive.recording.repair import repair
+from adaptdrive.recording.records import Header, Keep
 from adaptdrive.recording.retention import prune
 from adaptdrive.recording.session import (
     Ending,
     NewSession,
-    SessionLock,
     create_session,
     read_info,
     recorded_directories,
     session_directories,
     write_info,
 )
-from adaptdrive.recording.verify import verify
-from tests.recording.material import INFO, make_batch, make_tick, record_messages
+from tests.recording.material import INFO, make_batch, make_tick, record_messages, write_log
 
 NOW = INFO.started + timedelta(days=10)
 
@@ -81,14 +76,6 @@ def test_after_a_day_a_clock_is_believed(tmp_path: Path) -> None:
         list(prune(tmp_path, Keep(days=7.0), NOW + timedelta(hours=hours), current))
         assert len(names(tmp_path)) == count
     assert names(tmp_path) == [current.name] != [old.name]
-
-
-def test_a_cut_session_is_told_where_another_drive_has_a_newer_one(tmp_path: Path) -> None:
-    cut, other = recorded(tmp_path, 2.0), recorded(tmp_path, 1.0)
-    write_info(cut, msgspec.structs.replace(read_info(cut), ended=Ending.CUT))
-    write_info(other, msgspec.structs.replace(read_info(other), drive="other"))
-    (told,) = repair(tmp_path, tmp_path / "none", INFO.drive, lambda: False)
-    assert told.startswith(f"session {cut.name} ended without its close")
 
 
 def test_a_person_may_remove_what_is_old_by_any_clock(tmp_path: Path) -> None:
@@ -164,10 +151,12 @@ def test_a_session_in_progress_loses_its_oldest_segments_only(tmp_path: Path) ->
     assert names(tmp_path) == [directory.name]
     assert not list(directory.glob("ticks-*.parquet"))
     second = recorded(tmp_path, 0.4)
-    claim = SessionLock.on(second)
-    assert claim is not None
-    list(prune(tmp_path, Keep(bytes=1), NOW))
-    claim.release()
+    info = msgspec.structs.replace(read_info(second), ended=Ending.OPEN, log="../motor.log")
+    write_info(second, info)
+    log = write_log(tmp_path.parent / "motor.log", Header(info, ""), part=2)
+    with log.path.open("rb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)  # as its daemon does
+        list(prune(tmp_path, Keep(bytes=1), NOW))
     assert names(tmp_path) == [second.name]
 
 
@@ -184,73 +173,3 @@ def test_a_limit_of_more_days_than_a_calendar_has_removes_nothing(
     directory = recorded(tmp_path, 3000.0)
     assert list(prune(tmp_path, Keep(days=days), NOW)) == []
     assert names(tmp_path) == [directory.name]
-
-
-@pytest.fixture
-def lost(tmp_path: Path) -> Path:
-    directory = recorded(tmp_path, 2.0)
-    info = msgspec.structs.replace(read_info(directory), ended=Ending.OPEN, histograms={})
-    write_info(directory, msgspec.structs.replace(info, segments=0))
-    return directory
-
-
-def test_a_session_that_was_lost_is_closed_and_reported(tmp_path: Path, lost: Path) -> None:
-    current = recorded(tmp_path, 0.0)
-    (told,) = repair(tmp_path, current, INFO.drive, lambda: False)
-    assert f"session {lost.name} ended without its close" in told
-    assert "1970-01-01T00:00:50.408333Z" in told  # 50 s and 49 ticks after the start of the clock
-    session = read_session(lost)
-    assert session.info.ended is Ending.LOST
-    assert sum(session.info.histograms["lateness_us"]) == 50
-    again = list(repair(tmp_path, current, INFO.drive, lambda: False))
-    assert again == [told]  # the one before: still cut
-    newer = recorded(tmp_path, -1.0)
-    assert list(repair(tmp_path, newer, INFO.drive, lambda: False)) == []
-
-
-def foreign(ticks: pa.Table, what: str) -> pa.Table:
-    """A table of other columns, or of the same ones without their values."""
-    if what == "other":
-        return pa.table({"a": [1, 2]})
-    at = ticks.schema.get_field_index(what)
-    return ticks.set_column(at, what, pa.nulls(ticks.num_rows, ticks.schema.field(at).type))
-
-
-@pytest.mark.parametrize("what", ["other", "lateness_us", "sequence"])
-def test_a_foreign_segment_is_named_and_keeps_no_other_session_from_being_closed(
-    tmp_path: Path, lost: Path, what: str
-) -> None:
-    mixed, current = recorded(tmp_path, 4.0), recorded(tmp_path, 0.0)
-    path = mixed / "ticks-0002.parquet"
-    pq.write_table(foreign(pq.read_table(mixed / "ticks-0001.parquet"), what), path)
-    info = msgspec.structs.replace(read_info(mixed), ended=Ending.OPEN)
-    write_info(mixed, info)
-    told = list(repair(tmp_path, current, INFO.drive, lambda: False))
-    assert told[0].startswith(f"session {mixed.name} is left as it is: {path}: it does not hold")
-    assert read_info(mixed) == info
-    assert read_info(lost).ended is Ending.LOST
-    problems = verify(read_session(mixed)).problems
-    assert what == "lateness_us" or any(path.name in problem for problem in problems)
-
-
-def test_a_session_that_is_being_written_is_left_alone(tmp_path: Path, lost: Path) -> None:
-    current = recorded(tmp_path, 0.0)
-    claim = SessionLock.on(lost)
-    assert claim is not None
-    assert list(repair(tmp_path, current, INFO.drive, lambda: False)) == []
-    claim.release()
-    assert read_info(lost).ended is Ending.OPEN
-
-
-@pytest.mark.parametrize("content", [b"", b"{", b'{"format": 3}'], ids=["empty", "torn", "later"])
-def test_a_damaged_session_keeps_no_other_from_being_closed(
-    tmp_path: Path, lost: Path, content: bytes
-) -> None:
-    damaged, current = recorded(tmp_path, 4.0), recorded(tmp_path, 0.0)
-    (damaged / "session.json").write_bytes(content)
-    told = list(repair(tmp_path, current, INFO.drive, lambda: False))
-    assert [sentence.partition(" is left as it is: ")[0] for sentence in told][:1] == [
-        f"session {damaged.name}"
-    ]
-    assert "session.json" in told[0]
-    assert read_info(lost).ended is Ending.LOST

@@ -1,4 +1,3 @@
-import io
 import math
 import os
 import sqlite3
@@ -28,20 +27,11 @@ from adaptdrive.control.signals import (
     Stage,
 )
 from adaptdrive.errors import RecordingError
-from adaptdrive.recording.batches import (
-    Batch,
-    CommandRow,
-    EventRow,
-    Header,
-    event_row,
-    framed,
-    read_frames,
-)
 from adaptdrive.recording.event_log import read_events
 from adaptdrive.recording.reader import read_session
+from adaptdrive.recording.records import CommandRow, EventRow, Header, event_row
 from adaptdrive.recording.rows import recorded_ticks
 from adaptdrive.recording.session import Dropped, Ending
-from adaptdrive.recording.writer import record
 from adaptdrive.runtime.reports import Event, LoadReport, Severity, TickReport
 from tests.recording.material import INFO, make_batch, make_tick, record_messages
 
@@ -170,7 +160,9 @@ def test_events_configuration_and_losses_come_back(tmp_path: Path) -> None:
     event = EventRow(now, 7, "trip", "alarm", "hot", 12.5, 1)
     command = CommandRow(now, 12.25, "op-1", "setpoint", "3.1", "ann", False, "too fast", 2)
     dropped = Dropped(ticks=5)
-    last = Batch(0, {}, [], [event], dropped, last=True, commands=[command])
+    last = msgspec.structs.replace(
+        make_batch([], last=True), events=[event], dropped=dropped, commands=[command]
+    )
     record_messages(tmp_path, Header(INFO, "[drive]\nname = 'µ'\n"), last)
     session = read_session(tmp_path)
     assert session.events == (event,)
@@ -180,27 +172,13 @@ def test_events_configuration_and_losses_come_back(tmp_path: Path) -> None:
     assert session.info.ended is Ending.ORDERLY
 
 
-def test_a_session_without_a_goodbye_is_marked_as_cut(tmp_path: Path) -> None:
-    whole = framed(Header(INFO, "", directory=str(tmp_path))) + framed(make_batch([make_tick(0)]))
-    record(io.BytesIO(whole + framed(make_batch([make_tick(1)]))[:-1]), lambda _news: None)
-    session = read_session(tmp_path)
-    assert session.info.ended is Ending.CUT
-    assert session.ticks["sequence"].to_pylist() == [0]
-
-
-def test_a_closed_session_is_one_parquet_file_per_table_and_no_stream(tmp_path: Path) -> None:
+def test_a_closed_session_is_one_parquet_file_per_table(tmp_path: Path) -> None:
     record_messages(tmp_path, Header(INFO, ""), make_batch([make_tick(0)], last=True))
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "config.toml",
         "session.json",
         "ticks-0001.parquet",
     ]
-
-
-def test_a_message_that_breaks_off_is_left_out() -> None:
-    header = framed(Header(INFO, "text"))
-    for length in range(len(header)):
-        assert list(read_frames(io.BytesIO(header + header[:length]))) == [header[4:]]
 
 
 def test_a_damaged_parquet_file_is_an_error_that_names_it(tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from adaptdrive.recording.session import (
     Dropped,
     Ending,
     NewSession,
-    SessionLock,
     create_session,
     find_session,
     read_info,
@@ -87,6 +86,15 @@ def test_a_session_is_found_by_path_and_by_name(directory: Path) -> None:
         find_session("nowhere", sessions)
 
 
+def test_the_last_session_is_taken_where_none_is_named(directory: Path) -> None:
+    sessions = directory.parent
+    later = NewSession(sessions, msgspec.structs.replace(INFO, started=datetime.now(UTC)), "")
+    newest = create_session(later)
+    assert find_session(None, sessions) == newest
+    with pytest.raises(RecordingError, match="empty: it holds no session"):
+        find_session(None, sessions / "empty")
+
+
 @pytest.mark.parametrize("name", [".", "../{}", "trip-1/.."])
 def test_a_session_has_its_name_wherever_the_operator_is(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
@@ -108,22 +116,12 @@ def test_the_facts_about_a_session_come_back(directory: Path) -> None:
     assert stored["line_frequency_Hz"] == 60
 
 
-def test_one_writer_at_a_time_claims_a_session(directory: Path) -> None:
-    claim = SessionLock.on(directory)
-    assert claim is not None
-    assert SessionLock.on(directory) is None
-    claim.release()
-    again = SessionLock.on(directory)
-    assert again is not None
-    again.release()
-
-
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
         ("", "truncated"),
         ("[]", "Expected `object`"),
-        ('{"format": 99}', "format 99 is not 1 or 2"),
+        ('{"format": 99}', "format 99 is not 1"),
         ('{"format": 1, "drive": "motor"}', "missing required field `version`"),
     ],
 )

@@ -1,4 +1,4 @@
-"""The recorder of a daemon by hand: its reports go through the product's writer, as they come.
+"""The recorder of a daemon by hand: its reports go through the product's archive, as they come.
 
 A tape that ends is replayed, and held against what was published.
 """
@@ -8,13 +8,13 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import msgspec
+
 from adaptdrive.config.root import Configuration
-from adaptdrive.recording.batches import Batch, EventRow, Header, TickTable, slow_row
-from adaptdrive.recording.session import Dropped
-from adaptdrive.recording.writer import PatientWriter
+from adaptdrive.recording.records import EventRow, Header
 from adaptdrive.runtime.reports import Event, LoadReport, TickReport
 from tests.faults.by_hand import DaemonByHand
-from tests.recording.material import INFO
+from tests.recording.material import INFO, make_batch, record_messages
 from tests.soak.verdict import Judged, Published, judge_elsewhere
 
 HELD = 20_000
@@ -37,24 +37,19 @@ class Tape:
         self._configuration = configuration
         self._ticks = daemon.hub.subscribe(TickReport, size=HELD)
         self._others = daemon.hub.subscribe(Event, LoadReport, size=HELD)
-        header = Header(INFO, "", str(folder.parent), str(folder), segment_s=1e9)
-        self._writer = PatientWriter(header, lambda _: None)
-        self._number = self._published_ticks = self._published_events = 0
+        self._published_ticks = self._published_events = 0
 
     def flush(self, *, last: bool = False) -> None:
         """Write what was reported since the last call."""
         ticks = [one for one in self._ticks.drain() if isinstance(one, TickReport)]
         others = self._others.drain()
         events = [one for one in others if isinstance(one, Event)]
-        slow = [slow_row(one) for one in others if isinstance(one, LoadReport)]
+        slow = [one for one in others if isinstance(one, LoadReport)]
         rows = [self._event_row(i, one) for i, one in enumerate(events, self._published_events + 1)]
         self._published_ticks += len(ticks)
         self._published_events += len(events)
-        self._number += 1
-        table = TickTable()
-        table.extend(ticks)
-        batch = Batch(table.rows, table.packed(), slow, rows, Dropped(), last, number=self._number)
-        self._writer.write(batch)
+        batch = msgspec.structs.replace(make_batch(ticks, slow, last=last), events=rows)
+        record_messages(self._folder, Header(INFO, ""), batch)
 
     def _event_row(self, number: int, event: Event) -> EventRow:
         kind, severity = event.kind, event.severity.value
@@ -63,7 +58,6 @@ class Tape:
     def judge(self) -> Judged:
         """Close the session, replay it, and remove it."""
         self.flush(last=True)
-        self._writer.finish()
         dropped = bool(self._ticks.dropped or self._others.dropped)
         published = Published(self._published_ticks, self._published_events, dropped)
         judged = judge_elsewhere(self._folder, self._configuration, published)

@@ -10,8 +10,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-import os
-import signal
 import subprocess
 import sys
 import time
@@ -23,9 +21,10 @@ from typing import Any
 import pytest
 
 from adaptdrive.recording.session import Ending
-from tests.support import children, resident_MiB, stop_process
+from tests.support import resident_MiB, stop_process
 from tests.system.bus_ear import BusEar
 from tests.system.conftest import MakeSite
+from tests.system.own_disk import mounted, stalled
 from tests.system.site import Site, until
 
 pytestmark = [pytest.mark.slow, pytest.mark.alone]
@@ -55,23 +54,28 @@ Load = Callable[[Site], contextlib.AbstractContextManager[None]]
 
 
 @pytest.fixture(scope="module")
-def busy_site(make_shared_site: MakeSite) -> Site:
-    site = make_shared_site(BUSY)
-    site.start("--initial-voltage", "280")
-    site.run_drive()
-    return site
+def busy_site(
+    make_shared_site: MakeSite, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Site]:
+    """A site whose log is on a disk of its own, where one may be mounted."""
+    with mounted(tmp_path_factory.mktemp("disk")) as disk:
+        site = make_shared_site(BUSY)
+        if disk is not None:
+            site.environment["STATE_DIRECTORY"] = str(disk)
+        site.start("--initial-voltage", "280")
+        site.run_drive()
+        yield site
+        site.close()
 
 
 @contextlib.contextmanager
 def stalled_disk(site: Site) -> Iterator[None]:
-    """The recorder process takes nothing, as if its disk did not."""
-    assert site.daemon is not None
-    (recorder,) = children(site.daemon.pid)
-    os.kill(recorder, signal.SIGSTOP)
-    try:
+    """The disk of the log answers nothing."""
+    disk = site.environment.get("STATE_DIRECTORY")
+    if disk is None:
+        pytest.skip("no disk can be mounted here, or e2fsprogs or util-linux is not installed")
+    with stalled(Path(disk)):
         yield
-    finally:
-        os.kill(recorder, signal.SIGCONT)
 
 
 def stalled_broker(site: Site) -> contextlib.AbstractContextManager[None]:
@@ -141,11 +145,8 @@ def test_the_record_of_it_is_whole_and_replays(busy_site: Site) -> None:
 def test_every_thread_that_could_keep_a_tick_from_running_has_real_time_priority(
     make_site: MakeSite,
 ) -> None:
-    """An ordinary thread with Python's lock waits for busy processes, and the ticks for it.
-
-    Only the thread that sleeps until the recorder process ends is ordinary: it is left out.
-    """
-    site = make_site({**BUSY, "recording.enabled": "false"})
+    """An ordinary thread with Python's lock waits for busy processes, and the ticks for it."""
+    site = make_site(BUSY)
     site.start("--initial-voltage", "280")
     site.run_drive()
     assert site.daemon is not None

@@ -62,35 +62,31 @@ def test_in_a_folder_that_was_deleted_it_drives_and_says_so(make_site: MakeSite)
     site.await_measurement()
     (said, *_) = events(site, "recording")
     assert said.startswith("nothing is recorded")
-    assert "sessions" in said
+    assert "state" in said
+    runs_and_stops(site, status=4)
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, Path.touch], ids=["FIFO", "file"])
+def test_what_is_no_folder_of_a_log_is_named_and_delays_nothing(
+    make_site: MakeSite, make: Callable[[Path], None]
+) -> None:
+    site = make_site()
+    make(site.folder / "motor.log")
+    site.start("--initial-voltage", "280")
+    assert "motor.log" in events(site, "recording")[0]
     runs_and_stops(site, status=4)
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, Path.mkdir], ids=["FIFO", "directory"])
-@pytest.mark.parametrize("suffix", ["", ".unfinished"])
-def test_what_is_no_checkpoint_delays_nothing(
-    make_site: MakeSite, make: Callable[[Path], None], suffix: str
+def test_what_is_no_file_of_a_log_is_named_and_delays_nothing(
+    make_site: MakeSite, make: Callable[[Path], None]
 ) -> None:
     site = make_site()
-    make(site.folder / f"motor.estimates.json{suffix}")
+    (site.folder / "motor.log").mkdir()
+    make(site.folder / "motor.log" / "00000001-20260101T000000000000Z-0001.log")
     site.start("--initial-voltage", "280")
-    if not suffix:
-        kind = "a FIFO" if make is os.mkfifo else "a directory"
-        assert f"it is {kind}, not a file" in events(site, "checkpoint")[0]
-    runs_and_stops(site)
-
-
-@pytest.mark.parametrize(
-    ("make", "suffix"),
-    [(os.mkfifo, ""), (Path.mkdir, ""), (os.mkfifo, "-wal")],
-    ids=["FIFO", "directory", "FIFO as log"],
-)
-def test_what_is_no_journal_delays_nothing(
-    make_site: MakeSite, make: Callable[[Path], None], suffix: str
-) -> None:
-    site = make_site()
-    make(site.folder / f"motor.operation.sqlite3{suffix}")
-    site.start("--initial-voltage", "280")
+    kind = "a FIFO" if make is os.mkfifo else "a directory"
+    assert f"it is {kind}, not a file" in events(site, "recording")[0]
     runs_and_stops(site)
 
 
@@ -99,21 +95,20 @@ def test_without_a_state_folder_it_drives_and_says_so(make_site: MakeSite) -> No
     (site.folder / "state").write_text("")
     site.environment["STATE_DIRECTORY"] = str(site.folder / "state")
     site.start("--initial-voltage", "280")
-    assert "do not survive a restart" in events(site, "state directory")[0]
-    runs_and_stops(site)
+    assert "nothing is recorded" in events(site, "state directory")[0]
+    runs_and_stops(site, status=4)
 
 
 def test_a_state_folder_whose_name_is_no_utf_8_is_named_in_events(make_site: MakeSite) -> None:
     site = make_site({"recording.directory": '"sessions"'})
     state = site.folder / os.fsdecode(b"st\xff")
     state.mkdir()
-    for name in ("motor.estimates.json", "motor.operation.sqlite3"):
-        (state / name).write_bytes(b"damaged" * 1000)
+    (state / "motor.log").mkdir()
+    left = state / "motor.log" / "00000001-20260101T000000000000Z-0001.log"
+    left.write_bytes(b"damaged" * 1000)
     site.environment["STATE_DIRECTORY"] = str(state)
     site.start("--initial-voltage", "280")
-    for kind in ("checkpoint", "journal"):
-        assert r"st\udcff/motor." in events(site, kind)[0]
+    assert r"st\udcff/motor.log" in events(site, "recording")[0]
     runs_and_stops(site)
     session = read_session(next(session_directories(site.folder / "sessions")))
-    recorded = {event.kind for event in session.events if r"st\udcff/motor." in event.detail}
-    assert recorded == {"checkpoint", "journal"}
+    assert any(r"st\udcff/motor.log" in event.detail for event in session.events)

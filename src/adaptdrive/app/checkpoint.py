@@ -1,18 +1,15 @@
 """The checkpoint: trusted estimates, and the resolution of the sensor, that survive a restart.
 
-One small JSON file beside the other state of a drive, replaced as a whole. It counts only for the
-configuration that it was made with, of which it carries a hash; anything else is left alone, with
-a warning. Writing waits for the disk in a thread, never in the control loop.
+It is a record of the log. It counts only for the configuration that it was made with, of which it
+carries a hash; another one is not used, with a warning.
 """
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Protocol
 
@@ -22,19 +19,13 @@ from adaptdrive.config import Configuration
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import ControllerSettings, Jacket
-from adaptdrive.errors import NOT_JSON, AdaptdriveError, reason_of
-from adaptdrive.files import read_regular, replace_regular
+from adaptdrive.errors import NOT_JSON, AdaptdriveError
 from adaptdrive.hardware.description import description_text
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Event, LoadReport, Severity
 
-FORMAT = 1
-
 _EVERY_S = 60.0
-"""Shortest time between two writes."""
-
-PATIENCE_S = 5.0
-"""Longest wait for the disk: one that hangs must not keep the daemon from ending."""
+"""Shortest time between two records."""
 
 _REPORTS_HELD = 8
 _SECTIONS = {
@@ -78,37 +69,19 @@ class Learnt:
 class CheckpointError(AdaptdriveError):
     """A checkpoint cannot be used."""
 
-    def __init__(self, path: Path, problem: str) -> None:
-        self.path = path
-        self.problem = problem
-        super().__init__(f"{path}: {problem}")
-
 
 class Checkpoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Contents of a checkpoint file.
+    """Contents of a checkpoint.
 
     Attributes:
         key: Hash of the configuration that the estimates were made with.
-        saved: When, UTC.
         estimates: Physical parameters by name.
-        format: Version of this layout.
-        resolution: Step of the output; left out where none was found, and by older versions.
+        resolution: Step of the output; left out where none was found.
     """
 
     key: str
-    saved: datetime
     estimates: dict[str, float]
-    format: int
     resolution: float = 0.0
-
-
-class _CheckpointFormat(msgspec.Struct):
-    format: int
-
-
-def checkpoint_path(state: Path, drive: str) -> Path:
-    """Return the path of the checkpoint of a drive."""
-    return state / f"{drive}.estimates.json"
 
 
 def configuration_key(configuration: Configuration) -> str:
@@ -138,85 +111,68 @@ def is_kept(settings: ControllerSettings) -> bool:
     return settings.exact and settings.learning.method.physical
 
 
-def write_checkpoint(path: Path, key: str, names: tuple[str, ...], learnt: Learnt) -> None:
-    """Replace the checkpoint, so that a reader sees the old one or the new one, whole.
-
-    Raises:
-        OSError: The disk refuses.
-    """
-    estimates = dict(zip(names, learnt.values, strict=True))
-    checkpoint = Checkpoint(key, datetime.now(UTC), estimates, FORMAT, learnt.resolution)
-    replace_regular(path, msgspec.json.format(msgspec.json.encode(checkpoint), indent=2) + b"\n")
-
-
-def read_checkpoint(path: Path, key: str, load: Load, jacket: Jacket, span: float) -> Learnt | None:
-    """Return what an earlier run has learnt.
+def checkpoint_record(key: str, names: tuple[str, ...], learnt: Learnt) -> bytes:
+    """Return a checkpoint as it is in the log.
 
     Args:
-        path: The file.
+        key: Hash of the configuration.
+        names: Names of the parameters.
+        learnt: What was learnt.
+    """
+    estimates = dict(zip(names, learnt.values, strict=True))
+    return msgspec.json.encode(Checkpoint(key, estimates, learnt.resolution))
+
+
+def read_checkpoint(record: bytes, key: str, load: Load, jacket: Jacket, span: float) -> Learnt:
+    """Return what an earlier run has learnt: trusted estimates and the resolution that it found.
+
+    Args:
+        record: The checkpoint, as it is in the log.
         key: Hash of the present configuration.
         load: What the estimates are of.
         jacket: Bounds that they must be within.
         span: Range of the set-points, in the unit of the output: a sensor's step is below it.
 
-    Returns:
-        Its trusted estimates and the resolution that it found; None where there is no file.
-
     Raises:
-        CheckpointError: There is one that must not be used.
+        CheckpointError: It must not be used.
     """
     try:
-        text = read_regular(path)
-    except FileNotFoundError:
-        return None
-    except OSError as problem:
-        raise CheckpointError(path, reason_of(problem)) from problem
-    checkpoint = _decode(path, text)
+        checkpoint = msgspec.json.decode(record, type=Checkpoint)
+    except NOT_JSON as problem:
+        raise CheckpointError(f"damaged: {problem}") from problem
     if checkpoint.key != key:
-        raise CheckpointError(path, "it was made with another configuration")
+        raise CheckpointError("it was made with another configuration")
     if set(checkpoint.estimates) != set(load.names):
-        raise CheckpointError(path, f"it holds {', '.join(checkpoint.estimates) or 'nothing'}")
+        raise CheckpointError(f"it holds {', '.join(checkpoint.estimates) or 'nothing'}")
     values = tuple(checkpoint.estimates[name] for name in load.names)
     nominal = load.physical(list(load.numerator), list(load.denominator))
     for name, value, usual in zip(load.names, values, nominal, strict=True):
         if not jacket.ratio_min <= value / usual <= jacket.ratio_max:
-            raise CheckpointError(path, f"{name} = {value:.4g} is out of bounds")
+            raise CheckpointError(f"{name} = {value:.4g} is out of bounds")
     if not 0.0 <= checkpoint.resolution < span:
-        raise CheckpointError(path, f"resolution = {checkpoint.resolution:.4g} is out of bounds")
+        raise CheckpointError(f"resolution = {checkpoint.resolution:.4g} is out of bounds")
     return Learnt(values, checkpoint.resolution)
 
 
-def _decode(path: Path, text: bytes) -> Checkpoint:
-    try:
-        version = msgspec.json.decode(text, type=_CheckpointFormat).format
-        if version != FORMAT:
-            raise CheckpointError(path, f"format {version} is not {FORMAT}, the one known here")
-        return msgspec.json.decode(text, type=Checkpoint)
-    except NOT_JSON as problem:
-        raise CheckpointError(path, f"damaged: {problem}") from problem
-
-
 def recall(
-    path: Path, configuration: Configuration, settings: ControllerSettings, load: Load
+    record: bytes, configuration: Configuration, settings: ControllerSettings, load: Load
 ) -> tuple[Learnt | None, Event | None]:
     """Return what to start from, and the event that reports it.
 
     Args:
-        path: The checkpoint.
+        record: The checkpoint, as it is in the log; empty for none.
         configuration: Of the drive.
         settings: Of its controller.
         load: Its load.
     """
-    if not is_kept(settings):
+    if not record or not is_kept(settings):
         return None, None
     try:
         key, orders = configuration_key(configuration), configuration.load
         span = orders.reference_max - orders.reference_min
-        learnt = read_checkpoint(path, key, load, settings.jacket, span)
+        learnt = read_checkpoint(record, key, load, settings.jacket, span)
     except CheckpointError as problem:
         return None, _event(Severity.WARNING, f"checkpoint not used: {problem}")
-    if learnt is None:
-        return None, None
     known = ", ".join(f"{n} {v:.4g}" for n, v in zip(load.names, learnt.values, strict=True))
     confirm = settings.jacket.confirm_periods
     detail = f"start from trusted estimates: {known}; to be confirmed for {confirm} slow periods"
@@ -241,63 +197,44 @@ def _event(severity: Severity, detail: str) -> Event:
 
 
 class Keeper:
-    """Writes trusted estimates to disk: when they are accepted, at most once a minute."""
+    """Has the log keep trusted estimates: when they are accepted, at most once a minute."""
 
     def __init__(
         self,
-        write: Callable[[Learnt], None],
+        note: Callable[[Learnt], None],
         source: EstimateSource,
         hub: Hub,
         clock: Callable[[], float],
     ) -> None:
-        """Join the controller to its file.
+        """Join the controller to the log.
 
         Args:
-            write: Replaces the file; may raise `OSError`.
+            note: Hands a checkpoint over to the log, at once.
             source: The controller.
-            hub: Where slow periods are reported, and trouble.
+            hub: Where slow periods are reported.
             clock: Monotonic clock in seconds.
         """
-        self._write = write
+        self._note = note
         self._source = source
-        self._hub = hub
         self._clock = clock
         self._reports = hub.subscribe(LoadReport, size=_REPORTS_HELD)
-        self._written: Learnt | None = None
+        self._noted: Learnt | None = None
         self._next_s = clock()
-        self._failed = False
-        self._writing: asyncio.Future[None] | None = None
 
     async def run(self) -> None:
         """Keep what is accepted until cancelled."""
         while True:
             await self._reports.take()
             if self._clock() >= self._next_s:
-                await self.save()
+                self.save()
 
-    async def save(self) -> None:
-        """Write the trusted estimates and the resolution now, if they are new."""
+    def save(self) -> None:
+        """Note the trusted estimates and the resolution now, if they are new."""
         values = self._source.trusted
         if values is None:
             return
         learnt = Learnt(values, self._source.resolution)
-        if learnt == self._written:
-            return
-        self._next_s = self._clock() + _EVERY_S
-        if self._writing is not None and not self._writing.done():
-            return  # a disk that hangs gets one thread, not one a minute
-        self._writing = asyncio.get_running_loop().run_in_executor(None, self._write, learnt)
-        try:
-            async with asyncio.timeout(PATIENCE_S):
-                await asyncio.shield(self._writing)
-        except OSError as problem:
-            self._report_once(problem)
-        else:
-            self._written, self._failed = learnt, False
-
-    def _report_once(self, problem: OSError) -> None:
-        if not self._failed:
-            why = reason_of(problem) or f"the disk takes more than {PATIENCE_S:g} s"
-            detail = f"checkpoint not written: {why}"
-            self._hub.publish(_event(Severity.WARNING, detail))
-        self._failed = True
+        if learnt != self._noted:
+            self._next_s = self._clock() + _EVERY_S
+            self._note(learnt)
+            self._noted = learnt

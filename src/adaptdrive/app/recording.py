@@ -7,6 +7,8 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
+import msgspec
+
 from adaptdrive import __version__
 from adaptdrive.app.checkpoint import Learnt
 from adaptdrive.clock.now import now_s
@@ -14,60 +16,100 @@ from adaptdrive.config import Configuration
 from adaptdrive.config.bus import SignalSource
 from adaptdrive.config.units import si_unit
 from adaptdrive.errors import RecordingError, escaped
-from adaptdrive.recording.batches import Header, Keep, SensorColumn
-from adaptdrive.recording.recorder import Clocks, Feed, Recorder, WritePace
+from adaptdrive.operation.ledger import Ledger
+from adaptdrive.recording.frames import Kind
+from adaptdrive.recording.log_files import log_folder
+from adaptdrive.recording.memory import Recalled
+from adaptdrive.recording.recorder import Clocks, Feed, Place, Recorder, WritePace
+from adaptdrive.recording.records import Header, Keep, SensorColumn
 from adaptdrive.recording.session import SessionInfo, sessions_directory
 from adaptdrive.runtime.hub import Hub
 
 
-def build_recorder(
+def build_recorder(  # noqa: PLR0913, PLR0917 - of a drive
     configuration: Configuration,
     text: str,
     hub: Hub,
+    recalled: Recalled,
     learnt: Learnt | None,
     start_thread: Callable[[], None],
-) -> Recorder | None:
+) -> Recorder:
     """Build the recorder; nothing touches the disk before it runs.
 
     Args:
         configuration: The drive.
         text: Its configuration, as TOML.
         hub: Where reports come from.
+        recalled: What an earlier run has left in the log.
         learnt: What its controller starts from, of an earlier run.
         start_thread: What a thread does first.
 
-    Returns:
-        The recorder, None where nothing is to be recorded.
-
     Raises:
-        RecordingError: The name of the folder of sessions is not UTF-8.
+        RecordingError: The name of a folder is not UTF-8.
     """
     recording = configuration.recording
-    if not recording.enabled:
-        return None
     size = recording.keep_MB
     header = Header(
         info=_info(configuration, learnt),
         config_text=text,
-        sessions=_sessions(recording.directory),
         sensors=sensor_columns(configuration),
         segment_s=recording.segment_s,
         keep=Keep(recording.keep_days, None if size is None else round(size * 1e6)),
     )
     clocks = Clocks(lambda: datetime.now(UTC), now_s)
-    feed = Feed.of(hub, recording.flush_s)
     pace = WritePace(flush_s=recording.flush_s, start_thread=start_thread)
-    return Recorder(header, feed, hub.publish, clocks, pace)
+    place = place_of(configuration)
+    feed = Feed.of(hub, recording.flush_s)
+    return Recorder(place, header, feed, hub.publish, clocks, pace, recalled)
 
 
-def _sessions(configured: Path | None) -> str:
-    """Return the folder of sessions, whose name goes to the recorder process as text."""
-    sessions = str(_absolute(sessions_directory(configured, os.environ)))
+def ledger_of(recalled: Recalled, recorder: Recorder) -> Ledger:
+    """Return the log as the operators' side sees it.
+
+    Args:
+        recalled: What an earlier run has left in it.
+        recorder: Appends to it.
+    """
+
+    def note_reply(identity: str, body: bytes) -> None:
+        recorder.note(Kind.REPLY, msgspec.msgpack.encode((identity, body)))
+
+    return Ledger(
+        replies=recalled.replies,
+        events=[(row.time, row.event) for row in recalled.unsent],
+        trip=None if recalled.trip is None else (recalled.trip.time, recalled.trip.detail),
+        note_reply=note_reply,
+        note_sent=lambda: recorder.note(Kind.SENT, b""),
+        kept=recorder.kept,
+    )
+
+
+def place_of(configuration: Configuration) -> Place:
+    """Return the folders of the log and of the sessions of a drive.
+
+    Raises:
+        RecordingError: The name of the folder of sessions is not UTF-8.
+    """
+    recording = configuration.recording
+    state = _absolute(state_directory(os.environ.get("STATE_DIRECTORY", "")))
+    sessions = _sessions(recording.directory) if recording.enabled else None
+    return Place(log_folder(state, configuration.drive.name), sessions)
+
+
+def state_directory(given: str) -> Path:
+    """Return the state directory of the daemon: the service manager's folder, else `./state`."""
+    first = given.split(":", maxsplit=1)[0]
+    return Path(first) if first else Path("state")
+
+
+def _sessions(configured: Path | None) -> Path:
+    """Return the folder of sessions, whose name is in the log as text."""
+    sessions = _absolute(sessions_directory(configured, os.environ))
     try:
-        sessions.encode()
+        str(sessions).encode()
     except UnicodeEncodeError as problem:
         raise RecordingError(
-            escaped(sessions),
+            escaped(str(sessions)),
             "the name of the folder of sessions is not UTF-8; recording.directory may name another",
         ) from problem
     return sessions

@@ -24,11 +24,12 @@ from adaptdrive.recording.session import SessionInfo, find_session, sessions_dir
 from adaptdrive.recording.what_if import reconfigured
 
 
-def replay(name: str, settings: Sequence[str] = (), *, as_json: bool = False) -> int:
+def replay(name: str | None, settings: Sequence[str] = (), *, as_json: bool = False) -> int:
     """Run the controller again and print what differs from the record.
 
     Args:
-        name: Directory of a session, or its name below the sessions of this machine.
+        name: Directory of a session, or its name below the sessions of this machine; None for
+            the last one.
         settings: `KEY=VALUE` pairs that replace keys of the recorded configuration.
         as_json: Print JSON, for programs.
 

@@ -11,18 +11,19 @@ import socket
 from collections.abc import Callable, Coroutine, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from adaptdrive import __version__
 from adaptdrive.app.checkpoint import (
     Keeper,
-    checkpoint_path,
+    Learnt,
+    checkpoint_record,
     configuration_key,
     controller_from,
     is_kept,
     recall,
-    write_checkpoint,
 )
 from adaptdrive.app.directory import directory_flaw
 from adaptdrive.app.examine import examine_text
@@ -33,7 +34,7 @@ from adaptdrive.app.log import log_events, loss_line, set_up_logging
 from adaptdrive.app.output import unblocked_output
 from adaptdrive.app.profile import operator_profile
 from adaptdrive.app.realtime import build_rehearsal, prepared
-from adaptdrive.app.recording import build_recorder
+from adaptdrive.app.recording import build_recorder, ledger_of, place_of, state_directory
 from adaptdrive.app.sensors import build_whole_port, publish_samples, sensor_reports
 from adaptdrive.app.settings import controller_settings, daemon_settings
 from adaptdrive.app.warm_up import Rehearsal
@@ -43,8 +44,11 @@ from adaptdrive.config.file import read_text
 from adaptdrive.control.controller import Controller
 from adaptdrive.errors import AdaptdriveError, first_error
 from adaptdrive.hardware.port import Port
+from adaptdrive.operation.ledger import Ledger
 from adaptdrive.operation.service import MqttService, ServiceSurroundings
 from adaptdrive.pure import build_name
+from adaptdrive.recording.frames import Kind
+from adaptdrive.recording.log_files import recall as recall_log
 from adaptdrive.recording.recorder import Recorder
 from adaptdrive.runtime.daemon import Daemon
 from adaptdrive.runtime.hub import Hub
@@ -113,15 +117,17 @@ class _Parts:
         daemon: Fast loop, slow loop and state machine.
         bus: The bus in one phrase.
         rehearsal: What is computed once before the first tick.
-        recorder: None where nothing is recorded.
-        keeper: Writes the checkpoint of the estimates, None where none is kept.
+        recorder: Appends to the log.
+        ledger: The log, as the operators' side sees it.
+        keeper: Has the log keep estimates, None where none are kept.
         news: Events that the building of the parts gave.
     """
 
     daemon: Daemon
     bus: str
     rehearsal: Rehearsal
-    recorder: Recorder | None
+    recorder: Recorder
+    ledger: Ledger
     keeper: Keeper | None
     news: tuple[Event, ...]
 
@@ -151,20 +157,17 @@ async def _serve(
         start = functools.partial(_start, tasks, ending)
         start("lock", send_visitors_away(locks))
         start("log", log_events(events, logger, hub.kept))
-        if recorder is not None:
-            ending.push_async_callback(recorder.add_late)
-        start("mqtt", _mqtt(configuration, daemon, hub, start_thread).run())
-        if recorder is not None:
-            start("recorder", recorder.run(daemon.opened))
+        start("recorder", recorder.run(daemon.opened))
+        start("mqtt", _mqtt(configuration, daemon, hub, parts.ledger).run())
         if keeper is not None:
-            ending.push_async_callback(keeper.save)
+            ending.callback(keeper.save)
             start("checkpoint", keeper.run())
         for event in parts.news:
             hub.publish(event)
         with uncaught_errors_end(daemon.fail), prepared(configuration, parts.rehearsal, hub):
             await daemon.run(stop)
     logger.info("stopped", drive=configuration.drive.name)
-    return recorder is None or recorder.complete
+    return recorder.complete
 
 
 def _build(
@@ -176,22 +179,23 @@ def _build(
 ) -> _Parts:
     port = build_whole_port(configuration, now_s, path)
     settings, load = controller_settings(configuration), build_load(configuration)
-    state = state_directory(os.environ.get("STATE_DIRECTORY", ""))
-    checkpoint = checkpoint_path(state, configuration.drive.name)
-    learnt, recalled = recall(checkpoint, configuration, settings, load)
+    recalled = recall_log(place_of(configuration).log, datetime.now(UTC))
+    learnt, known = recall(recalled.learnt, configuration, settings, load)
     controller = controller_from(settings, load, learnt)
     rehearsal = build_rehearsal(configuration, path)
-    recorder = build_recorder(configuration, text, hub, learnt, start_thread)
-    if recorder is not None:
-        hub.keep_with(recorder.keep)
-        publish_samples(port, hub.publish, now_s)
+    recorder = build_recorder(configuration, text, hub, recalled, learnt, start_thread)
+    hub.keep_with(recorder.keep)
+    publish_samples(port, hub.publish, now_s)
+    keeper = _keeper(configuration, recorder, controller, hub) if is_kept(settings) else None
+    state = state_event(state_directory(os.environ.get("STATE_DIRECTORY", "")))
     return _Parts(
         daemon=_daemon(configuration, port, controller, hub, rehearsal, recorder),
         bus=port.description,
         rehearsal=rehearsal,
         recorder=recorder,
-        keeper=_keeper(configuration, checkpoint, controller, hub) if is_kept(settings) else None,
-        news=tuple(filter(None, (recalled, state_event(state)))),
+        ledger=ledger_of(recalled, recorder),
+        keeper=keeper,
+        news=tuple(filter(None, (known, state, *map(_flaw_event, recalled.flaws)))),
     )
 
 
@@ -201,7 +205,7 @@ def _daemon(  # noqa: PLR0913, PLR0917 - the parts of a daemon
     controller: Controller,
     hub: Hub,
     rehearsal: Rehearsal,
-    recorder: Recorder | None,
+    recorder: Recorder,
 ) -> Daemon:
     return Daemon(
         port=port,
@@ -212,7 +216,7 @@ def _daemon(  # noqa: PLR0913, PLR0917 - the parts of a daemon
         manager=ServiceManager(os.environ),
         sensors=sensor_reports(port, now_s),
         rehearse=rehearsal.tick,
-        recorded=lambda: recorder is None or not recorder.failing,
+        recorded=lambda: not recorder.failing,
     )
 
 
@@ -248,19 +252,10 @@ def _stop_on_signals(stop: asyncio.Event) -> None:
             loop.add_signal_handler(number, stop.set)
 
 
-def _mqtt(
-    configuration: Configuration, daemon: Daemon, hub: Hub, start_thread: Callable[[], None]
-) -> MqttService:
-    directory = state_directory(os.environ.get("STATE_DIRECTORY", ""))
-    surroundings = ServiceSurroundings(directory, start_thread=start_thread)
+def _mqtt(configuration: Configuration, daemon: Daemon, hub: Hub, ledger: Ledger) -> MqttService:
     profile = operator_profile(configuration)
+    surroundings = ServiceSurroundings(ledger)
     return MqttService(profile, configuration.mqtt, daemon, hub, surroundings)
-
-
-def state_directory(given: str) -> Path:
-    """Return the state directory of the daemon: the service manager's folder, else `./state`."""
-    first = given.split(":", maxsplit=1)[0]
-    return Path(first) if first else Path("state")
 
 
 def state_event(directory: Path) -> Event | None:
@@ -268,10 +263,21 @@ def state_event(directory: Path) -> Event | None:
     flaw = directory_flaw(directory)
     if flaw is None:
         return None
-    lost = "replies, unsent events and estimates do not survive a restart"
+    lost = "nothing is recorded, and replies, unsent events and estimates do not survive a restart"
     return Event("state directory", Severity.WARNING, f"{directory}: {flaw}: {lost}", -1)
 
 
-def _keeper(configuration: Configuration, path: Path, controller: Controller, hub: Hub) -> Keeper:
+def _flaw_event(flaw: str) -> Event:
+    lost = "commands with ids used before may be carried out again, unsent events may be lost"
+    return Event("recording", Severity.WARNING, f"of the log of an earlier run, {flaw}: {lost}", -1)
+
+
+def _keeper(
+    configuration: Configuration, recorder: Recorder, controller: Controller, hub: Hub
+) -> Keeper:
     key, names = configuration_key(configuration), build_load(configuration).names
-    return Keeper(lambda learnt: write_checkpoint(path, key, names, learnt), controller, hub, now_s)
+
+    def note(learnt: Learnt) -> None:
+        recorder.note(Kind.LEARNT, checkpoint_record(key, names, learnt))
+
+    return Keeper(note, controller, hub, now_s)

@@ -63,11 +63,12 @@ class SessionView:
 _WHOLE = SessionView()
 
 
-def plot(session: str, /, *, view: SessionView = _WHOLE) -> int:
+def plot(session: str | None = None, /, *, view: SessionView = _WHOLE) -> int:
     """Draw a session: a PNG, and a report as one HTML file.
 
     Args:
-        session: Folder of the session, or its name below the sessions of this machine.
+        session: Folder of the session, or its name below the sessions of this machine; the last one
+            when left out.
         view: Part of the session, and the form of the result.
     """
     with Extra("analysis"):
@@ -105,7 +106,13 @@ class FileView:
 _GUESSED = FileView()
 
 
-def identify(source: str, /, *, columns: FileView = _GUESSED, view: SessionView = _WHOLE) -> int:
+def identify(
+    source: str | None = None,
+    /,
+    *,
+    columns: FileView = _GUESSED,
+    view: SessionView = _WHOLE,
+) -> int:
     """Identify the load from a recorded session or a CSV file, in open or closed loop.
 
     Prints each parameter with its standard deviation, by prediction errors and by simulation, next
@@ -113,7 +120,8 @@ def identify(source: str, /, *, columns: FileView = _GUESSED, view: SessionView 
     values; draws load.png.
 
     Args:
-        source: Folder of the session, its name below the sessions of this machine, or a CSV file.
+        source: Folder of the session, its name below the sessions of this machine, or a CSV file;
+            the last session when left out.
         columns: How a CSV file is read.
         view: Part of the record, and the form of the result.
     """
@@ -122,7 +130,7 @@ def identify(source: str, /, *, columns: FileView = _GUESSED, view: SessionView 
         from adaptdrive.analysis.load_figure import draw_load  # noqa: PLC0415
         from adaptdrive.analysis.record import RecordView  # noqa: PLC0415
         from adaptdrive.analysis.sources import identify_source  # noqa: PLC0415
-    path = Path(source) if Path(source).is_file() else _find(source)
+    path = Path(source) if source is not None and Path(source).is_file() else _find(source)
     figure = view.folder(path.parent if path.is_file() else path) / "load.png"
     wanted = RecordView(**asdict(columns), begin_s=view.begin, end_s=view.end)
     found = identify_source(path, wanted)
@@ -132,7 +140,7 @@ def identify(source: str, /, *, columns: FileView = _GUESSED, view: SessionView 
 
 
 def whatif(
-    session: str,
+    session: str | None = None,
     /,
     *,
     settings: Annotated[tuple[str, ...], Parameter(name="--set", negative=())] = (),
@@ -145,7 +153,8 @@ def whatif(
     whatif.png.
 
     Args:
-        session: Folder of the session, or its name below the sessions of this machine.
+        session: Folder of the session, or its name below the sessions of this machine; the last one
+            when left out.
         settings: KEY=VALUE, such as load.pole=0.8; may be repeated.
         view: Part of the session, and the form of the result.
     """
@@ -188,16 +197,12 @@ def export(
     return 0
 
 
-def _find(name: str) -> Path:
-    """Return the folder of a session; a damaged event log of it is reported on stderr."""
-    from adaptdrive.recording.event_log import read_log  # noqa: PLC0415 - `--help` reads none
-    from adaptdrive.recording.session import (  # noqa: PLC0415
-        EVENTS_FILE,
-        find_session,
-        sessions_directory,
-    )
+def _find(name: str | None) -> Path:
+    """Return the folder of a session, by default the last one; report a damaged event log."""
+    from adaptdrive.recording.notes import read_notes  # noqa: PLC0415 - `--help` reads none
+    from adaptdrive.recording.session import find_session, sessions_directory  # noqa: PLC0415
 
     path = find_session(name, sessions_directory(None, os.environ))
-    if damage := read_log(path / EVENTS_FILE).damage:
+    if damage := read_notes(path).damage:
         print(f"adaptdrive: {damage}", file=sys.stderr)
     return path

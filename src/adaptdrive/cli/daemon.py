@@ -66,7 +66,7 @@ def probe(
 
 
 def replay(
-    session: str,
+    session: str | None = None,
     /,
     *,
     settings: Annotated[tuple[str, ...], Parameter(name="--set", negative=())] = (),
@@ -75,7 +75,8 @@ def replay(
     """Run the controller again on the measurements of a recorded session.
 
     Args:
-        session: Folder of the session, or its name below the sessions of this machine.
+        session: Folder of the session, or its name below the sessions of this machine; the last one
+            when left out.
         settings: Setting to change, KEY=VALUE, such as estimator.forgetting=0.95; may be repeated.
         json: Print JSON, for programs.
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 if TYPE_CHECKING:  # `--help` reads no recordings
-    from adaptdrive.recording.batches import EventRow
+    from adaptdrive.recording.records import EventRow
     from adaptdrive.recording.verify import Verification
 
 app = App(name="sessions")
@@ -56,6 +56,7 @@ def list_sessions(*, directory: Folder = None, as_json: Json = False) -> int:
     from adaptdrive.errors import RecordingError, escaped  # noqa: PLC0415 - `--help` reads none
     from adaptdrive.recording.retention import size_of  # noqa: PLC0415
     from adaptdrive.recording.session import (  # noqa: PLC0415
+        NO_SESSION,
         Dropped,
         read_info,
         recorded_directories,
@@ -79,6 +80,8 @@ def list_sessions(*, directory: Folder = None, as_json: Json = False) -> int:
         print(f"{path.name}  {info.ended:<8} {size_of(path) / 1e6:9.1f} MB{tripped}{lost}")
     if as_json:
         _print_json(found)
+    elif not found:
+        print(f"adaptdrive: {_folder(directory)}: {NO_SESSION}", file=sys.stderr)
     return 0
 
 
@@ -92,12 +95,15 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
         as_json: Print JSON.
     """
     from adaptdrive.recording.reader import read_session  # noqa: PLC0415 - see above
-    from adaptdrive.recording.repair import last_tick_time  # noqa: PLC0415
     from adaptdrive.recording.retention import size_of  # noqa: PLC0415
-    from adaptdrive.recording.segments import newest_number, segments  # noqa: PLC0415
+    from adaptdrive.recording.segments import (  # noqa: PLC0415
+        last_tick_time,
+        newest_number,
+        segments,
+    )
 
     found = read_session(_find(session, directory))
-    info, last = found.info, last_tick_time(found.path)
+    info, last = found.info, last_tick_time(found.path, found.info)
     unread = "damaged" if found.damage else ""
     rows = [
         ("session", str(found.path)),
@@ -107,7 +113,7 @@ def show(session: str, /, *, directory: Folder = None, as_json: Json = False) ->
         ("last tick", last.isoformat() if last else "not known"),
         ("ended", info.ended.value),
         ("not recorded", str(info.dropped)),
-        ("segments", str(newest_number(segments(found.path)))),
+        ("segments", str(newest_number(segments(found.path, info)))),
         ("events", unread or str(len(found.events))),
         ("commands", unread or str(len(found.commands))),
         ("trips", ", ".join(_trips(found.path)) or unread or "none"),
@@ -139,7 +145,6 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
     from adaptdrive.errors import RecordingError, escaped  # noqa: PLC0415 - see above
     from adaptdrive.recording.reader import read_session  # noqa: PLC0415
     from adaptdrive.recording.session import recorded_directories  # noqa: PLC0415
-    from adaptdrive.recording.spool import waiting_spools  # noqa: PLC0415
     from adaptdrive.recording.verify import Verification  # noqa: PLC0415
     from adaptdrive.recording.verify import verify as verify_session  # noqa: PLC0415
 
@@ -147,10 +152,10 @@ def verify(*sessions: str, directory: Folder = None, as_json: Json = False) -> i
     verdicts: dict[str, object] = {}
     named = [(name, _find(name, directory)) for name in sessions]
     found = named or [(path.name, path) for path in recorded_directories(_folder(directory))]
-    for waiting in () if sessions else waiting_spools(_folder(directory)):
+    for left in () if sessions else filter(_is_left, (path for _, path in found)):
         status = 1
-        text = f"{waiting.name}: data and events that the next start of the daemon writes"
-        print(f"adaptdrive: {text} into their session", file=sys.stderr)
+        text = f"{left.name}: data and events that the next start of the daemon writes"
+        print(f"adaptdrive: {text} into it", file=sys.stderr)
     for name, path in found:
         try:
             verdict = verify_session(read_session(path))
@@ -185,7 +190,7 @@ def prune(
         directory: Folder of the sessions.
         as_json: Print JSON: a sentence for each removal.
     """
-    from adaptdrive.recording.batches import Keep  # noqa: PLC0415 - see above
+    from adaptdrive.recording.records import Keep  # noqa: PLC0415 - see above
     from adaptdrive.recording.retention import prune as prune_sessions  # noqa: PLC0415
 
     keep = Keep(keep_days, None if keep_MB is None else round(keep_MB * 1e6))
@@ -215,19 +220,12 @@ def events(
         directory: Folder of the sessions.
         as_json: Print JSON.
     """
-    from adaptdrive.errors import RecordingError  # noqa: PLC0415 - see above
-    from adaptdrive.recording.event_log import read_events  # noqa: PLC0415
-    from adaptdrive.recording.session import EVENTS_FILE, session_directories  # noqa: PLC0415
+    from adaptdrive.recording.notes import session_notes  # noqa: PLC0415 - see above
     from adaptdrive.runtime.trips import remedy  # noqa: PLC0415
 
     _refuse_unknown(kind)
-    if session is None:
-        *_, path = (None, *session_directories(_folder(directory)))
-        if path is None:
-            raise RecordingError(_folder(directory), "it holds no session")
-    else:
-        path = _find(session, directory)
-    found = [one for one in read_events(path / EVENTS_FILE) if not kind or one.kind in kind]
+    notes = session_notes(_find(session, directory))
+    found = [one for one in notes.events if not kind or one.kind in kind]
     if as_json:
         _print_json(found)
         return 0
@@ -242,6 +240,19 @@ def _shown(events: list[EventRow]) -> list[EventRow]:
     """Return the events with the last count of late ticks alone: there is one in each minute."""
     counts = [one for one in events if one.kind == "latency"]
     return [one for one in events if one not in counts[:-1]]
+
+
+def _is_left(path: Path) -> bool:
+    """Return whether a daemon that was killed has left a part of a session in its log."""
+    from adaptdrive.errors import RecordingError  # noqa: PLC0415 - see above
+    from adaptdrive.recording.log_files import in_progress, unarchived  # noqa: PLC0415
+    from adaptdrive.recording.session import read_info  # noqa: PLC0415
+
+    try:
+        info = read_info(path)
+        return bool(unarchived(path, info)) and not in_progress(path, info)
+    except RecordingError:
+        return False  # it is verified all the same
 
 
 def _condition(verdict: Verification) -> str:
@@ -286,7 +297,7 @@ def _folder(directory: Path | None) -> Path:
     return sessions_directory(directory, os.environ)
 
 
-def _find(name: str, directory: Path | None) -> Path:
+def _find(name: str | None, directory: Path | None) -> Path:
     from adaptdrive.recording.session import find_session  # noqa: PLC0415 - see above
 
     return find_session(name, _folder(directory))

@@ -165,7 +165,7 @@ class Recording(Section):
         description="folder of the sessions; $STATE_DIRECTORY/sessions or ./sessions when left out",
     )
     flush_s: float = Field(
-        default=0.25, ge=0.1, le=60.0, description="longest time before data are written"
+        default=0.2, ge=0.1, le=60.0, description="longest time before data are written"
     )
     segment_s: float = Field(
         default=3600.0,

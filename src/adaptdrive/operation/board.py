@@ -10,7 +10,6 @@ from typing import Generic, TypeVar
 from adaptdrive.operation.clock import Synchronisation, WallClock
 from adaptdrive.operation.messages import LastTrip, Payload, Standing, state_message
 from adaptdrive.operation.profile import Profile
-from adaptdrive.operation.trip_memory import TripMemory
 from adaptdrive.runtime.reports import State, StateReport
 from adaptdrive.runtime.trips import remedy
 
@@ -52,9 +51,16 @@ class Mailbox(Generic[T]):
 class StateBoard:
     """The state as operators see it; its time moves only when something else does."""
 
-    def __init__(self, wall: WallClock, profile: Profile, trips: TripMemory) -> None:
+    def __init__(self, wall: WallClock, profile: Profile, last_trip: LastTrip | None) -> None:
+        """Begin without a report.
+
+        Args:
+            wall: Wall clock in UTC.
+            profile: Name, unit and limits of the drive.
+            last_trip: The last trip of an earlier run, None before the first.
+        """
         self._wall = wall
-        self._trips = trips
+        self._last_trip = last_trip
         self._profile = profile
         self._report: StateReport | None = None
         self._clock = Synchronisation.UNKNOWN
@@ -77,7 +83,7 @@ class StateBoard:
         """Payload to publish, None before the first report."""
         if self._report is None:
             return None
-        standing = Standing(self._since, self._trips.last, self._clock, self._changed_at)
+        standing = Standing(self._since, self._last_trip, self._clock, self._changed_at)
         return state_message(self._report, standing, self._profile)
 
     def show(self, report: StateReport) -> None:
@@ -89,12 +95,7 @@ class StateBoard:
         if known is None or report.state is not known.state:
             self._since = self._changed_at
         if report.trip is not None and (known is None or report.trip != known.trip):
-            self._trips.note(LastTrip(self._changed_at, report.trip, remedy(report.trip)))
-
-    def show_recalled(self) -> None:
-        """Publish the last trip of an earlier run, which was read from the disk."""
-        if self._trips.last is not None:
-            self._note_change()
+            self._last_trip = LastTrip(self._changed_at, report.trip, remedy(report.trip))
 
     def show_clock(self, clock: Synchronisation) -> None:
         """Take the word of the wall clock's watcher."""

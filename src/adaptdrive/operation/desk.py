@@ -1,6 +1,6 @@
 """Processing of commands: refuse, repeat or carry out, and always record.
 
-`disable` is carried out as it arrives, before its payload, the queue of commands or the journal is
+`disable` is carried out as it arrives, before its payload, the queue of commands or the log is
 looked at. Every other command that arrived before it and still waits is refused: an `enable` that
 waits for a slow disk must not undo the stop that came after it.
 """
@@ -129,7 +129,6 @@ class Desk:
             reply = self._acknowledge(command, payload)
         else:
             async with self._turn:
-                await self._memory.ready()
                 reply = self._repeated(command, payload) or await self._decide(command, payload)
         await self._kept()
         self._log_reply(reply)
@@ -245,8 +244,6 @@ class Desk:
             reply = replace(reply, accepted=True, state=state)
         if _memorable(payload.id):
             self._memory.note(str(payload.id), reply, payload.asked(command.verb))
-            if reply.reason != OVERTAKEN:  # a hundred may wait, and none had an effect
-                await self._memory.written()
         self._report(_report_of(payload, reply))
         return reply
 
@@ -267,7 +264,8 @@ class Desk:
         self._refuse_overtaken(command)
         doubt = replace(_refusal(command, payload), reason=INTERRUPTED)
         # Written first: a daemon that dies in between must not act a second time on a repeat.
-        await self._memory.keep(str(doubt.id), doubt, payload.asked(command.verb))
+        self._memory.note(str(doubt.id), doubt, payload.asked(command.verb))
+        await self._kept()
         self._refuse_overtaken(command)
         self._refuse_expired(expires)
         return await self._host.execute(request)

@@ -7,12 +7,10 @@ import random
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 from aiomqtt import Will
 
 from adaptdrive.config.services import Mqtt
-from adaptdrive.operation.archive import Archive
 from adaptdrive.operation.board import StateBoard
 from adaptdrive.operation.clock import (
     Monotonic,
@@ -25,10 +23,12 @@ from adaptdrive.operation.desk import Desk
 from adaptdrive.operation.history import History
 from adaptdrive.operation.home_assistant import discovery
 from adaptdrive.operation.intake import Intake
-from adaptdrive.operation.journal import Journal
+from adaptdrive.operation.ledger import Ledger
 from adaptdrive.operation.link import BrokerConnection, BrokerLink
-from adaptdrive.operation.messages import OFFLINE
+from adaptdrive.operation.memory import ReplyMemory
+from adaptdrive.operation.messages import OFFLINE, LastTrip, encode, event_message
 from adaptdrive.operation.name import ClientName
+from adaptdrive.operation.outbox import Outbox
 from adaptdrive.operation.pace import BrokerBackoff, LogRation, Pace
 from adaptdrive.operation.profile import Profile
 from adaptdrive.operation.session import BrokerSession
@@ -36,8 +36,11 @@ from adaptdrive.operation.topics import Topics
 from adaptdrive.runtime.hub import Hub
 from adaptdrive.runtime.reports import Severity
 from adaptdrive.runtime.requests import Host
+from adaptdrive.runtime.trips import remedy
 
 CLOCK_CHECK_S = 10.0
+COMMAND_PATIENCE_S = 1.0
+"""Longest wait of a command for the disk: one that hangs must not keep an operator from acting."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,20 +48,18 @@ class ServiceSurroundings:
     """Resources of the machine that the service uses.
 
     Attributes:
-        directory: Where replies and unsent events are kept across restarts.
+        ledger: What survives restarts.
         wall: Wall clock in UTC.
         monotonic: Clock for intervals, in seconds.
         synchronisation: Returns whether the wall clock can be trusted.
         uniform: Random number between its arguments, for the back-off.
-        start_thread: What a thread of the service does first.
     """
 
-    directory: Path
+    ledger: Ledger
     wall: WallClock = utc_now
     monotonic: Monotonic = time.monotonic
     synchronisation: Callable[[], Synchronisation] = kernel_synchronisation
     uniform: Callable[[float, float], float] = random.uniform
-    start_thread: Callable[[], None] = lambda: None
 
 
 class MqttService:
@@ -79,7 +80,7 @@ class MqttService:
             settings: Section `[mqtt]`.
             host: Carries commands out.
             hub: Where the runtime's reports come from.
-            surroundings: Folder, clocks and chance.
+            surroundings: Ledger, clocks and chance.
         """
         drive = profile.drive
         self._topics = Topics(drive)
@@ -89,26 +90,25 @@ class MqttService:
         self._pace = Pace(1.0 / settings.telemetry_Hz, surroundings.monotonic)
         self._around = surroundings
         self._host = host
-        path = surroundings.directory / f"{drive}.operation.sqlite3"
-        journal = Journal(path, surroundings.start_thread)
-        self._archive = Archive(journal, surroundings.wall, surroundings.monotonic)
-        self._board = StateBoard(surroundings.wall, profile, self._archive.trips)
-        history, outbox = History(surroundings.monotonic), self._archive.outbox
-        self._intake = Intake(
-            hub, self._board, outbox, history, wall=surroundings.wall, output=profile.output
-        )
+        ledger, wall = surroundings.ledger, surroundings.wall
+        trip = LastTrip(*ledger.trip, remedy(ledger.trip[1])) if ledger.trip else None
+        self._board = StateBoard(wall, profile, trip)
+        unsent = (encode(event_message(event, time)) for time, event in ledger.events)
+        outbox, history = Outbox(unsent, ledger.note_sent), History(surroundings.monotonic)
+        self._intake = Intake(hub, self._board, outbox, history, wall=wall, output=profile.output)
         self._desk = self._build_desk(hub)
         self._link = self._build_link(settings, drive)
 
     def _build_desk(self, hub: Hub) -> Desk:
+        ledger, monotonic = self._around.ledger, self._around.monotonic
         return Desk(
             self._host,
-            self._archive.replies,
+            ReplyMemory(ledger.replies, ledger.note_reply, monotonic),
             lambda: self._board.state,
             self._around.wall,
-            LogRation(self._around.monotonic),
+            LogRation(monotonic),
             report=hub.publish,
-            kept=hub.kept,
+            kept=lambda: ledger.kept(COMMAND_PATIENCE_S),
             shutting_down=lambda: self._board.shutting_down,
         )
 
@@ -123,18 +123,11 @@ class MqttService:
 
     async def run(self) -> None:
         """Serve until cancelled, with a broker or without."""
-        try:
-            async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._keep_archive(), name="mqtt journal")
-                tasks.create_task(self._intake.run(), name="mqtt intake")
-                tasks.create_task(self._watch_clock(), name="mqtt clock")
-                tasks.create_task(self._desk.run(), name="mqtt desk")
-                tasks.create_task(self._keep_connected(), name="mqtt link")
-        finally:
-            await self._archive.close()
-
-    async def _keep_archive(self) -> None:
-        await self._archive.run(self._intake.report, self._board.show_recalled)
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._intake.run(), name="mqtt intake")
+            tasks.create_task(self._watch_clock(), name="mqtt clock")
+            tasks.create_task(self._desk.run(), name="mqtt desk")
+            tasks.create_task(self._keep_connected(), name="mqtt link")
 
     def _meet_rival(self, detail: str, *, certain: bool) -> None:
         """Report another client of the drive's name, and trip where that is certain."""

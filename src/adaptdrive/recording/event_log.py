@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import os
+import shutil
 import sqlite3
 from collections.abc import Iterable, Mapping
 from contextlib import closing
@@ -16,7 +15,7 @@ import msgspec
 
 from adaptdrive.errors import RecordingError, reason_of
 from adaptdrive.files import require_regular
-from adaptdrive.recording.batches import CommandRow, EventRow
+from adaptdrive.recording.records import CommandRow, EventRow
 
 T = TypeVar("T", EventRow, CommandRow)
 
@@ -53,61 +52,36 @@ VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)
 """
 
 
-class EventLog:
-    """Appends events and commands; each call is one transaction.
+def append(path: Path, events: Iterable[EventRow], commands: Iterable[CommandRow]) -> int:
+    """Add events and commands to a log, which is replaced as a whole.
 
-    A row that is there already is left as it is, so that a batch may be written again. What was
-    appended outlives this process at once, and a power cut after the next `sync`: a slow disk must
-    not keep the rows behind it in memory.
+    A row that is there already is left as it is, so that the same rows may be added again.
 
-    Attributes:
-        path: Its file.
+    Args:
+        path: The log.
+        events: Events in their order.
+        commands: Operator commands in their order.
+
+    Returns:
+        Events and commands in it.
+
+    Raises:
+        OSError: It cannot be written.
+        sqlite3.Error: The log that is there is damaged, or the disk is full.
     """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._database = sqlite3.connect(path)
-        try:
-            self._database.execute("PRAGMA journal_mode=WAL")
-            self._database.execute("PRAGMA synchronous=NORMAL")
-            self._database.executescript(_TABLES)
-        except sqlite3.Error:
-            self._database.close()
-            raise
-
-    def append(self, events: Iterable[EventRow], commands: Iterable[CommandRow] = ()) -> None:
-        """Append events and commands in their order."""
-        with self._database:
-            self._database.executemany(_INSERT_EVENT, map(_event_values, events))
-            self._database.executemany(_INSERT_COMMAND, map(_command_values, commands))
-
-    @property
-    def rows(self) -> int:
-        """Events and commands in the log."""
-        return count_rows(self._database)
-
-    def sync(self) -> None:
-        """Wait until what was appended is on the disk; safe in another thread.
-
-        Raises:
-            OSError: The disk has failed.
-        """
-        with contextlib.suppress(FileNotFoundError):  # closed meanwhile, which wrote all of it
-            descriptor = os.open(f"{self.path}-wal", os.O_RDONLY)
-            try:
-                os.fdatasync(descriptor)
-            finally:
-                os.close(descriptor)
-
-    def close(self) -> None:
-        """Leave one plain file behind, which a read-only disk can serve too."""
-        self._database.execute("PRAGMA journal_mode=DELETE")
-        self._database.close()
-
-    def abandon(self) -> None:
-        """Close a log that cannot be written any more."""
-        with contextlib.suppress(sqlite3.Error):
-            self._database.close()
+    unfinished = path.with_name(f"{path.name}.unfinished")
+    try:
+        if path.exists():
+            shutil.copyfile(path, unfinished)
+        with closing(sqlite3.connect(unfinished)) as database, database:
+            database.executescript(_TABLES)
+            database.executemany(_INSERT_EVENT, map(_event_values, events))
+            database.executemany(_INSERT_COMMAND, map(_command_values, commands))
+            rows = count_rows(database)
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return rows
 
 
 def count_rows(database: sqlite3.Connection) -> int:
@@ -116,16 +90,6 @@ def count_rows(database: sqlite3.Connection) -> int:
         "SELECT (SELECT count(*) FROM events) + (SELECT count(*) FROM commands)"
     ).fetchone()
     return int(rows)
-
-
-def tidy(path: Path) -> None:
-    """Merge what a killed writer has left beside a log, so that one plain file remains.
-
-    Raises:
-        sqlite3.Error: It cannot be read or written.
-    """
-    if any(path.with_name(path.name + suffix).exists() for suffix in ("-wal", "-journal")):
-        EventLog(path).close()
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,16 +107,8 @@ class LogContents:
     damage: str = ""
 
 
-def read_log(path: Path) -> LogContents:
-    """Return the events and commands of a log, or the damage of a damaged one."""
-    try:
-        return LogContents(read_events(path), read_commands(path))
-    except RecordingError as problem:
-        return LogContents(damage=f"{problem}; its events and commands cannot be read")
-
-
 def read_events(path: Path) -> tuple[EventRow, ...]:
-    """Return all events of a log; none when the session broke off before it was made.
+    """Return all events of a log; none before it was made.
 
     Raises:
         RecordingError: The log is damaged.
@@ -161,7 +117,7 @@ def read_events(path: Path) -> tuple[EventRow, ...]:
 
 
 def read_commands(path: Path) -> tuple[CommandRow, ...]:
-    """Return all operator commands of a log; none in a session of format 1.
+    """Return all operator commands of a log; none before it was made.
 
     Raises:
         RecordingError: The log is damaged.
@@ -189,7 +145,7 @@ def _read(path: Path, table: str, kind: type[T], columns: Mapping[str, str]) -> 
 
 
 def _given(row: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
-    """Return a row by the fields of its type; one that an older format lacks stays out."""
+    """Return a row by the fields of its type."""
     found = {field: row[name] for field, name in names.items() if name in row}
     found["monotonic_s"] = _float(found.get("monotonic_s"))
     if "accepted" in found:

@@ -1,4 +1,4 @@
-"""Reading a session back, however it ended and whichever version wrote it."""
+"""Reading a session back, however it ended, or while it is written."""
 
 from __future__ import annotations
 
@@ -12,16 +12,14 @@ import pyarrow as pa
 
 from adaptdrive.errors import RecordingError, reason_of
 from adaptdrive.files import read_regular
-from adaptdrive.recording.batches import CommandRow, EventRow
-from adaptdrive.recording.event_log import read_log
+from adaptdrive.recording.notes import read_notes
+from adaptdrive.recording.records import CommandRow, EventRow
 from adaptdrive.recording.segments import Segment, segments
 from adaptdrive.recording.session import (
     CONFIG_FILE,
-    EVENTS_FILE,
     SENSORS,
     SLOW,
     TICKS,
-    TRIP_PREFIX,
     SessionInfo,
     read_info,
 )
@@ -51,14 +49,6 @@ class Session:
     commands: tuple[CommandRow, ...]
     damage: str = ""
 
-    @property
-    def first_sequence(self) -> int | None:
-        """Running number that it begins with; None where only its first row shows that."""
-        known = self.info.first_sequence
-        if known is None and not self.path.absolute().name.startswith(TRIP_PREFIX):
-            return 0
-        return known
-
     @cached_property
     def ticks(self) -> pa.Table:
         """Fast ticks, all of them in memory."""
@@ -80,22 +70,22 @@ class Session:
             return ticks_schema(self.info.output_unit)
         if table == SLOW:
             return slow_schema(self.info.output_unit)
-        found = [segment.schema() for segment in segments(self.path, table)]
+        found = [segment.schema() for segment in segments(self.path, self.info, table)]
         return pa.unify_schemas(found) if found else pa.schema([])
 
     def batches(self, table: str, columns: Sequence[str] | None = None) -> Iterator[pa.RecordBatch]:
-        """Yield the rows of a table a batch at a time; missing columns are null.
+        """Yield the rows of a table a batch at a time.
 
         Args:
             table: Name of the table.
             columns: The columns wanted, None for all.
 
         Raises:
-            RecordingError: A file is damaged beyond a torn tail, or holds another table; a value of
-                an enumeration that is none of it shows that, too.
+            RecordingError: A file is damaged, or holds another table; a value of an enumeration
+                that is none of it shows that, too.
         """
         schema = self._schema_of(table, columns)
-        for segment in segments(self.path, table):
+        for segment in segments(self.path, self.info, table):
             yield from _rows(segment, schema)
 
     def ends(
@@ -110,7 +100,7 @@ class Session:
         Raises:
             RecordingError: As for `batches`.
         """
-        schema, found = self._schema_of(table, columns), segments(self.path, table)
+        schema, found = self._schema_of(table, columns), segments(self.path, self.info, table)
         for segment in found:
             if (first := next(_filled(segment, schema), None)) is not None:
                 lasts = (_last(_filled(one, schema)) for one in reversed(found))
@@ -172,10 +162,11 @@ def read_session(path: Path) -> Session:
     Raises:
         RecordingError: There is no session, or its facts or configuration are damaged.
     """
-    log = read_log(path / EVENTS_FILE)
+    info = read_info(path)
+    log = read_notes(path)
     return Session(
         path=path,
-        info=read_info(path),
+        info=info,
         config_text=_read_text(path / CONFIG_FILE),
         events=log.events,
         commands=log.commands,

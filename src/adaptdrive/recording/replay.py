@@ -48,10 +48,7 @@ def replay(session: Session, controller: TwoRate) -> ReplayReport:
 
 
 def _refuse_middle(session: Session) -> None:
-    first = session.first_sequence
-    if first is None:
-        ends = session.ends(TICKS, ("sequence",))
-        first = ends[0].column("sequence")[0].as_py() if ends else 0
+    first = session.info.first_sequence
     if first > 0:
         parent = session.path.absolute().parent
         whole = parent if (parent / INFO_FILE).is_file() else "the session that it is a part of"

@@ -15,28 +15,33 @@ _BYTES = 2 << 20
 """Two records of a trip, each of 70 s at full rate."""
 
 
-def set_aside(sessions: Path) -> None:
+def is_set_aside(folder: Path) -> bool:
+    """Return whether the reserve is occupied."""
+    return (folder / _FILE).exists()
+
+
+def set_aside(folder: Path) -> None:
     """Occupy the reserve, where that is not done yet.
 
     Raises:
         OSError: There is too little space for the reserve and as much again to record into, or
             something that is no file has its name.
     """
-    path = sessions / _FILE
+    path = folder / _FILE
     held = 0
     if path.exists():
         require_regular(path)
         held = path.stat().st_size
-    if shutil.disk_usage(sessions).free < 2 * _BYTES - held:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(sessions))
+    if shutil.disk_usage(folder).free < 2 * _BYTES - held:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
     if held < _BYTES:
         with path.open("ab") as file:
             os.posix_fallocate(file.fileno(), 0, _BYTES)
 
 
-def release(sessions: Path) -> None:
+def release(folder: Path) -> None:
     """Give the reserve back to the disk."""
-    (sessions / _FILE).unlink(missing_ok=True)
+    (folder / _FILE).unlink(missing_ok=True)
 
 
 def is_full(problem: BaseException) -> bool:

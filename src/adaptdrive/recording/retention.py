@@ -19,9 +19,10 @@ from datetime import datetime
 from pathlib import Path
 
 from adaptdrive.errors import RecordingError
-from adaptdrive.recording.batches import Keep
-from adaptdrive.recording.segments import segments
-from adaptdrive.recording.session import SessionLock, read_info, session_directories
+from adaptdrive.recording.log_files import in_progress
+from adaptdrive.recording.records import Keep
+from adaptdrive.recording.segments import closed_segments
+from adaptdrive.recording.session import read_info, session_directories
 
 _DAY_S = 86_400.0
 
@@ -75,8 +76,7 @@ def prune(sessions: Path, keep: Keep, now: datetime, current: Path | None = None
 
 
 def _prune_segments(directory: Path, excess: int) -> Iterator[str]:
-    closed = [segment for segment in segments(directory) if segment.closed]
-    for segment in closed:
+    for segment in closed_segments(directory):
         if excess <= 0:
             return
         excess -= segment.path.stat().st_size
@@ -85,13 +85,12 @@ def _prune_segments(directory: Path, excess: int) -> Iterator[str]:
 
 
 def _remove(directory: Path) -> bool:
-    claim = SessionLock.on(directory)
-    if claim is None:
-        return False
     try:
-        shutil.rmtree(directory)
-    finally:
-        claim.release()
+        if in_progress(directory, read_info(directory)):
+            return False
+    except RecordingError:
+        pass  # nobody writes a session whose facts cannot be read
+    shutil.rmtree(directory)
     return True
 
 

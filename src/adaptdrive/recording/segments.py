@@ -1,28 +1,23 @@
-"""Segments of a session's tables, such as `ticks-0001.parquet`, and how their files are named.
-
-A segment is an Arrow stream (`.arrows`) while it is written, because a stream that breaks off loses
-only its last batch, and a Parquet file once it is closed. The stream is removed when the Parquet
-file is complete on disk, and not before. Sessions of format 1 have one segment without a number.
-"""
+"""Segments of a session's tables: Parquet files, and after them what is in the log only."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from datetime import datetime
+from itertools import groupby
 from pathlib import Path
 
 import pyarrow as pa
-from pyarrow import parquet as pq
 
 from adaptdrive.errors import RecordingError
-from adaptdrive.files import require_regular
-from adaptdrive.recording.session import TABLES
-from adaptdrive.recording.streams import StreamReader, convert, open_file
+from adaptdrive.recording.log_files import LogFile, unarchived
+from adaptdrive.recording.log_tables import logged_batches, table_schema
+from adaptdrive.recording.parquet import parquet_schema, read_parquet
+from adaptdrive.recording.session import TABLES, TICKS, SessionInfo
 
-_NAME = re.compile(rf"({'|'.join(TABLES)})(?:-(\d{{4,}}))?\.(arrows|parquet)")
-_BATCH_ROWS = 1 << 15
-"""Rows of a closed segment that are read at a time: a few megabytes."""
+_NAME = re.compile(rf"({'|'.join(TABLES)})-(\d{{4,}})\.parquet")
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -30,19 +25,21 @@ class Segment:
     """One segment of one table.
 
     Attributes:
-        number: From 1; 0 in a session of format 1.
+        number: From 1.
         table: Name of the table.
-        path: Its file.
+        path: Its Parquet file, which is not made yet where it is in the log.
+        logged: Files of the log that hold it; none once there is the Parquet file.
     """
 
     number: int
     table: str
     path: Path
+    logged: tuple[LogFile, ...] = ()
 
     @property
     def closed(self) -> bool:
         """True once it is a Parquet file."""
-        return self.path.suffix == ".parquet"
+        return not self.logged
 
     def batches(
         self, columns: list[str] | None = None, *, strict: bool = False
@@ -50,61 +47,71 @@ class Segment:
         """Yield its rows a batch at a time, as they are on disk.
 
         Args:
-            columns: The columns wanted, where the file has them; None for all.
-            strict: Whether to hold each page against its checksum and to refuse a torn tail.
+            columns: The columns wanted, where the segment has them; None for all.
+            strict: Whether to hold each page against its checksum and to refuse what is damaged.
 
         Raises:
             RecordingError: The file is damaged.
         """
-        if self.closed:
-            yield from _parquet_batches(self.path, columns, strict=strict)
+        if self.closed or self.path.exists():  # since this segment was listed
+            yield from read_parquet(self.path, columns, strict=strict)
             return
-        try:
-            yield from _stream_batches(self.path, strict=strict)
-        except RecordingError as problem:
-            if not isinstance(problem.__cause__, FileNotFoundError):
-                raise
-            closed = self.path.with_suffix(".parquet")  # since this segment was listed
-            if closed.exists():
-                yield from _parquet_batches(closed, columns, strict=strict)
+        losses: list[str] = []
+        schema = self._logged_schema()
+        wanted = [name for name in schema.names if columns is None or name in columns]
+        for batch in logged_batches(self.logged, self.table, schema, losses):
+            yield batch.select(wanted)
+        if strict and losses:
+            raise RecordingError(self.logged[0].path.parent, "; ".join(losses))
 
     def schema(self) -> pa.Schema:
-        """Return its columns as they are on disk; none for a stream that broke off at its start."""
-        if not self.closed:
-            first = next(self.batches(), None)
-            return pa.schema([]) if first is None else first.schema
-        try:
-            require_regular(self.path)
-            with open_file(self.path, "rb") as source:
-                return pq.read_schema(source)
-        except (pa.ArrowException, OSError) as problem:
-            raise RecordingError(self.path, str(problem)) from problem
+        """Return its columns as they are on disk.
 
-    def close(self) -> None:
-        """Turn the stream into a Parquet file, unless that is done already."""
-        if not self.closed and self.path.exists():
-            convert(self.path, self.path.with_suffix(".parquet"))
+        Raises:
+            RecordingError: The file is damaged.
+        """
+        if self.closed or self.path.exists():
+            return parquet_schema(self.path)
+        return self._logged_schema()
+
+    def _logged_schema(self) -> pa.Schema:
+        begins = (file.begin() for file in self.logged)
+        begin = next((one for one in begins if one is not None), None)
+        return pa.schema([]) if begin is None else table_schema(begin.header, self.table)
 
 
-def stream_path(directory: Path, table: str, number: int) -> Path:
-    """Return the path of a segment's stream."""
-    return directory / f"{table}-{number:04}.arrows"
+def parquet_path(directory: Path, table: str, number: int) -> Path:
+    """Return the path of a segment."""
+    return directory / f"{table}-{number:04}.parquet"
 
 
-def segments(directory: Path, table: str | None = None) -> list[Segment]:
+def segments(directory: Path, info: SessionInfo, table: str | None = None) -> list[Segment]:
     """Return the segments of one table or of all, in their order.
 
     Args:
         directory: Directory of the session.
+        info: Its facts.
         table: Name of the table, None for all.
+
+    Raises:
+        RecordingError: The folder of the log cannot be read.
     """
-    found: dict[tuple[int, str], Segment] = {}
-    for path in sorted(directory.iterdir()):  # .arrows before .parquet, which prevails
+    tables = TABLES if table is None else (table,)
+    found = {(one.number, one.table): one for one in _logged(directory, info, tables)}
+    for path in directory.iterdir():
         match = _NAME.fullmatch(path.name)
-        if match and table in {None, match[1]}:
-            number = int(match[2] or 0)
-            found[number, match[1]] = Segment(number, match[1], path)
+        if match and match[1] in tables:
+            found[int(match[2]), match[1]] = Segment(int(match[2]), match[1], path)
     return sorted(found.values())
+
+
+def closed_segments(directory: Path) -> list[Segment]:
+    """Return the Parquet files of a session, in their order."""
+    return [
+        Segment(int(match[2]), match[1], path)
+        for path in sorted(directory.iterdir())
+        if (match := _NAME.fullmatch(path.name))
+    ]
 
 
 def newest_number(found: Iterable[Segment]) -> int:
@@ -112,23 +119,25 @@ def newest_number(found: Iterable[Segment]) -> int:
     return max((segment.number for segment in found), default=0)
 
 
-def _stream_batches(path: Path, *, strict: bool) -> Iterator[pa.RecordBatch]:
-    reader = StreamReader(path)
-    yield from reader.batches()
-    if strict and reader.torn:
-        raise RecordingError(path, "it breaks off within a batch, which is left out")
+def _logged(directory: Path, info: SessionInfo, tables: Iterable[str]) -> Iterator[Segment]:
+    for part, group in groupby(unarchived(directory, info), key=lambda file: file.part):
+        files = tuple(group)
+        for table in tables:
+            yield Segment(part, table, parquet_path(directory, table, part), files)
 
 
-def _parquet_batches(
-    path: Path, columns: list[str] | None, *, strict: bool
-) -> Iterator[pa.RecordBatch]:
-    try:
-        require_regular(path)
-        with (
-            open_file(path, "rb") as source,
-            pq.ParquetFile(source, page_checksum_verification=strict) as file,
-        ):
-            wanted = columns and [name for name in columns if name in file.schema_arrow.names]
-            yield from file.iter_batches(_BATCH_ROWS, columns=wanted)
-    except (pa.ArrowException, OSError) as problem:
-        raise RecordingError(path, str(problem)) from problem
+def last_tick_time(directory: Path, info: SessionInfo) -> datetime | None:
+    """Return when the last recorded tick was, None where that is not recorded.
+
+    Args:
+        directory: Directory of the session.
+        info: Its facts.
+    """
+    for segment in reversed(segments(directory, info, TICKS)):
+        found: datetime | None = None
+        for batch in segment.batches(["utc"]):
+            if "utc" in batch.schema.names and batch.num_rows:
+                found = batch.column("utc")[-1].as_py()
+        if found is not None:
+            return found
+    return None

@@ -1,15 +1,13 @@
-"""A session's directory: its name, its lock, and the facts about it in `session.json`.
+"""A session's directory: its name, and the facts about it in `session.json`.
 
 A session holds `session.json`, `config.toml`, `events.sqlite`, and the segments of its tables
-(`segments.py`). The directory appears with its first files in it, so that none is ever empty. The
-process that writes it holds a lock on it; a session that is `open` without a lock was lost.
+(`segments.py`). The directory appears with its first files in it, so that none is ever empty. What
+of a session is in the log only is read from there: `session.json` names its folder.
 """
 
 from __future__ import annotations
 
 import errno
-import fcntl
-import os
 import shutil
 import threading
 from collections.abc import Iterator, Mapping
@@ -18,16 +16,14 @@ from datetime import datetime
 from enum import StrEnum
 from itertools import count
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated
 
 import msgspec
 
 from adaptdrive.errors import NOT_JSON, RecordingError, reason_of
-from adaptdrive.files import read_regular
+from adaptdrive.files import read_regular, replace_regular
 
-FORMAT = 2
-FORMATS = (1, 2)
-"""Formats that can be read: 1 has one file for each table, no times and no sensors."""
+FORMAT = 1
 
 INFO_FILE = "session.json"
 CONFIG_FILE = "config.toml"
@@ -40,6 +36,8 @@ SLOW = "slow"
 SENSORS = "sensors"
 TABLES = (TICKS, SLOW, SENSORS)
 
+NO_SESSION = "it holds no session; sessions are looked for here unless another folder is named"
+
 _PARTS = (INFO_FILE, EVENTS_FILE, f"{TICKS}-*.parquet")
 """Files by which a folder is known as a session, although one of them may be lost."""
 
@@ -48,13 +46,11 @@ class Ending(StrEnum):
     """Kind of end of a session."""
 
     OPEN = "open"
-    """Still being written, or its writer died."""
+    """Still being written, or its daemon was killed and has not been started again."""
     ORDERLY = "orderly"
-    """The control process ended it; `dropped` counts what is missing."""
+    """The daemon ended it; `dropped` counts what is missing."""
     CUT = "cut"
-    """The control process vanished; complete up to its last flush."""
-    LOST = "lost"
-    """Its recorder vanished too; closed at a later start, complete up to the last flush."""
+    """The daemon was killed; complete up to its last flush, and closed at a later start."""
 
 
 class Dropped(msgspec.Struct, frozen=True):
@@ -97,12 +93,13 @@ class SessionInfo(msgspec.Struct, frozen=True):
         prior: Estimates of an earlier run that its controller started from.
         histograms: Counts of the times of its ticks by bin, up to the last segment that is closed.
         output_unit: Unit of the regulated quantity.
-        segments: Number of the last segment that the histograms include.
+        segments: Number of the last segment that is closed.
         resolution: Step of the output that an earlier run had found, 0 for none.
-        logged: Events and commands in its log when it was closed; 0 before.
-        rows: Rows of its tables, up to the last segment that is closed.
-        first_sequence: Running number of the first tick in the record of a trip; None in a session,
-            and in the records of older versions.
+        logged: Events and commands up to that segment.
+        rows: Rows of its tables up to that segment.
+        first_sequence: Running number of the first tick: 0 but in the record of a trip.
+        losses: What of its log could not be read, in words.
+        log: Folder of the log with what follows the closed segments, from that of the sessions on.
         format: Version of the layout of the files.
     """
 
@@ -121,7 +118,9 @@ class SessionInfo(msgspec.Struct, frozen=True):
     resolution: float = 0.0
     logged: int = 0
     rows: dict[str, int] = {}
-    first_sequence: int | None = None
+    first_sequence: int = 0
+    losses: tuple[str, ...] = ()
+    log: str = ""
     format: int = FORMAT
 
 
@@ -173,6 +172,31 @@ def create_session(new: NewSession) -> Path:
         shutil.rmtree(unfinished, ignore_errors=True)
 
 
+def session_of(sessions: Path, info: SessionInfo) -> Path | None:
+    """Return the directory of a session, None where there is none.
+
+    A copy that somebody has made of it in the same folder has a longer name, or quite another one.
+
+    Args:
+        sessions: Folder of all sessions.
+        info: The session.
+    """
+    name = session_name(info)
+    likeliest_first = sorted(
+        session_directories(sessions),
+        key=lambda path: (not path.name.startswith(name), len(path.name)),
+    )
+    return next((path for path in likeliest_first if _is_of(info, path)), None)
+
+
+def _is_of(info: SessionInfo, directory: Path) -> bool:
+    try:
+        found = read_info(directory)
+    except RecordingError:
+        return False
+    return (found.started, found.drive) == (info.started, info.drive)
+
+
 def session_name(info: SessionInfo) -> str:
     """Return the name of the directory of a session, where no other one has it."""
     return f"{info.started:%Y%m%dT%H%M%SZ}_{info.drive}"
@@ -201,51 +225,6 @@ def time_in_name(time: datetime) -> str:
     return f"{time:%Y%m%dT%H%M%S%fZ}"
 
 
-def set_aside(path: Path) -> Path:
-    """Rename a file of the folder of sessions that cannot be read, so that no start tries it again.
-
-    Returns:
-        Its new path: nothing of it is lost.
-
-    Raises:
-        OSError: It cannot be renamed.
-    """
-    return path.rename(path.with_name(f"damaged{path.name}"))
-
-
-class SessionLock:
-    """The lock that the writer of a session holds on its directory."""
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
-
-    @classmethod
-    def on(cls, directory: Path) -> Self | None:
-        """Take the lock; None when another process holds it.
-
-        Raises:
-            OSError: The directory cannot be opened.
-        """
-        descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            os.close(descriptor)
-            return None
-        return cls(descriptor)
-
-    def covers(self, directory: Path) -> bool:
-        """Return whether the lock is on what has a path now: it may have been moved or replaced."""
-        try:
-            return os.path.samestat(os.fstat(self._descriptor), directory.stat())
-        except OSError:
-            return False
-
-    def release(self) -> None:
-        """Let go of the lock."""
-        os.close(self._descriptor)
-
-
 def session_directories(sessions: Path) -> Iterator[Path]:
     """Yield the directories of sessions in a folder, the oldest first."""
     yield from _with_any(sessions, (INFO_FILE,))
@@ -270,14 +249,23 @@ def _has_any(directory: Path, files: tuple[str, ...]) -> bool:
         return False
 
 
-def find_session(name: str, sessions: Path) -> Path:
+def find_session(name: str | None, sessions: Path) -> Path:
     """Return the session that an operator names by path, or by its name in `sessions`.
 
     Its path ends in the name of the session also where that was given as `.` or `..`.
 
+    Args:
+        name: Path or name, None for the last session.
+        sessions: Folder of the sessions.
+
     Raises:
         RecordingError: There is none.
     """
+    if name is None:
+        *_, last = (None, *session_directories(sessions))
+        if last is None:
+            raise RecordingError(sessions, NO_SESSION)
+        return last
     for directory in (Path(name), sessions / name):
         if any(path.is_file() for part in _PARTS for path in directory.glob(part)):
             return directory if directory.name.strip(".") else directory.resolve()
@@ -292,12 +280,8 @@ def write_facts(directory: Path, info: SessionInfo, config_text: str) -> None:
 
 def write_info(directory: Path, info: SessionInfo) -> None:
     """Write `session.json`, so that a reader sees the old one or the new one, whole."""
-    unfinished = directory / f"{INFO_FILE}.unfinished"
-    with unfinished.open("wb") as file:
-        file.write(msgspec.json.format(msgspec.json.encode(info), indent=2) + b"\n")
-        file.flush()
-        os.fsync(file.fileno())
-    unfinished.replace(directory / INFO_FILE)
+    text = msgspec.json.format(msgspec.json.encode(info), indent=2) + b"\n"
+    replace_regular(directory / INFO_FILE, text)
 
 
 def read_info(directory: Path) -> SessionInfo:
@@ -310,9 +294,8 @@ def read_info(directory: Path) -> SessionInfo:
     try:
         text = read_regular(path)
         version = msgspec.json.decode(text, type=_SessionFormat).format
-        if version not in FORMATS:
-            known = " or ".join(map(str, FORMATS))
-            raise RecordingError(path, f"format {version} is not {known}, those known here")
+        if version != FORMAT:
+            raise RecordingError(path, f"format {version} is not {FORMAT}, the one known here")
         return msgspec.json.decode(text, type=SessionInfo)
     except OSError as problem:
         raise RecordingError(path, reason_of(problem)) from problem

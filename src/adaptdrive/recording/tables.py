@@ -1,7 +1,6 @@
 """Tables on disk: Arrow schemas that explain themselves, and record batches that fit them.
 
-Each field has `unit`, `description` and `source` as metadata. A table of an older format is
-completed with NaN and nulls where it lacks columns.
+Each field has `unit`, `description` and `source` as metadata.
 """
 
 from __future__ import annotations
@@ -11,10 +10,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from adaptdrive.control.columns import Column
-from adaptdrive.recording.batches import SensorColumn
+from adaptdrive.recording.records import SensorColumn
 from adaptdrive.runtime.reports import MONOTONIC, SLOW_COLUMNS, TICK_COLUMNS
 
 UTC = pa.timestamp("us", "UTC")
@@ -31,8 +29,6 @@ _TYPES: dict[type, pa.DataType] = {
     dict: pa.list_(_ESTIMATE),
 }
 _CHOICES = {one.name: one.choices for one in (*TICK_COLUMNS, *SLOW_COLUMNS) if one.choices}
-_IN_EVERY_VERSION = "controller"
-"""One of them that no version's slow steps lack: a table without it is another one."""
 
 
 def _field(name: str, kind: pa.DataType, unit: str, meaning: str, source: str) -> pa.Field:
@@ -84,48 +80,57 @@ def _schema(columns: Sequence[Column], output_unit: str) -> pa.Schema:
 
 
 def ticks_batch(
-    columns: Mapping[str, bytes | list[str]], rows: int, schema: pa.Schema, utc_offset_s: float
+    columns: Mapping[str, bytes | list[str]],
+    rows: int,
+    schema: pa.Schema,
+    offsets: Sequence[tuple[int, float]],
 ) -> pa.RecordBatch:
     """Return fast ticks as a record batch.
 
     Args:
-        columns: Machine arrays and strings by column name; those of another version may be more or
-            fewer.
+        columns: Machine arrays and texts by column name.
         rows: Number of ticks.
         schema: Schema of the ticks.
-        utc_offset_s: UTC minus monotonic time.
+        offsets: UTC minus monotonic time in seconds, each with the rows that it holds for.
     """
-    fields = [field for field in schema if field.name in columns]
-    arrays = {field.name: _array(field.type, columns[field.name], rows) for field in fields}
-    arrays[_UTC_FIELD.name] = _utc(arrays[MONOTONIC], utc_offset_s)
-    return conform(pa.RecordBatch.from_pydict(arrays), schema)
+    arrays = {
+        field.name: _array(field.type, columns[field.name], rows)
+        for field in schema
+        if field.name != _UTC_FIELD.name
+    }
+    each = [offset_s for count, offset_s in offsets for _ in range(count)]
+    times_s = arrays[MONOTONIC].to_pylist()
+    arrays[_UTC_FIELD.name] = pa.array(map(_utc, times_s, each), UTC)
+    return pa.RecordBatch.from_pydict(arrays, schema)
 
 
-def rows_batch(
-    rows: Sequence[dict[str, Any]], schema: pa.Schema, utc_offset_s: float
-) -> pa.RecordBatch:
+def rows_batch(rows: Sequence[dict[str, Any]], schema: pa.Schema) -> pa.RecordBatch:
     """Return rows of slow steps or sensors as a record batch; a value that a row lacks is null.
 
     Args:
-        rows: Values by name of their column.
+        rows: Values by name of their column, and `offset_s`, UTC minus monotonic time.
         schema: Schema of the table.
-        utc_offset_s: UTC minus monotonic time.
     """
-    for row in rows:
-        time_s = row[MONOTONIC]
-        known = math.isfinite(time_s)
-        row["utc"] = round((time_s + utc_offset_s) * 1e6) if known else None
-    return pa.RecordBatch.from_pylist(rows, schema=schema)
+    timed = [row | {_UTC_FIELD.name: _utc(row[MONOTONIC], row["offset_s"])} for row in rows]
+    return pa.RecordBatch.from_pylist(timed, schema=schema)
 
 
 def conform(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
-    """Return the columns of a schema from a batch of this or an older format.
+    """Return the columns of a schema from a batch.
 
     Args:
         batch: Rows as they are on disk.
-        schema: The columns wanted; those that the batch lacks are NaN or null.
+        schema: The columns wanted.
+
+    Raises:
+        KeyError: A column is missing, or there twice.
+        ArrowException: A column is of another type.
     """
-    arrays = [_column(batch, field) for field in schema]
+    columns = (batch.column(field.name) for field in schema)
+    arrays = [
+        found if found.type == field.type else found.cast(field.type)
+        for field, found in zip(schema, columns, strict=True)
+    ]
     return pa.RecordBatch.from_arrays(arrays, schema=schema)
 
 
@@ -137,29 +142,21 @@ def foreign_value(batch: pa.RecordBatch) -> str | None:
     """
     for name, choices in _CHOICES.items():
         if name in batch.schema.names:
-            for value in pc.unique(batch.column(name)).to_pylist():
-                missing = value is None and name != _IN_EVERY_VERSION
-                if value not in choices and not missing:
+            for value in batch.column(name).unique().to_pylist():
+                if value not in choices:
                     return f"{name} is {value!r}, which is none of {', '.join(choices)}"
     return None
 
 
-def _column(batch: pa.RecordBatch, field: pa.Field) -> pa.Array:
-    if field.name not in batch.schema.names:
-        missing = pa.scalar(math.nan if field.type == pa.float64() else None, field.type)
-        return pa.repeat(missing, batch.num_rows)
-    found = batch.column(field.name)
-    return found if found.type == field.type else found.cast(field.type)
-
-
-def _utc(monotonic_s: pa.Array, offset_s: float) -> pa.Array:
-    microseconds = pc.round(pc.multiply(pc.add(monotonic_s, offset_s), 1e6))
-    known = pc.if_else(pc.is_finite(microseconds), microseconds, None)
-    return known.cast(pa.int64()).cast(UTC)
+def _utc(time_s: float, offset_s: float) -> int | None:
+    """Return a time in microseconds since 1970, None where it is not known."""
+    return round((time_s + offset_s) * 1e6) if math.isfinite(time_s) else None
 
 
 def _array(kind: pa.DataType, values: bytes | list[str], rows: int) -> pa.Array:
+    """Return a column; without `cast`, for which Arrow loads a large library."""
     if isinstance(values, list):
-        return pa.array(values, pa.string()).dictionary_encode()
-    stored = pa.int8() if kind == pa.bool_() else kind
-    return pa.Array.from_buffers(stored, rows, [None, pa.py_buffer(values)]).cast(kind)
+        return pa.array(values, kind)
+    if kind == pa.bool_():
+        return pa.array(map(bool, values), kind)
+    return pa.Array.from_buffers(kind, rows, [None, pa.py_buffer(values)])

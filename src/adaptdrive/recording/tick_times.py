@@ -15,16 +15,6 @@ EVERY_TICK = "lateness_us"
 _TIMES = (EVERY_TICK, "turnaround_us", "tick_us")
 
 
-def has_times(ticks: pa.RecordBatch) -> bool:
-    """Return whether a batch has the times of each tick, if only NaN; another table has not."""
-    names = ticks.schema.names
-    return all(names.count(name) == 1 and _is_complete(ticks.column(name)) for name in _TIMES)
-
-
-def _is_complete(column: pa.Array) -> bool:
-    return pa.types.is_float64(column.type) and not column.null_count
-
-
 class TickTimes:
     """Counts of lateness, turnaround and duration by bin."""
 

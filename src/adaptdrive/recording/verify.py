@@ -15,11 +15,12 @@ from adaptdrive.errors import RecordingError, reason_of
 from adaptdrive.files import require_regular
 from adaptdrive.recording.event_log import count_rows
 from adaptdrive.recording.reader import Session, conformed
-from adaptdrive.recording.resume import KEYS, last_key
 from adaptdrive.recording.segments import Segment, segments
-from adaptdrive.recording.session import EVENTS_FILE, SLOW, TICKS, Dropped
-from adaptdrive.recording.streams import TORN
+from adaptdrive.recording.session import EVENTS_FILE, SENSORS, SLOW, TICKS, Dropped
 from adaptdrive.recording.tick_times import EVERY_TICK
+
+_KEYS = {TICKS: "sequence", SLOW: "monotonic_s", SENSORS: "monotonic_s"}
+"""The column of each table that only ever grows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +51,8 @@ def verify(session: Session) -> Verification:
         session: The session.
     """
     problems = list(_event_problems(session.path / EVENTS_FILE, session.info.logged))
-    count = _Count(session.first_sequence)
-    for segment in segments(session.path):
+    count = _Count(session.info.first_sequence)
+    for segment in segments(session.path, session.info):
         try:
             # the columns of sensors are the user's
             schema = session.schema(segment.table) if segment.table in (TICKS, SLOW) else None
@@ -67,7 +68,7 @@ def verify(session: Session) -> Verification:
     # a whole file that is gone leaves no gap in the running numbers
     counted = sum(session.info.histograms.get(EVERY_TICK, ()))
     missing = max(missing, session.info.dropped.ticks, counted - rows.get(TICKS, 0))
-    problems += _torn_ends(session.path)
+    problems += session.info.losses
     return Verification(rows, missing, tuple(problems))
 
 
@@ -94,8 +95,8 @@ class _Count:
             RecordingError: They are not later than those before them, as in a copy of a file.
         """
         table = segment.table
-        if batch.num_rows and (table == TICKS or KEYS[table] in batch.schema.names):
-            first, last = last_key(segment, batch.slice(length=1)), last_key(segment, batch)
+        if batch.num_rows and (table == TICKS or _KEYS[table] in batch.schema.names):
+            first, last = _last_key(segment, batch.slice(length=1)), _last_key(segment, batch)
             if first <= self.last.get(table, -math.inf):
                 raise RecordingError(segment.path, "its rows are not later than those before them")
             self.last[table] = last
@@ -109,17 +110,14 @@ class _Count:
         self.next_sequence = last + 1
 
 
-def _torn_ends(directory: Path) -> Iterator[str]:
-    """Yield the last segments that broke off: only their whole batches could be kept as tables.
-
-    The recorder writes what an earlier segment lacks, as where the disk was full, into the next.
-    """
-    last = {segment.table: segment.number for segment in segments(directory)}
-    for path in sorted(directory.glob(f"*{TORN}")):
-        table, _, number = path.stem.partition("-")
-        number = number or "0"  # of format 1
-        if number.isdecimal() and int(number) >= last.get(table, 0):
-            yield f"{path.name}: it breaks off within a batch, which is left out"
+def _last_key(segment: Segment, batch: pa.RecordBatch) -> float:
+    """Return the value of the key column in the last row of a batch."""
+    key = _KEYS[segment.table]
+    if batch.schema.names.count(key) == 1:
+        last = batch.column(key)[-1].as_py()
+        if isinstance(last, int if segment.table == TICKS else float):
+            return last
+    raise RecordingError(segment.path, f"it does not hold the {key} of each row")
 
 
 def _missing_rows(rows: Mapping[str, int], known: Mapping[str, int]) -> Iterator[str]:

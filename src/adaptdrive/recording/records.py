@@ -1,21 +1,20 @@
-"""Messages in the pipe from the control process to the recorder process.
+"""Payloads of the log's records: rows of ticks, slow steps and sensors, events and commands.
 
-Each message is a length (four bytes, little-endian) and that many bytes of MessagePack: one
-`Header`, then `Batch` after `Batch`. Numbers of fast ticks travel as packed machine arrays, so
-that a float arrives with the very bits it left with.
+Numbers of fast ticks are packed machine arrays, so that a float is read with the very bits that it
+was written with.
 """
 
 from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from datetime import datetime
-from typing import Any, BinaryIO
+from typing import Any
 
 import msgspec
 
-from adaptdrive.recording.session import Dropped, SessionInfo
+from adaptdrive.recording.session import SessionInfo
 from adaptdrive.runtime.reports import (
     MONOTONIC,
     SLOW_COLUMNS,
@@ -25,14 +24,9 @@ from adaptdrive.runtime.reports import (
     Event,
     LoadReport,
     SensorSample,
+    Severity,
     TickReport,
 )
-
-_LENGTH_BYTES = 4
-
-STOPPED = "recording has stopped, control goes on"
-UNBEGUN = "nothing is recorded, control goes on"
-"""Beginnings of the events by which a recorder reports that it cannot write."""
 
 _CODES = {float: "d", int: "q", bool: "b"}
 
@@ -53,12 +47,25 @@ class TickTable:
             self._columns[column.name].extend(map(column.read, reports))
         self.rows += len(reports)
 
-    def packed(self) -> dict[str, bytes | list[str]]:
-        """The columns by name: bytes of numbers, or strings."""
-        return {
+    def packed(self) -> Ticks:
+        """Return the columns: bytes of numbers, or texts."""
+        columns = {
             name: values.tobytes() if isinstance(values, array) else values
             for name, values in self._columns.items()
         }
+        return Ticks(self.rows, columns)
+
+
+class Ticks(msgspec.Struct, frozen=True):
+    """Fast ticks.
+
+    Attributes:
+        rows: Their number.
+        columns: Bytes of machine numbers, or texts, by name of the column.
+    """
+
+    rows: int
+    columns: dict[str, bytes | list[str]]
 
 
 class SensorColumn(msgspec.Struct, frozen=True):
@@ -97,6 +104,11 @@ class EventRow(msgspec.Struct, frozen=True):
     detail: str
     monotonic_s: float = math.nan
     number: int = 0
+
+    @property
+    def event(self) -> Event:
+        """The event as it was reported."""
+        return Event(self.kind, Severity(self.severity), self.detail, self.tick)
 
 
 class CommandRow(msgspec.Struct, frozen=True):
@@ -138,79 +150,36 @@ class Keep(msgspec.Struct, frozen=True):
 
 
 class Header(msgspec.Struct, frozen=True):
-    """The first message to a recorder process.
+    """A session, as each file of the log that belongs to it describes it.
 
     Attributes:
         info: Facts about the session.
         config_text: The configuration in force, as TOML.
-        sessions: Folder of all sessions.
-        directory: Folder of this session, empty while there is none.
+        sessions: Folder of all sessions, from the state directory on; empty where none is
+            recorded.
         sensors: Columns of the sensor buses.
-        segment_s: Length of a segment.
+        segment_s: Length of a segment of the session.
         keep: How long sessions are kept.
     """
 
     info: SessionInfo
     config_text: str
     sessions: str = ""
-    directory: str = ""
     sensors: tuple[SensorColumn, ...] = ()
     segment_s: float = 3600.0
     keep: Keep = Keep()
 
 
-class Batch(msgspec.Struct, frozen=True):
-    """Rows gathered since the last batch.
+class News(msgspec.Struct, frozen=True):
+    """Report of the archiver process, one JSON object a line.
 
     Attributes:
-        tick_rows: Rows in `ticks`.
-        ticks: Columns of fast ticks.
-        slow: Slow steps.
-        events: Events.
-        dropped: Everything lost since the session began.
-        last: The control process ends.
-        utc_offset_s: UTC minus monotonic time.
-        sensors: Values of the sensor buses.
-        commands: Operator commands.
-        number: Running number of the batch, from 1.
-    """
-
-    tick_rows: int
-    ticks: dict[str, bytes | list[str]]
-    slow: list[dict[str, Any]]
-    events: list[EventRow]
-    dropped: Dropped
-    last: bool
-    utc_offset_s: float = 0.0
-    sensors: list[dict[str, float]] = []
-    commands: list[CommandRow] = []
-    number: int = 0
-
-    @property
-    def empty(self) -> bool:
-        """True when there is nothing to write."""
-        lists = self.slow or self.events or self.sensors or self.commands
-        return not (self.tick_rows or lists or self.last)
-
-
-class News(msgspec.Struct, frozen=True, omit_defaults=True):
-    """Reports of the recorder process, one JSON object a line.
-
-    Attributes:
-        written: Number of the last batch that is on disk, the last of all with the session's end.
-        directory: Folder of the session.
-        severity: Of `detail`.
+        severity: How much it matters.
         detail: An event in words.
-        failing: Whether nothing can be written now.
-        damaged: Whether what was to be written can never be, for the reason in `detail`.
     """
 
-    written: int = 0
-    directory: str = ""
-    severity: str = ""
-    detail: str = ""
-    failing: bool = False
-    damaged: bool = False
+    severity: str
+    detail: str
 
 
 def slow_row(report: LoadReport) -> dict[str, Any]:
@@ -260,19 +229,3 @@ def command_row(
         reason=report.reason,
         number=number,
     )
-
-
-def framed(message: Header | Batch) -> bytes:
-    """Return a message as it goes through the pipe."""
-    body = msgspec.msgpack.encode(message)
-    return len(body).to_bytes(_LENGTH_BYTES, "little") + body
-
-
-def read_frames(stream: BinaryIO) -> Iterator[bytes]:
-    """Yield the bodies of the messages in a stream; one that breaks off is left out."""
-    while len(prefix := stream.read(_LENGTH_BYTES)) == _LENGTH_BYTES:
-        length = int.from_bytes(prefix, "little")
-        body = stream.read(length)
-        if len(body) < length:
-            return
-        yield body

@@ -1,0 +1,274 @@
+"""The archive: a fold from the log of a drive to the folders of its sessions.
+
+It gives the same result however often it is run: a Parquet file and `session.json` appear whole,
+and a file of the log is removed when all of it is in them. A full disk, a kill or a damaged part
+of the log therefore needs no repair but another run.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import math
+import os
+import sqlite3
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import groupby
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+import pyarrow as pa
+
+from adaptdrive.errors import AdaptdriveError, RecordingError
+from adaptdrive.recording import event_log, reserve
+from adaptdrive.recording.log_files import LogFile, is_live, log_files, newest_sound
+from adaptdrive.recording.log_tables import logged_batches, table_schema
+from adaptdrive.recording.notes import logged_notes
+from adaptdrive.recording.parquet import write_parquet
+from adaptdrive.recording.records import Header
+from adaptdrive.recording.retention import prune
+from adaptdrive.recording.segments import last_tick_time, parquet_path
+from adaptdrive.recording.session import (
+    EVENTS_FILE,
+    TABLES,
+    TICKS,
+    Ending,
+    NewSession,
+    SessionInfo,
+    create_session,
+    read_info,
+    session_of,
+    write_info,
+)
+from adaptdrive.recording.tick_times import TickTimes
+from adaptdrive.recording.trip_record import write_trips
+from adaptdrive.runtime.reports import Severity
+
+T = TypeVar("T")
+Report = Callable[[Severity, str], None]
+
+ERRORS = (AdaptdriveError, OSError, sqlite3.Error, pa.ArrowException)
+"""Errors that a disk or damaged files can cause."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Logged:
+    """What the log has of a session.
+
+    Attributes:
+        header: The session.
+        files: Files of it, in their order.
+        open: Segment that is still written, 0 for none.
+    """
+
+    header: Header
+    files: tuple[LogFile, ...]
+    open: int
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the log."""
+        return self.files[0].path.parent
+
+    @property
+    def closed(self) -> Iterator[tuple[int, tuple[LogFile, ...]]]:
+        """Segments that are complete, each with its files."""
+        for part, files in groupby(self.files, key=lambda file: file.part):
+            if part != self.open:
+                yield part, tuple(files)
+
+
+def archive(folder: Path, now_s: float, after_s: float, report: Report) -> list[Path]:
+    """Write what the log has into the folders of its sessions.
+
+    A session that cannot be written stays in the log and keeps no other from being written.
+
+    Args:
+        folder: Folder of the log.
+        now_s: Present time, monotonic.
+        after_s: Time after a trip that belongs to its record.
+        report: Reports an event.
+
+    Returns:
+        Folders of the records of trips that were written.
+
+    Raises:
+        RecordingError: Something of the log could not be written.
+        OSError: Another archiver cannot be kept out.
+    """
+    written: list[Path] = []
+    failures: list[str] = []
+    with _alone(folder):
+        for logged in _sessions(folder, report):
+            try:
+                written += _archive(logged, now_s, after_s, report)
+            except ERRORS as problem:
+                failures.append(f"session {logged.files[0].session} stays in the log: {problem}")
+        if not failures:
+            _remove_archived(folder)
+    if failures:
+        raise RecordingError(folder, "; ".join(failures))
+    return written
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Keep other archivers out."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _sessions(folder: Path, report: Report) -> Iterator[_Logged]:
+    files, live = log_files(folder), is_live(folder)
+    for session, group in groupby(files, key=lambda file: file.session):
+        of_session = tuple(group)
+        begins = (file.begin() for file in of_session)
+        begin = next((one for one in begins if one is not None), None)
+        if begin is None:
+            _put_aside(of_session, report)
+            continue
+        is_open = live and session == files[-1].session
+        yield _Logged(begin.header, of_session, files[-1].part if is_open else 0)
+
+
+def _put_aside(files: Sequence[LogFile], report: Report) -> None:
+    """Rename files without a first record that can be read; those that took no record go."""
+    for file in files:
+        if not file.path.stat().st_size:
+            file.path.unlink()
+            continue
+        kept = file.path.rename(file.path.with_name(f"damaged-{file.path.name}"))
+        report(Severity.WARNING, f"{kept} is of no session that can be told: it is kept")
+
+
+def _archive(logged: _Logged, now_s: float, after_s: float, report: Report) -> list[Path]:
+    directory = _directory(logged)
+    if directory is None:
+        return []
+    due_s = now_s - after_s if logged.open else math.inf
+    trips = _with_reserve(logged.folder, lambda: write_trips(directory, due_s, after_s))
+    info = read_info(directory)
+    for part, files in logged.closed:
+        if part > info.segments:
+            info = close_segment(directory, logged.header, info, part, files)
+    if not logged.open and info.ended is Ending.OPEN:
+        _with_reserve(logged.folder, lambda: _end(directory, info, logged, report))
+    if logged.files[-1] == log_files(logged.folder)[-1]:
+        for sentence in prune(directory.parent, logged.header.keep, datetime.now(UTC), directory):
+            report(Severity.INFO, sentence)
+    return trips
+
+
+def _with_reserve(folder: Path, write: Callable[[], T]) -> T:
+    try:
+        return write()
+    except ERRORS:
+        # whatever it was: the reserve is what can be done about it
+        reserve.release(folder)
+        return write()
+
+
+def _directory(logged: _Logged) -> Path | None:
+    """Return the folder of a session; one that was removed is made again for its rows."""
+    header = logged.header
+    if not header.sessions:
+        return None
+    sessions = logged.folder.parent / header.sessions
+    found = session_of(sessions, header.info)
+    if found is None and logged_notes(logged.files).rows:
+        return create_session(NewSession(sessions, header.info, header.config_text))
+    return found
+
+
+def close_segment(
+    directory: Path, header: Header, info: SessionInfo, part: int, files: Sequence[LogFile]
+) -> SessionInfo:
+    """Write one segment; `session.json` is last, and states that it is closed.
+
+    Args:
+        directory: Directory of the session.
+        header: The session.
+        info: Its facts.
+        part: Number of the segment.
+        files: Files of the log that hold it.
+
+    Returns:
+        Its facts now.
+
+    Raises:
+        RecordingError: The log cannot be read.
+        OSError: The segment cannot be written.
+    """
+    losses: list[str] = []
+    notes = logged_notes(files, losses)
+    rows, times = dict(info.rows), TickTimes(info.histograms)
+    for table in TABLES:
+        schema = table_schema(header, table)
+        write_parquet(
+            parquet_path(directory, table, part),
+            _counted(logged_batches(files, table, schema), table, rows, times),
+        )
+    path = directory / EVENTS_FILE
+    logged = info.logged
+    if notes.events or notes.commands:
+        logged = event_log.append(path, notes.events, notes.commands)
+    info = msgspec.structs.replace(
+        info,
+        segments=part,
+        rows=rows,
+        histograms=times.histograms,
+        dropped=notes.dropped or info.dropped,
+        logged=logged,
+        losses=(*info.losses, *losses),
+    )
+    write_info(directory, info)
+    return info
+
+
+def _counted(
+    batches: Iterator[pa.RecordBatch], table: str, rows: dict[str, int], times: TickTimes
+) -> Iterator[pa.RecordBatch]:
+    for batch in batches:
+        rows[table] = rows.get(table, 0) + batch.num_rows
+        if table == TICKS:
+            times.count(batch)
+        yield batch
+
+
+def _end(directory: Path, info: SessionInfo, logged: _Logged, report: Report) -> None:
+    """Write how a session ended, and report what it lacks."""
+    ending = Ending.ORDERLY if logged_notes(logged.files).ended else Ending.CUT
+    write_info(directory, msgspec.structs.replace(info, ended=ending))
+    if ending is Ending.CUT:
+        last = last_tick_time(directory, info)
+        until = f"its last tick is of {last:%Y-%m-%dT%H:%M:%S.%f}Z" if last else "it has no ticks"
+        detail = f"session {directory.name} ended without its close, the daemon was killed: {until}"
+        report(Severity.WARNING, detail)
+    for loss in info.losses:
+        report(Severity.WARNING, f"session {directory.name}: {loss}")
+
+
+def _remove_archived(folder: Path) -> None:
+    """Remove the files before the last one that says what they have left."""
+    files = log_files(folder)
+    newest = newest_sound(files)
+    open_part = (files[-1].session, files[-1].part) if files and is_live(folder) else None
+    done = [
+        file for file in files if file.number < newest and (file.session, file.part) != open_part
+    ]
+    if done:
+        _sync(next(file.path for file in files if file.number == newest))
+    for file in done:
+        file.path.unlink(missing_ok=True)
+
+
+def _sync(path: Path) -> None:
+    with path.open("rb") as file:
+        os.fsync(file.fileno())

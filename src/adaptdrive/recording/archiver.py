@@ -1,0 +1,80 @@
+"""The archiver process: writes what the log has into the folders of its sessions, and ends.
+
+It is started as `python -m adaptdrive.recording.archiver LOG SESSIONS AFTER [--no-figure]`, AFTER
+being the time after a trip that belongs to its record, and outlives the daemon that started it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+
+from adaptdrive.clock.now import now_s
+from adaptdrive.errors import escaped
+from adaptdrive.recording.archive import ERRORS, archive
+from adaptdrive.recording.records import News
+from adaptdrive.runtime.reports import Severity
+
+NO_FIGURE = "--no-figure"
+"""Word of the command line without which the figure of a trip is drawn."""
+
+_FIGURE_MODULE = "adaptdrive.analysis"
+_FIGURE_PATIENCE_S = 120.0
+
+
+def step_aside() -> None:
+    """Leave the processor and the signals to the control process, whose child this is."""
+    # A service manager and a terminal signal every process; this one ends with its work.
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGABRT):
+        signal.signal(number, signal.SIG_IGN)
+    # Real-time priority is inherited. Where the system forbids a change, it works all the same.
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.nice(5)
+
+
+def report(severity: Severity, detail: str) -> None:
+    """Report to the control process, if it is still there."""
+    news = News(severity.value, escaped(detail))
+    with contextlib.suppress(OSError):
+        os.write(sys.stdout.fileno(), msgspec.json.encode(news) + b"\n")
+
+
+def draw(directory: Path) -> bool:
+    """Draw the figure of a trip, where the libraries for that are installed."""
+    if importlib.util.find_spec("matplotlib") is None:
+        return False
+    command = [sys.executable, "-P", "-m", _FIGURE_MODULE, str(directory)]
+    try:
+        drawn = subprocess.run(  # noqa: S603 - this program itself
+            command, capture_output=True, timeout=_FIGURE_PATIENCE_S, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return drawn.returncode == 0
+
+
+def main() -> None:
+    """Archive, report the records of trips, and draw their figures."""
+    step_aside()
+    try:
+        trips = archive(Path(sys.argv[1]), now_s(), float(sys.argv[3]), report)
+    except ERRORS as problem:
+        sys.exit(str(problem))
+    for directory in trips:
+        words = f"the record of the trip is in {directory}; `adaptdrive plot {directory}` draws it"
+        report(Severity.INFO, words)
+    for directory in trips:
+        if NO_FIGURE not in sys.argv and draw(directory):
+            report(Severity.INFO, f"the figure of the trip is in {directory}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,203 @@
+"""The log of a drive: what happened is appended once, and everything else is read from it.
+
+The control process hands records over and never waits. Rows of ticks go into the file without a
+sync; events, commands and replies are synced in groups, for which whoever publishes them can wait
+for a bounded time. What a disk that hangs leaves waiting is bounded: the oldest rows go, counted;
+an event, a command or a reply never does.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+
+from adaptdrive.recording.frames import Kind
+from adaptdrive.recording.log_writer import NOTES, ROWS, Item, LogWriter, Outcome
+from adaptdrive.recording.memory import Recalled
+from adaptdrive.recording.records import Header
+from adaptdrive.recording.session import Dropped
+
+LARGEST_BACKLOG_BYTES = 4 << 20
+"""Rows that wait for a disk that hangs: about 200 s at 120 Hz."""
+
+_TABLES = {Kind.TICKS, Kind.SLOW, Kind.SENSORS}
+
+Clock = Callable[[], tuple[float, float]]
+"""Returns monotonic and wall time, in seconds."""
+
+
+class Log:
+    """Appends records; a disk that fails is tried again until it takes them.
+
+    Attributes:
+        dropped: Rows that went because too many waited.
+        problems: Why nothing (`notes`), no rows (`rows`) or nothing that outlasts a power cut
+            (`sync`) is written; empty texts while all is.
+    """
+
+    def __init__(  # noqa: PLR0913 - of the log
+        self,
+        folder: Path,
+        header: Header,
+        recalled: Recalled,
+        clock: Clock,
+        *,
+        hear: Callable[[Outcome], None],
+        begin_rows: Callable[[], None] = lambda: None,
+        start_thread: Callable[[], None] = lambda: None,
+        backlog_bytes: int = LARGEST_BACKLOG_BYTES,
+    ) -> None:
+        """Touch nothing yet.
+
+        Args:
+            folder: Folder of the log.
+            header: The session.
+            recalled: What an earlier run has left.
+            clock: Clocks of the records.
+            hear: Takes news of the threads, in the event loop.
+            begin_rows: Prepares for rows, in a thread; may raise `OSError`, and is called again.
+            start_thread: What a thread does first.
+            backlog_bytes: Rows that may wait.
+        """
+        self.dropped = Dropped()
+        self.problems = {NOTES: "", ROWS: ""}
+        self._clock = clock
+        self._hear = hear
+        self._backlog_bytes = backlog_bytes
+        self._writer = LogWriter(
+            folder, header, recalled, clock, self._tell, begin_rows, start_thread
+        )
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._notes = self._synced = self._rows_bytes = 0
+        self._in_vain_s = 0.0
+        self._waiters: list[tuple[int, asyncio.Event]] = []
+        self._written = False
+        self._ended = asyncio.Event()
+
+    @property
+    def failing(self) -> bool:
+        """True while what is appended is not written."""
+        return any(self.problems.values())
+
+    @property
+    def closed(self) -> bool:
+        """True once the disk keeps all of it, and the file is closed."""
+        return self._ended.is_set()
+
+    @property
+    def behind(self) -> bool:
+        """True while half as many rows wait as may."""
+        return self._waiting_bytes > self._backlog_bytes // 2
+
+    @property
+    def _waiting_bytes(self) -> int:
+        return self._rows_bytes - self._writer.rows_written
+
+    def start(self) -> None:
+        """Begin to write.
+
+        Raises:
+            RuntimeError: This process may have no further thread.
+        """
+        self._loop = asyncio.get_running_loop()
+        try:
+            self._writer.start()
+        except RuntimeError:
+            self._loop = None
+            raise
+
+    def let_rows_in(self) -> None:
+        """Begin to write rows; those that were appended before wait for this."""
+        self._writer.let_rows_in()
+
+    def append(self, kind: Kind, payload: bytes, rows: int = 0) -> None:
+        """Hand a record over; returns at once.
+
+        Args:
+            kind: Its kind.
+            payload: Its contents.
+            rows: Rows of tables in it.
+        """
+        item = Item(kind, payload, *self._clock(), rows)
+        if kind in _TABLES:
+            self._rows_bytes += len(payload)
+            self._writer.rows.append(item)
+            self._bound()
+        else:
+            self._notes += 1
+            self._writer.notes.append(item)
+        self._writer.wake()
+
+    async def kept(self, patience_s: float) -> None:
+        """Wait until the disk keeps the records other than rows that were appended so far.
+
+        A disk that takes longer is waited for once, and then not before it has answered; one that
+        fails is not waited for.
+
+        Args:
+            patience_s: Longest wait.
+        """
+        answers = self._loop is not None and not self.problems[NOTES]
+        if self._synced >= self._notes or not answers or self._in_vain_s >= patience_s:
+            return
+        waiter = self._notes, asyncio.Event()
+        self._waiters.append(waiter)
+        try:
+            async with asyncio.timeout(patience_s):
+                await waiter[1].wait()
+        except TimeoutError:
+            self._in_vain_s = patience_s
+        finally:
+            with contextlib.suppress(ValueError):
+                self._waiters.remove(waiter)
+
+    async def close(self, patience_s: float) -> bool:
+        """Write what waits and close the file.
+
+        Args:
+            patience_s: Longest wait.
+
+        Returns:
+            Whether all is written; `closed` is False where the disk has not confirmed that.
+        """
+        if self._loop is None:
+            return False
+        self._writer.close()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(patience_s):
+                await self._ended.wait()
+        return self._written
+
+    def _bound(self) -> None:
+        """Drop the oldest rows where too many wait."""
+        writer = self._writer
+        while self._waiting_bytes > self._backlog_bytes:
+            try:
+                oldest = writer.rows.popleft()
+            except IndexError:  # all of it is being written
+                return
+            self._rows_bytes -= len(oldest.payload)
+            if oldest.kind is Kind.TICKS:
+                self.dropped += Dropped(ticks=oldest.rows)
+            elif oldest.kind is Kind.SLOW:
+                self.dropped += Dropped(slow=oldest.rows)
+
+    def _tell(self, outcome: Outcome) -> None:
+        """Pass news of a thread to the event loop, which may have ended."""
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):
+                self._loop.call_soon_threadsafe(self._take, outcome)
+
+    def _take(self, outcome: Outcome) -> None:
+        self.problems.update(outcome.problems)
+        if outcome.synced is not None:
+            self._synced, self._in_vain_s = outcome.synced, 0.0
+        for number, waiter in self._waiters:
+            if number <= self._synced or self.problems[NOTES]:
+                waiter.set()
+        self._written |= outcome.written
+        if outcome.ended:
+            self._ended.set()
+        self._hear(outcome)

@@ -1,0 +1,220 @@
+"""Files of the log of a drive: their names, their records, and what the next run recalls of them.
+
+A file is named by its running number, the start of its session and the segment of that session.
+The daemon holds a lock on the file that it writes.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import msgspec
+
+from adaptdrive.errors import NOT_JSON, RecordingError, reason_of
+from adaptdrive.files import read_regular
+from adaptdrive.recording.frames import LARGEST_BYTES, Kind, Loss, Record, read_frames
+from adaptdrive.recording.memory import Begin, Memory, Recalled
+from adaptdrive.recording.session import Ending, SessionInfo, time_in_name
+
+SUFFIX = ".log"
+_NAME = re.compile(r"(?P<number>\d{8})-(?P<session>\d{8}T\d{12}Z)-(?P<part>\d{4,})\.log")
+NO_LOG = Recalled()
+
+
+def log_folder(state: Path, drive: str) -> Path:
+    """Return the folder of the log of a drive.
+
+    Args:
+        state: State directory of its daemon.
+        drive: Its name.
+    """
+    return state / f"{drive}.log"
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class LogFile:
+    """One file of the log.
+
+    Attributes:
+        number: Running number in the log.
+        session: Start of the session, as in names of files.
+        part: Segment of the session.
+        path: The file.
+    """
+
+    number: int
+    session: str
+    part: int
+    path: Path
+
+    def begin(self) -> Begin | None:
+        """Return its first record, None where that cannot be read.
+
+        Raises:
+            RecordingError: The file cannot be read.
+        """
+        first = next(read_frames(_content(self.path)), None)
+        return _begin(first)
+
+
+def new_file(folder: Path, number: int, started: datetime, part: int) -> LogFile:
+    """Return the file of a number, which need not exist."""
+    session = time_in_name(started)
+    path = folder / f"{number:08}-{session}-{part:04}{SUFFIX}"
+    return LogFile(number, session, part, path)
+
+
+def log_files(folder: Path, session: str | None = None) -> list[LogFile]:
+    """Return the files of a log in their order, none where there is no such folder.
+
+    Args:
+        folder: Folder of the log.
+        session: Start of one session, None for all.
+
+    Raises:
+        RecordingError: The folder cannot be read.
+    """
+    try:
+        paths = list(folder.iterdir())
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    except OSError as problem:
+        raise RecordingError(folder, reason_of(problem)) from problem
+    found = ((path, _NAME.fullmatch(path.name)) for path in paths)
+    return sorted(
+        LogFile(int(match["number"]), match["session"], int(match["part"]), path)
+        for path, match in found
+        if match and session in {None, match["session"]}
+    )
+
+
+def unarchived(directory: Path, info: SessionInfo) -> list[LogFile]:
+    """Return the files of the log with what a session does not have yet.
+
+    Args:
+        directory: Directory of the session.
+        info: Its facts.
+
+    Raises:
+        RecordingError: The folder of the log cannot be read.
+    """
+    if not info.log:
+        return []
+    files = log_files(directory.parent / info.log, time_in_name(info.started))
+    return [file for file in files if file.part > info.segments]
+
+
+def is_live(folder: Path) -> bool:
+    """Return whether a daemon writes a log."""
+    files = log_files(folder)
+    if not files:
+        return False
+    try:
+        with files[-1].path.open("rb") as newest:
+            fcntl.flock(newest, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
+def in_progress(directory: Path, info: SessionInfo) -> bool:
+    """Return whether a daemon records a session now.
+
+    Args:
+        directory: Directory of the session.
+        info: Its facts.
+
+    Raises:
+        RecordingError: The folder of its log cannot be read.
+    """
+    return info.ended is Ending.OPEN and bool(info.log) and is_live(directory.parent / info.log)
+
+
+def records(files: Sequence[LogFile], losses: list[str] | None = None) -> Iterator[Record]:
+    """Yield the records of files, each once.
+
+    A record that a failing disk took in part is in the next file, too.
+
+    Args:
+        files: Files of one log, in their order.
+        losses: Takes what cannot be read, in words.
+
+    Raises:
+        RecordingError: A file cannot be read at all.
+    """
+    losses = [] if losses is None else losses
+    last = 0
+    for file in files:
+        for found in read_frames(_content(file.path)):
+            if isinstance(found, Loss):
+                losses.append(f"{file.path.name}: {found}")
+            elif found.number > last or found.kind is Kind.BEGIN:
+                last = max(last, found.number)
+                yield found
+
+
+def recall(folder: Path, now: datetime) -> Recalled:
+    """Return what an earlier run has left in its log; what cannot be read is named in it.
+
+    Args:
+        folder: Folder of the log.
+        now: Present time, UTC.
+    """
+    flaws: list[str] = []
+    try:
+        files = log_files(folder)
+    except RecordingError as problem:
+        return Recalled(flaws=(str(problem),))
+    known = _since_last_begin(files, flaws)
+    memory = Memory(NO_LOG, 0.0)
+    for file in known:
+        try:
+            for record in records([file], flaws):
+                memory.take(record)
+        except RecordingError as problem:
+            flaws.append(str(problem))
+    places = tuple(f"{folder}/{flaw.removeprefix(f'{folder}/')}" for flaw in flaws)
+    return memory.recalled(now, files[-1].number if files else 0, places)
+
+
+def newest_sound(files: Sequence[LogFile]) -> int:
+    """Return the number of the last file with a first record that can be read, 0 for none."""
+    return next((file.number for file in _since_last_begin(files, [])), 0)
+
+
+def _since_last_begin(files: Sequence[LogFile], flaws: list[str]) -> Sequence[LogFile]:
+    """Return the files from the last one on whose first record can be read."""
+    for place in reversed(range(len(files))):
+        try:
+            if files[place].begin() is not None:
+                return files[place:]
+        except RecordingError as problem:
+            flaws.append(str(problem))
+    flaws += [f"{file.path.name}: its first record cannot be read" for file in files]
+    return ()
+
+
+def _begin(first: Record | Loss | None) -> Begin | None:
+    if not isinstance(first, Record) or first.kind is not Kind.BEGIN:
+        return None
+    try:
+        return msgspec.msgpack.decode(first.payload, type=Begin)
+    except NOT_JSON:
+        return None
+
+
+def _content(path: Path) -> bytes:
+    """Return a file of the log; nothing of one that was removed meanwhile."""
+    try:
+        return read_regular(path, LARGEST_BYTES)
+    except FileNotFoundError:
+        return b""
+    except OSError as problem:
+        raise RecordingError(path, reason_of(problem)) from problem

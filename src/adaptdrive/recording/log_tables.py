@@ -1,0 +1,117 @@
+"""Tables in files of the log."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Any
+
+import msgspec
+import pyarrow as pa
+
+from adaptdrive.errors import NOT_JSON
+from adaptdrive.recording.frames import Kind, Record
+from adaptdrive.recording.log_files import LogFile, records
+from adaptdrive.recording.records import Header, Ticks
+from adaptdrive.recording.session import SENSORS, SLOW, TICKS
+from adaptdrive.recording.tables import (
+    rows_batch,
+    sensors_schema,
+    slow_schema,
+    ticks_batch,
+    ticks_schema,
+)
+
+_TICKS_AT_ONCE = 25_000
+_ROWS_AT_ONCE = 2_000
+_KINDS = {SLOW: Kind.SLOW, SENSORS: Kind.SENSORS}
+
+
+def table_schema(header: Header, table: str) -> pa.Schema:
+    """Return the columns of a table of a session.
+
+    Args:
+        header: The session.
+        table: Name of the table.
+    """
+    if table == SENSORS:
+        return sensors_schema(header.sensors)
+    unit = header.info.output_unit
+    return ticks_schema(unit) if table == TICKS else slow_schema(unit)
+
+
+def logged_batches(
+    files: Sequence[LogFile], table: str, schema: pa.Schema, losses: list[str] | None = None
+) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of a table in files of the log.
+
+    Args:
+        files: Files of one segment of a session, in their order.
+        table: Name of the table.
+        schema: Its columns.
+        losses: Takes what cannot be read, in words.
+
+    Raises:
+        RecordingError: A file cannot be read at all.
+    """
+    losses = [] if losses is None else losses
+    found = records(files, losses)
+    return _ticks(found, schema, losses) if table == TICKS else _rows(found, table, schema, losses)
+
+
+def _ticks(
+    found: Iterator[Record], schema: pa.Schema, losses: list[str]
+) -> Iterator[pa.RecordBatch]:
+    columns: dict[str, Any] = {}
+    offsets: list[tuple[int, float]] = []
+    rows = 0
+    for record in found:
+        ticks = _content(record, Ticks, losses) if record.kind is Kind.TICKS else None
+        if ticks is None:
+            continue
+        for name, values in ticks.columns.items():
+            if name in columns:
+                columns[name] += values
+            else:
+                columns[name] = list(values) if isinstance(values, list) else bytearray(values)
+        offsets.append((ticks.rows, record.wall_s - record.monotonic_s))
+        rows += ticks.rows
+        if rows >= _TICKS_AT_ONCE:
+            yield from _made(partial(ticks_batch, columns, rows, schema, offsets), losses)
+            columns, offsets, rows = {}, [], 0
+    if rows:
+        yield from _made(partial(ticks_batch, columns, rows, schema, offsets), losses)
+
+
+def _rows(
+    found: Iterator[Record], table: str, schema: pa.Schema, losses: list[str]
+) -> Iterator[pa.RecordBatch]:
+    rows: list[dict[str, Any]] = []
+    for record in found:
+        if record.kind is not _KINDS[table]:
+            continue
+        offset = {"offset_s": record.wall_s - record.monotonic_s}
+        rows += [row | offset for row in _content(record, list[dict[str, Any]], losses) or ()]
+        if len(rows) >= _ROWS_AT_ONCE:
+            yield from _made(partial(rows_batch, rows, schema), losses)
+            rows = []
+    if rows:
+        yield from _made(partial(rows_batch, rows, schema), losses)
+
+
+def _made(make: Callable[[], pa.RecordBatch], losses: list[str]) -> Iterator[pa.RecordBatch]:
+    """Yield a batch, or note that its rows do not fit their table, as those of another version."""
+    try:
+        yield make()
+    except (LookupError, TypeError, ValueError) as problem:
+        losses.append(f"rows that make no table: {problem}")
+
+
+def _content(record: Record, kind: type[Any], losses: list[str]) -> Any:  # noqa: ANN401 - of a kind
+    """Return what a record of rows holds, None where it cannot be decoded."""
+    try:
+        return msgspec.msgpack.decode(zlib.decompress(record.payload), type=kind)
+    except (zlib.error, *NOT_JSON) as problem:
+        losses.append(f"record {record.number}: {problem}")
+        return None

@@ -1,0 +1,338 @@
+"""The log as its threads see it: files that are appended to, and synced for those who wait.
+
+One thread writes, which a disk may hold up for as long as it likes; another one has the disk keep
+what was written, so that rows and events go into the file while that takes its time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import queue
+import threading
+import time
+import zlib
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import msgspec
+
+from adaptdrive.recording import reserve
+from adaptdrive.recording.frames import Kind, Record, framed
+from adaptdrive.recording.log_files import new_file
+from adaptdrive.recording.memory import Memory, Recalled
+from adaptdrive.recording.records import Header
+
+_LARGEST_FILE_BYTES = 4 << 20
+_AT_ONCE = 50
+"""Records to a write: about 0.3 ms with Python's lock."""
+
+_CLOSE = -1
+"""Job of the thread that syncs: close the file."""
+
+_FAST = 1
+"""Level of compression: at 120 Hz it takes 0.06 ms, without Python's lock, four times a second."""
+
+_PAUSE_S = 0.5
+"""Shortest time from an attempt that failed to the next."""
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """A record that waits.
+
+    Attributes:
+        kind: Its kind.
+        payload: Its contents.
+        monotonic_s: When it was handed over.
+        wall_s: When, by the wall clock.
+        rows: Rows of tables in it.
+    """
+
+    kind: Kind
+    payload: bytes
+    monotonic_s: float
+    wall_s: float
+    rows: int = 0
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """What the threads report to the event loop.
+
+    Attributes:
+        synced: Records other than rows that the disk keeps by now, None for no news of them.
+        problems: Why nothing, no rows, or nothing that outlasts a power cut is written, by name;
+            an empty text where it is again.
+        part: Segment of the session that has begun, 0 for no news.
+        written: Whether all is written, and nothing more will be.
+        ended: Whether the disk keeps all of it, too, and the file is closed.
+    """
+
+    synced: int | None = None
+    problems: dict[str, str] = {}
+    part: int = 0
+    written: bool = False
+    ended: bool = False
+
+
+NOTES, ROWS, SYNC = "notes", "rows", "sync"
+
+
+class LogWriter:
+    """Writes one log.
+
+    Attributes:
+        notes: Records of events, commands and replies that wait.
+        rows: Records of rows that wait; the event loop takes the oldest away where too many do.
+        rows_written: Bytes of payloads of rows that wait no more.
+    """
+
+    def __init__(  # noqa: PLR0913, PLR0917 - of the log
+        self,
+        folder: Path,
+        header: Header,
+        recalled: Recalled,
+        clock: Callable[[], tuple[float, float]],
+        tell: Callable[[Outcome], None],
+        begin_rows: Callable[[], None],
+        start_thread: Callable[[], None],
+    ) -> None:
+        """Touch nothing yet.
+
+        Args:
+            folder: Folder of the log.
+            header: The session.
+            recalled: What an earlier run has left.
+            clock: Monotonic and wall time, in seconds.
+            tell: Takes what there is to report.
+            begin_rows: Prepares for rows, at once where that is done; may raise `OSError`.
+            start_thread: What a thread does first.
+        """
+        self.notes: deque[Item] = deque()
+        self.rows: deque[Item] = deque()
+        self.rows_written = 0
+        self._folder = folder
+        self._header = header
+        self._clock = clock
+        self._tell = tell
+        self._begin_rows = begin_rows
+        self._start_thread = start_thread
+        self._memory = Memory(recalled, clock()[0])
+        self._number, self._file_number = recalled.number, recalled.file
+        self._wakes: queue.SimpleQueue[None] = queue.SimpleQueue()
+        self._syncs: queue.SimpleQueue[tuple[int, int] | None] = queue.SimpleQueue()
+        self._descriptor, self._path, self._size = -1, Path(), 0
+        self._part, self._part_began_s = 0, 0.0
+        self._taken: list[Item] = []
+        self._taken_rows: list[Item] = []
+        self._notes_written = 0
+        self._problems = {NOTES: "", ROWS: "", SYNC: ""}
+        self._closing = threading.Event()
+        self._rows_begun = threading.Event()
+
+    def start(self) -> None:
+        """Start the threads; a disk that hangs keeps neither the process nor its end.
+
+        Raises:
+            RuntimeError: This process may have no further thread.
+        """
+        for work in (self._write_for_ever, self._sync_for_ever):
+            threading.Thread(target=work, name="log", daemon=True).start()
+        self.wake()
+
+    def wake(self) -> None:
+        """Have what waits written; returns at once."""
+        self._wakes.put(None)
+
+    def let_rows_in(self) -> None:
+        """Begin with rows, too; returns at once."""
+        self._rows_begun.set()
+        self.wake()
+
+    def close(self) -> None:
+        """Have the files closed once all is written; returns at once."""
+        self._closing.set()
+        self.wake()
+
+    # -- the thread that writes ----------------------------------------------------------------
+
+    def _write_for_ever(self) -> None:
+        self._start_thread()
+        while not (self._closing.is_set() and self._idle):
+            with contextlib.suppress(queue.Empty):
+                self._wakes.get(timeout=None if self._idle else _PAUSE_S)
+            self._write_all()
+        self._end_file()
+        self._tell(Outcome(written=True))
+        self._syncs.put(None)
+
+    @property
+    def _idle(self) -> bool:
+        waiting = self.notes or self.rows or self._taken or self._taken_rows
+        return not (waiting or self._problems[ROWS])
+
+    def _write_all(self) -> None:
+        if self._tried(NOTES, self._write_notes) and self._rows_begun.is_set():
+            self._tried(ROWS, self._write_rows)
+
+    def _write_notes(self) -> None:
+        """Write events, commands and replies, on a full disk into the reserve."""
+        while _fill(self._taken, self.notes):
+            try:
+                self._append(self._taken)
+            except OSError as problem:
+                if not reserve.is_full(problem):
+                    raise
+                reserve.release(self._folder)
+                self._append(self._taken)
+            self._notes_written += len(self._taken)
+            self._taken.clear()
+            self._syncs.put((self._descriptor, self._notes_written))
+
+    def _write_rows(self) -> None:
+        self._begin_rows()
+        while _fill(self._taken_rows, self.rows):
+            self._require_reserve()
+            self._append([_compressed(item) for item in self._taken_rows])
+            self.rows_written += sum(len(item.payload) for item in self._taken_rows)
+            self._taken_rows.clear()
+
+    def _require_reserve(self) -> None:
+        """Leave the last space of a disk to events and to the record of a trip."""
+        if not reserve.is_set_aside(self._folder):
+            self._folder.mkdir(parents=True, exist_ok=True)
+            reserve.set_aside(self._folder)
+
+    def _append(self, items: list[Item]) -> None:
+        self._require_file()
+        records = [
+            Record(number, item.monotonic_s, item.wall_s, item.kind, item.payload)
+            for number, item in enumerate(items, self._number + 1)
+        ]
+        self._write(b"".join(map(framed, records)))
+        self._number += len(items)
+        for record in records:
+            self._memory.take(record)
+
+    def _write(self, content: bytes) -> None:
+        """Append to the file; what does not fit leaves nothing behind, or the file is given up."""
+        rest = content
+        try:
+            while rest:
+                rest = rest[os.write(self._descriptor, rest) :]
+        except OSError:
+            try:
+                os.ftruncate(self._descriptor, self._size)
+            except OSError:
+                self._end_file()
+            raise
+        self._size += len(content)
+
+    def _require_file(self) -> None:
+        """Begin a file where there is none, this one is long enough, or nobody would find it."""
+        now_s = self._clock()[0]
+        if self._descriptor >= 0 and not self._is_in_place():
+            self._end_file()
+            raise FileNotFoundError(f"{self._path} was removed or replaced")
+        due = not self._part or now_s - self._part_began_s >= self._header.segment_s
+        if self._descriptor < 0 or due or self._size > _LARGEST_FILE_BYTES:
+            self._end_file()
+            if due:
+                self._part, self._part_began_s = self._part + 1, now_s
+            self._begin_file()
+            if due:
+                self._tell(Outcome(part=self._part))
+
+    def _begin_file(self) -> None:
+        self._folder.mkdir(parents=True, exist_ok=True)
+        started = self._header.info.started
+        file = new_file(self._folder, self._file_number + 1, started, self._part)
+        flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC
+        self._path, self._size = file.path, 0
+        self._descriptor = os.open(file.path, flags, 0o640)
+        self._file_number = file.number
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX)
+            self._append_begin()
+        except OSError:
+            self._end_file()
+            file.path.unlink(missing_ok=True)
+            raise
+
+    def _append_begin(self) -> None:
+        now_s, wall_s = self._clock()
+        begin = self._memory.begin(self._header, self._part, now_s)
+        payload = msgspec.msgpack.encode(begin)
+        # without a number of its own: the next record has the same one in whichever file it is
+        self._write(framed(Record(self._number, now_s, wall_s, Kind.BEGIN, payload)))
+        # before an archiver may remove the files before this one
+        self._syncs.put((self._descriptor, self._notes_written))
+
+    def _end_file(self) -> None:
+        if self._descriptor >= 0:
+            self._syncs.put((self._descriptor, _CLOSE))
+            self._descriptor = -1
+
+    def _is_in_place(self) -> bool:
+        try:
+            return os.path.samestat(self._path.stat(), os.fstat(self._descriptor))
+        except OSError:
+            return False
+
+    # -- what is reported ------------------------------------------------------------------------
+
+    def _tried(self, what: str, act: Callable[[], None]) -> bool:
+        """Do something, report its failure once and its success after that."""
+        try:
+            act()
+        except Exception as problem:  # noqa: BLE001 - reported; nobody else would notice
+            self._report(what, str(problem) if isinstance(problem, OSError) else repr(problem))
+            # keep a broken disk from taking the processor
+            time.sleep(_PAUSE_S / 10.0) if self._closing.wait(_PAUSE_S) else None
+            return False
+        self._report(what, "")
+        return True
+
+    def _report(self, what: str, problem: str) -> None:
+        if problem != self._problems[what]:
+            self._problems[what] = problem
+            self._tell(Outcome(problems={what: problem}))
+
+    # -- the thread that syncs -------------------------------------------------------------------
+
+    def _sync_for_ever(self) -> None:
+        self._start_thread()
+        while (job := self._syncs.get()) is not None:
+            descriptor, notes = job
+            if notes == _CLOSE:
+                self._report(SYNC, _synced(descriptor))
+                with contextlib.suppress(OSError):
+                    os.close(descriptor)
+            elif self._syncs.empty():  # a later sync of this file serves those before it
+                self._report(SYNC, _synced(descriptor))
+                self._tell(Outcome(synced=notes))
+        self._tell(Outcome(synced=self._notes_written, ended=True))
+
+
+def _synced(descriptor: int) -> str:
+    """Have the disk keep a file; return why it does not, empty where it does."""
+    try:
+        os.fdatasync(descriptor)
+    except OSError as problem:
+        return str(problem)
+    return ""
+
+
+def _compressed(item: Item) -> Item:
+    return replace(item, payload=zlib.compress(item.payload, _FAST))
+
+
+def _fill(taken: list[Item], waiting: deque[Item]) -> bool:
+    """Take some of what waits; return whether there is something to write."""
+    with contextlib.suppress(IndexError):
+        while len(taken) < _AT_ONCE:
+            taken.append(waiting.popleft())
+    return bool(taken)

@@ -1,0 +1,131 @@
+"""Parquet files of a session: written whole, read a batch at a time."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+from pyarrow import parquet as pq
+
+from adaptdrive.errors import RecordingError
+from adaptdrive.files import require_regular
+
+ROW_GROUP = 25_000
+"""Rows of a row group: four minutes of ticks, of which an archiver holds one in memory."""
+
+_BATCH_ROWS = 1 << 15
+"""Rows that are read at a time: a few megabytes."""
+
+_OPTIONS = {"compression": "zstd", "write_page_checksum": True}
+_ENCODINGS = {
+    pa.float64(): "BYTE_STREAM_SPLIT",
+    pa.int64(): "DELTA_BINARY_PACKED",
+    pa.timestamp("us", "UTC"): "DELTA_BINARY_PACKED",
+}
+
+
+def open_file(path: Path, mode: str) -> pa.OSFile:
+    """Open a file for Arrow, which takes a name that is not UTF-8 as bytes alone.
+
+    Args:
+        path: The file.
+        mode: `rb` or `wb`.
+
+    Raises:
+        OSError: It cannot be opened.
+    """
+    return pa.OSFile(os.fsencode(path), mode)
+
+
+def write_parquet(path: Path, batches: Iterable[pa.RecordBatch]) -> None:
+    """Write a file; it appears under its name when it is complete on the disk.
+
+    Args:
+        path: The file.
+        batches: Its rows; without a row no file is made.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    groups = _groups(batches)
+    first = next(groups, None)
+    if first is None:
+        return
+    unfinished = path.with_name(f"{path.name}.unfinished")
+    schema = first.schema
+    try:
+        with (
+            open_file(unfinished, "wb") as sink,
+            pq.ParquetWriter(sink, schema, **_OPTIONS, **_encodings(schema)) as file,
+        ):
+            for group in chain([first], groups):
+                file.write_table(group)
+        with unfinished.open("rb") as written:
+            os.fsync(written.fileno())
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def read_parquet(
+    path: Path, columns: list[str] | None = None, *, strict: bool = False
+) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of a file a batch at a time.
+
+    Args:
+        path: The file.
+        columns: The columns wanted, where the file has them; None for all.
+        strict: Whether to hold each page against its checksum.
+
+    Raises:
+        RecordingError: The file is damaged.
+    """
+    try:
+        require_regular(path)
+        with (
+            open_file(path, "rb") as source,
+            pq.ParquetFile(source, page_checksum_verification=strict) as file,
+        ):
+            wanted = columns and [name for name in columns if name in file.schema_arrow.names]
+            yield from file.iter_batches(_BATCH_ROWS, columns=wanted)
+    except (pa.ArrowException, OSError) as problem:
+        raise RecordingError(path, str(problem)) from problem
+
+
+def parquet_schema(path: Path) -> pa.Schema:
+    """Return the columns of a file.
+
+    Raises:
+        RecordingError: The file is damaged.
+    """
+    try:
+        require_regular(path)
+        with open_file(path, "rb") as source:
+            return pq.read_schema(source)
+    except (pa.ArrowException, OSError) as problem:
+        raise RecordingError(path, str(problem)) from problem
+
+
+def _encodings(schema: pa.Schema) -> dict[str, Any]:
+    """Plain bits for numbers: a dictionary of floats would merge what only compares equal."""
+    texts = [field.name for field in schema if pa.types.is_dictionary(field.type)]
+    numbers = {field.name: _ENCODINGS[field.type] for field in schema if field.type in _ENCODINGS}
+    return {"use_dictionary": texts, "column_encoding": numbers}
+
+
+def _groups(batches: Iterable[pa.RecordBatch]) -> Iterator[pa.Table]:
+    """Yield row groups; the last has what is left."""
+    group: list[pa.RecordBatch] = []
+    rows = 0
+    for batch in batches:
+        group.append(batch)
+        rows += batch.num_rows
+        if rows >= ROW_GROUP:
+            yield pa.Table.from_batches(group)
+            group, rows = [], 0
+    if rows:
+        yield pa.Table.from_batches(group)

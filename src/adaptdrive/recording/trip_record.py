@@ -1,0 +1,152 @@
+"""The record of a trip: a small session with the time around it."""
+
+from __future__ import annotations
+
+import bisect
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pyarrow as pa
+
+from adaptdrive.recording import event_log
+from adaptdrive.recording.memory import TRIP
+from adaptdrive.recording.parquet import write_parquet
+from adaptdrive.recording.reader import Session, read_session
+from adaptdrive.recording.records import EventRow
+from adaptdrive.recording.segments import Segment, parquet_path, segments
+from adaptdrive.recording.session import (
+    EVENTS_FILE,
+    TABLES,
+    TICKS,
+    TRIP_PREFIX,
+    Dropped,
+    Ending,
+    time_in_name,
+    write_facts,
+)
+from adaptdrive.recording.tick_times import TickTimes
+from adaptdrive.runtime.reports import MONOTONIC
+
+TEXT_FILE = "trip.txt"
+_BEFORE_S = 60.0
+"""Time before a trip that its record begins."""
+
+
+def write_trips(directory: Path, due_s: float, after_s: float) -> list[Path]:
+    """Write the record of each trip of a session that has none yet.
+
+    Args:
+        directory: Directory of the session.
+        due_s: Time of the last trip whose record is due, monotonic.
+        after_s: Time after a trip that belongs to its record.
+
+    Returns:
+        Folders of the records.
+
+    Raises:
+        RecordingError: The session is damaged.
+        OSError: A record cannot be written.
+    """
+    session = read_session(directory)
+    trips = [one for one in session.events if one.kind == TRIP and one.monotonic_s <= due_s]
+    missing = [(one, path) for one in trips if not (path := _path(directory, one)).exists()]
+    recent = {table: segments(directory, session.info, table)[-2:] for table in TABLES}
+    begin_s = _first_time_s(recent[TICKS])
+    return [
+        _write(session, recent, trip, path, after_s)
+        for trip, path in missing
+        if trip.monotonic_s >= begin_s
+    ]
+
+
+def _path(directory: Path, trip: EventRow) -> Path:
+    return directory / f"{TRIP_PREFIX}{time_in_name(trip.time)}-{trip.number}"
+
+
+def _first_time_s(recent: list[Segment]) -> float:
+    """Return the time of the first tick that is looked at; 0 without one."""
+    for segment in recent:
+        for batch in segment.batches([MONOTONIC]):
+            if batch.num_rows:
+                return float(batch.column(MONOTONIC)[0].as_py())
+    return 0.0
+
+
+def _write(
+    session: Session,
+    recent: dict[str, list[Segment]],
+    trip: EventRow,
+    path: Path,
+    after_s: float,
+) -> Path:
+    begin_s, end_s = trip.monotonic_s - _BEFORE_S, trip.monotonic_s + after_s
+    unfinished = session.path / f".{path.name}"
+    shutil.rmtree(unfinished, ignore_errors=True)
+    unfinished.mkdir()
+    try:
+        count = _Count()
+        for table, found in recent.items():
+            rows = _between(found, begin_s, end_s)
+            write_parquet(parquet_path(unfinished, table, 1), count.taken(table, rows))
+        events = [one for one in session.events if begin_s <= one.monotonic_s <= end_s]
+        commands = [one for one in session.commands if begin_s <= one.monotonic_s <= end_s]
+        info = msgspec.structs.replace(
+            session.info,
+            ended=Ending.ORDERLY,
+            dropped=Dropped(),
+            segments=1,
+            rows=count.rows,
+            histograms=count.times.histograms,
+            first_sequence=count.first_sequence,
+            logged=event_log.append(unfinished / EVENTS_FILE, events, commands),
+            losses=(),
+            log="",
+        )
+        write_facts(unfinished, info, session.config_text)
+        (unfinished / TEXT_FILE).write_text(_text(info.drive, trip, events), encoding="utf-8")
+        return unfinished.rename(path)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+class _Count:
+    """Rows of a record, counted as they are written."""
+
+    def __init__(self) -> None:
+        self.rows: dict[str, int] = {}
+        self.times = TickTimes()
+        self.first_sequence = 0
+
+    def taken(self, table: str, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+        """Yield batches, and count them."""
+        for batch in batches:
+            if table == TICKS:
+                if not self.rows.get(TICKS):
+                    self.first_sequence = batch.column("sequence")[0].as_py()
+                self.times.count(batch)
+            self.rows[table] = self.rows.get(table, 0) + batch.num_rows
+            yield batch
+
+
+def _between(found: list[Segment], begin_s: float, end_s: float) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of some segments within a time."""
+    for segment in found:
+        for batch in segment.batches():
+            times_s = batch.column(MONOTONIC).to_pylist()
+            first, last = bisect.bisect_left(times_s, begin_s), bisect.bisect_right(times_s, end_s)
+            if first < last:
+                yield batch.slice(first, last - first)
+
+
+def _text(drive: str, trip: EventRow, events: list[EventRow]) -> str:
+    lines = [
+        trip.detail,
+        "",
+        f"drive {drive}, {trip.time:%Y-%m-%dT%H:%M:%S.%f}Z, tick {trip.tick}",
+        "",
+        "events before and after:",
+        *(f"{one.time:%H:%M:%S.%f} {one.severity:<7} {one.kind}: {one.detail}" for one in events),
+    ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,87 @@
+"""A log for the operators' side, as the daemon opens it."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import msgspec
+
+from adaptdrive.app.recording import ledger_of
+from adaptdrive.operation.ledger import Ledger
+from adaptdrive.operation.memory import ReplyMemory
+from adaptdrive.recording.frames import Kind
+from adaptdrive.recording.log import Log
+from adaptdrive.recording.log_files import recall
+from adaptdrive.recording.memory import Recalled
+from adaptdrive.recording.recorder import Clocks, Feed, Place, Recorder
+from adaptdrive.recording.records import Header
+from adaptdrive.runtime.hub import Hub
+from tests.recording.material import INFO
+
+PATIENCE_S = 60.0
+
+
+@dataclass
+class Time:
+    """Two clocks that go together unless one is set."""
+
+    wall: datetime = datetime(2026, 1, 1, tzinfo=UTC)
+    running_s: float = 1000.0
+
+    def pass_by(self, seconds: float) -> None:
+        self.wall += timedelta(seconds=seconds)
+        self.running_s += seconds
+
+    def both(self) -> tuple[float, float]:
+        return self.running_s, self.wall.timestamp()
+
+
+@asynccontextmanager
+async def open_log(folder: Path, clocks: Time | None = None) -> AsyncIterator[tuple[Log, Recalled]]:
+    """A log, and what it held before."""
+    clocks = clocks or Time()
+    recalled = recall(folder, clocks.wall)
+    log = Log(folder, Header(INFO, ""), recalled, clocks.both, hear=lambda _: None)
+    log.start()
+    yield log, recalled
+    await log.close(PATIENCE_S)
+
+
+def memory_of(log: Log, recalled: Recalled, clocks: Time, limit: int = 1000) -> ReplyMemory:
+    """The memory of replies that a log keeps."""
+
+    def post(identity: str, body: bytes) -> None:
+        log.append(Kind.REPLY, msgspec.msgpack.encode((identity, body)))
+
+    return ReplyMemory(recalled.replies, post, lambda: clocks.running_s, limit)
+
+
+@asynccontextmanager
+async def remembering(folder: Path, clocks: Time, limit: int = 1000) -> AsyncIterator[ReplyMemory]:
+    """The memory of replies in a log."""
+    async with open_log(folder, clocks) as (log, recalled):
+        yield memory_of(log, recalled, clocks, limit)
+
+
+@asynccontextmanager
+async def keeping(folder: Path, hub: Hub) -> AsyncIterator[Ledger]:
+    """The log of a daemon that records no session."""
+    clocks = Clocks(lambda: datetime.now(UTC), time.monotonic)
+    recalled = recall(folder, datetime.now(UTC))
+    feed = Feed.of(hub, flush_s=0.25)
+    recorder = Recorder(
+        Place(folder, None), Header(INFO, ""), feed, hub.publish, clocks, recalled=recalled
+    )
+    hub.keep_with(recorder.keep)
+    running = asyncio.create_task(recorder.run())
+    try:
+        yield ledger_of(recalled, recorder)
+    finally:
+        running.cancel()
+        await asyncio.wait([running])

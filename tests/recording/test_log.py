@@ -1,0 +1,283 @@
+"""The log while a disk works, fails or hangs: who waits, what is bounded, and what is written."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import os
+import threading
+import time
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from adaptdrive.recording import log_writer, reserve
+from adaptdrive.recording.frames import Kind
+from adaptdrive.recording.log import Log
+from adaptdrive.recording.log_files import is_live, log_files, recall, records
+from adaptdrive.recording.log_writer import LogWriter, Outcome
+from adaptdrive.recording.memory import Recalled
+from adaptdrive.recording.records import EventRow, Header
+from adaptdrive.recording.session import Dropped
+from tests.recording.material import INFO
+
+PATIENCE_S = 60.0
+
+
+class Bench:
+    """A log and what it reports."""
+
+    def __init__(self, folder: Path, backlog_bytes: int = 1 << 20, segment_s: float = 3600) -> None:
+        self.folder = folder
+        self.outcomes: list[Outcome] = []
+        header = Header(INFO, "", segment_s=segment_s)
+        self.now_s = 100.0
+        self.log = Log(
+            folder,
+            header,
+            recall(folder, INFO.started),
+            lambda: (self.now_s, 1.7e9),
+            hear=self.outcomes.append,
+            backlog_bytes=backlog_bytes,
+        )
+        self.log.start()
+        self.log.let_rows_in()
+
+    def event(self, number: int) -> None:
+        row = EventRow(INFO.started, number, "mode", "info", f"number {number}", 1.0, number)
+        self.log.append(Kind.EVENT, msgspec.msgpack.encode(row))
+
+    def ticks(self, number: int, size: int = 100) -> None:
+        self.log.append(Kind.TICKS, number.to_bytes(4, "little") * (size // 4), rows=30)
+
+    def problems(self) -> list[str]:
+        return [text for one in self.outcomes for text in one.problems.values()]
+
+    async def until_told(self, text: str) -> None:
+        async with asyncio.timeout(PATIENCE_S):
+            while not any(text in problem for problem in self.problems()):  # noqa: ASYNC110
+                await asyncio.sleep(0.01)
+
+    def events(self) -> list[int]:
+        found = records(log_files(self.folder))
+        rows = [msgspec.msgpack.decode(one.payload) for one in found if one.kind is Kind.EVENT]
+        return [row["number"] for row in rows]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path / "state" / "motor.log"
+
+
+async def test_whoever_waits_goes_on_when_the_disk_keeps_what_was_appended(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced = threading.Event()
+    sync = os.fdatasync
+
+    def slow(descriptor: int) -> None:
+        synced.wait(PATIENCE_S)
+        sync(descriptor)
+
+    monkeypatch.setattr(os, "fdatasync", slow)
+    bench = Bench(folder)
+    bench.event(1)
+    waiting = asyncio.create_task(bench.log.kept(PATIENCE_S))
+    await asyncio.sleep(0.2)
+    assert not waiting.done()
+    assert bench.events() == [1]  # a kill leaves it, if not a power cut
+    synced.set()
+    await asyncio.wait_for(waiting, PATIENCE_S)
+    assert await bench.log.close(PATIENCE_S)
+
+
+async def test_rows_are_never_synced(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(folder)
+    bench.ticks(0)
+    await asyncio.sleep(0.3)  # the beginning of the file was synced
+    syncs: list[int] = []
+    monkeypatch.setattr(os, "fdatasync", syncs.append)
+    for number in range(1, 20):
+        bench.ticks(number)
+        await asyncio.sleep(0.01)
+    await bench.log.kept(PATIENCE_S)
+    assert syncs == []
+    assert len(list(records(log_files(folder)))) == 21
+    await bench.log.close(PATIENCE_S)
+
+
+async def test_many_events_share_a_sync(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    syncs: list[int] = []
+
+    def slow(descriptor: int) -> None:
+        time.sleep(0.05)
+        syncs.append(descriptor)
+
+    monkeypatch.setattr(os, "fdatasync", slow)
+    bench = Bench(folder)
+    for number in range(200):
+        bench.event(number)
+    await bench.log.kept(PATIENCE_S)
+    assert len(syncs) < 10
+    assert bench.events() == list(range(200))
+    await bench.log.close(PATIENCE_S)
+
+
+async def test_a_disk_that_hangs_is_waited_for_once(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = threading.Event()
+    monkeypatch.setattr(os, "fdatasync", lambda _: answers.wait(PATIENCE_S))
+    bench = Bench(folder)
+    bench.event(1)
+    await bench.log.kept(0.05)
+    for patience_s in (0.05, 0.01):
+        with pytest.raises(StopIteration):  # it does not wait
+            bench.log.kept(patience_s).send(None)
+    began_s = time.monotonic()
+    await bench.log.kept(0.2)  # a command is worth more than an event
+    assert time.monotonic() - began_s >= 0.2
+    with pytest.raises(StopIteration):
+        bench.log.kept(0.2).send(None)
+    answers.set()
+    assert await bench.log.close(PATIENCE_S)
+    bench.outcomes.clear()
+
+
+async def test_what_a_hanging_disk_leaves_waiting_is_bounded_and_the_oldest_ticks_go(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers, write = threading.Event(), LogWriter._write
+
+    def hang(writer: LogWriter, content: bytes) -> None:
+        answers.wait(PATIENCE_S)
+        write(writer, content)
+
+    monkeypatch.setattr(LogWriter, "_write", hang)
+    bench = Bench(folder, backlog_bytes=10_000)
+    for number in range(1000):
+        bench.ticks(number)
+        if number % 10 == 0:
+            bench.event(number)
+    dropped = bench.log.dropped
+    assert dropped.ticks >= 30 * (1000 - 150)
+    answers.set()
+    assert await bench.log.close(PATIENCE_S)
+    assert bench.events() == list(range(0, 1000, 10))
+    kept = sum(one.kind is Kind.TICKS for one in records(log_files(folder)))
+    assert 30 * kept + dropped.ticks == 30 * 1000
+    assert bench.log.dropped == Dropped(ticks=dropped.ticks)
+
+
+async def test_a_full_disk_takes_events_into_its_reserve_and_ticks_wait(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(folder)
+    bench.ticks(0)
+    await asyncio.sleep(0.3)
+    kept = folder / ".reserve"
+    assert kept.exists()
+    write = LogWriter._write
+
+    def refuse(writer: LogWriter, content: bytes) -> None:
+        if kept.exists():
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(writer, content)
+
+    def no_room(_: Path) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as disk:
+        disk.setattr(LogWriter, "_write", refuse)
+        disk.setattr(reserve, "set_aside", no_room)
+        bench.ticks(1)
+        await bench.until_told("No space left")
+        assert bench.log.failing
+        bench.event(1)
+        await bench.log.kept(PATIENCE_S)
+        assert bench.events() == [1]
+        assert not kept.exists()
+        bench.ticks(2)
+        await asyncio.sleep(0.2)
+    assert await bench.log.close(PATIENCE_S)
+    assert kept.exists()
+    assert not bench.log.failing
+    assert sum(one.kind is Kind.TICKS for one in records(log_files(folder))) == 3
+
+
+async def test_a_write_that_is_cut_short_and_cannot_be_undone_loses_and_repeats_nothing(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(folder)
+    bench.event(1)
+    await bench.log.kept(PATIENCE_S)
+    write = os.write
+
+    def refuse(descriptor: int, content: bytes) -> int:
+        if len(content) > 60:
+            return write(descriptor, content[: len(content) // 2])
+        raise OSError(errno.EIO, "Input/output error")
+
+    with monkeypatch.context() as disk:
+        disk.setattr(os, "write", refuse)
+        disk.setattr(os, "ftruncate", lambda *_: refuse(0, b""))
+        bench.event(2)
+        bench.event(3)
+        await bench.until_told("Input/output error")
+    assert await bench.log.close(PATIENCE_S)
+    assert bench.events() == [1, 2, 3]
+    assert len(log_files(folder)) == 2
+    assert [one.number for one in recall(folder, INFO.started).unsent] == [1, 2, 3]
+
+
+async def test_a_file_that_is_long_enough_is_followed_by_one_that_knows_what_it_left(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(log_writer, "_LARGEST_FILE_BYTES", 2000)
+    bench = Bench(folder)
+    for number in range(100):
+        bench.event(number)
+        await bench.log.kept(PATIENCE_S)
+    assert await bench.log.close(PATIENCE_S)
+    files = log_files(folder)
+    assert len(files) > 3
+    for file in files[:-1]:
+        file.path.unlink()
+    assert [one.number for one in recall(folder, INFO.started).unsent] == list(range(100))
+
+
+async def test_a_segment_of_the_session_begins_in_a_file_of_its_own(folder: Path) -> None:
+    bench = Bench(folder, segment_s=10.0)
+    for number in range(3):
+        bench.event(number)
+        await bench.log.kept(PATIENCE_S)
+        bench.now_s += 10.5
+    assert await bench.log.close(PATIENCE_S)
+    assert [file.part for file in log_files(folder)] == [1, 2, 3]
+    assert [one.part for one in bench.outcomes if one.part] == [1, 2, 3]
+
+
+async def test_a_log_is_live_while_its_daemon_is(folder: Path) -> None:
+    assert not is_live(folder)
+    bench = Bench(folder)
+    bench.event(1)
+    await bench.log.kept(PATIENCE_S)
+    assert is_live(folder)
+    assert await bench.log.close(PATIENCE_S)
+    assert not is_live(folder)
+
+
+async def test_without_a_further_thread_nothing_waits(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise RuntimeError("can't start new thread")
+
+    log = Log(folder, Header(INFO, ""), Recalled(), lambda: (1.0, 1.0), hear=lambda _: None)
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    with pytest.raises(RuntimeError, match="can't start new thread"):
+        log.start()
+    log.append(Kind.EVENT, b"")
+    with pytest.raises(StopIteration):
+        log.kept(PATIENCE_S).send(None)
