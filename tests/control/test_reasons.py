@@ -48,8 +48,10 @@ def test_each_verdict_and_each_fallback_has_words_of_its_own() -> None:
         state = judged(Verdict.TRUSTED)
         state.watch.fallback = fallback
         texts.append(said(state))
-        latched = texts[-1].endswith("choose fixed, and adaptive one slow period later")
-        assert latched == (fallback is not Fallback.NONE)
+        latched = texts[-1].endswith("then fixed, and adaptive one slow period later")
+        assert latched == (fallback is Fallback.OSCILLATING)
+        returns = texts[-1].endswith("adaptive returns 20 slow periods after the cause is gone")
+        assert returns == (fallback not in {Fallback.NONE, Fallback.OSCILLATING})
     assert len(set(texts)) == len(texts)
     assert texts.count("") == 1
 

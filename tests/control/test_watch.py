@@ -214,6 +214,39 @@ def test_asking_for_adaptive_anew_forgets_what_the_watch_has_counted() -> None:
     assert (state.fallback, state.error_periods, state.swings) == (Fallback.ERROR, 30, 5)
 
 
+@pytest.mark.parametrize(
+    ("fallback", "ends"),
+    [
+        (Fallback.BLIND, True),
+        (Fallback.SATURATED, True),
+        (Fallback.ERROR, True),
+        (Fallback.OSCILLATING, False),
+    ],
+)
+def test_a_fallback_ends_when_its_cause_is_gone_but_for_a_loop_that_swings_by_itself(
+    fallback: Fallback, ends: bool
+) -> None:
+    state = WatchState(asked=True)
+    for reason in [fallback] * 3 + [0] * 19:
+        latch_fallback(state, reason, asked=True)
+        assert state.fallback == fallback
+    latch_fallback(state, 0, asked=True)
+    assert state.fallback == (Fallback.NONE if ends else fallback)
+
+
+def test_what_is_left_of_a_cause_keeps_the_fallback() -> None:
+    state = WatchState(asked=True, stuck_periods=250)
+    latch_fallback(state, Fallback.SATURATED, asked=True)
+    state.stuck_periods = 3
+    for _ in range(100):
+        latch_fallback(state, 0, asked=True)
+    assert state.fallback == Fallback.SATURATED
+    state.stuck_periods, state.error_periods = 0, 1
+    for _ in range(100):
+        latch_fallback(state, 0, asked=True)
+    assert state.fallback == Fallback.SATURATED
+
+
 def test_without_adaptive_nothing_is_latched() -> None:
     state = WatchState()
     latch_fallback(state, Fallback.ERROR, asked=False)

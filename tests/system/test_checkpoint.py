@@ -11,7 +11,6 @@ WARM_UP = 12
 QUICK = {
     **QUICK_MOTOR,
     "supervisor.warm_up_s": str(WARM_UP * 0.25),
-    "supervisor.confirm_s": "0.5",
     "supervisor.spread_max": "0.0",
     "supervisor.residual_margin": "0.0",
     "supervisor.confidence": "0.0",
@@ -43,7 +42,7 @@ def periods_to_adaptive(site: Site) -> int:
 
 
 @pytest.mark.slow
-def test_a_restarted_daemon_needs_a_confirmation_only(make_site: MakeSite) -> None:
+def test_a_restarted_daemon_acts_on_what_it_has_learnt_at_once(make_site: MakeSite) -> None:
     site = make_site(QUICK)
     site.start("--initial-voltage", "280", "--noise", "0.0004")
     first = periods_to_adaptive(site)

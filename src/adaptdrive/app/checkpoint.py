@@ -174,8 +174,7 @@ def recall(
     except CheckpointError as problem:
         return None, _event(Severity.WARNING, f"checkpoint not used: {problem}")
     known = ", ".join(f"{n} {v:.4g}" for n, v in zip(load.names, learnt.values, strict=True))
-    confirm = settings.jacket.confirm_periods
-    detail = f"start from trusted estimates: {known}; to be confirmed for {confirm} slow periods"
+    detail = f"start from trusted estimates, whose gains act at once: {known}"
     return learnt, _event(Severity.INFO, detail)
 
 

@@ -197,7 +197,6 @@ def _jacket(configuration: Configuration) -> Jacket:
         damping_min=supervisor.damping_min,
         spread_max=supervisor.spread_max,
         residual_margin=supervisor.residual_margin,
-        confirm_periods=_periods(configuration, supervisor.confirm_s),
         confidence=supervisor.confidence,
         dwell_periods=supervisor.dwell_periods,
         blend_periods=supervisor.blend_periods,

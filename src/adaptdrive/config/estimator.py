@@ -82,10 +82,6 @@ class Supervisor(Section):
     warm_up_s: Duration = Field(
         default=90.0, description="time after start before adaptive may take over"
     )
-    confirm_s: Duration = Field(
-        default=30.0,
-        description="the same after a start from estimates that an earlier run had trusted",
-    )
     ratio_min: Fraction = Field(default=0.2, description="smallest accepted estimate over nominal")
     ratio_max: float = Field(
         default=6.0,

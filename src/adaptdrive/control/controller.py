@@ -78,7 +78,7 @@ class Controller:
             resolution: Step of the output that an earlier run has found in its samples, 0 for none.
         """
         self._prior = prior if settings.learning.method.physical else None
-        self._settings = settings if self._prior is None else _confirming(settings)
+        self._settings = settings if self._prior is None else _recalling(settings)
         self._trusted: tuple[float, ...] | None = None
         self._proposed: dict[int, tuple[float, ...]] = {}
         self._learnt: tuple[float, ...] | None = None
@@ -188,12 +188,12 @@ class Controller:
         self._proposed = {later: kept for later, kept in self._proposed.items() if later > k}
 
     def _recall(self) -> None:
-        """Begin a run with what the one before had trusted; it is confirmed before it is used."""
+        """Begin a run with what the one before had trusted."""
         self._proposed = {}
         settings = self._settings
         if self._learnt is not None and settings.exact and settings.learning.method.physical:
             self._prior = self._learnt
-            self._settings = _confirming(settings)
+            self._settings = _recalling(settings)
 
     def _enter(self, stage: Stage, measurement: Measurement) -> None:
         """Start a stage from what is measured now, so that it begins without a bump."""
@@ -224,6 +224,7 @@ class Controller:
             if self._prior is not None:
                 learning, values = self._settings.learning, list(self._prior)
                 start_from(self._slow.estimator, learning, self._load, values)
+                self._slow.recalled = True
 
     def _held_voltage(self, output: float, voltage: float) -> float:
         """The voltage from which V_c begins: the measured one, at most what the load rests at.
@@ -344,11 +345,10 @@ def _in_force(mode: Mode, *, adaptive: bool) -> Mode:
     return Mode.ADAPTIVE if adaptive else Mode.FIXED
 
 
-def _confirming(settings: ControllerSettings) -> ControllerSettings:
-    """With a prior, a short confirmation takes the place of the warm-up."""
-    jacket = settings.jacket
-    periods = min(jacket.confirm_periods, jacket.warm_up_periods)
-    return replace(settings, jacket=replace(jacket, warm_up_periods=periods))
+def _recalling(settings: ControllerSettings) -> ControllerSettings:
+    """With a prior no warm-up is needed: its gains act at once."""
+    periods = min(settings.learning.settle_periods, settings.jacket.warm_up_periods)
+    return replace(settings, jacket=replace(settings.jacket, warm_up_periods=periods))
 
 
 def _proven_current(charging: Charging, measurement: Measurement) -> float:

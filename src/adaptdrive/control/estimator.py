@@ -191,9 +191,11 @@ def learn(
         return
     state.idle_periods += 1
     riv.forget_changes(state.rivals)
-    if not usable or state.periods <= learning.settle_periods:
+    if not usable:
         return
     watch_noise(state.surprise, innovation)
+    if state.periods <= learning.settle_periods:
+        return
     learning.method.take_in(state, learning, load, target, innovation)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from adaptdrive.control.cycling import FAR_BETTER
+from adaptdrive.control.evidence import WINDOW
 from adaptdrive.control.load import Load
 from adaptdrive.control.settings import Jacket, Probing
 from adaptdrive.control.signals import Mode
@@ -28,7 +29,8 @@ _FALLBACKS = {
     Fallback.BLIND: "fell back: measurements failed",
 }
 
-_RELEASE = "to release it choose fixed, and adaptive one slow period later"
+_RELEASE = "choose a slower pole, then fixed, and adaptive one slow period later"
+_RETURN = f"adaptive returns {WINDOW} slow periods after the cause is gone"
 
 
 def reason(state: SlowState, jacket: Jacket, probing: Probing, load: Load, mode: Mode) -> str:
@@ -51,7 +53,9 @@ def reason(state: SlowState, jacket: Jacket, probing: Probing, load: Load, mode:
 def _why(state: SlowState, jacket: Jacket, load: Load, mode: Mode) -> str:
     """Return why the adaptive law is not in force, empty where it is."""
     if state.watch.fallback != Fallback.NONE:
-        return f"{_FALLBACKS[Fallback(state.watch.fallback)]}; {_RELEASE}"
+        latched = state.watch.fallback == Fallback.OSCILLATING
+        cause = _FALLBACKS[Fallback(state.watch.fallback)]
+        return f"{cause}; {_RELEASE if latched else _RETURN}"
     verdict = Verdict(state.supervisor.verdict)
     if verdict is Verdict.TRUSTED:
         return "" if mode is Mode.ADAPTIVE else f"mode {mode} asked for"

@@ -30,11 +30,24 @@ def adapt(settings: ControllerSettings, load: Load, state: SlowState, sample: Sl
     state.accepted = sup.take_verdict(
         state.supervisor, verdict, settings.jacket, periods, state.adaptive
     )
-    if state.accepted:
+    if state.accepted or _is_recalled(settings, state, verdict):
         _take_gains(settings.jacket, state, gains)
         _take_loop(load, state, settings.jacket.gain_slew, sample.pole)
         state.trusted_a, state.trusted_b = state.model_a, state.model_b
         state.input_noise = _input_noise(settings, state)
+
+
+def _is_recalled(settings: ControllerSettings, state: SlowState, verdict: int) -> bool:
+    """Return whether gains follow from what a run before this one had trusted.
+
+    They act from the first slow period on, and as long as nothing is learnt they fit the noise as
+    it becomes known.
+    """
+    unchanged = state.estimator.periods <= max(1, settings.learning.settle_periods)
+    possible = verdict == sup.Verdict.TRUSTED or sup.is_doubt(verdict)
+    state.recalled = state.recalled and unchanged and possible
+    state.supervisor.trusted = state.supervisor.trusted or state.recalled
+    return state.recalled
 
 
 def _look_for_a_way_back(

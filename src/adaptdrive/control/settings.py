@@ -137,7 +137,6 @@ class Jacket:
         gain_slew: Largest share of the way to new gains that is gone in one period.
         noise_max: Largest standard deviation of the input that noise of the output may cause, in
             the unit of the input.
-        confirm_periods: The same after a start from estimates that an earlier run had trusted.
         confidence: Standard deviations by which the estimate may be wrong without new gains
             becoming unstable; with 0 the last trusted model is not tried either.
     """
@@ -156,7 +155,6 @@ class Jacket:
     swing_min: float = math.inf
     response_periods: int = 0
     response_distance: float = 0.0
-    confirm_periods: int = 0
     confidence: float = 0.0
     gain_slew: float = 1.0
     noise_max: float = 0.0

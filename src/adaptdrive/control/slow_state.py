@@ -65,6 +65,7 @@ class SlowState:
         reference_filter: Reference filter of the adaptive law.
         new_loop: A_c of the design of this period.
         expected: Response to the reference that was asked for, a lag for each pole.
+        recalled: Whether the estimate is what a run before this one had trusted.
         saturated: Whether the last input was at a limit or could not be followed.
         blend: Share of the adaptive law in what is sent, 0 to 1.
         sent: The input in force, within its limits.
@@ -103,6 +104,7 @@ class SlowState:
     reference_filter: ReferenceFilter
     new_loop: Vector
     expected: Vector
+    recalled: bool = False
     saturated: bool = False
     blend: float = 0.0
     sent: float = 0.0

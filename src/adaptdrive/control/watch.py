@@ -1,10 +1,12 @@
-"""The watch over the adaptive controller: when to return to the fixed one, and stay there.
+"""The watch over the adaptive controller: when to return to the fixed one, and for how long.
 
 Estimates can be sound and the loop still be in trouble. The watch checks the closed loop: an input
 that stays at its limit while the output neither rests where a model puts it nor comes closer, an
 output that stays far from the response that was asked for although the input is free, errors that
-swing with growing peaks, measurements that fail. Any of them returns to the fixed controller. The
-return is latched: only the operator, by asking for adaptive again, arms it again.
+swing with growing peaks, measurements that fail. Any of them returns to the fixed controller, until
+nothing of the kind has been seen for `WINDOW` slow periods. A loop that swings by its own gains
+would do so again: that return is latched, and only the operator, by asking for adaptive again,
+ends it.
 
 The response monitor trips where a load must have moved and has not: the sensor or the drive is
 broken then, and no controller can help. Two first-order lags follow the input, one as fast and one
@@ -19,6 +21,7 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
+from adaptdrive.control.evidence import WINDOW
 from adaptdrive.control.settings import Jacket
 
 GROWTH = 1.1
@@ -49,7 +52,8 @@ class WatchState:
     """State of the watch.
 
     Attributes:
-        fallback: Latched reason, 0 for none.
+        fallback: Reason, 0 for none.
+        calm_periods: Periods in a row in which the watch has seen nothing.
         asked: Whether adaptive was asked for in the last period.
         stuck_periods: Periods in a row at a limit, away from rest and without coming closer.
         stuck_distance: Distance from rest when the count began.
@@ -68,6 +72,7 @@ class WatchState:
     """
 
     fallback: int = Fallback.NONE
+    calm_periods: int = 0
     asked: bool = False
     stuck_periods: int = 0
     stuck_distance: float = 0.0
@@ -125,12 +130,19 @@ def watch_loop(
 
 
 def latch_fallback(state: WatchState, reason: int, asked: bool) -> None:
-    """Latch a reason while adaptive is asked for; asking for it anew arms the watch again."""
+    """Keep a reason, while adaptive is asked for, until its cause is gone or the operator ends it.
+
+    Asking for adaptive anew arms the watch again.
+    """
+    calm = reason == Fallback.NONE and state.stuck_periods == 0 and state.error_periods == 0
+    state.calm_periods = state.calm_periods + 1 if calm else 0
     if asked and not state.asked:
         state.fallback = Fallback.NONE
         state.error_periods = state.swings = 0
     elif asked and state.fallback == Fallback.NONE:
         state.fallback = reason
+    elif state.fallback != Fallback.OSCILLATING and state.calm_periods >= WINDOW:
+        state.fallback = Fallback.NONE
     state.asked = asked
 
 
