@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal, NoReturn
 
@@ -22,7 +21,7 @@ from adaptdrive.cli.standard_files import (
     unwritten,
 )
 from adaptdrive.errors import AdaptdriveError
-from adaptdrive_sim.demo.settings import DemoSettings, VirtualSettings
+from adaptdrive_sim.demo.settings import DemoSettings
 from adaptdrive_sim.device_settings import DeviceSettings
 
 app = App(
@@ -208,57 +207,18 @@ def campaign(  # noqa: PLR0913 - one parameter for each option
         run_campaign(file, output, scheduler=scheduler, processes=processes, runs=runs)
 
 
-demo = App(name="demo", help="Watch a simulated drive being controlled.")
-app.command(demo)
+@app.command
+def demo(story: str = "motor", /, *, settings: DemoSettings | None = None) -> None:
+    """Watch a simulated drive being controlled while things happen to its load.
 
+    The story of the motor passes in real time: simulated drive, daemon and broker are processes on
+    a real bus. Others, such as bath, battery and braking, pass in virtual time, in one process. The
+    status is 0 when control worked and 1 when it failed.
 
-@demo.command
-def motor(*, settings: DemoSettings | None = None) -> None:
-    """Watch a motor follow a square wave while disks drop onto its shaft.
-
-    Simulated drive, daemon and broker run as processes of their own, on a real bus and in real
-    time, until Ctrl-C. Everything they leave behind is kept for a look afterwards. The status is
-    0 when control worked and 1 when it failed.
+    Args:
+        story: Name of the story; an unknown one lists them all.
+        settings: How it is played.
     """
     from adaptdrive_sim.demo.main import run_demo  # noqa: PLC0415  # keeps --help fast
 
-    sys.exit(run_demo(settings or DemoSettings()))
-
-
-@demo.command
-def bath(*, settings: VirtualSettings | None = None) -> None:
-    """Watch a bath follow a square wave while its drain is raised and lowered.
-
-    The daemon's controller, with the settings of bath.toml, runs against the simulated bath in
-    virtual time: one process, no bus. The status is 0 when control worked and 1 when it failed.
-    """
-    _run_virtual("bath", settings)
-
-
-@demo.command
-def battery(*, settings: VirtualSettings | None = None) -> None:
-    """Watch a battery being charged: constant current, voltage limit, taper, end.
-
-    The daemon's controller, with the settings of battery.toml, runs against the simulated battery
-    in virtual time: one process, no bus. The status is 0 when control worked and 1 when it failed.
-    """
-    _run_virtual("battery", settings)
-
-
-@demo.command
-def braking(*, settings: VirtualSettings | None = None) -> None:
-    """Watch a bidirectional drive brake a motor and feed its energy back to the line.
-
-    The daemon's controller, with the settings of motor-bidirectional.toml, runs against the
-    simulated motor in virtual time: one process, no bus. The status is 0 when control worked and 1
-    when it failed.
-    """
-    _run_virtual("braking", settings)
-
-
-def _run_virtual(
-    load: Literal["bath", "battery", "braking"], settings: VirtualSettings | None
-) -> NoReturn:
-    from adaptdrive_sim.demo.virtual import run_virtual  # noqa: PLC0415
-
-    sys.exit(run_virtual(replace(settings or VirtualSettings(), load=load)))
+    sys.exit(run_demo(story, settings or DemoSettings()))

@@ -21,21 +21,36 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import msgspec
 
 from adaptdrive.errors import NOT_JSON, RefusedError
 from adaptdrive.operation.simulator import Feature
-from adaptdrive_sim.devices.drive import SimulatedDrive
 from adaptdrive_sim.devices.sensor_values import SensorFault
 from adaptdrive_sim.parameters import ParameterError, check_range
 from adaptdrive_sim.plants.bath import Bath
 from adaptdrive_sim.plants.battery import Battery
 from adaptdrive_sim.plants.load import SimulatedLoad
 from adaptdrive_sim.plants.motor import Motor
+from adaptdrive_sim.world import World
 
 Plant = TypeVar("Plant")
+
+
+class Disturbed(Protocol):
+    """What can be disturbed: a plant, its drive, and the sensors beside it."""
+
+    @property
+    def world(self) -> World:
+        """The plant."""
+
+    @property
+    def has_sensors(self) -> bool:
+        """Whether there are sensor modules."""
+
+    def inject(self, fault: int) -> None:
+        """Set the fault word of the drive."""
 
 
 class DisturbanceRequest(
@@ -86,7 +101,7 @@ def read_id(payload: bytes) -> str | None:
     return name if isinstance(name, str) else None
 
 
-def apply_request(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
+def apply_request(request: DisturbanceRequest, drive: Disturbed) -> None:
     """Do to the plant what a request asks for.
 
     Raises:
@@ -99,40 +114,40 @@ def apply_request(request: DisturbanceRequest, drive: SimulatedDrive) -> None:
         raise RefusedError(str(problem)) from problem
 
 
-def _plant(drive: SimulatedDrive, kind: type[Plant]) -> Plant:
+def _plant(drive: Disturbed, kind: type[Plant]) -> Plant:
     if not isinstance(drive.world.load, kind):
         raise RefusedError(_LACKING[kind])
     return drive.world.load
 
 
-def _change_disks(drive: SimulatedDrive, disks: int, _: float) -> None:
+def _change_disks(drive: Disturbed, disks: int, _: float) -> None:
     _plant(drive, Motor).disks += disks
 
 
-def _load_shaft(drive: SimulatedDrive, torque_Nm: float, _: float) -> None:
+def _load_shaft(drive: Disturbed, torque_Nm: float, _: float) -> None:
     _plant(drive, Motor).torque_Nm = torque_Nm
 
 
-def _set_noise(drive: SimulatedDrive, noise_V: float, _: float) -> None:
+def _set_noise(drive: Disturbed, noise_V: float, _: float) -> None:
     drive.world.noise = dataclasses.replace(drive.world.noise, sigma=noise_V)
 
 
-def _spoil_sensors(drive: SimulatedDrive, sensor_fault: int, _: float) -> None:
+def _spoil_sensors(drive: Disturbed, sensor_fault: int, _: float) -> None:
     if not drive.has_sensors:
         raise RefusedError("no sensor module is beside this drive")
     check_range("sensor_fault", sensor_fault, 0, max(SensorFault), "")
     drive.world.sensor_fault = sensor_fault
 
 
-def _set_inflow(drive: SimulatedDrive, inflow_L_per_min: float, _: float) -> None:
+def _set_inflow(drive: Disturbed, inflow_L_per_min: float, _: float) -> None:
     _plant(drive, Bath).inflow_L_per_min = inflow_L_per_min
 
 
-def _set_series(drive: SimulatedDrive, series_Ohm: float, _: float) -> None:
+def _set_series(drive: Disturbed, series_Ohm: float, _: float) -> None:
     _plant(drive, Battery).series_Ohm = series_Ohm
 
 
-def _set_charge(drive: SimulatedDrive, charge: float, _: float) -> None:
+def _set_charge(drive: Disturbed, charge: float, _: float) -> None:
     check_range("charge", charge, 0.0, 1.0, "")
     _plant(drive, Battery).charge = charge
 
@@ -145,7 +160,7 @@ _LACKING: dict[type, str] = {
 
 _LASTING = ("sag", "volume_gal")
 
-_ACTIONS: dict[str, Callable[[SimulatedDrive, Any, float], None]] = {
+_ACTIONS: dict[str, Callable[[Disturbed, Any, float], None]] = {
     "disks": _change_disks,
     "torque_Nm": _load_shaft,
     "sag": lambda drive, sag, duration_s: drive.world.line.sag(sag, duration_s),

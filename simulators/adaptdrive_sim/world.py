@@ -111,6 +111,21 @@ class World:
         """Parameters of the load's linear model, by formula."""
         return self.load.model(self.coupling.ratio, self.coupling.droop_Ohm)
 
+    def truth(self) -> dict[str, float]:
+        """The true state and parameters, for comparison with measurements and estimates."""
+        return {
+            "tick": self.tick,
+            "half_cycle_s": self.line.half_cycle_s,
+            **self.load.state(),
+            **self.true_model,
+            "output": self.true_output,
+            "boost_voltage_V": self.boost.voltage_V,
+            "line_voltage_V": self.line.voltage_V,
+            "line_power_W": self.boost.mean_line_W,
+            "load_current_A": self.load_current_A,
+            "noise_V": self.noise.sigma,
+        }
+
     def settle(self, boost_voltage_V: float) -> None:
         """Put everything at rest at a boost voltage, bridge on, with the command that holds it.
 

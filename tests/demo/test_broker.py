@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 import sys
 from pathlib import Path
 
 import aiomqtt
 
-from adaptdrive_sim.demo.bus import free_port
+from adaptdrive_sim.demo.bus import Ports
 from tests.support import Spawn
 
 HOST = "127.0.0.1"
@@ -52,7 +51,8 @@ async def test_it_ends_when_asked(spawn: Spawn, free_tcp_port: int, tmp_path: Pa
 
 
 async def test_a_web_page_reaches_it_over_a_websocket(spawn: Spawn, free_tcp_port: int) -> None:
-    port, page = free_tcp_port, free_port(socket.SOCK_STREAM)
+    ports = Ports()
+    port, page = free_tcp_port, ports.take()
     addresses = (f"{HOST}:{port}", f"{HOST}:{page}")
     spawn(sys.executable, "-m", "adaptdrive_sim.demo.broker_main", *addresses)
     await listening(page)
@@ -63,3 +63,4 @@ async def test_a_web_page_reaches_it_over_a_websocket(spawn: Spawn, free_tcp_por
         await client.subscribe("drive/state", qos=1)
         await other.publish("drive/state", "heard", qos=1)
         assert (await anext(client.messages)).payload == b"heard"
+    ports.close()

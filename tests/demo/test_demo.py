@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import signal
 import socket
 import sys
@@ -16,14 +15,13 @@ from typing import Any, Protocol
 
 import pytest
 
+from adaptdrive.recording.marks import read_marks
 from adaptdrive.recording.reader import read_session
 from tests.support import Broker, Process, Spawn, children, serve_promptly
 
 pytestmark = pytest.mark.slow
 
 PATIENCE_S = 120.0
-BUSY = re.compile(r"only \d+ of \d+ ticks were run|overslept: |the daemon had not run for \d+ ms")
-"""Reasons of a machine that did not run the daemon."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,20 +36,8 @@ class Demo:
         return self.process.wait(timeout=PATIENCE_S)
 
     def succeeds(self) -> None:
-        """Wait for an end without fault; half cycles that the machine did not run are not judged.
-
-        Every other trip is a fault on a busy machine, too.
-        """
-        status = self.ended()
-        if status:
-            self._judge_busy_machine()
-        assert status == 0, self.output.read_text()
-
-    def _judge_busy_machine(self) -> None:
-        summary = self.summary()
-        for reason in (summary.get("reason", ""), *summary.get("trips", ())):
-            if BUSY.search(reason):
-                pytest.skip(f"not judged: the machine was busy: {reason}")
+        """Wait for an end without fault, on a busy machine too."""
+        assert self.ended() == 0, self.output.read_text()
 
     def wait_for(self, log: str, text: str) -> None:
         """Wait until a log says something."""
@@ -59,7 +45,6 @@ class Demo:
         path = self.directory / f"{log}.log"
         while not path.exists() or text not in path.read_text():
             if self.process.poll() is not None:
-                self._judge_busy_machine()
                 pytest.fail(f"the demonstration ended: {self.output.read_text()}")
             assert time.monotonic() < deadline, f"{text!r} is not in {path}"
             time.sleep(0.05)
@@ -141,12 +126,11 @@ def test_controls_the_motor_and_says_so_in_one_line(start: Start) -> None:
     assert summary["ok"] is True
     assert summary["state"] == "running"
     assert summary["controller"] == "fixed"
-    assert summary["ticks"] == pytest.approx(120 * 15, rel=0.05)
-    assert summary["slow_periods"] in range(13, 17)
-    assert summary["trips"] == []
-    assert summary["tracking_error_rms"] < 0.2
+    assert summary["story_s"] == pytest.approx(15.0, abs=0.5)
+    assert summary["ticks"] + summary["missed"] == pytest.approx(
+        120 * summary["duration_s"], rel=0.05
+    )
     assert summary["truth"]["tau_sum_s"] == pytest.approx(21.7)
-    assert 0.0 < summary["lateness_us"]["p50"] <= summary["lateness_us"]["max"]
 
 
 def test_keeps_a_session_that_is_whole(start: Start) -> None:
@@ -158,6 +142,16 @@ def test_keeps_a_session_that_is_whole(start: Start) -> None:
     assert sum(running) >= demo.summary()["ticks"]
     assert any(event.kind == "state" for event in session.events)
     assert demo.members() == {}
+
+
+def test_what_was_done_is_marked_in_the_session(start: Start) -> None:
+    demo = start("--duration=40")
+    demo.succeeds()
+    marks = read_marks(Path(demo.summary()["session"]))
+    assert [mark.text for mark in marks] == ["2 disks"]
+    session = read_session(Path(demo.summary()["session"]))
+    first = next(event.time for event in session.events if "to running" in event.detail)
+    assert 20.0 < (marks[0].time - first).total_seconds() < 80.0
 
 
 def test_a_killed_daemon_is_told_of_and_takes_all_with_it(start: Start) -> None:
@@ -204,25 +198,22 @@ def test_nothing_outlives_a_demonstration_that_was_killed(start: Start) -> None:
     demo.is_gone()
 
 
-def test_uses_a_running_broker(start: Start, mosquitto: Broker) -> None:
+def test_two_demonstrations_use_a_running_broker_at_once(start: Start, mosquitto: Broker) -> None:
     address = f"{mosquitto.host}:{mosquitto.port}"
-    demo = start("--duration=5", f"--broker={address}", "--mode=adaptive", "--noise=0", "--steady")
-    demo.wait_for("daemon", "starting to running")
-    second = start("--duration=5", f"--broker={address}")
-    assert second.ended() == 1
-    assert "already has a drive motor online" in second.output.read_text()
-    demo.succeeds()
-    assert demo.summary()["broker"] == address
-    assert demo.summary()["mode"] == "adaptive"
-    assert not (demo.directory / "broker.log").exists()
+    demos = [start("--duration=5", f"--broker={address}", "--noise=0") for _ in range(2)]
+    for demo in demos:
+        demo.succeeds()
+        assert demo.summary()["broker"] == address
+        assert demo.summary()["trips"] == []
+        assert not (demo.directory / "broker.log").exists()
 
 
 @pytest.mark.parametrize(
     ("option", "complaint"),
     [
         ("--duration=0", "--duration 0"),
-        ("--period=5", "--period 5"),
         ("--noise=2", "--noise 2"),
+        ("--speed=2", "--speed: this story passes in real time"),
         ("--channel=vcan3", "--channel vcan3 needs --interface"),
         ("--broker=127.0.0.1:1", "broker 127.0.0.1:1: "),
         ("--broker=no where", "'no where' is not HOST:PORT"),

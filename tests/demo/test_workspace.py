@@ -1,10 +1,12 @@
-"""The folder of a demonstration, and the configuration that is written into it."""
+"""Folder, bus, ports and name of a demonstration, which no other one has."""
 
 from __future__ import annotations
 
+import asyncio
 import string
 import tomllib
-from datetime import UTC, datetime
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
@@ -12,15 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adaptdrive.config.file import load_configuration
-from adaptdrive_sim.broker import BrokerAddress
-from adaptdrive_sim.demo.bus import BusChoice, choose_bus
+from adaptdrive_sim.demo.bus import Ports, choose_bus
+from adaptdrive_sim.demo.real import RealStage
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings
+from adaptdrive_sim.demo.story import read_story
 from adaptdrive_sim.demo.toml_text import toml_text
-from adaptdrive_sim.demo.workspace import Workspace, make_workspace
-
-BUS = BusChoice("udp_multicast", "239.74.163.9", 45678)
-BROKER = BrokerAddress("127.0.0.1", 45679)
-NOW = datetime(2026, 11, 21, 12, 34, 56, tzinfo=UTC)
 
 KEYS = st.text(string.ascii_letters + string.digits + "_-", min_size=1)
 # TOML has no surrogates, and JSON's escapes end at the basic plane.
@@ -33,8 +31,11 @@ DOCUMENTS = st.dictionaries(
 )
 
 
-def made(directory: Path) -> Workspace:
-    return make_workspace(DemoSettings(directory=directory), BUS, BROKER, NOW)
+@contextmanager
+def stage(directory: Path | None = None, broker: str | None = None) -> Iterator[RealStage]:
+    settings = DemoSettings(directory=directory, broker=broker)
+    with closing(RealStage(read_story("motor"), settings)) as made:
+        yield made
 
 
 @given(DOCUMENTS)
@@ -43,37 +44,51 @@ def test_what_is_written_as_toml_reads_back(document: dict[str, object]) -> None
 
 
 def test_the_configuration_is_valid_and_has_this_bus_and_broker(tmp_path: Path) -> None:
-    workspace = made(tmp_path / "run")
-    configuration = load_configuration(workspace.configuration)
+    with stage(tmp_path / "run") as made:
+        configuration = load_configuration(made.workspace.configuration)
     assert configuration.drive.name == "motor"
-    assert configuration.mqtt.port == 45679
+    assert f"127.0.0.1:{configuration.mqtt.port}" == made.broker
     assert configuration.recording.directory == tmp_path / "run" / "sessions"
-    bus = tomllib.loads(workspace.configuration.read_text())["bus"]
-    assert (bus["interface"], bus["channel"]) == ("udp_multicast", "239.74.163.9")
-    assert bus["udp_port"] == 45678
+    bus = tomllib.loads(made.workspace.configuration.read_text())["bus"]
+    assert f"{bus['interface']} {bus['channel']}:{bus['udp_port']}" == str(made.bus)
     assert (tmp_path / "run" / bus["database"]).read_text().startswith("VERSION")
 
 
-def test_the_usual_folder_is_named_after_the_time(
+def test_two_demonstrations_in_one_second_share_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    workspace = make_workspace(DemoSettings(), BUS, BROKER, NOW)
-    assert workspace.directory == tmp_path / "build" / "demo" / "20261121T123456Z"
+    with stage() as one, stage() as other:
+        assert one.workspace.directory != other.workspace.directory
+        assert one.workspace.directory.parent == tmp_path / "build" / "demo"
+        assert one.bus.udp_port != other.bus.udp_port
+        assert one.broker != other.broker
+
+
+def test_at_a_broker_that_others_use_a_drive_has_a_name_of_its_own(tmp_path: Path) -> None:
+    with stage(tmp_path, "127.0.0.1:1883") as made:
+        assert made.drive.startswith("motor-")
+
+
+async def test_a_port_that_is_held_can_be_listened_at_and_is_given_to_nobody_else() -> None:
+    ports = Ports()
+    try:
+        taken = [ports.take() for _ in range(50)]
+        assert len(set(taken)) == 50
+        server = await asyncio.start_server(lambda _, __: None, "127.0.0.1", taken[0])
+        server.close()
+        await server.wait_closed()
+    finally:
+        ports.close()
 
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(DemoError, match="file/run"):
-        made(tmp_path / "file" / "run")
-
-
-def test_two_demonstrations_get_different_buses() -> None:
-    one, other = (choose_bus("udp_multicast", None) for _ in range(2))
-    assert one.udp_port != other.udp_port
+    with pytest.raises(DemoError, match="file"), stage(tmp_path / "file" / "run"):
+        pass
 
 
 def test_a_bus_that_is_asked_for_is_taken() -> None:
-    assert choose_bus("socketcan", "can7").channel == "can7"
-    assert str(choose_bus("socketcan", None)) == "socketcan vcan0"
-    assert choose_bus("udp_multicast", "239.1.2.3").channel == "239.1.2.3"
+    assert choose_bus("socketcan", "can7", 1).channel == "can7"
+    assert str(choose_bus("socketcan", None, 1)) == "socketcan vcan0"
+    assert choose_bus("udp_multicast", "239.1.2.3", 1).channel == "239.1.2.3"

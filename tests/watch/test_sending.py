@@ -10,7 +10,7 @@ from adaptdrive.config.services import Mqtt
 from adaptdrive.runtime.requests import Disable, Reset
 from adaptdrive.watch.keys import KeyCommand
 from adaptdrive.watch.record import WatchRecord
-from adaptdrive.watch.sending import CommandsUnderWay
+from adaptdrive.watch.sending import CommandsUnderWay, over_mqtt
 from tests.operation.peers import PATIENCE_S, Bench, drive_report, serving
 from tests.support import Broker
 
@@ -27,7 +27,7 @@ async def test_nothing_that_was_asked_before_a_stop_acts_after_it(
     """An `enable` waits for telemetry to learn the clock, a `disable` does not."""
     record = WatchRecord("overtaken", time.monotonic)
     settings = Mqtt(host=mosquitto.host, port=mosquitto.port)
-    under_way = CommandsUnderWay(settings, record, PATIENCE_S)
+    under_way = CommandsUnderWay(over_mqtt(settings, record.drive, PATIENCE_S), record)
     async with serving(mosquitto, "overtaken", tmp_path) as bench:
         under_way.send(KeyCommand("enable"))
         under_way.send(KeyCommand("disable"))
@@ -44,7 +44,7 @@ async def test_a_command_is_called_accepted_when_it_was_answered_and_not_before(
 ) -> None:
     record = WatchRecord("awaited", time.monotonic)
     settings = Mqtt(host=mosquitto.host, port=mosquitto.port)
-    under_way = CommandsUnderWay(settings, record, PATIENCE_S)
+    under_way = CommandsUnderWay(over_mqtt(settings, record.drive, PATIENCE_S), record)
     async with serving(mosquitto, "awaited", tmp_path) as bench:
         under_way.send(KeyCommand("enable"))
         under_way.send(KeyCommand("disable"))
@@ -53,4 +53,4 @@ async def test_a_command_is_called_accepted_when_it_was_answered_and_not_before(
         ended = await under_way.end()
         assert record.answer == "disable: accepted"
     assert bench.host.asked == [Disable()]
-    assert [line.partition(": ")[0] for line in ended] == ["enable"]
+    assert [line.split(": ")[:2] for line in ended] == [["awaited", "enable"]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 import pty
 import sys
@@ -21,7 +22,9 @@ from adaptdrive.operation.listener import LIVE_S
 from adaptdrive.operation.messages import drive_message, encode, load_message
 from adaptdrive.operation.profile import Output
 from adaptdrive.runtime.requests import Disable, Enable, SetMode
+from adaptdrive.watch import view
 from adaptdrive.watch.keys import CONFIRM_S, DELIBERATE_S, KeyCommand, KeyReader, pressed_keys
+from adaptdrive.watch.plot import PlotPoint, plot
 from adaptdrive.watch.record import POINTS, WatchRecord
 from adaptdrive.watch.view import screen
 from tests.operation.peers import PATIENCE_S, Bench, drive_report, load_report, serving
@@ -99,6 +102,54 @@ def test_the_view_fills_the_terminal_and_shows_units(size: tuple[int, int]) -> N
 def test_a_gain_has_the_unit_of_the_output_for_each_volt() -> None:
     record = live_record(Clock(), output={"name": "speed", "unit": "rad/s"})
     assert "gain, (rad/s)/V" in "\n".join(shown(record))
+
+
+def test_80_columns_cut_no_label_no_value_and_no_key() -> None:
+    record = live_record(Clock(), limits={"setpoint": [0.0, 4.5], "boost_V": [200.0, 400.0]})
+    names = ("gain", "tau_sum_s", "tau_product_s2", "input_offset")
+    load = {name: {"value": 116.939768, "std": 0.0976} for name in names}
+    record.take("telemetry/load", record.load | {"estimates": load})
+    record.take("simulator", dict.fromkeys(names, 117.01))
+    record.take("telemetry/drive", record.fast | {"ticks": 1234567, "missed": 1234, "held": 12345})
+    text = "\n".join(shown(record, (80, 24)))
+    assert "…" not in text.replace("0…4.5", "").replace("200…400", "")
+    for name in ("gain", "tau sum", "tau product", "input offset", "learned", "± 2 σ", "truth"):
+        assert name in text
+    assert text.count("117") == 8  # learned and true
+    assert "missed 1234  held 12345 of 1234567" in text
+    for key in view.KEYS:
+        assert key in text
+    assert "now" in text
+
+
+def test_without_colours_each_curve_has_a_form_of_its_own() -> None:
+    drawn = set()
+    for controller in ("fixed", "adaptive", "manual", "off"):
+        points = [PlotPoint(0.1 * k, math.nan, 3.0, controller) for k in range(500)]
+        drawn.add(plot(points, (), 50.0, 50.0, (80, 12)).plain)
+    reference = [PlotPoint(0.1 * k, 3.0, math.nan, "fixed") for k in range(500)]
+    drawn.add(plot(reference, (), 50.0, 50.0, (80, 12)).plain)
+    assert len(drawn) == 5
+
+
+def test_the_plot_goes_on_while_the_drive_is_off_and_while_nothing_is_heard() -> None:
+    clock = Clock()
+    record = live_record(clock, state="standby", setpoint=None)
+    clock.now_s += 1.0
+    later = (NOW + timedelta(seconds=1.0)).isoformat()
+    record.take("telemetry/drive", record.fast | {"time": later, "output": 2.5})
+    assert [point.controller for point in record.points] == ["off", "off"]
+    clock.now_s += 20.0
+    assert record.now_s == pytest.approx(NOW.timestamp() + 21.0)
+
+
+def test_the_scale_follows_what_is_shown() -> None:
+    old = [PlotPoint(1.0 * k, 100.0, 100.0, "fixed") for k in range(10)]
+    new = [PlotPoint(100.0 + k, 3.0, 3.1, "fixed") for k in range(30)]
+    assert (
+        plot(old + new, (), 130.0, 30.0, (80, 12)).plain
+        == plot(new, (), 130.0, 30.0, (80, 12)).plain
+    )
 
 
 def test_a_trip_is_shown_with_its_remedy() -> None:

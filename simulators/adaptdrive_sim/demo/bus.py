@@ -1,18 +1,15 @@
-"""The bus of a demonstration: the one asked for, else the best that this machine has."""
+"""The bus and the ports of a demonstration, which it shares with no other one."""
 
 from __future__ import annotations
 
+import os
 import socket
+from contextlib import ExitStack
 from dataclasses import dataclass
-from pathlib import Path
 
-from adaptdrive.config.bus import CanBus
-from adaptdrive.errors import BusError
-from adaptdrive.hardware.link.bus import open_bus
 from adaptdrive_sim.device_settings import InterfaceChoice
 
 VIRTUAL_INTERFACE = "vcan0"
-GROUP = "239.74.163.2"
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,41 +36,38 @@ class BusChoice:
         return {"interface": self.interface, "channel": self.channel, "udp_port": self.udp_port}
 
 
-def choose_bus(interface: InterfaceChoice | None, channel: str | None) -> BusChoice:
-    """The bus to use.
+def choose_bus(interface: InterfaceChoice | None, channel: str | None, port: int) -> BusChoice:
+    """Return the bus to use.
 
     Args:
-        interface: The interface asked for; None for the best one: the kernel's virtual CAN where
-            there is one, else multicast on loopback.
-        channel: The channel asked for; None for the interface's usual one.
+        interface: The interface asked for; None for multicast on loopback.
+        channel: The channel asked for; None for one of this process alone, or vcan0.
+        port: Port for multicast.
     """
-    # A port of its own keeps two demonstrations on one machine apart.
-    port = free_port(socket.SOCK_DGRAM)
-    if interface is None:
-        kernel = BusChoice("socketcan", VIRTUAL_INTERFACE, port)
-        return kernel if _usable(kernel) else BusChoice("udp_multicast", GROUP, port)
-    usual = VIRTUAL_INTERFACE if interface == "socketcan" else GROUP
-    return BusChoice(interface, channel or usual, port)
+    if interface == "socketcan":
+        return BusChoice(interface, channel or VIRTUAL_INTERFACE, port)
+    number = os.getpid()
+    group = f"239.74.{number >> 8 & 255}.{number & 255}"
+    return BusChoice("udp_multicast", channel or group, port)
 
 
-def free_port(kind: socket.SocketKind) -> int:
-    """Return a port of the loopback interface that was free at the call."""
-    with socket.socket(socket.AF_INET, kind) as probe:
+class Ports:
+    """Free ports of the loopback interface, held until the demonstration ends.
+
+    A held port is given to no other process that asks the kernel for any; who is told its number
+    can listen at it.
+    """
+
+    def __init__(self) -> None:
+        self._held = ExitStack()
+
+    def take(self, kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
+        """Return a free port."""
+        probe = self._held.enter_context(socket.socket(socket.AF_INET, kind))
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
-
-def _usable(bus: BusChoice) -> bool:
-    unread = Path("adaptdrive.dbc")
-    config = CanBus(
-        type="can",
-        interface=bus.interface,
-        channel=bus.channel,
-        database=unread,
-        clock="DriveLoad",
-    )
-    try:
-        open_bus(config).shutdown()
-    except BusError:
-        return False
-    return True
+    def close(self) -> None:
+        """Give all back."""
+        self._held.close()

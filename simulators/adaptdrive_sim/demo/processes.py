@@ -91,6 +91,10 @@ class Household:
         self._children.append(child)
         return child
 
+    def has(self, name: str) -> bool:
+        """Return whether a process of that name was started."""
+        return any(child.name == name for child in self._children)
+
     async def watch(self) -> NoReturn:
         """Wait until a process ends by itself.
 

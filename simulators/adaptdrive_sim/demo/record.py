@@ -1,156 +1,110 @@
-"""Everything that was heard since the demonstration began, as view and summary need it."""
+"""What was heard of a demonstration, beyond what every view of a drive needs."""
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from datetime import datetime
 
-from adaptdrive.watch.plot import Mark, PlotPoint
-from adaptdrive_sim.demo import heard
+from adaptdrive.operation.payloads import number
+from adaptdrive.watch.plot import Mark
+from adaptdrive.watch.record import Payload, WatchRecord
 from adaptdrive_sim.demo.halves import Halves
+from adaptdrive_sim.demo.story import Story
 
-TRACE_LENGTH = 10 * 600
-SLOW_LENGTH = 3600
-EVENTS_KEPT = 50
-_LATENESS_REPORTS = 100
-
-Clock = Callable[[], float]
-
-
-@dataclass(frozen=True, slots=True)
-class Counts:
-    """Counters of the fast loop at one time."""
-
-    time_s: float
-    ticks: int
-    missed: int
-    held: int
+TRIPPED = "trip"
+_COUNTED = ("ticks", "missed", "held")
+_MARKS = 200
 
 
 @dataclass(slots=True)
-class DemoRecord:
-    """Received messages; times are seconds of `clock`.
+class DemoRecord(WatchRecord):
+    """Received messages, and what follows from them for the end of the demonstration.
 
     Attributes:
-        began: When the demonstration began, UTC: earlier messages do not belong to it.
-        clock: Monotonic clock.
-        connected: Whether the broker can be heard.
-        online: Whether the daemon is online.
-        state: Last state.
-        drive: Last report of the fast loop.
-        load: Last slow period.
-        truth: Last truth of the simulator.
-        events: Last events.
+        story: What is played.
         trips: Every trip.
-        first: Counters of the first report under control, None before.
-        last: Counters now.
-        trace: Speed and reference, ten times a second.
-        slow: Speed and reference of the last slow periods.
+        completed: Whether the load has what it needs.
+        control_s: Time of the drive's clock that was spent running.
+        counts: Ticks, missed and held ones, while the drive ran.
         slow_periods: Slow periods so far.
-        marks: What was done to the drive.
-        handovers_V: Hand-over step of each change of controller.
-        halves: Overshoot of the half waves.
-        lateness: The last reports of lateness.
-        caption: What is happening, in words.
-        size: What a half wave has to move, where it is no number of disks.
+        halves: Overshoots.
+        size: Which of the story's sizes the load had last.
+        values: The story's values.
     """
 
-    began: datetime
-    clock: Clock
-    connected: bool = False
-    online: bool = False
-    state: heard.StateMessage | None = None
-    drive: heard.DriveMessage | None = None
-    load: heard.LoadMessage | None = None
-    truth: heard.Truth | None = None
-    events: deque[heard.EventMessage] = field(default_factory=lambda: deque(maxlen=EVENTS_KEPT))
+    story: Story = field(kw_only=True)
     trips: list[str] = field(default_factory=list)
-    first: Counts | None = None
-    last: Counts | None = None
-    trace: deque[PlotPoint] = field(default_factory=lambda: deque(maxlen=TRACE_LENGTH))
-    slow: deque[PlotPoint] = field(default_factory=lambda: deque(maxlen=SLOW_LENGTH))
+    completed: bool = False
+    control_s: float = 0.0
+    counts: dict[str, float] = field(default_factory=lambda: dict.fromkeys(_COUNTED, 0.0))
     slow_periods: int = 0
-    marks: deque[Mark] = field(default_factory=lambda: deque(maxlen=EVENTS_KEPT))
-    handovers_V: list[float] = field(default_factory=list)
     halves: Halves = field(default_factory=Halves)
-    lateness: deque[heard.QuantilesMessage] = field(
-        default_factory=lambda: deque(maxlen=_LATENESS_REPORTS)
-    )
-    caption: str = ""
-    size: int = 0
-
-    @property
-    def control(self) -> Counts | None:
-        """Time and counters since control began, None before."""
-        first, last = self.first, self.last
-        if first is None or last is None:
-            return None
-        return Counts(
-            last.time_s - first.time_s,
-            last.ticks - first.ticks,
-            last.missed - first.missed,
-            last.held - first.held,
-        )
+    size: int | None = None
+    values: dict[str, float] = field(default_factory=dict)
+    marks: deque[Mark] = field(default_factory=lambda: deque(maxlen=_MARKS))
+    _truth_tick: float = 0.0
 
     @property
     def running(self) -> bool:
         """True if the drive is under control."""
-        return self.state is not None and self.state.state == "running"
+        return self.state.get("state") == "running"
 
     @property
-    def drive_seen(self) -> bool:
-        """True if the daemon receives the drive's frames."""
-        return self.drive is not None and self.drive.output is not None
+    def trip(self) -> str:
+        """The trip that is latched, empty for none."""
+        return str(self.state.get("trip") or "")
 
-    def hear_state(self, state: heard.StateMessage) -> None:
-        """Take a state, unless it is of an earlier daemon."""
-        if state.time >= self.began:
-            self.state = state
+    def take(self, name: str, content: Payload) -> None:
+        """Take a message.
 
-    def hear_drive(self, drive: heard.DriveMessage) -> None:
-        """Take a report of the fast loop; the first one of a running drive begins the count."""
-        now_s = self.clock()
-        self.drive = drive
-        self.last = Counts(now_s, drive.ticks, drive.missed, drive.held)
-        if self.first is None and self.running:
-            self.first = self.last
-        if drive.lateness_us.max is not None:
-            self.lateness.append(drive.lateness_us)
-        if drive.output is not None and self.load is not None:
-            controller = self.load.controller if self.running else "off"
-            point = PlotPoint(now_s, self.load.reference, drive.output, controller)
-            self.trace.append(point)
+        Args:
+            name: Topic below that of the drive.
+            content: Its payload.
+        """
+        fast = self.fast
+        first_s = self.points[-1].time_s if self.points else math.inf
+        WatchRecord.take(self, name, content)
+        match name:
+            case "telemetry/drive" if self.running and self.points:
+                self.control_s += max(0.0, self.points[-1].time_s - first_s)
+                for one in _COUNTED:
+                    self.counts[one] += content.get(one, 0) - fast.get(one, 0)
+            case "telemetry/load":
+                self._take_load(content)
+            case "event":
+                self._take_event(content)
+            case "simulator" if content:
+                self._take_truth(content)
 
-    def hear_load(self, load: heard.LoadMessage) -> None:
-        """Take a slow period, unless it is of an earlier daemon."""
-        if load.time < self.began:
-            return
-        if self.load is not None and load.controller != self.load.controller:
-            if load.handover_step_V is not None:
-                self.handovers_V.append(abs(load.handover_step_V))
-            self.mark(load.controller)
-        self.load = load
-        if load.output is not None:
-            disks = self.truth.disks if self.truth else self.size
-            point = PlotPoint(self.clock(), load.reference, load.output, load.controller)
-            self.slow.append(point)
-            self.halves.add(load.reference, load.output, load.controller, disks)
-            self.slow_periods += 1
+    def _take_load(self, content: Payload) -> None:
+        self.slow_periods += 1
+        values = number(content.get("reference")), number(content.get("output"))
+        if all(map(math.isfinite, values)):
+            self.halves.add(*values, str(content.get("controller")), self.size)
 
-    def hear_truth(self, truth: heard.Truth) -> None:
-        """Record the true state of the simulator."""
-        if self.truth is not None and truth.disks != self.truth.disks:
-            self.mark(f"{truth.disks} disk{'s' if truth.disks > 1 else ''}")
-        self.truth = truth
+    def _take_event(self, content: Payload) -> None:
+        if content.get("kind") == "trip":
+            self.trips.append(str(content.get("detail")))
+            self.mark(TRIPPED)
+        self.completed = self.completed or content.get("kind") == "complete"
 
-    def hear_event(self, event: heard.EventMessage) -> None:
-        """Take an event."""
-        self.events.append(event)
-        if event.kind == "trip":
-            self.trips.append(event.detail)
+    def _take_truth(self, content: Payload) -> None:
+        """Keep the story's values, and mark a load that has got another size."""
+        known = self.story.overshoot
+        size = known.index(content.get(known.of)) if known else None
+        if known and size is not None and size != self.size and self.size is not None:
+            self.mark(known.names[size])
+        self.size = self.size if size is None else size
+        half_cycles = number(content.get("tick")) - self._truth_tick
+        self._truth_tick += half_cycles
+        since_s = half_cycles * number(content.get("half_cycle_s"))
+        for one in self.story.values:
+            new, old = one.scale * number(content.get(one.of)), self.values.get(one.name, 0.0)
+            if one.keep == "returned":
+                new = old + max(0.0, -new) * since_s
+            self.values[one.name] = max(old, new) if one.keep == "highest" else new
 
     def mark(self, text: str) -> None:
-        """Note in the plot what was done."""
-        self.marks.append(Mark(self.clock(), text))
+        """Mark in the plot what was done."""
+        self.marks.append(Mark(self.now_s, text))

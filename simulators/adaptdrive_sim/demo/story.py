@@ -1,108 +1,166 @@
-"""Parts of a demonstration in virtual time."""
+"""Stories as data: one file each, which names what happens when, and the sentence about it."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Any, ClassVar
+import tomllib
+from pathlib import Path
+from typing import Any, Literal
 
-from rich.table import Table
+import msgspec
 
-from adaptdrive.config.root import Configuration
-from adaptdrive.watch.tables import figure, number, percent, rows
-from adaptdrive_sim.demo.heard import known
-from adaptdrive_sim.demo.play import Play
-from adaptdrive_sim.demo.subject import Figures
-from adaptdrive_sim.world import World
+from adaptdrive.errors import RefusedError
+from adaptdrive_sim.experiments.examples import example_tables
+
+FOLDER = Path(__file__).parent / "stories"
 
 
-@dataclass(frozen=True, slots=True)
-class Scene:
+class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    pass
+
+
+class Wave(_Table, frozen=True):
+    """A waveform of the set-point, as the command `waveform` takes it."""
+
+    shape: str
+    low: float
+    high: float
+    period_s: float
+
+
+class Scene(_Table, frozen=True):
     """One turn of a story.
 
     Attributes:
-        time_s: When it comes, since the drive was enabled.
-        caption: What to look at, in words.
-        do: What is done to drive or load.
+        at_s: When it comes, since the story began.
+        say: What to look at.
+        mode: Controller to ask for; the one of before when left out.
+        setpoint: A constant set-point; likewise.
+        waveform: A waveform instead of it.
+        disturb: Request to the simulated device; `disks` is how many are to be on the shaft.
     """
 
-    time_s: float
-    caption: str
-    do: Callable[[], None]
+    at_s: float
+    say: str
+    mode: str | None = None
+    setpoint: float | None = None
+    waveform: Wave | None = None
+    disturb: dict[str, float] | None = None
 
 
-class Story:
-    """A load, what happens to it, and how to describe it.
+class Overshoot(_Table, frozen=True):
+    """By which size of the load the overshoots are told apart.
 
     Attributes:
-        name: Name of the demonstration.
-        title: What the plot shows.
-        window_s: Longest time that the plot shows.
-        words: What the output and its set-point are called, and their unit.
-        symbols: Short names of the estimates.
-        play: The drive.
+        of: The size in the truth of the simulator.
+        sizes: Its values.
+        names: A name for each.
+        adaptive_at_most: Largest share of a step by which the adaptive controller may overshoot.
     """
 
-    name: ClassVar[str]
-    title: ClassVar[str]
-    window_s: ClassVar[float]
-    words: ClassVar[tuple[str, str, str]]
-    symbols: ClassVar[dict[str, str]]
+    of: str
+    sizes: list[float]
+    names: list[str]
+    adaptive_at_most: float = 1.0
 
-    def __init__(self, configuration: Configuration, world: World) -> None:
-        """Put the daemon's controller in front of a load."""
-        self.play = Play(configuration, world)
+    def index(self, size: object) -> int | None:
+        """Return which of the sizes the load has, None for none of them."""
+        if not isinstance(size, int | float):
+            return None
+        near = (k for k, one in enumerate(self.sizes) if abs(size - one) < 0.005 * one)
+        return next(near, None)
 
-    def scenes(self) -> Iterator[Scene]:
-        """Return the scenes in the order of time; the first is the beginning."""
-        raise NotImplementedError
 
-    def watch(self) -> None:
-        """Look at the load, once in every slow period."""
-        raise NotImplementedError
+class Value(_Table, frozen=True):
+    """A value of the truth that is shown.
 
-    @property
-    def figures(self) -> Figures:
-        """Tables for the live view."""
-        raise NotImplementedError
+    Attributes:
+        name: Its name for the viewer.
+        of: Its name in the truth of the simulator.
+        keep: The last value, the highest one, or the energy in J of a power while it was negative.
+        unit: Unit, after the scale.
+        scale: Factor.
+        at_most: Largest value for which control has worked.
+        at_least: Smallest one.
+        from_s: Time of the story from which on these count.
+    """
 
-    def ended(self) -> bool:
-        """Return whether there is nothing more to see."""
-        return self.play.drive.completed
+    name: str
+    of: str
+    keep: Literal["last", "highest", "returned"] = "last"
+    unit: str = ""
+    scale: float = 1.0
+    at_most: float | None = None
+    at_least: float | None = None
+    from_s: float = 0.0
 
-    def summary(self) -> dict[str, Any]:
-        """Return the summary for the end, apart from the part that all demonstrations have."""
-        raise NotImplementedError
+    def fits(self, value: float) -> bool:
+        """Return whether control has worked, as far as this value shows it."""
+        low = -float("inf") if self.at_least is None else self.at_least
+        return low <= value <= (float("inf") if self.at_most is None else self.at_most)
 
-    def problems(self) -> Iterator[str]:
-        """Return the problems that occurred."""
-        raise NotImplementedError
 
-    def truth(self) -> dict[str, float]:
-        """The load's parameters by formula, by the names of its estimates."""
-        model = self.play.drive.world.true_model
-        return {name: model[name] for name in self.symbols}
+class Story(_Table, frozen=True, rename={"scenes": "scene", "values": "value"}):
+    """A load, and what happens to it.
 
-    def drive_table(self, *more: tuple[str, str]) -> Table:
-        """Output, set-point and boost voltage, and what the load adds."""
-        table, sample, load = rows("l", "r"), self.play.drive.sample, self.play.record.load
-        output, reference, unit = self.words
-        table.add_row(output, f"{number(sample.output, 2)} {unit}")
-        table.add_row(reference, f"{number(load.reference if load else math.nan, 2)} {unit}")
-        asked = load.boost_reference_V if load else math.nan
-        table.add_row("V_c / v_bst", f"{number(asked, 0)} / {sample.boost_voltage_V:.0f} V")
-        for row in more:
-            table.add_row(*row)
-        return table
+    Attributes:
+        about: What is seen, in one line.
+        configuration: The example configuration that daemon and simulated drive read.
+        noise: Standard deviation of each sample of the output.
+        duration_s: How long it takes.
+        window_s: Longest time that the plot shows.
+        scenes: The first one begins it.
+        speed: Times real time, None for real time with a process for each part.
+        initial_voltage_V: Boost voltage at which the load rests at the begin, None for standstill.
+        changes: Values that replace those of the configuration.
+        drop: Disturbances that the key `d` sends, in turn.
+        overshoot: Sizes for the table of overshoots.
+        values: Values for the table in its place.
+        complete: What to say when the load has what it needs.
+        name: Name of the file.
+    """
 
-    def estimates_table(self) -> Table:
-        """Each estimate beside the truth."""
-        table, load = rows("l", "r", "r", "r"), self.play.record.load
-        table.add_row("", "learned", "truth", "error", style="bold")
-        truth, estimates = self.truth(), load.estimates if load else {}
-        for name, symbol in self.symbols.items():
-            value = known(estimates[name].value) if name in estimates else math.nan
-            error = percent(value / truth[name] - 1.0)
-            table.add_row(symbol, figure(value), figure(truth[name]), error)
-        return table
+    about: str
+    configuration: str
+    noise: float
+    duration_s: float
+    window_s: float
+    scenes: list[Scene]
+    speed: float | None = None
+    initial_voltage_V: float | None = None
+    changes: dict[str, dict[str, Any]] = {}
+    drop: list[dict[str, float]] = []
+    overshoot: Overshoot | None = None
+    values: list[Value] = []
+    complete: str = ""
+    name: str = ""
+
+    def document(self) -> dict[str, Any]:
+        """Return the configuration of the daemon, with the changes of this story."""
+        found = example_tables(self.configuration)
+        _change(found, self.changes)
+        return found
+
+
+def _change(tables: dict[str, Any], changes: dict[str, Any]) -> None:
+    for name, value in changes.items():
+        if isinstance(value, dict):
+            _change(tables.setdefault(name, {}), value)
+        else:
+            tables[name] = value
+
+
+def story_names() -> list[str]:
+    """Return the names of all stories."""
+    return sorted(path.stem for path in FOLDER.glob("*.toml"))
+
+
+def read_story(name: str) -> Story:
+    """Read a story.
+
+    Raises:
+        RefusedError: There is none of that name.
+    """
+    if name not in story_names():
+        raise RefusedError(f"{name!r} is no story; there are {', '.join(story_names())}")
+    document = tomllib.loads((FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
+    return msgspec.convert(document | {"name": name}, Story)

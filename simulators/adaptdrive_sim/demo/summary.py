@@ -1,131 +1,135 @@
-"""The end of a demonstration in figures."""
+"""The end of a demonstration: its figures, and what was seen in one picture."""
 
 from __future__ import annotations
 
-import math
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import msgspec
-import numpy as np
+from rich.console import Console, Group
+from rich.text import Text
 
-from adaptdrive.errors import RecordingError
-from adaptdrive.recording.reader import read_session
-from adaptdrive_sim.demo.judgement import shortcomings, tracking_error
-from adaptdrive_sim.demo.record import Counts, DemoRecord
-from adaptdrive_sim.demo.settings import DRIVE
+from adaptdrive.errors import AdaptdriveError
+from adaptdrive.recording.marks import SessionMark, write_marks
+from adaptdrive.watch.plot import CONTROLLERS, plot
+from adaptdrive_sim.demo.player import Player
+from adaptdrive_sim.demo.record import TRIPPED, DemoRecord
+from adaptdrive_sim.demo.view import story_table
 
-
-class Places(msgspec.Struct, frozen=True):
-    """Files and addresses of a demonstration.
-
-    Attributes:
-        bus: The bus.
-        broker: The broker.
-        directory: Folder with configuration, logs and sessions.
-        session: The recorded session, None when there is none.
-    """
-
-    bus: str
-    broker: str
-    directory: Path
-    session: Path | None
+_PICTURE = (100, 18)
 
 
-def summarise(record: DemoRecord, places: Places, failure: str | None) -> dict[str, Any]:
-    """Everything worth knowing at the end, as one flat object for JSON.
+def summarise(record: DemoRecord, player: Player, failure: str) -> dict[str, Any]:
+    """Return everything worth knowing at the end, as one flat object for JSON.
 
     Args:
         record: What was heard.
-        places: Where it was.
-        failure: What ended the demonstration early; None when nothing did.
+        player: The story.
+        failure: What ended the demonstration early; empty when nothing did.
     """
-    problems = ([failure] if failure else []) + list(shortcomings(record))
+    problems = [failure] if failure else list(_problems(record, player))
     return {
-        "demo": DRIVE,
+        "demo": record.story.name,
         "ok": not problems,
         "reason": "; ".join(problems),
-        "bus": places.bus,
-        "broker": places.broker,
-        **_state(record),
-        **_counts(record),
-        **_times(places.session),
-        "trips": record.trips,
-        "tracking_error_rms": _finite(tracking_error(record), 4),
-        "overshoot": _overshoot(record),
-        "handover_step_V": _finite(max(record.handovers_V, default=math.nan), 3),
-        "disks": record.truth.disks if record.truth else None,
-        "estimates": _estimates(record),
-        "truth": record.truth.parameters if record.truth else None,
-        "directory": str(places.directory),
-        "session": str(places.session) if places.session else None,
-    }
-
-
-def one_line(summary: dict[str, Any]) -> str:
-    """Return a summary as one line of JSON."""
-    return msgspec.json.encode(summary).decode()
-
-
-def _state(record: DemoRecord) -> dict[str, Any]:
-    state = record.state
-    return {
-        "state": state.state if state else None,
-        "mode": state.mode if state else None,
-        "controller": state.controller if state else None,
-    }
-
-
-def _counts(record: DemoRecord) -> dict[str, Any]:
-    """Counters since control began."""
-    counts = record.control or Counts(0.0, 0, 0, 0)
-    return {
-        "duration_s": round(counts.time_s, 3),
-        "ticks": counts.ticks,
-        "missed": counts.missed,
-        "held": counts.held,
+        **{name: record.state.get(name) for name in ("state", "mode", "controller")},
+        "story_s": round(player.at_s, 3),
+        "duration_s": round(record.control_s, 3),
+        **{name: int(count) for name, count in record.counts.items()},
         "slow_periods": record.slow_periods,
+        "trips": record.trips,
+        "complete": record.completed,
+        "overshoot": _overshoots(record),
+        "values": {name: round(value, 4) for name, value in record.values.items()},
+        "estimates": record.load.get("estimates"),
+        "truth": {name: record.truth.get(name) for name in record.load.get("estimates") or ()},
     }
 
 
-def _times(session: Path | None) -> dict[str, Any]:
-    """Lateness and turnaround of every tick under control, from the recording."""
-    names = ("lateness_us", "turnaround_us")
-    try:
-        ticks = read_session(session).ticks if session else None
-    except RecordingError:
-        ticks = None
-    if ticks is None:
-        return dict.fromkeys(names)
-    running = np.asarray(ticks["stage"].to_pylist()) == "run"
-    return {name: _quantiles(ticks[name].to_numpy()[running]) for name in names}
+def _problems(record: DemoRecord, player: Player) -> Iterator[str]:
+    """Yield everything that makes the demonstration a failure, in one sentence each."""
+    if not record.control_s:
+        yield "the drive never ran"
+    elif not record.running and not record.completed and not player.paused:
+        yield f"the drive is not running but in {record.state.get('state')}"
+    for one in record.story.values:
+        value = record.values.get(one.name, 0.0)
+        if player.at_s >= one.from_s and not one.fits(value):
+            yield f"{one.name} was {value:.4g} {one.unit}"
+    if (known := record.story.overshoot) is not None:
+        for name, share in _overshoots(record)["adaptive"].items():
+            if share > known.adaptive_at_most and not record.trips:
+                yield f"the adaptive controller overshot by {100.0 * share:.1f} % with {name}"
 
 
-def _quantiles(times_us: Any) -> dict[str, float] | None:  # noqa: ANN401 - numpy's array
-    times_us = times_us[np.isfinite(times_us)]
-    if not times_us.size:
-        return None
-    found = np.percentile(times_us, (50.0, 99.0, 100.0)).tolist()
-    return {name: round(us, 1) for name, us in zip(("p50", "p99", "max"), found, strict=True)}
-
-
-def _overshoot(record: DemoRecord) -> dict[str, dict[str, float]]:
-    """Overshoot as a fraction of the step, by controller and number of disks."""
+def _overshoots(record: DemoRecord) -> dict[str, dict[str, float]]:
+    """Return overshoots as shares of a step, by controller and size of the load."""
+    names = record.story.overshoot.names if record.story.overshoot else []
     return {
         controller: {
-            str(disks): round(found, 4)
-            for disks in range(1, 4)
-            if (found := record.halves.overshoot(controller, disks)) is not None
+            name: round(found, 4)
+            for k, name in enumerate(names)
+            if (found := record.halves.overshoot(controller, k)) is not None
         }
-        for controller in ("fixed", "adaptive")
+        for controller in CONTROLLERS
     }
 
 
-def _estimates(record: DemoRecord) -> dict[str, Any] | None:
-    if record.load is None:
+def keep_marks(record: DemoRecord, session: Path) -> None:
+    """Write what was done to the drive into its session, for figures."""
+    marks = [SessionMark(datetime.fromtimestamp(m.time_s, UTC), m.text) for m in record.marks]
+    write_marks(session, [mark for mark in marks if mark.text != TRIPPED])
+
+
+def show_end(record: DemoRecord, summary: dict[str, Any], session: Path | None) -> None:
+    """Print what was seen, the figures, and the line that shows it again."""
+    points = list(record.points)
+    console = Console(highlight=False)
+    size = min(_PICTURE[0], console.width), _PICTURE[1]
+    if points:
+        since_s = points[-1].time_s - points[0].time_s
+        title = Text(f"{record.story.about} ({record.output_name} in {record.unit})", "bold")
+        picture = plot(points, list(record.marks), points[-1].time_s, max(since_s, 1.0), size)
+        name, table = story_table(record)
+        table.expand = False
+        console.print(Group(title, picture, Text(f"\n{name}", "bold"), table, ""))
+    sys.stdout.write("\n".join(_lines(summary, session)) + "\n")
+
+
+def _lines(summary: dict[str, Any], session: Path | None) -> Iterator[str]:
+    verdict = "control worked" if summary["ok"] else "control failed"
+    yield f"{summary['demo']}: {verdict} for {summary['duration_s']:.0f} s"
+    counted = (f"{summary[name]} {name}" for name in ("ticks", "missed", "held"))
+    yield f"  ticks      {', '.join(counted)}, {len(summary['trips'])} trips"
+    if session is not None and (figure := _figure(session)) is not None:
+        yield f"  figure     {_short(figure)}"
+        yield f"  once more  {operator_program()} plot {_short(session)}"
+    else:
+        yield f"  once more  {operator_program('adaptdrive-sim')} demo {summary['demo']}"
+
+
+def _figure(session: Path) -> Path | None:
+    """Draw the session; None where it cannot be drawn here."""
+    try:
+        from adaptdrive.analysis.plot import plot as plot_session  # noqa: PLC0415 - it is large
+
+        return plot_session(session)[0]
+    except (ImportError, AdaptdriveError, OSError):
         return None
-    return {name: msgspec.to_builtins(one) for name, one in record.load.estimates.items()}
 
 
-def _finite(value: float, digits: int) -> float | None:
-    return round(value, digits) if math.isfinite(value) else None
+def operator_program(name: str = "adaptdrive") -> str:
+    """Return the command for a program: its name, or its path if the name is not found."""
+    if shutil.which(name):
+        return name
+    path = Path(sys.executable).with_name(name)
+    return os.path.relpath(path) if path.is_relative_to(Path.cwd()) else str(path)
+
+
+def _short(path: Path) -> str:
+    here = Path.cwd()
+    return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)

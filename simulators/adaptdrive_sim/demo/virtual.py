@@ -1,236 +1,167 @@
-"""A demonstration in virtual time: one process, no bus, N times real time."""
+"""The stage of a story in virtual time: one process, no bus, N times real time."""
 
 from __future__ import annotations
 
 import asyncio
-import math
-import sys
+import json
 import time
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from rich.console import Console
-from rich.live import Live
+import msgspec
 
-from adaptdrive.config.file import validate_configuration
-from adaptdrive.runtime.requests import Enable
-from adaptdrive_sim.demo.bath_story import BathStory
-from adaptdrive_sim.demo.battery_story import BatteryStory
-from adaptdrive_sim.demo.braking_story import BrakingStory
-from adaptdrive_sim.demo.settings import VirtualSettings
-from adaptdrive_sim.demo.stage import end_on_signals
-from adaptdrive_sim.demo.story import Scene, Story
-from adaptdrive_sim.demo.subject import Subject
-from adaptdrive_sim.demo.summary import one_line
-from adaptdrive_sim.demo.view import ViewContext, screen
-from adaptdrive_sim.experiments.examples import FOLDER, example_tables
-from adaptdrive_sim.line import LineParameters
-from adaptdrive_sim.noise import NoiseParameters
-from adaptdrive_sim.plants.boost import BoostParameters
-from adaptdrive_sim.world import WorldParameters
+from adaptdrive.app.profile import operator_profile
+from adaptdrive.config.root import Configuration
+from adaptdrive.errors import RefusedError
+from adaptdrive.operation import messages
+from adaptdrive.operation.clock import Synchronisation
+from adaptdrive.operation.commands import Payload
+from adaptdrive.operation.simulator import DeviceReply
+from adaptdrive.runtime.accounts import state_report
+from adaptdrive.runtime.reports import Event, LoadReport, Severity, StopWord
+from adaptdrive.watch.keys import KeyCommand
+from adaptdrive_sim.demo.record import DemoRecord
+from adaptdrive_sim.disturbances import apply_request, features_of, parse_request
+from adaptdrive_sim.virtual import OperatedDrive
+from adaptdrive_sim.world import World
 
-_STORIES: dict[str, type[BathStory | BatteryStory | BrakingStory]] = {
-    "bath": BathStory,
-    "battery": BatteryStory,
-    "braking": BrakingStory,
-}
-_FILES = {"bath": "bath", "battery": "battery", "braking": "motor-bidirectional"}
-_NOISE = {"bath": 0.05, "battery": 0.02, "braking": 0.0004}
 _SLICE_s = 0.02
 _BREAK_s = 0.005
-_REFRESH_s = 0.25
-_LINE_DRIFT_Hz = 0.1
+_REPORT_TICKS = 240
 
 
-def run_virtual(settings: VirtualSettings) -> int:
-    """Run a demonstration in virtual time and print its summary.
+class VirtualStage:
+    """A drive in virtual time, whose messages go straight into a record.
 
-    Args:
-        settings: What is wanted; without a terminal it is headless anyway.
-
-    Returns:
-        0 when control worked, 1 when it failed.
-
-    Raises:
-        AdaptdriveError: It could not begin.
+    Attributes:
+        drive: The drive.
+        has_sensors: There are no sensors beside it.
     """
-    settings.check()
-    headless = settings.headless or not sys.stdout.isatty()
-    story = build_story(settings)
-    asyncio.run(_perform(settings, story, headless=headless))
-    found = summarise(story, settings.speed)
-    sys.stdout.write((one_line(found) if headless else "\n".join(_lines(found))) + "\n")
-    if not found["ok"]:
-        sys.stderr.write(f"adaptdrive-sim: {found['reason']}\n")
-    return 0 if found["ok"] else 1
 
+    has_sensors = False
 
-def build_story(settings: VirtualSettings) -> Story:
-    """The controller of the packaged configuration, in front of the load's simulated plant."""
-    source = f"{_FILES[settings.load]}.toml"
-    configuration = validate_configuration(example_tables(source), FOLDER / source)
-    noise = _NOISE[settings.load] if settings.noise is None else settings.noise
-    parameters = WorldParameters(
-        line=LineParameters(
-            frequency_Hz=configuration.drive.line_frequency_Hz, drift_Hz=_LINE_DRIFT_Hz
-        ),
-        boost=BoostParameters(
-            capacitance_F=configuration.drive.boost_capacitance_F,
-            bidirectional=configuration.drive.kind == "bidirectional",
-        ),
-        noise=NoiseParameters(sigma=noise),
-        seed=settings.seed,
-    )
-    return _STORIES[settings.load](configuration, parameters, settings.mode)
+    def __init__(self, configuration: Configuration, world: World, speed: float) -> None:
+        """Put the daemon's controller in front of a load.
 
+        Args:
+            configuration: The daemon's configuration.
+            world: The plant.
+            speed: Times real time.
+        """
+        self.drive = OperatedDrive(configuration, world)
+        self.record: DemoRecord | None = None
+        self._profile = operator_profile(configuration)
+        self._speed = speed
+        self._began = datetime.now(UTC)
+        self._due_s = 0.0
+        self._last_s = time.monotonic()
+        self._report_ticks = max(_REPORT_TICKS, configuration.ticks_per_period // 2)
+        self._told = ""
 
-async def _perform(settings: VirtualSettings, story: Story, *, headless: bool) -> None:
-    """Play until the time is over, the story ends, or a signal asks for the end."""
-    asked = end_on_signals()
-    async with asyncio.TaskGroup() as tasks:
-        roles = [tasks.create_task(_pace(settings, story, asked, stay=not headless))]
-        if not headless:
-            roles.append(tasks.create_task(_show(settings, story)))
-        await asked.wait()
-        for role in roles:
-            role.cancel()
-
-
-async def _pace(
-    settings: VirtualSettings, story: Story, asked: asyncio.Event, *, stay: bool
-) -> None:
-    """Let virtual time pass; a machine that is too slow for the speed does what it can."""
-    teller = Teller(story)
-    last_s, due_s = time.monotonic(), 0.0
-    end_s = math.inf if settings.duration_s is None else settings.duration_s
-    while not _over(story, teller, end_s, stay=stay):
-        now_s = time.monotonic()
-        due_s = min(due_s + (now_s - last_s) * settings.speed, teller.time_s + settings.speed)
-        last_s = now_s
-        slice_ends_s = now_s + _SLICE_s
-        while teller.time_s < min(due_s, end_s) and time.monotonic() < slice_ends_s:
-            if story.ended() or _tripped(story):
-                break
-            teller.tick()
-        await asyncio.sleep(_BREAK_s if teller.time_s >= due_s or story.ended() else 0.0)
-    asked.set()
-
-
-def _over(story: Story, teller: Teller, end_s: float, *, stay: bool) -> bool:
-    """Keep the last view on the screen until the user ends the demonstration."""
-    return teller.time_s >= end_s or (not stay and (story.ended() or _tripped(story)))
-
-
-def _tripped(story: Story) -> bool:
-    return story.play.drive.machine.trip is not None
-
-
-class Teller:
-    """Lets the scenes of a story come in their time."""
-
-    def __init__(self, story: Story) -> None:
-        """Enable the drive."""
-        self._story = story
-        self._play = story.play
-        self._scenes = story.scenes()
-        self._next: Scene | None = next(self._scenes)
-        self._began_s: float | None = None
-        self._play.tick()
-        self._play.ask(Enable())
+    def open(self, record: DemoRecord) -> None:
+        """Publish the first messages into a record."""
+        self.record = record
+        self._publish("availability", {"availability": "online"})
+        self.drive.tick()
+        self._report()
+        self._publish_state()
 
     @property
     def time_s(self) -> float:
-        """Seconds of control."""
-        return 0.0 if self._began_s is None else self._play.drive.time_s - self._began_s
+        """Time of the drive."""
+        return self.drive.time_s
 
-    def tick(self) -> None:
-        """Run one half line cycle, and what has become due."""
-        if self._began_s is None and self._play.record.running:
-            self._began_s = self._play.drive.time_s
-            self._play.report()
-        if self._began_s is not None:
-            self._turn()
-        if self._play.tick():
-            self._story.watch()
+    @property
+    def world(self) -> World:
+        """The plant."""
+        return self.drive.world
 
-    def _turn(self) -> None:
-        scene = self._next
-        if scene is None or self.time_s < scene.time_s or not self._play.record.running:
+    def inject(self, fault: int) -> None:
+        """Refuse a fault: there is no drive that could report one."""
+        raise RefusedError(f"fault {fault}: this story has no drive of its own")
+
+    async def wait(self, longest_s: float) -> None:
+        """Let time pass as fast as asked for, or as this machine can."""
+        now_s = time.monotonic()
+        since_s, self._last_s = now_s - self._last_s, now_s
+        self._due_s = min(self._due_s + since_s * self._speed, self.time_s + self._speed)
+        end_s = min(self.time_s + longest_s, self._due_s)
+        while self.time_s < end_s and time.monotonic() < now_s + _SLICE_s:
+            self._tick()
+        await asyncio.sleep(_BREAK_s if self.time_s >= self._due_s else 0.0)
+
+    async def ask(self, command: KeyCommand) -> messages.Reply | DeviceReply:
+        """Carry out a command or a disturbance."""
+        content = {"id": "demo"} | dict(command.disturbance or {"value": command.value})
+        raw, device = json.dumps(content).encode(), command.disturbance is not None
+        reason = ""
+        try:
+            if device:
+                apply_request(parse_request(raw), self)
+            else:
+                self.drive.carry_out(Payload(raw).request(command.verb)[0])
+        except RefusedError as refusal:
+            reason = refusal.reason
+        self._publish_state()
+        if device:
+            return DeviceReply("demo", not reason, reason)
+        state = self.drive.machine.state
+        return messages.Reply("demo", command.verb, not reason, reason, state)
+
+    def _tick(self) -> None:
+        """Run one half line cycle."""
+        drive = self.drive
+        decided = drive.tick()
+        if drive.ticks % self._report_ticks == 0:
+            self._report()
+        if decided and drive.snapshot is not None and drive.decision is not None:
+            report = LoadReport(drive.snapshot, drive.decision, drive.time_s)
+            load = messages.load_message(report, self._now, self._profile.output)
+            self._publish("telemetry/load", load)
+            self._publish_truth()
+            self._publish_state()
+        elif drive.machine.state != self._told:
+            self._publish_state()
+
+    @property
+    def _now(self) -> datetime:
+        return self._began + timedelta(seconds=self.drive.time_s)
+
+    def _report(self) -> None:
+        """Publish what the fast loop measures, and the truth."""
+        sample = self.drive.sample
+        content = {name: getattr(sample, name) for name in messages.MEASURED}
+        counts = {"ticks": self.drive.ticks, "missed": 0, "held": 0, "age_s": 0.0}
+        self._publish("telemetry/drive", {"time": self._now, **content, **counts})
+        self._publish_truth()
+
+    def _publish_truth(self) -> None:
+        world = self.drive.world
+        offered = [msgspec.to_builtins(one) for one in features_of(world.load)]
+        self._publish("simulator", world.truth() | {"features": offered})
+
+    def _publish_state(self) -> None:
+        """Publish the state, and its change as an event."""
+        drive, machine = self.drive, self.drive.machine
+        report = state_report(machine, drive.decision, StopWord.CONFIRMED)
+        last = messages.LastTrip(self._now, machine.trip, "") if machine.trip else None
+        standing = messages.Standing(self._now, last, Synchronisation.UNKNOWN, self._now)
+        self._publish("state", messages.state_message(report, standing, self._profile))
+        if machine.state == self._told:
             return
-        self._next = next(self._scenes, None)
-        self._play.record.caption = scene.caption
-        scene.do()
+        if self._told:
+            self._event("state", f"{self._told} to {machine.state}")
+        if machine.trip is not None:
+            self._event("trip", machine.trip, Severity.ALARM)
+        if drive.completed:
+            self._event("complete", "charging is complete")
+        self._told = str(machine.state)
 
+    def _event(self, kind: str, detail: str, severity: Severity = Severity.INFO) -> None:
+        event = Event(kind, severity, detail, self.drive.ticks)
+        self._publish("event", messages.event_message(event, self._now))
 
-async def _show(settings: VirtualSettings, story: Story) -> None:
-    foot = (
-        f"virtual time, {settings.speed:g} times real time: no bus, no broker   Ctrl-C ends",
-        f"the controller and settings of {_FILES[story.name]}.toml, against a simulated load",
-    )
-    around = ViewContext(
-        bus="",
-        broker="",
-        program="",
-        duration_s=settings.duration_s,
-        longest_window_s=story.window_s,
-        subject=Subject(story.name, f"{story.title}, virtual time", story.figures, foot),
-    )
-    console = Console()
-    with Live(console=console, screen=True, auto_refresh=False) as live, suppress(BrokenPipeError):
-        while True:
-            size = console.size
-            picture = screen(story.play.record, around, (size.width, size.height))
-            live.update(picture, refresh=True)
-            await asyncio.sleep(_REFRESH_s)
-
-
-def summarise(story: Story, speed: float) -> dict[str, Any]:
-    """Everything worth knowing at the end, as one object for JSON."""
-    record, drive = story.play.record, story.play.drive
-    problems = list(_problems(story))
-    control = record.control
-    return {
-        "demo": story.name,
-        "ok": not problems,
-        "reason": "; ".join(problems),
-        "virtual_time": True,
-        "speed": speed,
-        "state": str(drive.machine.state),
-        "mode": str(drive.machine.mode),
-        "controller": str(drive.decision.controller) if drive.decision else None,
-        "controller_reason": drive.decision.reason if drive.decision else "",
-        "duration_s": round(control.time_s, 3) if control else 0.0,
-        "ticks": control.ticks if control else 0,
-        "slow_periods": record.slow_periods,
-        "trips": record.trips,
-        "estimates": _estimates(story),
-        **story.summary(),
-    }
-
-
-def _estimates(story: Story) -> dict[str, float | None]:
-    decision = story.play.drive.decision
-    found = decision.estimates if decision else {}
-    return {n: e.value if math.isfinite(e.value) else None for n, e in found.items()}
-
-
-def _problems(story: Story) -> Iterator[str]:
-    if story.play.drive.machine.trip is not None:
-        yield f"the drive tripped: {story.play.drive.machine.trip}"
-    yield from story.problems()
-
-
-def _lines(found: dict[str, Any]) -> Iterator[str]:
-    verdict = "control worked" if found["ok"] else "control failed"
-    yield f"{found['demo']} demo: {verdict} for {found['duration_s']:.0f} s of virtual time"
-    for name in (
-        "state",
-        "overshoot",
-        "complete",
-        "charge",
-        "terminal_voltage_max_V",
-        "returned_J",
-    ):
-        if name in found:
-            yield f"  {name.replace('_', ' '):<24} {found[name]}"
+    def _publish(self, name: str, content: Mapping[str, Any]) -> None:
+        if self.record is not None:
+            self.record.take(name, msgspec.json.decode(messages.encode(dict(content))))

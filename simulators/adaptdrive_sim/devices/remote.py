@@ -103,13 +103,6 @@ class Remote:
         world = self._drive.world
         return {
             "time": datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z"),
-            "tick": world.tick,
-            **world.load.state(),
-            **world.true_model,
-            "output": world.true_output,
-            "boost_voltage_V": world.boost.voltage_V,
-            "line_voltage_V": world.line.voltage_V,
-            "load_current_A": world.load_current_A,
-            "noise_V": world.noise.sigma,
+            **world.truth(),
             "fault": self._drive.fault,
         }

@@ -156,10 +156,13 @@ class Motor:
         own = self.parameters
         damping = self._damping(source_Ohm) + 2.0 * own.drag_Nms2 * self.speed_rad_s
         per_Ohm = 1.0 / (source_Ohm + self.resistance_Ohm)
+        tau_motor_s = self.inertia_kgm2 / damping
         return {
             "gain": own.tachometer_Vs * ratio * own.constant_Vs * per_Ohm / damping,
-            "tau_motor_s": self.inertia_kgm2 / damping,
+            "tau_motor_s": tau_motor_s,
             "tau_filter_s": own.filter_s,
+            "tau_sum_s": tau_motor_s + own.filter_s,
+            "tau_product_s2": tau_motor_s * own.filter_s,
         }
 
     def state(self) -> dict[str, float]:

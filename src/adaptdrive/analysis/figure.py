@@ -16,9 +16,11 @@ from adaptdrive.analysis import style
 from adaptdrive.analysis.curves import Curves
 from adaptdrive.app.loads import build_load
 from adaptdrive.config import Configuration
+from adaptdrive.recording.marks import read_marks
 from adaptdrive.recording.reader import Session
 
 _TRIP: style.Look = {"color": "#c1121f", "linewidth": 1.0}
+_DONE: style.Look = {"color": "#7b2d8b", "linewidth": 0.9, "linestyle": "--"}
 _CHANGE: style.Look = {"color": "0.4", "linewidth": 0.7, "linestyle": ":"}
 _CHANGES = {"mode", "controller", "fallback"}
 _MOST_LABELS = 6
@@ -185,12 +187,17 @@ def _mark(axes: Sequence[Axes], session: Session, curves: Curves, scale_s: float
         marked = axes if len(times) <= _MOST_CHANGES else axes[-1:]
         for one in marked if times else ():
             one.vlines(times, 0.0, 1.0, transform=one.get_xaxis_transform(), **look)
+    for mark in read_marks(session.path):
+        time_s = (mark.time - curves.window.started).total_seconds()
+        if 0.0 <= time_s <= end_s - begin_s:
+            _label(axes[0], time_s / scale_s, mark.text, _DONE["color"])
+            axes[0].axvline(time_s / scale_s, **_DONE)
     for event in trips[:_MOST_LABELS]:
         text = f"trip: {event.detail.partition(':')[0]}"
-        _label(axes[0], (event.monotonic_s - begin_s) / scale_s, text)
+        _label(axes[0], (event.monotonic_s - begin_s) / scale_s, text, _TRIP["color"])
 
 
-def _label(axes: Axes, time: float, text: str) -> None:
+def _label(axes: Axes, time: float, text: str, color: str) -> None:
     axes.annotate(
         text,
         (time, 0.98),
@@ -201,6 +208,6 @@ def _label(axes: Axes, time: float, text: str) -> None:
         ha="right",
         va="top",
         fontsize=7.0,
-        color=_TRIP["color"],
+        color=color,
         bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.8},
     )

@@ -5,19 +5,28 @@ from __future__ import annotations
 import asyncio
 import functools
 import time
+from collections.abc import Callable, Coroutine, Iterable
+from typing import Any
+
+from rich.layout import Layout
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.conversation import NoAnswerError
 from adaptdrive.operation.listener import follow
 from adaptdrive.operation.payloads import printable
 from adaptdrive.watch.ending import ended_once, whole
-from adaptdrive.watch.keys import QUIT, KeyReader, pressed_keys
+from adaptdrive.watch.keys import QUIT, KeyCommand, KeyReader, pressed_keys
 from adaptdrive.watch.record import WatchRecord
-from adaptdrive.watch.sending import CommandsUnderWay
+from adaptdrive.watch.sending import CommandsUnderWay, over_mqtt
 from adaptdrive.watch.telling import tell_last
 from adaptdrive.watch.view import draw, screen
 
 _RETRY_S = 2.0
+
+Press = Callable[..., KeyCommand | None]
+"""Returns the command of a key; `alone` is false where other keys came with it."""
+
+Show = Callable[[tuple[int, int]], Layout]
 
 
 async def watch(broker: Mqtt, drive: str, timeout_s: float) -> bool:
@@ -32,15 +41,36 @@ async def watch(broker: Mqtt, drive: str, timeout_s: float) -> bool:
         False where a command that was under way at the end is not known to be carried out; a line
         after the view names each.
     """
-    record, ended = WatchRecord(drive, time.monotonic), asyncio.Event()
-    unanswered: list[str] = []
-    reader, under_way = KeyReader(record), CommandsUnderWay(broker, record, timeout_s)
+    record = WatchRecord(drive, time.monotonic)
+    under_way = CommandsUnderWay(over_mqtt(broker, drive, timeout_s), record)
+    show, press = functools.partial(screen, record), KeyReader(record).press
+    return await run_view(show, press, under_way, [follow_drive(broker, record)])
+
+
+async def run_view(
+    show: Show,
+    press: Press,
+    under_way: CommandsUnderWay,
+    services: Iterable[Coroutine[Any, Any, None]],
+) -> bool:
+    """Draw a view and heed its keys until `q`, a signal, or the end of a service.
+
+    Args:
+        show: Returns the screen for a terminal of some width and height.
+        press: Reads a key.
+        under_way: Sends the commands of the keys.
+        services: Run for as long as the view does; one that fails ends it with its error.
+
+    Returns:
+        False where a command is not known to be carried out; a line names each.
+    """
+    ended, unanswered = asyncio.Event(), list[str]()
 
     def on_keys(keys: str) -> None:
         for key in keys:
             if key == QUIT:
                 ended.set()
-            elif (command := reader.press(key, alone=len(keys) == 1)) is not None:
+            elif (command := press(key, alone=len(keys) == 1)) is not None:
                 under_way.send(command)
 
     async def leave() -> None:
@@ -49,10 +79,9 @@ async def watch(broker: Mqtt, drive: str, timeout_s: float) -> bool:
             task.cancel()
         await asyncio.wait(tasks)
         if unanswered:
-            tell_last("\n".join(f"adaptdrive: {drive}: {printable(one)}" for one in unanswered))
+            tell_last("\n".join(f"adaptdrive: {printable(one)}" for one in unanswered))
 
-    services = (_follow(broker, record), draw(functools.partial(screen, record)), ended.wait())
-    tasks = [asyncio.ensure_future(service) for service in services]
+    tasks = [asyncio.ensure_future(one) for one in (*services, draw(show), ended.wait())]
     with ended_once():
         try:
             with pressed_keys(on_keys):
@@ -60,11 +89,11 @@ async def watch(broker: Mqtt, drive: str, timeout_s: float) -> bool:
         finally:
             await whole(leave(), complete=True)
     for task in done:
-        await task  # a service that has failed ends the view with its error
+        await task
     return not unanswered
 
 
-async def _follow(broker: Mqtt, record: WatchRecord) -> None:
+async def follow_drive(broker: Mqtt, record: WatchRecord) -> None:
     """Take messages, and connect again after each loss of the broker."""
     while True:
         try:

@@ -5,20 +5,42 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from math import isfinite
 
 from rich.text import Text
 
-REFERENCE_STYLE = "bright_black"
-CONTROLLER_STYLES = {"fixed": "yellow", "adaptive": "green"}
-STYLES = CONTROLLER_STYLES | {"manual": "cyan"}
-OFF_STYLE = "red"
 AXIS_STYLE = "bright_black"
 MARK_STYLE = "magenta"
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """How a curve looks; without colours its line still tells it from the others.
+
+    Attributes:
+        style: Colour.
+        sign: The line in the legend.
+        height: Dots of its thickness.
+        apart: Columns of dots from one drawn one to the next.
+    """
+
+    style: str
+    sign: str
+    height: int = 1
+    apart: int = 1
+
+
+REFERENCE = Form("bright_black", "┄", apart=3)
+OFF = Form("red", "┈", apart=2)
+CONTROLLERS = {"fixed": Form("yellow", "─"), "adaptive": Form("green", "━", height=2)}
+FORMS = CONTROLLERS | {"manual": Form("cyan", "╍", height=2, apart=2)}
 
 _DOTS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 _BLANK = 0x2800
 _LABEL_WIDTH = 6
-_LEAST_SPAN = 0.1
+_LEAST_SHARE = 0.03
+"""Least height of the plot, as a share of the values in it."""
+
 _MARGIN = 0.06
 _OTHER_ROWS = 2  # marks above, times below
 _APART_s = (10, 20, 30, 60, 120, 300, 600, 1800, 3600)
@@ -27,7 +49,7 @@ _LEVELS = 3
 
 @dataclass(frozen=True, slots=True)
 class PlotPoint:
-    """Output and reference at one time, in the unit of the output.
+    """Output and reference at one time, in the unit of the output; NaN where it is not known.
 
     Attributes:
         controller: The controller in force, `off` when there is none.
@@ -127,10 +149,9 @@ def plot(
         return Text("waiting for the drive …", AXIS_STYLE)
     frame = PlotFrame(now_s, window_s, *_range(shown), columns, rows)
     canvas = Canvas(columns, rows)
-    _trace(canvas, frame, [(p.time_s, p.reference, REFERENCE_STYLE) for p in shown])
-    speeds = [(p.time_s, p.output, STYLES.get(p.controller, OFF_STYLE)) for p in shown]
-    _trace(canvas, frame, speeds)
-    references = [reference for reference, _ in groupby(p.reference for p in shown)]
+    _trace(canvas, frame, [(p.time_s, p.reference, REFERENCE) for p in shown])
+    _trace(canvas, frame, [(p.time_s, p.output, FORMS.get(p.controller, OFF)) for p in shown])
+    references = [one for one, _ in groupby(p.reference for p in shown) if isfinite(one)]
     labels = _labels(frame, references[-_LEVELS:])
     labelled = [
         Text.assemble((label.rjust(_LABEL_WIDTH), AXIS_STYLE), line)
@@ -140,30 +161,41 @@ def plot(
 
 
 def _range(points: Sequence[PlotPoint]) -> tuple[float, float]:
-    values = [value for p in points for value in (p.reference, p.output)]
-    low, high = min(values), max(values)
-    missing = max(0.0, _LEAST_SPAN - (high - low))
+    values = [value for p in points for value in (p.reference, p.output) if isfinite(value)]
+    low, high = min(values, default=0.0), max(values, default=0.0)
+    missing = max(0.0, _LEAST_SHARE * max(abs(low), abs(high), 0.01) - (high - low))
     margin = 0.5 * missing + _MARGIN * (high - low)
     return low - margin, high + margin
 
 
-def _trace(canvas: Canvas, frame: PlotFrame, values: Sequence[tuple[float, float, str]]) -> None:
-    """Draw a curve without gaps: dots reach vertically from one value to the next."""
-    before: int | None = None
-    for time_s, value, style in values:
+def _trace(canvas: Canvas, frame: PlotFrame, values: Sequence[tuple[float, float, Form]]) -> None:
+    """Draw a curve: dots reach vertically and horizontally from one value to the next."""
+    before: tuple[int, int] | None = None
+    for time_s, value, form in values:
+        if not isfinite(value):
+            before = None
+            continue
         column, row = frame.column(time_s), frame.row(value)
-        first = row if before is None else before
-        step = 1 if row >= first else -1
-        for between in range(first, row + step, step):
-            canvas.dot(column, between, style)
-        before = row
+        first_column, first = before or (column, row)
+        for between in range(first_column, column):
+            _draw(canvas, form, between, (first, first))
+        _draw(canvas, form, column, (min(first, row), max(first, row)))
+        before = column, row
+
+
+def _draw(canvas: Canvas, form: Form, column: int, rows: tuple[int, int]) -> None:
+    """Draw one column of a curve, where its form has dots."""
+    low, high = rows
+    if column % form.apart == 0 or high - low > 1:
+        for row in range(low, high + form.height):
+            canvas.dot(column, row, form.style)
 
 
 def _labels(frame: PlotFrame, references: Iterable[float]) -> list[str]:
     """Values beside the rows: both edges, and the references, which matter more."""
     labels = [""] * frame.rows
     for value in (frame.low, frame.high, *references):
-        labels[frame.row(value) // 4] = f"{value:.2f} "
+        labels[frame.row(value) // 4] = f"{value:.{2 if abs(value) < 100.0 else 1}f} "
     return labels
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from adaptdrive.operation.listener import LIVE_S
 from adaptdrive.operation.payloads import number, part
-from adaptdrive.watch.plot import PlotPoint
+from adaptdrive.watch.plot import Mark, PlotPoint
 
 Payload = dict[str, Any]
 
@@ -40,7 +40,9 @@ class WatchRecord:
         events: The last events.
         points: Output and reference over the time of the daemon's clock.
         features: Disturbances that a simulated device offers.
+        truth: What a simulated device publishes of its plant; empty for a real drive.
         answer: Last command and what the daemon answered.
+        marks: What was done to the drive, for the plot.
         problem: Why the broker is not heard, empty while it is.
     """
 
@@ -53,9 +55,12 @@ class WatchRecord:
     events: deque[Payload] = field(default_factory=lambda: deque(maxlen=EVENTS))
     points: deque[PlotPoint] = field(default_factory=lambda: deque(maxlen=POINTS))
     features: list[Payload] = field(default_factory=list)
+    truth: Payload = field(default_factory=dict)
+    marks: deque[Mark] = field(default_factory=lambda: deque(maxlen=EVENTS))
     answer: str = ""
     problem: str = ""
     _heard_s: float = -math.inf
+    _plotted_s: float = -math.inf
 
     @property
     def unit(self) -> str:
@@ -78,6 +83,13 @@ class WatchRecord:
         """True if what is shown may be taken for the present."""
         return self.availability == "online" and self.age_s <= LIVE_S
 
+    @property
+    def now_s(self) -> float:
+        """Present time by the clock of the drive; it goes on while nothing is heard."""
+        last_s = self.points[-1].time_s if self.points else 0.0
+        since_s = self.monotonic() - self._plotted_s
+        return last_s + (since_s if math.isfinite(since_s) else 0.0)
+
     def take(self, name: str, content: Payload) -> None:
         """Take a message.
 
@@ -94,11 +106,11 @@ class WatchRecord:
                 self.load = content
             case "telemetry/drive":
                 self.fast, self._heard_s = content, self.monotonic()
-                self._add(content, self._reference)
+                self._add(content)
             case "event":
                 self._note(content)
             case "simulator":
-                self.features = _features(content)
+                self.truth, self.features = content, _features(content)
             case "history":
                 self._remember(content)
 
@@ -110,17 +122,17 @@ class WatchRecord:
             self.events.extend(earlier)
         self.events.append(event)
 
-    @property
-    def _reference(self) -> object:
-        wave = self.state.get("waveform")
-        return self.load.get("reference") if wave else self.state.get("setpoint")
-
-    def _add(self, content: Payload, reference: object) -> None:
-        running = self.state.get("state") == "running"
-        controller = str(self.state.get("controller")) if running else _OFF
+    def _add(self, content: Payload) -> None:
+        """Add a point; a drive that does not run follows no reference."""
+        controller, reference = _OFF, None
+        if self.state.get("state") == "running":
+            controller = str(self.state.get("controller"))
+            wave = self.state.get("waveform")
+            reference = self.load.get("reference") if wave else self.state.get("setpoint")
         point = _point(content, reference, controller)
         if point is not None:
             self.points.append(point)
+            self._plotted_s = self.monotonic()
 
     def _remember(self, content: Payload) -> None:
         """Put the slow steps from before the first point in front of it, as far as there is room.
@@ -147,9 +159,9 @@ def _features(content: Payload) -> list[Payload]:
 
 
 def _point(content: Payload, reference: object, controller: str) -> PlotPoint | None:
-    """Return a point of the plot, None where a value is missing."""
+    """Return a point of the plot, None where the output is missing."""
     output_now, wanted = number(content.get("output")), number(reference)
-    if math.isnan(output_now) or math.isnan(wanted):
+    if math.isnan(output_now):
         return None
     try:
         time_s = datetime.fromisoformat(str(content.get("time"))).timestamp()

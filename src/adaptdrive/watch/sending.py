@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable, Callable
 
 from adaptdrive.config.services import Mqtt
 from adaptdrive.operation.conversation import NoAnswerError
@@ -15,20 +16,39 @@ from adaptdrive.watch.record import WatchRecord
 _WITHDRAWN = "the view ended before the answer; whether it took effect is not known"
 
 
+Ask = Callable[[KeyCommand], Awaitable[Reply | DeviceReply]]
+"""Sends a command and returns its answer, or raises `NoAnswerError`."""
+
+
+def over_mqtt(broker: Mqtt, drive: str, timeout_s: float) -> Ask:
+    """Return how commands reach a drive.
+
+    Args:
+        broker: Where the broker is.
+        drive: Name of the drive.
+        timeout_s: Longest wait for the answer to a command.
+    """
+
+    async def ask(command: KeyCommand) -> Reply | DeviceReply:
+        if command.disturbance is not None:
+            return await disturb(broker, drive, dict(command.disturbance), timeout_s)
+        return await send_command(broker, drive, command.verb, command.value, timeout_s)
+
+    return ask
+
+
 class CommandsUnderWay:
     """Sends each command in a task of its own, and shows what came of it."""
 
-    def __init__(self, broker: Mqtt, record: WatchRecord, timeout_s: float) -> None:
+    def __init__(self, ask: Ask, record: WatchRecord) -> None:
         """Prepare to send.
 
         Args:
-            broker: Where the broker is.
-            record: Names the drive, and takes the answers.
-            timeout_s: Longest wait for the answer to a command.
+            ask: Sends a command.
+            record: Takes the answers.
         """
-        self._broker = broker
+        self._ask = ask
         self._record = record
-        self._timeout_s = timeout_s
         self._tasks: dict[asyncio.Task[str], KeyCommand] = {}
 
     def send(self, command: KeyCommand) -> None:
@@ -48,8 +68,9 @@ class CommandsUnderWay:
         under_way = dict(self._tasks)
         self._withdraw()
         outcomes = await asyncio.gather(*under_way, return_exceptions=True)
+        drive = self._record.drive
         return [
-            outcome if isinstance(outcome, str) else f"{command.text}: {_WITHDRAWN}"
+            f"{drive}: {outcome if isinstance(outcome, str) else f'{command.text}: {_WITHDRAWN}'}"
             for command, outcome in zip(under_way.values(), outcomes, strict=True)
             if outcome != ""
         ]
@@ -68,16 +89,10 @@ class CommandsUnderWay:
         """
         self._record.answer = f"{command.text}: sending…"
         try:
-            reply = await self._reply(command)
+            reply = await self._ask(command)
         except NoAnswerError as problem:
             outcome, accepted = problem.problem, False
         else:
             outcome, accepted = "accepted" if reply.accepted else reply.reason, reply.accepted
         self._record.answer = f"{command.text}: {outcome}"
         return "" if accepted else self._record.answer
-
-    async def _reply(self, command: KeyCommand) -> Reply | DeviceReply:
-        broker, drive, timeout_s = self._broker, self._record.drive, self._timeout_s
-        if command.disturbance is not None:
-            return await disturb(broker, drive, dict(command.disturbance), timeout_s)
-        return await send_command(broker, drive, command.verb, command.value, timeout_s)

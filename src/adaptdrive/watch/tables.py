@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from textwrap import wrap
 
 from rich.box import ROUNDED
 from rich.panel import Panel
@@ -12,6 +13,9 @@ from rich.text import Text
 
 DIM = "bright_black"
 """Style of what is beside the point: frames, times, hints."""
+
+_LONGEST = 1e6
+"""Least number that is written with a power of ten."""
 
 STATE_STYLES = {"running": "bold green", "tripped": "bold white on red"}
 _SEVERITY_STYLES = {"info": "", "warning": "yellow", "alarm": "bold red"}
@@ -25,24 +29,13 @@ def rows(*columns: str) -> Table:
     return table
 
 
-def number(value: float, digits: int) -> str:
-    """Return a number with so many decimals."""
-    return f"{value:.{digits}f}" if math.isfinite(value) else "–"
-
-
-def figure(value: float) -> str:
-    """Return a number with three digits."""
-    return f"{value:#.3g}".rstrip(".") if math.isfinite(value) else "–"
-
-
-def percent(share: float) -> str:
-    """Return a deviation."""
-    return f"{100.0 * share:+.1f}%" if math.isfinite(share) else ""
-
-
-def overshoot(share: float | None) -> str:
-    """Return an overshoot, which may not have been seen yet."""
-    return "·" if share is None else f"{100.0 * share:.1f}%"
+def figure(value: float, digits: int = 3) -> str:
+    """Return a number with so many digits, or with all that it has before the point."""
+    if not math.isfinite(value):
+        return "–"
+    if 10.0**digits <= abs(value) < _LONGEST:
+        return f"{value:.0f}"
+    return f"{value:#.{digits}g}".rstrip(".")
 
 
 def cut(line: Text) -> Text:
@@ -54,6 +47,27 @@ def cut(line: Text) -> Text:
 def lines(texts: Iterable[Text]) -> Text:
     """Return texts below each other, each of which is cut where the terminal is too narrow."""
     return cut(Text("\n").join(texts))
+
+
+def flow(items: Iterable[str], width: int) -> list[str]:
+    """Return lines of items, each of which begins a new line where it does not fit."""
+    found: list[str] = []
+    for item in items:
+        if found and len(found[-1]) + len(item) + 2 <= width:
+            found[-1] += f"  {item}"
+        else:
+            found += wrap(item, width, initial_indent=" ", subsequent_indent=" ")
+    return found
+
+
+def titled(title: str | Text, content: Table | Text) -> Table:
+    """Return content below its title and a line, for terminals without room for frames."""
+    grid = Table.grid(expand=True)
+    head = Text.assemble(("─ ", DIM), title, (" " + "─" * 200, DIM))
+    head.no_wrap, head.overflow = True, "crop"
+    grid.add_row(head)
+    grid.add_row(content)
+    return grid
 
 
 def boxed(title: str | Text, content: Table | Text, rows: int | None = None, pad: int = 1) -> Panel:

@@ -6,8 +6,9 @@ import asyncio
 import functools
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
 from rich.console import Console
@@ -21,7 +22,7 @@ from adaptdrive.aside import in_thread
 from adaptdrive.errors import ConfigurationError, Flaw
 from adaptdrive.operation.estimate_names import quantity_and_unit
 from adaptdrive.operation.payloads import number, part, printable, unconfirmed_stop
-from adaptdrive.watch.plot import REFERENCE_STYLE, STYLES, plot
+from adaptdrive.watch.plot import FORMS, OFF, REFERENCE, plot
 from adaptdrive.watch.record import Payload, WatchRecord
 from adaptdrive.watch.tables import (
     DIM,
@@ -30,14 +31,19 @@ from adaptdrive.watch.tables import (
     event_line,
     event_lines,
     figure,
+    flow,
     lines,
     rows,
+    titled,
 )
 from adaptdrive.watch.telling import LONGEST_S
 
-KEYS = "s STOP   e e enable   r reset   f fixed   a adaptive   m manual   + - set-point   q quit"
-FIGURES_ROWS = 8
-_SHORTEST_WINDOW_S, _LONGEST_WINDOW_S = 30.0, 600.0
+KEYS = (
+    *("s STOP", "ee enable", "r reset", "f fixed", "a adaptive"),
+    *("m manual", "+- set-point", "q quit"),
+)
+_ROWS = 6
+_SHORTEST_WINDOW_S = 30.0
 _EVENTS, _TALL, _WIDE = 6, 32, 110
 REFRESH_S = 0.25
 _REFUSED = ("wrong_length", "wrong_checksum", "counter_stuck", "out_of_range", "exceptions")
@@ -96,23 +102,49 @@ def _write(call: Callable[[], None]) -> asyncio.Future[None]:
     return asyncio.wrap_future(in_thread(call, "adaptdrive-screen"))
 
 
-def screen(record: WatchRecord, size: tuple[int, int]) -> Layout:
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What a view shows around a drive.
+
+    Attributes:
+        keys: What each key does.
+        lead: Lines below that of the drive.
+        tables: More tables beside those of the drive, by title.
+        longest_s: Longest time that the plot shows.
+        cover: Takes the place of the tables, where it is there.
+    """
+
+    keys: Sequence[str] = KEYS
+    lead: Sequence[Text] = ()
+    tables: Mapping[str, Table] = field(default_factory=dict)
+    longest_s: float = 600.0
+    cover: Text | None = None
+
+
+_WATCH = Surroundings()
+
+
+def screen(record: WatchRecord, size: tuple[int, int], around: Surroundings = _WATCH) -> Layout:
     """Return the whole screen.
 
     Args:
         record: What was received.
         size: Width and height of the terminal in characters.
+        around: What is shown around the drive.
     """
     width, height = size
-    events = _EVENTS if height >= _TALL else 3
-    header = list(_header(record))
-    footer = _footer(record)
-    fixed = len(header) + FIGURES_ROWS + events + len(footer)
+    tall = height >= _TALL
+    header = [*_header(record), *around.lead]
+    footer = _footer(record, around, width)
+    middle = _middle(record, around, size)
+    rows = _ROWS + 2 if tall else _ROWS + 1
+    events = _EVENTS if tall else max(1, min(3, height - rows - len(header) - len(footer) - 9))
+    fixed = len(header) + rows + events + len(footer)
     layout = Layout()
     layout.split_column(
         Layout(lines(header), size=len(header)),
-        Layout(_plot_panel(record, (width, height - fixed))),
-        Layout(_figures(record, wide=width >= _WIDE), size=FIGURES_ROWS),
+        Layout(_plot(record, around.longest_s, (width, height - fixed), tall=tall)),
+        Layout(middle, size=rows),
         Layout(_events(record, events), size=events),
         Layout(lines(footer), size=len(footer)),
     )
@@ -142,81 +174,103 @@ def _header(record: WatchRecord) -> Iterator[Text]:
 
 def _add_controller(line: Text, state: Payload) -> None:
     controller, mode = printable(state.get("controller")), printable(state.get("mode"))
-    line.append(controller, f"bold {STYLES.get(controller, '')}")
+    line.append(controller, f"bold {FORMS.get(controller, OFF).style}")
     line.append(" controller in force")
     if controller != mode:
         line.append(f", {mode} asked for: {printable(state.get('reason'))}", "yellow")
 
 
-def _plot_panel(record: WatchRecord, size: tuple[int, int]) -> Panel:
-    points = list(record.points)
-    now_s = points[-1].time_s if points else 0.0
+def _plot(
+    record: WatchRecord, longest_s: float, size: tuple[int, int], *, tall: bool
+) -> Panel | Table:
+    points, now_s = list(record.points), record.now_s
     since_s = now_s - points[0].time_s if points else 0.0
-    window_s = min(max(since_s, _SHORTEST_WINDOW_S), _LONGEST_WINDOW_S)
+    window_s = min(max(since_s, _SHORTEST_WINDOW_S), longest_s)
     unit = f" in {record.unit}" if record.unit else ""
     title = Text(printable(f"{record.output_name}{unit}"))
-    for name, style in {**STYLES, "reference": REFERENCE_STYLE}.items():
-        title.append(f"  ━ {name}", style)
-    content = plot(points, [], now_s, window_s, (size[0] - 4, size[1] - 2))
-    return boxed(title, content)
+    for name, form in {**FORMS, "off": OFF, "reference": REFERENCE}.items():
+        title.append(f"  {form.sign * 2} {name}", form.style)
+    title.append(" ")
+    room = (size[0] - 4, size[1] - 2) if tall else (size[0] - 1, size[1] - 1)
+    content = plot(points, list(record.marks), now_s, window_s, room)
+    return boxed(title, content) if tall else titled(title, content)
 
 
-def _figures(record: WatchRecord, *, wide: bool) -> Table:
-    grid = Table.grid(expand=True)
+def _middle(record: WatchRecord, around: Surroundings, size: tuple[int, int]) -> Table | Text:
+    """Return the tables, side by side, or what covers them."""
+    if around.cover is not None:
+        return around.cover
+    width, height = size
+    wide = width >= _WIDE
+    ranges = wide or not around.tables
     contents = {
-        "drive": _drive(record),
-        "estimates, ± 2 σ": _estimates(record, wide=wide),
-        "health": _health(record),
+        "drive": _drive(record, ranges=ranges),
+        "estimates": _estimates(record, wide=wide),
+        **around.tables,
     }
-    for _ in contents:
-        grid.add_column(ratio=1)
-    grid.add_row(*(boxed(title, table, FIGURES_ROWS, 0) for title, table in contents.items()))
+    tall = height >= _TALL
+    grid = Table.grid(expand=True, padding=(0, 0 if tall else 1))
+    for _, ratio in zip(contents, (20, 36, 22), strict=False):
+        grid.add_column(ratio=ratio)
+    grid.add_row(
+        *(
+            boxed(name, one, _ROWS + 2, 0) if tall else titled(name, one)
+            for name, one in contents.items()
+        )
+    )
     return grid
 
 
-def _drive(record: WatchRecord) -> Table:
+def _drive(record: WatchRecord, *, ranges: bool) -> Table:
     state, fast, load = record.state, record.fast, record.load
     limits, wave = part(state, "limits"), part(state, "waveform")
-    table = rows("l", "r", "r")
-    table.add_row(_text(record.output_name), _text(_value(fast.get("output"), record.unit)), "")
     reference = load.get("reference") if wave else state.get("setpoint")
     wanted = printable(wave.get("shape")) if wave else _range(limits.get("setpoint"))
-    table.add_row("set-point", _text(_value(reference, record.unit)), _text(wanted))
-    table.add_row("V_c", _value(load.get("boost_reference_V"), "V"), _range(limits.get("boost_V")))
-    table.add_row("v_bst", _value(fast.get("boost_voltage_V"), "V"), "")
-    table.add_row("power", _value(fast.get("load_power_W"), "W"), _range(limits.get("power_W")))
+    found = (
+        (record.output_name, fast.get("output"), record.unit, ""),
+        ("set-point", reference, record.unit, wanted),
+        ("V_c", load.get("boost_reference_V"), "V", _range(limits.get("boost_V"))),
+        ("v_bst", fast.get("boost_voltage_V"), "V", ""),
+        ("power", fast.get("load_power_W"), "W", _range(limits.get("power_W"))),
+    )
+    table = rows("l", "r", "r") if ranges else rows("l", "r")
+    for name, value, unit, limit in found:
+        cells = (_text(name), _text(_value(value, unit)), _text(limit))
+        table.add_row(*cells[: 3 if ranges else 2])
     return table
 
 
 def _estimates(record: WatchRecord, *, wide: bool) -> Table:
-    """Return the estimates, with their units where the terminal is wide enough for them."""
-    table = rows("l", "r", "r")
-    found = part(record.load, "estimates")
-    for name in list(found)[: FIGURES_ROWS - 3]:
+    """Return each estimate with its spread, and beside it the truth where a simulator knows it."""
+    found, truth = part(record.load, "estimates"), record.truth
+    table = rows("l", "r", "r", "r") if truth else rows("l", "r", "r")
+    accepted = "accepted" if record.load.get("accepted") else "not accepted" if found else ""
+    head = (accepted, "learned", "± 2 σ", "truth")
+    table.add_row(*head[: 4 if truth else 3], style=DIM)
+    for name in list(found)[: _ROWS - 1]:
         estimate = part(found, name)
-        spread = f"± {figure(2.0 * number(estimate.get('std')))}"
         quantity, unit = quantity_and_unit(name, found, record.unit)
         named = f"{quantity}, {unit}" if unit and wide else quantity
-        table.add_row(_text(named), figure(number(estimate.get("value"))), spread)
-    verdict = "accepted" if record.load.get("accepted") else record.load.get("reason") or "-"
-    table.add_row("verdict", _text(verdict), "")
+        spread = figure(2.0 * number(estimate.get("std")), 2)
+        real = (figure(number(truth.get(name))),) if truth else ()
+        table.add_row(_text(named), figure(number(estimate.get("value"))), spread, *real)
     return table
 
 
-def _health(record: WatchRecord) -> Table:
+def _health(record: WatchRecord) -> Iterator[str]:
+    """Return what is counted, in the words of `telemetry/drive`."""
     fast = record.fast
-    lateness, bus = part(fast, "lateness_us"), part(fast, "bus")
-    sensors = part(fast, "sensors")
-    down = [name for name in sensors if not part(sensors, name).get("up")]
-    times = "/".join(figure(1e-3 * number(lateness.get(name))) for name in ("p50", "p99", "max"))
-    table = rows("l", "r")
-    table.add_row("late, ms", times)
-    counted = f"{fast.get('missed')}/{fast.get('held')} of {fast.get('ticks')}"
-    table.add_row("missed/held", _text(counted))
-    table.add_row("refused", f"{sum(number(bus.get(name, 0)) for name in _REFUSED):.0f}")
-    table.add_row("sensor buses", _text(f"down: {', '.join(down)}" if down else len(sensors)))
-    table.add_row("age", _value(fast.get("age_s"), "s"))
-    return table
+    lateness, bus, sensors = part(fast, "lateness_us"), part(fast, "bus"), part(fast, "sensors")
+    times = "/".join(f"{1e-3 * number(lateness.get(name)):.2f}" for name in ("p50", "p99", "max"))
+    yield f"late {times.replace('nan', '–')} ms"
+    yield printable(f"missed {fast.get('missed')}")
+    yield printable(f"held {fast.get('held')} of {fast.get('ticks')}")
+    yield f"refused {sum(number(bus.get(name, 0)) for name in _REFUSED):.0f}"
+    yield f"age {figure(1e3 * number(fast.get('age_s')))} ms"
+    if down := [name for name in sensors if not part(sensors, name).get("up")]:
+        yield printable(f"sensor buses down: {', '.join(down)}")
+    if record.load and not record.load.get("accepted"):
+        yield printable(record.load.get("reason"))
 
 
 def _events(record: WatchRecord, count: int) -> Text:
@@ -232,12 +286,18 @@ def _events(record: WatchRecord, count: int) -> Text:
     return event_lines(shown)
 
 
-def _footer(record: WatchRecord) -> tuple[Text, ...]:
-    own = Text(f" {printable(record.answer)}", "bold"), Text(f" {KEYS}", DIM)
-    offered = "   ".join(
+def _footer(record: WatchRecord, around: Surroundings, width: int) -> list[Text]:
+    """Return what is counted, the last answer, and the keys; digits disturb a simulated plant."""
+    offered = [
         f"{digit} {printable(one.get('text'))}" for digit, one in enumerate(record.features, 1)
-    )
-    return (*own, Text(f" simulated plant: {offered}", DIM)) if offered else own
+    ]
+    plant = [f"simulated plant: {offered[0]}", *offered[1:]] if offered else []
+    return [
+        *(Text(line, DIM) for line in flow(_health(record), width)),
+        Text(f" {printable(record.answer)}", "bold"),
+        *(Text(line, DIM) for line in flow(around.keys, width)),
+        *(Text(line, DIM) for line in (flow(plant, width) if around is _WATCH else ())),
+    ]
 
 
 def _text(value: object) -> Text:

@@ -1,0 +1,207 @@
+"""The stage of a story in real time: broker, simulated drive and daemon, each a process."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+import time
+from collections.abc import Coroutine
+from contextlib import AsyncExitStack, suppress
+from types import TracebackType
+from typing import Any, Self
+
+from adaptdrive.app.lock import NAMESPACE
+from adaptdrive.cli.panel import panel_address
+from adaptdrive.errors import RecordingError
+from adaptdrive.operation.conversation import NoAnswerError, conversation, end_of
+from adaptdrive.operation.messages import Reply
+from adaptdrive.operation.simulator import DeviceReply
+from adaptdrive.recording.session import Ending, read_info
+from adaptdrive.watch.keys import KeyCommand
+from adaptdrive.watch.main import follow_drive
+from adaptdrive.watch.sending import over_mqtt
+from adaptdrive_sim.broker import BrokerAddress, parse_address
+from adaptdrive_sim.demo.bus import Ports, choose_bus
+from adaptdrive_sim.demo.processes import Household
+from adaptdrive_sim.demo.record import DemoRecord
+from adaptdrive_sim.demo.settings import DemoError, DemoSettings
+from adaptdrive_sim.demo.story import Story
+from adaptdrive_sim.demo.workspace import make_workspace
+
+BROKER_s = 60.0
+CONNECT_s = 3.0
+"""Longest wait for the connection to a running broker."""
+
+SESSION_s = 10.0
+AFTERMATH_s = 0.3
+"""Time for the simulated drive to protect itself and log it when the daemon has died."""
+
+_ANSWER_s = 10.0
+_ASKED = 3
+"""Times that a command without an answer is sent."""
+
+_LOOK_s = 0.05
+_WAIT_s = 0.1
+
+
+class RealStage:
+    """The processes of a demonstration. Use it as an async context manager.
+
+    Attributes:
+        drive: Name of the drive.
+        workspace: Its folder.
+        bus: Its bus.
+    """
+
+    def __init__(self, story: Story, settings: DemoSettings) -> None:
+        """Choose folder, bus, ports and name; no other demonstration has any of them.
+
+        Raises:
+            AdaptdriveError: They cannot be had.
+        """
+        self._story, self._settings = story, settings
+        self.workspace = make_workspace(settings.directory, story.configuration)
+        self._ports = Ports()
+        port = self._ports.take(socket.SOCK_DGRAM)
+        self.bus = choose_bus(settings.interface, settings.channel, port)
+        document = story.document()
+        self.drive = str(document["drive"]["name"])
+        if settings.broker is None:
+            self._broker = BrokerAddress("127.0.0.1", self._ports.take())
+            self._page, self._websocket = self._ports.take(), self._ports.take()
+        else:
+            self._broker = parse_address(settings.broker)
+            self.drive = f"{self.drive}-{os.getpid()}"  # others share that broker
+        document["drive"]["name"] = self.drive
+        document["bus"] |= self.bus.section
+        document["mqtt"] = {"host": self._broker.host, "port": self._broker.port}
+        document["recording"] = {"directory": str(self.workspace.sessions)}
+        self.workspace.write(document)
+        state = {"STATE_DIRECTORY": str(self.workspace.state), NAMESPACE: f"demo-{os.getpid()}"}
+        self._household = Household({**os.environ, **state})
+        self._ask = over_mqtt(self._broker.mqtt, self.drive, _ANSWER_s)
+        self._closing = AsyncExitStack()
+
+    async def __aenter__(self) -> Self:
+        """Start the processes."""
+        await self._closing.enter_async_context(self._household)
+        try:
+            await self._start()
+        except BaseException:
+            await self._closing.aclose()
+            raise
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        problem: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End the processes, and wait until the session is closed."""
+        if problem is not None:
+            await asyncio.sleep(AFTERMATH_s)
+        await self._closing.aclose()
+        self.close()
+        with suppress(TimeoutError, RecordingError):
+            async with asyncio.timeout(SESSION_s):
+                while (session := self.workspace.session()) is not None:
+                    if read_info(session).ended is not Ending.OPEN:
+                        return
+                    await asyncio.sleep(_LOOK_s)
+
+    def close(self) -> None:
+        """Give the ports back."""
+        self._ports.close()
+
+    @property
+    def time_s(self) -> float:
+        """Monotonic time."""
+        return time.monotonic()
+
+    @property
+    def broker(self) -> str:
+        """The broker as HOST:PORT."""
+        host, port = self._broker.host, self._broker.port
+        return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+    async def wait(self, longest_s: float) -> None:
+        """Let some time pass."""
+        await asyncio.sleep(min(max(longest_s, 0.0), _WAIT_s))
+
+    async def ask(self, command: KeyCommand) -> Reply | DeviceReply:
+        """Send a command or a disturbance; one without an answer is sent again."""
+        for _ in range(_ASKED - 1):
+            with suppress(NoAnswerError):
+                return await self._ask(command)
+        return await self._ask(command)
+
+    def services(self, record: DemoRecord) -> list[Coroutine[Any, Any, None]]:
+        """Return what runs beside the story: it is heard, and each death of a process is seen."""
+        return [self._household.watch(), follow_drive(self._broker.mqtt, record)]
+
+    async def panel(self) -> str:
+        """Serve the panel, and return its address.
+
+        Raises:
+            DemoError: The broker has no websocket for it.
+        """
+        if self._settings.broker is not None:
+            raise DemoError("the panel needs the broker of the demonstration")
+        websocket = f"ws://127.0.0.1:{self._websocket}/mqtt"
+        page = ["panel", "--no-open", f"--port={self._page}", f"--broker={websocket}"]
+        if not self._household.has("panel"):
+            log = self.workspace.log("panel")
+            await self._household.start("panel", "adaptdrive.cli", page, log)
+            await _until_listening(BrokerAddress("127.0.0.1", self._page))
+        return panel_address(self._page, websocket)
+
+    async def _start(self) -> None:
+        household, log = self._household, self.workspace.log
+        if self._settings.broker is None:
+            listeners = [self.broker, f"127.0.0.1:{self._websocket}"]
+            module = "adaptdrive_sim.demo.broker_main"
+            await household.start("broker", module, listeners, log("broker"))
+            await self._until_broker()
+        else:
+            await self._check_broker()
+        configuration = str(self.workspace.configuration)
+        noise = self._story.noise if self._settings.noise is None else self._settings.noise
+        device = [
+            *("device", configuration, f"--broker={self.broker}"),
+            *(f"--noise={noise!r}", f"--seed={self._settings.seed}"),
+            f"--initial-voltage={self._story.initial_voltage_V}",
+        ]
+        await household.start("simulated drive", "adaptdrive_sim", device, log("drive"))
+        daemon = ["run", configuration]
+        await household.start("daemon", "adaptdrive.cli", daemon, log("daemon"))
+
+    async def _check_broker(self) -> None:
+        """Make sure that a broker which somebody else has started answers."""
+        try:
+            async with conversation(self._broker.mqtt, self.drive, end_of(CONNECT_s)):
+                pass
+        except NoAnswerError as silence:
+            raise DemoError(silence.problem) from silence
+
+    async def _until_broker(self) -> None:
+        """Wait until the embedded broker listens."""
+        try:
+            async with asyncio.timeout(BROKER_s), asyncio.TaskGroup() as tasks:
+                watch = tasks.create_task(self._household.watch())
+                await _until_listening(self._broker)
+                watch.cancel()
+        except TimeoutError as late:
+            raise DemoError(f"the broker does not listen at {self.broker}") from late
+
+
+async def _until_listening(place: BrokerAddress) -> None:
+    while True:
+        try:
+            _, writer = await asyncio.open_connection(place.host, place.port)
+        except OSError:
+            await asyncio.sleep(_LOOK_s)
+        else:
+            writer.close()
+            return

@@ -1,0 +1,176 @@
+"""Stories that are disturbed on their way, played with the daemon's controller in virtual time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import msgspec
+import pytest
+
+from adaptdrive.config.file import validate_configuration
+from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive.runtime.requests import Disable, SetWaveform
+from adaptdrive_sim.demo.player import Player
+from adaptdrive_sim.demo.record import DemoRecord
+from adaptdrive_sim.demo.settings import DemoError
+from adaptdrive_sim.demo.story import read_story
+from adaptdrive_sim.demo.virtual import VirtualStage
+from adaptdrive_sim.device_main import build_world
+from adaptdrive_sim.device_settings import DeviceSettings
+from adaptdrive_sim.experiments.examples import FOLDER
+
+PERIOD_S = 120.0
+"""Period of the wave in the story of the brake: it steps up first, and down after a half."""
+
+WAVE = {"shape": "square", "low": 2.6, "high": 4.2, "period_s": PERIOD_S}
+
+
+class Theatre(VirtualStage):
+    """A stage that looks at the story after each step, and may do something."""
+
+    def __init__(self, duration_s: float) -> None:
+        self.story = msgspec.structs.replace(read_story("braking"), duration_s=duration_s)
+        configuration = validate_configuration(self.story.document(), FOLDER / "test.toml")
+        settings = DeviceSettings(initial_voltage_V=self.story.initial_voltage_V)
+        super().__init__(configuration, build_world(configuration, settings), 1e6)
+        self.said: list[str] = []
+        self.looks: list[Callable[[Player], None]] = [self._listen]
+        record = DemoRecord("motor", time.monotonic, story=self.story)
+        self.player = Player(self.story, self, record, None)
+        self.open(record)
+
+    async def wait(self, longest_s: float) -> None:
+        await super().wait(min(longest_s, 1.0))
+        for look in self.looks:
+            look(self.player)
+
+    def _listen(self, player: Player) -> None:
+        if not self.said or self.said[-1] != player.say:
+            self.said.append(player.say)
+
+    def once(self, at_s: float, do: Callable[[Player], None]) -> None:
+        """Do something at a time of the drive."""
+
+        def look(player: Player) -> None:
+            if self.time_s >= at_s:
+                self.looks.remove(look)
+                do(player)
+
+        self.looks.append(look)
+
+    def latch(self, _: Player) -> None:
+        self.drive.machine.latch("over-voltage: v_bst = 431 V, limit 430 V")
+
+    @property
+    def record_now(self) -> DemoRecord:
+        assert self.record is not None
+        return self.record
+
+
+async def test_a_story_plays_its_scenes_and_ends() -> None:
+    theatre = Theatre(70.0)
+    await theatre.player.run()
+    assert theatre.said[-2:] == [scene.say for scene in theatre.story.scenes]
+    assert theatre.player.at_s == pytest.approx(70.0, abs=0.1)
+    assert theatre.player.position.startswith("1:10 of 1:10 · scene 2 of 2")
+    assert theatre.record_now.trips == []
+
+
+async def test_after_a_trip_everything_is_brought_back_and_the_scene_begins_again() -> None:
+    theatre = Theatre(200.0)
+    theatre.once(100.0, theatre.latch)
+    await theatre.player.run()
+    record = theatre.record_now
+    assert len(record.trips) == 1
+    assert "The drive tripped (over-voltage)" in "".join(theatre.said)
+    assert record.state["state"] == "running"
+    assert record.state["mode"] == "adaptive"
+    assert record.state["waveform"] == WAVE
+    assert record.trip == ""
+    second = theatre.story.scenes[1]
+    assert theatre.said[-1] == second.say
+    assert theatre.player.at_s == pytest.approx(200.0, abs=0.1)
+    # it was in the scene that begins at 60 s, and played it anew
+    assert theatre.time_s > 100.0 + 200.0 - second.at_s
+
+
+async def test_a_story_that_trips_again_and_again_still_ends() -> None:
+    theatre = Theatre(400.0)
+    for k in range(40):
+        theatre.once(50.0 + 45.0 * k, theatre.latch)
+    await theatre.player.run()
+    assert theatre.player.at_s >= 400.0
+    assert len(theatre.record_now.trips) > 5
+
+
+async def test_a_drive_that_cannot_be_reset_ends_the_story_with_its_reason() -> None:
+    theatre = Theatre(400.0)
+    theatre.once(50.0, lambda _: theatre.looks.append(theatre.latch))
+    with pytest.raises(DemoError):
+        await theatre.player.run()
+
+
+async def test_whoever_stops_the_drive_has_it_until_the_viewer_goes_on() -> None:
+    theatre = Theatre(100.0)
+    held: list[float] = []
+
+    def stop(_: Player) -> None:
+        theatre.drive.carry_out(Disable())
+        theatre.once(theatre.time_s + 30.0, look)
+
+    def look(player: Player) -> None:
+        assert player.paused
+        assert "The drive was stopped." in player.say
+        assert not theatre.record_now.running
+        held.append(player.at_s)
+        player.toggle()
+
+    theatre.once(40.0, stop)
+    await theatre.player.run()
+    assert held[0] < 45.0
+    assert theatre.record_now.running
+    assert theatre.record_now.state["waveform"] == WAVE
+
+
+async def test_another_client_that_moves_the_drive_has_it() -> None:
+    theatre = Theatre(100.0)
+    seen: list[str] = []
+
+    def meddle(_: Player) -> None:
+        theatre.drive.carry_out(SetWaveform(Waveform(Shape.SINE, 2.6, 3.0, 90.0)))
+        theatre.once(theatre.time_s + 10.0, look)
+
+    def look(player: Player) -> None:
+        seen.append(player.say)
+        player.toggle()
+
+    theatre.once(40.0, meddle)
+    await theatre.player.run()
+    assert "Somebody else operates the drive." in seen[0]
+    assert theatre.record_now.state["waveform"] == WAVE
+
+
+@pytest.mark.parametrize("pause_s", [7.0, 50.0, 130.0])
+async def test_after_a_pause_the_steps_come_in_the_story_when_they_should(pause_s: float) -> None:
+    """The wave runs on; the clock of the story is set to where the wave stands."""
+    theatre = Theatre(400.0)
+    steps: list[float] = []
+    before: list[float] = []
+
+    def watch(player: Player) -> None:
+        reference = theatre.drive.reference
+        if before and reference != before[-1] and not player.paused:
+            steps.append(player.at_s)
+        before.append(reference)
+
+    def pause(player: Player) -> None:
+        player.toggle()
+        theatre.once(theatre.time_s + pause_s, lambda again: again.toggle())
+        theatre.once(theatre.time_s + pause_s, lambda _: theatre.looks.append(watch))
+
+    theatre.once(150.0, pause)
+    await theatre.player.run()
+    assert len(steps) >= 3
+    for at_s in steps:
+        assert min(at_s % (PERIOD_S / 2), -at_s % (PERIOD_S / 2)) < 2.5
