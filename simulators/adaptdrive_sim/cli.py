@@ -110,9 +110,8 @@ def disturb(
     import asyncio  # noqa: PLC0415  # keeps --help fast
 
     from adaptdrive.operation.conversation import NoAnswerError  # noqa: PLC0415
-    from adaptdrive_sim.broker import parse_address  # noqa: PLC0415
+    from adaptdrive_sim.broker import ask, parse_address  # noqa: PLC0415
     from adaptdrive_sim.disturbances import from_words  # noqa: PLC0415
-    from adaptdrive_sim.request_client import ask  # noqa: PLC0415
 
     request = from_words(action, values)
     try:

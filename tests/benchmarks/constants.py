@@ -17,9 +17,9 @@ from pathlib import Path
 from adaptdrive.control.signals import Mode
 from adaptdrive.errors import AdaptdriveError
 from adaptdrive_sim.campaign import bench
+from adaptdrive_sim.campaign.bench import draw
 from adaptdrive_sim.campaign.drawn import Row
 from adaptdrive_sim.campaign.judge import WORSE, judge
-from adaptdrive_sim.campaign.scenario import draw
 from adaptdrive_sim.campaign.settings import read_campaign
 from adaptdrive_sim.compiled import run
 from adaptdrive_sim.course import Run

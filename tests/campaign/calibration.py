@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.bench import Stand
-from adaptdrive_sim.campaign.scenario import draw
+from adaptdrive_sim.campaign.bench import Stand, draw
 from adaptdrive_sim.campaign.settings import read_campaign
 from adaptdrive_sim.compiled import bench
 

@@ -10,8 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.bath_bench import BathStand
-from adaptdrive_sim.campaign.bath_scenario import BathScenario, draw_bath
+from adaptdrive_sim.campaign.bath_bench import BathScenario, BathStand, draw_bath
 from adaptdrive_sim.campaign.bath_settings import BathCampaign
 from adaptdrive_sim.campaign.kinds import read_any_campaign, run_seed
 from adaptdrive_sim.campaign.main import run_campaign

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from adaptdrive.control.signals import Mode, Stage
-from adaptdrive_sim.campaign.bench import Stand, deployed
+from adaptdrive_sim.campaign.bench import Scenario, Stand, deployed, draw
 from adaptdrive_sim.campaign.judge import judge
 from adaptdrive_sim.campaign.life import Life, draw_life, moving, volt_Nm
-from adaptdrive_sim.campaign.scenario import Scenario, draw
 from adaptdrive_sim.campaign.settings import FOLDER, LifeRanges, read_campaign
 from adaptdrive_sim.course import Run
 from adaptdrive_sim.plants.motor import Motor

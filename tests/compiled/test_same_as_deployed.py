@@ -11,8 +11,7 @@ import pytest
 from adaptdrive.control.controller import Controller
 from adaptdrive.control.settings import Probing
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.bench import Stand, deployed
-from adaptdrive_sim.campaign.scenario import draw
+from adaptdrive_sim.campaign.bench import Stand, deployed, draw
 from adaptdrive_sim.campaign.settings import Campaign, read_campaign
 from adaptdrive_sim.course import Course
 from adaptdrive_sim.plants.motor import Motor

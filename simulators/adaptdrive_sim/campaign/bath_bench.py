@@ -1,23 +1,172 @@
-"""Runs a scenario of a bath: plant, controller and course from what was drawn."""
+"""Runs of baths: what a seed draws, and plant, controller and course made of it."""
 
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.bath import realise
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.bath_scenario import BathScenario
-from adaptdrive_sim.campaign.bath_settings import bath_parameters
-from adaptdrive_sim.campaign.drawn import Deployed, DrawnRun, Row, read_deployed
+from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive_sim.campaign.bath_settings import (
+    BathCampaign,
+    BathReferenceRanges,
+    bath_parameters,
+    bath_reach,
+)
+from adaptdrive_sim.campaign.drawn import (
+    Deployed,
+    Drawn,
+    DrawnRun,
+    Numbers,
+    Row,
+    read_deployed,
+    several_sizes,
+    times,
+    uniform,
+    whole,
+)
 from adaptdrive_sim.campaign.life import moving
 from adaptdrive_sim.course import Course
 from adaptdrive_sim.plants.bath import Bath, BathParameters
 from adaptdrive_sim.plants.coupling import CouplingParameters
 from adaptdrive_sim.world import World, WorldParameters
+
+Array = NDArray[np.float64]
+
+_STREAM = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BathScenario(Drawn):
+    """Drawn values of a run of a bath.
+
+    Attributes:
+        volumes_gal: Volume, first the initial one.
+        fill_times_s: When it begins to change.
+        fill_s: How long each change takes.
+        inflows: Flow, relative to the model's, first the initial one.
+        inflow_times_s: When it changes.
+        drift_K_per_h: Drift of the inflow's temperature at the start.
+        turn_s: After which it turns.
+        resistance: Of the heater at the start, relative to the model's.
+        ageing_per_h: Rise of that by ageing, as a share of the resistance at the start.
+        constant: Whether the set-point stays at its low end.
+        offset_K: Of the sensor.
+    """
+
+    volumes_gal: Numbers
+    fill_times_s: Numbers
+    fill_s: float
+    inflows: Numbers
+    inflow_times_s: Numbers
+    drift_K_per_h: float
+    turn_s: float
+    resistance: float
+    ageing_per_h: float
+    constant: bool
+    offset_K: float
+
+    def targets_gal_at(self, times_s: Array) -> Array:
+        """Return the volume that is asked for at each time."""
+        return moving(times_s, self.fill_times_s, self.volumes_gal, (0.0,) * len(self.fill_times_s))
+
+    def inflows_at(self, times_s: Array) -> Array:
+        """Return the flow at each time, relative to the model's."""
+        jumps = (0.0,) * len(self.inflow_times_s)
+        return moving(times_s, self.inflow_times_s, self.inflows, jumps)
+
+    def references_at(self, times_s: Array) -> Array:
+        """Return the set-point at each time."""
+        if self.constant:
+            return np.full(times_s.size, self.reference.low)
+        return np.array([self.reference.value(time_s) for time_s in times_s.tolist()])
+
+    def columns(self) -> Row:
+        """Return the drawn values as columns of the results."""
+        return {
+            "seed": self.seed,
+            "volume_first_gal": self.volumes_gal[0],
+            "volume_last_gal": self.volumes_gal[-1],
+            "volume_largest_gal": max(self.volumes_gal),
+            "changes": len(self.fill_times_s),
+            "fill_s": self.fill_s,
+            "inflow": self.inflows[0],
+            "inflow_changes": len(self.inflow_times_s),
+            **self.values("drift_K_per_h", "turn_s", "resistance", "ageing_per_h"),
+            "shape": "constant" if self.constant else self.reference.shape.value,
+            "low": self.reference.low,
+            "step": self.step,
+            "period_s": self.reference.period_s,
+            "sigma_K": self.sigma,
+            "spike_share": self.spike_share,
+            "output_K": self.output_quantum,
+            **self.values("offset_K", "output_delay_ticks", "line_voltage", "frequency_Hz"),
+        }
+
+
+def draw_bath(campaign: BathCampaign, seed: int) -> BathScenario:
+    """The run of a campaign that a seed stands for."""
+    generator = np.random.default_rng([seed, _STREAM])
+    water, sensor, wire = campaign.water, campaign.sensor, campaign.wire
+    quiet_s, end_s = water.quiet_s, max(water.quiet_s, campaign.duration_s - water.quiet_s)
+    volumes_gal = several_sizes(
+        generator, water.volume_gal, water.unchanged, water.fills, water.fill_min
+    )
+    fill_times_s = times(generator, len(volumes_gal) - 1, quiet_s, end_s)
+    moves = whole(generator, water.inflow_changes)
+    inflows = tuple(uniform(generator, water.inflow) for _ in range(moves + 1))
+    drift = uniform(generator, water.drift_K_per_h) * float(generator.choice((-1.0, 1.0)))
+    turn_s, offset_K = uniform(generator, water.turn_s), uniform(generator, sensor.offset_K)
+    resistance = uniform(generator, campaign.heater.resistance)
+    ageing = uniform(generator, campaign.heater.ageing_per_h)
+    aged = resistance * (1.0 + ageing * campaign.duration_s / 3600.0)
+    shift_K = abs(drift) * turn_s / 3600.0 + abs(offset_K)
+    room = bath_reach(inflows, (resistance, aged), shift_K)
+    return BathScenario(
+        seed=seed,
+        duration_s=campaign.duration_s,
+        volumes_gal=volumes_gal,
+        fill_times_s=fill_times_s,
+        fill_s=uniform(generator, water.fill_s),
+        inflows=inflows,
+        inflow_times_s=times(generator, moves, quiet_s, end_s),
+        drift_K_per_h=drift,
+        turn_s=turn_s,
+        resistance=resistance,
+        ageing_per_h=ageing,
+        reference=_waveform(generator, campaign.reference, room),
+        constant=bool(generator.random() < campaign.reference.constant),
+        sigma=uniform(generator, sensor.sigma_K),
+        spike_share=uniform(generator, sensor.spike_share),
+        spike_sigma=sensor.spike_K,
+        output_quantum=uniform(generator, sensor.output_K),
+        offset_K=offset_K,
+        output_delay_ticks=whole(generator, sensor.output_delay_ticks),
+        line_voltage=uniform(generator, campaign.line.voltage),
+        frequency_Hz=uniform(generator, campaign.line.frequency_Hz),
+        voltage_V=uniform(generator, wire.voltage_V),
+        power_W=uniform(generator, wire.power_W),
+        scale_S=uniform(generator, wire.scale_S),
+    )
+
+
+def _waveform(
+    generator: np.random.Generator, ranges: BathReferenceRanges, room: tuple[float, float]
+) -> Waveform:
+    """Draw a waveform and move it into what V_c holds."""
+    shape = ranges.shapes[int(generator.integers(len(ranges.shapes)))]
+    least, most = room
+    height = min(uniform(generator, ranges.step), most - least)
+    wanted = ranges.low + uniform(generator, ranges.low_above)
+    low = min(max(wanted, least), most - height)
+    period_s = float(round(uniform(generator, ranges.period_s)))
+    return Waveform(Shape(shape), low, low + height, period_s)
 
 
 @cache

@@ -1,19 +1,160 @@
-"""Runs a scenario of a motor: plant, controller and course from what was drawn."""
+"""Runs of motors: what a seed draws, and plant, controller and course made of it."""
 
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
 
 from adaptdrive.control.load import Load
 from adaptdrive.control.loads.motor import motor_load
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.drawn import Deployed, DrawnRun, Row, read_deployed
-from adaptdrive_sim.campaign.scenario import Scenario
+from adaptdrive.control.waveform import Shape, Waveform
+from adaptdrive_sim.campaign.drawn import (
+    Deployed,
+    Drawn,
+    DrawnRun,
+    Numbers,
+    Row,
+    read_deployed,
+    several_sizes,
+    times,
+    uniform,
+    whole,
+)
+from adaptdrive_sim.campaign.life import Life, draw_life, moving, volt_Nm
+from adaptdrive_sim.campaign.settings import MIDDLE, NOMINAL_GAIN, Campaign, ReferenceRanges, reach
 from adaptdrive_sim.course import Course
 from adaptdrive_sim.plants.coupling import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import World, WorldParameters
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scenario(Drawn):
+    """Drawn values of a run of a motor.
+
+    Attributes:
+        inertias: Inertia in disks, first the initial one.
+        change_times_s: When it changes.
+        gain: Of the tachometer, relative.
+        filter: Time constant of its filter, relative.
+        life: What happens besides.
+    """
+
+    inertias: Numbers
+    change_times_s: Numbers
+    gain: float
+    filter: float
+    life: Life
+
+    @property
+    def largest_movement(self) -> float:
+        """Movement of the output by the reference's step or by the largest load torque."""
+        return max(self.step, NOMINAL_GAIN * self.gain * self.life.largest_torque_V)
+
+    def inertias_at(self, times_s: Array) -> Array:
+        """Inertia in disks at each time."""
+        return moving(times_s, self.change_times_s, self.inertias, self.life.inertia_ramps_s)
+
+    def references_at(self, times_s: Array) -> Array:
+        """Return the set-point at each time."""
+        read_s = self.life.held_at(times_s).tolist()
+        return np.array([self.reference.value(time_s) for time_s in read_s])
+
+    def motor(self) -> MotorParameters:
+        """The true motor, with one disk."""
+        nominal = MotorParameters()
+        return MotorParameters(
+            tachometer_Vs=nominal.tachometer_Vs * self.gain,
+            filter_s=nominal.filter_s * self.filter,
+            coulomb_Nm=self.life.coulomb_V * volt_Nm(),
+            drag_Nms2=self.life.drag_V * volt_Nm() * (nominal.tachometer_Vs / MIDDLE) ** 2,
+        )
+
+    def columns(self) -> Row:
+        """Return the drawn values as columns of the results."""
+        own = self.life
+        return {
+            "seed": self.seed,
+            "inertia_first": self.inertias[0],
+            "inertia_last": self.inertias[-1],
+            "inertia_largest": max(self.inertias),
+            "changes": len(self.change_times_s),
+            **self.values("gain", "filter"),
+            "shape": self.reference.shape.value,
+            "step": self.step,
+            "period_s": self.reference.period_s,
+            "sigma": self.sigma / self.step,
+            **self.values("spike_share", "line_voltage", "frequency_Hz", "output_delay_ticks"),
+            "torque_changes": len(own.torques_V),
+            "torque_largest_V": own.largest_torque_V,
+            "restarts": len(own.stop_times_s),
+            "idle_s": min(self.duration_s, sum(own.idle_s)),
+            **{name: getattr(own, name) for name in ("coulomb_V", "drag_V", "offset")},
+        }
+
+
+def draw(campaign: Campaign, seed: int) -> Scenario:
+    """The run of a campaign that a seed stands for."""
+    generator = np.random.default_rng([seed, 0])
+    load, reference, noise = campaign.load, campaign.reference, campaign.noise
+    inertias = several_sizes(
+        generator,
+        load.inertia,
+        load.unchanged if campaign.duration_s > 2.0 * load.quiet_s else 1.0,
+        load.changes,
+        load.change_min,
+    )
+    end_s = max(load.quiet_s, campaign.duration_s - load.quiet_s)
+    times_s = times(generator, len(inertias) - 1, load.quiet_s, end_s)
+    step = uniform(generator, reference.step)
+    shape = reference.shapes[int(generator.integers(len(reference.shapes)))]
+    period_s = round(uniform(generator, reference.period_s))
+    line, wire = campaign.line, campaign.wire
+    gain, above = uniform(generator, load.gain), _low_above(reference, seed)
+    life = draw_life(campaign.life, seed, campaign.duration_s, len(times_s))
+    low, high = _reachable(reference.low + above, step, gain, life)
+    return Scenario(
+        seed=seed,
+        duration_s=campaign.duration_s,
+        inertias=inertias,
+        change_times_s=times_s,
+        gain=gain,
+        filter=uniform(generator, load.filter),
+        reference=Waveform(Shape(shape), low, high, float(period_s)),
+        sigma=(high - low) * uniform(generator, noise.sigma),
+        spike_share=uniform(generator, noise.spike_share),
+        spike_sigma=(high - low) * noise.spike_sigma,
+        line_voltage=uniform(generator, line.voltage),
+        frequency_Hz=uniform(generator, line.frequency_Hz),
+        output_delay_ticks=whole(generator, wire.output_delay_ticks),
+        output_quantum=uniform(generator, wire.output_V),
+        voltage_V=uniform(generator, wire.voltage_V),
+        power_W=uniform(generator, wire.power_W),
+        scale_S=uniform(generator, wire.scale_S),
+        life=life,
+    )
+
+
+def _low_above(reference: ReferenceRanges, seed: int) -> float:
+    """Draw from a stream of its own, so that a file without it draws what it always drew."""
+    return uniform(np.random.default_rng([seed, 2]), reference.low_above)
+
+
+def _reachable(low: float, step: float, gain: float, life: Life) -> tuple[float, float]:
+    """Move the set-points of a step into what V_c holds."""
+    brake_V = life.largest_torque_V + life.coulomb_V
+    least, most = reach(gain, brake_V, life.drag_V)
+    height = min(step, most - least)
+    moved = min(max(low, least), most - height)
+    return (low, low + step) if (moved, height) == (low, step) else (moved, moved + height)
+
 
 WARM_UP_s = 90.0
 

@@ -9,8 +9,7 @@ from typing import Any
 
 from rich.console import Console
 
-from adaptdrive_sim.campaign.bath_bench import BathStand
-from adaptdrive_sim.campaign.bath_scenario import draw_bath
+from adaptdrive_sim.campaign.bath_bench import BathStand, draw_bath
 from adaptdrive_sim.campaign.bath_settings import BathCampaign
 from adaptdrive_sim.campaign.battery_bench import (
     judge_batteries,
@@ -18,11 +17,10 @@ from adaptdrive_sim.campaign.battery_bench import (
     summarise_batteries,
 )
 from adaptdrive_sim.campaign.battery_scenario import BatteryCampaign
-from adaptdrive_sim.campaign.bench import Stand
+from adaptdrive_sim.campaign.bench import Stand, draw
 from adaptdrive_sim.campaign.drawn import DrawnRun, Row
 from adaptdrive_sim.campaign.judge import run_and_judge
 from adaptdrive_sim.campaign.repeat import repeat
-from adaptdrive_sim.campaign.scenario import draw
 from adaptdrive_sim.campaign.settings import Campaign, read_campaign_of
 
 AnyCampaign = Campaign | BathCampaign | BatteryCampaign

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from adaptdrive.control.waveform import Shape, Waveform
-from adaptdrive_sim.campaign.bench import Stand, at_rest
+from adaptdrive_sim.campaign.bench import Scenario, Stand, at_rest
 from adaptdrive_sim.campaign.drawn import Deployed, DrawnRun, deploy
 from adaptdrive_sim.campaign.life import Life
-from adaptdrive_sim.campaign.scenario import Scenario
 from adaptdrive_sim.experiments.examples import example_tables
 from adaptdrive_sim.plants.motor import MotorParameters
 

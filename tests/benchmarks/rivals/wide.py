@@ -19,9 +19,8 @@ from typing import Any
 import numpy as np
 
 from adaptdrive.control.signals import Mode
-from adaptdrive_sim.campaign.bench import Stand
+from adaptdrive_sim.campaign.bench import Stand, draw
 from adaptdrive_sim.campaign.judge import WORSE, judge
-from adaptdrive_sim.campaign.scenario import draw
 from adaptdrive_sim.campaign.settings import read_campaign
 from adaptdrive_sim.compiled import bench
 
