@@ -161,11 +161,7 @@ def reproduce(  # noqa: PLR0913 - one parameter for each option
     """
     from adaptdrive_sim.experiments.case import disturbance_of  # noqa: PLC0415  # keeps --help fast
     from adaptdrive_sim.experiments.claims import print_claims  # noqa: PLC0415
-    from adaptdrive_sim.experiments.reproduce import (  # noqa: PLC0415
-        ReproduceRequest,
-        find_experiment,
-        run_request,
-    )
+    from adaptdrive_sim.experiments.reproduce import ReproduceRequest, find_experiment, run_request  # noqa: PLC0415
 
     chosen = find_experiment(experiment, keep_speed=keep_speed)
     disturbance = disturbance_of(chosen.noise if noise is None else noise, spikes)

@@ -10,11 +10,7 @@ import pytest
 
 from adaptdrive.control.signals import Mode
 from adaptdrive_sim.campaign.battery_bench import ideal_current, judge_batteries, run_battery
-from adaptdrive_sim.campaign.battery_scenario import (
-    BatteryCampaign,
-    BatteryScenario,
-    draw_battery,
-)
+from adaptdrive_sim.campaign.battery_scenario import BatteryCampaign, BatteryScenario, draw_battery
 from adaptdrive_sim.campaign.main import repeat_run, run_campaign
 from adaptdrive_sim.campaign.settings import FOLDER, read_campaign_of
 from tests.campaign.flaws import message_about
