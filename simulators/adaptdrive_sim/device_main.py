@@ -33,7 +33,7 @@ from adaptdrive_sim.devices.remote import Remote
 from adaptdrive_sim.devices.sensor_values import check_names, values_of
 from adaptdrive_sim.devices.voltage_holder import VoltageHolder
 from adaptdrive_sim.line import LineParameters
-from adaptdrive_sim.noise import NoiseParameters
+from adaptdrive_sim.noise import NoiseParameters, read_spikes
 from adaptdrive_sim.parameters import check_range
 from adaptdrive_sim.plants.boost import BoostParameters
 from adaptdrive_sim.plants.kinds import coupling_of, load_of
@@ -183,7 +183,7 @@ def build_world(configuration: Configuration, settings: DeviceSettings) -> World
     boost = BoostParameters(
         capacitance_F=drive.boost_capacitance_F, bidirectional=drive.kind == "bidirectional"
     )
-    share, sigma = _spikes(settings.spikes)
+    share, sigma = read_spikes(settings.spikes)
     noise = NoiseParameters(sigma=settings.noise_V, spike_share=share, spike_sigma=sigma)
     stage = coupling_of(configuration)
     parameters = WorldParameters(line, boost, stage, noise, seed=settings.seed)
@@ -231,15 +231,6 @@ def _overridden(configuration: Configuration, settings: DeviceSettings) -> Confi
         raise RefusedError(f"--interface and --port do not all fit {configuration.bus.type}")
     bus = configuration.bus.model_copy(update=changes)
     return configuration.model_copy(update={"bus": bus})
-
-
-def _spikes(text: str) -> tuple[float, float]:
-    """Read `SHARE,SIGMA`."""
-    try:
-        share, sigma = (float(part) for part in text.split(","))
-    except ValueError as problem:
-        raise RefusedError(f"spikes {text!r} is not SHARE,SIGMA") from problem
-    return share, sigma
 
 
 def _say_bus(what: str, name: str) -> Callable[[str], None]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptdrive.errors import RefusedError
 from adaptdrive_sim.parameters import check_quantities, quantity
 
 _BLOCK = 4096
@@ -31,6 +32,23 @@ class NoiseParameters:
     def silent(self) -> bool:
         """True if no sample is ever disturbed."""
         return self.sigma == 0.0 and (self.spike_share == 0.0 or self.spike_sigma == 0.0)
+
+
+def read_spikes(text: str, form: str = "SHARE,SIGMA") -> tuple[float, float]:
+    """Read the share and the deviation of spikes from a command line.
+
+    Args:
+        text: Both.
+        form: How they are asked for.
+
+    Raises:
+        RefusedError: They cannot be read.
+    """
+    try:
+        share, sigma = (float(part) for part in text.split(","))
+    except ValueError as problem:
+        raise RefusedError(f"spikes {text!r} is not {form}") from problem
+    return share, sigma
 
 
 def samples(parameters: NoiseParameters, generator: np.random.Generator) -> Iterator[float]:

@@ -25,6 +25,7 @@ from adaptdrive_sim.campaign.drawn import (
     DrawnRun,
     Numbers,
     Row,
+    each,
     read_deployed,
     several_sizes,
     times,
@@ -113,7 +114,7 @@ class BathScenario(Drawn):
 def draw_bath(campaign: BathCampaign, seed: int) -> BathScenario:
     """The run of a campaign that a seed stands for."""
     generator = np.random.default_rng([seed, _STREAM])
-    water, sensor, wire = campaign.water, campaign.sensor, campaign.wire
+    water, sensor = campaign.water, campaign.sensor
     quiet_s, end_s = water.quiet_s, max(water.quiet_s, campaign.duration_s - water.quiet_s)
     volumes_gal = several_sizes(
         generator, water.volume_gal, water.unchanged, water.fills, water.fill_min
@@ -150,9 +151,7 @@ def draw_bath(campaign: BathCampaign, seed: int) -> BathScenario:
         output_delay_ticks=whole(generator, sensor.output_delay_ticks),
         line_voltage=uniform(generator, campaign.line.voltage),
         frequency_Hz=uniform(generator, campaign.line.frequency_Hz),
-        voltage_V=uniform(generator, wire.voltage_V),
-        power_W=uniform(generator, wire.power_W),
-        scale_S=uniform(generator, wire.scale_S),
+        **each(generator, campaign.wire, "voltage_V", "power_W", "scale_S"),
     )
 
 

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from adaptdrive.config.file import validate_configuration
 from adaptdrive.config.root import Configuration
+from adaptdrive_sim.campaign.drawn import each, uniform
 from adaptdrive_sim.campaign.settings import CampaignFile, CampaignTable, LineRanges, Range, within
 from adaptdrive_sim.experiments.examples import FOLDER, example_tables
 from adaptdrive_sim.line import LineParameters
@@ -198,28 +199,16 @@ class BatteryScenario:
 def draw_battery(campaign: BatteryCampaign, seed: int) -> BatteryScenario:
     """Return the run of a campaign that a seed stands for."""
     generator = np.random.default_rng([seed, 4])
-
-    def drawn(ends: tuple[float, float]) -> float:
-        return float(generator.uniform(*ends))
-
-    own, current = campaign.battery, campaign.current
-    low, high = np.log(own.full_V)
+    own = campaign.battery
+    log_low, log_high = np.log(own.full_V)
+    resistances = ("series", "relaxation", "relaxation_s", "second", "second_s")
     return BatteryScenario(
         seed=seed,
         duration_s=campaign.duration_s,
-        cells=max(3, round(float(np.exp(drawn((low, high)))) / CELL_FULL_V)),
-        rate_per_h=drawn(own.rate_per_h),
-        charge=drawn(own.charge),
-        series=drawn(own.series),
-        relaxation=drawn(own.relaxation),
-        relaxation_s=drawn(own.relaxation_s),
-        second=drawn(own.second),
-        second_s=drawn(own.second_s),
-        growth=drawn(own.growth) if generator.random() < own.aged else 1.0,
-        share=drawn(current.share),
-        lowered=drawn(current.lowered),
-        ripple=drawn(current.ripple),
-        noise=drawn(current.noise),
-        line_voltage=drawn(campaign.line.voltage),
-        frequency_Hz=drawn(campaign.line.frequency_Hz),
+        cells=max(3, round(float(np.exp(uniform(generator, (log_low, log_high)))) / CELL_FULL_V)),
+        **each(generator, own, "rate_per_h", "charge", *resistances),
+        growth=uniform(generator, own.growth) if generator.random() < own.aged else 1.0,
+        **each(generator, campaign.current, "share", "lowered", "ripple", "noise"),
+        line_voltage=uniform(generator, campaign.line.voltage),
+        frequency_Hz=uniform(generator, campaign.line.frequency_Hz),
     )

@@ -19,6 +19,7 @@ from adaptdrive_sim.campaign.drawn import (
     DrawnRun,
     Numbers,
     Row,
+    each,
     read_deployed,
     several_sizes,
     times,
@@ -28,6 +29,7 @@ from adaptdrive_sim.campaign.drawn import (
 from adaptdrive_sim.campaign.life import Life, draw_life, moving, volt_Nm
 from adaptdrive_sim.campaign.settings import MIDDLE, NOMINAL_GAIN, Campaign, ReferenceRanges, reach
 from adaptdrive_sim.course import Course
+from adaptdrive_sim.experiments.case import from_rest
 from adaptdrive_sim.plants.coupling import CouplingParameters
 from adaptdrive_sim.plants.motor import Motor, MotorParameters
 from adaptdrive_sim.world import World, WorldParameters
@@ -135,9 +137,7 @@ def draw(campaign: Campaign, seed: int) -> Scenario:
         frequency_Hz=uniform(generator, line.frequency_Hz),
         output_delay_ticks=whole(generator, wire.output_delay_ticks),
         output_quantum=uniform(generator, wire.output_V),
-        voltage_V=uniform(generator, wire.voltage_V),
-        power_W=uniform(generator, wire.power_W),
-        scale_S=uniform(generator, wire.scale_S),
+        **each(generator, wire, "voltage_V", "power_W", "scale_S"),
         life=life,
     )
 
@@ -167,15 +167,7 @@ def deployed() -> Deployed:
 
 def at_rest(own: Deployed) -> Deployed:
     """Return the same for a run that starts at rest."""
-    settings = own.settings
-    settings = dataclasses.replace(
-        settings,
-        learning=dataclasses.replace(settings.learning, settle_periods=0),
-        jacket=dataclasses.replace(
-            settings.jacket, warm_up_periods=round(WARM_UP_s / own.period_s)
-        ),
-    )
-    return dataclasses.replace(own, settings=settings)
+    return dataclasses.replace(own, settings=from_rest(own.settings, WARM_UP_s, own.period_s))
 
 
 class Stand(DrawnRun):

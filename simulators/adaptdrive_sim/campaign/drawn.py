@@ -134,6 +134,11 @@ def uniform(generator: np.random.Generator, ends: tuple[float, float]) -> float:
     return float(generator.uniform(*ends))
 
 
+def each(generator: np.random.Generator, ranges: object, *names: str) -> dict[str, Any]:
+    """Draw a number from each of some ranges, in the order of their names."""
+    return {name: uniform(generator, getattr(ranges, name)) for name in names}
+
+
 def whole(generator: np.random.Generator, ends: tuple[int, int]) -> int:
     """Draw a whole number; both ends are possible."""
     return int(generator.integers(ends[0], ends[1] + 1))

@@ -20,11 +20,10 @@ from adaptdrive.control.controller import Controller
 from adaptdrive.control.methods import METHODS
 from adaptdrive.control.settings import ControllerSettings
 from adaptdrive.control.signals import Mode
-from adaptdrive.errors import RefusedError
 from adaptdrive_sim.course import Course, Run
 from adaptdrive_sim.experiments.examples import FOLDER
 from adaptdrive_sim.experiments.experiment import Experiment
-from adaptdrive_sim.noise import NoiseParameters, samples
+from adaptdrive_sim.noise import NoiseParameters, read_spikes, samples
 from adaptdrive_sim.parameters import check_range
 from adaptdrive_sim.site import Site
 from adaptdrive_sim.world import World
@@ -68,11 +67,7 @@ def disturbance_of(noise: float, spikes: str) -> Disturbance:
         RefusedError: The spikes cannot be read.
         ParameterError: A value lies outside its range.
     """
-    try:
-        share, sigma = (float(part) for part in spikes.split(","))
-    except ValueError as problem:
-        raise RefusedError(f"spikes {spikes!r} is not RATE,SIGMA") from problem
-    return Disturbance(noise, share, sigma)
+    return Disturbance(noise, *read_spikes(spikes, "RATE,SIGMA"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +110,21 @@ def case_settings(experiment: Experiment, variant: Variant, design: Design) -> C
 def daemon_settings(experiment: Experiment) -> ControllerSettings:
     """The daemon's default controller, for an experiment that starts at rest."""
     settings = _from_tables(experiment, experiment.tables())
+    return from_rest(settings, experiment.paper.warm_up_s, experiment.period_s)
+
+
+def from_rest(
+    settings: ControllerSettings, warm_up_s: float, period_s: float
+) -> ControllerSettings:
+    """Return settings for a run that starts at rest: the load's initial state is known.
+
+    Args:
+        settings: Of the daemon.
+        warm_up_s: Time until adaptive control may begin.
+        period_s: T_k.
+    """
     learning = dataclasses.replace(settings.learning, settle_periods=0)
-    jacket = dataclasses.replace(settings.jacket, warm_up_periods=_warm_up_periods(experiment))
+    jacket = dataclasses.replace(settings.jacket, warm_up_periods=round(warm_up_s / period_s))
     return dataclasses.replace(settings, learning=learning, jacket=jacket)
 
 
@@ -137,10 +145,6 @@ def paper_settings(experiment: Experiment) -> ControllerSettings:
 def _from_tables(experiment: Experiment, tables: dict[str, Any]) -> ControllerSettings:
     source = FOLDER / f"{experiment.name}.toml"
     return controller_settings(validate_configuration(tables, source))
-
-
-def _warm_up_periods(experiment: Experiment) -> int:
-    return round(experiment.paper.warm_up_s / experiment.period_s)
 
 
 Array = NDArray[np.float64]
