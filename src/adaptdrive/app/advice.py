@@ -40,6 +40,7 @@ def advice(configuration: Configuration) -> Iterator[Flaw]:
     yield from _reach(configuration, load)
     yield from _power(configuration, load)
     yield from _absent(configuration)
+    yield from _only_stop(configuration)
     yield from _pace(configuration, load)
     yield from _delay(configuration)
     yield from _charge(configuration)
@@ -77,6 +78,14 @@ def _reach(configuration: Configuration, load: Load) -> Iterator[Flaw]:
             f"{limits.boost_reference_max_V:g} V gives {highest:.4g} {section.output_unit}"
         )
         yield Flaw("load.reference_max", text)
+
+
+def _only_stop(configuration: Configuration) -> Iterator[Flaw]:
+    """A drive that nothing switches off is stopped by its set-point alone."""
+    if configuration.signals.command.bridge or configuration.bus.has_bridge_words:
+        return
+    text = "is missing: a set-point of 0 is its only stop; see that the load is then without power"
+    yield Flaw("signals.command.bridge", f"{text}, and that the drive stops without commands")
 
 
 def _absent(configuration: Configuration) -> Iterator[Flaw]:

@@ -32,6 +32,8 @@ def trip_limits(configuration: Configuration) -> Limits:
         output_unit=configuration.load.output_unit,
         output_name=configuration.load.output_name,
         output_min=_output_min(configuration),
+        voltage_name=configuration.drive.manipulated.name,
+        voltage_unit=configuration.drive.manipulated.unit,
         absent=absent_names(configuration.signals, configuration.sensor_bus, configuration.derived),
     )
 

@@ -192,9 +192,10 @@ def _line(configuration: Configuration, port: Port, reading: Reading | None) -> 
     if reading is None:
         return f"no reading yet ({counts or 'no frames'})"
     age_ms = (now_s() - reading.oldest_s) * 1e3
-    load = configuration.load
+    load, quantity = configuration.load, configuration.drive.manipulated
     return (
-        f"v_bst {reading.boost_voltage_V:7.2f} V  line {_shown(reading.line_voltage_V, '6.1f')} V  "
+        f"{quantity.name} {reading.boost_voltage_V:7.2f} {quantity.unit}  "
+        f"line {_shown(reading.line_voltage_V, '6.1f')} V  "
         f"load {_shown(reading.load_power_W, '7.1f')} W  {load.output_name} {reading.output:9.5f} "
         f"{load.output_unit}  bridge {'on' if reading.bridge else 'off'}  "
         f"fault {reading.fault:#x}  age {age_ms:5.1f} ms  ({counts})"

@@ -13,10 +13,12 @@ from adaptdrive.operation.profile import Output, Profile
 def operator_profile(configuration: Configuration) -> Profile:
     """Return names, units and limits of a drive, which operators need beside its state."""
     load, drive = configuration.load, configuration.drive.limits
+    quantity = configuration.drive.manipulated
     trips, machine = trip_limits(configuration), daemon_settings(configuration).machine
     return Profile(
         drive=configuration.drive.name,
         output=Output(load.output_name, load.output_unit),
+        manipulated=Output(quantity.name, quantity.unit),
         limits={
             "setpoint": (load.reference_min, load.reference_max),
             "output_trip": (trips.output_min, trips.output_max),

@@ -261,6 +261,8 @@ def _machine_limits(configuration: Configuration) -> MachineLimits:
         pole_max=pole_max,
         period_min_s=_SHORTEST_WAVE_PERIODS * load.period_s,
         floor_V=configuration.drive.limits.boost_reference_min_V,
+        voltage_name=configuration.drive.manipulated.name,
+        voltage_unit=configuration.drive.manipulated.unit,
         ceiling_V=configuration.drive.limits.boost_reference_max_V,
         slew_V_per_s=configuration.drive.limits.manual_slew_V_per_s,
         boost_needs_bridge=configuration.drive.enable_bit == "bridge-and-boost",

@@ -28,13 +28,13 @@ def describe(drive: str, status: DriveStatus) -> str:
         status: The messages that it published.
     """
     lines = [f"{drive} is {_SILENT if status.silent else printable(status.availability)}"]
-    unit = _unit(status.state or {})
+    unit, given = _unit(status.state or {}), _manipulated(status.state or {})
     if status.state is not None:
         lines += _state(status.state, unit, live=status.online and status.live)
     if "load" in status.telemetry:
-        lines += _load(status.telemetry["load"], unit)
+        lines += _load(status.telemetry["load"], unit, given)
     if "drive" in status.telemetry:
-        lines += _drive(status.telemetry["drive"], unit)
+        lines += _drive(status.telemetry["drive"], unit, given)
     return "\n".join(lines)
 
 
@@ -137,25 +137,32 @@ def _trip(state: dict[str, Any]) -> list[tuple[str, str]]:
     return [row, *([("remedy", str(last["remedy"]))] if last.get("remedy") else [])]
 
 
-def _load(load: dict[str, Any], unit: str) -> list[str]:
+def _manipulated(state: dict[str, Any]) -> tuple[str, str]:
+    """Return name and unit of what the drive is commanded, and gives."""
+    found = part(state, "manipulated")
+    unit = printable(found.get("unit", "V"))
+    return (printable(found.get("name")) if unit != "V" else "boost"), unit
+
+
+def _load(load: dict[str, Any], unit: str, given: tuple[str, str]) -> list[str]:
     found = part(load, "estimates")
     estimates = ", ".join(_estimate(name, part(found, name), found, unit) for name in found)
     voltages = (
-        f"asked {_number(load.get('boost_reference_V'), 'V')}, "
-        f"applied {_number(load.get('applied_V'), 'V')}"
+        f"asked {_number(load.get('boost_reference_V'), given[1])}, "
+        f"applied {_number(load.get('applied_V'), given[1])}"
     )
     return [
         _row("slow step", f"{load.get('k')} at {_moment(load.get('time'))}"),
         _row("reference", _number(load.get("reference"), unit)),
-        _row("boost", voltages),
+        _row(given[0], voltages),
         _row("estimates", estimates or "none"),
     ]
 
 
-def _drive(drive: dict[str, Any], unit: str) -> list[str]:
+def _drive(drive: dict[str, Any], unit: str, given: tuple[str, str]) -> list[str]:
     return [
         _row(str(drive.get("output_name") or "output"), _number(drive.get("output"), unit)),
-        _row("boost now", _number(drive.get("boost_voltage_V"), "V")),
+        _row(f"{given[0]} now", _number(drive.get("boost_voltage_V"), given[1])),
         _row("load power", _number(drive.get("load_power_W"), "W")),
         _row("age", _milliseconds(drive.get("age_s"))),
         _row("ticks", f"{drive.get('ticks')}, missed {drive.get('missed')}"),

@@ -51,6 +51,22 @@ class DriveLimits(Section):
         return self
 
 
+class Manipulated(Section):
+    """`[drive.manipulated]`: what a drive is commanded, and gives, where that is no voltage.
+
+    All keys and topics that end in `_V` are then in its unit.
+    """
+
+    name: str = Field(
+        default="v_bst",
+        pattern=r"^[A-Za-z_][A-Za-z0-9_ ]{0,31}$",
+        description="name in texts, such as `frequency`, `torque` or `duty`",
+    )
+    unit: str = Field(
+        default="V", max_length=16, description="unit in texts, such as `Hz`, `Nm`, `A` or `%`"
+    )
+
+
 class DriveSection(Section):
     """`[drive]`: the power-electronic drive."""
 
@@ -75,6 +91,7 @@ class DriveSection(Section):
         "or the boost stage too, on from `starting`; the load is then energised while v_bst rises",
     )
     limits: DriveLimits = Field(default_factory=DriveLimits)
+    manipulated: Manipulated = Field(default_factory=Manipulated)
 
     @property
     def current_scale_min_S(self) -> float:

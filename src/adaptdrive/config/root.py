@@ -116,17 +116,26 @@ def _voltage_flaws(configuration: Configuration) -> Iterator[Flaw]:
 def _command_flaws(configuration: Configuration) -> Iterator[Flaw]:
     where = configuration.voltage_loop.where
     needed = ["current_scale_S" if where == "daemon" else "boost_reference_V"]
-    if not configuration.bus.has_bridge_words:
+    one_bit = configuration.drive.enable_bit == "bridge-and-boost"
+    if not (configuration.bus.has_bridge_words or (where == "drive" and one_bit)):
         needed.append("bridge")
     for name in needed:
         if getattr(configuration.signals.command, name) is None:
-            yield Flaw(
-                f"signals.command.{name}", f"is missing: voltage_loop.where = {where!r} needs it"
-            )
+            yield Flaw(f"signals.command.{name}", _missing_command(name, where))
+
+
+def _missing_command(name: str, where: str) -> str:
+    if name == "bridge" and where == "drive":
+        one = "a drive that a set-point of 0 stops needs drive.enable_bit = 'bridge-and-boost'"
+        return f"is missing: nothing would switch the drive off; {one}"
+    return f"is missing: voltage_loop.where = {where!r} needs it"
 
 
 def _lowest_flaws(configuration: Configuration) -> Iterator[Flaw]:
     """The lowest V_c is one that the stage can make, and the load bears."""
+    unit = configuration.drive.manipulated.unit
+    if configuration.voltage_loop.where == "daemon" and unit != "V":
+        yield Flaw("drive.manipulated.unit", f"{unit!r} needs voltage_loop.where = 'drive'")
     drive, lowest_V = configuration.drive, configuration.drive.limits.boost_reference_min_V
     place = "drive.limits.boost_reference_min_V"
     peak = drive.line_voltage_V * 2**0.5
@@ -196,7 +205,7 @@ _CHECKS: tuple[tuple[Callable[[Configuration], Iterator[Flaw]], frozenset[str]],
         _voltage_flaws,
         frozenset({"drive", "voltage_loop", "interlocks", "sensor_bus", "derived"}),
     ),
-    (_command_flaws, frozenset({"bus", "signals", "voltage_loop"})),
+    (_command_flaws, frozenset({"bus", "signals", "voltage_loop", "drive"})),
     (_lag_flaws, frozenset({"voltage_loop", "load"})),
     (_trip_flaws, frozenset({"drive", "load", "interlocks"})),
     (_course_flaws, frozenset({"load", "voltage_loop"})),

@@ -17,7 +17,7 @@ from adaptdrive.config.bus import CommandSignals, CommandSwitch, Signals, Signal
 from adaptdrive.config.proposals import nearest
 from adaptdrive.config.references import MEASURED, WORDS
 from adaptdrive.config.sensors import SensorBusSection
-from adaptdrive.config.units import WANTED, unit_caution, unit_problem
+from adaptdrive.config.units import unit_caution, unit_problem
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
@@ -295,7 +295,7 @@ class Catalogue(ABC, Generic[Item]):
         place, field = f"{_COMMAND}.{name}", self.field(item, "command")
         sink = Sink(name, item, field, -entry.offset / entry.scale, 1.0 / entry.scale)
         self.note(place, self.refusal(item, "command"))
-        self._check_unit(entry, field, WANTED[name], place)
+        self._check_unit(entry, field, demands.unit_of(name), place)
         if not self._is_held(field, sink.base, place):
             return sink
         sent = field.physical(field.raw(sink.base))

@@ -16,17 +16,21 @@ class Demands:
 
     Attributes:
         output_unit: Unit of the regulated quantity, empty where it has none.
+        drive_unit: Unit of what the drive is commanded, and gives.
         commands: Commands at the ends of their limits; each must be sent as it is.
         trips: Key of the value above which each quantity trips, and the value; the signal must
             be able to show more.
     """
 
     output_unit: str = ""
+    drive_unit: str = "V"
     commands: tuple[Command, ...] = ()
     trips: Mapping[str, tuple[str, float]] = field(default_factory=dict)
 
     def unit_of(self, quantity: str) -> str:
         """The unit of a quantity, empty for one of any unit."""
+        if quantity in {"boost_voltage_V", "boost_reference_V"}:
+            return self.drive_unit
         return self.output_unit if quantity == "output" else WANTED.get(quantity, "")
 
     def values(self, name: str) -> list[float]:
@@ -45,6 +49,7 @@ def demands_of(configuration: Configuration) -> Demands:
         lowest_S = configuration.drive.current_scale_min_S
     return Demands(
         output_unit=configuration.load.output_unit,
+        drive_unit=configuration.drive.manipulated.unit,
         commands=(
             Command(lowest_S, limits.boost_reference_min_V, bridge=True),
             Command(scale_S, limits.boost_reference_max_V, bridge=True),

@@ -36,6 +36,7 @@ class Profile:
             `period_s`.
         modes: Modes that an operator can choose.
         version: Version of the daemon.
+        manipulated: Name and unit of what the drive is commanded, and gives.
     """
 
     drive: str
@@ -43,3 +44,4 @@ class Profile:
     limits: Mapping[str, Range] | None = None
     modes: tuple[Mode, ...] = tuple(Mode)
     version: str = ""
+    manipulated: Output = Output("v_bst", "V")

@@ -94,13 +94,15 @@ const DrivePage = (() => {
       ["reachable", limitText(state?.reach, drive.unit).replace("limits ", "") || "–", ""],
       ["controller in force", state?.controller ?? "–", state?.reason || `asked for: ${state?.mode ?? "–"}`],
     ]);
+    const unit = state?.manipulated?.unit ?? "V";
+    const given = unit === "V" ? "boost voltage" : state.manipulated.name;
     drawRows(parts.rest, [
-      ["V_c asked for", Dom.number(load?.boost_reference_V, "V"), limitText(state?.limits?.boost_V, "V")],
-      ["boost voltage", Dom.number(fast?.boost_voltage_V, "V"), limitText(state?.limits?.boost_trip_V, "V")],
+      [`${given} asked for`, Dom.number(load?.boost_reference_V, unit), limitText(state?.limits?.boost_V, unit)],
+      [given, Dom.number(fast?.boost_voltage_V, unit), limitText(state?.limits?.boost_trip_V, unit)],
       ["load power", Dom.number(fast?.load_power_W, "W"), limitText(state?.limits?.power_W, "W")],
       ["line", Dom.number(fast?.line_voltage_V, "V"), ""],
       marginRow(drive.outputName, value, state?.limits?.output_trip, drive.unit),
-      marginRow("boost voltage", fast?.boost_voltage_V, state?.limits?.boost_trip_V, "V"),
+      marginRow(given, fast?.boost_voltage_V, state?.limits?.boost_trip_V, unit),
       marginRow("load power", fast?.load_power_W, state?.limits?.power_W, "W"),
       ["estimate", load ? (load.accepted ? "accepted" : "refused") : "–", load?.reason ?? ""],
       ...Object.entries(load?.estimates ?? {}).map(([name, one], _, all) => estimateRow(name, one, all.map(([each]) => each), drive.unit)),

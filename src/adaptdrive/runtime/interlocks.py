@@ -29,6 +29,8 @@ class Limits:
         output_name: Name of the output, likewise.
         output_min: Lowest output.
         absent: Quantities that nobody measures.
+        voltage_name: Name of what the drive gives, for the text of the trip.
+        voltage_unit: Unit of that, likewise.
     """
 
     stale_s: float
@@ -38,6 +40,8 @@ class Limits:
     output_name: str = "output"
     output_min: float = -math.inf
     absent: frozenset[str] = frozenset()
+    voltage_name: str = "v_bst"
+    voltage_unit: str = "V"
 
 
 class Watch(Protocol):
@@ -99,8 +103,8 @@ def _unhealthy(reading: Reading, absent: frozenset[str]) -> str | None:
 def _exceeded(reading: Reading, limits: Limits) -> str | None:
     if abs(reading.boost_voltage_V) > limits.boost_voltage_max_V:
         return (
-            f"over-voltage: v_bst = {reading.boost_voltage_V:.1f} V, "
-            f"limit {limits.boost_voltage_max_V:g} V"
+            f"over-voltage: {limits.voltage_name} = {reading.boost_voltage_V:.1f} "
+            f"{limits.voltage_unit}, limit {limits.boost_voltage_max_V:g} {limits.voltage_unit}"
         )
     if reading.output > limits.output_max:
         values = _compared(reading.output, limits.output_max, limits)

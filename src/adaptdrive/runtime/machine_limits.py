@@ -36,6 +36,8 @@ class MachineLimits:
         boost_needs_bridge: Whether the bridge is on in `starting` already.
         reach: What V_c can hold by the nominal model.
         govern: Whether a set-point out of reach is moved to its edge, not refused.
+        voltage_name: Name of V_c and what it leads to, for texts.
+        voltage_unit: Unit of that, likewise.
     """
 
     reference_min: float
@@ -53,6 +55,8 @@ class MachineLimits:
     boost_needs_bridge: bool = False
     reach: Reach = UNKNOWN
     govern: bool = False
+    voltage_name: str = "v_bst"
+    voltage_unit: str = "V"
 
     def require_reference(self, what: str, value: float) -> None:
         """Refuse a set-point that the configuration does not allow.
@@ -97,7 +101,8 @@ class MachineLimits:
         """Refuse a V_c, in V, or a time to hold it, in s, that is out of range."""
         if not self.floor_V <= value <= self.ceiling_V:
             raise RefusedError(
-                f"voltage = {value:.12g} V is outside {self.floor_V:g}…{self.ceiling_V:g} V"
+                f"voltage = {value:.12g} {self.voltage_unit} is outside "
+                f"{self.floor_V:g}…{self.ceiling_V:g} {self.voltage_unit}"
             )
         if hold_s is not None and not 0.0 < hold_s <= _LONGEST_HOLD_S:
             raise RefusedError(
@@ -136,7 +141,8 @@ class MachineLimits:
             "'bridge-and-boost'"
         )
         return (
-            f"precharge: v_bst = {boost_voltage_V:.1f} V after {passed_s:g} s, "
-            f"needs {self.floor_V:g} V{hint}; else the drive refuses the commands (checksum, "
-            "counter, local instead of remote mode), or line or precharge circuit is open"
+            f"precharge: {self.voltage_name} = {boost_voltage_V:.1f} {self.voltage_unit} after "
+            f"{passed_s:g} s, needs {self.floor_V:g} {self.voltage_unit}{hint}; else the "
+            "drive refuses the commands (checksum, counter, local instead of remote mode), or line "
+            "or precharge circuit is open"
         )

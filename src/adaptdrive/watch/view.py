@@ -226,11 +226,14 @@ def _drive(record: WatchRecord, *, ranges: bool) -> Table:
     limits, wave = part(state, "limits"), part(state, "waveform")
     reference = load.get("reference") if wave else state.get("setpoint")
     wanted = printable(wave.get("shape")) if wave else _range(limits.get("setpoint"))
+    given = part(state, "manipulated")
+    held, manipulated = str(given.get("unit", "V")), str(given.get("name", "v_bst"))
+    asked = "V_c" if held == "V" else f"{manipulated} asked"
     found = (
         (record.output_name, fast.get("output"), record.unit, ""),
         ("set-point", reference, record.unit, wanted),
-        ("V_c", load.get("boost_reference_V"), "V", _range(limits.get("boost_V"))),
-        ("v_bst", fast.get("boost_voltage_V"), "V", ""),
+        (asked, load.get("boost_reference_V"), held, _range(limits.get("boost_V"))),
+        (manipulated, fast.get("boost_voltage_V"), held, ""),
         ("power", fast.get("load_power_W"), "W", _range(limits.get("power_W"))),
     )
     table = rows("l", "r", "r") if ranges else rows("l", "r")
