@@ -256,6 +256,31 @@ SwitchQuantity = Annotated[
 ]
 
 
+class FaultSource(SignalSource):
+    """`[[signals.faults]]`: one more fault word, whole or some of its bits."""
+
+    mask: int | None = Field(
+        default=None, ge=1, description="bits that are faults; all of them when left out"
+    )
+    names: dict[str, str] = Field(
+        default={},
+        description="names of bits by their numbers from 0 on, beside those of a DBC's value table",
+    )
+
+    @field_validator("names")
+    @classmethod
+    def _are_bits(cls, names: dict[str, str]) -> dict[str, str]:
+        for bit in names:
+            if not (bit.isdecimal() and int(bit) < 64):
+                raise ValueError(f"{bit!r} is no number of a bit from 0 to 63")
+        return names
+
+
+FaultQuantity = Annotated[
+    FaultSource, BeforeValidator(_table, json_schema_input_type=FaultSource | str)
+]
+
+
 class CommandSignal(SignalSource):
     """One commanded quantity: a signal, and its conversion from SI where the map has none."""
 
@@ -314,6 +339,9 @@ class Signals(Section):
     output: Quantity | None = Field(default=None, description="the regulated quantity")
     counter: Quantity | None = Field(default=None, description="half-cycle counter of the drive")
     fault: Quantity | None = Field(default=None, description="fault word, 0 = healthy")
+    faults: list[FaultQuantity] = Field(
+        default=[], description="fault words whose bits the trip names with their signal"
+    )
     bridge: SwitchQuantity | None = Field(default=None, description="bridge is on")
     other: dict[str, Quantity] = Field(
         default={}, description="more values of the drive, for `[derived]`"

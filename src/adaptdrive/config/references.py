@@ -50,6 +50,7 @@ def measured_names(signals: Signals) -> list[tuple[str, str]]:
     """Place and name of each signal that carries a measurement."""
     given = [(quantity, getattr(signals, quantity)) for quantity in (*MEASURED, *WORDS)]
     given += [(f"other.{name}", one) for name, one in signals.other.items()]
+    given += [(f"faults.{number}", one) for number, one in enumerate(signals.faults)]
     return [(f"signals.{name}.signal", one.signal) for name, one in given if one is not None]
 
 

@@ -11,7 +11,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 from adaptdrive.config.bus import CommandSignals, CommandSwitch, Signals, SignalSource, SwitchSource
 from adaptdrive.config.proposals import nearest
@@ -21,6 +21,7 @@ from adaptdrive.config.units import unit_caution, unit_problem
 from adaptdrive.control.signals import Command
 from adaptdrive.errors import Flaw
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
+from adaptdrive.hardware.fault_latch import FAULT, FaultWord
 from adaptdrive.hardware.field import Field
 
 Use = Literal["measured", "word", "state", "command", "constant"]
@@ -47,7 +48,30 @@ def entries(signals: Signals) -> Iterator[Given]:
     """Yield every quantity that a drive sends."""
     named = [(name, getattr(signals, name), f"signals.{name}") for name in (*MEASURED, *WORDS)]
     yield from (one for one in named if one[1] is not None)
+    for number, fault in enumerate(signals.faults):
+        yield f"{FAULT}.{number}", fault, f"signals.faults.{number}"
     yield from ((name, one, f"signals.other.{name}") for name, one in signals.other.items())
+
+
+def is_word(quantity: str) -> bool:
+    """Return whether a quantity is an integer as it stands."""
+    return quantity.partition(".")[0] in WORDS
+
+
+def fault_words(sources: Iterable[Source[Any]], signals: Signals) -> dict[str, FaultWord]:
+    """Return the fault words among sources, by quantity."""
+    found = {}
+    for source in sources:
+        if source.quantity == FAULT:
+            found[FAULT] = FaultWord("", -1, source.field.names)
+        elif source.quantity.startswith(f"{FAULT}."):
+            given = signals.faults[int(source.quantity.partition(".")[2])]
+            names = {1 << int(bit): name for bit, name in given.names.items()}
+            mask = -1 if given.mask is None else given.mask
+            numbered = given.signal[:2].lower() == "0x"
+            label = given.signal if numbered else given.signal.rpartition(".")[2]
+            found[source.quantity] = FaultWord(label, mask, {**source.field.names, **names})
+    return found
 
 
 def sensor_entries(bus: SensorBusSection, place: str) -> Iterator[Given]:
@@ -205,11 +229,11 @@ class Catalogue(ABC, Generic[Item]):
 
     def _source(self, given: Given, item: Item, demands: Demands) -> Source[Item]:
         quantity, entry, place = given
-        uses: dict[str, Use] = {"counter": "word", "fault": "word", BRIDGE: "state"}
-        use = uses.get(quantity, "measured")
+        uses: dict[str, Use] = {"counter": "word", FAULT: "word", BRIDGE: "state"}
+        use = uses.get(quantity.partition(".")[0], "measured")
         field, on = self.field(item, use), None
         self.note(place, self.refusal(item, use))
-        if quantity in WORDS:
+        if is_word(quantity):
             self._check_word(given, item, field)
         else:
             self._check_unit(entry, field, demands.unit_of(quantity), place)

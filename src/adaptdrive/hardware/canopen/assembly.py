@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 
 from adaptdrive.hardware.canopen.mapping import StatusPdo
+from adaptdrive.hardware.fault_latch import FAULT
 from adaptdrive.hardware.port import Reading
 
 
@@ -69,18 +70,22 @@ class Assembly:
         self._heard[name] = values
         return len(self._heard) == self._count
 
-    def reading(self, arrival_s: float, *, bridge: bool, fault: int) -> Reading:
+    def reading(
+        self, arrival_s: float, *, bridge: bool, fault: int, fault_name: str = ""
+    ) -> Reading:
         """The reading of a complete collection, which ends with it.
 
         Args:
             arrival_s: Arrival of the PDO that completed it.
             bridge: Whether the drive's power stage may be on.
             fault: Faults seen since the last reading that was handed out.
+            fault_name: Their names.
         """
         found = {
             source.quantity: self._heard[name][source.item.label] * source.scale + source.offset
             for name, status in self._statuses.items()
             for source in status.sources
+            if not source.quantity.startswith(FAULT)
         }
         sampled_s = arrival_s if self._sampled_s is None else self._sampled_s
         self.forget()
@@ -94,7 +99,8 @@ class Assembly:
             line_voltage_V=found.pop("line_voltage_V", math.nan),
             load_power_W=found.pop("load_power_W", math.nan),
             output=found.pop("output", math.nan),
-            fault=int(found.pop("fault", 0)) | fault,
+            fault=fault,
+            fault_name=fault_name,
             bridge=bridge,
             other=found,
         )

@@ -5,14 +5,14 @@ Everything that can be wrong is found here, before a bus is opened, and all of i
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from adaptdrive.config.bus import Signals
 from adaptdrive.config.canopen import CanOpenBus
 from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.hardware.binding import Sink, Source, entries
+from adaptdrive.hardware.binding import Sink, Source, entries, fault_words
 from adaptdrive.hardware.canopen.dictionary import (
     Address,
     Entry,
@@ -38,6 +38,7 @@ from adaptdrive.hardware.canopen.profile import (
     SWITCH_ON,
 )
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
+from adaptdrive.hardware.fault_latch import FaultWord
 from adaptdrive.hardware.link.bus import channel_flaws
 from adaptdrive.hardware.link.codec import MessageCodec
 
@@ -96,6 +97,7 @@ class CanOpenMapping:
         present: Optional entries that the drive has.
         identity: Identity object that the drive must have to be the one of the EDS.
         cautions: What can be used, and is probably not meant.
+        faults: Fault words of the drive.
     """
 
     transmits: tuple[Pdo, ...]
@@ -108,6 +110,7 @@ class CanOpenMapping:
     present: frozenset[Address]
     identity: tuple[tuple[Address, int], ...]
     cautions: tuple[Flaw, ...]
+    faults: Mapping[str, FaultWord]
 
     @property
     def sources(self) -> tuple[Source[Entry], ...]:
@@ -135,7 +138,7 @@ def map_drive(
     catalogue = ObjectCatalogue(*read_eds(bus.eds, bus.node_id, source))
     catalogue.flaws.extend(channel_flaws(bus))
     sources = catalogue.sources(entries(signals), demands)
-    plan = _Plan(catalogue, bus, sources, catalogue.sinks(signals.command, demands))
+    plan = _Plan(catalogue, bus, signals, sources, catalogue.sinks(signals.command, demands))
     mapping = plan.mapping()
     if mapping is None or catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
@@ -149,11 +152,13 @@ class _Plan:
         self,
         catalogue: ObjectCatalogue,
         bus: CanOpenBus,
+        signals: Signals,
         sources: list[Source[Entry]],
         sinks: list[Sink[Entry]],
     ) -> None:
         self._catalogue = catalogue
         self._bus = bus
+        self._signals = signals
         self._sources = sources
         self._sinks = sinks
         for address, consequence in _NEEDED.items():
@@ -183,6 +188,7 @@ class _Plan:
             present=frozenset(one for one in _OPTIONAL if self._catalogue.at(one)),
             identity=self._catalogue.identity,
             cautions=tuple(self._catalogue.cautions),
+            faults=fault_words(self._sources, self._signals),
         )
 
     def _check_controlword(self, entry: Entry | None) -> None:

@@ -70,7 +70,9 @@ class CanOpenPort:
         self._connection = CanConnection(config, self, self._arrivals, self._counts)
         self._control = DriveControl()
         self._unseen = UnseenStop(self._control, half_cycle_s, config.command_timeout_s)
-        self._reports = Reports(mapping.statuses, self._control, self._unseen, self._counts)
+        self._reports = Reports(
+            mapping.statuses, mapping.faults, self._control, self._unseen, self._counts
+        )
         self._master = Master(config, mapping, half_cycle_s, self._put, clock)
         self._health = Health(self._control, self._master)
         self._sync = SyncProducer(half_cycle_s, clock, self._send_sync)

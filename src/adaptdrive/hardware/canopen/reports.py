@@ -11,7 +11,7 @@ from adaptdrive.hardware.canopen.dictionary import label
 from adaptdrive.hardware.canopen.mapping import StatusPdo
 from adaptdrive.hardware.canopen.profile import POWERED, STATUSWORD, DriveControl
 from adaptdrive.hardware.canopen.unseen import UnseenStop
-from adaptdrive.hardware.fault_latch import FaultLatch
+from adaptdrive.hardware.fault_latch import FaultLatch, FaultWord
 from adaptdrive.hardware.link.integrity import FrameVerdict
 from adaptdrive.hardware.port import Reading
 
@@ -29,6 +29,7 @@ class Reports:
     def __init__(
         self,
         statuses: tuple[StatusPdo, ...],
+        faults: Mapping[str, FaultWord],
         control: DriveControl,
         unseen: UnseenStop,
         counts: Counter[str],
@@ -37,12 +38,14 @@ class Reports:
 
         Args:
             statuses: PDOs of a reading.
+            faults: Fault words of the drive.
             control: Follows the statusword.
             unseen: Watches the time between two statuswords.
             counts: Counts of the port, to which refused PDOs are added.
         """
         self.assembly = Assembly(statuses)
-        self.faults = FaultLatch()
+        self.faults = FaultLatch(faults)
+        self._words = faults
         self._control = control
         self._unseen = unseen
         self._counts = counts
@@ -117,15 +120,17 @@ class Reports:
             self._unseen.hear(arrival_s)
             self._stated_s = self.assembly.sampled_s
         for source in status.sources:
-            if source.quantity == "fault":
-                self.faults.see(values.get(source.item.label))
+            if source.quantity in self._words:
+                self.faults.see(values.get(source.item.label), source.quantity)
 
     def _compose(self, arrival_s: float, *, at_rest: bool) -> Reading | None:
         """Return the reading of the PDOs after a SYNC, None for refused ones of a driven drive."""
         bridge, fault = self._control.state in POWERED, self.faults.word
         if not self.assembly.missing:
             self._refused = 0
-            return self.assembly.reading(arrival_s, bridge=bridge, fault=fault)
+            return self.assembly.reading(
+                arrival_s, bridge=bridge, fault=fault, fault_name=self.faults.name
+            )
         if self._handed_out is None or not at_rest:
             return None
         return replace(
@@ -133,6 +138,7 @@ class Reports:
             arrival_s=arrival_s,
             counter=None,
             fault=fault,
+            fault_name=self.faults.name,
             bridge=bridge,
             bridge_s=self._stated_s,
         )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import math
+import operator
 from collections import Counter
 from collections.abc import Callable
 
@@ -15,6 +17,7 @@ from adaptdrive.errors import BusError
 from adaptdrive.hardware.canopen.mapping import CanOpenMapping
 from adaptdrive.hardware.canopen.profile import POWERED, STATUSWORD, DriveState, state_of
 from adaptdrive.hardware.canopen.sdo import SdoLink, Server, describe_node, in_thread
+from adaptdrive.hardware.fault_latch import FAULT
 from adaptdrive.hardware.link.bus import describe_bus, open_bus
 from adaptdrive.hardware.link.reader import read_frames
 from adaptdrive.hardware.port import Listener, PortStatistics, Reading
@@ -154,6 +157,7 @@ class CanOpenWatch:
 
     def _reading(self, values: dict[str, float], state: DriveState, start_s: float) -> Reading:
         counter = values.pop("counter", None)
+        words = [values.pop(name) for name in list(values) if name.startswith(FAULT)]
         return Reading(
             arrival_s=self._clock(),
             oldest_s=start_s,
@@ -162,7 +166,7 @@ class CanOpenWatch:
             line_voltage_V=values.pop("line_voltage_V", math.nan),
             load_power_W=values.pop("load_power_W", math.nan),
             output=values.pop("output", math.nan),
-            fault=int(values.pop("fault", 0)),
+            fault=functools.reduce(operator.or_, map(int, words), 0),
             bridge=state in POWERED,
             other=values,
         )

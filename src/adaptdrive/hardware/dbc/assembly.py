@@ -37,14 +37,15 @@ class StatusAssembly:
         self._bridge_on = mapping.bridge_on
         self._sources = [source for status in mapping.statuses for source in status.sources]
         self._parts = {status.codec.name: _parts(status) for status in mapping.statuses}
-        named = (*MEASURED, *WORDS)
+        named = (*MEASURED, *WORDS, *mapping.faults)
         self._others = [one.quantity for one in self._sources if one.quantity not in named]
+        self._faults = tuple(mapping.faults)
         self._values: dict[str, float] = {}
         self._dues: dict[str, tuple[float, float]] = {}
         self._last: Reading | None = None
         self._carried_on = self._come_on = False
         self.stop_seen = False
-        self.faults = FaultLatch(mapping.fault_names)
+        self.faults = FaultLatch(mapping.faults)
 
     @property
     def bridge_slack_s(self) -> float | None:
@@ -97,7 +98,8 @@ class StatusAssembly:
                 values[part.quantity] = value * part.scale + part.offset
                 if alive:
                     dues[part.quantity] = arrival_s + part.slack_s, part.slack_s
-        self.faults.see(values.get("fault"))
+        for fault in self._faults:
+            self.faults.see(values.get(fault), fault)
         self._note_bridge(on=self.powered)
 
     def keep_words(

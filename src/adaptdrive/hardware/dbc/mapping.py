@@ -13,10 +13,9 @@ from cantools.database.can.message import Message
 from cantools.database.can.signal import Signal
 
 from adaptdrive.config.bus import CanBus, Signals
-from adaptdrive.config.references import WORDS
 from adaptdrive.config.supply import VOLTAGE_TICKS
 from adaptdrive.errors import ConfigurationError, Flaw
-from adaptdrive.hardware.binding import Source, entries
+from adaptdrive.hardware.binding import Source, entries, fault_words, is_word
 from adaptdrive.hardware.dbc.command_frame import CommandFrame
 from adaptdrive.hardware.dbc.database import (
     Located,
@@ -26,6 +25,7 @@ from adaptdrive.hardware.dbc.database import (
 )
 from adaptdrive.hardware.dbc.orders import build_orders, find_orders
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
+from adaptdrive.hardware.fault_latch import FaultWord
 from adaptdrive.hardware.link.bus import channel_flaws
 from adaptdrive.hardware.link.codec import MessageCodec, counter_modulus
 from adaptdrive.hardware.link.layout import is_multiplexed
@@ -101,7 +101,7 @@ class CanMapping:
         clock: Message whose arrival is the fast tick.
         counter_modulus: Where the half-cycle counter wraps, None for a drive without one.
         bridge_on: Value of the signal while the bridge is on.
-        fault_names: Value table of the fault word.
+        faults: Fault words of the drive.
         cautions: What can be used, and is probably not meant.
         stop_s: Longest time that the drive may take for a stop.
     """
@@ -111,7 +111,7 @@ class CanMapping:
     clock: str
     counter_modulus: int | None
     bridge_on: float
-    fault_names: Mapping[int, str]
+    faults: Mapping[str, FaultWord]
     stop_s: float
     cautions: tuple[Flaw, ...]
 
@@ -162,14 +162,14 @@ def map_drive(
     catalogue.check_ids(sources, orders, "signals")
     if catalogue.flaws:
         raise ConfigurationError(source, catalogue.flaws)
-    counter, fault, bridge = (bound.get(name) for name in ("counter", "fault", "bridge"))
+    counter, bridge = bound.get("counter"), bound.get("bridge")
     return CanMapping(
         statuses=tuple(_status(catalogue, bus, *item) for item in sources.items()),
         orders=tuple(build_orders(catalogue, bus.integrity, orders)),
         clock=bus.clock,
         counter_modulus=None if counter is None else counter_modulus(counter.field),
         bridge_on=1.0 if bridge is None or bridge.on is None else bridge.on,
-        fault_names={} if fault is None else fault.field.names,
+        faults=fault_words(bound.values(), signals),
         stop_s=timing.stop_s,
         cautions=tuple(catalogue.cautions),
     )
@@ -257,7 +257,7 @@ def _status(
         message,
         bus.integrity.get(name),
         wanted=dict.fromkeys(source.signal.name for source in sources),
-        measured={source.signal.name for source in sources if source.quantity not in WORDS},
+        measured={source.signal.name for source in sources if not is_word(source.quantity)},
         states={source.signal.name for source in sources if source.quantity == "bridge"},
         cycle_s=cycle_time_s(message),
     )

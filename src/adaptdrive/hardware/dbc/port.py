@@ -343,7 +343,7 @@ def _made_up(config: CanBus, mapping: CanMapping) -> Iterator[Callable[[], can.M
     """Frames as a drive without a fault might send them, each from a function that repeats it."""
     for status in mapping.statuses:
         codec = status.codec
-        faults = [one.signal.name for one in status.sources if one.quantity == "fault"]
+        faults = [one.signal.name for one in status.sources if one.quantity in mapping.faults]
         data = codec.example(dict.fromkeys(faults, 0.0))
         if data is not None:
             yield as_received(

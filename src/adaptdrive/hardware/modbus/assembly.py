@@ -24,7 +24,7 @@ class PollAssembly:
         self._poll = poll
         self._values: dict[str, float] = {}
         self._handed_out: Reading | None = None
-        self.faults = FaultLatch()
+        self.faults = FaultLatch(poll.faults)
         self.raw: dict[Block, list[int]] = {}
         self._refused: list[str] = []
 
@@ -57,8 +57,8 @@ class PollAssembly:
         self.raw[block] = words
         for source in sources:
             value = source.value(block, words)
-            if source.quantity == "fault":
-                self.faults.see(value)
+            if source.quantity in self._poll.faults:
+                self.faults.see(value, source.quantity)
             if value is not None:
                 self._values[source.quantity] = value
             else:
@@ -98,6 +98,7 @@ class PollAssembly:
             load_power_W=values.get("load_power_W", math.nan),
             output=values.get("output", math.nan),
             fault=self.faults.word,
+            fault_name=self.faults.name,
             bridge=bridge_sent if bridge is None else bridge != 0,
             other={name: values[name] for name in self._poll.other},
         )
@@ -112,6 +113,7 @@ class PollAssembly:
             arrival_s=arrival_s,
             counter=None,
             fault=self.faults.word,
+            fault_name=self.faults.name,
             bridge=powered,
             bridge_s=start_s,
         )

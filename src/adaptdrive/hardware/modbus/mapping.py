@@ -6,7 +6,7 @@ Everything that can be wrong is found here, before a link is opened, and all of 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,8 +22,10 @@ from adaptdrive.hardware.binding import (
     Source,
     Use,
     entries,
+    fault_words,
 )
 from adaptdrive.hardware.demands import NO_DEMANDS, Demands
+from adaptdrive.hardware.fault_latch import FaultWord
 from adaptdrive.hardware.field import Field
 from adaptdrive.hardware.modbus.blocks import Block, plan_blocks
 from adaptdrive.hardware.modbus.capacity import Exchange, capacity_flaws
@@ -183,12 +185,14 @@ class Poll:
         writes: Blocks to write, and what goes into each.
         combined: Whether the only write travels with the first read.
         other: Names of more values of the drive.
+        faults: Fault words of the drive.
     """
 
     reads: tuple[tuple[Block, tuple[RegisterSource, ...]], ...]
     writes: tuple[tuple[Block, tuple[RegisterSink, ...]], ...]
     combined: bool
     other: tuple[str, ...] = ()
+    faults: Mapping[str, FaultWord] = field(default_factory=dict)
 
     @property
     def reports_bridge(self) -> bool:
@@ -238,7 +242,8 @@ def map_drive(
         ConfigurationError: Something does not fit; every flaw is listed.
     """
     catalogue = RegisterCatalogue(bus.registers)
-    sources = [*map(source_of, catalogue.sources(entries(signals), demands))]
+    bound = catalogue.sources(entries(signals), demands)
+    sources = [*map(source_of, bound)]
     sinks = [
         RegisterSink(one.name, one.item.register, one)
         for one in catalogue.sinks(signals.command, demands)
@@ -258,6 +263,7 @@ def map_drive(
         writes=tuple((block, tuple(_within(block, sinks))) for block in writes),
         combined=bus.read_write,
         other=tuple(signals.other),
+        faults=fault_words(bound, signals),
     )
     flaws = [*catalogue.flaws, *_combined_flaws(bus, reads, writes)]
     flaws += [] if flaws else capacity_flaws(bus, poll.exchanges(), half_cycle_s)

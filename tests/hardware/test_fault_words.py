@@ -1,0 +1,91 @@
+"""Several fault words, whole or some bits of them, each named in the trip by its signal and bit."""
+
+from __future__ import annotations
+
+import pytest
+
+from adaptdrive.hardware.dbc.assembly import StatusAssembly
+from adaptdrive.hardware.dbc.mapping import map_drive
+from adaptdrive.hardware.fault_latch import FaultLatch, FaultWord
+from adaptdrive.hardware.modbus.assembly import PollAssembly
+from adaptdrive.hardware.modbus.mapping import map_drive as map_registers
+from tests.config.modbus_documents import flaws, parse
+from tests.hardware.bench import MOTOR_BUS, TIMING, motor_signals
+from tests.hardware.canopen.documents import flaws as object_flaws
+from tests.hardware.canopen.documents import plan as plan_objects
+
+WORDS = {
+    "fault.0": FaultWord("Post_Lo", -1, {1 << 8: "hw_overcurrent"}),
+    "fault.1": FaultWord("Run_Hi", 0x0F, {}),
+    "fault.2": FaultWord("Code", -1, {3: "over-voltage", 5: "over-current", 4: "hot"}),
+}
+
+
+def test_the_trip_names_signal_and_bit() -> None:
+    latch = FaultLatch(WORDS)
+    assert latch.complaint is None
+    latch.see(float(0x100), "fault.0")
+    assert latch.complaint == "drive fault: word 0x100 (Post_Lo bit 8 hw_overcurrent)"
+    latch.see(float(0xF2), "fault.1")
+    latch.see(5.0, "fault.2")
+    latch.see(3.0, "fault.2")
+    assert latch.name == "Post_Lo bit 8 hw_overcurrent, Run_Hi bit 1, Code over-current"
+    latch.clear(latch.word)
+    assert (latch.word, latch.name) == (0, "")
+
+
+def test_bits_outside_the_mask_are_no_faults() -> None:
+    latch = FaultLatch(WORDS)
+    latch.see(float(0xF0), "fault.1")
+    assert latch.word == 0
+
+
+def test_a_fault_that_was_not_carried_stays() -> None:
+    latch = FaultLatch(WORDS)
+    latch.see(1.0, "fault.0")
+    latch.see(2.0, "fault.1")
+    latch.clear(1)
+    assert latch.name == "Run_Hi bit 1"
+
+
+FAULTS = [{"signal": "DriveStatus.Fault", "mask": 0x6, "names": {"1": "hot", "2": "fast"}}]
+
+
+def test_a_can_drive_has_several_words() -> None:
+    mapping = map_drive(MOTOR_BUS, motor_signals(fault=None, faults=FAULTS), TIMING)
+    assembly = StatusAssembly(mapping)
+    for status in mapping.statuses:
+        found = {source.signal.name: 0.0 for source in status.sources}
+        found |= {"Fault": 5.0} if status.codec.name == "DriveStatus" else {}
+        assembly.keep(status, found, 1.0)
+    reading = assembly.reading(1.0, bridge_sent=True, stopped=False)
+    assert reading is not None
+    assert (reading.fault, reading.fault_name) == (4, "Fault bit 2 fast")
+    assert reading.other == {}
+
+
+def test_a_drive_on_modbus_has_several_words() -> None:
+    fault = "[{ signal = 'state', mask = 0x100, names = { 8 = 'hw_overcurrent' } }, 'power']"
+    configuration = parse(signals__faults=fault)
+    poll = map_registers(configuration.bus, configuration.signals, 1.0 / 120.0)  # type: ignore[arg-type]
+    assembly = PollAssembly(poll)
+    assembly.begin()
+    for block, sources in poll.reads:
+        assembly.take(block, sources, [0, 0, 2, 0, 0, 0x101][: block.count])
+    reading = assembly.reading(1.0, 1.0, bridge_sent=True, stopped=False)
+    assert reading is not None
+    assert reading.fault == 0x102
+    assert reading.fault_name == "state bit 8 hw_overcurrent, power bit 1"
+    assert "'speed' must be an integer" in flaws(signals__faults="['speed']")["signals.faults.0"]
+
+
+def test_a_node_on_canopen_has_several_words() -> None:
+    mapping = plan_objects({"signals/faults": ["0x2000.1"]})
+    assert mapping.faults == {"fault.0": FaultWord("0x2000.1", -1, {})}
+    assert "no object" in object_flaws({"signals/faults": ["0x2009"]})["signals.faults.0"]
+
+
+@pytest.mark.parametrize("bit", ["64", "-1", "hot"])
+def test_names_are_those_of_bits(bit: str) -> None:
+    found = flaws(signals__faults=f"[{{ signal = 'state', names = {{ {bit} = 'x' }} }}]")
+    assert "is no number of a bit" in str(found)
