@@ -8,17 +8,13 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
-from adaptdrive.config.file import validate_configuration
 from adaptdrive.control.waveform import Shape, Waveform
 from adaptdrive.runtime.requests import Disable, SetWaveform
 from adaptdrive_sim.demo.player import Player
 from adaptdrive_sim.demo.record import DemoRecord
-from adaptdrive_sim.demo.settings import DemoError
+from adaptdrive_sim.demo.settings import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import read_story
 from adaptdrive_sim.demo.virtual import VirtualStage
-from adaptdrive_sim.device_main import build_world
-from adaptdrive_sim.device_settings import DeviceSettings
-from adaptdrive_sim.experiments.examples import FOLDER
 
 PERIOD_S = 120.0
 """Period of the wave in the story of the brake: it steps up first, and down after a half."""
@@ -31,14 +27,12 @@ class Theatre(VirtualStage):
 
     def __init__(self, duration_s: float) -> None:
         self.story = msgspec.structs.replace(read_story("braking"), duration_s=duration_s)
-        configuration = validate_configuration(self.story.document(), FOLDER / "test.toml")
-        settings = DeviceSettings(initial_voltage_V=self.story.initial_voltage_V)
-        super().__init__(configuration, build_world(configuration, settings), 1e6)
+        super().__init__(self.story, DemoSettings(speed=1e6, noise=0.0))
         self.said: list[str] = []
         self.looks: list[Callable[[Player], None]] = [self._listen]
         record = DemoRecord("motor", time.monotonic, story=self.story)
         self.player = Player(self.story, self, record, None)
-        self.open(record)
+        self.services(record)
 
     async def wait(self, longest_s: float) -> None:
         await super().wait(min(longest_s, 1.0))

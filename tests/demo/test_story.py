@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from adaptdrive.config.file import validate_configuration
 from adaptdrive.errors import RefusedError
 from adaptdrive_sim.demo.player import Player
 from adaptdrive_sim.demo.record import DemoRecord
@@ -21,9 +20,6 @@ from adaptdrive_sim.demo.story import Overshoot, Story, Value, read_story, story
 from adaptdrive_sim.demo.summary import summarise
 from adaptdrive_sim.demo.view import KEYS, DemoView
 from adaptdrive_sim.demo.virtual import VirtualStage
-from adaptdrive_sim.device_main import build_world
-from adaptdrive_sim.device_settings import DeviceSettings
-from adaptdrive_sim.experiments.examples import FOLDER
 
 STORIES = [read_story(name) for name in story_names()]
 BY_NAME = pytest.mark.parametrize("story", STORIES, ids=lambda one: one.name)
@@ -31,11 +27,9 @@ BY_NAME = pytest.mark.parametrize("story", STORIES, ids=lambda one: one.name)
 
 def staged(story: Story, duration_s: float | None = None) -> tuple[VirtualStage, Player]:
     """A story in virtual time, as fast as it goes."""
-    configuration = validate_configuration(story.document(), FOLDER / story.configuration)
-    settings = DeviceSettings(noise_V=story.noise, initial_voltage_V=story.initial_voltage_V)
-    stage = VirtualStage(configuration, build_world(configuration, settings), 1e6)
-    record = DemoRecord(configuration.drive.name, time.monotonic, story=story)
-    stage.open(record)
+    stage = VirtualStage(story, DemoSettings(speed=1e6))
+    record = DemoRecord(stage.drive_name, time.monotonic, story=story)
+    stage.services(record)
     return stage, Player(story, stage, record, duration_s)
 
 

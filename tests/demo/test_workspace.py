@@ -67,7 +67,7 @@ def test_two_demonstrations_in_one_second_share_nothing(
 
 def test_at_a_broker_that_others_use_a_drive_has_a_name_of_its_own(tmp_path: Path) -> None:
     with stage(tmp_path, "127.0.0.1:1883") as made:
-        assert made.drive.startswith("motor-")
+        assert made.drive_name.startswith("motor-")
 
 
 async def test_a_port_that_is_held_can_be_listened_at_and_is_given_to_nobody_else() -> None:

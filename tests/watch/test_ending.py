@@ -8,7 +8,7 @@ import uuid
 
 import pytest
 
-from adaptdrive.watch.view import REFRESH_S
+from adaptdrive.watch.terminal import REFRESH_S
 from tests.commission.answering_drive import answering_drive
 from tests.operation.peers import PATIENCE_S
 from tests.operation.test_sender import commands

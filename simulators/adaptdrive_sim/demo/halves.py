@@ -50,9 +50,9 @@ class Halves:
             beyond = (output - reference) / self._half.step
             self._half.beyond = max(self._half.beyond, beyond)
 
-    def discard(self) -> None:
-        """Forget the half wave that runs: something else than its step has moved the output."""
-        self._half = None
+    def begin(self, reference: float) -> None:
+        """Begin anew, near a reference: something else than a step has moved the output."""
+        self._half, self._reference = None, reference
 
     def overshoot(self, controller: str, size: int) -> float | None:
         """The larger overshoot of the last two half waves of a case, None before the first."""

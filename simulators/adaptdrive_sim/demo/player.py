@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
+
+import msgspec
 
 from adaptdrive.operation.conversation import NoAnswerError
 from adaptdrive.operation.messages import Reply
@@ -160,13 +162,15 @@ class Player:
         if state.get("state") in {"standby", "stopping"}:
             return "The drive was stopped."
         wave = state.get("waveform") or {}
-        ours = {} if self._wave is None else _payload(self._wave)
+        ours = {} if self._wave is None else msgspec.to_builtins(self._wave)
         return "" if wave == ours else "Somebody else operates the drive."
 
     async def _perform(self, scene: Scene) -> None:
         """Do what a scene asks for; where that fails, its conditions are brought about later."""
         try:
-            await self._carry_out(scene.disturb, scene.mode, scene.waveform, scene.setpoint)
+            if scene.disturb is not None:
+                await self._disturb(scene.disturb)
+            await self._carry_out(scene)
         except (DemoError, NoAnswerError):
             self._ready = not self._record.running
 
@@ -192,7 +196,8 @@ class Player:
 
     async def _prepare(self) -> None:
         """Bring the drive to the conditions of the present scene, from whatever state it is in."""
-        record, held = self._record, _Conditions(self._story.scenes[: self.number + 1])
+        record = self._record
+        held, disturbances = self._story.conditions(self.number)
         measured = "the daemon receives no measurement"
         await self._until(lambda: record.live and "output" in record.fast, START_s, measured)
         if record.trip:
@@ -203,9 +208,9 @@ class Player:
         if held.waveform is not None:
             await self._order("setpoint", held.waveform.low)
             await self._come_near(held.waveform)
-        await self._carry_out(None, held.mode, held.waveform, held.setpoint)
-        for request in held.disturbances:
-            await self._carry_out(request)
+        await self._carry_out(held)
+        for request in disturbances:
+            await self._disturb(request)
         self.say = self._scene.say
 
     async def _until_reset(self) -> None:
@@ -224,24 +229,20 @@ class Player:
                 return
             await self._pause_a_moment(float("inf"), "")
 
-    async def _carry_out(
-        self,
-        disturb: dict[str, float] | None = None,
-        mode: str | None = None,
-        waveform: Wave | None = None,
-        setpoint: float | None = None,
-    ) -> None:
-        if disturb is not None and (command := self._disturbance(disturb)) is not None:
+    async def _disturb(self, request: dict[str, float]) -> None:
+        if (command := self._disturbance(request)) is not None:
             await self._accepted(command)
-        if mode is not None:
-            await self._order("mode", mode)
-        if setpoint is not None:
-            await self._order("setpoint", setpoint)
+
+    async def _carry_out(self, scene: Scene) -> None:
+        if scene.mode is not None:
+            await self._order("mode", scene.mode)
+        if scene.setpoint is not None:
+            await self._order("setpoint", scene.setpoint)
             self._wave = None
-        if waveform is not None:
-            await self._order("waveform", _payload(waveform))
-            self._wave, self._wave_s = waveform, self._stage.time_s
-            self._record.halves.discard()
+        if (wave := scene.waveform) is not None:
+            await self._order("waveform", msgspec.to_builtins(wave))
+            self._wave, self._wave_s = wave, self._stage.time_s
+            self._record.halves.begin(wave.low)
             self._align(self._farthest)
 
     def _disturbance(self, request: dict[str, float]) -> KeyCommand | None:
@@ -288,27 +289,6 @@ class Player:
         if self._stage.time_s > end_s:
             raise DemoError(problem)
         await self._stage.wait(_LOOK_s)
-
-
-class _Conditions:
-    """What scenes have brought about, one after the other."""
-
-    def __init__(self, scenes: list[Scene]) -> None:
-        self.mode: str | None = None
-        self.setpoint: float | None = None
-        self.waveform: Wave | None = None
-        by_name: dict[str, dict[str, float]] = {}
-        for scene in scenes:
-            self.mode = scene.mode or self.mode
-            if scene.waveform is not None or scene.setpoint is not None:
-                self.waveform, self.setpoint = scene.waveform, scene.setpoint
-            if scene.disturb is not None:
-                by_name[next(iter(scene.disturb))] = scene.disturb
-        self.disturbances = list(by_name.values())
-
-
-def _payload(wave: Wave) -> dict[str, Any]:
-    return {name: getattr(wave, name) for name in ("shape", "low", "high", "period_s")}
 
 
 def _clock(time_s: float) -> str:

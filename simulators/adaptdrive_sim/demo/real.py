@@ -8,6 +8,7 @@ import socket
 import time
 from collections.abc import Coroutine
 from contextlib import AsyncExitStack, suppress
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -27,14 +28,14 @@ from adaptdrive_sim.demo.processes import Household
 from adaptdrive_sim.demo.record import DemoRecord
 from adaptdrive_sim.demo.settings import DemoError, DemoSettings
 from adaptdrive_sim.demo.story import Story
-from adaptdrive_sim.demo.workspace import make_workspace
+from adaptdrive_sim.demo.workspace import make_workspace, program
 
 BROKER_s = 60.0
 CONNECT_s = 3.0
 """Longest wait for the connection to a running broker."""
 
 SESSION_s = 10.0
-AFTERMATH_s = 0.3
+AFTERMATH_s = 1.5
 """Time for the simulated drive to protect itself and log it when the daemon has died."""
 
 _ANSWER_s = 10.0
@@ -49,9 +50,10 @@ class RealStage:
     """The processes of a demonstration. Use it as an async context manager.
 
     Attributes:
-        drive: Name of the drive.
+        drive_name: Name of the drive.
         workspace: Its folder.
         bus: Its bus.
+        places: What the help shows of the surroundings.
     """
 
     def __init__(self, story: Story, settings: DemoSettings) -> None:
@@ -66,22 +68,29 @@ class RealStage:
         port = self._ports.take(socket.SOCK_DGRAM)
         self.bus = choose_bus(settings.interface, settings.channel, port)
         document = story.document()
-        self.drive = str(document["drive"]["name"])
+        self.drive_name = str(document["drive"]["name"])
         if settings.broker is None:
             self._broker = BrokerAddress("127.0.0.1", self._ports.take())
             self._page, self._websocket = self._ports.take(), self._ports.take()
         else:
             self._broker = parse_address(settings.broker)
-            self.drive = f"{self.drive}-{os.getpid()}"  # others share that broker
-        document["drive"]["name"] = self.drive
+            self.drive_name = f"{self.drive_name}-{os.getpid()}"  # others share that broker
+        document["drive"]["name"] = self.drive_name
         document["bus"] |= self.bus.section
         document["mqtt"] = {"host": self._broker.host, "port": self._broker.port}
         document["recording"] = {"directory": str(self.workspace.sessions)}
         self.workspace.write(document)
         state = {"STATE_DIRECTORY": str(self.workspace.state), NAMESPACE: f"demo-{os.getpid()}"}
         self._household = Household({**os.environ, **state})
-        self._ask = over_mqtt(self._broker.mqtt, self.drive, _ANSWER_s)
+        self._ask = over_mqtt(self._broker.mqtt, self.drive_name, _ANSWER_s)
         self._closing = AsyncExitStack()
+        self.places = {
+            "folder": str(self.workspace.directory),
+            "bus": str(self.bus),
+            "broker": self.broker,
+            "try": f"{program()} mode {self.drive_name} adaptive --broker {self.broker}",
+            "or": f"{program()} watch {self.drive_name} --broker {self.broker}",
+        }
 
     async def __aenter__(self) -> Self:
         """Start the processes."""
@@ -106,7 +115,7 @@ class RealStage:
         self.close()
         with suppress(TimeoutError, RecordingError):
             async with asyncio.timeout(SESSION_s):
-                while (session := self.workspace.session()) is not None:
+                while (session := self.session) is not None:
                     if read_info(session).ended is not Ending.OPEN:
                         return
                     await asyncio.sleep(_LOOK_s)
@@ -119,6 +128,18 @@ class RealStage:
     def time_s(self) -> float:
         """Monotonic time."""
         return time.monotonic()
+
+    @property
+    def session(self) -> Path | None:
+        """The recorded session."""
+        return self.workspace.session()
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What the summary has of the surroundings."""
+        found = {name: self.places[name] for name in ("bus", "broker")}
+        session = None if self.session is None else str(self.session)
+        return found | {"directory": self.places["folder"], "session": session}
 
     @property
     def broker(self) -> str:
@@ -163,9 +184,7 @@ class RealStage:
             listeners = [self.broker, f"127.0.0.1:{self._websocket}"]
             module = "adaptdrive_sim.demo.broker_main"
             await household.start("broker", module, listeners, log("broker"))
-            await self._until_broker()
-        else:
-            await self._check_broker()
+        await self._until_broker(CONNECT_s if self._settings.broker else BROKER_s)
         configuration = str(self.workspace.configuration)
         noise = self._story.noise if self._settings.noise is None else self._settings.noise
         device = [
@@ -177,23 +196,17 @@ class RealStage:
         daemon = ["run", configuration]
         await household.start("daemon", "adaptdrive.cli", daemon, log("daemon"))
 
-    async def _check_broker(self) -> None:
-        """Make sure that a broker which somebody else has started answers."""
-        try:
-            async with conversation(self._broker.mqtt, self.drive, end_of(CONNECT_s)):
-                pass
-        except NoAnswerError as silence:
-            raise DemoError(silence.problem) from silence
-
-    async def _until_broker(self) -> None:
-        """Wait until the embedded broker listens."""
-        try:
-            async with asyncio.timeout(BROKER_s), asyncio.TaskGroup() as tasks:
-                watch = tasks.create_task(self._household.watch())
-                await _until_listening(self._broker)
-                watch.cancel()
-        except TimeoutError as late:
-            raise DemoError(f"the broker does not listen at {self.broker}") from late
+    async def _until_broker(self, longest_s: float) -> None:
+        """Wait until the broker answers."""
+        end_s = self.time_s + longest_s
+        while True:
+            try:
+                async with conversation(self._broker.mqtt, self.drive_name, end_of(longest_s)):
+                    return
+            except NoAnswerError as silence:
+                if self.time_s >= end_s or self._settings.broker is not None:
+                    raise DemoError(silence.problem) from silence
+            await asyncio.sleep(_LOOK_s)
 
 
 async def _until_listening(place: BrokerAddress) -> None:

@@ -134,6 +134,19 @@ class Story(_Table, frozen=True, rename={"scenes": "scene", "values": "value"}):
     complete: str = ""
     name: str = ""
 
+    def conditions(self, number: int) -> tuple[Scene, list[dict[str, float]]]:
+        """Return what the scenes up to one have asked for, and how the load is then disturbed."""
+        held, disturbances = self.scenes[number], dict[str, dict[str, float]]()
+        for scene in self.scenes[: number + 1]:
+            if scene.disturb is not None:
+                disturbances[next(iter(scene.disturb))] = scene.disturb
+        for scene in reversed(self.scenes[:number]):
+            held = msgspec.structs.replace(held, mode=held.mode or scene.mode)
+            if held.setpoint is None and held.waveform is None:
+                wave, constant = scene.waveform, scene.setpoint
+                held = msgspec.structs.replace(held, waveform=wave, setpoint=constant)
+        return held, list(disturbances.values())
+
     def document(self) -> dict[str, Any]:
         """Return the configuration of the daemon, with the changes of this story."""
         found = example_tables(self.configuration)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import sys
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -19,6 +17,7 @@ from adaptdrive.watch.plot import CONTROLLERS, plot
 from adaptdrive_sim.demo.player import Player
 from adaptdrive_sim.demo.record import TRIPPED, DemoRecord
 from adaptdrive_sim.demo.view import story_table
+from adaptdrive_sim.demo.workspace import program
 
 _PICTURE = (100, 18)
 
@@ -107,9 +106,9 @@ def _lines(summary: dict[str, Any], session: Path | None) -> Iterator[str]:
     yield f"  ticks      {', '.join(counted)}, {len(summary['trips'])} trips"
     if session is not None and (figure := _figure(session)) is not None:
         yield f"  figure     {_short(figure)}"
-        yield f"  once more  {operator_program()} plot {_short(session)}"
+        yield f"  once more  {program()} plot {_short(session)}"
     else:
-        yield f"  once more  {operator_program('adaptdrive-sim')} demo {summary['demo']}"
+        yield f"  once more  {program('adaptdrive-sim')} demo {summary['demo']}"
 
 
 def _figure(session: Path) -> Path | None:
@@ -120,14 +119,6 @@ def _figure(session: Path) -> Path | None:
         return plot_session(session)[0]
     except (ImportError, AdaptdriveError, OSError):
         return None
-
-
-def operator_program(name: str = "adaptdrive") -> str:
-    """Return the command for a program: its name, or its path if the name is not found."""
-    if shutil.which(name):
-        return name
-    path = Path(sys.executable).with_name(name)
-    return os.path.relpath(path) if path.is_relative_to(Path.cwd()) else str(path)
 
 
 def _short(path: Path) -> str:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import asyncio
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Coroutine, Mapping
 from datetime import UTC, datetime, timedelta
-from typing import Any
+from typing import Any, Self
 
 import msgspec
 
 from adaptdrive.app.profile import operator_profile
-from adaptdrive.config.root import Configuration
+from adaptdrive.config.file import validate_configuration
 from adaptdrive.errors import RefusedError
 from adaptdrive.operation import messages
 from adaptdrive.operation.clock import Synchronisation
@@ -22,7 +22,12 @@ from adaptdrive.runtime.accounts import state_report
 from adaptdrive.runtime.reports import Event, LoadReport, Severity, StopWord
 from adaptdrive.watch.keys import KeyCommand
 from adaptdrive_sim.demo.record import DemoRecord
+from adaptdrive_sim.demo.settings import DemoError, DemoSettings
+from adaptdrive_sim.demo.story import Story
+from adaptdrive_sim.device_main import build_world
+from adaptdrive_sim.device_settings import DeviceSettings
 from adaptdrive_sim.disturbances import apply_request, features_of, parse_request
+from adaptdrive_sim.experiments.examples import FOLDER
 from adaptdrive_sim.virtual import OperatedDrive
 from adaptdrive_sim.world import World
 
@@ -36,36 +41,61 @@ class VirtualStage:
 
     Attributes:
         drive: The drive.
+        drive_name: Its name.
+        record: Takes its messages.
+        places: What the help shows of the surroundings.
+        facts: What the summary has of them.
+        session: There is no recorded session.
         has_sensors: There are no sensors beside it.
     """
 
     has_sensors = False
+    session = None
 
-    def __init__(self, configuration: Configuration, world: World, speed: float) -> None:
-        """Put the daemon's controller in front of a load.
-
-        Args:
-            configuration: The daemon's configuration.
-            world: The plant.
-            speed: Times real time.
-        """
-        self.drive = OperatedDrive(configuration, world)
+    def __init__(self, story: Story, settings: DemoSettings) -> None:
+        """Put the daemon's controller in front of the load of a story."""
+        configuration = validate_configuration(story.document(), FOLDER / story.configuration)
+        noise = story.noise if settings.noise is None else settings.noise
+        device = DeviceSettings(
+            noise_V=noise, seed=settings.seed, initial_voltage_V=story.initial_voltage_V
+        )
+        self.drive = OperatedDrive(configuration, build_world(configuration, device))
+        self.drive_name = configuration.drive.name
         self.record: DemoRecord | None = None
         self._profile = operator_profile(configuration)
-        self._speed = speed
+        self._speed = settings.speed or story.speed or 1.0
+        passing = f"virtual, {self._speed:g} times real time: no bus, no broker, no panel"
+        self.places = {"time": passing}
+        self.facts = {"virtual_time": True, "speed": self._speed}
         self._began = datetime.now(UTC)
         self._due_s = 0.0
         self._last_s = time.monotonic()
         self._report_ticks = max(_REPORT_TICKS, configuration.ticks_per_period // 2)
         self._told = ""
 
-    def open(self, record: DemoRecord) -> None:
-        """Publish the first messages into a record."""
+    async def __aenter__(self) -> Self:
+        """Begin; there is nothing to start."""
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        """End; there is nothing to stop."""
+
+    def services(self, record: DemoRecord) -> list[Coroutine[Any, Any, None]]:
+        """Publish the first messages into a record; nothing runs beside the story."""
         self.record = record
         self._publish("availability", {"availability": "online"})
         self.drive.tick()
         self._report()
         self._publish_state()
+        return []
+
+    async def panel(self) -> str:
+        """Refuse the panel.
+
+        Raises:
+            DemoError: There is no broker.
+        """
+        raise DemoError("this story passes in virtual time, without a broker")
 
     @property
     def time_s(self) -> float:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import sys
 import tempfile
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -85,3 +88,11 @@ def make_workspace(directory: Path | None, name: str) -> Workspace:
     except OSError as problem:
         raise DemoError(f"{problem.filename}: {problem.strerror}") from problem
     return Workspace(directory.absolute(), name)
+
+
+def program(name: str = "adaptdrive") -> str:
+    """Return the command for a program: its name, or its path if the name is not found."""
+    if shutil.which(name):
+        return name
+    path = Path(sys.executable).with_name(name)
+    return os.path.relpath(path) if path.is_relative_to(Path.cwd()) else str(path)

@@ -16,7 +16,7 @@ from adaptdrive.errors import CommissionError
 from adaptdrive.watch.ending import ended_once
 from adaptdrive.watch.keys import QUIT, pressed_keys
 from adaptdrive.watch.telling import tell
-from adaptdrive.watch.view import draw
+from adaptdrive.watch.terminal import draw
 
 
 async def carry_out(guide: Guide, experiment: LoadExperiment, picture: Picture) -> None:

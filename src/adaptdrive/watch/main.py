@@ -6,6 +6,7 @@ import asyncio
 import functools
 import time
 from collections.abc import Callable, Coroutine, Iterable
+from contextlib import nullcontext
 from typing import Any
 
 from rich.layout import Layout
@@ -19,7 +20,8 @@ from adaptdrive.watch.keys import QUIT, KeyCommand, KeyReader, pressed_keys
 from adaptdrive.watch.record import WatchRecord
 from adaptdrive.watch.sending import CommandsUnderWay, over_mqtt
 from adaptdrive.watch.telling import tell_last
-from adaptdrive.watch.view import draw, screen
+from adaptdrive.watch.terminal import draw
+from adaptdrive.watch.view import screen
 
 _RETRY_S = 2.0
 
@@ -48,7 +50,7 @@ async def watch(broker: Mqtt, drive: str, timeout_s: float) -> bool:
 
 
 async def run_view(
-    show: Show,
+    show: Show | None,
     press: Press,
     under_way: CommandsUnderWay,
     services: Iterable[Coroutine[Any, Any, None]],
@@ -56,7 +58,8 @@ async def run_view(
     """Draw a view and heed its keys until `q`, a signal, or the end of a service.
 
     Args:
-        show: Returns the screen for a terminal of some width and height.
+        show: Returns the screen for a terminal of some width and height; without it nothing is
+            drawn, and no key is heeded.
         press: Reads a key.
         under_way: Sends the commands of the keys.
         services: Run for as long as the view does; one that fails ends it with its error.
@@ -81,10 +84,11 @@ async def run_view(
         if unanswered:
             tell_last("\n".join(f"adaptdrive: {printable(one)}" for one in unanswered))
 
-    tasks = [asyncio.ensure_future(one) for one in (*services, draw(show), ended.wait())]
+    seen = [] if show is None else [draw(show)]
+    tasks = [asyncio.ensure_future(one) for one in (*services, *seen, ended.wait())]
     with ended_once():
         try:
-            with pressed_keys(on_keys):
+            with nullcontext() if show is None else pressed_keys(on_keys):
                 done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
             await whole(leave(), complete=True)
